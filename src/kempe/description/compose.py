@@ -1,0 +1,116 @@
+"""Composition of mechanisms: mount one on another, cut a chain out of one."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import replace
+
+from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Body, Frame, Joint
+from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError
+from kempe.joints import Fixed
+
+
+def attach(
+    host: Mechanism, guest: Mechanism, to: Body | Frame | str | None, prefix: str, placement: Mapping
+) -> None:
+    """Copy `guest` into `host`, its ground fixed to the body or frame `to` (the ground where None)."""
+    if guest.dim != host.dim:
+        raise InputError(f"{guest.name!r} has dim {guest.dim}, {host.name!r} has dim {host.dim}; they must be equal")
+    trial = host.copy()
+    name = str(to) if to is not None else host.ground.name
+    if name in host.frames:
+        on, placement = host.frames[name].body, {"at": host.frames[name].X_BF, **placement}
+        if "at" in placement and placement["at"] is not host.frames[name].X_BF:
+            raise InputError("`at` cannot be given when mounting on a frame; mount on the body instead")
+    elif name in host.bodies:
+        on = name
+    else:
+        raise UnknownNameError("body or frame", name, [*host.bodies, *host.frames], host.name)
+    for key, number in guest.parameters.items():
+        if trial.parameters.setdefault(key, number) != number:
+            raise InputError(f"parameter {key!r} is {trial.parameters[key]:g} here and {number:g} in {guest.name!r}")
+    for body in guest.bodies.values():
+        trial._add_body(replace(body, name=prefix + body.name))
+    trial.joint(f"{prefix}{guest.ground.name}_mount", Fixed(), on, prefix + guest.ground.name, **placement)
+    for joint in guest.joints.values():
+        _new_key(trial.joints, "joint", prefix + joint.name)
+        trial.joints[prefix + joint.name] = replace(
+            joint, name=prefix + joint.name, parent=prefix + joint.parent, child=prefix + joint.child
+        )
+    for frame in guest.frames.values():
+        trial._free_name(prefix + frame.name, "frame", None)
+        trial.frames[prefix + frame.name] = replace(frame, name=prefix + frame.name, body=prefix + frame.body)
+    for coupling in guest.couplings.values():
+        sources = {prefix + k: v for k, v in coupling.sources.items()}
+        trial.couplings[prefix + coupling.of] = replace(coupling, of=prefix + coupling.of, sources=sources)
+    for key, posture in guest.postures.items():
+        _new_key(trial.postures, "posture", prefix + key)
+        trial.postures[prefix + key] = {prefix + k: v for k, v in posture.items()}
+    trial.locks |= {prefix + k: v for k, v in guest.locks.items()}
+    host.__dict__.update(trial.__dict__)
+
+
+def _new_key(table: Mapping, kind: str, name: str) -> None:
+    if name in table:
+        raise DescriptionError(Problem("the name is taken; use a prefix", f"{kind} {name!r}"))
+
+
+def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
+    """The bodies and joints on the shortest path from body `base` to body or frame `tip`, as a mechanism.
+
+    Frames on these bodies, couplings and locks among these joints come along; a coupling that reaches outside is
+    refused, as the chain alone would move differently. Errors: `UnknownNameError`, `DescriptionError`.
+    """
+    if base not in mechanism.bodies:
+        raise UnknownNameError("body", base, mechanism.bodies, mechanism.name)
+    if tip not in mechanism.bodies and tip not in mechanism.frames:
+        raise UnknownNameError("body or frame", tip, [*mechanism.bodies, *mechanism.frames], mechanism.name)
+    end = mechanism.frames[tip].body if tip in mechanism.frames else tip
+    path = _path(mechanism, base, end)
+    kept = {base, end} | {b for j in path for b in (j.parent, j.child)}
+    out = Mechanism(f"{mechanism.name}: {base} to {tip}", mechanism.dim, ground=base)
+    out.parameters = dict(mechanism.parameters)
+    out.bodies = {n: mechanism.bodies[n] for n in [base, *(b for b in mechanism.bodies if b in kept and b != base)]}
+    out.joints = {j.name: j for j in mechanism.joints.values() if j in path}
+    out.frames = {f.name: f for f in mechanism.frames.values() if f.body in kept}
+    coordinates = {
+        f"{j.name}.{c}" if c else j.name for j in path
+        for c in j.type.coordinates(out.dim, mechanism.bodies[j.child].particle)
+    }  # fmt: skip
+    for coupling in mechanism.couplings.values():
+        inside = [c in coordinates for c in (coupling.of, *coupling.sources)]
+        if all(inside):
+            out.couplings[coupling.of] = coupling
+        elif inside[0]:
+            outside = [c for c in coupling.sources if c not in coordinates]
+            raise DescriptionError(
+                Problem(f"it follows {', '.join(outside)}, outside the chain; lock it first", f"coordinate {coupling.of!r}")
+            )
+    out.locks = {k: v for k, v in mechanism.locks.items() if k in coordinates}
+    for name, posture in mechanism.postures.items():
+        out.postures[name] = {k: v for k, v in posture.items() if k in coordinates}
+    return out
+
+
+def _path(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
+    neighbours: dict[str, list[tuple[str, Joint]]] = {b: [] for b in mechanism.bodies}
+    for joint in sorted(mechanism.joints.values(), key=lambda j: (j.cut, j.name)):
+        neighbours[joint.parent].append((joint.child, joint))
+        neighbours[joint.child].append((joint.parent, joint))
+    came: dict[str, Joint | None] = {base: None}
+    queue = deque([base])
+    while queue and end not in came:
+        here = queue.popleft()
+        for there, joint in neighbours[here]:
+            if there not in came:
+                came[there] = joint
+                queue.append(there)
+    if end not in came:
+        raise DescriptionError(Problem(f"no joints lead from {base!r} to {end!r}", f"mechanism {mechanism.name!r}"))
+    path: list[Joint] = []
+    while (joint := came[end]) is not None:
+        path.append(joint)
+        end = joint.parent if joint.child == end else joint.child
+    return path

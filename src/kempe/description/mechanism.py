@@ -1,0 +1,389 @@
+"""The builder: what the user says of a system, as a graph of bodies and joints. No kinematics here."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+from kempe.description.parts import Body, Coupling, Frame, Joint, Limits
+from kempe.description.placement import Placement, place
+from kempe.description.values import Expression, Value, value
+from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, Where
+from kempe.joints import Helical, JointType, joint_type
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+BodyLike = Body | str
+
+
+class Mechanism:
+    """A system under construction: bodies, joints between any two of them, frames, couplings, limits, parameters.
+
+    Every method that adds something returns its record or name; a wrong call raises at once and changes nothing.
+    Lengths are metres, angles radians; both may be expressions in parameters, such as ``"l1/2"``.
+
+    >>> arm = Mechanism("two-link", dim=2)
+    >>> upper, lower = arm.body("upper"), arm.body("lower")
+    >>> _ = arm.revolute("q1", arm.ground, upper)
+    >>> _ = arm.revolute("q2", upper, lower, at=(0.5, 0))
+    >>> _ = arm.frame("tip", lower, at=(0.4, 0))
+    >>> arm.build().fk([0.0, 0.0], "tip")[0, 3]
+    0.9
+    """
+
+    def __init__(self, name: str = "mechanism", dim: int = 3, ground: str = "ground"):
+        if dim not in (2, 3):
+            raise InputError(f"dim is {dim!r}; a system lives in the plane (2) or in space (3)")
+        self.name, self.dim = name, dim
+        self.bodies: dict[str, Body] = {}
+        self.joints: dict[str, Joint] = {}
+        self.frames: dict[str, Frame] = {}
+        self.couplings: dict[str, Coupling] = {}
+        self.parameters: dict[str, float] = {}
+        self.postures: dict[str, dict[str, float]] = {}
+        self.locks: dict[str, float] = {}
+        self.notes: list[str] = []
+        self.roots: tuple[str, ...] = ()
+        self._add_body(Body(_name(ground, "body")))
+        self._ground = ground
+
+    # ---- bodies and frames
+
+    @property
+    def ground(self) -> Body:
+        """The body that does not move: body 0."""
+        return self.bodies[self._ground]
+
+    def body(
+        self, name: str, mass: float | None = None, center: Iterable[float] | None = None,
+        visuals: Iterable[str] = (), where: Where | None = None,
+    ) -> Body:  # fmt: skip
+        """A new rigid body; `mass` in kg and `center` of mass (x, y, z) in the body's frame are optional."""
+        return self._add_body(_body(name, False, mass, center, visuals, where))
+
+    def particle(self, name: str, mass: float | None = None, where: Where | None = None) -> Body:
+        """A new particle: a body with a position only. Attach it by a joint of slides (free, translation, prismatic)."""
+        return self._add_body(_body(name, True, mass, None, (), where))
+
+    def _add_body(self, body: Body) -> Body:
+        self._free_name(body.name, "body", body.where)
+        self.bodies[body.name] = body
+        return body
+
+    def frame(self, name: str, body: BodyLike, at: object = (0.0, 0.0, 0.0), where: Where | None = None, **turn) -> Frame:
+        """A named frame on a body, placed as `place` says (`at`, `rpy`, `angle`, `axis`, `quat_wxyz`, `matrix`)."""
+        on = self._body(body, f"frame {name!r}", where)
+        self._free_name(_name(name, "frame"), "frame", where)
+        X_BF = self._place(at, turn, f"frame {name!r}", where)
+        if on.particle and any(s[0] not in "xyz" for s in X_BF.steps):
+            self._refuse(f"frame {name!r}", f"a particle ({on.name!r}) has no orientation to turn from", where)
+        if on.particle and X_BF.steps:
+            self._refuse(f"frame {name!r}", f"a particle ({on.name!r}) has no extent: the frame must sit on it", where)
+        self.frames[name] = Frame(name, on.name, X_BF, where)
+        return self.frames[name]
+
+    def parameter(self, name: str, number: float) -> Expression:
+        """A named parameter (a length in metres, an angle in radians) for use in placements; returns it as a value."""
+        parsed = value(name, "parameter name") if isinstance(name, str) and name.isidentifier() else None
+        if not isinstance(parsed, Expression) or parsed.names != (name,):
+            raise InputError(f"parameter name {name!r} must be an identifier that is not a function or constant")
+        number = value(number, f"parameter {name!r}")
+        if isinstance(number, Expression):
+            raise InputError(f"parameter {name!r} is {number}; it must be a number")
+        if name in self.parameters:
+            raise InputError(f"parameter {name!r} exists already")
+        self.parameters[name] = number
+        return parsed
+
+    # ---- joints
+
+    def joint(
+        self, name: str, kind: str | JointType, parent: BodyLike, child: BodyLike, at: object = (0.0, 0.0, 0.0),
+        child_at: object = (0.0, 0.0, 0.0), rpy: object = None, angle: object = None, axis: object = None,
+        child_rpy: object = None, child_angle: object = None, child_axis: object = None,
+        limits: object = None, velocity: object = None, effort: object = None, actuated: bool | None = None,
+        cut: bool = False, where: Where | None = None, **options,
+    ) -> Joint:  # fmt: skip
+        """A new joint of type `kind` between any two bodies.
+
+        Frame F sits on the parent at `at`, turned by `rpy` (or `angle` about z), and then so that its z is `axis`;
+        frame M sits on the child at `child_at` likewise, with `child_axis` = `axis` unless given. `at` can be the
+        name of a frame on the body, or a `Placement`. `limits` is (lower, upper) in radians or metres, or a dict of
+        such pairs by coordinate ('rz', 'x', ...) for joints with several. Other keywords are the type's options
+        (`pitch`, `angles`). Errors: `DescriptionError` with what is wrong and what is allowed.
+        """
+        subject = f"joint {name!r}"
+        if _name(name, "joint") in self.joints:
+            first = self.joints[name].where
+            self._refuse(subject, f"there is another joint of this name{f' ({first})' if first else ''}", where)
+        try:
+            type_ = joint_type(kind, **options)
+        except (InputError, UnknownNameError) as error:
+            self._refuse(subject, str(error), where)
+        on, to = self._body(parent, subject, where), self._body(child, subject, where)
+        if on.name == to.name:
+            self._refuse(subject, f"it connects body {on.name!r} to itself", where, "it must connect two bodies")
+        self._check_kind(subject, type_, on, to, where)
+        X_PF = self._place(at, {"rpy": rpy, "angle": angle, "axis": axis}, subject, where, on)
+        same = child_axis if child_axis is not None else axis
+        X_CM = self._place(child_at, {"rpy": child_rpy, "angle": child_angle, "axis": same}, subject, where, to)
+        names = type_.velocities(self.dim, to.particle)
+        self.joints[name] = Joint(
+            name, type_, on.name, to.name, X_PF, X_CM, self._limits(subject, limits, names, where),
+            self._bounds(subject, "velocity", velocity, names, where),
+            self._bounds(subject, "effort", effort, names, where), actuated, cut, where,
+        )  # fmt: skip
+        return self.joints[name]
+
+    def fixed(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+        """A joint that does not move; keywords as in `joint`."""
+        return self.joint(name, "fixed", parent, child, **keywords)
+
+    def revolute(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+        """A hinge about z of its frame (or `axis`); keywords as in `joint`."""
+        return self.joint(name, "revolute", parent, child, **keywords)
+
+    def prismatic(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+        """A slider along z of its frame (or `axis`); keywords as in `joint`."""
+        return self.joint(name, "prismatic", parent, child, **keywords)
+
+    def helical(self, name: str, parent: BodyLike, child: BodyLike, pitch: float, **keywords) -> Joint:
+        """A screw about z with `pitch` metres a radian; keywords as in `joint`."""
+        return self.joint(name, Helical(pitch=pitch), parent, child, **keywords)
+
+    def cylindrical(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+        """A turn about z and a slide along it; keywords as in `joint`."""
+        return self.joint(name, "cylindrical", parent, child, **keywords)
+
+    def universal(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+        """A turn about x of F, then about y of M; keywords as in `joint`."""
+        return self.joint(name, "universal", parent, child, **keywords)
+
+    def planar(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+        """Slides along x and y and a turn about z; keywords as in `joint`."""
+        return self.joint(name, "planar", parent, child, **keywords)
+
+    def translation(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+        """Slides along x, y and z (in the plane x and y); keywords as in `joint`."""
+        return self.joint(name, "translation", parent, child, **keywords)
+
+    def spherical(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+        """A ball joint, by quaternion or, with `angles=True`, as three turns; keywords as in `joint`."""
+        return self.joint(name, "spherical", parent, child, **keywords)
+
+    def free(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+        """No constraint, but coordinates for where the child is; keywords as in `joint`."""
+        return self.joint(name, "free", parent, child, **keywords)
+
+    # ---- relations between coordinates
+
+    def couple(
+        self, of: str, sources: Mapping[str, Value | str], offset: Value | str = 0.0, where: Where | None = None
+    ) -> Coupling:  # fmt: skip
+        """A linear relation: coordinate `of` = sum of multiplier * source + `offset`.
+
+        With one source it is a mimic or a gear and `of` leaves the configuration; with several it is a constraint.
+        """
+        subject = f"coupling of {of!r}"
+        if of in self.couplings:
+            self._refuse(subject, "the coordinate follows others already", where)
+        if not sources:
+            self._refuse(subject, "it has no source coordinate", where)
+        try:
+            checked = {str(k): value(v, "multiplier") for k, v in sources.items()}
+            self.couplings[of] = Coupling(of, checked, value(offset, "offset"), where)
+        except InputError as error:
+            self._refuse(subject, str(error), where)
+        return self.couplings[of]
+
+    def gear(self, driven: str, driver: str, ratio: Value | str, offset: Value | str = 0.0) -> Coupling:
+        """Two coordinates in gear: driven = ratio * driver + offset."""
+        return self.couple(driven, {driver: ratio}, offset)
+
+    def posture(self, name: str, coordinates: Mapping[str, float]) -> None:
+        """A named posture: values of some coordinates by name, the others neutral."""
+        if name in self.postures:
+            raise InputError(f"posture {name!r} exists already")
+        self.postures[name] = {str(k): _number(v, f"posture {name!r}, {k!r}") for k, v in coordinates.items()}
+
+    def lock(self, coordinates: Mapping[str, float]) -> Mechanism:
+        """Hold coordinates at values: they leave the configuration. Returns the mechanism itself."""
+        self.locks |= {str(k): _number(v, f"lock of {k!r}") for k, v in coordinates.items()}
+        return self
+
+    # ---- composition
+
+    def attach(
+        self, other: Mechanism | System, to: BodyLike | Frame | None = None, prefix: str = "", **placement
+    ) -> Mechanism:  # fmt: skip
+        """Mount a copy of `other` on a body or frame of this mechanism by a fixed joint; returns the mechanism itself.
+
+        All names of `other` get the `prefix`; its ground becomes a body, held at `at`, `rpy`, ... of `to` by the
+        joint ``<prefix><ground>_mount``. Parameters of the same name and value are shared.
+        """
+        from kempe.description.compose import attach
+
+        attach(self, _mechanism_of(other), to, prefix, placement)
+        return self
+
+    def subchain(self, base: BodyLike, tip: BodyLike | Frame) -> Mechanism:
+        """A new mechanism: the bodies and joints between `base`, its new ground, and `tip`."""
+        from kempe.description.compose import subchain
+
+        return subchain(self, str(base), str(tip))
+
+    def copy(self) -> Mechanism:
+        """An independent copy."""
+        out = copy.copy(self)
+        for key in ("bodies", "joints", "frames", "couplings", "parameters", "locks", "notes"):
+            setattr(out, key, copy.copy(getattr(self, key)))
+        out.postures = {k: dict(v) for k, v in self.postures.items()}
+        return out
+
+    def build(self) -> System:
+        """The `System` to compute with. Errors: `DescriptionError` listing all that does not fit together."""
+        from kempe.model.system import System
+
+        return System(self)
+
+    def __repr__(self) -> str:
+        return f"Mechanism({self.name!r}, dim={self.dim}, bodies={len(self.bodies) - 1}, joints={len(self.joints)})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Mechanism) and self.content() == other.content()
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def content(self) -> tuple:
+        """All that matters, as nested tuples, in the order given; file positions and notes are left out."""
+        return (
+            self.name, self.dim, self._ground, tuple(self.bodies.values()),
+            tuple((j, tuple(j.limits.items()), tuple(j.velocity_limits.items())) for j in self.joints.values()),
+            tuple(self.frames.values()), tuple((c, tuple(c.sources.items())) for c in self.couplings.values()),
+            tuple(self.parameters.items()), tuple((k, tuple(v.items())) for k, v in self.postures.items()),
+            tuple(self.locks.items()),
+        )  # fmt: skip
+
+    # ---- checks
+
+    def _refuse(self, subject: str, message: str, where: Where | None, allowed: str = ""):
+        raise DescriptionError(Problem(message, subject, where, allowed))
+
+    def _free_name(self, name: str, kind: str, where: Where | None) -> None:
+        taken = self.bodies.get(name) or self.frames.get(name)
+        if taken is not None:
+            what = "body" if name in self.bodies else "frame"
+            first = f" ({taken.where})" if taken.where else ""
+            self._refuse(f"{kind} {name!r}", f"there is another {what} of this name{first}", where)
+
+    def _body(self, body: BodyLike, subject: str, where: Where | None) -> Body:
+        name = body.name if isinstance(body, Body) else body
+        if name not in self.bodies:
+            self._refuse(subject, str(UnknownNameError("body", name, self.bodies, self.name)), where)
+        return self.bodies[name]
+
+    def _check_kind(self, subject: str, kind: JointType, parent: Body, child: Body, where: Where | None) -> None:
+        if self.dim == 2 and not kind.planar:
+            self._refuse(subject, f"a {kind.type_name} joint does not exist in the plane", where,
+                         "planar systems take revolute, prismatic, planar, translation, fixed and free")  # fmt: skip
+        if parent.particle:
+            self._refuse(subject, f"its parent {parent.name!r} is a particle, which has no orientation", where,
+                         "make the particle the child")  # fmt: skip
+        if child.particle and any(p.kind != 1 for p in kind.layout(self.dim, True)[1]):
+            self._refuse(subject, f"a {kind.type_name} joint turns, but {child.name!r} is a particle", where,
+                         "particles take prismatic, planar, translation, fixed and free")  # fmt: skip
+
+    def _place(self, at: object, turn: Mapping, subject: str, where: Where | None, on: Body | None = None) -> Placement:
+        try:
+            if isinstance(at, (Frame, str)):
+                frame = self.frames.get(str(at))
+                if frame is None or (on is not None and frame.body != on.name):
+                    names = [f.name for f in self.frames.values() if on is None or f.body == on.name]
+                    raise UnknownNameError("frame", str(at), names, f"body {on.name!r}" if on else self.name)
+                at = frame.X_BF
+            X = place(at, **turn)
+            for name in sorted(X.names):
+                if name not in self.parameters:
+                    raise UnknownNameError("parameter", name, self.parameters, self.name)
+        except (InputError, UnknownNameError) as error:
+            self._refuse(subject, str(error), where)
+        if self.dim == 2:
+            self._check_in_plane(subject, X, where)
+        return X
+
+    def _check_in_plane(self, subject: str, X: Placement, where: Where | None) -> None:
+        for motion, numbers in X.steps:
+            flat = motion in ("x", "y", "rz") or (motion in ("align", "unalign") and numbers[2] == 0.0)
+            if not flat:
+                self._refuse(subject, f"{motion} leaves the plane", where, "planar systems take x, y and turns about z")
+
+    def _limits(self, subject: str, limits: object, names: tuple[str, ...], where: Where | None) -> dict[str, Limits]:
+        out: dict[str, Limits] = {}
+        for name, pair in self._by_name(subject, "limits", limits, names, where):
+            try:
+                lower, upper = (float(x) for x in pair)  # type: ignore[union-attr]
+            except (TypeError, ValueError):
+                self._refuse(subject, f"limits are {pair!r}", where, "they must be a pair (lower, upper)")
+            if math.isnan(lower) or math.isnan(upper) or lower == math.inf or upper == -math.inf:
+                self._refuse(subject, f"limits are ({lower}, {upper})", where, "they must be numbers")
+            if lower > upper:
+                self._refuse(subject, f"lower limit {lower:g} is above upper limit {upper:g}", where)
+            out[name] = (lower, upper)
+        return out
+
+    def _bounds(self, subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None):
+        out: dict[str, float] = {}
+        for name, bound in self._by_name(subject, what, given, names, where):
+            if isinstance(bound, bool) or not isinstance(bound, (int, float)) or not bound >= 0:
+                self._refuse(subject, f"{what} limit is {bound!r}", where, "it must be a number, not negative")
+            out[name] = float(bound)  # type: ignore[arg-type]
+        return out
+
+    def _by_name(self, subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None):
+        if given is None:
+            return []
+        if not isinstance(given, Mapping):
+            if names != ("",):
+                self._refuse(subject, f"{what} given as {given!r}", where,
+                             f"this joint needs them by coordinate: {', '.join(names) or 'it has none'}")  # fmt: skip
+            return [("", given)]
+        for key in given:
+            if key not in names:
+                self._refuse(subject, str(UnknownNameError("coordinate", key, names, "it")), where)
+        return list(given.items())
+
+
+def _mechanism_of(thing: Mechanism | System) -> Mechanism:
+    return thing if isinstance(thing, Mechanism) else thing.mechanism
+
+
+def _body(name: str, particle: bool, mass: object, center: object, visuals: Iterable[str], where: Where | None) -> Body:
+    subject = f"body {name!r}"
+    if mass is not None:
+        mass = _number(mass, f"{subject}: mass")
+        if mass < 0:
+            raise DescriptionError(Problem(f"mass is {mass:g}", subject, where, "it must not be negative"))
+    if center is not None:
+        x, y, *z = (_number(c, f"{subject}: center") for c in center)  # type: ignore[union-attr]
+        center = (x, y, *(z or [0.0]))
+        if len(center) != 3:
+            raise DescriptionError(Problem("center must have 2 or 3 numbers", subject, where))
+    return Body(_name(name, "body"), particle, mass, center, tuple(visuals), where)
+
+
+def _name(name: object, kind: str) -> str:
+    if not isinstance(name, str) or not name.strip():
+        raise InputError(f"{kind} name is {name!r}; it must be text, not empty")
+    return name
+
+
+def _number(x: object, what: str) -> float:
+    number = value(x, what)
+    if isinstance(number, Expression):
+        raise InputError(f"{what} is {x!r}; it must be a number")
+    return number
+
+

@@ -1,0 +1,83 @@
+"""What a `Mechanism` is made of: plain records, without kinematics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from kempe.description.placement import Placement
+from kempe.description.values import Value
+from kempe.errors import Where
+from kempe.joints import JointType
+
+Limits = tuple[float, float]
+"""Lower and upper bound of one velocity coordinate; an infinity where there is none."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body, or a particle: a body without orientation (3 degrees of freedom in space, 2 in the plane)."""
+
+    name: str
+    particle: bool = False
+    mass: float | None = None
+    center: tuple[float, float, float] | None = None
+    visuals: tuple[str, ...] = ()
+    where: Where | None = field(default=None, compare=False, repr=False)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint of any type between any two bodies: its frame F sits at `X_PF` on the parent, M at `X_CM` on the child.
+
+    `limits`, `velocity_limits` and `effort_limits` are by the joint's velocity coordinate names ('' where there is
+    one). `actuated` says that a motor drives it (True), that it is passive (False), or nothing (None); `cut` asks
+    that, in a loop, this joint be left out of the spanning tree.
+    """
+
+    name: str
+    type: JointType
+    parent: str
+    child: str
+    X_PF: Placement = Placement()
+    X_CM: Placement = Placement()
+    limits: dict[str, Limits] = field(default_factory=dict)
+    velocity_limits: dict[str, float] = field(default_factory=dict)
+    effort_limits: dict[str, float] = field(default_factory=dict)
+    actuated: bool | None = None
+    cut: bool = False
+    where: Where | None = field(default=None, compare=False, repr=False)
+
+    def __str__(self) -> str:
+        return self.name
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A named frame on a body."""
+
+    name: str
+    body: str
+    X_BF: Placement = Placement()
+    where: Where | None = field(default=None, compare=False, repr=False)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A linear relation of joint coordinates: coordinate `of` = sum of multiplier * source + `offset`."""
+
+    of: str
+    sources: dict[str, Value]
+    offset: Value = 0.0
+    where: Where | None = field(default=None, compare=False, repr=False)
+
+    def __hash__(self) -> int:
+        return hash(self.of)

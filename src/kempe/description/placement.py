@@ -1,0 +1,165 @@
+"""Where a frame sits on a body: a product of elementary motions, whose numbers may be expressions in parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.description.values import Expression, Value, evaluate, negate, value, values
+from kempe.errors import InputError
+
+Step = tuple[str, tuple[Value, ...]]
+
+COUNTS = {"x": 1, "y": 1, "z": 1, "rx": 1, "ry": 1, "rz": 1, "align": 3, "unalign": 3, "quat_wxyz": 4, "matrix": 9}
+"""Elementary motions and how many numbers each takes: slides and turns along and about x, y, z; `align` turns z to
+an axis by the smallest rotation and `unalign` undoes that; a unit quaternion; a rotation matrix by rows."""
+
+ROTATION_TOLERANCE = 1e-9
+"""How far a matrix given by the user may be from a rotation before it is refused."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A constant pose as the product, from left to right, of elementary `steps` ``(motion, numbers)``."""
+
+    steps: tuple[Step, ...] = ()
+
+    def evaluate(self, parameters: Mapping[str, Any]) -> spatial.Array:
+        """Pose (4, 4), or (..., 4, 4) where parameters are arrays."""
+        out = np.eye(4)
+        for motion, numbers in self.steps:
+            out = out @ _step_pose(motion, [evaluate(x, parameters) for x in numbers])
+        return out
+
+    @property
+    def names(self) -> set[str]:
+        """Names of the parameters that it uses."""
+        return {n for _, xs in self.steps for x in xs if isinstance(x, Expression) for n in x.names}
+
+    def inverse(self) -> Placement:
+        """The inverse placement, step by step, so that expressions stay expressions."""
+        return Placement(tuple(_inverse_step(*step) for step in reversed(self.steps)))
+
+    def __matmul__(self, other: Placement) -> Placement:
+        return Placement(self.steps + other.steps)
+
+    def simplified(self) -> Placement:
+        """Without steps that do nothing (slides and turns by exactly zero)."""
+        return Placement(tuple(s for s in self.steps if s[0] not in _SCALAR or s[1] != (0.0,)))
+
+
+_SCALAR = ("x", "y", "z", "rx", "ry", "rz")
+
+
+def place(
+    at: object = (0.0, 0.0, 0.0), rpy: object = None, angle: object = None, axis: object = None,
+    quat_wxyz: object = None, matrix: object = None,
+) -> Placement:  # fmt: skip
+    """Placement with the origin `at` (2 or 3 lengths) and an orientation given in at most one way.
+
+    `rpy` are fixed-axis angles x, y, z; `angle` turns about z (planar systems); `quat_wxyz` and `matrix` as named.
+    `axis` finally turns z to this direction, read in the axes that the rest describes; it need not have unit length.
+    Errors: `InputError` for wrong counts, numbers that are not finite, a zero axis, a matrix that does not rotate.
+    """
+    if isinstance(at, Placement):
+        return at @ place(rpy=rpy, angle=angle, axis=axis, quat_wxyz=quat_wxyz, matrix=matrix)
+    steps: list[Step] = [(n, (x,)) for n, x in zip("xyz", values(at, (2, 3), "at"), strict=False)]
+    given = [n for n, x in (("rpy", rpy), ("angle", angle), ("quat_wxyz", quat_wxyz), ("matrix", matrix)) if x is not None]
+    if len(given) > 1:
+        raise InputError(f"orientation given twice, by {' and '.join(given)}; give one")
+    if rpy is not None:
+        roll, pitch, yaw = values(rpy, 3, "rpy")
+        steps += [("rz", (yaw,)), ("ry", (pitch,)), ("rx", (roll,))]
+    if angle is not None:
+        steps.append(("rz", (value(angle, "angle"),)))
+    if quat_wxyz is not None:
+        steps.append(("quat_wxyz", values(quat_wxyz, 4, "quat_wxyz")))
+    if matrix is not None:
+        steps.append(("matrix", values(np.asarray(matrix, dtype=float).reshape(-1), 9, "matrix")))
+    if axis is not None:
+        steps += axis_steps(axis)
+    for step in steps:
+        check_step(*step)
+    return Placement(tuple(steps)).simplified()
+
+
+def axis_steps(axis: object) -> list[Step]:
+    """The step that turns z to `axis` (2 or 3 numbers), or nothing where it is z already. Errors: `InputError`."""
+    numbers = values(axis, (2, 3), "axis")
+    if any(isinstance(x, Expression) for x in numbers):
+        raise InputError(f"axis is {list(map(str, numbers))}; it must be plain numbers (turn the frame by rpy instead)")
+    numbers = (*numbers, 0.0)[:3]
+    check_step("align", numbers)
+    return [] if numbers[:2] == (0.0, 0.0) and float(numbers[2]) > 0 else [("align", numbers)]  # type: ignore[arg-type]
+
+
+def placement_of_pose(X: object) -> Placement:
+    """Placement of a pose given as a (4, 4) matrix. Errors: `InputError` where it is not a rigid motion."""
+    X = np.asarray(X, dtype=float)
+    if X.shape != (4, 4) or not np.array_equal(X[3], [0.0, 0.0, 0.0, 1.0]):
+        raise InputError(f"a pose must be a (4, 4) matrix with last row 0 0 0 1, not an array of shape {X.shape}")
+    return place(X[:3, 3]) if np.array_equal(X[:3, :3], np.eye(3)) else place(X[:3, 3], matrix=X[:3, :3])
+
+
+def check_step(motion: str, numbers: tuple[Value, ...]) -> None:
+    """Refuse a step that is no motion. Errors: `InputError`."""
+    if motion not in COUNTS:
+        raise InputError(f"unknown motion {motion!r}; allowed are {', '.join(COUNTS)}")
+    if len(numbers) != COUNTS[motion]:
+        raise InputError(f"{motion} has {len(numbers)} numbers; it must have {COUNTS[motion]}")
+    if any(isinstance(x, Expression) for x in numbers):
+        return
+    array = np.array(numbers, dtype=float)
+    if motion in ("align", "unalign", "quat_wxyz"):
+        what = "quaternion" if motion == "quat_wxyz" else "axis"
+        length = np.linalg.norm(array)
+        if not (np.isfinite(length) and length > 1e-150):
+            raise InputError(f"{what} is {' '.join(map(repr, array.tolist()))}; it must not be zero")
+    if motion == "matrix":
+        R = array.reshape(3, 3)
+        if np.abs(R @ R.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+            raise InputError("matrix is not a rotation (orthonormal, determinant +1)")
+
+
+def _step_pose(motion: str, numbers: list[Any]) -> spatial.Array:
+    if motion in ("x", "y", "z"):
+        zero = np.zeros_like(np.asarray(numbers[0], dtype=float))
+        p = [zero, zero, zero]
+        p["xyz".index(motion)] = np.asarray(numbers[0], dtype=float)
+        return spatial.pose(p=np.stack(p, axis=-1))
+    if motion in ("rx", "ry", "rz"):
+        return spatial.pose({"rx": spatial.rot_x, "ry": spatial.rot_y, "rz": spatial.rot_z}[motion](numbers[0]))
+    array = np.stack(np.broadcast_arrays(*numbers), axis=-1).astype(float)
+    if motion == "align":
+        return spatial.pose(spatial.align_z(array))
+    if motion == "unalign":
+        return spatial.pose(np.swapaxes(spatial.align_z(array), -1, -2))
+    if motion == "quat_wxyz":
+        return spatial.pose(spatial.quat_wxyz_to_matrix(array))
+    return spatial.pose(array.reshape(*array.shape[:-1], 3, 3))
+
+
+def _inverse_step(motion: str, numbers: tuple[Value, ...]) -> Step:
+    if motion in _SCALAR:
+        return motion, (negate(numbers[0]),)
+    if motion == "quat_wxyz":
+        return motion, (numbers[0], *(negate(x) for x in numbers[1:]))
+    if motion == "matrix":
+        return motion, tuple(numbers[3 * (i % 3) + i // 3] for i in range(9))
+    return {"align": "unalign", "unalign": "align"}[motion], numbers
+
+
+def steps_from_data(data: Iterable[object]) -> Placement:
+    """Placement from ``[["z", "d1"], ["rx", 0.5], ["align", 0, 1, 0], ...]``. Errors: `InputError`."""
+    steps = []
+    for item in data:
+        if not isinstance(item, (list, tuple)) or not item or not isinstance(item[0], str):
+            raise InputError(f"step {item!r} must be a list of a motion and its numbers, such as ['rx', 0.5]")
+        step = (item[0], tuple(value(x, item[0]) for x in item[1:]))
+        check_step(*step)
+        steps.append(step)
+    return Placement(tuple(steps))

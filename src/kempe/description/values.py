@@ -1,0 +1,194 @@
+"""Numbers of a description: plain floats, or expressions in named parameters such as ``"l1 + 2*cos(alpha)"``."""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from kempe.errors import InputError, UnknownNameError
+
+FUNCTIONS: dict[str, Callable] = {
+    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
+    "atan2": np.arctan2, "sqrt": np.sqrt, "radians": np.deg2rad,
+}  # fmt: skip
+CONSTANTS = {"pi": math.pi}
+LENGTH_LIMIT = 1000
+
+_BINARY: dict[type, Callable] = {
+    ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b,
+    ast.Div: lambda a, b: a / b, ast.Pow: lambda a, b: a**b,
+}  # fmt: skip
+_UNARY: dict[type, Callable] = {ast.USub: lambda a: -a, ast.UAdd: lambda a: a}
+
+
+class Expression:
+    """An arithmetic expression in named parameters: ``+ - * / **``, parentheses, `pi` and the `FUNCTIONS`.
+
+    >>> (Expression("l1") / 2 + 1).evaluate({"l1": 3.0})
+    2.5
+    """
+
+    __slots__ = ("_tree", "names", "text")
+
+    def __init__(self, text: str):
+        self.text = text.strip()
+        self._tree = _parse(self.text)
+        self.names = tuple(
+            sorted({n.id for n in ast.walk(self._tree) if isinstance(n, ast.Name)} - {*FUNCTIONS, *CONSTANTS})
+        )
+
+    def evaluate(self, parameters: Mapping[str, Any]) -> Any:
+        """Value with these parameters: floats or arrays, which broadcast. Errors: `UnknownNameError`."""
+        for name in self.names:
+            if name not in parameters:
+                raise UnknownNameError("parameter", name, parameters)
+        with np.errstate(all="ignore"):
+            return self.fold({**parameters, **CONSTANTS}, FUNCTIONS, float)
+
+    def fold(self, names: Mapping[str, Any], functions: Mapping[str, Callable], number: Callable) -> Any:
+        """Value in any algebra: `names` and `functions` give the leaves, `number` turns constants into it."""
+        return _fold(self._tree.body, names, functions, number)
+
+    def __repr__(self) -> str:
+        return f"Expression({self.text!r})"
+
+    def __str__(self) -> str:
+        return self.text
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Expression) and other.text == self.text
+
+    def __hash__(self) -> int:
+        return hash(self.text)
+
+    def __reduce__(self):
+        return (Expression, (self.text,))
+
+    def _with(self, form: str, other: Value) -> Expression:
+        return Expression(form.format(a=_bracket(self), b=_bracket(other)))
+
+    def __add__(self, other: Value) -> Expression:
+        return self._with("{a} + {b}", other)
+
+    def __radd__(self, other: Value) -> Expression:
+        return self._with("{b} + {a}", other)
+
+    def __sub__(self, other: Value) -> Expression:
+        return self._with("{a} - {b}", other)
+
+    def __rsub__(self, other: Value) -> Expression:
+        return self._with("{b} - {a}", other)
+
+    def __mul__(self, other: Value) -> Expression:
+        return self._with("{a} * {b}", other)
+
+    def __rmul__(self, other: Value) -> Expression:
+        return self._with("{b} * {a}", other)
+
+    def __truediv__(self, other: Value) -> Expression:
+        return self._with("{a} / {b}", other)
+
+    def __rtruediv__(self, other: Value) -> Expression:
+        return self._with("{b} / {a}", other)
+
+    def __neg__(self) -> Expression:
+        return Expression(f"-{_bracket(self)}")
+
+
+Value = float | Expression
+"""What a length, an angle or a factor of a description is."""
+
+
+def value(x: object, what: str = "value") -> Value:
+    """`x` as a `Value`: finite numbers become floats, text becomes an expression. Errors: `InputError`."""
+    if isinstance(x, Expression):
+        return x
+    if isinstance(x, str):
+        return Expression(x)
+    if isinstance(x, bool) or not isinstance(x, (int, float, np.integer, np.floating)):
+        raise InputError(f"{what} is {x!r}; it must be a number or an expression in parameters")
+    number = float(x)
+    if not math.isfinite(number):
+        raise InputError(f"{what} is {number}; it must be finite")
+    return number
+
+
+def values(xs: object, count: int | tuple[int, ...], what: str) -> tuple[Value, ...]:
+    """A tuple of `Value` with one of the allowed lengths. Errors: `InputError`."""
+    counts = (count,) if isinstance(count, int) else count
+    if isinstance(xs, (str, bytes)) or not isinstance(xs, Iterable):
+        raise InputError(f"{what} is {xs!r}; it must have {' or '.join(map(str, counts))} numbers")
+    items = tuple(xs)
+    if len(items) not in counts:
+        raise InputError(f"{what} has {len(items)} numbers; it must have {' or '.join(map(str, counts))}")
+    return tuple(value(x, what) for x in items)
+
+
+def evaluate(x: Value, parameters: Mapping[str, Any]) -> Any:
+    """Number (or array, where a parameter is one) that `x` stands for."""
+    return x.evaluate(parameters) if isinstance(x, Expression) else x
+
+
+def negate(x: Value) -> Value:
+    """The value with the other sign; a double minus is undone."""
+    return -x
+
+
+def _bracket(x: Value) -> str:
+    if isinstance(x, Expression):
+        simple = isinstance(x._tree.body, (ast.Name, ast.Call, ast.Constant))
+        return x.text if simple else f"({x.text})"
+    return repr(float(x)) if x >= 0 else f"({float(x)!r})"
+
+
+def _parse(text: str) -> ast.Expression:
+    if len(text) > LENGTH_LIMIT:
+        raise InputError(f"expression of {len(text)} characters; at most {LENGTH_LIMIT} are allowed")
+    try:
+        tree = ast.parse(text, mode="eval")
+        _check(tree.body, text)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{text!r} is not an expression; write numbers as 1.5, and 2*l1 for products") from None
+    return tree
+
+
+def _check(node: ast.AST, text: str) -> None:
+    if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
+        _check(node.left, text)
+        _check(node.right, text)
+    elif isinstance(node, ast.UnaryOp) and type(node.op) in _UNARY:
+        _check(node.operand, text)
+    elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+        if node.func.id not in FUNCTIONS:
+            raise InputError(f"{text!r} calls {node.func.id!r}; allowed are {', '.join(FUNCTIONS)}")
+        for argument in node.args:
+            _check(argument, text)
+    elif not (
+        isinstance(node, ast.Name)
+        or (isinstance(node, ast.Constant) and type(node.value) in (int, float) and math.isfinite(node.value))
+    ):
+        raise InputError(f"{text!r} is not an expression of numbers, parameters, + - * / ** and functions")
+
+
+def _fold(node: Any, names: Mapping[str, Any], functions: Mapping[str, Callable], number: Callable) -> Any:
+    if isinstance(node, ast.BinOp):
+        left = _fold(node.left, names, functions, number)
+        right = _fold(node.right, names, functions, number)
+        try:
+            return _BINARY[type(node.op)](left, right)
+        except (ZeroDivisionError, OverflowError):
+            return number("nan")
+    if isinstance(node, ast.UnaryOp):
+        return _UNARY[type(node.op)](_fold(node.operand, names, functions, number))
+    if isinstance(node, ast.Call):
+        arguments = [_fold(a, names, functions, number) for a in node.args]
+        return functions[node.func.id](*arguments)
+    if isinstance(node, ast.Name):
+        return names[node.id]
+    return number(node.value)

@@ -1,0 +1,124 @@
+"""Everything that Kempe raises: one base class, a few leaves, each carrying the data of its message."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+PROBLEM_LIMIT = 20
+"""Problems of one file that are collected before giving up."""
+
+
+@dataclass(frozen=True)
+class Where:
+    """A place in a file: path (or another label of the source), line and column counted from 1, the line's text."""
+
+    file: str
+    line: int = 0
+    column: int = 0
+    text: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}" if self.line else self.file
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One finding about a description: where it is, what it is about, what is wrong, what is allowed."""
+
+    message: str
+    subject: str = ""
+    where: Where | None = None
+    allowed: str = ""
+
+    def __str__(self) -> str:
+        head = f"{self.where}: " if self.where else ""
+        subject = f"{self.subject}: " if self.subject else ""
+        allowed = f"; {self.allowed}" if self.allowed else ""
+        return f"{head}{subject}{self.message}{allowed}"
+
+    def caret(self) -> str:
+        """The line of the file with a caret under the place, or an empty string where none is known."""
+        if self.where is None or not self.where.text:
+            return ""
+        text = self.where.text.rstrip("\n").replace("\t", " ")
+        column = max(self.where.column, 1)
+        start = max(0, column - 60)
+        return f"    {text[start : start + 100]}\n    {' ' * (column - 1 - start)}^"
+
+
+class KempeError(Exception):
+    """Base of all errors that Kempe raises on purpose."""
+
+    def __str__(self) -> str:
+        return self.args[0] if self.args else ""
+
+
+class DescriptionError(KempeError, ValueError):
+    """A file or a sequence of builder calls does not describe a system; `problems` lists what is wrong."""
+
+    def __init__(self, problems: Problem | Iterable[Problem]):
+        self.problems = (problems,) if isinstance(problems, Problem) else tuple(problems)
+        more = len(self.problems) - PROBLEM_LIMIT
+        lines = [str(problem) for problem in self.problems[:PROBLEM_LIMIT]]
+        if more > 0:
+            lines.append(f"... and {more} more")
+        super().__init__("\n".join(lines))
+
+    def __reduce__(self):
+        return (type(self), (self.problems,))
+
+
+class UnknownNameError(KempeError, KeyError):
+    """A name that the system does not have; `name`, `kind` and the `allowed` names are kept."""
+
+    def __init__(self, kind: str, name: object, allowed: Iterable[str], owner: str = ""):
+        self.kind, self.name, self.allowed, self.owner = kind, name, tuple(allowed), owner
+        super().__init__(f"{owner + ' has ' if owner else ''}no {kind} {name!r}{hint(name, self.allowed)}")
+
+    def __reduce__(self):
+        return (type(self), (self.kind, self.name, self.allowed, self.owner))
+
+
+class InputError(KempeError, ValueError):
+    """An argument that cannot be used: wrong shape, wrong count, NaN where a number is needed."""
+
+
+class UnsupportedError(KempeError, NotImplementedError):
+    """A question that this version cannot answer for this system; the text says what it can."""
+
+
+class NoSolutionError(KempeError, RuntimeError):
+    """Raised by solvers called with ``throw=True``; `solution` holds the answer with its reason."""
+
+    def __init__(self, solution: object):
+        self.solution = solution
+        super().__init__(str(solution))
+
+    def __reduce__(self):
+        return (type(self), (self.solution,))
+
+
+class MissingExtraError(KempeError, ImportError):
+    """An optional dependency is not installed; the text names the extra."""
+
+    def __init__(self, package: str, extra: str):
+        self.package, self.extra = package, extra
+        super().__init__(f"this needs the package {package!r}: install it with  pip install 'kempe[{extra}]'")
+
+    def __reduce__(self):
+        return (type(self), (self.package, self.extra))
+
+
+def hint(name: object, allowed: Iterable[str]) -> str:
+    """The tail of a message about an unknown name: the nearest names, or all of them where they are few."""
+    allowed = list(dict.fromkeys(allowed))
+    folded = {str(a).casefold(): a for a in reversed(allowed)}
+    near = difflib.get_close_matches(str(name).casefold(), list(folded), n=3, cutoff=0.6)
+    if near:
+        return f"; did you mean {' or '.join(repr(folded[n]) for n in near)}?"
+    if not allowed:
+        return "; there are none"
+    shown = ", ".join(repr(a) for a in allowed[:12])
+    return f"; there are: {shown}{f', ... ({len(allowed)} in all)' if len(allowed) > 12 else ''}"

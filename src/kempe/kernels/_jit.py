@@ -1,0 +1,128 @@
+"""The one way to compile: explicit signatures, safe fast-math flags, no GIL, a cache that cannot go stale.
+
+Numba keys its cache on the source file of the compiled function alone: after an edit of a *callee* in another file a
+cached caller would live on. Here the cache folder's name is a digest of all kernel sources, Numba's version and the
+interpreter's; Numba itself adds the processor. Without a writable folder kernels are compiled in memory.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import numba
+from numba import types
+from numba.core import config
+
+FLAGS = {"contract", "nsz", "arcp"}
+"""Fast-math flags under which NaN and infinity survive and sums are not reassociated."""
+
+F1 = types.Array(types.float64, 1, "C", readonly=True)
+F2 = types.Array(types.float64, 2, "C", readonly=True)
+F3 = types.Array(types.float64, 3, "C", readonly=True)
+I1 = types.Array(types.int64, 1, "C", readonly=True)
+OUT1 = types.Array(types.float64, 1, "C")
+OUT2 = types.Array(types.float64, 2, "C")
+OUT3 = types.Array(types.float64, 3, "C")
+OUT4 = types.Array(types.float64, 4, "C")
+OUTI1 = types.Array(types.int64, 1, "C")
+OUTI2 = types.Array(types.int64, 2, "C")
+
+_SECONDS_BEFORE_NOTICE = 0.7
+_lock = threading.Lock()
+_notice = {"started": 0.0, "said": False}
+
+compiled: dict[str, int] = {}
+"""Kernels compiled (not loaded from the cache) by this process: name -> count."""
+
+
+def _folders() -> list[Path]:
+    """Candidate folders for compiled kernels, best first."""
+    given = os.environ.get("KEMPE_CACHE_DIR")
+    if given:
+        return [Path(given)]
+    base = os.environ.get("XDG_CACHE_HOME")
+    home = Path(base) if base else Path(os.path.expanduser("~")) / ".cache"
+    return [home / "kempe", Path(__file__).parent / "__pycache__" / "compiled"]
+
+
+@lru_cache(1)
+def source_digest() -> str:
+    """Digest of all kernel sources with the versions that shape machine code."""
+    digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@lru_cache(1)
+def cache_folder() -> Path | None:
+    """Folder that holds the compiled kernels of this very source, or None where nothing can be written."""
+    for folder in _folders():
+        folder = folder / source_digest()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return folder
+        except OSError:
+            continue
+    return None
+
+
+def _say_once() -> None:
+    """Tell the user, once and on stderr, that kernels are being compiled."""
+    if not _notice["said"] and not os.environ.get("KEMPE_QUIET"):
+        _notice["said"] = True
+        where = "kept for next time" if cache_folder() else "not kept: no writable cache folder, see KEMPE_CACHE_DIR"
+        print(f"kempe: compiling kernels for this machine, once ({where}) ...", file=sys.stderr, flush=True)
+
+
+def kernel(*signatures: types.Type) -> Callable:
+    """Decorator: compile an entry point now, for exactly these signatures, or load it from the cache."""
+
+    def wrap(function: Callable) -> Callable:
+        folder = cache_folder()
+        with _lock:
+            before = config.CACHE_DIR
+            config.CACHE_DIR = str(folder) if folder else before
+            try:
+                dispatcher = numba.njit(nogil=True, fastmath=FLAGS, error_model="numpy", cache=folder is not None)(
+                    function
+                )
+            finally:
+                config.CACHE_DIR = before
+            timer = threading.Timer(_SECONDS_BEFORE_NOTICE, _say_once)
+            timer.daemon = True
+            timer.start()
+            start = time.perf_counter()
+            try:
+                for signature in signatures:
+                    dispatcher.compile(signature)
+            finally:
+                timer.cancel()
+            dispatcher.disable_compile()
+        hits = sum(dispatcher.stats.cache_hits.values()) if folder else 0
+        if hits < len(signatures):
+            compiled[function.__name__] = len(signatures) - hits
+            _notice["started"] += time.perf_counter() - start
+        return dispatcher
+
+    return wrap
+
+
+def device(function: Callable) -> Callable:
+    """Decorator: a helper that kernels call; compiled into each caller, never cached on its own."""
+    return numba.njit(nogil=True, fastmath=FLAGS, error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+
+
+def routine(function: Callable) -> Callable:
+    """Decorator: a helper too large to be copied into each caller; compiled once a kernel, never cached on its own."""
+    return numba.njit(nogil=True, fastmath=FLAGS, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)

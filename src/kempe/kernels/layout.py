@@ -1,0 +1,35 @@
+"""Where the numbers of a primitive table lie. Free of imports, so that whoever writes tables loads no compiler.
+
+A table is a pair of flat arrays, `ints` (int64) and `floats` (float64):
+
+    ints    n_rows, n_out, nq, nv, is_chain, has_quaternion, 0, 0
+            a row:     kind, parent row (-1: ground), index in q, index in v, form, 0
+            an output: row (-1: ground), particle flag
+    floats  a row:     placement 3x4, cos and sin of the gauge, multiplier, 0
+            an output: placement 3x4
+
+Motions: TURN about z by multiplier * q (after the constant gauge angle), SLIDE along z by multiplier * q, BALL by the
+unit quaternion wxyz, transposed if the multiplier is negative. Each follows the row's placement, and that the parent's
+motion.
+"""
+
+HEADER, ROW_INTS, OUTPUT_INTS = 8, 6, 2
+ROW_FLOATS, OUTPUT_FLOATS = 16, 12
+
+N_ROWS, N_OUT, NQ, NV, IS_CHAIN, HAS_QUATERNION = 0, 1, 2, 3, 4, 5
+"""Places in the header of `ints`."""
+
+KIND, PARENT, Q_INDEX, V_INDEX, FORM = 0, 1, 2, 3, 4
+"""Places in a row of `ints`."""
+
+COS_GAUGE, SIN_GAUGE, MULTIPLIER = 12, 13, 14
+"""Places in a row of `floats`, after the placement."""
+
+TURN, SLIDE, BALL = 0, 1, 2
+"""Kinds of rows."""
+
+GENERAL, RX, RX_FLAT = 0, 1, 2
+"""Forms of placements: any; exactly [Rx(alpha) | p]; the same with p_y = 0."""
+
+WORLD_ALIGNED, WORLD, BODY = 0, 1, 2
+"""Frames of expression of a Jacobian: origin of the frame and ground axes; ground's origin and axes; the frame's own."""

@@ -1,0 +1,76 @@
+"""Other parameter values: one system, or a batch of designs that share their structure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.description.values import Expression
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.kernels import sweep
+from kempe.kinematics.configuration import as_q
+from kempe.model.system import FrameLike, System
+from kempe.model.table import lower
+from kempe.spatial import Array
+
+
+def with_parameters(system: System, numbers: Mapping[str, Any]) -> System | Designs:
+    """The system with other parameter values, or `Designs` where a value is an array (all of one broadcast shape)."""
+    for name, x in numbers.items():
+        if name not in system.parameters:
+            raise UnknownNameError("parameter", name, system.parameters, system.name)
+        if not np.all(np.isfinite(np.asarray(x, dtype=float))):
+            raise InputError(f"parameter {name!r} is not finite")
+    if any(np.ndim(x) for x in numbers.values()):
+        return Designs(system, numbers)
+    mechanism = system.mechanism
+    mechanism.parameters |= {k: float(v) for k, v in numbers.items()}
+    return System(mechanism)
+
+
+class Designs:
+    """A batch of designs: a system whose parameters are arrays of one shape, `shape`."""
+
+    def __init__(self, system: System, numbers: Mapping[str, ArrayLike]):
+        arrays = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in numbers.values()))
+        self.system, self.shape = system, arrays[0].shape
+        self.parameters = {**system.parameters, **dict(zip(numbers, arrays, strict=True))}
+        for coupling in system.mechanism.couplings.values():
+            used = {n for v in (*coupling.sources.values(), coupling.offset) if isinstance(v, Expression) for n in v.names}
+            if used & set(numbers):
+                raise UnsupportedError(f"the coupling of {coupling.of!r} depends on {', '.join(used & set(numbers))}: "
+                                       "a batch of designs must share its couplings")  # fmt: skip
+        self._table = lower(system.mechanism, system.topology, system.coordinates, self.parameters)
+
+    def fk(self, q: Any, frame: FrameLike) -> Array:
+        """Poses (*shape, ..., 4, 4) of a frame: every design in every configuration.
+
+        `q` is (nq,) for one configuration of all designs, or (*shape, ..., nq) with configurations of each design.
+        """
+        name = self.system.frame_name(frame)
+        ints, floats = self._table.pack([name])
+        q = as_q(self.system, q)
+        k = len(self.shape)
+        if q.ndim == 1:
+            q = np.broadcast_to(q, (*self.shape, self.system.nq))
+        if q.shape[:k] != self.shape:
+            raise InputError(f"q has shape {q.shape}; it must be ({self.system.nq},) or begin with {self.shape}")
+        inner = q.shape[k:-1]
+        designs = int(np.prod(self.shape))
+        flat_q = np.ascontiguousarray(q).reshape(designs, -1, self.system.nq)
+        floats = np.broadcast_to(floats, (*self.shape, floats.shape[-1])).reshape(designs, floats.shape[-1])
+        out = np.empty((designs, flat_q.shape[1], 1, 4, 4))
+        for i in range(designs):
+            sweep.poses(ints, floats[i], flat_q[i], out[i])
+        return out.reshape(*self.shape, *inner, 4, 4)
+
+    def __getitem__(self, index: Any) -> System | Designs:
+        """One design as a `System`, or a smaller batch."""
+        varied = {k: v[index] for k, v in self.parameters.items() if isinstance(v, np.ndarray)}
+        return with_parameters(self.system, varied)
+
+    def __repr__(self) -> str:
+        return f"Designs({self.system.name!r}, shape={self.shape})"

@@ -1,0 +1,189 @@
+"""The forward geometric model: where bodies and frames are (poses) and how they move (Jacobians)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.errors import InputError, UnknownNameError
+from kempe.kernels import chain, sweep
+from kempe.kinematics.configuration import as_q
+from kempe.kinematics.parallel import over_chunks
+from kempe.model.gauge import regauge
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+SERIAL_BELOW = 20_000
+"""Configurations below which a batch stays on one thread: starting others would cost more than it saves."""
+CHUNK = 8192
+"""Configurations in one piece of work of a thread."""
+IN_FRAMES = {"world_aligned": 0, "world": 1, "body": 2}
+"""Frames in which a Jacobian can be expressed, with the number that the kernels use."""
+
+
+class Query:
+    """The forward model of one frame of one system, with names looked up and arrays packed once.
+
+    ``f(q, out=None)`` is the pose (..., 4, 4) of the frame in the ground frame for q (..., nq).
+    """
+
+    __slots__ = ("_chain", "_ints", "_floats", "_nq", "_nv", "frame", "system")
+
+    def __init__(self, system: System, frame: FrameLike):
+        self.system, self.frame = system, system.frame_name(frame)
+        table = system.table
+        ints, floats = table.pack([self.frame], table.path(self.frame))
+        self._ints, self._floats = ints, floats
+        self._chain = regauge(ints, floats)
+        self._nq, self._nv = system.nq, system.nv
+
+    def __call__(self, q: ArrayLike, out: Array | None = None, threads: int | None = None) -> Array:
+        """Pose (..., 4, 4); `out`, where given, is a C-contiguous float64 array of that shape and is returned."""
+        q = np.asarray(q, dtype=np.float64, order="C")
+        if q.ndim == 1 and q.shape[0] == self._nq:
+            if out is None:
+                out = np.empty((4, 4))
+            elif out.shape != (4, 4):
+                _check_out(out, (4, 4))
+            if sweep.pose1(self._ints, self._floats, q, out):
+                refuse_bad(self.system, q)
+            return out
+        q = as_q(self.system, q)
+        lead = q.shape[:-1]
+        out = _out(out, (*lead, 4, 4))
+        flat_q, flat_out = q.reshape(-1, self._nq), out.reshape(-1, 4, 4)
+        ints, floats = self._chain
+
+        def work(start: int, stop: int) -> int:
+            return chain.chain_poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
+
+        over_chunks(work, len(flat_q), CHUNK, threads, SERIAL_BELOW)
+        return out
+
+    def jacobian(
+        self, q: ArrayLike, in_frame: str = "world_aligned", out: Array | None = None, threads: int | None = None
+    ) -> Array:
+        """Jacobian (..., 6, nv) of the frame, rows [linear; angular]; see `jacobian` of this module."""
+        return self.pose_and_jacobian(q, in_frame, out, threads)[1]
+
+    def pose_and_jacobian(
+        self, q: ArrayLike, in_frame: str = "world_aligned", out: Array | None = None, threads: int | None = None
+    ) -> tuple[Array, Array]:
+        """Pose (..., 4, 4) and Jacobian (..., 6, nv) in one pass."""
+        kind = IN_FRAMES.get(in_frame)
+        if kind is None:
+            raise UnknownNameError("frame of expression", in_frame, IN_FRAMES)
+        q = np.asarray(q, dtype=np.float64, order="C")
+        if q.ndim == 1 and q.shape[0] == self._nq:
+            pose, columns = np.empty((4, 4)), _out(out, (6, self._nv))
+            if sweep.jacobian1(self._ints, self._floats, q, kind, pose, columns):
+                refuse_bad(self.system, q)
+            return pose, columns
+        q = as_q(self.system, q)
+        lead = q.shape[:-1]
+        pose, columns = np.empty((*lead, 4, 4)), _out(out, (*lead, 6, self._nv))
+        flat = q.reshape(-1, self._nq), pose.reshape(-1, 4, 4), columns.reshape(-1, 6, self._nv)
+
+        def work(start: int, stop: int) -> int:
+            a, b, c = (x[start:stop] for x in flat)
+            return sweep.jacobian(self._ints, self._floats, a, kind, b, c)
+
+        over_chunks(work, len(flat[0]), CHUNK, threads, SERIAL_BELOW)
+        return pose, columns
+
+    def __repr__(self) -> str:
+        return f"Query({self.system.name!r}, {self.frame!r})"
+
+
+def _query(system: System, frame: FrameLike) -> Query:
+    query = system._queries.get(frame)
+    if query is None:
+        query = Query(system, frame)
+        system._queries[frame] = query
+    return query
+
+
+def fk(
+    system: System, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
+    threads: int | None = None,
+) -> Array:  # fmt: skip
+    """Poses in the ground frame (the forward geometric model).
+
+    `q` is (..., nq) in radians and metres, or a dict by coordinate name. `frame` is the name of a body or frame:
+    then the result is (..., 4, 4); a list of names gives (..., k, 4, 4) in their order; None gives all bodies by
+    number, (..., n_bodies + 1, 4, 4), the ground included. `out`, where given, must be a C-contiguous float64 array of
+    that shape. Large batches run in `threads` threads (default: as many as there are processors).
+
+    A NaN, an infinity or a zero quaternion in one configuration is an `InputError`; in a batch its row becomes NaN and
+    the others are right. Errors: `UnknownNameError` for names, `InputError` for shapes.
+    """
+    if isinstance(q, dict):
+        q = system.q(q)
+    if frame is not None and not isinstance(frame, (list, tuple)):
+        return _query(system, frame)(q, out, threads)
+    key = None if frame is None else tuple(system.frame_name(f) for f in frame)
+    packed = system._queries.get(("poses", key))
+    if packed is None:
+        packed = system.table.pack(system.body_names if key is None else key)
+        system._queries[("poses", key)] = packed
+    ints, floats = packed
+    q = as_q(system, q)
+    k = len(system.body_names) if key is None else len(key)
+    out = _out(out, (*q.shape[:-1], k, 4, 4))
+    if q.ndim == 1:
+        if sweep.poses1(ints, floats, q, out):
+            refuse_bad(system, q)
+        return out
+    flat_q, flat_out = q.reshape(-1, system.nq), out.reshape(-1, k, 4, 4)
+
+    def work(start: int, stop: int) -> int:
+        return sweep.poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
+
+    over_chunks(work, len(flat_q), max(1, min(CHUNK, 4 * CHUNK // max(k, 1))), threads, max(1, SERIAL_BELOW // max(k, 1)))
+    return out
+
+
+def jacobian(
+    system: System, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None
+) -> Array:
+    """Jacobian (..., 6, nv) of a frame: twist [v; w] of the frame = J times the velocity coordinates.
+
+    `in_frame` says where the twist is read: "world_aligned" (velocity of the frame's origin, axes of the ground),
+    "world" (velocity of the point that is at the ground's origin, axes of the ground) or "body" (velocity of the
+    frame's origin, axes of the frame). Velocity coordinates are time derivatives of `q`, and for a quaternion the
+    angular velocity in the turned axes. Source: Featherstone, 2008, section 2.8. Errors: as `fk`.
+    """
+    if isinstance(q, dict):
+        q = system.q(q)
+    return _query(system, frame).jacobian(q, in_frame, threads=threads)
+
+
+def refuse_bad(system: System, q: Array) -> None:
+    """Raise an `InputError` that names what is wrong in one configuration."""
+    for name, x in zip(system.coordinate_names, q.tolist(), strict=True):
+        if not np.isfinite(x):
+            raise InputError(f"q[{name!r}] is {x}; it must be a finite number")
+    for i in system.layout.quaternion_q:
+        if not np.any(q[i : i + 4]):
+            raise InputError(f"the quaternion at q[{system.coordinate_names[i]!r}] is zero; (1, 0, 0, 0) is no rotation")
+    raise InputError("q leads to poses that are not finite: a coordinate is too large")
+
+
+def _out(out: Array | None, shape: tuple[int, ...]) -> Array:
+    if out is None:
+        return np.empty(shape)
+    _check_out(out, shape)
+    return out
+
+
+def _check_out(out: object, shape: tuple[int, ...]) -> None:
+    if not (
+        isinstance(out, np.ndarray) and out.shape == shape and out.dtype == np.float64
+        and out.flags.c_contiguous and out.flags.writeable
+    ):  # fmt: skip
+        given = f"{out.dtype} array of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
+        raise InputError(f"out is a {given}; it must be a writable, C-contiguous float64 array of shape {shape}")

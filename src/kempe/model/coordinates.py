@@ -1,0 +1,229 @@
+"""Which joint coordinates make up `q`, and what follows from them by couplings and locks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Joint
+from kempe.description.values import Expression, evaluate
+from kempe.errors import DescriptionError, Problem, UnknownNameError
+from kempe.joints import Layout, Q, layout_of
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A coordinate that is not in `q`: multiplier * source + offset, or the constant `offset` where source is None."""
+
+    source: str | None
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A linear relation with several sources: the row  q[of] - sum multiplier * q[source] - offset = 0."""
+
+    of: str
+    sources: dict[str, float]
+    offset: float
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """The coordinates of a system in the order of `q` (and of velocities), with their limits and dependencies."""
+
+    names: tuple[str, ...]
+    velocity_names: tuple[str, ...]
+    first: dict[str, tuple[int, int]]
+    followers: dict[str, Follower]
+    relations: tuple[Relation, ...]
+    layout: Layout
+    lower: np.ndarray
+    upper: np.ndarray
+    velocity: np.ndarray
+    turning: np.ndarray
+
+
+def coordinate_names(mechanism: Mechanism, joint: Joint) -> list[str]:
+    """Full names of a joint's coordinates: the joint's name, or 'joint.x' where it has several."""
+    particle = mechanism.bodies[joint.child].particle
+    return [_full(joint.name, c) for c in joint.type.coordinates(mechanism.dim, particle)]
+
+
+def _full(joint: str, coordinate: str) -> str:
+    return f"{joint}.{coordinate}" if coordinate else joint
+
+
+def coordinates_of(mechanism: Mechanism) -> Coordinates:
+    """Coordinate layout of a mechanism. Errors: `DescriptionError` for couplings, locks and limits that do not fit."""
+    balls: set[str] = set()
+    every: dict[str, Joint] = {}
+    for joint in mechanism.joints.values():
+        names, primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)
+        for name in names:
+            every[_full(joint.name, name)] = joint
+        for p in primitives:
+            if p.kind == Q:
+                balls |= {_full(joint.name, n) for n in names[p.coordinate : p.coordinate + 4]}
+    followers, relations = _resolve(mechanism, every, balls)
+    names, velocity_names, first, triples = [], [], {}, []
+    for joint in mechanism.joints.values():
+        particle = mechanism.bodies[joint.child].particle
+        local, primitives = joint.type.layout(mechanism.dim, particle)
+        kinds = {p.coordinate: p.kind for p in primitives}
+        for i, name in enumerate(local):
+            full = _full(joint.name, name)
+            if full in followers or i not in kinds:
+                continue
+            size = 4 if kinds[i] == Q else 1
+            first[full] = (len(names), len(velocity_names))
+            triples.append((kinds[i], len(names), len(velocity_names)))
+            names += [_full(joint.name, n) for n in local[i : i + size]]
+            velocity_names += [full] if size == 1 else [_full(joint.name, w) for w in ("wx", "wy", "wz")]
+    layout = layout_of(triples, len(names), len(velocity_names))
+    lower, upper, speed = _limits(mechanism, velocity_names, followers)
+    turning = np.zeros(len(velocity_names), dtype=bool)
+    turning[[iv for kind, _, iv in triples if kind == 0]] = True
+    for joint in mechanism.joints.values():  # a screw returns only by going back
+        if joint.type.type_name == "helical" and (at := first.get(joint.name)):
+            turning[at[1]] = False
+    return Coordinates(
+        tuple(names), tuple(velocity_names), first, followers, relations, layout, lower, upper, speed, turning
+    )  # fmt: skip
+
+
+def _resolve(
+    mechanism: Mechanism, every: dict[str, Joint], balls: set[str]
+) -> tuple[dict[str, Follower], tuple[Relation, ...]]:
+    """Followers by repeated substitution, without recursion; relations of several sources stay rows."""
+    followers: dict[str, Follower] = {}
+    for name, number in _locks(mechanism, every, balls).items():
+        followers[name] = Follower(None, 0.0, number)
+    pending: dict[str, tuple[dict[str, float], float]] = {}
+    for coupling in mechanism.couplings.values():
+        _check_coupling(mechanism, coupling, every, balls)
+        if coupling.of in followers:
+            _refuse(f"coordinate {coupling.of!r}", f"it is locked, but follows {', '.join(coupling.sources)}", coupling.where,
+                    "lock what it follows")  # fmt: skip
+        sources = {k: float(evaluate(v, mechanism.parameters)) for k, v in coupling.sources.items()}
+        pending[coupling.of] = (sources, float(evaluate(coupling.offset, mechanism.parameters)))
+    relations: list[Relation] = []
+    for of in _in_order(mechanism, pending):
+        sources, offset = pending[of]
+        flat: dict[str, float] = {}
+        for name, factor in sources.items():
+            follower = followers.get(name)
+            if follower is None:
+                flat[name] = flat.get(name, 0.0) + factor
+            else:
+                offset += factor * follower.offset
+                if follower.source is not None:
+                    flat[follower.source] = flat.get(follower.source, 0.0) + factor * follower.multiplier
+        flat = {k: v for k, v in flat.items() if v != 0.0}
+        if not (math.isfinite(offset) and all(map(math.isfinite, flat.values()))):
+            _refuse(f"coupling of {of!r}", "its multiplier or offset is not a number", mechanism.couplings[of].where)
+        if len(flat) > 1:
+            relations.append(Relation(of, flat, offset))
+        else:
+            source = next(iter(flat), None)
+            followers[of] = Follower(source, flat[source] if source else 0.0, offset)
+    return followers, tuple(relations)
+
+
+def _in_order(mechanism: Mechanism, pending: dict[str, tuple[dict[str, float], float]]) -> list[str]:
+    """Couplings so that each comes after those it depends on (depth first, by hand). Errors: a cycle, printed."""
+    done: dict[str, bool] = {}
+    order: list[str] = []
+    for start in pending:
+        stack = [(start, iter(pending[start][0]))] if start not in done else []
+        done.setdefault(start, False)
+        while stack:
+            name, sources = stack[-1]
+            for source in sources:
+                if source not in pending or done.get(source):
+                    continue
+                if source in done:
+                    path = [n for n, _ in stack]
+                    cycle = " -> ".join([*path[path.index(source) :], source])
+                    _refuse(f"coordinate {source!r}", f"it follows itself: {cycle}", mechanism.couplings[source].where)
+                done[source] = False
+                stack.append((source, iter(pending[source][0])))
+                break
+            else:
+                done[name] = True
+                order.append(name)
+                stack.pop()
+    return order
+
+
+def _check_coupling(mechanism: Mechanism, coupling, every: dict[str, Joint], balls: set[str]) -> None:
+    subject = f"coupling of {coupling.of!r}"
+    for name in (coupling.of, *coupling.sources):
+        if name not in every:
+            _refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), coupling.where)
+        if name in balls:
+            _refuse(subject, f"{name!r} is part of a quaternion", coupling.where, "only angles and lengths can be coupled")
+    for v in (*coupling.sources.values(), coupling.offset):
+        if isinstance(v, Expression):
+            for name in v.names:
+                if name not in mechanism.parameters:
+                    _refuse(subject, str(UnknownNameError("parameter", name, mechanism.parameters)), coupling.where)
+
+
+def _locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> dict[str, float]:
+    for name, number in mechanism.locks.items():
+        subject = f"lock of {name!r}"
+        if name not in every:
+            _refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), None)
+        joint = every[name]
+        if name in balls:
+            missing = [c for c in coordinate_names(mechanism, joint) if c in balls and c not in mechanism.locks]
+            if missing:
+                _refuse(subject, f"a quaternion is locked as a whole; missing are {', '.join(missing)}", None)
+        local = name[len(joint.name) + 1 :]
+        lower, upper = joint.limits.get(local, (-math.inf, math.inf))
+        if not lower <= number <= upper:
+            _refuse(subject, f"{number:g} is outside the limits [{lower:g}, {upper:g}]", None)
+    return mechanism.locks
+
+
+def _limits(
+    mechanism: Mechanism, velocity_names: list[str], followers: dict[str, Follower]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Limits of the coordinates, those of their followers brought back to them."""
+    index = {n: i for i, n in enumerate(velocity_names)}
+    lower, upper = np.full(len(index), -math.inf), np.full(len(index), math.inf)
+    speed = np.full(len(index), math.inf)
+    for joint in mechanism.joints.values():
+        for local in joint.type.velocities(mechanism.dim, mechanism.bodies[joint.child].particle):
+            name = _full(joint.name, local)
+            low, high = joint.limits.get(local, (-math.inf, math.inf))
+            fast = joint.velocity_limits.get(local, math.inf)
+            follower = followers.get(name)
+            if follower is not None:
+                if follower.source is None:
+                    continue
+                m = follower.multiplier
+                low, high = sorted(((low - follower.offset) / m, (high - follower.offset) / m))
+                name, fast = follower.source, fast / abs(m)
+            i = index[name]
+            lower[i], upper[i], speed[i] = max(lower[i], low), min(upper[i], high), min(speed[i], fast)
+            if lower[i] > upper[i]:
+                _refuse(f"joint {joint.name!r}", f"its limits leave nothing to {name!r}, which drives it", joint.where)
+    return lower, upper, speed
+
+
+def _refuse(subject: str, message: str, where, allowed: str = ""):
+    raise DescriptionError(Problem(message, subject, where, allowed))
+
+
+def relation_text(relation: Relation) -> str:
+    """The relation as an equation."""
+    terms = " + ".join(f"{m:g} {s}" for s, m in relation.sources.items())
+    return f"{relation.of} = {terms}" + (f" + {relation.offset:g}" if relation.offset else "")
+
+

@@ -1,0 +1,367 @@
+"""`System`: what is computed with. Frozen, hashable by content, picklable, safe to share between threads."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.description.mechanism import BodyLike, Mechanism
+from kempe.description.parts import Body, Frame, Joint
+from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError
+from kempe.joints import Layout
+from kempe.model.coordinates import Coordinates, Relation, coordinate_names, coordinates_of
+from kempe.model.table import Table, lower
+from kempe.model.topology import Topology, spanning_tree
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.kinematics.configuration import ConfigurationSpace
+    from kempe.kinematics.designs import Designs
+    from kempe.kinematics.forward import Query
+    from kempe.solvers.solution import Solution
+
+FrameLike = Body | Frame | str
+
+
+class System:
+    """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates, primitive table.
+
+    A configuration `q` is an array (..., nq) in the order of `coordinate_names`, in radians and metres; a dict by
+    coordinate name is accepted in its place. Poses are relative to body 0, the ground.
+    """
+
+    def __init__(self, mechanism: Mechanism):
+        self._mechanism = mechanism.copy()
+        self._topology = spanning_tree(self._mechanism)
+        self._coordinates = coordinates_of(self._mechanism)
+        self._table = lower(self._mechanism, self._topology, self._coordinates, self._mechanism.parameters)
+        self._check()
+        self._queries: dict[object, Any] = {}
+
+    def _check(self) -> None:
+        finite = np.isfinite(self._table.placement).all(axis=(-2, -1)).all()
+        for name, (_, X, _p) in self._table.at.items():
+            if not np.isfinite(X).all():
+                raise DescriptionError(Problem("its placement is not a number with these parameters", f"frame {name!r}"))
+        if not finite:
+            raise DescriptionError(Problem("a placement is not a number with these parameters", f"system {self.name!r}"))
+        for name, posture in self._mechanism.postures.items():
+            for key in posture:
+                if key not in self.coordinate_names and key not in self._coordinates.followers:
+                    raise UnknownNameError("coordinate", key, self.coordinate_names, f"posture {name!r}: {self.name}")
+
+    # ---- what it is
+
+    @property
+    def name(self) -> str:
+        """Name of the system."""
+        return self._mechanism.name
+
+    @property
+    def dim(self) -> int:
+        """2 for a planar system, 3 for one in space."""
+        return self._mechanism.dim
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """A copy of the description, to change and build again."""
+        return self._mechanism.copy()
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Bodies by number; the ground is number 0."""
+        return self._topology.bodies
+
+    @cached_property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names that `fk` takes: all bodies, then the named frames."""
+        return (*self._topology.bodies, *self._mechanism.frames)
+
+    @property
+    def frames(self) -> dict[str, Frame]:
+        """The named frames."""
+        return dict(self._mechanism.frames)
+
+    @property
+    def joints(self) -> dict[str, Joint]:
+        """All joints, fixed ones and loop closures included, in the order of the description."""
+        return dict(self._mechanism.joints)
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of all joints, fixed ones and loop closures included, in the order of the description."""
+        return tuple(self._mechanism.joints)
+
+    @property
+    def coordinate_names(self) -> tuple[str, ...]:
+        """A name for each entry of `q`: the joint's where it has one coordinate, else 'joint.x', ..."""
+        return self._coordinates.names
+
+    @property
+    def velocity_names(self) -> tuple[str, ...]:
+        """A name for each velocity coordinate: as `coordinate_names`, but 'joint.wx', ... for quaternions."""
+        return self._coordinates.velocity_names
+
+    @property
+    def parent(self) -> tuple[int, ...]:
+        """The connectivity vector C: `parent[i - 1]` is the number of the parent of body i."""
+        return self._topology.parent
+
+    @property
+    def parent_joints(self) -> tuple[str, ...]:
+        """For each body from 1 on, the joint that connects it to its parent."""
+        return self._topology.parent_joints
+
+    @property
+    def closures(self) -> tuple[str, ...]:
+        """Joints that the spanning tree left out: each closes a loop."""
+        return self._topology.closures
+
+    @property
+    def relations(self) -> tuple[Relation, ...]:
+        """Linear relations between several coordinates, which restrict `q`."""
+        return self._coordinates.relations
+
+    @property
+    def couplings(self) -> dict[str, Any]:
+        """Coordinates that follow one other (mimic joints, gears) or are held: they are not in `q`."""
+        return dict(self._coordinates.followers)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Named parameters and their values."""
+        return dict(self._mechanism.parameters)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader found worth saying about the file."""
+        return tuple(self._mechanism.notes)
+
+    @property
+    def nq(self) -> int:
+        """Number of entries of a configuration."""
+        return self._coordinates.layout.nq
+
+    @property
+    def nv(self) -> int:
+        """Number of velocity coordinates: the degrees of freedom of all joints."""
+        return self._coordinates.layout.nv
+
+    @property
+    def layout(self) -> Layout:
+        """Where quaternions sit in `q`."""
+        return self._coordinates.layout
+
+    # ---- limits and postures
+
+    @property
+    def lower(self) -> Array:
+        """Lower limits (nv,) of the velocity coordinates, -inf where there is none."""
+        return self._coordinates.lower.copy()
+
+    @property
+    def upper(self) -> Array:
+        """Upper limits (nv,) of the velocity coordinates, inf where there is none."""
+        return self._coordinates.upper.copy()
+
+    @property
+    def limits(self) -> Array:
+        """Lower and upper limits (nv, 2) of the velocity coordinates."""
+        return np.stack([self._coordinates.lower, self._coordinates.upper], axis=-1)
+
+    @property
+    def velocity_limits(self) -> Array:
+        """Largest speeds (nv,) of the velocity coordinates, inf where there is none."""
+        return self._coordinates.velocity.copy()
+
+    @property
+    def neutral(self) -> Array:
+        """Zero angles and lengths, identity quaternions (nq,), even where that is outside the limits."""
+        return self.layout.neutral
+
+    @property
+    def mid(self) -> Array:
+        """A configuration (nq,) inside the limits: mid-range, or as near to neutral as a one-sided limit allows."""
+        from kempe.kinematics.configuration import mid
+
+        return mid(self)
+
+    def posture(self, name: str) -> Array:
+        """Configuration (nq,) of a named posture; coordinates that it does not name are neutral."""
+        if name not in self._mechanism.postures:
+            raise UnknownNameError("posture", name, self._mechanism.postures, self.name)
+        known = set(self.coordinate_names)
+        return self.q({k: v for k, v in self._mechanism.postures[name].items() if k in known})
+
+    @property
+    def posture_names(self) -> tuple[str, ...]:
+        """Names of the postures."""
+        return tuple(self._mechanism.postures)
+
+    def random(self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()) -> Array:
+        """Configurations (*shape, nq), uniform inside the limits; free angles in (-pi, pi], free lengths in (-1, 1)."""
+        from kempe.kinematics.configuration import random
+
+        return random(self, rng, shape)
+
+    def q(self, coordinates: Mapping[str, float], base: ArrayLike | None = None) -> Array:
+        """Configuration (nq,) from values by coordinate name; the others are neutral, or as in `base`."""
+        from kempe.kinematics.configuration import q_from_dict
+
+        return q_from_dict(self, coordinates, base)
+
+    def q_dict(self, q: ArrayLike) -> dict[str, float]:
+        """Values by coordinate name of one configuration (nq,)."""
+        q = np.asarray(q, dtype=float)
+        if q.shape != (self.nq,):
+            raise InputError(f"q has shape {q.shape}; {self.name} needs ({self.nq},)")
+        return dict(zip(self.coordinate_names, q.tolist(), strict=True))
+
+    # ---- the space of configurations
+
+    @property
+    def configuration_space(self) -> ConfigurationSpace:
+        """What set `q` ranges over: its dimension and shape, such as T^2 x R."""
+        from kempe.kinematics.configuration import configuration_space
+
+        return configuration_space(self)
+
+    def integrate(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv)."""
+        return self.layout.integrate(q, v)
+
+    def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
+        """Tangent vector (..., nv) from `q0` to `q1`: ``integrate(q0, difference(q0, q1)) == q1``."""
+        return self.layout.difference(q0, q1)
+
+    def interpolate(self, q0: ArrayLike, q1: ArrayLike, t: ArrayLike) -> Array:
+        """Configuration (..., nq) at the fraction `t` (...) of the straight way from `q0` to `q1`."""
+        from kempe.kinematics.configuration import interpolate
+
+        return interpolate(self, q0, q1, t)
+
+    def distance(self, q0: ArrayLike, q1: ArrayLike) -> Array:
+        """Length (...) of the shortest way from `q0` to `q1`; unlimited joints turn the short way."""
+        from kempe.kinematics.configuration import distance
+
+        return distance(self, q0, q1)
+
+    # ---- where everything is
+
+    def fk(
+        self, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None, threads: int | None = None
+    ) -> Array:  # fmt: skip
+        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None)."""
+        from kempe.kinematics.forward import fk
+
+        return fk(self, q, frame, out, threads)
+
+    def jacobian(self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None) -> Array:
+        """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see `kempe.kinematics.forward.jacobian`."""
+        from kempe.kinematics.forward import jacobian
+
+        return jacobian(self, q, frame, in_frame, threads)
+
+    def query(self, frame: FrameLike) -> Query:
+        """The forward model of one frame with everything looked up: ``f(q, out=None)`` and ``f.jacobian(q)``."""
+        from kempe.kinematics.forward import Query
+
+        return Query(self, frame)
+
+    def symbolic_fk(self, frame: FrameLike, **options: Any) -> Any:
+        """The forward model in symbols (sympy Matrix 4x4); see `kempe.kinematics.symbolic.symbolic_fk`."""
+        from kempe.kinematics.symbolic import symbolic_fk
+
+        return symbolic_fk(self, frame, **options)
+
+    def closure_error(self, q: Any) -> Array:
+        """How far each loop is open (..., len(closures), 6): the twist [m; rad] missing in each left-out joint."""
+        from kempe.kinematics.constraints import closure_error
+
+        return closure_error(self, q)
+
+    def ik(self, target: ArrayLike, frame: FrameLike, **options: Any) -> Solution:
+        """A configuration in which the frame reaches the target pose; see `kempe.solvers.inverse.ik`."""
+        from kempe.solvers.inverse import ik
+
+        return ik(self, target, frame, **options)
+
+    # ---- other systems from this one
+
+    def with_parameters(self, **numbers: Any) -> System | Designs:
+        """The same system with other parameter values; arrays of values give a batch of designs."""
+        from kempe.kinematics.designs import with_parameters
+
+        return with_parameters(self, numbers)
+
+    def lock(self, coordinates: Mapping[str, float]) -> System:
+        """The same system with some coordinates held at values: they leave `q`."""
+        return System(self.mechanism.lock(coordinates))
+
+    def subchain(self, base: BodyLike, tip: FrameLike) -> System:
+        """The bodies and joints between `base`, the new ground, and `tip`."""
+        return System(self._mechanism.subchain(base, str(tip)))
+
+    # ---- identity
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Digest of everything that it is: equal systems have equal digests, in every process."""
+        return hashlib.sha256(repr(self._mechanism.content()).encode()).hexdigest()
+
+    @cached_property
+    def structure_hash(self) -> str:
+        """Digest of bodies, joints and tree without their numbers: the same for all designs of one kind."""
+        m = self._mechanism
+        joints = [(j.name, j.type.type_name, j.parent, j.child) for j in m.joints.values()]
+        text = repr((m.dim, self._topology, joints, self.coordinate_names, tuple(m.frames)))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, System) and (self is other or self.content_hash == other.content_hash)
+
+    def __hash__(self) -> int:
+        return hash(self.content_hash)
+
+    def __reduce__(self):
+        return (System, (self._mechanism,))
+
+    def __repr__(self) -> str:
+        loops = f", loops={len(self.closures)}" if self.closures else ""
+        planar = ", planar" if self.dim == 2 else ""
+        return f"System({self.name!r}, bodies={len(self.parent)}, joints={len(self.joint_names)}, nq={self.nq}{loops}{planar})"
+
+    # ---- inside
+
+    @property
+    def table(self) -> Table:
+        """The primitive table that the kernels walk."""
+        return self._table
+
+    @property
+    def topology(self) -> Topology:
+        """The spanning tree."""
+        return self._topology
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """The coordinate layout with limits, followers and relations."""
+        return self._coordinates
+
+    def frame_name(self, frame: FrameLike) -> str:
+        """Name of a frame or body of this system, checked. Errors: `UnknownNameError` with the nearest names."""
+        name = frame if isinstance(frame, str) else getattr(frame, "name", frame)
+        if name not in self._table.at:
+            raise UnknownNameError("frame", name, self.frame_names, self.name)
+        return name
+
+    def coordinates_of_joint(self, name: str) -> list[str]:
+        """Coordinate names of a joint, those that follow others or are locked included."""
+        if name not in self._mechanism.joints:
+            raise UnknownNameError("joint", name, self.joint_names, self.name)
+        return coordinate_names(self._mechanism, self._mechanism.joints[name])

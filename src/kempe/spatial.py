@@ -1,0 +1,236 @@
+"""SO(3) and SE(3) as array functions: the last axes are the object, leading axes broadcast.
+
+Poses are (..., 4, 4), rotations (..., 3, 3), twists (..., 6) with the linear part first, quaternions (..., 4) in the
+order that the function's name says. Angles are radians.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+SMALL_ANGLE = 1e-4
+"""Below this angle, series replace quotients by the angle: their first dropped term is under 1e-17."""
+
+
+def skew(v: ArrayLike) -> Array:
+    """Matrix (..., 3, 3) of the cross product with `v` (..., 3)."""
+    v = np.asarray(v, dtype=float)
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    return out
+
+
+def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
+    """Pose (..., 4, 4) of a rotation (..., 3, 3) and a position (..., 3); what is not given is zero motion."""
+    R = np.eye(3) if R is None else np.asarray(R, dtype=float)
+    p = np.zeros(3) if p is None else np.asarray(p, dtype=float)
+    shape = np.broadcast_shapes(R.shape[:-2], p.shape[:-1])
+    out = np.zeros((*shape, 4, 4))
+    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = R, p, 1.0
+    return out
+
+
+def inverse(X: ArrayLike) -> Array:
+    """Inverse (..., 4, 4) of poses, by transposing the rotation."""
+    X = np.asarray(X, dtype=float)
+    R = np.swapaxes(X[..., :3, :3], -1, -2)
+    return pose(R, -np.einsum("...ij,...j->...i", R, X[..., :3, 3]))
+
+
+def rot_x(angle: ArrayLike) -> Array:
+    """Rotation (..., 3, 3) about x by `angle` (...)."""
+    return _rot(angle, 0)
+
+
+def rot_y(angle: ArrayLike) -> Array:
+    """Rotation (..., 3, 3) about y by `angle` (...)."""
+    return _rot(angle, 1)
+
+
+def rot_z(angle: ArrayLike) -> Array:
+    """Rotation (..., 3, 3) about z by `angle` (...)."""
+    return _rot(angle, 2)
+
+
+def _rot(angle: ArrayLike, axis: int) -> Array:
+    angle = np.asarray(angle, dtype=float)
+    c, s = np.cos(angle), np.sin(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    out = np.zeros((*angle.shape, 3, 3))
+    out[..., axis, axis] = 1.0
+    out[..., i, i], out[..., j, j] = c, c
+    out[..., i, j], out[..., j, i] = -s, s
+    return out
+
+
+def align_z(axis: ArrayLike) -> Array:
+    """Smallest rotation (..., 3, 3) that takes z to the direction of `axis` (..., 3); for -z the half turn about x.
+
+    Axes along x, y or z give exact permutations. A zero axis gives NaN.
+    """
+    a = np.asarray(axis, dtype=float)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        a = a / np.linalg.norm(a, axis=-1, keepdims=True)
+    flip = np.where(a[..., 2:] < 0.0, -1.0, 1.0)
+    a = a * flip
+    x, y, z = a[..., 0], a[..., 1], a[..., 2]
+    k = 1.0 / (1.0 + z)
+    out = np.empty((*a.shape, 3))
+    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = 1.0 - k * x * x, -k * x * y, x
+    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = -k * x * y, 1.0 - k * y * y, y
+    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = -x, -y, z
+    out[..., :, 1:] *= flip[..., None]
+    return out
+
+
+def rpy_to_matrix(rpy: ArrayLike) -> Array:
+    """Rotation Rz(yaw) Ry(pitch) Rx(roll) of fixed-axis angles `rpy` (..., 3), as URDF writes them."""
+    r, p, y = np.moveaxis(np.asarray(rpy, dtype=float), -1, 0)
+    return rot_z(y) @ rot_y(p) @ rot_x(r)
+
+
+def matrix_to_rpy(R: ArrayLike) -> Array:
+    """Fixed-axis angles (..., 3) roll, pitch, yaw of rotations; at pitch = +-90 degrees roll is chosen zero."""
+    R = np.asarray(R, dtype=float)
+    cos_pitch = np.hypot(R[..., 0, 0], R[..., 1, 0])
+    pitch = np.arctan2(-R[..., 2, 0], cos_pitch)
+    regular = cos_pitch > 1e-12
+    roll = np.where(regular, np.arctan2(R[..., 2, 1], R[..., 2, 2]), 0.0)
+    yaw = np.where(
+        regular, np.arctan2(R[..., 1, 0], R[..., 0, 0]), np.arctan2(-R[..., 0, 1], R[..., 1, 1])
+    )
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
+    """Rotation (..., 3, 3) of quaternions (..., 4), normalised first; a zero quaternion gives NaN."""
+    q = np.asarray(quat_wxyz, dtype=float)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    w, v = q[..., 0, None, None], q[..., 1:]
+    K = skew(v)
+    return np.eye(3) + 2.0 * (w * K + K @ K)
+
+
+def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
+    """Unit quaternion (..., 4) with w >= 0 of rotations (..., 3, 3), by the largest component (Shepperd, 1978)."""
+    R = np.asarray(R, dtype=float)
+    d = np.stack([R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]], axis=-1)
+    trace = d.sum(axis=-1)
+    # squares of (w, x, y, z), times 4
+    squares = np.concatenate([1.0 + trace[..., None], 1.0 - trace[..., None] + 2.0 * d], axis=-1)
+    products = np.empty((*R.shape[:-2], 4, 4))
+    wx, wy, wz = (R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1])
+    xy, xz, yz = (R[..., 0, 1] + R[..., 1, 0], R[..., 0, 2] + R[..., 2, 0], R[..., 1, 2] + R[..., 2, 1])
+    for row, values in enumerate(
+        [(squares[..., 0], wx, wy, wz), (wx, squares[..., 1], xy, xz), (wy, xy, squares[..., 2], yz),
+         (wz, xz, yz, squares[..., 3])]
+    ):  # fmt: skip
+        products[..., row, :] = np.stack(values, axis=-1)
+    best = np.argmax(squares, axis=-1)
+    q = np.take_along_axis(products, best[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., :1] < 0.0, -q, q)
+
+
+def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
+    """Product (..., 4) of quaternions (w, x, y, z)."""
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    w = a[..., 0] * b[..., 0] - np.sum(a[..., 1:] * b[..., 1:], axis=-1)
+    v = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + np.cross(a[..., 1:], b[..., 1:])
+    return np.concatenate([w[..., None], v], axis=-1)
+
+
+def quat_wxyz_conjugate(q: ArrayLike) -> Array:
+    """Conjugate (..., 4): the inverse rotation of a unit quaternion."""
+    return np.asarray(q, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def quat_wxyz_exp(w: ArrayLike) -> Array:
+    """Unit quaternion (..., 4) of the rotation vector `w` (..., 3)."""
+    w = np.asarray(w, dtype=float)
+    half = 0.5 * np.linalg.norm(w, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * w], axis=-1)
+
+
+def quat_wxyz_log(q: ArrayLike) -> Array:
+    """Rotation vector (..., 3), at most pi long, of unit quaternions (..., 4); q and -q give the same."""
+    q = np.asarray(q, dtype=float)
+    q = np.where(q[..., :1] < 0.0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., :1])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # asin(s)/s = 1 + s^2/6 + ...
+        factor = np.where(sine < SMALL_ANGLE, 2.0 + sine**2 / 3.0, angle / sine)
+    return factor * q[..., 1:]
+
+
+def exp_so3(w: ArrayLike) -> Array:
+    """Rotation (..., 3, 3) of rotation vectors (..., 3) (Rodrigues, 1840)."""
+    return quat_wxyz_to_matrix(quat_wxyz_exp(w))
+
+
+def log_so3(R: ArrayLike) -> Array:
+    """Rotation vector (..., 3), at most pi long, of rotations; accurate near 0 and near pi."""
+    return quat_wxyz_log(matrix_to_quat_wxyz(R))
+
+
+def exp_se3(twist: ArrayLike) -> Array:
+    """Pose (..., 4, 4) of the screw motion `twist` = [v; w] (..., 6) (Murray, Li, Sastry, 1994, eq. 2.36)."""
+    twist = np.asarray(twist, dtype=float)
+    v, w = twist[..., :3], twist[..., 3:]
+    K = skew(w)
+    _, b, c = _series(np.linalg.norm(w, axis=-1))
+    V = np.eye(3) + b[..., None, None] * K + c[..., None, None] * (K @ K)
+    return pose(exp_so3(w), np.einsum("...ij,...j->...i", V, v))
+
+
+def log_se3(X: ArrayLike) -> Array:
+    """Twist [v; w] (..., 6) whose exponential is the pose; the rotation is at most a half turn."""
+    X = np.asarray(X, dtype=float)
+    w = log_so3(X[..., :3, :3])
+    K = skew(w)
+    a, b, _ = _series(np.linalg.norm(w, axis=-1))
+    angle2 = np.sum(w * w, axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        k = np.where(angle2 < SMALL_ANGLE**2, 1.0 / 12.0 + angle2 / 720.0, (1.0 - 0.5 * a / b) / angle2)
+    V_inverse = np.eye(3) - 0.5 * K + k[..., None, None] * (K @ K)
+    return np.concatenate([np.einsum("...ij,...j->...i", V_inverse, X[..., :3, 3]), w], axis=-1)
+
+
+def _series(angle: Array) -> tuple[Array, Array, Array]:
+    """sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3, by series for small t."""
+    t2 = angle * angle
+    small = angle < 1e-2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        a = np.sinc(angle / np.pi)
+        b = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+        c = np.where(small, 1.0 / 6.0 - t2 / 120.0 + t2 * t2 / 5040.0, (1.0 - a) / t2)
+    return a, b, c
+
+
+def adjoint(X: ArrayLike) -> Array:
+    """Matrix (..., 6, 6) that takes twists [v; w] seen from B to twists seen from A, for X = X_AB."""
+    X = np.asarray(X, dtype=float)
+    R, p = X[..., :3, :3], X[..., :3, 3]
+    out = np.zeros((*X.shape[:-2], 6, 6))
+    out[..., :3, :3], out[..., 3:, 3:] = R, R
+    out[..., :3, 3:] = skew(p) @ R
+    return out
+
+
+def pose_from_xyz_rpy(values: ArrayLike) -> Array:
+    """Pose (..., 4, 4) of x, y, z, roll, pitch, yaw (..., 6): fixed axes x, y, z, as in URDF."""
+    values = np.asarray(values, dtype=float)
+    return pose(rpy_to_matrix(values[..., 3:]), values[..., :3])
+
+
+def xyz_rpy_from_pose(X: ArrayLike) -> Array:
+    """x, y, z, roll, pitch, yaw (..., 6) of poses."""
+    X = np.asarray(X, dtype=float)
+    return np.concatenate([X[..., :3, 3], matrix_to_rpy(X[..., :3, :3])], axis=-1)
