@@ -1,9 +1,61 @@
-"""Kempe: every position question about a multibody system, open chain, tree or closed loop, in the plane or in space."""
+"""Kempe: every position question about a multibody system, open chain, tree or closed loop, in the plane or in space.
+
+``describe or load -> Mechanism -> build -> System -> forward, inverse, ...``. Methods of `System` are the map.
+"""
 
 from __future__ import annotations
 
-from kempe import spatial
+from collections.abc import Iterable
+from pathlib import Path
+
+from kempe import errors, spatial
 from kempe.description.mechanism import Mechanism
+from kempe.errors import KempeError
 from kempe.model.system import System
 
 __version__ = "0.1.0"
+__all__ = [
+    "KempeError", "Mechanism", "System", "errors", "from_dh", "from_screws", "load", "read", "spatial", "warmup",
+]  # fmt: skip
+
+
+def load(
+    source: str | Path | bytes, *, format: str | None = None, base: str | None = None, root: str | None = None,
+    package_dirs: Iterable[str | Path] = (), xacro: bool = False,
+) -> System:  # fmt: skip
+    """The `System` of a file (path), of a text (URDF or TOML), or of a shipped model (bare name such as "puma560").
+
+    `base="free"` lets the root link of a URDF move freely; `root` names the ground where a file has no root link;
+    `package_dirs` are the only folders in which meshes may be looked up; `xacro=True` expands xacro first. Errors:
+    `DescriptionError` with file, line and what is allowed.
+    """
+    return read(source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro).build()
+
+
+def read(
+    source: str | Path | bytes, *, format: str | None = None, base: str | None = None, root: str | None = None,
+    package_dirs: Iterable[str | Path] = (), xacro: bool = False,
+) -> Mechanism:  # fmt: skip
+    """As `load`, but the `Mechanism`: to change it before it is built, or to write it in another format."""
+    from kempe.description.read import read as read_mechanism
+
+    return read_mechanism(source, format=format, base=base, root=root, package_dirs=tuple(package_dirs), xacro=xacro)
+
+
+def __getattr__(name: str):
+    if name in ("from_dh", "from_screws"):
+        from kempe.description import dh
+
+        return getattr(dh, name)
+    raise AttributeError(f"module 'kempe' has no attribute {name!r}")
+
+
+def warmup() -> float:
+    """Seconds spent to compile, for this machine and once, all kernels; later calls and processes load them."""
+    import time
+
+    start = time.perf_counter()
+    import kempe.kinematics.forward
+    import kempe.solvers.inverse  # noqa: F401
+
+    return time.perf_counter() - start

@@ -8,6 +8,7 @@ joints are combinations of revolute and prismatic ones; the classes say which.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from numbers import Real
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -71,7 +72,7 @@ class JointType:
     def decomposition(self) -> str:
         """The joint as a combination of revolute (R) and prismatic (P) joints, as text."""
         parts = []
-        for kind, axis, coordinate, multiplier in self.layout()[1]:
+        for kind, axis, _, multiplier in self.layout()[1]:
             if kind == Q:
                 parts.append("R R R (as one unit quaternion)")
             else:
@@ -235,20 +236,27 @@ TYPES: dict[str, type[JointType]] = {
 
 
 def joint_type(name: str | JointType, **options: object) -> JointType:
-    """A joint type by its name and options. Errors: `UnknownNameError`, `InputError` for unknown options."""
+    """A joint type by its name (or another joint type) and options.
+
+    Errors: `UnknownNameError` for the name, `InputError` for options that the type does not take.
+    """
     if isinstance(name, JointType):
-        return name
-    if name not in TYPES:
+        kind, options = type(name), {**name.options, **options}
+    elif isinstance(name, str) and name in TYPES:
+        kind = TYPES[name]
+    else:
         raise UnknownNameError("joint type", name, TYPES)
-    known = {f.name: f.default for f in fields(TYPES[name])}
+    known = {f.name: f.default for f in fields(kind)}
     for key, given in options.items():
         if key not in known:
             allowed = f"it takes {', '.join(known)}" if known else "it takes no options"
-            raise InputError(f"joint type {name!r} has no option {key!r}; {allowed}")
-        wanted = bool if isinstance(known[key], bool) else (int, float)
-        if not isinstance(given, wanted) or (wanted is not bool and (isinstance(given, bool) or not np.isfinite(given))):
-            raise InputError(f"option {key!r} is {given!r}; it must be {'true or false' if wanted is bool else 'a finite number'}")
-    return TYPES[name](**{k: float(v) if isinstance(known[k], float) else v for k, v in options.items()})  # type: ignore[arg-type]
+            raise InputError(f"joint type {kind.type_name!r} has no option {key!r}; {allowed}")
+        if isinstance(known[key], bool):
+            if not isinstance(given, (bool, np.bool_)):
+                raise InputError(f"option {key!r} is {given!r}; it must be true or false")
+        elif isinstance(given, bool) or not isinstance(given, Real) or not np.isfinite(float(given)):
+            raise InputError(f"option {key!r} is {given!r}; it must be a finite number")
+    return kind(**{k: type(known[k])(v) for k, v in options.items()})  # type: ignore[arg-type, call-arg]
 
 
 AXIS_ROTATIONS = {"x": spatial.align_z([1.0, 0, 0]), "y": spatial.align_z([0.0, 1, 0]), "z": np.eye(3)}
@@ -291,8 +299,8 @@ class Layout:
         out[..., self.vector_q] += v[..., self.vector_v]
         if self.quaternion_q.size:
             w = v[..., self.quaternion_v[:, None] + np.arange(3)]
-            turned = spatial.quat_wxyz_multiply(_unit(self._quaternions(q)), spatial.quat_wxyz_exp(w))
-            out[..., self.quaternion_q[:, None] + np.arange(4)] = _unit(turned)
+            turned = spatial.quat_wxyz_multiply(spatial.unit(self._quaternions(q)), spatial.quat_wxyz_exp(w))
+            out[..., self.quaternion_q[:, None] + np.arange(4)] = spatial.unit(turned)
         return out
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> spatial.Array:
@@ -301,7 +309,7 @@ class Layout:
         out = np.zeros((*np.broadcast_shapes(q0.shape[:-1], q1.shape[:-1]), self.nv))
         out[..., self.vector_v] = q1[..., self.vector_q] - q0[..., self.vector_q]
         if self.quaternion_q.size:
-            a, b = _unit(self._quaternions(q0)), _unit(self._quaternions(q1))
+            a, b = spatial.unit(self._quaternions(q0)), spatial.unit(self._quaternions(q1))
             w = spatial.quat_wxyz_log(spatial.quat_wxyz_multiply(spatial.quat_wxyz_conjugate(a), b))
             out[..., self.quaternion_v[:, None] + np.arange(3)] = w
         return out
@@ -310,12 +318,7 @@ class Layout:
         """Fill the quaternions of `q` (..., nq), in place, with uniformly distributed rotations."""
         for k in range(self.quaternion_q.size) if order is None else order:
             i = self.quaternion_q[k]
-            q[..., i : i + 4] = _unit(rng.normal(size=(*q.shape[:-1], 4)))
-
-
-def _unit(quat_wxyz: spatial.Array) -> spatial.Array:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return quat_wxyz / np.linalg.norm(quat_wxyz, axis=-1, keepdims=True)
+            q[..., i : i + 4] = spatial.unit(rng.normal(size=(*q.shape[:-1], 4)))
 
 
 def layout_of(primitives: list[tuple[int, int, int]], nq: int, nv: int) -> Layout:
@@ -324,4 +327,6 @@ def layout_of(primitives: list[tuple[int, int, int]], nq: int, nv: int) -> Layou
     balls = [(iq, iv) for kind, iq, iv in primitives if kind == Q]
     vector = np.array(vectors, dtype=np.int64).reshape(-1, 2)
     ball = np.array(balls, dtype=np.int64).reshape(-1, 2)
+    for array in (vector, ball):
+        array.setflags(write=False)
     return Layout(nq, nv, vector[:, 0], vector[:, 1], ball[:, 0], ball[:, 1])

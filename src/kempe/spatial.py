@@ -15,6 +15,14 @@ SMALL_ANGLE = 1e-4
 """Below this angle, series replace quotients by the angle: their first dropped term is under 1e-17."""
 
 
+def unit(v: ArrayLike) -> Array:
+    """Vectors (..., n) scaled to length one, however large or small; NaN for a vector that is zero or not finite."""
+    v = np.asarray(v, dtype=float)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        v = v / np.max(np.abs(v), axis=-1, keepdims=True)  # or squares would overflow or vanish
+        return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
 def skew(v: ArrayLike) -> Array:
     """Matrix (..., 3, 3) of the cross product with `v` (..., 3)."""
     v = np.asarray(v, dtype=float)
@@ -73,18 +81,17 @@ def align_z(axis: ArrayLike) -> Array:
 
     Axes along x, y or z give exact permutations. A zero axis gives NaN.
     """
-    a = np.asarray(axis, dtype=float)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        a = a / np.linalg.norm(a, axis=-1, keepdims=True)
-    flip = np.where(a[..., 2:] < 0.0, -1.0, 1.0)
-    a = a * flip
+    a = unit(axis)
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
-    k = 1.0 / (1.0 + z)
+    across = np.hypot(x, y)
+    upright = across == 0.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        u, w = np.where(upright, 0.0, x / across), np.where(upright, 1.0, y / across)
+    k = 1.0 - z  # a turn about (-w, u, 0) with cosine z
     out = np.empty((*a.shape, 3))
-    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = 1.0 - k * x * x, -k * x * y, x
-    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = -k * x * y, 1.0 - k * y * y, y
+    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = 1.0 - k * u * u, -k * u * w, x
+    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = -k * u * w, 1.0 - k * w * w, y
     out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = -x, -y, z
-    out[..., :, 1:] *= flip[..., None]
     return out
 
 
@@ -109,9 +116,7 @@ def matrix_to_rpy(R: ArrayLike) -> Array:
 
 def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
     """Rotation (..., 3, 3) of quaternions (..., 4), normalised first; a zero quaternion gives NaN."""
-    q = np.asarray(quat_wxyz, dtype=float)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    q = unit(quat_wxyz)
     w, v = q[..., 0, None, None], q[..., 1:]
     K = skew(v)
     return np.eye(3) + 2.0 * (w * K + K @ K)

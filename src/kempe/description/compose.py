@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from kempe.description.mechanism import Mechanism
-from kempe.description.parts import Body, Frame, Joint
+from kempe.description.parts import Body, Coupling, Frame, Joint
+from kempe.description.values import evaluate
 from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError
 from kempe.joints import Fixed
 
@@ -21,9 +22,9 @@ def attach(
     trial = host.copy()
     name = str(to) if to is not None else host.ground.name
     if name in host.frames:
-        on, placement = host.frames[name].body, {"at": host.frames[name].X_BF, **placement}
-        if "at" in placement and placement["at"] is not host.frames[name].X_BF:
+        if "at" in placement:
             raise InputError("`at` cannot be given when mounting on a frame; mount on the body instead")
+        on, placement = host.frames[name].body, {"at": host.frames[name].X_BF, **placement}
     elif name in host.bodies:
         on = name
     else:
@@ -49,6 +50,8 @@ def attach(
         _new_key(trial.postures, "posture", prefix + key)
         trial.postures[prefix + key] = {prefix + k: v for k, v in posture.items()}
     trial.locks |= {prefix + k: v for k, v in guest.locks.items()}
+    trial.notes += guest.notes
+    trial.roots = tuple(dict.fromkeys(host.roots + guest.roots))
     host.__dict__.update(trial.__dict__)
 
 
@@ -84,14 +87,35 @@ def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
         if all(inside):
             out.couplings[coupling.of] = coupling
         elif inside[0]:
-            outside = [c for c in coupling.sources if c not in coordinates]
-            raise DescriptionError(
-                Problem(f"it follows {', '.join(outside)}, outside the chain; lock it first", f"coordinate {coupling.of!r}")
-            )
-    out.locks = {k: v for k, v in mechanism.locks.items() if k in coordinates}
+            _follow_inside(mechanism, out, coupling, coordinates)
+    out.locks |= {k: v for k, v in mechanism.locks.items() if k in coordinates}
     for name, posture in mechanism.postures.items():
         out.postures[name] = {k: v for k, v in posture.items() if k in coordinates}
     return out
+
+
+def _follow_inside(mechanism: Mechanism, out: Mechanism, coupling: Coupling, coordinates: set[str]) -> None:
+    """Keep a coupling that reaches outside the chain, where it does so only through locks and other couplings."""
+    sources, offset = dict(coupling.sources), coupling.offset
+    for _ in range(len(mechanism.couplings) + 1):
+        outside = [c for c in sources if c not in coordinates]
+        for name in outside:
+            factor = sources[name]
+            if name in mechanism.locks:
+                offset = offset + factor * mechanism.locks[name]
+            elif name in mechanism.couplings:
+                via = mechanism.couplings[name]
+                offset = offset + factor * via.offset
+                for source, number in via.sources.items():
+                    sources[source] = sources.get(source, 0.0) + factor * number
+            else:
+                problem = f"it follows {name}, outside the chain; lock that first"
+                raise DescriptionError(Problem(problem, f"coordinate {coupling.of!r}", coupling.where))
+            del sources[name]
+    if sources:
+        out.couplings[coupling.of] = replace(coupling, sources=sources, offset=offset)
+    else:
+        out.locks[coupling.of] = float(evaluate(offset, mechanism.parameters))
 
 
 def _path(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
@@ -103,6 +127,8 @@ def _path(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
     queue = deque([base])
     while queue and end not in came:
         here = queue.popleft()
+        if mechanism.bodies[here].particle:
+            continue  # nothing can hang on a particle
         for there, joint in neighbours[here]:
             if there not in came:
                 came[there] = joint

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
-from kempe.description.parts import Body, Coupling, Frame, Joint, Limits
+from kempe.description import checks
+from kempe.description.parts import Body, Coupling, Frame, Joint
 from kempe.description.placement import Placement, place
 from kempe.description.values import Expression, Value, value
-from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, Where
-from kempe.joints import Helical, JointType, joint_type
+from kempe.errors import InputError, UnknownNameError, Where
+from kempe.joints import JointType, joint_type
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -37,7 +37,7 @@ class Mechanism:
     def __init__(self, name: str = "mechanism", dim: int = 3, ground: str = "ground"):
         if dim not in (2, 3):
             raise InputError(f"dim is {dim!r}; a system lives in the plane (2) or in space (3)")
-        self.name, self.dim = name, dim
+        self.name, self.dim = name, int(dim)
         self.bodies: dict[str, Body] = {}
         self.joints: dict[str, Joint] = {}
         self.frames: dict[str, Frame] = {}
@@ -47,7 +47,7 @@ class Mechanism:
         self.locks: dict[str, float] = {}
         self.notes: list[str] = []
         self.roots: tuple[str, ...] = ()
-        self._add_body(Body(_name(ground, "body")))
+        self._add_body(Body(checks.name(ground, "body")))
         self._ground = ground
 
     # ---- bodies and frames
@@ -62,11 +62,11 @@ class Mechanism:
         visuals: Iterable[str] = (), where: Where | None = None,
     ) -> Body:  # fmt: skip
         """A new rigid body; `mass` in kg and `center` of mass (x, y, z) in the body's frame are optional."""
-        return self._add_body(_body(name, False, mass, center, visuals, where))
+        return self._add_body(checks.body(name, False, mass, center, visuals, where))
 
     def particle(self, name: str, mass: float | None = None, where: Where | None = None) -> Body:
         """A new particle: a body with a position only. Attach it by a joint of slides (free, translation, prismatic)."""
-        return self._add_body(_body(name, True, mass, None, (), where))
+        return self._add_body(checks.body(name, True, mass, None, (), where))
 
     def _add_body(self, body: Body) -> Body:
         self._free_name(body.name, "body", body.where)
@@ -76,12 +76,14 @@ class Mechanism:
     def frame(self, name: str, body: BodyLike, at: object = (0.0, 0.0, 0.0), where: Where | None = None, **turn) -> Frame:
         """A named frame on a body, placed as `place` says (`at`, `rpy`, `angle`, `axis`, `quat_wxyz`, `matrix`)."""
         on = self._body(body, f"frame {name!r}", where)
-        self._free_name(_name(name, "frame"), "frame", where)
-        X_BF = self._place(at, turn, f"frame {name!r}", where)
+        self._free_name(checks.name(name, "frame"), "frame", where)
+        X_BF = self._place(at, turn, f"frame {name!r}", where, on)
+        if self.dim == 2:
+            checks.flat(f"frame {name!r}", X_BF, where)
         if on.particle and any(s[0] not in "xyz" for s in X_BF.steps):
-            self._refuse(f"frame {name!r}", f"a particle ({on.name!r}) has no orientation to turn from", where)
+            checks.refuse(f"frame {name!r}", f"a particle ({on.name!r}) has no orientation to turn from", where)
         if on.particle and X_BF.steps:
-            self._refuse(f"frame {name!r}", f"a particle ({on.name!r}) has no extent: the frame must sit on it", where)
+            checks.refuse(f"frame {name!r}", f"a particle ({on.name!r}) has no extent: the frame must sit on it", where)
         self.frames[name] = Frame(name, on.name, X_BF, where)
         return self.frames[name]
 
@@ -116,25 +118,27 @@ class Mechanism:
         (`pitch`, `angles`). Errors: `DescriptionError` with what is wrong and what is allowed.
         """
         subject = f"joint {name!r}"
-        if _name(name, "joint") in self.joints:
+        if checks.name(name, "joint") in self.joints:
             first = self.joints[name].where
-            self._refuse(subject, f"there is another joint of this name{f' ({first})' if first else ''}", where)
+            checks.refuse(subject, f"there is another joint of this name{f' ({first})' if first else ''}", where)
         try:
             type_ = joint_type(kind, **options)
         except (InputError, UnknownNameError) as error:
-            self._refuse(subject, str(error), where)
+            checks.refuse(subject, str(error), where)
         on, to = self._body(parent, subject, where), self._body(child, subject, where)
         if on.name == to.name:
-            self._refuse(subject, f"it connects body {on.name!r} to itself", where, "it must connect two bodies")
-        self._check_kind(subject, type_, on, to, where)
+            checks.refuse(subject, f"it connects body {on.name!r} to itself", where, "it must connect two bodies")
+        checks.kind(self.dim, subject, type_, on, to, where)
         X_PF = self._place(at, {"rpy": rpy, "angle": angle, "axis": axis}, subject, where, on)
         same = child_axis if child_axis is not None else axis
         X_CM = self._place(child_at, {"rpy": child_rpy, "angle": child_angle, "axis": same}, subject, where, to)
+        checks.ends(self.dim, subject, type_, X_PF, X_CM, to, where)
         names = type_.velocities(self.dim, to.particle)
         self.joints[name] = Joint(
-            name, type_, on.name, to.name, X_PF, X_CM, self._limits(subject, limits, names, where),
-            self._bounds(subject, "velocity", velocity, names, where),
-            self._bounds(subject, "effort", effort, names, where), actuated, cut, where,
+            name, type_, on.name, to.name, X_PF, X_CM,
+            checks.limits(subject, limits, type_, self.dim, to.particle, where),
+            checks.bounds(subject, "velocity", velocity, names, where),
+            checks.bounds(subject, "effort", effort, names, where), actuated, cut, where,
         )  # fmt: skip
         return self.joints[name]
 
@@ -152,7 +156,7 @@ class Mechanism:
 
     def helical(self, name: str, parent: BodyLike, child: BodyLike, pitch: float, **keywords) -> Joint:
         """A screw about z with `pitch` metres a radian; keywords as in `joint`."""
-        return self.joint(name, Helical(pitch=pitch), parent, child, **keywords)
+        return self.joint(name, "helical", parent, child, pitch=pitch, **keywords)
 
     def cylindrical(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
         """A turn about z and a slide along it; keywords as in `joint`."""
@@ -187,16 +191,19 @@ class Mechanism:
 
         With one source it is a mimic or a gear and `of` leaves the configuration; with several it is a constraint.
         """
+        of = str(of)
         subject = f"coupling of {of!r}"
+        if not isinstance(sources, Mapping):
+            checks.refuse(subject, f"its sources are {sources!r}", where, "they must be a dict of multipliers by coordinate")
         if of in self.couplings:
-            self._refuse(subject, "the coordinate follows others already", where)
+            checks.refuse(subject, "the coordinate follows others already", where)
         if not sources:
-            self._refuse(subject, "it has no source coordinate", where)
+            checks.refuse(subject, "it has no source coordinate", where)
         try:
             checked = {str(k): value(v, "multiplier") for k, v in sources.items()}
             self.couplings[of] = Coupling(of, checked, value(offset, "offset"), where)
         except InputError as error:
-            self._refuse(subject, str(error), where)
+            checks.refuse(subject, str(error), where)
         return self.couplings[of]
 
     def gear(self, driven: str, driver: str, ratio: Value | str, offset: Value | str = 0.0) -> Coupling:
@@ -207,11 +214,11 @@ class Mechanism:
         """A named posture: values of some coordinates by name, the others neutral."""
         if name in self.postures:
             raise InputError(f"posture {name!r} exists already")
-        self.postures[name] = {str(k): _number(v, f"posture {name!r}, {k!r}") for k, v in coordinates.items()}
+        self.postures[name] = checks.numbers(coordinates, f"posture {name!r}")
 
     def lock(self, coordinates: Mapping[str, float]) -> Mechanism:
         """Hold coordinates at values: they leave the configuration. Returns the mechanism itself."""
-        self.locks |= {str(k): _number(v, f"lock of {k!r}") for k, v in coordinates.items()}
+        self.locks |= checks.numbers(coordinates, "lock")
         return self
 
     # ---- composition
@@ -269,121 +276,38 @@ class Mechanism:
 
     # ---- checks
 
-    def _refuse(self, subject: str, message: str, where: Where | None, allowed: str = ""):
-        raise DescriptionError(Problem(message, subject, where, allowed))
-
     def _free_name(self, name: str, kind: str, where: Where | None) -> None:
         taken = self.bodies.get(name) or self.frames.get(name)
         if taken is not None:
             what = "body" if name in self.bodies else "frame"
             first = f" ({taken.where})" if taken.where else ""
-            self._refuse(f"{kind} {name!r}", f"there is another {what} of this name{first}", where)
+            checks.refuse(f"{kind} {name!r}", f"there is another {what} of this name{first}", where)
 
     def _body(self, body: BodyLike, subject: str, where: Where | None) -> Body:
         name = body.name if isinstance(body, Body) else body
-        if name not in self.bodies:
-            self._refuse(subject, str(UnknownNameError("body", name, self.bodies, self.name)), where)
+        if not isinstance(name, str) or name not in self.bodies:
+            checks.refuse(subject, str(UnknownNameError("body", name, self.bodies, self.name)), where)
         return self.bodies[name]
 
-    def _check_kind(self, subject: str, kind: JointType, parent: Body, child: Body, where: Where | None) -> None:
-        if self.dim == 2 and not kind.planar:
-            self._refuse(subject, f"a {kind.type_name} joint does not exist in the plane", where,
-                         "planar systems take revolute, prismatic, planar, translation, fixed and free")  # fmt: skip
-        if parent.particle:
-            self._refuse(subject, f"its parent {parent.name!r} is a particle, which has no orientation", where,
-                         "make the particle the child")  # fmt: skip
-        if child.particle and any(p.kind != 1 for p in kind.layout(self.dim, True)[1]):
-            self._refuse(subject, f"a {kind.type_name} joint turns, but {child.name!r} is a particle", where,
-                         "particles take prismatic, planar, translation, fixed and free")  # fmt: skip
-
-    def _place(self, at: object, turn: Mapping, subject: str, where: Where | None, on: Body | None = None) -> Placement:
+    def _place(self, at: object, turn: Mapping, subject: str, where: Where | None, on: Body) -> Placement:
         try:
             if isinstance(at, (Frame, str)):
                 frame = self.frames.get(str(at))
-                if frame is None or (on is not None and frame.body != on.name):
-                    names = [f.name for f in self.frames.values() if on is None or f.body == on.name]
-                    raise UnknownNameError("frame", str(at), names, f"body {on.name!r}" if on else self.name)
+                if frame is None or frame.body != on.name:
+                    names = [f.name for f in self.frames.values() if f.body == on.name]
+                    raise UnknownNameError("frame", str(at), names, f"body {on.name!r}")
                 at = frame.X_BF
             X = place(at, **turn)
             for name in sorted(X.names):
                 if name not in self.parameters:
                     raise UnknownNameError("parameter", name, self.parameters, self.name)
         except (InputError, UnknownNameError) as error:
-            self._refuse(subject, str(error), where)
-        if self.dim == 2:
-            self._check_in_plane(subject, X, where)
+            checks.refuse(subject, str(error), where)
         return X
-
-    def _check_in_plane(self, subject: str, X: Placement, where: Where | None) -> None:
-        for motion, numbers in X.steps:
-            flat = motion in ("x", "y", "rz") or (motion in ("align", "unalign") and numbers[2] == 0.0)
-            if not flat:
-                self._refuse(subject, f"{motion} leaves the plane", where, "planar systems take x, y and turns about z")
-
-    def _limits(self, subject: str, limits: object, names: tuple[str, ...], where: Where | None) -> dict[str, Limits]:
-        out: dict[str, Limits] = {}
-        for name, pair in self._by_name(subject, "limits", limits, names, where):
-            try:
-                lower, upper = (float(x) for x in pair)  # type: ignore[union-attr]
-            except (TypeError, ValueError):
-                self._refuse(subject, f"limits are {pair!r}", where, "they must be a pair (lower, upper)")
-            if math.isnan(lower) or math.isnan(upper) or lower == math.inf or upper == -math.inf:
-                self._refuse(subject, f"limits are ({lower}, {upper})", where, "they must be numbers")
-            if lower > upper:
-                self._refuse(subject, f"lower limit {lower:g} is above upper limit {upper:g}", where)
-            out[name] = (lower, upper)
-        return out
-
-    def _bounds(self, subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None):
-        out: dict[str, float] = {}
-        for name, bound in self._by_name(subject, what, given, names, where):
-            if isinstance(bound, bool) or not isinstance(bound, (int, float)) or not bound >= 0:
-                self._refuse(subject, f"{what} limit is {bound!r}", where, "it must be a number, not negative")
-            out[name] = float(bound)  # type: ignore[arg-type]
-        return out
-
-    def _by_name(self, subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None):
-        if given is None:
-            return []
-        if not isinstance(given, Mapping):
-            if names != ("",):
-                self._refuse(subject, f"{what} given as {given!r}", where,
-                             f"this joint needs them by coordinate: {', '.join(names) or 'it has none'}")  # fmt: skip
-            return [("", given)]
-        for key in given:
-            if key not in names:
-                self._refuse(subject, str(UnknownNameError("coordinate", key, names, "it")), where)
-        return list(given.items())
 
 
 def _mechanism_of(thing: Mechanism | System) -> Mechanism:
-    return thing if isinstance(thing, Mechanism) else thing.mechanism
-
-
-def _body(name: str, particle: bool, mass: object, center: object, visuals: Iterable[str], where: Where | None) -> Body:
-    subject = f"body {name!r}"
-    if mass is not None:
-        mass = _number(mass, f"{subject}: mass")
-        if mass < 0:
-            raise DescriptionError(Problem(f"mass is {mass:g}", subject, where, "it must not be negative"))
-    if center is not None:
-        x, y, *z = (_number(c, f"{subject}: center") for c in center)  # type: ignore[union-attr]
-        center = (x, y, *(z or [0.0]))
-        if len(center) != 3:
-            raise DescriptionError(Problem("center must have 2 or 3 numbers", subject, where))
-    return Body(_name(name, "body"), particle, mass, center, tuple(visuals), where)
-
-
-def _name(name: object, kind: str) -> str:
-    if not isinstance(name, str) or not name.strip():
-        raise InputError(f"{kind} name is {name!r}; it must be text, not empty")
-    return name
-
-
-def _number(x: object, what: str) -> float:
-    number = value(x, what)
-    if isinstance(number, Expression):
-        raise InputError(f"{what} is {x!r}; it must be a number")
-    return number
-
-
+    mechanism = thing if isinstance(thing, Mechanism) else getattr(thing, "mechanism", None)
+    if not isinstance(mechanism, Mechanism):
+        raise InputError(f"{thing!r} is no Mechanism or System; read a file with kempe.read first")
+    return mechanism

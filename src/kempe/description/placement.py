@@ -79,7 +79,7 @@ def place(
     if quat_wxyz is not None:
         steps.append(("quat_wxyz", values(quat_wxyz, 4, "quat_wxyz")))
     if matrix is not None:
-        steps.append(("matrix", values(np.asarray(matrix, dtype=float).reshape(-1), 9, "matrix")))
+        steps.append(("matrix", values(_array(matrix, "matrix").reshape(-1), 9, "matrix")))
     if axis is not None:
         steps += axis_steps(axis)
     for step in steps:
@@ -99,10 +99,17 @@ def axis_steps(axis: object) -> list[Step]:
 
 def placement_of_pose(X: object) -> Placement:
     """Placement of a pose given as a (4, 4) matrix. Errors: `InputError` where it is not a rigid motion."""
-    X = np.asarray(X, dtype=float)
+    X = _array(X, "pose")
     if X.shape != (4, 4) or not np.array_equal(X[3], [0.0, 0.0, 0.0, 1.0]):
         raise InputError(f"a pose must be a (4, 4) matrix with last row 0 0 0 1, not an array of shape {X.shape}")
     return place(X[:3, 3]) if np.array_equal(X[:3, :3], np.eye(3)) else place(X[:3, 3], matrix=X[:3, :3])
+
+
+def _array(x: object, what: str) -> np.ndarray:
+    try:
+        return np.asarray(x, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} is {x!r}; it must be an array of numbers") from None
 
 
 def check_step(motion: str, numbers: tuple[Value, ...]) -> None:
@@ -112,13 +119,13 @@ def check_step(motion: str, numbers: tuple[Value, ...]) -> None:
     if len(numbers) != COUNTS[motion]:
         raise InputError(f"{motion} has {len(numbers)} numbers; it must have {COUNTS[motion]}")
     if any(isinstance(x, Expression) for x in numbers):
+        if motion in ("align", "unalign", "matrix"):
+            raise InputError(f"{motion} has an expression among its numbers; it takes plain numbers only")
         return
     array = np.array(numbers, dtype=float)
-    if motion in ("align", "unalign", "quat_wxyz"):
+    if motion in ("align", "unalign", "quat_wxyz") and not np.isfinite(spatial.unit(array)).all():
         what = "quaternion" if motion == "quat_wxyz" else "axis"
-        length = np.linalg.norm(array)
-        if not (np.isfinite(length) and length > 1e-150):
-            raise InputError(f"{what} is {' '.join(map(repr, array.tolist()))}; it must not be zero")
+        raise InputError(f"{what} is {' '.join(map(repr, array.tolist()))}; it must be finite and not zero")
     if motion == "matrix":
         R = array.reshape(3, 3)
         if np.abs(R @ R.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
@@ -140,7 +147,9 @@ def _step_pose(motion: str, numbers: list[Any]) -> spatial.Array:
         return spatial.pose(np.swapaxes(spatial.align_z(array), -1, -2))
     if motion == "quat_wxyz":
         return spatial.pose(spatial.quat_wxyz_to_matrix(array))
-    return spatial.pose(array.reshape(*array.shape[:-1], 3, 3))
+    R = array.reshape(*array.shape[:-1], 3, 3)
+    # one Newton step to the nearest rotation: what the tolerance let pass is squared (Higham, 1986)
+    return spatial.pose(0.5 * R @ (3.0 * np.eye(3) - np.swapaxes(R, -1, -2) @ R))
 
 
 def _inverse_step(motion: str, numbers: tuple[Value, ...]) -> Step:

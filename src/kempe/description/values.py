@@ -17,6 +17,9 @@ FUNCTIONS: dict[str, Callable] = {
 }  # fmt: skip
 CONSTANTS = {"pi": math.pi}
 LENGTH_LIMIT = 1000
+"""Characters of an expression."""
+DEPTH_LIMIT = 300
+"""Operations inside each other in an expression; a sum of n terms counts n."""
 
 _BINARY: dict[type, Callable] = {
     ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b,
@@ -95,6 +98,12 @@ class Expression:
     def __rtruediv__(self, other: Value) -> Expression:
         return self._with("{b} / {a}", other)
 
+    def __pow__(self, other: Value) -> Expression:
+        return self._with("{a} ** {b}", other)
+
+    def __rpow__(self, other: Value) -> Expression:
+        return self._with("{b} ** {a}", other)
+
     def __neg__(self) -> Expression:
         return Expression(f"-{_bracket(self)}")
 
@@ -150,25 +159,33 @@ def _parse(text: str) -> ast.Expression:
         raise InputError(f"expression of {len(text)} characters; at most {LENGTH_LIMIT} are allowed")
     try:
         tree = ast.parse(text, mode="eval")
-        _check(tree.body, text)
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        _check(tree.body, text, 0)
+    except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{text!r} is not an expression; write numbers as 1.5, and 2*l1 for products") from None
     return tree
 
 
-def _check(node: ast.AST, text: str) -> None:
+def _check(node: ast.AST, text: str, depth: int) -> None:
+    if depth > DEPTH_LIMIT:
+        raise InputError(f"{text[:40]!r}... has more than {DEPTH_LIMIT} operations inside each other")
     if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
-        _check(node.left, text)
-        _check(node.right, text)
+        _check(node.left, text, depth + 1)
+        _check(node.right, text, depth + 1)
     elif isinstance(node, ast.UnaryOp) and type(node.op) in _UNARY:
-        _check(node.operand, text)
+        _check(node.operand, text, depth + 1)
     elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
-        if node.func.id not in FUNCTIONS:
-            raise InputError(f"{text!r} calls {node.func.id!r}; allowed are {', '.join(FUNCTIONS)}")
+        name = node.func.id
+        if name not in FUNCTIONS:
+            raise InputError(f"{text!r} calls {name!r}; allowed are {', '.join(FUNCTIONS)}")
+        count = 2 if name == "atan2" else 1
+        if len(node.args) != count:
+            raise InputError(f"{text!r} calls {name} with {len(node.args)} numbers; it takes {count}")
         for argument in node.args:
-            _check(argument, text)
+            _check(argument, text, depth + 1)
+    elif isinstance(node, ast.Name) and node.id in FUNCTIONS:
+        raise InputError(f"{text!r} uses the function {node.id!r} without its brackets, such as {node.id}(x)")
     elif not (
         isinstance(node, ast.Name)
         or (isinstance(node, ast.Constant) and type(node.value) in (int, float) and math.isfinite(node.value))
@@ -181,9 +198,10 @@ def _fold(node: Any, names: Mapping[str, Any], functions: Mapping[str, Callable]
         left = _fold(node.left, names, functions, number)
         right = _fold(node.right, names, functions, number)
         try:
-            return _BINARY[type(node.op)](left, right)
+            result = _BINARY[type(node.op)](left, right)
         except (ZeroDivisionError, OverflowError):
             return number("nan")
+        return number("nan") if isinstance(result, complex) else result
     if isinstance(node, ast.UnaryOp):
         return _UNARY[type(node.op)](_fold(node.operand, names, functions, number))
     if isinstance(node, ast.Call):

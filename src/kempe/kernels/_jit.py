@@ -20,6 +20,7 @@ from pathlib import Path
 import numba
 from numba import types
 from numba.core import config
+from numba.core.typing.templates import Signature
 
 FLAGS = {"contract", "nsz", "arcp"}
 """Fast-math flags under which NaN and infinity survive and sums are not reassociated."""
@@ -85,8 +86,11 @@ def _say_once() -> None:
         print(f"kempe: compiling kernels for this machine, once ({where}) ...", file=sys.stderr, flush=True)
 
 
-def kernel(*signatures: types.Type) -> Callable:
-    """Decorator: compile an entry point now, for exactly these signatures, or load it from the cache."""
+def kernel(*signatures: Signature, nogil: bool = True) -> Callable:
+    """Decorator: compile an entry point now, for exactly these signatures, or load it from the cache.
+
+    `nogil=False` is for kernels of a fraction of a microsecond: to hand the lock over and back costs 40 ns.
+    """
 
     def wrap(function: Callable) -> Callable:
         folder = cache_folder()
@@ -94,9 +98,9 @@ def kernel(*signatures: types.Type) -> Callable:
             before = config.CACHE_DIR
             config.CACHE_DIR = str(folder) if folder else before
             try:
-                dispatcher = numba.njit(nogil=True, fastmath=FLAGS, error_model="numpy", cache=folder is not None)(
-                    function
-                )
+                dispatcher = numba.njit(
+                    nogil=nogil, fastmath=FLAGS, error_model="numpy", cache=folder is not None
+                )(function)
             finally:
                 config.CACHE_DIR = before
             timer = threading.Timer(_SECONDS_BEFORE_NOTICE, _say_once)
@@ -118,11 +122,23 @@ def kernel(*signatures: types.Type) -> Callable:
     return wrap
 
 
+_HELPER = {
+    "nogil": True,
+    "fastmath": FLAGS,
+    "error_model": "numpy",
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
+
+
 def device(function: Callable) -> Callable:
     """Decorator: a helper that kernels call; compiled into each caller, never cached on its own."""
-    return numba.njit(nogil=True, fastmath=FLAGS, error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+    return numba.njit(forceinline=True, **_HELPER)(function)
 
 
 def routine(function: Callable) -> Callable:
-    """Decorator: a helper too large to be copied into each caller; compiled once a kernel, never cached on its own."""
-    return numba.njit(nogil=True, fastmath=FLAGS, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+    """Decorator: a helper too large to be copied into each caller; compiled once a kernel, never cached alone.
+
+    `forceinline` is said aloud, for Numba hands the wish of a `device` to be copied down to all that it calls.
+    """
+    return numba.njit(forceinline=False, **_HELPER)(function)

@@ -1,8 +1,8 @@
 """Poses of the last frame of a chain, `LANES` configurations side by side.
 
-The table is that of `sweep`, with is_chain set. What a row costs depends on its form: 0 has any placement, 1 has
-[Rx(alpha) | p], 2 moreover p_y = 0 (Denavit and Hartenberg 1955, modified as by Craig 1986); `model.gauge` makes such rows.
-The pose stays in twelve registers, one for each entry; the twelve are kept as three matrix rows (x, y, z, p).
+What a row costs depends on the form of its placement: GENERAL is any, RX is [Rx(alpha) | p], and RX_FLAT
+moreover has p_y = 0 (Denavit and Hartenberg 1955, modified as by Craig 1986); `model.gauge` makes such rows.
+The pose stays in twelve registers, one for each entry, named as three matrix rows (x, y, z, p).
 """
 
 from __future__ import annotations
@@ -37,7 +37,12 @@ SMALLEST_SQUARE, LARGEST_SQUARE = 1e-200, 1e200
 @device
 def spread_row(floats, k):
     """A matrix row of a placement in all lanes."""
-    return spread_lanes(floats[k]), spread_lanes(floats[k + 1]), spread_lanes(floats[k + 2]), spread_lanes(floats[k + 3])
+    return (
+        spread_lanes(floats[k]),
+        spread_lanes(floats[k + 1]),
+        spread_lanes(floats[k + 2]),
+        spread_lanes(floats[k + 3]),
+    )
 
 
 @device
@@ -106,7 +111,7 @@ def times_placement(form, u, v, w, f, k):
 
 @device
 def count_variables(ints):
-    """Numbers that `read_variables` keeps for one configuration: two for a turn, one for a slide, four for a ball."""
+    """Numbers that `read_variables` keeps of a configuration: a turn has two, a slide one, a ball four."""
     total = 0
     for row in range(ints[0]):
         kind = ints[HEADER + ROW_INTS * row]
@@ -116,7 +121,7 @@ def count_variables(ints):
 
 @device
 def read_variables(ints, floats, q, start, nq, variables):
-    """Whether all lanes can be swept; fills `variables` with sine and cosine, slide, or unit quaternion of each row."""
+    """Whether all lanes can be swept; `variables` gets sine and cosine, slide, or quaternion of each row."""
     near = True
     k = 0
     for row in range(ints[0]):
@@ -205,25 +210,24 @@ def sweep_lanes(ints, floats, variables, out, first):
 def chain_poses(ints, floats, q, out):
     """Number of bad configurations; writes the poses (N, 4, 4) of a chain's one output at q (N, nq).
 
-    A last block that is not full begins earlier, so that lanes overlap; fewer configurations than lanes, and those
-    with a coordinate beyond the polynomials' reach, go one at a time.
+    A last block that is not full begins earlier and repeats some. One at a time go: fewer configurations than
+    lanes, and those with a coordinate beyond the polynomials' reach. No lane depends on the others.
     """
     n, nq = q.shape
     scratch = np.empty(count_variables(ints) * LANES)
     i_, f_, q_, out_, variables = raw(ints), raw(floats), raw(q), raw(out), raw(scratch)
-    bad = 0
-    if n < LANES or ints[0] == 0:
-        for i in range(n):
-            bad += pose_at(i_, f_, q_, i * nq, out_, 16 * i)
-    else:
+    side_by_side = n >= LANES and ints[0] > 0
+    strayed = 0 if not side_by_side else n  # where to begin to look for those that go alone
+    if side_by_side:
         for block in range(0, n, LANES):
             start = min(block, n - LANES)
             near = read_variables(i_, f_, q_, start * nq, nq, variables)
             sweep_lanes(i_, f_, variables, out_, start * 16)
             if rarely(not near):
-                for i in range(start, start + LANES):
-                    if strays(i_, f_, q_, i * nq):
-                        new = pose_at(i_, f_, q_, i * nq, out_, 16 * i)
-                        bad += new if i >= block else 0
+                strayed = min(strayed, start)
+    bad = 0
+    for i in range(strayed, n):
+        if not side_by_side or strays(i_, f_, q_, i * nq):
+            bad += pose_at(i_, f_, q_, i * nq, out_, 16 * i)
     keep(scratch)
     return bad

@@ -1,4 +1,4 @@
-"""Where the numbers of a primitive table lie. Free of imports, so that whoever writes tables loads no compiler.
+"""Where the numbers of a primitive table lie. Imports nothing: whoever writes tables needs no compiler.
 
 A table is a pair of flat arrays, `ints` (int64) and `floats` (float64):
 
@@ -8,9 +8,8 @@ A table is a pair of flat arrays, `ints` (int64) and `floats` (float64):
     floats  a row:     placement 3x4, cos and sin of the gauge, multiplier, 0
             an output: placement 3x4
 
-Motions: TURN about z by multiplier * q (after the constant gauge angle), SLIDE along z by multiplier * q, BALL by the
-unit quaternion wxyz, transposed if the multiplier is negative. Each follows the row's placement, and that the parent's
-motion.
+Pose of a row = pose of its parent @ placement @ motion. Motions: TURN about z by gauge + multiplier * q,
+SLIDE along z by multiplier * q, BALL by the unit quaternion wxyz at q, inverted for a negative multiplier.
 """
 
 HEADER, ROW_INTS, OUTPUT_INTS = 8, 6, 2
@@ -32,4 +31,4 @@ GENERAL, RX, RX_FLAT = 0, 1, 2
 """Forms of placements: any; exactly [Rx(alpha) | p]; the same with p_y = 0."""
 
 WORLD_ALIGNED, WORLD, BODY = 0, 1, 2
-"""Frames of expression of a Jacobian: origin of the frame and ground axes; ground's origin and axes; the frame's own."""
+"""Frames of expression of a Jacobian: frame's origin, ground axes; ground's origin and axes; the frame's."""

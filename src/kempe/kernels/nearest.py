@@ -1,7 +1,7 @@
 """The nearest configuration: descent to a local minimum of the error, where it need not vanish.
 
-Gauss-Newton steps converge slowly, or not at all, where the error stays large: they lack the curvature of the chain.
-Here the Hessian is exact, and second derivatives of a chain are cross products of what the Jacobian has already.
+Gauss-Newton steps converge slowly, or not at all, where the error stays large: they lack the curvature of the
+chain. Here the Hessian is exact: a chain's second derivatives are cross products of what the Jacobian has.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import math
 import numpy as np
 
 from kempe.kernels._jit import device, routine
+from kempe.kernels._llvm import beyond
 from kempe.kernels.linear import back, factor
 from kempe.kernels.residual import (
-    AXES_STRIDE,
     BOX_STRIDE,
     COLUMN_INTS,
     FREE,
@@ -21,9 +21,9 @@ from kempe.kernels.residual import (
     OWNER,
     SCALE,
     STEP,
-    TURNS,
     WEIGHTS,
     along,
+    column_at,
     energy,
     error,
     fill_jacobian,
@@ -35,8 +35,11 @@ from kempe.kernels.vectors import keep, raw
 ENOUGH = 1e-26
 """Energy that counts as zero: errors of 1e-13 of the chain's length."""
 
-LAST = 1e-12
-"""Promised relative decrease of the energy below which one more step ends the descent."""
+DAMPING_LIMIT = 1e12
+"""Damping at which a descent gives up: its steps are nothing."""
+
+LAST = 1e-16
+"""Square of the step (radians, and lengths as parts of the chain's) after which rounding would hide the next."""
 
 
 @device
@@ -51,24 +54,14 @@ def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@device
-def column_at(chain, column, p):
-    """Axis of a column, the velocity that it gives the tip at p, and whether it turns."""
-    k, a = AXES_STRIDE * column, chain.axes
-    axis = (a[k], a[k + 1], a[k + 2])
-    if chain.notes[COLUMN_INTS * column + TURNS] == 0:
-        return axis, axis, False
-    return axis, cross(axis, (p[0] - a[k + 3], p[1] - a[k + 4], p[2] - a[k + 5])), True
-
-
 @routine
 def fill_hessian(chain, e, p, h):
     """Write the Hessian of the energy, (nv, nv), at the configuration traced last, its tip at p and its error e.
 
-    For columns j before i of a chain, with axes a and tip velocities t: the second derivative of the tip is a_j x t_i
-    (0 if j slides). With phi the rotation error, n its direction and gamma = |phi|/2 cot(|phi|/2), the rotation's part
-    is a_i (gamma I + (1 - gamma) n n^T) a_j - phi (a_j x a_i) / 2, from the inverse Jacobian of the
-    exponential (Bullo and Murray 1995).
+    For columns j before i of a chain, with axes a and tip velocities t: the tip's second derivative is a_j x
+    t_i (0 if j slides). With phi the rotation error, n its direction and gamma = |phi|/2 cot(|phi|/2), the
+    part of the rotation is a_i (gamma I + (1 - gamma) n n^T) a_j - phi (a_j x a_i) / 2, from the inverse
+    Jacobian of the exponential (Bullo and Murray 1995).
     """
     w = (chain.goal[WEIGHTS], chain.goal[WEIGHTS + 1], chain.goal[WEIGHTS + 2])
     u = (chain.goal[WEIGHTS + 3], chain.goal[WEIGHTS + 4], chain.goal[WEIGHTS + 5])
@@ -105,7 +98,7 @@ def fill_hessian(chain, e, p, h):
 
 @routine
 def factor_damped(chain, h, damping, a):
-    """Write L and D of the Hessian of the FREE coordinates plus damping * I; the damping, raised until that is positive."""
+    """Damping, raised until the Hessian of the FREE coordinates plus damping * I is positive; writes its L and D."""
     n = chain.nv
     while True:
         for i in range(n):
@@ -114,94 +107,106 @@ def factor_damped(chain, h, damping, a):
                 both = mobile and chain.jacobian[JACOBIAN_STRIDE * j + FREE] != 0.0
                 a[i * n + j] = h[i * n + j] if both else 0.0
             a[i * n + i] = h[i * n + i] + damping if mobile else 1.0
-        if factor(a, n) or damping > 1e12:
+        if factor(a, n) or damping > DAMPING_LIMIT:
             return damping
         damping = max(1e-6, 4.0 * damping)
 
 
-@routine
-def newton_step(chain, e, h, damping, a, b):
-    """Write the damped Newton step with an active set of limits; the decrease that it promises, and the damping used."""
+@device
+def start_step(chain, e):
+    """Mark FREE what the gradient does not push out of a limit, and set all steps to zero."""
+    for v in range(chain.nv):
+        k = JACOBIAN_STRIDE * v
+        chain.jacobian[k + FREE] = 0.0 if blocked(chain, v, along(chain.jacobian, v, e)) else 1.0
+        chain.jacobian[k + STEP] = 0.0
+
+
+@device
+def unit_step(chain, v):
+    """The step of coordinate v in its unit."""
+    return chain.jacobian[JACOBIAN_STRIDE * v + STEP] / chain.box[BOX_STRIDE * v + SCALE]
+
+
+@device
+def newton_pass(chain, e, h, damping, a, b):
+    """Whether the Newton step of the FREE coordinates, the others' given, met no limit; who met one stops there."""
     n, jacobian = chain.nv, chain.jacobian
+    for i in range(n):
+        b[i] = 0.0
+        if jacobian[JACOBIAN_STRIDE * i + FREE] != 0.0:
+            b[i] = along(jacobian, i, e)
+            for j in range(n):
+                if jacobian[JACOBIAN_STRIDE * j + FREE] == 0.0:
+                    b[i] -= h[i * n + j] * unit_step(chain, j)
+    back(a, n, b)
+    clear = True
     for v in range(n):
         k = JACOBIAN_STRIDE * v
-        jacobian[k + FREE] = 0.0 if blocked(chain, v, along(jacobian, v, e)) else 1.0
-        jacobian[k + STEP] = 0.0
-    for _ in range(2):
-        damping = factor_damped(chain, h, damping, a)
-        for i in range(n):
-            b[i] = 0.0
-            if jacobian[JACOBIAN_STRIDE * i + FREE] != 0.0:
-                b[i] = along(jacobian, i, e)
-                for j in range(n):
-                    if jacobian[JACOBIAN_STRIDE * j + FREE] == 0.0:
-                        d = jacobian[JACOBIAN_STRIDE * j + STEP] / chain.box[BOX_STRIDE * j + SCALE]
-                        b[i] -= h[i * n + j] * d
-        back(a, n, b)
-        stopped = False
-        for v in range(n):
-            k = JACOBIAN_STRIDE * v
-            if jacobian[k + FREE] != 0.0:
-                wish = b[v] * chain.box[BOX_STRIDE * v + SCALE]
-                jacobian[k + STEP] = within(chain, v, wish)
-                if jacobian[k + STEP] != wish:
-                    stopped = True
-                    jacobian[k + FREE] = 0.0
-        if not stopped:
-            break
-    promise = 0.0
-    for i in range(n):
-        d = jacobian[JACOBIAN_STRIDE * i + STEP] / chain.box[BOX_STRIDE * i + SCALE]
-        slope = along(jacobian, i, e)
-        for j in range(n):
-            slope -= 0.5 * h[i * n + j] * jacobian[JACOBIAN_STRIDE * j + STEP] / chain.box[BOX_STRIDE * j + SCALE]
-        promise += d * slope
-    return promise, damping
+        if jacobian[k + FREE] != 0.0:
+            wish = b[v] * chain.box[BOX_STRIDE * v + SCALE]
+            jacobian[k + STEP] = within(chain, v, wish)
+            if jacobian[k + STEP] != wish:
+                clear = False
+                jacobian[k + FREE] = 0.0
+    return clear
 
 
 @routine
-def descend(chain, limit):
-    """Steps taken to move q to a local minimum of the energy within the limits: damped Newton, decrease checked.
+def newton_step(chain, e, h, damping, a, b):
+    """The decrease that the damped Newton step within the limits promises, its square, the damping; writes it."""
+    while True:
+        start_step(chain, e)
+        for _ in range(2):
+            damping = factor_damped(chain, h, damping, a)
+            if newton_pass(chain, e, h, damping, a, b):
+                break
+        promise, square = 0.0, 0.0
+        for i in range(chain.nv):
+            d = unit_step(chain, i)
+            slope = along(chain.jacobian, i, e)
+            for j in range(chain.nv):
+                slope -= 0.5 * h[i * chain.nv + j] * unit_step(chain, j)
+            promise += d * slope
+            square += d * d
+        if promise > 0.0 or square <= LAST or damping > DAMPING_LIMIT:
+            return promise, square, damping
+        damping *= 8.0  # the limits have bent the step uphill
 
-    The damping follows the ratio of found to promised decrease (Levenberg 1944; Marquardt 1963; Fletcher 1971).
+
+@routine
+def descend(chain, limit, kept):
+    """Energy of the local minimum within the limits that the descent from q reaches, and its steps; `kept` is where.
+
+    Damped Newton steps, taken where they decrease the energy; the damping follows the ratio of the decrease
+    to the promised one (Levenberg 1944; Marquardt 1963; Fletcher 1971).
     """
     n = chain.nv
-    h_, a_, b_, kept_ = np.empty(n * n), np.empty(n * n), np.empty(n), np.empty(chain.nq)
-    h, a, b, kept = raw(h_), raw(a_), raw(b_), raw(kept_)
-    best, promise, damping = np.inf, np.inf, 1e-3
+    block = np.empty(2 * n * n + n)
+    h = raw(block)
+    a, b = beyond(h, n * n), beyond(h, 2 * n * n)
+    best, promise, square, damping, steps = np.inf, 1.0, 1.0, 1e-3, 0
     e_best = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    steps = 0
     while True:
-        r, p = trace(chain)
-        e = error(chain.goal, r, p)
+        tip = trace(chain)
+        e = error(chain.goal, tip)
         new = energy(e)
         if new < best:
-            if new < ENOUGH:
-                break
             if best < np.inf:
                 ratio = (best - new) / promise
-                damping *= 0.1 if ratio > 0.75 else (1.0 if ratio > 0.25 else 4.0)
-                damping = max(damping, 1e-12)
+                damping = max(damping * (0.1 if ratio > 0.75 else (1.0 if ratio > 0.25 else 4.0)), 1e-12)
             best, e_best = new, e
             for k in range(chain.nq):
                 kept[k] = chain.q[k]
-            fill_jacobian(chain, p)
-            fill_hessian(chain, e, p, h)
+            fill_jacobian(chain, tip[3])
+            fill_hessian(chain, e, tip[3], h)
         else:
             damping *= 8.0
-            for k in range(chain.nq):
-                chain.q[k] = kept[k]
-        if steps >= limit or damping > 1e12:
+        if best < ENOUGH or square <= LAST or steps >= limit or damping > DAMPING_LIMIT:
             break
-        promise, damping = newton_step(chain, e_best, h, damping, a, b)
+        for k in range(chain.nq):
+            chain.q[k] = kept[k]
+        promise, square, damping = newton_step(chain, e_best, h, damping, a, b)
+        advance(chain)
         steps += 1
-        last = promise < LAST * best
-        if promise > 0.0:
-            advance(chain)
-        if last:
-            break
-    keep(h_)
-    keep(a_)
-    keep(b_)
-    keep(kept_)
-    return steps
+    keep(block)
+    return best, steps

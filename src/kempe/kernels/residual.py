@@ -1,9 +1,10 @@
 """How far the tip of a chain is from its goal: the error, and its Jacobian, of one configuration.
 
-The error is e = W [p* - p; log(R* R^T)] in ground axes, the geometric Jacobian then gives the exact gradient of
-E = |e|^2 / 2: dE/dv = -J^T W e (the logarithm is its own gradient: Bullo and Murray 1995). W holds 0 or 1 for each
-row of the task, divided by the chain's length L in the linear rows, so lengths weigh against angles whatever the unit.
-Slides move in multiples of L for the same reason: column i of the Jacobian belongs to v[i] / scale[i].
+The error is e = W [p* - p; log(R* R^T)] in ground axes. The geometric Jacobian then gives the exact gradient
+of E = |e|^2 / 2: dE/dv = -(W J)^T e, for the logarithm's own Jacobian leaves the logarithm alone (Bullo and
+Murray 1995). W holds 0 or 1 for each row of the task, divided by the chain's length L in the linear rows, so
+that lengths weigh against angles whatever the unit. For the same reason slides move in multiples of L: column
+i of the Jacobian belongs to v[i] / scale[i].
 """
 
 from __future__ import annotations
@@ -12,19 +13,30 @@ import math
 from typing import NamedTuple
 
 from kempe.kernels._jit import device, routine
+from kempe.kernels.layout import (
+    BALL,
+    COS_GAUGE,
+    HEADER,
+    KIND,
+    MULTIPLIER,
+    N_ROWS,
+    Q_INDEX,
+    ROW_FLOATS,
+    ROW_INTS,
+    SIN_GAUGE,
+    TURN,
+)
 from kempe.kernels.trig import atan2, sincos_any
+from kempe.kernels.vectors import entry, pack4, store
 
-HEADER, ROW_INTS, ROW_FLOATS = 8, 6, 16
-TURN, SLIDE, BALL = 0, 1, 2
-
-AXIS, POINT, FACTOR, AXES_STRIDE = 0, 3, 6, 8
-"""A column of the chain, in `Chain.axes`: its axis times FACTOR, a point on it, FACTOR (multiplier times scale)."""
+AXIS, POINT, FACTOR, AXES_STRIDE = 0, 4, 8, 9
+"""A column of the chain, in `Chain.axes`: axis times FACTOR, a point on it, FACTOR (multiplier times scale)."""
 
 OWNER, TURNS, COLUMN_INTS = 0, 1, 2
-"""A column of the chain, in `Chain.notes`: index of its velocity coordinate; 1 if it turns, 0 if it slides."""
+"""A column of the chain, in `Chain.notes`: its velocity coordinate; 1 if it turns, 0 if it slides."""
 
 PLACE, ROUND, PLACE_INTS = 0, 1, 2
-"""A velocity coordinate, in `Chain.notes` after the columns: index in q; 1 if it is one of the three of a ball."""
+"""A velocity coordinate, in `Chain.notes` after the columns: index in q (-1: no row reads it); 1 if of a ball."""
 
 LOW, HIGH, SCALE, BOX_STRIDE = 0, 1, 2, 4
 """A velocity coordinate, in `Chain.box`: the limits that the solver keeps, and its unit."""
@@ -32,8 +44,8 @@ LOW, HIGH, SCALE, BOX_STRIDE = 0, 1, 2, 4
 FREE, STEP, JACOBIAN_STRIDE = 6, 7, 8
 """A velocity coordinate, in `Chain.jacobian`: six rows of its column, whether it may move, the step."""
 
-WEIGHTS = 12
-"""Where the six weights follow the 3x4 pose in `Chain.goal`."""
+WEIGHTS, GOAL_SIZE = 12, 18
+"""Where the six weights follow the 3x4 pose in `Chain.goal`, and its size."""
 
 
 class Chain(NamedTuple):
@@ -54,24 +66,17 @@ class Chain(NamedTuple):
 
 
 @device
-def product(a, b):
-    """The 3x3 matrix a b; matrices are tuples of nine numbers, row by row."""
-    return (
-        a[0] * b[0] + a[1] * b[3] + a[2] * b[6],
-        a[0] * b[1] + a[1] * b[4] + a[2] * b[7],
-        a[0] * b[2] + a[1] * b[5] + a[2] * b[8],
-        a[3] * b[0] + a[4] * b[3] + a[5] * b[6],
-        a[3] * b[1] + a[4] * b[4] + a[5] * b[7],
-        a[3] * b[2] + a[4] * b[5] + a[5] * b[8],
-        a[6] * b[0] + a[7] * b[3] + a[8] * b[6],
-        a[6] * b[1] + a[7] * b[4] + a[8] * b[7],
-        a[6] * b[2] + a[7] * b[5] + a[8] * b[8],
-    )
+def mixed(x, a, y, b, z, c):
+    """x a + y b + z c: the numbers x, y, z times three vectors."""
+    return x * a + (y * b + z * c)
 
 
 @device
 def ball_rotation(q, k, multiplier):
-    """The rotation by the quaternion wxyz at q[k : k + 4], normalised on reading; its inverse for a reversed joint."""
+    """The rotation (9 numbers, row by row) by the quaternion wxyz at q[k : k + 4], normalised on reading.
+
+    Its inverse for a reversed joint, which a negative multiplier marks.
+    """
     w, x, y, z = q[k], q[k + 1], q[k + 2], q[k + 3]
     s = 2.0 / (w * w + x * x + y * y + z * z)
     if multiplier < 0.0:
@@ -84,68 +89,64 @@ def ball_rotation(q, k, multiplier):
 
 
 @device
-def write_axis(axes, column, x, y, z, point):
+def write_axis(axes, column, axis, point):
     """Write one column's axis and point."""
-    k = AXES_STRIDE * column
-    axes[k], axes[k + 1], axes[k + 2] = x, y, z
-    axes[k + 3], axes[k + 4], axes[k + 5] = point
+    store(axes, AXES_STRIDE * column + AXIS, axis)
+    store(axes, AXES_STRIDE * column + POINT, point)
 
 
 @device
-def placed(floats, k, r, p):
-    """Rotation and position of (r, p) X, X the 3x4 placement at floats[k:]."""
-    f = floats
-    x, y, z = f[k + 3], f[k + 7], f[k + 11]
-    p = (
-        p[0] + (r[0] * x + r[1] * y + r[2] * z),
-        p[1] + (r[3] * x + r[4] * y + r[5] * z),
-        p[2] + (r[6] * x + r[7] * y + r[8] * z),
+def placed(f, k, a, b, c, p):
+    """The columns of [a b c p] X, X the 3x4 placement at f[k:]."""
+    return (
+        mixed(f[k], a, f[k + 4], b, f[k + 8], c),
+        mixed(f[k + 1], a, f[k + 5], b, f[k + 9], c),
+        mixed(f[k + 2], a, f[k + 6], b, f[k + 10], c),
+        mixed(f[k + 3], a, f[k + 7], b, f[k + 11], c) + p,
     )
-    x_rotation = (f[k], f[k + 1], f[k + 2], f[k + 4], f[k + 5], f[k + 6], f[k + 8], f[k + 9], f[k + 10])
-    return product(r, x_rotation), p
 
 
 @routine
 def trace(chain):
-    """Rotation and position of the chain's tip at q; writes axes and points of all columns."""
-    n, floats, axes = chain.ints[0], chain.floats, chain.axes
-    r = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-    p = (0.0, 0.0, 0.0)
+    """Pose of the chain's tip at q: three columns of its rotation, and its position; writes axes and points."""
+    n, floats, axes = chain.ints[N_ROWS], chain.floats, chain.axes
+    a, b, c = pack4(1.0, 0.0, 0.0, 0.0), pack4(0.0, 1.0, 0.0, 0.0), pack4(0.0, 0.0, 1.0, 0.0)
+    p = pack4(0.0, 0.0, 0.0, 0.0)
     column = 0
     for row in range(n):
         k, f = HEADER + ROW_INTS * row, ROW_FLOATS * row
-        kind, index, m = chain.ints[k], chain.ints[k + 2], floats[f + 14]
-        r, p = placed(floats, f, r, p)
+        kind, index, m = chain.ints[k + KIND], chain.ints[k + Q_INDEX], floats[f + MULTIPLIER]
+        a, b, c, p = placed(floats, f, a, b, c, p)
         if kind == BALL:
-            after = product(r, ball_rotation(chain.q, index, m))
+            r = ball_rotation(chain.q, index, m)
+            x = mixed(r[0], a, r[3], b, r[6], c)
+            y = mixed(r[1], a, r[4], b, r[7], c)
+            z = mixed(r[2], a, r[5], b, r[8], c)
             # the axes of a reversed ball are those before its motion, reversed
-            b = after if m > 0.0 else (-r[0], -r[1], -r[2], -r[3], -r[4], -r[5], -r[6], -r[7], -r[8])
-            write_axis(axes, column, b[0], b[3], b[6], p)
-            write_axis(axes, column + 1, b[1], b[4], b[7], p)
-            write_axis(axes, column + 2, b[2], b[5], b[8], p)
-            r = after
+            write_axis(axes, column, x if m > 0.0 else -a, p)
+            write_axis(axes, column + 1, y if m > 0.0 else -b, p)
+            write_axis(axes, column + 2, z if m > 0.0 else -c, p)
+            a, b, c = x, y, z
             column += 3
             continue
-        factor = axes[AXES_STRIDE * column + FACTOR]
-        write_axis(axes, column, factor * r[2], factor * r[5], factor * r[8], p)
+        write_axis(axes, column, axes[AXES_STRIDE * column + FACTOR] * c, p)
         column += 1
         theta = m * chain.q[index]
         if kind == TURN:
-            s, c = sincos_any(theta)
-            s, c = s * floats[f + 12] + c * floats[f + 13], c * floats[f + 12] - s * floats[f + 13]
-            r = (
-                c * r[0] + s * r[1], c * r[1] - s * r[0], r[2],
-                c * r[3] + s * r[4], c * r[4] - s * r[3], r[5],
-                c * r[6] + s * r[7], c * r[7] - s * r[6], r[8],
-            )  # fmt: skip
+            s, t = sincos_any(theta)
+            s, t = (
+                s * floats[f + COS_GAUGE] + t * floats[f + SIN_GAUGE],
+                t * floats[f + COS_GAUGE] - s * floats[f + SIN_GAUGE],
+            )
+            a, b = t * a + s * b, t * b - s * a
         else:
-            p = (p[0] + theta * r[2], p[1] + theta * r[5], p[2] + theta * r[8])
-    return placed(floats, ROW_FLOATS * n, r, p)
+            p = p + theta * c
+    return placed(floats, ROW_FLOATS * n, a, b, c, p)
 
 
 @device
 def logarithm(m):
-    """Rotation vector of the 3x3 rotation m, right at all angles from 0 to pi."""
+    """Rotation vector of a 3x3 rotation (9 numbers, row by row), right at all angles from 0 to pi."""
     x, y, z = 0.5 * (m[7] - m[5]), 0.5 * (m[2] - m[6]), 0.5 * (m[3] - m[1])
     cosine = 0.5 * (m[0] + m[4] + m[8] - 1.0)
     square = x * x + y * y + z * z
@@ -168,16 +169,23 @@ def logarithm(m):
     return x * factor, y * factor, z * factor
 
 
-@routine
-def error(goal, r, p):
-    """The six weighted errors [linear; angular] of a tip at (r, p)."""
+@device
+def error(goal, tip):
+    """The six weighted errors [linear; angular] of a tip as `trace` gives it."""
     g, w = goal, WEIGHTS
-    inverse = (r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8])
-    wanted = (g[0], g[1], g[2], g[4], g[5], g[6], g[8], g[9], g[10])
-    x, y, z = logarithm(product(wanted, inverse))
+    a, b, c, p = tip
+    x = mixed(g[0], a, g[1], b, g[2], c)
+    y = mixed(g[4], a, g[5], b, g[6], c)
+    z = mixed(g[8], a, g[9], b, g[10], c)
+    turn = logarithm(
+        (
+            entry(x, 0), entry(x, 1), entry(x, 2), entry(y, 0), entry(y, 1), entry(y, 2),
+            entry(z, 0), entry(z, 1), entry(z, 2),
+        )
+    )  # fmt: skip
     return (
-        g[w] * (g[3] - p[0]), g[w + 1] * (g[7] - p[1]), g[w + 2] * (g[11] - p[2]),
-        g[w + 3] * x, g[w + 4] * y, g[w + 5] * z,
+        g[w] * (g[3] - entry(p, 0)), g[w + 1] * (g[7] - entry(p, 1)), g[w + 2] * (g[11] - entry(p, 2)),
+        g[w + 3] * turn[0], g[w + 4] * turn[1], g[w + 5] * turn[2],
     )  # fmt: skip
 
 
@@ -195,25 +203,31 @@ def distances(chain, e):
 
 
 @device
+def column_at(chain, column, p):
+    """Axis of a column, the velocity that it gives the tip, and whether it turns; p: the tip's position."""
+    k, a = AXES_STRIDE * column, chain.axes
+    x, y, z = a[k], a[k + 1], a[k + 2]
+    if chain.notes[COLUMN_INTS * column + TURNS] == 0:
+        return (x, y, z), (x, y, z), False
+    u, v, w = entry(p, 0) - a[k + POINT], entry(p, 1) - a[k + POINT + 1], entry(p, 2) - a[k + POINT + 2]
+    return (x, y, z), (y * w - z * v, z * u - x * w, x * v - y * u), True
+
+
+@device
 def fill_jacobian(chain, p):
     """Write the weighted Jacobian at the configuration traced last, its tip at p; columns of one coordinate add up."""
-    axes, notes, jacobian, w = chain.axes, chain.notes, chain.jacobian, chain.goal
+    jacobian, g = chain.jacobian, chain.goal
     for v in range(chain.nv):
         for i in range(6):
             jacobian[JACOBIAN_STRIDE * v + i] = 0.0
     for column in range(chain.columns):
-        k = AXES_STRIDE * column
-        j = JACOBIAN_STRIDE * notes[COLUMN_INTS * column + OWNER]
-        x, y, z = axes[k], axes[k + 1], axes[k + 2]
-        if notes[COLUMN_INTS * column + TURNS] != 0:
-            a, b, c = p[0] - axes[k + 3], p[1] - axes[k + 4], p[2] - axes[k + 5]
-            jacobian[j + 3] += w[WEIGHTS + 3] * x
-            jacobian[j + 4] += w[WEIGHTS + 4] * y
-            jacobian[j + 5] += w[WEIGHTS + 5] * z
-            x, y, z = y * c - z * b, z * a - x * c, x * b - y * a
-        jacobian[j] += w[WEIGHTS] * x
-        jacobian[j + 1] += w[WEIGHTS + 1] * y
-        jacobian[j + 2] += w[WEIGHTS + 2] * z
+        k = JACOBIAN_STRIDE * chain.notes[COLUMN_INTS * column + OWNER]
+        axis, velocity, turns = column_at(chain, column, p)
+        for i in range(3):
+            jacobian[k + i] += g[WEIGHTS + i] * velocity[i]
+        if turns:
+            for i in range(3):
+                jacobian[k + 3 + i] += g[WEIGHTS + 3 + i] * axis[i]
 
 
 @device

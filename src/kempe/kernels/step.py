@@ -20,11 +20,12 @@ from kempe.kernels.residual import (
     STEP,
     along,
 )
+from kempe.kernels.vectors import entry, load4, pack4
 
 
 @device
 def place_of(chain, v):
-    """Index in q of velocity coordinate v."""
+    """Index in q of velocity coordinate v, -1 if no row reads it."""
     return chain.notes[COLUMN_INTS * chain.columns + PLACE_INTS * v + PLACE]
 
 
@@ -51,37 +52,22 @@ def within(chain, v, step):
 @device
 def normal6(jacobian, count, damping):
     """Lower triangle (21 numbers, row by row) of J D J^T + damping I, D picking the columns marked FREE."""
-    a00 = a11 = a22 = a33 = a44 = a55 = damping
-    a10 = a20 = a21 = a30 = a31 = a32 = a40 = a41 = a42 = a43 = a50 = a51 = a52 = a53 = a54 = 0.0
+    r0, r1, r2 = pack4(damping, 0.0, 0.0, 0.0), pack4(0.0, damping, 0.0, 0.0), pack4(0.0, 0.0, damping, 0.0)
+    r4 = r5 = pack4(0.0, 0.0, 0.0, 0.0)
+    a33 = a44 = a55 = damping
+    a54 = 0.0
     for i in range(count):
         k = JACOBIAN_STRIDE * i
         if jacobian[k + FREE] != 0.0:
-            c0, c1, c2 = jacobian[k], jacobian[k + 1], jacobian[k + 2]
-            c3, c4, c5 = jacobian[k + 3], jacobian[k + 4], jacobian[k + 5]
-            a00 += c0 * c0
-            a10 += c1 * c0
-            a11 += c1 * c1
-            a20 += c2 * c0
-            a21 += c2 * c1
-            a22 += c2 * c2
-            a30 += c3 * c0
-            a31 += c3 * c1
-            a32 += c3 * c2
-            a33 += c3 * c3
-            a40 += c4 * c0
-            a41 += c4 * c1
-            a42 += c4 * c2
-            a43 += c4 * c3
-            a44 += c4 * c4
-            a50 += c5 * c0
-            a51 += c5 * c1
-            a52 += c5 * c2
-            a53 += c5 * c3
-            a54 += c5 * c4
-            a55 += c5 * c5
+            head, c3, c4, c5 = load4(jacobian, k), jacobian[k + 3], jacobian[k + 4], jacobian[k + 5]
+            r0, r1, r2 = r0 + jacobian[k] * head, r1 + jacobian[k + 1] * head, r2 + jacobian[k + 2] * head
+            r4, r5 = r4 + c4 * head, r5 + c5 * head
+            a33, a44, a54, a55 = a33 + c3 * c3, a44 + c4 * c4, a54 + c5 * c4, a55 + c5 * c5
     return (
-        a00, a10, a11, a20, a21, a22, a30, a31, a32, a33,
-        a40, a41, a42, a43, a44, a50, a51, a52, a53, a54, a55,
+        entry(r0, 0), entry(r0, 1), entry(r1, 1), entry(r0, 2), entry(r1, 2), entry(r2, 2),
+        entry(r0, 3), entry(r1, 3), entry(r2, 3), a33,
+        entry(r4, 0), entry(r4, 1), entry(r4, 2), entry(r4, 3), a44,
+        entry(r5, 0), entry(r5, 1), entry(r5, 2), entry(r5, 3), a54, a55,
     )  # fmt: skip
 
 
@@ -89,9 +75,9 @@ def normal6(jacobian, count, damping):
 def damped_step(chain, e, damping):
     """Write the damped least-squares step with an active set of limits.
 
-    Coordinates at a limit that the gradient pushes outwards stay. The others take the step
-    D J^T (J D J^T + damping I)^-1 e (Wampler 1986; Nakamura and Hanafusa 1986); those that it would carry out of
-    their limits stop there, and the rest takes the step anew with what is left of the error.
+    Coordinates at a limit that the gradient pushes outwards stay. The others take the step D J^T (J D J^T +
+    damping I)^-1 e (Wampler 1986; Nakamura and Hanafusa 1986), D marking them. Those that it would carry out
+    of their limits stop there, and the rest takes the step anew with what is left of the error.
     """
     jacobian, box = chain.jacobian, chain.box
     for v in range(chain.nv):
@@ -147,6 +133,7 @@ def advance(chain):
         if is_round(chain, v):
             turn_ball(q, i, jacobian[k], jacobian[k + JACOBIAN_STRIDE], jacobian[k + 2 * JACOBIAN_STRIDE])
             v += 3
-        else:
+            continue
+        if i >= 0:
             q[i] = min(max(q[i] + jacobian[k], box[BOX_STRIDE * v + LOW]), box[BOX_STRIDE * v + HIGH])
-            v += 1
+        v += 1

@@ -1,7 +1,7 @@
 """Poses and Jacobians from a primitive table (`layout`), one configuration at a time.
 
-A 3x4 matrix is held as its three rows, vectors of four columns. Coordinates that are NaN or infinite, and quaternions
-without a norm, give NaN in all that depends on them.
+A 3x4 matrix is held as its three rows, vectors of four columns. Coordinates that are NaN or infinite, and
+quaternions without a norm, give NaN in all that depends on them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,21 @@ from kempe.kernels.layout import (
     WORLD,
 )
 from kempe.kernels.trig import REACH, sincos, sincos_any
-from kempe.kernels.vectors import LANES, all_between, entry, keep, last_of, swapped, load4, load_lanes, pack4, rarely, raw, store
+from kempe.kernels.vectors import (
+    LANES,
+    all_between,
+    entry,
+    keep,
+    last_of,
+    load4,
+    load_lanes,
+    pack4,
+    rarely,
+    raw,
+    store,
+    swapped,
+)
+
 
 @device
 def rotation(w, x, y, z):
@@ -44,7 +58,7 @@ def rotation(w, x, y, z):
 
 @device
 def unit_quaternion(q, k, multiplier):
-    """The unit quaternion at q[k : k + 4], conjugated for a reversed joint; all NaN if there is none (norm < 1e-307)."""
+    """The unit quaternion at q[k : k + 4], conjugated for a reversed joint; NaN for norms below 1e-307."""
     w, x, y, z = q[k], q[k + 1], q[k + 2], q[k + 3]
     size = max(max(abs(w), abs(x)), max(abs(y), abs(z)))  # scaled, for squares neither overflow nor vanish
     w, x, y, z = w / size, x / size, y / size, z / size
@@ -113,12 +127,12 @@ def write_pose(out, k, a, b, c, particle):
     return int(bad)
 
 
-# ------------------------------------------------------------------ one frame: from the tip to the root, no scratch
+# ------------------------------------------------------ one frame: from the tip to the root, no scratch
 
 
 @device
 def around(a, b):
-    """Velocity, in axes of the frame, of its origin under a unit turn about the axis whose two others have rows a, b."""
+    """Velocity of the frame's origin, in its axes, under a turn from the axis of row a to that of row b."""
     return entry(a, 3) * b - entry(b, 3) * a
 
 
@@ -132,7 +146,7 @@ def add_column(columns, k, nv, v, w):
 
 @device
 def add_ball_columns(columns, k, nv, a, b, c, sign):
-    """Add the columns of a ball joint; the rows a, b, c are the frame's pose as seen from the axes of rotation."""
+    """Add the columns of a ball; a, b, c: rows of the frame's pose seen from the axes of rotation."""
     add_column(columns, k, nv, sign * around(b, c), sign * a)
     add_column(columns, k + 1, nv, sign * around(c, a), sign * b)
     add_column(columns, k + 2, nv, sign * around(a, b), sign * c)
@@ -140,10 +154,10 @@ def add_ball_columns(columns, k, nv, a, b, c, sign):
 
 @device
 def climb(ints, floats, q, start, with_columns, columns, first):
-    """The rows of the pose of output 0 at q[start:]; adds its body Jacobian to columns[first:] if asked (a constant).
+    """The rows of the pose of output 0 at q[start:]; adds its body Jacobian to columns[first:], if wanted.
 
-    With X_RF the pose of the frame F in the axes of row R, the column of a turn about z of R is, in axes of F and at
-    its origin, R_RF^T (z x p_RF) and R_RF^T z: combinations of the rows of X_RF (Featherstone 2008, section 2.8).
+    With X_RF the pose of the frame F in the axes of row R, the column of a turn about z of R is, in axes of F
+    and at its origin, R_RF^T (z x p_RF) and R_RF^T z: combinations of the rows of X_RF.
     """
     n_rows, nv = ints[0], ints[3]
     row = ints[HEADER + ROW_INTS * n_rows]
@@ -193,7 +207,7 @@ def rotated(a, b, c, x, y, z):
 
 @device
 def express(columns, first, nv, frame, particle, a, b, c):
-    """Turn the body Jacobian at columns[first:] to ground axes, `frame` WORLD: and move it to the ground's origin.
+    """Turn the body Jacobian at columns[first:] to ground axes; for WORLD move it to the ground's origin.
 
     A particle has no orientation: its angular rows are zero and its axes are the ground's in all frames.
     """
@@ -226,18 +240,24 @@ def jacobian_at(ints, floats, q, start, frame, out, k, columns, first):
     return bad
 
 
-@kernel(types.int64(I1, F1, F1, OUT2))
+@kernel(types.int64(I1, F1, F1, OUT2), nogil=False)
 def pose1(ints, floats, q, out):
-    """Number of bad configurations, 0 or 1; writes the pose (4, 4) of the first output at q (nq,)."""
+    """Number of bad configurations, 0 or 1; writes the pose (4, 4) of the first output at q (nq,). -1: wrong shapes."""
+    if q.shape[0] != ints[2] or out.shape[0] != 4 or out.shape[1] != 4:
+        return -1
     return pose_at(raw(ints), raw(floats), raw(q), 0, raw(out), 0)
 
 
-@kernel(types.int64(I1, F1, F1, types.int64, OUT2, OUT2))
+@kernel(types.int64(I1, F1, F1, types.int64, OUT2, OUT2), nogil=False)
 def jacobian1(ints, floats, q, frame, pose, columns):
-    """Number of bad configurations, 0 or 1; writes pose (4, 4) and Jacobian (6, nv) of the first output at q (nq,).
+    """Number of bad configurations, 0 or 1; writes pose (4, 4) and Jacobian (6, nv) of the first output.
 
-    `frame` is WORLD_ALIGNED, WORLD or BODY. Rows: linear, angular; a bad configuration gives NaN in all columns.
+    `frame` is WORLD_ALIGNED, WORLD or BODY. Rows: linear, angular. A bad configuration makes all columns NaN.
+    -1: wrong shapes, nothing is written.
     """
+    nq, nv = ints[2], ints[3]
+    if q.shape[0] != nq or pose.shape[0] != 4 or pose.shape[1] != 4 or columns.shape[0] != 6 or columns.shape[1] != nv:
+        return -1
     return jacobian_at(raw(ints), raw(floats), raw(q), 0, frame, raw(pose), 0, raw(columns), 0)
 
 
@@ -252,18 +272,32 @@ def jacobian(ints, floats, q, frame, pose, columns):
     return bad
 
 
-# ------------------------------------------------------------------ all frames of a tree: from the root to the tips
+# ------------------------------------------------------ all frames of a tree: from the root to the tips
+
+
+@device
+def times_turn(row, s, c):
+    """The row `row` of [...] @ Rz; all NaN if s is."""
+    bad = s - s
+    return row * pack4(c, c, 1.0 + bad, 1.0 + bad) + swapped(row) * pack4(s, -s, bad, bad)
+
+
+@device
+def times_slide(row, theta):
+    """The row `row` of [...] @ Tz; all NaN if theta is not finite."""
+    bad = theta - theta
+    return row + entry(row, 2) * pack4(bad, bad, bad, theta)
 
 
 @device
 def scratch_size(n_rows):
-    """Numbers in the scratch block of `descend`: angles, sines and cosines (padded to full vectors), poses."""
+    """Numbers in the scratch block of `descend`: angles, sines, cosines (padded to full vectors), poses."""
     return 3 * (n_rows + LANES) + OUTPUT_FLOATS * n_rows
 
 
 @device
 def descend(ints, floats, q, start, out, first, scratch):
-    """1 if an output of the configuration q[start:] is bad, else 0; writes the poses of all outputs to out[first:]."""
+    """1 if an output is bad at the configuration q[start:], else 0; writes all poses to out[first:]."""
     n_rows, n_out = ints[0], ints[1]
     sine = (n_rows + LANES - 1) // LANES * LANES
     cosine, poses = 2 * sine, 3 * sine
@@ -284,21 +318,16 @@ def descend(ints, floats, q, start, out, first, scratch):
     for row in range(n_rows):
         k, kx = HEADER + ROW_INTS * row, ROW_FLOATS * row
         kind, parent = ints[k], ints[k + 1]
+        a, b, c = placement(floats, kx)
         if kind == TURN:
             s, co = gauged(floats, kx, scratch[sine + row], scratch[cosine + row])
-            bad = s - s
-            major, minor = pack4(co, co, 1.0 + bad, 1.0 + bad), pack4(s, -s, bad, bad)
-            a, b, c = placement(floats, kx)
-            a, b, c = a * major + swapped(a) * minor, b * major + swapped(b) * minor, c * major + swapped(c) * minor
+            a, b, c = times_turn(a, s, co), times_turn(b, s, co), times_turn(c, s, co)
         elif kind == SLIDE:
-            a, b, c = placement(floats, kx)
             theta = scratch[row]
-            bad = theta - theta
-            m = pack4(bad, bad, bad, theta)
-            a, b, c = a + entry(a, 2) * m, b + entry(b, 2) * m, c + entry(c, 2) * m
+            a, b, c = times_slide(a, theta), times_slide(b, theta), times_slide(c, theta)
         else:
-            a, b, c = pack4(1.0, 0.0, 0.0, 0.0), pack4(0.0, 1.0, 0.0, 0.0), pack4(0.0, 0.0, 1.0, 0.0)
             w, x, y, z = unit_quaternion(q, start + ints[k + 2], floats[kx + 14])
+            a, b, c = pack4(1.0, 0.0, 0.0, 0.0), pack4(0.0, 1.0, 0.0, 0.0), pack4(0.0, 0.0, 1.0, 0.0)
             a, b, c = balled(w, x, y, z, a, b, c)
             a, b, c = placed(floats, kx, a, b, c)
         if parent >= 0:
@@ -318,7 +347,7 @@ def descend(ints, floats, q, start, out, first, scratch):
     return bad
 
 
-@kernel(types.int64(I1, F1, F1, OUT3))
+@kernel(types.int64(I1, F1, F1, OUT3), nogil=False)
 def poses1(ints, floats, q, out):
     """Number of bad configurations, 0 or 1; writes the poses (n_out, 4, 4) of all outputs at q (nq,)."""
     scratch = np.empty(scratch_size(ints[0]))

@@ -1,23 +1,33 @@
 """Short vectors of float64 as a type of compiled code: `Vec`, its operators, loads, stores and shuffles.
 
-LLVM's loop vectoriser gives up on most loops over two-dimensional arrays, and Numba leaves straight-line code scalar.
-Here a kernel says outright what is one vector: four columns of a matrix row (`load4`, `pack4`) or `LANES`
-configurations side by side (`load_lanes`, `gather`). LLVM splits vectors that are wider than the machine's.
+LLVM's loop vectoriser gives up on most loops over two-dimensional arrays, and Numba leaves straight-line code
+scalar. Here a kernel says outright what is one vector: four columns of a matrix row (`load4`, `pack4`) or
+`LANES` configurations side by side (`load_lanes`, `gather`). LLVM splits vectors wider than the machine's.
 Formulas written with + - * / abs and `where` hold for plain floats too, so that none is written twice.
-Loads and stores take the pointer that `raw` makes of a C-contiguous array, and a flat index: arrays that are handed
+Loads and stores take the pointer that `raw` makes of a C-contiguous array, and a flat index: arrays handed
 from function to function cost reference counting in loops, pointers nothing. Nothing checks bounds.
 """
 
 from __future__ import annotations
 
 import operator
+from typing import Any
 
 import llvmlite.binding
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils, config
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, models, register_model
+from numba.core.typing.templates import AbstractTemplate, signature
+from numba.core.typing.templates import infer_global as _infer_global
+from numba.extending import intrinsic as _intrinsic
+from numba.extending import lower_builtin as _lower_builtin
+from numba.extending import models, register_model
+
+# a type checker would count the typing context as an argument, and sees no values of settings
+intrinsic: Any = _intrinsic
+infer_global: Any = _infer_global
+lower_builtin: Any = _lower_builtin
+settings: Any = config
 
 DOUBLE = ir.DoubleType()
 INT64 = ir.IntType(64)
@@ -26,8 +36,8 @@ SIGN_BIT = -(2**63)
 
 def _lanes() -> int:
     """Configurations swept side by side: eight with 512-bit registers, else four."""
-    if config.CPU_NAME or config.CPU_FEATURES:  # the user compiles for another processor than this
-        wide = "+avx512f" in (config.CPU_FEATURES or "")
+    if settings.CPU_NAME or settings.CPU_FEATURES:  # the user compiles for another processor than this
+        wide = "+avx512f" in (settings.CPU_FEATURES or "")
     else:
         wide = llvmlite.binding.get_host_cpu_features().get("avx512f", False)
     return 8 if wide else 4
@@ -37,38 +47,48 @@ LANES = _lanes()
 """Width of the vectors that hold one number of several configurations."""
 
 
-class Vec(types.Type):
-    """`width` numbers of type float64 in a register."""
+class _Row(types.Type):
+    """`width` numbers or truth values in a register."""
+
+    entry: ir.Type
 
     def __init__(self, width: int):
         self.width = width
-        super().__init__(name=f"Vec({width})")
+        super().__init__(f"{type(self).__name__}({width})")
 
 
-class Mask(types.Type):
+class Vec(_Row):
+    """`width` numbers of type float64."""
+
+    entry = DOUBLE
+
+
+class Mask(_Row):
     """`width` truth values, as comparisons of `Vec` give them."""
 
-    def __init__(self, width: int):
-        self.width = width
-        super().__init__(name=f"Mask({width})")
+    entry = ir.IntType(1)
 
 
-@register_model(Vec)
-class _VecModel(models.PrimitiveModel):
+class _Model(models.PrimitiveModel):
     def __init__(self, dmm, fe_type):
-        super().__init__(dmm, fe_type, ir.VectorType(DOUBLE, fe_type.width))
+        super().__init__(dmm, fe_type, ir.VectorType(fe_type.entry, fe_type.width))
 
 
-@register_model(Mask)
-class _MaskModel(models.PrimitiveModel):
-    def __init__(self, dmm, fe_type):
-        super().__init__(dmm, fe_type, ir.VectorType(ir.IntType(1), fe_type.width))
+register_model(Vec)(_Model)  # pyright: ignore
+register_model(Mask)(_Model)  # pyright: ignore
+
+
+def _pack(builder, values):
+    """The vector with these entries."""
+    vector = ir.Constant(ir.VectorType(DOUBLE, len(values)), ir.Undefined)
+    for i, value in enumerate(values):
+        vector = builder.insert_element(vector, value, ir.Constant(ir.IntType(32), i))
+    return vector
 
 
 def _splat(builder, value, width: int):
     """The vector whose entries are all `value`."""
-    vector = ir.VectorType(DOUBLE, width)
-    one = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    one = _pack(builder, [value])
     return _shuffle(builder, one, one, [0] * width)
 
 
@@ -77,12 +97,11 @@ def _shuffle(builder, a, b, order: list[int]):
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), len(order)), order))
 
 
-def _llvm(builder, name: str, its_type, args):
-    """Call LLVM's own function `name` of vectors."""
-    vector = args[0].type
-    call = ir.FunctionType(vector, [vector] * len(args))
-    function = cgutils.get_or_insert_function(builder.module, call, f"llvm.{name}.v{its_type.width}f64")
-    return builder.call(function, args)
+def _llvm(builder, name: str, value):
+    """LLVM's own function `name` of a vector."""
+    call = ir.FunctionType(value.type, [value.type])
+    name = f"llvm.{name}.v{value.type.count}f64"
+    return builder.call(cgutils.get_or_insert_function(builder.module, call, name), [value])
 
 
 def _like(context, builder, value, its_type, width: int):
@@ -113,23 +132,9 @@ def _binary(operation, emit, result) -> None:
         lower_builtin(operation, *pair)(lower)
 
 
-def _comparison(sign: str):
-    """Emitter of an ordered comparison."""
-    return lambda builder, a, b: builder.fcmp_ordered(sign, a, b)
+def _unary(operation, emit) -> None:
+    """Declare `operation` for Vec."""
 
-
-for _operation, _emit in (
-    (operator.add, lambda builder, a, b: builder.fadd(a, b)),
-    (operator.sub, lambda builder, a, b: builder.fsub(a, b)),
-    (operator.mul, lambda builder, a, b: builder.fmul(a, b)),
-    (operator.truediv, lambda builder, a, b: builder.fdiv(a, b)),
-):
-    _binary(_operation, _emit, Vec)
-for _operation, _sign in ((operator.lt, "<"), (operator.gt, ">"), (operator.le, "<="), (operator.eq, "==")):
-    _binary(_operation, _comparison(_sign), Mask)
-
-
-def _unary(operation) -> None:
     @infer_global(operation)
     class _Template(AbstractTemplate):
         def generic(self, args, kws):
@@ -137,19 +142,17 @@ def _unary(operation) -> None:
                 return signature(args[0], args[0])
             return None
 
-
-_unary(operator.neg)
-_unary(abs)
+    lower_builtin(operation, Vec)(lambda context, builder, sig, args: emit(builder, args[0]))
 
 
-@lower_builtin(operator.neg, Vec)
-def _neg(context, builder, sig, args):
-    return builder.fneg(args[0])
-
-
-@lower_builtin(abs, Vec)
-def _abs(context, builder, sig, args):
-    return _llvm(builder, "fabs", sig.args[0], args)
+_binary(operator.add, lambda builder, a, b: builder.fadd(a, b), Vec)
+_binary(operator.sub, lambda builder, a, b: builder.fsub(a, b), Vec)
+_binary(operator.mul, lambda builder, a, b: builder.fmul(a, b), Vec)
+_binary(operator.truediv, lambda builder, a, b: builder.fdiv(a, b), Vec)
+_binary(operator.gt, lambda builder, a, b: builder.fcmp_ordered(">", a, b), Mask)
+_binary(operator.eq, lambda builder, a, b: builder.fcmp_ordered("==", a, b), Mask)
+_unary(operator.neg, lambda builder, a: builder.fneg(a))
+_unary(abs, lambda builder, a: _llvm(builder, "fabs", a))
 
 
 FLOATS = types.CPointer(types.float64)
@@ -159,7 +162,7 @@ FLOATS = types.CPointer(types.float64)
 def raw(typingctx, array):
     """Pointer to the first entry of a C-contiguous array; p[k] is entry k of the flattened array.
 
-    The pointer does not keep the array alive: a scratch array must be named again after its last use (`keep`).
+    The pointer does not keep the array alive: a scratch array must be named again after its last use: `keep`.
     """
     if not (isinstance(array, types.Array) and array.layout == "C"):
         return None
@@ -220,13 +223,10 @@ def gather(typingctx, pointer, index, stride):
     """The lanes p[k], p[k + stride], p[k + 2 stride], …"""
 
     def codegen(context, builder, sig, args):
-        vector = ir.Constant(ir.VectorType(DOUBLE, LANES), ir.Undefined)
-        place = builder.gep(args[0], [args[1]])
-        for lane in range(LANES):
-            value = builder.load(place)
-            vector = builder.insert_element(vector, value, ir.Constant(ir.IntType(32), lane))
-            place = builder.gep(place, [args[2]])
-        return vector
+        places = [builder.gep(args[0], [args[1]])]
+        for _ in range(LANES - 1):
+            places.append(builder.gep(places[-1], [args[2]]))
+        return _pack(builder, [builder.load(place) for place in places])
 
     return Vec(LANES)(FLOATS, types.int64, types.int64), codegen
 
@@ -248,8 +248,8 @@ def store_columns(typingctx, pointer, index, stride, a, b, c, d):
             ab, cd = pairs[lane % 2]
             # lanes l and l + 2 leave one 512-bit shuffle together, the halves are stored apart
             first = lane // 4 * 4
-            both = [i for k in (first, first + 2) for i in (k, k + 1, LANES + k, LANES + k + 1)]
-            both = _shuffle(builder, ab, cd, both)
+            order = [i for k in (first, first + 2) for i in (k, k + 1, LANES + k, LANES + k + 1)]
+            both = _shuffle(builder, ab, cd, order)
             half = _shuffle(builder, both, both, [0, 1, 2, 3] if lane % 4 < 2 else [4, 5, 6, 7])
             builder.store(half, builder.bitcast(place, vector), align=8)
             place = builder.gep(place, [args[2]])
@@ -258,21 +258,14 @@ def store_columns(typingctx, pointer, index, stride, a, b, c, d):
     return types.void(FLOATS, types.int64, types.int64, a, b, c, d), codegen
 
 
-def _spread(width: int):
-    """Intrinsic that makes a vector of equal entries."""
+@intrinsic
+def spread_lanes(typingctx, value):
+    """The vector of LANES entries `value`."""
 
-    @intrinsic
-    def spread(typingctx, value):
-        def codegen(context, builder, sig, args):
-            return _splat(builder, args[0], width)
+    def codegen(context, builder, sig, args):
+        return _splat(builder, args[0], LANES)
 
-        return Vec(width)(types.float64), codegen
-
-    return spread
-
-
-spread_lanes = _spread(LANES)
-"""spread_lanes(x): the vector of LANES entries x."""
+    return Vec(LANES)(types.float64), codegen
 
 
 @intrinsic
@@ -280,44 +273,33 @@ def pack4(typingctx, a, b, c, d):
     """The vector (a, b, c, d)."""
 
     def codegen(context, builder, sig, args):
-        vector = ir.Constant(ir.VectorType(DOUBLE, 4), ir.Undefined)
-        for i, value in enumerate(args):
-            vector = builder.insert_element(vector, value, ir.Constant(ir.IntType(32), i))
-        return vector
+        return _pack(builder, args)
 
     return Vec(4)(*[types.float64] * 4), codegen
 
 
-@intrinsic
-def last_of(typingctx, row):
-    """The vector (0, 0, 0, row[3])."""
-    if row != Vec(4):
-        return None
+def _shuffler(order: list[int]):
+    """Intrinsic that picks four entries of a vector of four, or zeros (4 to 7)."""
 
-    def codegen(context, builder, sig, args):
-        zero = ir.Constant(args[0].type, [0.0] * 4)
-        return _shuffle(builder, zero, args[0], [0, 1, 2, 7])
+    @intrinsic
+    def shuffled(typingctx, row):
+        def codegen(context, builder, sig, args):
+            return _shuffle(builder, args[0], ir.Constant(args[0].type, [0.0] * 4), order)
 
-    return Vec(4)(row), codegen
+        return Vec(4)(Vec(4)), codegen
+
+    return shuffled
 
 
-@intrinsic
-def swapped(typingctx, row):
-    """The vector (row[1], row[0], row[2], row[3])."""
-    if row != Vec(4):
-        return None
-
-    def codegen(context, builder, sig, args):
-        return _shuffle(builder, args[0], args[0], [1, 0, 2, 3])
-
-    return Vec(4)(row), codegen
+last_of = _shuffler([4, 5, 6, 3])
+"""last_of(row): the vector (0, 0, 0, row[3])."""
+swapped = _shuffler([1, 0, 2, 3])
+"""swapped(row): the vector (row[1], row[0], row[2], row[3])."""
 
 
 @intrinsic
 def entry(typingctx, vector, index):
     """Entry `index` of a vector as a number."""
-    if not isinstance(vector, Vec):
-        return None
 
     def codegen(context, builder, sig, args):
         return builder.extract_element(args[0], args[1])
@@ -328,11 +310,9 @@ def entry(typingctx, vector, index):
 @intrinsic
 def square_root(typingctx, vector):
     """The square roots of a vector's entries."""
-    if not isinstance(vector, Vec):
-        return None
 
     def codegen(context, builder, sig, args):
-        return _llvm(builder, "sqrt", sig.args[0], args)
+        return _llvm(builder, "sqrt", args[0])
 
     return vector(vector), codegen
 
@@ -370,14 +350,16 @@ def rarely(typingctx, condition):
 
 @intrinsic
 def where(typingctx, condition, yes, no):
-    """`yes` where the condition holds, else `no`: a selection, never a branch. Numbers, or vectors and their mask."""
+    """`yes` where the condition holds, else `no`: a selection, never a branch. Of numbers or vectors."""
     widths = [v.width for v in (condition, yes, no) if isinstance(v, (Vec, Mask))]
     result = Vec(widths[0]) if widths else types.float64
 
     def codegen(context, builder, sig, args):
         yes, no = args[1:]
         if widths:
-            yes, no = (_like(context, builder, v, t, widths[0]) for v, t in zip(args[1:], sig.args[1:], strict=True))
+            yes, no = (
+                _like(context, builder, v, t, widths[0]) for v, t in zip(args[1:], sig.args[1:], strict=True)
+            )
         return builder.select(args[0], yes, no)
 
     pair = [v if isinstance(v, Vec) else types.float64 for v in (yes, no)]

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, UnknownNameError
+from kempe.joints import R
+from kempe.model.coordinates import coordinate_names
 from kempe.model.topology import natural
 from kempe.spatial import Array
 
@@ -37,7 +39,7 @@ def as_q(system: System, q: object) -> Array:
 
 
 def q_from_dict(system: System, coordinates: Mapping[str, float], base: ArrayLike | None = None) -> Array:
-    """Configuration (nq,) from values by coordinate name; the others are neutral, or as in `base` (nq,)."""
+    """Configuration (nq,) from values by coordinate name; the others are neutral, or as in `base` (..., nq)."""
     q = system.neutral if base is None else np.array(as_q(system, base))
     index = {n: i for i, n in enumerate(system.coordinate_names)}
     for name, number in coordinates.items():
@@ -48,7 +50,7 @@ def q_from_dict(system: System, coordinates: Mapping[str, float], base: ArrayLik
                 raise InputError(f"coordinate {name!r} is not part of q: {follows}")
             raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
         try:
-            q[index[name]] = float(number)
+            q[..., index[name]] = float(number)
         except (TypeError, ValueError):
             raise InputError(f"coordinate {name!r} is {number!r}; it must be a number") from None
     return q
@@ -59,7 +61,7 @@ def mid(system: System) -> Array:
     lower, upper = system.lower, system.upper
     both = np.isfinite(lower) & np.isfinite(upper)
     with np.errstate(invalid="ignore"):
-        v = np.where(both, 0.5 * (lower + upper), np.clip(0.0, lower, upper))
+        v = np.where(both, 0.5 * lower + 0.5 * upper, np.clip(0.0, lower, upper))
     q = system.neutral
     q[system.layout.vector_q] = v[system.layout.vector_v]
     return q
@@ -68,19 +70,20 @@ def mid(system: System) -> Array:
 def random(system: System, rng: np.random.Generator | int | None, shape: int | tuple[int, ...] = ()) -> Array:
     """Configurations (*shape, nq), uniform inside the limits.
 
-    Angles without limits are in (-pi, pi], lengths without limits within 1 m of zero (or of their one limit),
-    rotations uniform. Numbers are drawn in the order of the names, so the order of declaration does not matter.
+    Angles without limits are in [-pi, pi), lengths without limits within 1 m of zero, screws within 1 rad; a
+    coordinate with one limit is as near to that. Rotations are uniform. Numbers are drawn in the order of the names, so the order of declaration does not matter.
     Loop closures and relations of several coordinates are not imposed.
     """
     rng = np.random.default_rng(rng)
-    shape = (shape,) if isinstance(shape, int) else tuple(shape)
+    shape = tuple(np.atleast_1d(np.asarray(shape, dtype=np.int64)).tolist())
     layout, names = system.layout, system.velocity_names
     q = np.broadcast_to(system.neutral, (*shape, system.nq)).copy()
     low, high = sampling_box(system)
     order = sorted(range(len(layout.vector_v)), key=lambda i: natural(names[layout.vector_v[i]]))
     for i in order:
         iv = layout.vector_v[i]
-        q[..., layout.vector_q[i]] = rng.uniform(low[iv], high[iv], size=shape)
+        u = rng.random(size=shape)
+        q[..., layout.vector_q[i]] = np.clip((1.0 - u) * low[iv] + u * high[iv], low[iv], high[iv])
     balls = sorted(range(len(layout.quaternion_v)), key=lambda i: natural(names[layout.quaternion_v[i]]))
     layout.random_quaternions(q, rng, np.array(balls, dtype=np.int64))
     return q
@@ -96,9 +99,26 @@ def sampling_box(system: System) -> tuple[Array, Array]:
     return low, high
 
 
-def _tangent(system: System, q0: ArrayLike, q1: ArrayLike) -> Array:
+def integrate(system: System, q: Any, v: ArrayLike) -> Array:
+    """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of time."""
+    try:
+        v = np.asarray(v, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"v is {type(v).__name__}; it must be an array of numbers") from None
+    if v.ndim == 0 or v.shape[-1] != system.nv:
+        got = "a single number" if v.ndim == 0 else f"{v.shape[-1]} coordinates"
+        raise InputError(f"v has {got}; {system.name} has {system.nv} velocity coordinates")
+    return system.layout.integrate(as_q(system, q), v)
+
+
+def difference(system: System, q0: Any, q1: Any) -> Array:
+    """Tangent vector (..., nv) that `integrate` needs to go from `q0` to `q1`; rotations go the short way."""
+    return system.layout.difference(as_q(system, q0), as_q(system, q1))
+
+
+def _tangent(system: System, q0: Any, q1: Any) -> Array:
     """Shortest tangent vector from q0 to q1: unlimited joints turn by at most pi."""
-    v = system.difference(as_q(system, q0), as_q(system, q1))
+    v = difference(system, q0, q1)
     circle = circles(system)
     v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
     return v
@@ -106,24 +126,28 @@ def _tangent(system: System, q0: ArrayLike, q1: ArrayLike) -> Array:
 
 def circles(system: System) -> np.ndarray:
     """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes nothing."""
-    factors = np.ones(system.nv)
-    table = system.table
-    for iv, m in zip(table.iv, table.multiplier, strict=True):
-        if m != round(m):  # something geared to it does not return after a full turn
-            factors[iv] = math.nan
+    back = system.coordinates.turning & np.isinf(system.lower) & np.isinf(system.upper)
+    number = {name: i for i, name in enumerate(system.velocity_names)}
+    mechanism, followers = system.mechanism, system.couplings
+    for joint in mechanism.joints.values() if followers else ():
+        names = coordinate_names(mechanism, joint)
+        for p in joint.type.layout(system.dim, mechanism.bodies[joint.child].particle)[1]:
+            follower = followers.get(names[p.coordinate])
+            if follower is not None and follower.source is not None:  # it must return after a full turn, too
+                back[number[follower.source]] &= p.kind == R and follower.multiplier.is_integer()
     for relation in system.relations:
         for name in (relation.of, *relation.sources):
-            factors[system.velocity_names.index(name)] = math.nan
-    return system.coordinates.turning & np.isinf(system.lower) & np.isinf(system.upper) & np.isfinite(factors)
+            back[number[name]] = False
+    return back
 
 
-def interpolate(system: System, q0: ArrayLike, q1: ArrayLike, t: ArrayLike) -> Array:
+def interpolate(system: System, q0: Any, q1: Any, t: ArrayLike) -> Array:
     """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go the short way."""
     t = np.asarray(t, dtype=float)
-    return system.integrate(as_q(system, q0), t[..., None] * _tangent(system, q0, q1))
+    return integrate(system, q0, t[..., None] * _tangent(system, q0, q1))
 
 
-def distance(system: System, q0: ArrayLike, q1: ArrayLike) -> Array:
+def distance(system: System, q0: Any, q1: Any) -> Array:
     """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in metres."""
     return np.linalg.norm(_tangent(system, q0, q1), axis=-1)
 

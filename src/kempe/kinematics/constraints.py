@@ -8,6 +8,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Joint
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import fk
 from kempe.model.coordinates import Follower, coordinate_names
@@ -29,7 +30,8 @@ def closure_error(system: System, q: Any) -> spatial.Array:
     """How far each loop is open (..., len(closures), 6).
 
     For each joint that the tree left out: the twist [v; w] in metres and radians, in axes of its frame M, that leads
-    from where its own coordinates put M to where the tree puts it. Zero where the loop is closed.
+    from where its own coordinates put M to where the tree puts it. Zero where the loop is closed. The angular part
+    of a particle is zero.
     """
     q = as_q(system, q)
     bodies = fk(system, q)
@@ -43,7 +45,11 @@ def closure_error(system: System, q: Any) -> spatial.Array:
         X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
         X_FM = joint_pose(joint.type, local, system.dim, mechanism.bodies[joint.child].particle)
         X_WM = bodies[..., number[joint.parent], :, :] @ X_PF @ X_FM
-        out[..., k, :] = spatial.log_se3(spatial.inverse(X_WM) @ bodies[..., number[joint.child], :, :] @ X_CM)
+        X_MM = spatial.inverse(X_WM) @ bodies[..., number[joint.child], :, :] @ X_CM
+        if mechanism.bodies[joint.child].particle:  # it has a position only
+            out[..., k, :3] = X_MM[..., :3, 3]
+        else:
+            out[..., k, :] = spatial.log_se3(X_MM)
     return out
 
 
@@ -51,5 +57,6 @@ def joint_pose(kind, q: spatial.Array, dim: int = 3, particle: bool = False) -> 
     """Pose X_FM (..., 4, 4) of a joint type at its own coordinates (..., number of coordinates)."""
     mechanism = Mechanism("joint", dim)
     child = mechanism.particle("M") if particle else mechanism.body("M")
-    mechanism.joint("joint", kind, mechanism.ground, child)
+    # not by `Mechanism.joint`: a slider of the plane slides along z of its frame F, which is not the plane's z
+    mechanism.joints["joint"] = Joint("joint", kind, mechanism.ground.name, child.name)
     return fk(mechanism.build(), q, "M")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,29 +20,39 @@ from kempe.spatial import Array
 
 def with_parameters(system: System, numbers: Mapping[str, Any]) -> System | Designs:
     """The system with other parameter values, or `Designs` where a value is an array (all of one broadcast shape)."""
+    arrays: dict[str, np.ndarray] = {}
     for name, x in numbers.items():
         if name not in system.parameters:
             raise UnknownNameError("parameter", name, system.parameters, system.name)
-        if not np.all(np.isfinite(np.asarray(x, dtype=float))):
+        try:
+            arrays[name] = np.asarray(x, dtype=float)
+        except (TypeError, ValueError):
+            raise InputError(f"parameter {name!r} is {x!r}; it must be a number or an array of numbers") from None
+        if not np.all(np.isfinite(arrays[name])):
             raise InputError(f"parameter {name!r} is not finite")
-    if any(np.ndim(x) for x in numbers.values()):
-        return Designs(system, numbers)
+    try:
+        shape = np.broadcast_shapes(*(x.shape for x in arrays.values()))
+    except ValueError:
+        shapes = ", ".join(f"{k} {v.shape}" for k, v in arrays.items())
+        raise InputError(f"shapes of the parameters do not fit together: {shapes}") from None
+    if shape:
+        return Designs(system, arrays)
     mechanism = system.mechanism
-    mechanism.parameters |= {k: float(v) for k, v in numbers.items()}
-    return System(mechanism)
+    mechanism.parameters |= {k: float(v) for k, v in arrays.items()}
+    return System(mechanism, system.topology)
 
 
 class Designs:
     """A batch of designs: a system whose parameters are arrays of one shape, `shape`."""
 
     def __init__(self, system: System, numbers: Mapping[str, ArrayLike]):
-        arrays = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in numbers.values()))
+        arrays = np.broadcast_arrays(*numbers.values())
         self.system, self.shape = system, arrays[0].shape
         self.parameters = {**system.parameters, **dict(zip(numbers, arrays, strict=True))}
         for coupling in system.mechanism.couplings.values():
             used = {n for v in (*coupling.sources.values(), coupling.offset) if isinstance(v, Expression) for n in v.names}
             if used & set(numbers):
-                raise UnsupportedError(f"the coupling of {coupling.of!r} depends on {', '.join(used & set(numbers))}: "
+                raise UnsupportedError(f"the coupling of {coupling.of!r} depends on {', '.join(sorted(used & set(numbers)))}: "
                                        "a batch of designs must share its couplings")  # fmt: skip
         self._table = lower(system.mechanism, system.topology, system.coordinates, self.parameters)
 
@@ -59,10 +70,10 @@ class Designs:
         if q.shape[:k] != self.shape:
             raise InputError(f"q has shape {q.shape}; it must be ({self.system.nq},) or begin with {self.shape}")
         inner = q.shape[k:-1]
-        designs = int(np.prod(self.shape))
-        flat_q = np.ascontiguousarray(q).reshape(designs, -1, self.system.nq)
+        designs, each = math.prod(self.shape), math.prod(inner)
+        flat_q = np.ascontiguousarray(q).reshape(designs, each, self.system.nq)
         floats = np.broadcast_to(floats, (*self.shape, floats.shape[-1])).reshape(designs, floats.shape[-1])
-        out = np.empty((designs, flat_q.shape[1], 1, 4, 4))
+        out = np.empty((designs, each, 1, 4, 4))
         for i in range(designs):
             sweep.poses(ints, floats[i], flat_q[i], out[i])
         return out.reshape(*self.shape, *inner, 4, 4)

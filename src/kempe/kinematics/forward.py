@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,39 +24,96 @@ CHUNK = 8192
 IN_FRAMES = {"world_aligned": 0, "world": 1, "body": 2}
 """Frames in which a Jacobian can be expressed, with the number that the kernels use."""
 
+_POSE, _empty = (4, 4), np.empty
 
-class Query:
-    """The forward model of one frame of one system, with names looked up and arrays packed once.
 
-    ``f(q, out=None)`` is the pose (..., 4, 4) of the frame in the ground frame for q (..., nq).
-    """
+class Query(Protocol):
+    """The forward model of one frame of one system, with names looked up and arrays packed once."""
 
-    __slots__ = ("_chain", "_ints", "_floats", "_nq", "_nv", "frame", "system")
-
-    def __init__(self, system: System, frame: FrameLike):
-        self.system, self.frame = system, system.frame_name(frame)
-        table = system.table
-        ints, floats = table.pack([self.frame], table.path(self.frame))
-        self._ints, self._floats = ints, floats
-        self._chain = regauge(ints, floats)
-        self._nq, self._nv = system.nq, system.nv
+    frame: str
+    system: System
 
     def __call__(self, q: ArrayLike, out: Array | None = None, threads: int | None = None) -> Array:
-        """Pose (..., 4, 4); `out`, where given, is a C-contiguous float64 array of that shape and is returned."""
-        q = np.asarray(q, dtype=np.float64, order="C")
-        if q.ndim == 1 and q.shape[0] == self._nq:
-            if out is None:
-                out = np.empty((4, 4))
-            elif out.shape != (4, 4):
-                _check_out(out, (4, 4))
-            if sweep.pose1(self._ints, self._floats, q, out):
+        """Pose (..., 4, 4) of the frame in the ground frame at q (..., nq).
+
+        `out`, where given, is a C-contiguous float64 array of that shape, and is what is returned.
+        """
+        ...
+
+    def jacobian(
+        self, q: ArrayLike, in_frame: str = "world_aligned", out: Array | None = None, threads: int | None = None
+    ) -> Array:
+        """Jacobian (..., 6, nv) of the frame, rows [linear; angular]; see `jacobian` of this module."""
+        ...
+
+    def pose_and_jacobian(
+        self, q: ArrayLike, in_frame: str = "world_aligned", threads: int | None = None
+    ) -> tuple[Array, Array]:
+        """Pose (..., 4, 4) and Jacobian (..., 6, nv) in one pass."""
+        ...
+
+
+def query(system: System, frame: FrameLike) -> Query:
+    """The bound forward model of a frame. Errors: `UnknownNameError`.
+
+    A closure over the packed arrays, not an object: for one configuration the way into a method and back would cost
+    as much as the forward model itself. The kernels check shapes; whatever they refuse goes the general way.
+    """
+    name = system.frame_name(frame)
+    bound = _Bound(system, name)
+    ints, floats, pose1, jacobian1 = bound.ints, bound.floats, sweep.pose1, sweep.jacobian1
+    nv, scratch = system.nv, np.empty((4, 4))
+
+    def pose(q: Any, out: Any = None, threads: int | None = None) -> Array:
+        try:
+            if q.ndim == 1:
+                if out is None:
+                    out = _empty(_POSE)
+                if not pose1(ints, floats, q, out):
+                    return out
+        except (TypeError, AttributeError):
+            pass  # not float64, not contiguous, not an array
+        return bound.pose(q, out, threads)
+
+    def jacobian(q: Any, in_frame: str = "world_aligned", out: Any = None, threads: int | None = None) -> Array:
+        try:
+            if q.ndim == 1 and in_frame in IN_FRAMES:
+                if out is None:
+                    out = _empty((6, nv))
+                if not jacobian1(ints, floats, q, IN_FRAMES[in_frame], scratch, out):
+                    return out
+        except (TypeError, AttributeError):
+            pass
+        return bound.jacobian(q, in_frame, out, threads)[1]
+
+    def pose_and_jacobian(q: Any, in_frame: str = "world_aligned", threads: int | None = None) -> tuple[Array, Array]:
+        return bound.jacobian(q, in_frame, None, threads)
+
+    function: Any = pose
+    function.jacobian, function.pose_and_jacobian = jacobian, pose_and_jacobian
+    function.system, function.frame = system, name
+    function.__name__ = function.__qualname__ = f"query({system.name!r}, {name!r})"
+    function.__doc__ = Query.__call__.__doc__
+    return function
+
+
+class _Bound:
+    """The packed chain of one frame, and the general ways through it: conversions, batches, threads, errors."""
+
+    def __init__(self, system: System, name: str):
+        self.system = system
+        self.ints, self.floats = system.table.pack([name], system.table.path(name))
+        self.chain = regauge(self.ints, self.floats)
+
+    def pose(self, q: Any, out: Array | None, threads: int | None) -> Array:
+        q = as_q(self.system, q)
+        out = _out(out, (*q.shape[:-1], 4, 4))
+        if q.ndim == 1:
+            if sweep.pose1(self.ints, self.floats, q, out):
                 refuse_bad(self.system, q)
             return out
-        q = as_q(self.system, q)
-        lead = q.shape[:-1]
-        out = _out(out, (*lead, 4, 4))
-        flat_q, flat_out = q.reshape(-1, self._nq), out.reshape(-1, 4, 4)
-        ints, floats = self._chain
+        flat_q, flat_out = q.reshape(-1, self.system.nq), out.reshape(-1, 4, 4)
+        ints, floats = self.chain
 
         def work(start: int, stop: int) -> int:
             return chain.chain_poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
@@ -64,47 +121,31 @@ class Query:
         over_chunks(work, len(flat_q), CHUNK, threads, SERIAL_BELOW)
         return out
 
-    def jacobian(
-        self, q: ArrayLike, in_frame: str = "world_aligned", out: Array | None = None, threads: int | None = None
-    ) -> Array:
-        """Jacobian (..., 6, nv) of the frame, rows [linear; angular]; see `jacobian` of this module."""
-        return self.pose_and_jacobian(q, in_frame, out, threads)[1]
-
-    def pose_and_jacobian(
-        self, q: ArrayLike, in_frame: str = "world_aligned", out: Array | None = None, threads: int | None = None
-    ) -> tuple[Array, Array]:
-        """Pose (..., 4, 4) and Jacobian (..., 6, nv) in one pass."""
+    def jacobian(self, q: Any, in_frame: str, out: Array | None, threads: int | None) -> tuple[Array, Array]:
         kind = IN_FRAMES.get(in_frame)
         if kind is None:
             raise UnknownNameError("frame of expression", in_frame, IN_FRAMES)
-        q = np.asarray(q, dtype=np.float64, order="C")
-        if q.ndim == 1 and q.shape[0] == self._nq:
-            pose, columns = np.empty((4, 4)), _out(out, (6, self._nv))
-            if sweep.jacobian1(self._ints, self._floats, q, kind, pose, columns):
+        q, nv = as_q(self.system, q), self.system.nv
+        pose, columns = np.empty((*q.shape[:-1], 4, 4)), _out(out, (*q.shape[:-1], 6, nv))
+        if q.ndim == 1:
+            if sweep.jacobian1(self.ints, self.floats, q, kind, pose, columns):
                 refuse_bad(self.system, q)
             return pose, columns
-        q = as_q(self.system, q)
-        lead = q.shape[:-1]
-        pose, columns = np.empty((*lead, 4, 4)), _out(out, (*lead, 6, self._nv))
-        flat = q.reshape(-1, self._nq), pose.reshape(-1, 4, 4), columns.reshape(-1, 6, self._nv)
+        flat = q.reshape(-1, self.system.nq), pose.reshape(-1, 4, 4), columns.reshape(-1, 6, nv)
 
         def work(start: int, stop: int) -> int:
             a, b, c = (x[start:stop] for x in flat)
-            return sweep.jacobian(self._ints, self._floats, a, kind, b, c)
+            return sweep.jacobian(self.ints, self.floats, a, kind, b, c)
 
         over_chunks(work, len(flat[0]), CHUNK, threads, SERIAL_BELOW)
         return pose, columns
 
-    def __repr__(self) -> str:
-        return f"Query({self.system.name!r}, {self.frame!r})"
-
 
 def _query(system: System, frame: FrameLike) -> Query:
-    query = system._queries.get(frame)
-    if query is None:
-        query = Query(system, frame)
-        system._queries[frame] = query
-    return query
+    bound = system._queries.get(frame)
+    if bound is None:
+        bound = system._queries[frame] = query(system, frame)
+    return bound
 
 
 def fk(

@@ -11,7 +11,10 @@ from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
 from kempe.description.values import Expression, evaluate
 from kempe.errors import DescriptionError, Problem, UnknownNameError
-from kempe.joints import Layout, Q, layout_of
+from kempe.joints import Layout, Q, R, layout_of
+
+HELD_TOLERANCE = 1e-9
+"""How far a coordinate that follows a locked one may be outside its limits: rounding of the multiplier."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +65,16 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
     """Coordinate layout of a mechanism. Errors: `DescriptionError` for couplings, locks and limits that do not fit."""
     balls: set[str] = set()
     every: dict[str, Joint] = {}
+    taken: dict[str, str] = {}
     for joint in mechanism.joints.values():
-        names, primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)
+        particle = mechanism.bodies[joint.child].particle
+        names, primitives = joint.type.layout(mechanism.dim, particle)
+        for name in dict.fromkeys(names + joint.type.velocities(mechanism.dim, particle)):
+            full = _full(joint.name, name)
+            if full in taken:
+                _refuse(f"joint {joint.name!r}", f"its coordinate {full!r} has the same name as one of joint "
+                        f"{taken[full]!r}", joint.where, "rename one of the joints")  # fmt: skip
+            taken[full] = joint.name
         for name in names:
             every[_full(joint.name, name)] = joint
         for p in primitives:
@@ -74,7 +85,7 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
     for joint in mechanism.joints.values():
         particle = mechanism.bodies[joint.child].particle
         local, primitives = joint.type.layout(mechanism.dim, particle)
-        kinds = {p.coordinate: p.kind for p in primitives}
+        kinds = {p.coordinate: p.kind for p in primitives}  # a screw counts as a slide: it returns only by going back
         for i, name in enumerate(local):
             full = _full(joint.name, name)
             if full in followers or i not in kinds:
@@ -87,10 +98,9 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
     layout = layout_of(triples, len(names), len(velocity_names))
     lower, upper, speed = _limits(mechanism, velocity_names, followers)
     turning = np.zeros(len(velocity_names), dtype=bool)
-    turning[[iv for kind, _, iv in triples if kind == 0]] = True
-    for joint in mechanism.joints.values():  # a screw returns only by going back
-        if joint.type.type_name == "helical" and (at := first.get(joint.name)):
-            turning[at[1]] = False
+    turning[[iv for kind, _, iv in triples if kind == R]] = True
+    for array in (lower, upper, speed, turning):
+        array.setflags(write=False)
     return Coordinates(
         tuple(names), tuple(velocity_names), first, followers, relations, layout, lower, upper, speed, turning
     )  # fmt: skip
@@ -130,7 +140,7 @@ def _resolve(
             relations.append(Relation(of, flat, offset))
         else:
             source = next(iter(flat), None)
-            followers[of] = Follower(source, flat[source] if source else 0.0, offset)
+            followers[of] = Follower(source, flat[source] if source is not None else 0.0, offset)
     return followers, tuple(relations)
 
 
@@ -184,6 +194,8 @@ def _locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> di
             missing = [c for c in coordinate_names(mechanism, joint) if c in balls and c not in mechanism.locks]
             if missing:
                 _refuse(subject, f"a quaternion is locked as a whole; missing are {', '.join(missing)}", None)
+            if not any(mechanism.locks[c] for c in coordinate_names(mechanism, joint) if c in balls):
+                _refuse(subject, "the quaternion is zero; (1, 0, 0, 0) is no rotation", None)
         local = name[len(joint.name) + 1 :]
         lower, upper = joint.limits.get(local, (-math.inf, math.inf))
         if not lower <= number <= upper:
@@ -204,8 +216,14 @@ def _limits(
             low, high = joint.limits.get(local, (-math.inf, math.inf))
             fast = joint.velocity_limits.get(local, math.inf)
             follower = followers.get(name)
+            if follower is None and name not in index:
+                continue  # a locked quaternion
             if follower is not None:
                 if follower.source is None:
+                    slack = HELD_TOLERANCE * (1.0 + abs(follower.offset))
+                    if not low - slack <= follower.offset <= high + slack:
+                        _refuse(f"coordinate {name!r}", f"it is held at {follower.offset:g}, outside its limits "
+                                f"[{low:g}, {high:g}]", joint.where)  # fmt: skip
                     continue
                 m = follower.multiplier
                 low, high = sorted(((low - follower.offset) / m, (high - follower.offset) / m))

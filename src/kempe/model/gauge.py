@@ -1,7 +1,7 @@
 """Tables of chains in the cheapest equivalent form.
 
-The frame that a row is written in may be turned about and slid along the row's axis without any effect: the choice of
-Denavit and Hartenberg (1955), here made so that most placements become [Rx(alpha) | p] with p_y = 0.
+The frame that a row is written in may be turned about and slid along the row's axis without any effect: the
+freedom of Denavit and Hartenberg (1955), used so that most placements become [Rx(alpha) | p] with p_y = 0.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from kempe.kernels.layout import (
 )
 
 PARALLEL = 2.0**-53
-"""Largest sine of the angle between two axes that is rounding noise: parallel axes leave the turn between them free."""
+"""Largest sine of the angle between two axes that is rounding noise: parallel axes leave a turn free."""
 
 SKEW = 0.5
-"""Smallest sine of the angle between two axes whose common normal is used: flatter ones have it too far away."""
+"""Smallest sine of the angle between two axes whose common normal is used: else it may be far away."""
 
 
 def _unit(c: float, s: float) -> tuple[float, float]:
@@ -49,8 +49,8 @@ def _turn(c: float, s: float) -> np.ndarray:
 def split_turns(placement: np.ndarray) -> tuple[tuple[float, float], np.ndarray, tuple[float, float]]:
     """(cos a, sin a), M and (cos b, sin b) with placement = Rz(a) M Rz(b), M = [Rx(alpha) | p], all 3x4.
 
-    Euler angles z, x, z, with sin(alpha) of either sign and cos(a) not negative. Where the axes are parallel a is free,
-    and taken such that p_y = 0.
+    Euler angles z, x, z, with sin(alpha) of either sign and cos(a) not negative. Where the axes are parallel,
+    a is free and taken such that p_y = 0.
     """
     rotation, origin = placement[:, :3], placement[:, 3]
     sine = math.hypot(rotation[0, 2], rotation[1, 2])
@@ -71,7 +71,7 @@ def split_turns(placement: np.ndarray) -> tuple[tuple[float, float], np.ndarray,
 
 
 def _flatten(middle: np.ndarray) -> float:
-    """Slide of the frame along its z axis that makes p_y = 0, done in `middle` = [Rx | p]; 0 where that is far."""
+    """Slide of the frame along its z axis that makes p_y = 0 in `middle` = [Rx | p]; 0 where it is far."""
     sine, cosine = middle[2, 1], middle[2, 2]
     if abs(sine) <= SKEW or middle[1, 3] == 0.0:
         return 0.0
@@ -84,9 +84,9 @@ def _flatten(middle: np.ndarray) -> float:
 def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A table of the same chain, as many of its rows as possible in form RX or RX_FLAT.
 
-    Poses and Jacobians are the same up to rounding, a few 1e-16 of the size of the robot. Turns about an axis are
-    folded into the gauges of turning rows and carried on through sliding rows; rows after a slide that need a turn
-    before them, rows before a ball, and the first (which costs nothing), keep a general placement.
+    Poses and Jacobians are the same up to rounding, a few 1e-16 of the size of the robot. Turns about an axis
+    are folded into the gauges of turning rows and carried on through sliding ones. A placement stays general
+    where a turn is left over: after a slide or at the root (`a` has no gauge), before a ball (`b` has none).
 
     ints, floats: table of one chain (see `kernels.layout`), not changed. ValueError for other tables.
     """

@@ -35,9 +35,9 @@ class System:
     coordinate name is accepted in its place. Poses are relative to body 0, the ground.
     """
 
-    def __init__(self, mechanism: Mechanism):
+    def __init__(self, mechanism: Mechanism, topology: Topology | None = None):
         self._mechanism = mechanism.copy()
-        self._topology = spanning_tree(self._mechanism)
+        self._topology = spanning_tree(self._mechanism) if topology is None else topology
         self._coordinates = coordinates_of(self._mechanism)
         self._table = lower(self._mechanism, self._topology, self._coordinates, self._mechanism.parameters)
         self._check()
@@ -50,10 +50,12 @@ class System:
                 raise DescriptionError(Problem("its placement is not a number with these parameters", f"frame {name!r}"))
         if not finite:
             raise DescriptionError(Problem("a placement is not a number with these parameters", f"system {self.name!r}"))
+        known = {*self.coordinate_names, *self._coordinates.followers}
         for name, posture in self._mechanism.postures.items():
             for key in posture:
-                if key not in self.coordinate_names and key not in self._coordinates.followers:
-                    raise UnknownNameError("coordinate", key, self.coordinate_names, f"posture {name!r}: {self.name}")
+                if key not in known:
+                    unknown = UnknownNameError("coordinate", key, self.coordinate_names, self.name)
+                    raise DescriptionError(Problem(str(unknown), f"posture {name!r}"))
 
     # ---- what it is
 
@@ -210,7 +212,7 @@ class System:
         return random(self, rng, shape)
 
     def q(self, coordinates: Mapping[str, float], base: ArrayLike | None = None) -> Array:
-        """Configuration (nq,) from values by coordinate name; the others are neutral, or as in `base`."""
+        """Configuration (nq,) from values by coordinate name; the others are neutral, or as in `base` (..., nq)."""
         from kempe.kinematics.configuration import q_from_dict
 
         return q_from_dict(self, coordinates, base)
@@ -231,21 +233,25 @@ class System:
 
         return configuration_space(self)
 
-    def integrate(self, q: ArrayLike, v: ArrayLike) -> Array:
+    def integrate(self, q: Any, v: ArrayLike) -> Array:
         """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv)."""
-        return self.layout.integrate(q, v)
+        from kempe.kinematics.configuration import integrate
 
-    def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
+        return integrate(self, q, v)
+
+    def difference(self, q0: Any, q1: Any) -> Array:
         """Tangent vector (..., nv) from `q0` to `q1`: ``integrate(q0, difference(q0, q1)) == q1``."""
-        return self.layout.difference(q0, q1)
+        from kempe.kinematics.configuration import difference
 
-    def interpolate(self, q0: ArrayLike, q1: ArrayLike, t: ArrayLike) -> Array:
+        return difference(self, q0, q1)
+
+    def interpolate(self, q0: Any, q1: Any, t: ArrayLike) -> Array:
         """Configuration (..., nq) at the fraction `t` (...) of the straight way from `q0` to `q1`."""
         from kempe.kinematics.configuration import interpolate
 
         return interpolate(self, q0, q1, t)
 
-    def distance(self, q0: ArrayLike, q1: ArrayLike) -> Array:
+    def distance(self, q0: Any, q1: Any) -> Array:
         """Length (...) of the shortest way from `q0` to `q1`; unlimited joints turn the short way."""
         from kempe.kinematics.configuration import distance
 
@@ -269,9 +275,9 @@ class System:
 
     def query(self, frame: FrameLike) -> Query:
         """The forward model of one frame with everything looked up: ``f(q, out=None)`` and ``f.jacobian(q)``."""
-        from kempe.kinematics.forward import Query
+        from kempe.kinematics.forward import query
 
-        return Query(self, frame)
+        return query(self, frame)
 
     def symbolic_fk(self, frame: FrameLike, **options: Any) -> Any:
         """The forward model in symbols (sympy Matrix 4x4); see `kempe.kinematics.symbolic.symbolic_fk`."""
@@ -356,7 +362,7 @@ class System:
     def frame_name(self, frame: FrameLike) -> str:
         """Name of a frame or body of this system, checked. Errors: `UnknownNameError` with the nearest names."""
         name = frame if isinstance(frame, str) else getattr(frame, "name", frame)
-        if name not in self._table.at:
+        if not isinstance(name, str) or name not in self._table.at:
             raise UnknownNameError("frame", name, self.frame_names, self.name)
         return name
 

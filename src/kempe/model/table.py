@@ -169,6 +169,7 @@ def _finish(mechanism: Mechanism, rows: _Rows, where: dict, parameters: Mapping[
     placement = np.zeros((*lead, n, 4, 4))
     for i, X in enumerate(columns[6]):
         placement[..., i, :, :] = X
+    placement.setflags(write=False)
     spread = (*lead, n)
     return Table(
         np.array(columns[0], dtype=np.int64), np.array(columns[1], dtype=np.int64),

@@ -36,7 +36,8 @@ class Topology:
 
 def natural(name: str) -> tuple:
     """Sort key in which 'J2' comes before 'J10'."""
-    return tuple((0, int(p), "") if p.isdigit() else (1, 0, p) for p in re.split(r"(\d+)", name) if p) + ((2, 0, name),)
+    parts = ((p, p.lstrip("0")) for p in re.split(r"(\d+)", name) if p)
+    return tuple((0, len(d), d) if p.isdecimal() else (1, 0, p) for p, d in parts) + ((-1, 0, name),)
 
 
 def spanning_tree(mechanism: Mechanism) -> Topology:
@@ -46,7 +47,7 @@ def spanning_tree(mechanism: Mechanism) -> Topology:
     for joint in mechanism.joints.values():
         neighbours[joint.parent].append((joint.child, joint))
         neighbours[joint.child].append((joint.parent, joint))
-    level = _levels(ground, neighbours)
+    level = _levels(mechanism, ground, neighbours)
     _refuse_detached(mechanism, level)
     kept = _kruskal(mechanism, level)
     came: dict[str, tuple[str, Joint]] = {}
@@ -69,7 +70,7 @@ def spanning_tree(mechanism: Mechanism) -> Topology:
     )
 
 
-def _levels(ground: str, neighbours: dict[str, list[tuple[str, Joint]]]) -> dict[str, int]:
+def _levels(mechanism: Mechanism, ground: str, neighbours: dict[str, list[tuple[str, Joint]]]) -> dict[str, int]:
     level = {ground: 0}
     queue = deque([ground])
     while queue:
@@ -77,7 +78,8 @@ def _levels(ground: str, neighbours: dict[str, list[tuple[str, Joint]]]) -> dict
         for there, _ in neighbours[here]:
             if there not in level:
                 level[there] = level[here] + 1
-                queue.append(there)
+                if not mechanism.bodies[there].particle:  # nothing can hang on a particle
+                    queue.append(there)
     return level
 
 
@@ -88,14 +90,14 @@ def _refuse_detached(mechanism: Mechanism, level: dict[str, int]) -> None:
         raise DescriptionError(
             Problem(
                 f"no joints lead from {mechanism.ground.name!r} to {names}", f"mechanism {mechanism.name!r}",
-                detached[0].where, "a body that moves freely needs a 'free' joint",
+                detached[0].where, "a free body needs a 'free' joint; a particle can hold no body",
             )
         )  # fmt: skip
 
 
 def _kruskal(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
     """Names of the tree's joints: the spanning tree of least cost, ties broken by name (Kruskal, 1956)."""
-    coupled = {c.split(".")[0] if c not in mechanism.joints else c
+    coupled = {c if c in mechanism.joints else c.rpartition(".")[0]
                for k in mechanism.couplings.values() for c in (k.of, *k.sources)}  # fmt: skip
 
     def cost(joint: Joint) -> tuple:
@@ -110,15 +112,18 @@ def _kruskal(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
             root[body] = body = root[root[body]]
         return body
 
-    kept = set()
+    kept: set[str] = set()
+    ends: set[str] = set()  # particles have no orientation: no branch goes on from them
     joints = list(mechanism.joints.values())
     if len(joints) >= len(root):  # a tree needs no choice
         joints.sort(key=cost)
     for joint in joints:
         a, b = find(joint.parent), find(joint.child)
-        if a != b:
+        if a != b and joint.child not in ends:
             root[a] = b
             kept.add(joint.name)
+            if mechanism.bodies[joint.child].particle:
+                ends.add(joint.child)
     return kept
 
 

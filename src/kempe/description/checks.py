@@ -1,0 +1,169 @@
+"""What a builder call may say: functions that return the checked value or raise a `DescriptionError`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from numbers import Real
+from typing import NoReturn
+
+import numpy as np
+
+from kempe import spatial
+from kempe.description.parts import Body, Limits
+from kempe.description.placement import Placement
+from kempe.description.values import Expression, value
+from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, Where
+from kempe.joints import JointType, P
+
+SAME_DIRECTION = 1e-12
+"""How far two unit vectors may be apart and still be one direction."""
+
+
+def refuse(subject: str, message: str, where: Where | None, allowed: str = "") -> NoReturn:
+    """Raise the `DescriptionError` of one problem."""
+    raise DescriptionError(Problem(message, subject, where, allowed))
+
+
+def name(given: object, kind: str) -> str:
+    """The name of a body, joint or frame: text, not empty. Errors: `InputError`."""
+    if not isinstance(given, str) or not given.strip():
+        raise InputError(f"{kind} name is {given!r}; it must be text, not empty")
+    return given
+
+
+def number(x: object, what: str) -> float:
+    """A finite number. Errors: `InputError`."""
+    checked = value(x, what)
+    if isinstance(checked, Expression):
+        raise InputError(f"{what} is {x!r}; it must be a number")
+    return checked
+
+
+def numbers(given: object, what: str) -> dict[str, float]:
+    """Finite numbers by coordinate name. Errors: `InputError`."""
+    if not isinstance(given, Mapping):
+        raise InputError(f"{what} is {given!r}; it must be a dict of numbers by coordinate name")
+    return {str(k): number(v, f"{what}: {k!r}") for k, v in given.items()}
+
+
+def body(
+    given: str, particle: bool, mass: object, center: object, visuals: Iterable[str], where: Where | None
+) -> Body:  # fmt: skip
+    """A `Body` with its name, mass (kg, not negative) and centre of mass (2 or 3 lengths) checked."""
+    subject = f"body {name(given, 'body')!r}"
+    if mass is not None:
+        mass = number(mass, f"{subject}: mass")
+        if mass < 0:
+            refuse(subject, f"mass is {mass:g}", where, "it must not be negative")
+    if center is not None:
+        if isinstance(center, str) or not isinstance(center, Iterable):
+            refuse(subject, f"center is {center!r}", where, "it must have 2 or 3 numbers")
+        lengths = [number(c, f"{subject}: center") for c in center]
+        if len(lengths) not in (2, 3):
+            refuse(subject, f"center has {len(lengths)} numbers", where, "it must have 2 or 3")
+        center = (*lengths, 0.0)[:3]
+    return Body(given, particle, mass, center, tuple(visuals), where)  # type: ignore[arg-type]
+
+
+def kind(dim: int, subject: str, type_: JointType, parent: Body, child: Body, where: Where | None) -> None:
+    """Refuse a joint type that does not exist in the plane, or that these bodies cannot have."""
+    if dim == 2 and not type_.planar:
+        refuse(subject, f"a {type_.type_name} joint does not exist in the plane", where,
+               "planar systems take revolute, prismatic, planar, translation, fixed and free")  # fmt: skip
+    if parent.particle:
+        refuse(subject, f"its parent {parent.name!r} is a particle, which has no orientation", where,
+               "make the particle the child")  # fmt: skip
+    if child.particle and any(p.kind != P for p in type_.layout(dim, True)[1]):
+        refuse(subject, f"a {type_.type_name} joint turns, but {child.name!r} is a particle", where,
+               "particles take prismatic, planar, translation, fixed and free")  # fmt: skip
+
+
+def ends(
+    dim: int, subject: str, type_: JointType, X_PF: Placement, X_CM: Placement, child: Body,
+    where: Where | None,
+) -> None:  # fmt: skip
+    """Refuse frames that lead out of the plane of a planar system, or off a particle."""
+    if child.particle and any(motion in ("x", "y", "z") for motion, _ in X_CM.steps):
+        refuse(subject, f"a particle ({child.name!r}) has no extent: the joint must sit on it", where,
+               "leave out child_at")  # fmt: skip
+    if dim == 3:
+        return
+    if not any(p.kind == P and p.axis == "z" for p in type_.layout(dim, child.particle)[1]):
+        flat(subject, X_PF, where)
+        flat(subject, X_CM, where)
+        return
+    directions = []
+    for X in (X_PF, X_CM):
+        if not X.steps or X.steps[-1][0] != "align":
+            refuse(subject, f"a {type_.type_name} joint slides along z, out of the plane", where,
+                   "give its axis=(x, y)")  # fmt: skip
+        flat(subject, Placement(X.steps[:-1]), where)
+        axis = spatial.unit([float(x) for x in X.steps[-1][1]])  # type: ignore[arg-type]
+        if axis[2] != 0.0:
+            refuse(subject, f"its axis has z = {axis[2]:g}, out of the plane", where, "give its axis=(x, y)")
+        directions.append(axis)
+    if np.abs(directions[1] - directions[0]).max() > SAME_DIRECTION:
+        refuse(subject, "its axis differs on the two bodies", where, "turn the child by child_angle instead")
+
+
+def flat(subject: str, X: Placement, where: Where | None) -> None:
+    """Refuse a placement that leaves the xy-plane."""
+    for motion, _ in X.steps:
+        if motion not in ("x", "y", "rz"):
+            refuse(subject, f"{motion} leaves the plane", where, "planar systems take x, y and turns about z")
+
+
+def limits(
+    subject: str, given: object, type_: JointType, dim: int, particle: bool, where: Where | None
+) -> dict[str, Limits]:
+    """Limits by coordinate: (lower, upper), or a dict of such pairs for a joint with several coordinates.
+
+    A quaternion has no limits by coordinate.
+    """
+    coordinates = type_.coordinates(dim, particle)
+    names = tuple(v for v in type_.velocities(dim, particle) if v in coordinates)
+    out: dict[str, Limits] = {}
+    for key, pair in _by_name(subject, "limits", given, names, where):
+        numbers = tuple(pair) if isinstance(pair, (list, tuple, np.ndarray)) else ()
+        if len(numbers) != 2 or not all(_real(x) for x in numbers):
+            refuse(subject, f"limits are {pair!r}", where, "they must be a pair (lower, upper)")
+        lower, upper = float(numbers[0]), float(numbers[1])
+        if math.isnan(lower) or math.isnan(upper) or lower == math.inf or upper == -math.inf:
+            refuse(subject, f"limits are ({lower}, {upper})", where, "they must be numbers")
+        if lower > upper:
+            refuse(subject, f"lower limit {lower:g} is above upper limit {upper:g}", where)
+        out[key] = (lower, upper)
+    return out
+
+
+def bounds(
+    subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None
+) -> dict[str, float]:
+    """Largest speeds or efforts by velocity coordinate: numbers, not negative, infinity allowed."""
+    out: dict[str, float] = {}
+    for key, bound in _by_name(subject, what, given, names, where):
+        if not _real(bound) or not float(bound) >= 0:  # type: ignore[arg-type]
+            refuse(subject, f"{what} limit is {bound!r}", where, "it must be a number, not negative")
+        out[key] = float(bound)  # type: ignore[arg-type]
+    return out
+
+
+def _real(x: object) -> bool:
+    return isinstance(x, Real) and not isinstance(x, bool)  # numbers of numpy are Real too
+
+
+def _by_name(
+    subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None
+) -> list[tuple[str, object]]:  # fmt: skip
+    if given is None:
+        return []
+    if not isinstance(given, Mapping):
+        if names != ("",):
+            refuse(subject, f"{what} given as {given!r}", where,
+                   f"this joint needs them by coordinate: {', '.join(names) or 'it has none'}")  # fmt: skip
+        return [("", given)]
+    for key in given:
+        if key not in names:
+            refuse(subject, str(UnknownNameError("coordinate", key, names, "it")), where)
+    return list(given.items())

@@ -1,0 +1,170 @@
+"""Any source -> Mechanism: finds out what a path or a text is, and calls its reader."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Iterable
+from importlib import resources
+from pathlib import Path
+from typing import NamedTuple
+
+from kempe.description.mechanism import Mechanism
+from kempe.description.source import SIZE_LIMIT, fail, shorten
+from kempe.description.toml import read_toml
+from kempe.description.urdf import read_urdf
+from kempe.description.xacro import expand_xacro
+from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, UnsupportedError, Where
+
+FORMATS = ("urdf", "toml")
+"""Formats that are read."""
+
+_BY_SUFFIX = {".urdf": "urdf", ".toml": "toml", ".sdf": "sdf", ".world": "sdf", ".mjcf": "mjcf"}
+_ROOT_TAG = re.compile(r"<([A-Za-z_][\w.:-]*)")
+_LATER = {"sdf": "SDF", "mujoco": "MJCF (MuJoCo)", "mjcf": "MJCF (MuJoCo)"}
+
+
+class Check(NamedTuple):
+    """What `check` found: `problems`, which keep a description from being used, and `notes`, which do not."""
+
+    problems: tuple[Problem, ...]
+    notes: tuple[str, ...]
+
+
+def library_models() -> tuple[str, ...]:
+    """Names of the models that come with Kempe."""
+    files = resources.files("kempe.library").iterdir()
+    return tuple(sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml")))
+
+
+def read(
+    source: str | Path | bytes, *, format: str | None = None, base: str | None = None, root: str | None = None,
+    package_dirs: Iterable[str | Path] = (), xacro: bool = False,
+) -> Mechanism:  # fmt: skip
+    """Mechanism from a file (its path), from text (URDF or TOML), or from a model of the library (its name).
+
+    `format` is "urdf" or "toml", found out where None. ``base="free"`` and `root` are for URDF, see `read_urdf`.
+    Meshes may lie in the file's folder and in `package_dirs`. ``xacro=True`` expands a xacro file first, which is a
+    program and must be trusted. Errors: `DescriptionError` with file, line, what is wrong and what is allowed.
+    """
+    if format is not None and format not in FORMATS:
+        raise InputError(f"format is {format!r}; it must be {' or '.join(map(repr, FORMATS))}")
+    package_dirs = tuple(package_dirs)
+    if isinstance(source, bytes) or (isinstance(source, str) and _is_text(source)):
+        if xacro:
+            raise InputError("xacro is expanded from a file, not from text; give its path")
+        return _read_text(source, "<text>", format, base, root, package_dirs, ())
+    if not isinstance(source, (str, Path)):
+        raise InputError(f"source is a {type(source).__name__}; it must be a path, text or bytes")
+    path = Path(source)
+    if isinstance(source, str) and not os.path.exists(path) and source in library_models():
+        data = (resources.files("kempe.library") / f"{source}.toml").read_bytes()
+        return _read_text(data, f"{source}.toml", "toml", base, root, package_dirs, ())
+    return _read_file(path, format, base, root, package_dirs, xacro)
+
+
+def check(
+    source: str | Path | bytes, *, format: str | None = None, base: str | None = None, root: str | None = None,
+    package_dirs: Iterable[str | Path] = (), xacro: bool = False,
+) -> Check:  # fmt: skip
+    """All problems and notes of a description, which is read and compiled; arguments as in `read`."""
+    try:
+        mechanism = read(source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro)
+        mechanism.build()
+    except DescriptionError as error:
+        return Check(error.problems, ())
+    except (InputError, UnknownNameError, UnsupportedError) as error:
+        where = Where("<text>" if isinstance(source, bytes) or _is_text(str(source)) else str(source))
+        return Check((Problem(str(error), "", where),), ())
+    return Check((), tuple(mechanism.notes))
+
+
+def _is_text(source: str) -> bool:
+    """Whether a string is a description itself rather than a path to one."""
+    start = source.removeprefix("\ufeff").lstrip()
+    return "\n" in source or not start or start.startswith("<") or re.match(r"format\s*=", start) is not None
+
+
+def _read_file(
+    path: Path, format: str | None, base: str | None, root: str | None, package_dirs: tuple[str | Path, ...], xacro: bool
+) -> Mechanism:  # fmt: skip
+    data = _bytes_of(path)
+    roots = (path.parent, *package_dirs)
+    if path.suffix == ".xacro" and not xacro:
+        raise fail("this is a xacro file, a program that writes URDF", Where(str(path)),
+                   "load it with xacro=True (command line: --xacro; needs the extra kempe[xacro]), only if you trust it")  # fmt: skip
+    if xacro:
+        text = expand_xacro(path, package_dirs=package_dirs)
+        return _read_text(text, f"{path} (expanded)", "urdf", base, root, roots, ())
+    format = format or _BY_SUFFIX.get(path.suffix.lower())
+    beside = [n for n in _models_in(path.parent) if n.endswith(".urdf") and n != path.name]
+    return _read_text(data, str(path), format, base, root, roots, beside)
+
+
+def _bytes_of(path: Path) -> bytes:
+    """Contents of a file, of bounded size. Errors: `DescriptionError` that names what lies near."""
+    where = Where(str(path))
+    if os.path.isdir(path):
+        inside = _models_in(path)
+        shown = f"give one of its files: {', '.join(inside[:8])}" if inside else "give the path of a file"
+        raise fail("this is a folder", where, shown)
+    try:
+        with open(path, "rb") as file:
+            return file.read(SIZE_LIMIT + 1)
+    except FileNotFoundError:
+        raise fail("there is no such file", where, _near(path)) from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        where = Where(shorten(path, 200))
+        raise fail(f"the file cannot be read: {reason}", where, "check its name and permissions") from None
+
+
+def _models_in(folder: Path) -> list[str]:
+    """Names of the files in a folder that may describe a robot; none where it cannot be listed."""
+    try:
+        return sorted(n for n in os.listdir(folder) if Path(n).suffix.lower() in (*_BY_SUFFIX, ".xacro"))
+    except OSError:
+        return []
+
+
+def _near(path: Path) -> str:
+    """What to try instead of a file that does not exist."""
+    folder = path.parent
+    if not os.path.isdir(folder):
+        return f"there is no folder {str(folder)!r} either"
+    names = [*(library_models() if folder == Path(".") and not path.suffix else ()), *_models_in(folder)]
+    near = difflib.get_close_matches(path.name, names, n=4, cutoff=0.5)
+    if near:
+        return f"did you mean {' or '.join(map(repr, near))}?"
+    shown = ", ".join(names[:8])
+    return f"there are: {shown}{', ...' if len(names) > 8 else ''}" if names else "there are no robot files in that folder"
+
+
+def _read_text(
+    text: str | bytes, name: str, format: str | None, base: str | None, root: str | None,
+    package_dirs: Iterable[str | Path], beside: Iterable[str],
+) -> Mechanism:  # fmt: skip
+    found = _format_of(text, name)
+    if found in _LATER or (found == "toml" and format in _LATER):
+        raise UnsupportedError(f"{name}: {_LATER.get(found, '') or _LATER[str(format)]} files are not read yet;"
+                               " Kempe reads URDF and TOML")  # fmt: skip
+    format = "urdf" if found == "urdf" and format != "toml" else format or found
+    if format == "toml":
+        if base is not None or root is not None:
+            raise InputError("base and root are for URDF; a TOML file names its ground itself")
+        return read_toml(text, name, package_dirs=package_dirs)
+    return read_urdf(text, name, base=base, root=root, package_dirs=package_dirs, beside=beside)
+
+
+def _format_of(text: str | bytes, name: str) -> str:
+    """What a text is, by its first element where it is XML; a text that cannot be decoded is left to the readers."""
+    if isinstance(text, bytes):
+        head = text[:4096]
+        text = head.decode("utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8", "replace")
+    start = text.removeprefix("\ufeff").lstrip()
+    if not start.startswith("<"):
+        return "toml"
+    bare = re.sub(r"<!--.*?-->|<\?.*?\?>", "", start[:65536], flags=re.DOTALL)
+    tag = _ROOT_TAG.search(bare)
+    return tag[1] if tag and tag[1] in _LATER else "urdf"

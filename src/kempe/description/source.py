@@ -1,0 +1,190 @@
+"""The text of a description: decoding, places in it, and the collection of all that is wrong with it."""
+
+from __future__ import annotations
+
+import codecs
+import re
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from functools import cached_property
+
+from kempe.errors import (
+    PROBLEM_LIMIT,
+    DescriptionError,
+    InputError,
+    Problem,
+    UnknownNameError,
+    Where,
+    hint,
+)
+
+SIZE_LIMIT = 64 * 2**20
+"""Bytes of the largest description that is read: about ten times a chain of 20 000 links."""
+
+_BYTE_ORDER_MARKS = (
+    (codecs.BOM_UTF8, "utf-8", ""),
+    (codecs.BOM_UTF32_LE, "", "UTF-32"),
+    (codecs.BOM_UTF32_BE, "", "UTF-32"),
+    (codecs.BOM_UTF16_LE, "utf-16-le", ""),
+    (codecs.BOM_UTF16_BE, "utf-16-be", ""),
+)
+
+_LINE_END = re.compile(r"\r\n|\n|\r")
+
+
+class Source:
+    """A text with the name of where it came from, which answers where its lines are."""
+
+    def __init__(self, name: str, text: str):
+        self.name, self.text = name, text
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        return [0, *(m.end() for m in _LINE_END.finditer(self.text))]
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """The lines, without their ends; ``\\n``, ``\\r\\n`` and ``\\r`` end a line."""
+        return _LINE_END.split(self.text)
+
+    def where(self, line: int, column: int = 1) -> Where:
+        """The place at `line` and `column`, both counted from 1."""
+        text = self.lines[line - 1] if 0 < line <= len(self.lines) else ""
+        return Where(self.name, line, column, text)
+
+    def offset(self, line: int, column: int) -> int:
+        """Index into `text` of a line and column, both counted from 1."""
+        return self._starts[line - 1] + column - 1
+
+    def where_offset(self, offset: int) -> Where:
+        """The place of an index into `text`."""
+        line = bisect_right(self._starts, offset)
+        return self.where(line, offset - self._starts[line - 1] + 1)
+
+
+class Findings:
+    """What a reader collects before it gives up: problems, which stop it in the end, and notes, which do not."""
+
+    def __init__(self) -> None:
+        self.problems: list[Problem] = []
+        self._notes: list[tuple[int, str]] = []
+
+    def add(self, message: str, subject: str = "", where: Where | None = None, allowed: str = "") -> None:
+        """Record a problem."""
+        self.problems.append(Problem(message, subject, where, allowed))
+
+    def note(self, message: str, subject: str = "", where: Where | None = None) -> None:
+        """Record something harmless that the user should know."""
+        self._notes.append((where.line if where else 0, str(Problem(message, subject, where))))
+
+    @property
+    def notes(self) -> list[str]:
+        """The notes, in the order of the file."""
+        return [text for _, text in sorted(self._notes, key=lambda n: n[0])]
+
+    def hint(self, name: str, allowed: Iterable[str]) -> str:
+        """The tail of a message about an unknown name; empty where it would not be shown, or cost too much."""
+        allowed = allowed if isinstance(allowed, (list, tuple, dict)) else list(allowed)
+        if len(self.problems) >= PROBLEM_LIMIT or len(name) > 200 or (self.problems and len(allowed) > 5000):
+            return ""
+        return hint(name, allowed)
+
+    @contextmanager
+    def guard(self, subject: str = "", where: Where | None = None) -> Iterator[None]:
+        """Record what is raised inside as problems of `subject` at `where`, and go on."""
+        try:
+            yield
+        except DescriptionError as error:
+            for p in error.problems:
+                self.problems.append(Problem(p.message, p.subject or subject, p.where or where, p.allowed))
+        except (InputError, UnknownNameError) as error:
+            self.add(str(error).removeprefix(f"{subject}: "), subject, where)
+
+    def finish(self) -> None:
+        """Raise `DescriptionError` with the problems in the order of the file, if there are any."""
+        if self.problems:
+            raise DescriptionError(sorted(self.problems, key=lambda p: p.where.line if p.where else 0))
+
+
+def fail(message: str, where: Where, allowed: str = "", subject: str = "") -> DescriptionError:
+    """The error for a problem after which reading cannot go on."""
+    return DescriptionError(Problem(message, subject, where, allowed))
+
+
+def shorten(text: object, limit: int = 60) -> str:
+    """`text` quoted, cut where it is long."""
+    text = str(text)
+    return repr(text if len(text) <= limit else text[: limit - 3] + "...")
+
+
+def decode(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = None) -> str:
+    """Text of a file's bytes: UTF-8, UTF-16 with a byte order mark, or what the pattern `declared` finds.
+
+    Errors: `DescriptionError` for empty, oversized and wrongly encoded data, with line and column.
+    """
+    if len(data) > SIZE_LIMIT:
+        raise fail(f"the file has more than {SIZE_LIMIT >> 20} MiB", Where(name), "a description is smaller than that")
+    if not data.strip(b"\0 \t\r\n" if isinstance(data, bytes) else None):
+        raise fail("the file is empty" if not data else "the file holds nothing but blanks", Where(name),
+                   "it must hold a description (URDF or TOML)")  # fmt: skip
+    if isinstance(data, str):
+        return data.removeprefix("\ufeff")
+    for mark, encoding, refused in _BYTE_ORDER_MARKS:
+        if data.startswith(mark):
+            if refused:
+                raise fail(f"the file is {refused}", Where(name, 1, 1), "save it as UTF-8")
+            _check_declared(data[len(mark) :], encoding, name, declared)
+            return _decode(data[len(mark) :], encoding, name, "the byte order mark at its start")
+    if b"\0" in data[:4]:
+        raise fail("the file looks like UTF-16 without the byte order mark that UTF-16 needs", Where(name, 1, 1),
+                   "save it as UTF-8")  # fmt: skip
+    match = declared.match(data[:300]) if declared else None
+    if match is None:
+        return _decode(data, "utf-8", name, "")
+    return _decode(data, _codec(match[1].decode("ascii"), name), name, "its first line")
+
+
+def _check_declared(data: bytes, encoding: str, name: str, declared: re.Pattern[bytes] | None) -> None:
+    head = data[:600].decode(encoding, "replace").encode("utf-8", "replace")
+    match = declared.match(head) if declared else None
+    if match is None:
+        return
+    given = match[1].decode("ascii")
+    if not encoding.startswith(given.lower()):
+        actual = encoding[:6].upper().rstrip("-")
+        raise fail(f"its first line declares the encoding {given!r}, but its byte order mark says {actual}",
+                   Where(name, 1, 1), "correct the declaration")  # fmt: skip
+
+
+def _codec(given: str, name: str) -> str:
+    accepted = {"utf-8": "utf-8", "utf8": "utf-8", "us-ascii": "ascii", "ascii": "ascii", "iso-8859-1": "latin-1",
+                "latin-1": "latin-1", "latin1": "latin-1", "iso-8859-15": "iso-8859-15",
+                "windows-1252": "cp1252"}  # fmt: skip
+    if given.lower().startswith("utf-16"):
+        raise fail(f"its first line declares the encoding {given!r}, but the bytes are not UTF-16 with a byte order mark",
+                   Where(name, 1, 1), "save it as UTF-8 and declare that, or nothing")  # fmt: skip
+    if given.lower() not in accepted:
+        raise fail(f"its first line declares the encoding {given!r}, which is not read", Where(name, 1, 1),
+                   "save it as UTF-8 and declare that, or nothing")  # fmt: skip
+    return accepted[given.lower()]
+
+
+def _decode(data: bytes, encoding: str, name: str, claim: str) -> str:
+    try:
+        return data.decode(encoding)
+    except UnicodeDecodeError as error:
+        before = data[: error.start].decode(encoding, "replace")
+        lines = _LINE_END.split(before)
+        rest = _LINE_END.split(data[error.start : error.start + 100].decode(encoding, "replace"))[0]
+        where = Where(name, len(lines), len(lines[-1]) + 1, lines[-1] + rest)
+        said = f" (as {claim} says)" if claim else ""
+        if error.end >= len(data) and "16" in encoding:
+            raise fail(f"the file ends inside a character of {encoding[:6].upper()}{said}: it is truncated", where,
+                       "get the whole file") from None  # fmt: skip
+        byte = data[error.start]
+        advice = "save the file as UTF-8"
+        if encoding in ("utf-8", "ascii") and byte >= 0xA0:
+            advice += f" (in Latin-1 this byte would be {chr(byte)!r})"
+        label = "UTF-8" if encoding == "utf-8" else encoding.upper()
+        raise fail(f"byte 0x{byte:02x} is not {label}{said}", where, advice) from None

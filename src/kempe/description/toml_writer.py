@@ -1,0 +1,143 @@
+"""Mechanism -> TOML text, without loss: `read_toml(write_toml(m)) == m`, floats to the last bit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Body, Frame, Joint
+from kempe.description.placement import Placement, place
+from kempe.description.toml_document import FORMAT
+from kempe.description.values import Expression
+from kempe.errors import InputError, UnsupportedError
+from kempe.joints import TYPES
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+_ESCAPES = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t", "\r": "\\r", "\b": "\\b", "\f": "\\f"}
+_NEEDS_ESCAPE = re.compile(r'[\x00-\x1f\x7f"\\]')
+_NOT_LITERAL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]|'''|'$")
+
+
+def write_toml(mechanism: Mechanism) -> str:
+    """TOML text of a mechanism, to be read by `read_toml`; parameters and expressions stay what they are.
+
+    Errors: `UnsupportedError` for joint types that are not in the zoo.
+    """
+    m = mechanism
+    head = {"format": FORMAT, "name": m.name, "dim": m.dim, "ground": m.ground.name, "notes": list(m.notes)}
+    defaults = {"dim": 3, "ground": "ground", "notes": []}
+    blocks = [_lines({k: v for k, v in head.items() if defaults.get(k) != v})]
+    if m.parameters:
+        blocks.append("[parameters]\n" + _lines(m.parameters))
+    blocks += [_block("body", _body(b)) for b in m.bodies.values() if b != Body(m.ground.name)]
+    blocks += [_block("joint", _joint(j, m.dim)) for j in m.joints.values()]
+    blocks += [_block("frame", _frame(f, m.dim)) for f in m.frames.values()]
+    for c in m.couplings.values():
+        table = {"of": c.of, "sources": c.sources} | ({"offset": c.offset} if c.offset != 0.0 else {})
+        blocks.append(_block("coupling", table))
+    if m.postures:
+        blocks.append("[postures]\n" + _lines(m.postures))
+    if m.locks:
+        blocks.append("[locks]\n" + _lines(m.locks))
+    return "\n".join(blocks)
+
+
+def _block(kind: str, table: Mapping[str, Any]) -> str:
+    return f"[[{kind}]]\n{_lines(table)}"
+
+
+def _lines(table: Mapping[str, Any]) -> str:
+    return "".join(f"{_key(k)} = {_value(v)}\n" for k, v in table.items())
+
+
+def _body(body: Body) -> dict[str, Any]:
+    given = {"name": body.name, "particle": body.particle or None, "mass": body.mass, "center": body.center,
+             "visuals": list(body.visuals) or None}  # fmt: skip
+    return {k: v for k, v in given.items() if v is not None}
+
+
+def _frame(frame: Frame, dim: int) -> dict[str, Any]:
+    return {"name": frame.name, "body": frame.body, **_placement(frame.X_BF, dim)}
+
+
+def _joint(joint: Joint, dim: int) -> dict[str, Any]:
+    if TYPES.get(joint.type.type_name) is not type(joint.type):
+        raise UnsupportedError(f"joint {joint.name!r}: type {joint.type.type_name!r} is not in the zoo of joints")
+    out: dict[str, Any] = {"name": joint.name, "type": joint.type.type_name, "parent": joint.parent, "child": joint.child}
+    on_parent, on_child = _placement(joint.X_PF, dim), _placement(joint.X_CM, dim)
+    # the child's axis is the parent's unless given
+    if on_parent.get("axis") == on_child.get("axis"):
+        on_child.pop("axis", None)
+    elif "axis" in on_parent and "axis" not in on_child and "steps" not in on_child:
+        on_child["axis"] = [0.0, 0.0, 1.0]
+    out |= on_parent
+    out |= {f"child_{k}": v for k, v in on_child.items()}
+    for key, bounds in (("limits", joint.limits), ("velocity", joint.velocity_limits), ("effort", joint.effort_limits)):
+        if bounds:
+            out[key] = bounds[""] if "" in bounds else bounds
+    if joint.actuated is not None:
+        out["actuated"] = joint.actuated
+    if joint.cut:
+        out["cut"] = True
+    return out | joint.type.options
+
+
+def _placement(X: Placement, dim: int) -> dict[str, Any]:
+    """Keys that say a placement: `at`, an orientation and `axis` where they can, else `steps`."""
+    form = _plain_form(X, dim)
+    try:
+        if place(**form) == X:
+            return form
+    except InputError:
+        pass
+    return {"steps": [[motion, *numbers] for motion, numbers in X.steps]}
+
+
+def _plain_form(X: Placement, dim: int) -> dict[str, Any]:
+    """The arguments of `place` that X's steps suggest."""
+    form: dict[str, Any] = {}
+    found = {motion: numbers for motion, numbers in X.steps}
+    if found.keys() & {"x", "y", "z"}:
+        at = [found.get(k, (0.0,))[0] for k in "xyz"]
+        form["at"] = at[:2] if dim == 2 and at[2] == 0.0 else at
+    if dim == 2 and "rz" in found:
+        form["angle"] = found["rz"][0]
+    elif found.keys() & {"rx", "ry", "rz"}:
+        form["rpy"] = [found.get(k, (0.0,))[0] for k in ("rx", "ry", "rz")]
+    if "quat_wxyz" in found:
+        form["quat_wxyz"] = list(found["quat_wxyz"])
+    if "matrix" in found:
+        form["matrix"] = [list(found["matrix"][i : i + 3]) for i in (0, 3, 6)]
+    if "align" in found:
+        axis = list(found["align"])
+        form["axis"] = axis[:2] if dim == 2 and axis[2] == 0.0 else axis
+    return form
+
+
+# ---- TOML's syntax
+
+
+def _key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else _text(key)
+
+
+def _text(text: str) -> str:
+    if "\n" in text and not _NOT_LITERAL.search(text):
+        return f"'''\n{text}'''"
+    return '"' + _NEEDS_ESCAPE.sub(lambda m: _ESCAPES.get(m[0], f"\\u{ord(m[0]):04x}"), text) + '"'
+
+
+def _value(x: Any) -> str:
+    if isinstance(x, bool):
+        return "true" if x else "false"
+    if isinstance(x, (int, float)):
+        return repr(x)
+    if isinstance(x, Expression):
+        return _text(x.text)
+    if isinstance(x, str):
+        return _text(x)
+    if isinstance(x, Mapping):
+        return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in x.items()) + "}"
+    return "[" + ", ".join(map(_value, x)) + "]"

@@ -1,0 +1,103 @@
+"""xacro text -> URDF text. xacro is a program, not data: it runs in a process of its own, with limits, on request."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from kempe.description.source import SIZE_LIMIT, fail
+from kempe.errors import MissingExtraError, UnsupportedError, Where
+
+SECONDS = 20
+"""Processor time, and twice that of waiting, that an expansion may take; large robots take about two seconds."""
+
+MEMORY = 2 * 2**30
+"""Bytes of memory that an expansion may use."""
+
+_KEPT = ("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "VIRTUAL_ENV", "ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH",
+         "ROS_ROOT", "ROS_DISTRO", "TMPDIR")  # fmt: skip
+
+# The limits stand before the imports, so that nothing of xacro runs without them.
+_WORKER = """
+import json, os, resource, sys
+s = json.loads(sys.argv[1])
+for name, amount in s["limits"].items():
+    limit = getattr(resource, name)
+    hard = resource.getrlimit(limit)[1]
+    amount = amount if hard == resource.RLIM_INFINITY else min(amount, hard)
+    resource.setrlimit(limit, (amount, amount))
+import xacrodoc
+os.chdir(os.path.dirname(s["path"]))
+if s["package_dirs"]:
+    xacrodoc.packages.look_in(s["package_dirs"])
+document = xacrodoc.XacroDoc.from_file(s["path"], subargs=s["arguments"], resolve_packages=False)
+sys.stdout.buffer.write(document.dom.toprettyxml(indent="  ").encode("utf-8"))
+"""
+
+
+def expand_xacro(
+    path: str | Path, *, arguments: Mapping[str, str] | None = None, package_dirs: Iterable[str | Path] = (),
+    seconds: int = SECONDS,
+) -> str:  # fmt: skip
+    """URDF text that a xacro file expands to, with `arguments` for its ``<xacro:arg>``.
+
+    Only for files that you trust: xacro reads any file that it is told to. It runs in a process with little
+    environment, bounded in time, memory and output. `package_dirs` are searched by ``$(find package)``. Errors:
+    `MissingExtraError` without the extra [xacro], `DescriptionError` with xacro's own message.
+    """
+    if importlib.util.find_spec("xacrodoc") is None:
+        raise MissingExtraError("xacrodoc", "xacro")
+    if importlib.util.find_spec("resource") is None:
+        raise UnsupportedError("xacro is expanded on Linux and macOS only, where a process can be limited")
+    path = Path(path).resolve()
+    settings = {
+        "path": str(path), "arguments": {str(k): str(v) for k, v in (arguments or {}).items()},
+        "package_dirs": [str(Path(d).resolve()) for d in package_dirs],
+        "limits": {"RLIMIT_CPU": seconds, "RLIMIT_AS": MEMORY, "RLIMIT_FSIZE": SIZE_LIMIT, "RLIMIT_CORE": 0,
+                   "RLIMIT_NOFILE": 256},
+    }  # fmt: skip
+    environment = {k: v for k, v in os.environ.items() if k in _KEPT}
+    where = Where(str(path))
+    with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as complaints:
+        code = _run([sys.executable, "-c", _WORKER, json.dumps(settings)], environment, output, complaints, 2 * seconds)
+        output.seek(0)
+        complaints.seek(0)
+        text = output.read(SIZE_LIMIT + 1).decode("utf-8", "replace")
+        said = complaints.read(SIZE_LIMIT).decode("utf-8", "replace").strip()
+    if code in (None, -signal.SIGXCPU, -signal.SIGKILL):
+        raise fail(f"xacro did not finish in {seconds} s", where, "it may call itself without end")
+    if code == -signal.SIGXFSZ or "File too large" in said:
+        raise fail(f"xacro wrote more than {SIZE_LIMIT >> 20} MiB", where, "it may call itself without end")
+    if "MemoryError" in said:
+        raise fail(f"xacro needs more than {MEMORY >> 30} GiB of memory", where, "it may call itself without end")
+    if "RecursionError" in said:
+        raise fail("xacro calls itself without end (RecursionError)", where, "look for a macro that calls itself")
+    if code != 0:
+        raise fail(f"xacro failed: {_last(said)}", where, "correct the file, or name its folders by package_dirs")
+    return text
+
+
+def _run(command: list[str], environment: dict[str, str], output, complaints, seconds: float) -> int | None:
+    """Exit code of a command, or None where it was stopped for taking too long; its children are stopped with it."""
+    with subprocess.Popen(
+        command, env=environment, stdin=subprocess.DEVNULL, stdout=output, stderr=complaints, start_new_session=True
+    ) as process:
+        try:
+            return process.wait(timeout=seconds)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            return None
+
+
+def _last(said: str) -> str:
+    """The line of a traceback that says what happened."""
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    return lines[-1][:300] if lines else "it says nothing"

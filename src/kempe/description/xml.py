@@ -1,0 +1,154 @@
+"""A small safe XML reader on expat: no DTD, no entities, bounded, and every element knows its line and column."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from xml.parsers import expat
+
+from kempe.description.source import Source, decode, fail, shorten
+from kempe.errors import DescriptionError, Where
+
+DEPTH_LIMIT = 100
+"""Elements inside each other; robots need less than ten."""
+
+_DECLARED = re.compile(rb"""\s*<\?xml[^>]*?\sencoding\s*=\s*["']([A-Za-z0-9._-]+)["']""")
+_TAG_END = re.compile(r"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>""")
+
+_CODES = expat.errors.codes
+_TRUNCATED = {_CODES[m] for m in (expat.errors.XML_ERROR_NO_ELEMENTS, expat.errors.XML_ERROR_UNCLOSED_TOKEN,
+                                  expat.errors.XML_ERROR_PARTIAL_CHAR,
+                                  expat.errors.XML_ERROR_UNCLOSED_CDATA_SECTION)}  # fmt: skip
+_EXPLANATIONS = {
+    _CODES[expat.errors.XML_ERROR_DUPLICATE_ATTRIBUTE]: ("an attribute is given twice", "give it once"),
+    _CODES[expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT]: (
+        "the file goes on after the end of its outermost element", "a file has one outermost element"),
+    _CODES[expat.errors.XML_ERROR_UNDEFINED_ENTITY]: (
+        "an entity is used that XML does not have", "allowed are &amp; &lt; &gt; &quot; &apos; and &#number;"),
+    _CODES[expat.errors.XML_ERROR_BAD_CHAR_REF]: (
+        "a character reference names a character that XML forbids", "remove it"),
+    _CODES[expat.errors.XML_ERROR_MISPLACED_XML_PI]: (
+        "the line <?xml ...?> is not at the very start of the file", "remove all that stands before it"),
+}  # fmt: skip
+
+
+class Element:
+    """One XML element: `tag`, `attributes`, `children` (elements only), and where it stands in its `source`."""
+
+    __slots__ = ("_column", "_end", "_line", "attributes", "children", "source", "tag")
+
+    def __init__(self, tag: str, attributes: dict[str, str], source: Source, line: int, column: int):
+        self.tag, self.attributes, self.source = tag, attributes, source
+        self.children: list[Element] = []
+        self._line, self._column = line, column
+        self._end = (line, column)
+
+    @property
+    def where(self) -> Where:
+        """The place of its opening tag."""
+        return self.source.where(self._line, self._column)
+
+    def where_of(self, attribute: str) -> Where:
+        """The place of the value of an attribute; of the tag where it has none."""
+        start = self.source.offset(self._line, self._column)
+        tag = _TAG_END.match(self.source.text, start)
+        match = tag and re.search(rf"""\s{re.escape(attribute)}\s*=\s*["']""", tag[0])
+        return self.source.where_offset(start + match.end()) if match else self.where
+
+    @property
+    def text(self) -> str:
+        """The element as it is written in the source, tags included."""
+        text, start = self.source.text, self.source.offset(self._line, self._column)
+        tag = _TAG_END.match(text, start)
+        assert tag is not None, "expat accepted the tag"
+        if tag[0].endswith("/>"):
+            return tag[0]
+        return text[start : text.index(">", self.source.offset(*self._end)) + 1]
+
+    def of(self, tag: str) -> list[Element]:
+        """Its children with this tag."""
+        return [child for child in self.children if child.tag == tag]
+
+    def walk(self) -> Iterator[Element]:
+        """The element and all below it, in the order of the file."""
+        stack = [self]
+        while stack:
+            element = stack.pop()
+            yield element
+            stack.extend(reversed(element.children))
+
+    def __repr__(self) -> str:
+        return f"<{self.tag}> at {self.source.name}:{self._line}"
+
+
+def parse_xml(data: bytes | str, name: str) -> Element:
+    """The outermost element of an XML text; `name` is the file's name, for messages.
+
+    UTF-8, UTF-16 with a byte order mark, and Latin-1 where declared. Errors: `DescriptionError` with line and column
+    for what is not well-formed, truncated, too large or too deep, and for every DTD and entity declaration.
+    """
+    source = Source(name, decode(data, name, _DECLARED))
+    return _Builder(source).run()
+
+
+class _Builder:
+    """Collects the elements that expat reports."""
+
+    def __init__(self, source: Source):
+        self.source = source
+        self.stack: list[Element] = []
+        self.root: Element | None = None
+        self.parser = expat.ParserCreate("utf-8")
+        self.parser.StartElementHandler = self._start
+        self.parser.EndElementHandler = self._end
+        self.parser.StartDoctypeDeclHandler = self._doctype
+
+    def _here(self) -> tuple[int, int]:
+        return self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber + 1
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        element = Element(tag, attributes, self.source, *self._here())
+        if self.stack:
+            self.stack[-1].children.append(element)
+        else:
+            self.root = element
+        self.stack.append(element)
+        if len(self.stack) > DEPTH_LIMIT:
+            raise fail(f"elements are nested more than {DEPTH_LIMIT} deep", element.where, "this is no robot's file")
+
+    def _end(self, tag: str) -> None:
+        self.stack.pop()._end = self._here()
+
+    def _doctype(self, name: str, *_: object) -> None:
+        raise fail("the file has a DTD (<!DOCTYPE ...>)", self.source.where(*self._here()),
+                   "a DTD can pull in other files or grow without bound and is never read: remove it")  # fmt: skip
+
+    def run(self) -> Element:
+        try:
+            self.parser.Parse(self.source.text.encode("utf-8"), True)
+        except expat.ExpatError as error:
+            raise self._explain(error) from None
+        except UnicodeEncodeError as error:
+            raise fail("the text holds half of a surrogate pair, which is no character",
+                       self.source.where_offset(error.start), "remove it") from None  # fmt: skip
+        assert self.root is not None, "expat refuses a text without elements"
+        return self.root
+
+    def _explain(self, error: expat.ExpatError) -> DescriptionError:
+        where = self.source.where(error.lineno, error.offset + 1)
+        inner = self.stack[-1] if self.stack else None
+        if error.code in _TRUNCATED:
+            if inner is None and self.root is None and "<" not in self.source.text:
+                return fail("the file holds no XML element", self.source.where(1), "URDF starts with <robot name=...>")
+            inside = f" inside <{inner.tag}> opened on line {inner._line}" if inner else ""
+            return fail(f"the file ends{inside}: it is truncated", where, "get the whole file")
+        if error.code == _CODES[expat.errors.XML_ERROR_TAG_MISMATCH] and inner is not None:
+            close = re.match(r"</[^\s>]*", self.source.text[self.source.offset(where.line, where.column) - 2 :])
+            found = shorten(close[0] + ">") if close else "another closing tag"
+            return fail(f"{found} closes <{inner.tag}> opened on line {inner._line}", where,
+                        f"close it by </{inner.tag}>")  # fmt: skip
+        if error.code in _EXPLANATIONS:
+            message, allowed = _EXPLANATIONS[error.code]
+            return fail(message, where, allowed)
+        text = expat.errors.messages.get(error.code, "unknown error")
+        return fail(f"this is not XML ({text})", where, "see the caret" if where.text else "")

@@ -1,0 +1,92 @@
+"""Why a target was not reached, found out by asking again without the limits, without the orientation, by lengths."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kempe.kinematics.forward import jacobian
+from kempe.solvers.inverse import POSITION, Task, outside, run
+from kempe.solvers.solution import BAD_INPUT, OUT_OF_REACH, SOLVED, Solution
+
+RANK_TOLERANCE = 1e-9
+"""Singular values below this fraction of the largest count as zero when the freedoms of a chain are counted."""
+
+
+def sentence(solution: Solution, index: tuple[int, ...]) -> str:
+    """The sentence for one target of a solution."""
+    task = solution.task
+    code, position, angle, starts, steps = (
+        np.asarray(x)[index].item()
+        for x in (solution.code, solution.position_error, solution.orientation_error, solution.starts, solution.iterations)
+    )
+    if code == SOLVED:
+        return f"reached: position error {position:.1e} m{_angle(task, angle)} ({_count(steps, 'step')}, {_count(starts, 'start')})"
+    if code == BAD_INPUT:
+        return "target or seed is not a finite pose"
+    at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
+    target = task.targets[at : at + 1]
+    near = f"the nearest configuration found misses it by {position:.6g} m{_angle(task, angle)}"
+    if code == OUT_OF_REACH:
+        beyond = outside(task, target)[0]
+        return f"outside the workspace by at least {beyond:.6g} m, by the lengths of the links; {near}"
+    reason = _over_determined(task, target) or _limits(task, target, solution.q[index]) or _why(task)
+    return f"not reached after {_count(starts, 'start')}: {reason}; {near}"
+
+
+def _angle(task: Task, angle: float) -> str:
+    return "" if task.position_only else f", {angle:.2g} rad"
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def _solved(task: Task, target: np.ndarray, limits: np.ndarray | None = None) -> bool:
+    nothing = np.empty((1, 0, len(task.chain.q_index)))
+    return bool(run(task, nothing, 1, limits, target)[2][0, 0] == SOLVED)
+
+
+def _over_determined(task: Task, target: np.ndarray) -> str:
+    """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random configurations."""
+    rows = [i for i, used in enumerate(task.mask) if used]
+    system = task.system
+    J = jacobian(system, system.random(0, 16), task.frame)[:, rows]
+    if J.shape[-1] == 0:
+        return f"no joint moves frame {task.frame!r}"
+    values = np.linalg.svd(J, compute_uv=False)
+    freedoms = int((values > RANK_TOLERANCE * values[:, :1]).sum(axis=1).max())
+    wanted = (2 if task.position_only else 3) if system.dim == 2 else len(rows)
+    if freedoms >= wanted:
+        return ""
+    text = f"the task has {wanted} equations, but the chain moves this frame in {freedoms} freedoms only"
+    if not task.position_only:
+        other = "can" if _solved(replace(task, mask=POSITION), target) else "cannot"
+        text += f" (its position alone {other} be reached)"
+    return text
+
+
+def _limits(task: Task, target: np.ndarray, q: np.ndarray) -> str:
+    """Which limits block the target, by solving without them."""
+    chain, names = task.chain, task.system.velocity_names
+    limited = np.flatnonzero(np.isfinite(chain.limits).any(axis=0))
+    open_ = np.stack([np.full(len(chain.v_index), -np.inf), np.full(len(chain.v_index), np.inf)])
+    if limited.size == 0 or not _solved(task, target, open_):
+        return ""
+    alone = []
+    for i in limited:
+        limits = chain.limits.copy()
+        limits[:, i] = open_[:, i]
+        if _solved(task, target, limits):
+            alone.append(repr(names[chain.v_index[i]]))
+    if alone:
+        which = f"the limit of {' or of '.join(alone)}"
+    else:
+        which = "the limits of several joints together"
+    return f"blocked by {which}; without limits it is reachable"
+
+
+def _why(task: Task) -> str:
+    lengths = "the target seems outside the workspace"
+    return lengths if task.position_only else f"{lengths}, or not reachable with this orientation"

@@ -1,0 +1,294 @@
+"""The inverse geometric model, numerically: a configuration in which a frame reaches a target, for any chain of a tree."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.errors import InputError, NoSolutionError, UnsupportedError
+from kempe.kernels import solve
+from kempe.kinematics.configuration import as_q
+from kempe.kinematics.parallel import over_chunks
+from kempe.model.gauge import regauge
+from kempe.model.table import local_chain
+from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, SOLVED, Solution
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+STARTS = 100
+"""Starts before a target is given up: each succeeds in about half of the cases or more, whatever the method."""
+ITERATIONS = 30
+"""Steps of one start; those that converge need 5 to 9."""
+TOLERANCE = (1e-6, 1e-6)
+"""Largest position error [m] and rotation angle [rad] of a success."""
+CHUNK, SERIAL_BELOW = 64, 256
+POSE, POSITION = (1, 1, 1, 1, 1, 1), (1, 1, 1, 0, 0, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """The chain that moves one frame, packed for the kernel with coordinates of its own.
+
+    `q_index` and `v_index` say which entries of the system's `q` and velocities they are.
+    """
+
+    ints: np.ndarray
+    floats: np.ndarray
+    q_index: np.ndarray
+    v_index: np.ndarray
+    limits: np.ndarray
+    circular: np.ndarray
+    bounds: tuple[tuple[Array, float, float], ...]
+    """Reach bounds: the frame is never farther than the second number, nor nearer than the third, from the point."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What was asked of the solver: kept with the answer, so that it can say why it failed."""
+
+    system: System
+    frame: str
+    targets: Array = field(repr=False)
+    mask: tuple[int, ...]
+    tolerance: tuple[float, float]
+    starts: int
+    rng: int
+    chain: Chain = field(repr=False)
+
+    @property
+    def position_only(self) -> bool:
+        """Whether only the position matters."""
+        return self.mask == POSITION
+
+
+def ik(
+    system: System, target: ArrayLike, frame: FrameLike, seed: Any = None, *, position_only: bool = False,
+    tolerance: tuple[float, float] = TOLERANCE, starts: int = STARTS, rng: int | np.random.Generator = 0,
+    threads: int | None = None, throw: bool = False,
+) -> Solution:  # fmt: skip
+    """A configuration in which `frame` reaches `target` (the inverse geometric model), always inside the limits.
+
+    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)), or a position (..., 3)
+    (in planar systems also (..., 2)); with `position_only` the orientation of a pose is ignored. `seed` (nq,) or
+    (..., nq), or a dict by name, is the first start; what the chain does not move keeps its value there, else the
+    neutral one, inside the limits. `tolerance` is the largest position error [m] and rotation angle [rad]. Up to
+    `starts` starts are tried, drawn from `rng`: the same arguments give the same answer, whatever the `threads`.
+
+    The answer says by `success` and `status` whether it was reached and if not, why; `throw=True` raises
+    `NoSolutionError` instead. A NaN in a single target is an `InputError`, in a batch it gives a NaN row. Systems whose
+    loops or relations involve the frame's joints are refused (`UnsupportedError`).
+
+    Method: damped least squares with an active set of limits and restarts (Sugihara, 2011; Chan and Lawrence, 1988).
+    """
+    name = system.frame_name(frame)
+    chain = chain_of(system, name)
+    targets, lead, is_position = _targets(system, target)
+    mask = POSITION if position_only or is_position else POSE
+    number = int(rng.integers(2**62)) if isinstance(rng, np.random.Generator) else int(rng)
+    base, seeds = _seeds(system, chain, seed, lead)
+    task = Task(system, name, targets, mask, _tolerance(tolerance), _count(starts), number, chain)
+    q, residual, info = run(task, seeds, threads)
+    full = np.array(np.broadcast_to(base, (len(targets), system.nq)))
+    full[:, chain.q_index] = q
+    code = _codes(task, info[:, 0])
+    full[code == BAD_INPUT] = math.nan
+    if not lead and code[0] == BAD_INPUT:
+        _refuse_target(targets[0], base[0])
+    solution = _answer(task, full, code, residual, info, lead)
+    if throw and not solution:
+        raise NoSolutionError(solution)
+    return solution
+
+
+def run(
+    task: Task, seeds: Array, threads: int | None = 1, limits: Array | None = None, targets: Array | None = None
+) -> tuple[Array, Array, np.ndarray]:
+    """Chain configurations, residuals (N, 2) and (status, steps, starts) of all targets, in fixed chunks."""
+    chain = task.chain
+    goals = task.targets if targets is None else targets
+    n = len(goals)
+    q, residual, info = np.empty((n, len(chain.q_index))), np.empty((n, 2)), np.empty((n, 3), dtype=np.int64)
+    bounds = chain.limits if limits is None else limits
+    mask = np.array(task.mask, dtype=np.int64)
+
+    def work(i: int, j: int) -> int:
+        first = seeds[i:j] if len(seeds) > 1 else seeds
+        return solve.ik(
+            chain.ints, chain.floats, bounds, chain.circular, mask, goals[i:j], first, task.rng, i,
+            task.starts, ITERATIONS, task.tolerance[0], task.tolerance[1], 0.0, q[i:j], residual[i:j], info[i:j],
+        )  # fmt: skip
+
+    over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+    return q, residual, info
+
+
+def chain_of(system: System, name: str) -> Chain:
+    """The packed chain of a frame, made once. Errors: `UnsupportedError` where loops or relations move it."""
+    chain = system._queries.get(("ik", name))
+    if chain is None:
+        table, q_index, v_index = local_chain(system.table, name)
+        used = {system.velocity_names[i] for i in v_index}
+        _refuse_closed(system, name, used)
+        packed = table.pack([name], table.path(name))
+        limits = np.ascontiguousarray(system.limits[v_index].T)
+        ints, floats = regauge(*packed)
+        circular = np.zeros(len(v_index), dtype=np.int64)
+        wide = np.subtract(limits[1], limits[0]) >= 2.0 * math.pi
+        for iv in range(len(v_index)):
+            rows = table.multiplier[table.iv == iv]
+            circular[iv] = wide[iv] and len(rows) == 1 and abs(rows[0]) == 1.0 and table.kind[table.iv == iv][0] == 0
+        bounds = tuple(_reach(*arrays, limits) for arrays in (packed, (ints, floats)))
+        chain = Chain(ints, floats, q_index, v_index, limits, circular, bounds)
+        system._queries[("ik", name)] = chain
+    return chain
+
+
+def _refuse_closed(system: System, name: str, used: set[str]) -> None:
+    for closure in system.closures:
+        if used & loop_coordinates(system, closure):
+            raise UnsupportedError(
+                f"frame {name!r} moves with the loop that joint {closure!r} closes; inverse kinematics of closed loops "
+                "is not available in this version (a subchain, or a lock of the loop's joints, is)"
+            )
+    for relation in system.relations:
+        if used & {relation.of, *relation.sources}:
+            raise UnsupportedError(
+                f"frame {name!r} moves with coordinate {relation.of!r}, which follows several others; inverse kinematics "
+                "under such relations is not available in this version"
+            )
+
+
+def loop_coordinates(system: System, closure: str) -> set[str]:
+    """Velocity coordinates of the joints of the loop that a left-out joint closes, its own included."""
+    number = {b: i for i, b in enumerate(system.body_names)}
+    joint = system.joints[closure]
+    ways: list[set[int]] = []
+    for body in (joint.parent, joint.child):
+        i, way = number[body], set()
+        while i:
+            way.add(i)
+            i = system.parent[i - 1]
+        ways.append(way)
+    joints = {closure} | {system.parent_joints[i - 1] for i in ways[0] ^ ways[1]}
+    names: set[str] = set()
+    for j in joints:
+        for c in system.coordinates_of_joint(j):
+            follower = system.couplings.get(c)
+            names.add(c if follower is None else follower.source or c)
+        names |= {v for v in system.velocity_names if v.startswith(f"{j}.")}
+    return names
+
+
+def _reach(ints: np.ndarray, floats: np.ndarray, limits: Array) -> tuple[Array, float, float]:
+    """A point and the largest and smallest distance that the tip can have from it, by lengths alone."""
+    n = int(ints[0])
+    lengths = []
+    for k in range(1, n + 1):  # the last one is the output's placement
+        at = 16 * k
+        lengths.append(float(np.linalg.norm(floats[[at + 3, at + 7, at + 11]])))
+    for row in range(n):
+        kind, iv, m = ints[8 + 6 * row], ints[8 + 6 * row + 3], floats[16 * row + 14]
+        if kind == 1:
+            far = float(np.max(np.abs(m * limits[:, iv])))
+            lengths.append(far)
+            if not math.isfinite(far):
+                return np.zeros(3), math.inf, 0.0
+    start = floats[[3, 7, 11]]
+    slides = np.any(ints[8 : 8 + 6 * n : 6] == 1)
+    total = sum(lengths)
+    longest = 0.0 if slides or not lengths else max(lengths)
+    return start, total, max(0.0, 2.0 * longest - total)
+
+
+def _codes(task: Task, kernel_codes: np.ndarray) -> np.ndarray:
+    code = np.where(kernel_codes == solve.SOLVED, SOLVED, np.where(kernel_codes == solve.BAD_INPUT, BAD_INPUT, NOT_FOUND))
+    failed = code == NOT_FOUND
+    if failed.any():
+        code[failed] = np.where(outside(task, task.targets[failed]) > task.tolerance[0], OUT_OF_REACH, NOT_FOUND)
+    return code
+
+
+def outside(task: Task, targets: Array) -> Array:
+    """How far (N,) targets are outside the reach bounds, in metres: a proven lower bound of the position error."""
+    out = np.zeros(len(targets))
+    for point, largest, smallest in task.chain.bounds:
+        distance = np.linalg.norm(targets[:, :3, 3] - point, axis=-1)
+        out = np.maximum(out, np.maximum(distance - largest, smallest - distance))
+    return out
+
+
+def _targets(system: System, target: ArrayLike) -> tuple[Array, tuple[int, ...], bool]:
+    """Targets (N, 4, 4), their leading shape, and whether they are positions."""
+    try:
+        array = np.asarray(target, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"target is {type(target).__name__}; it must be an array of numbers") from None
+    planar = system.dim == 2
+    is_pose = array.ndim >= 2 and array.shape[-2:] == (4, 4)
+    if planar and array.ndim >= 2 and array.shape[-2:] == (3, 3) and np.all(array[..., 2, :] == [0.0, 0.0, 1.0]):
+        flat = array
+        array = np.zeros((*flat.shape[:-2], 4, 4))
+        array[..., :2, :2], array[..., :2, 3], array[..., 2, 2], array[..., 3, 3] = (
+            flat[..., :2, :2], flat[..., :2, 2], 1.0, 1.0)  # fmt: skip
+        is_pose = True
+    if is_pose:
+        lead = array.shape[:-2]
+        return np.ascontiguousarray(array.reshape(-1, 4, 4)), lead, False
+    if array.ndim and (array.shape[-1] == 3 or (planar and array.shape[-1] == 2)):
+        lead = array.shape[:-1]
+        out = np.zeros((math.prod(lead), 4, 4))
+        out[:] = np.eye(4)
+        out[:, : array.shape[-1], 3] = array.reshape(len(out), array.shape[-1])
+        return out, lead, True
+    allowed = "a pose (..., 4, 4) or a position (..., 3)" + (", or (..., 3, 3) or (..., 2) in the plane" if planar else "")
+    raise InputError(f"target has shape {array.shape}; it must be {allowed}")
+
+
+def _seeds(system: System, chain: Chain, seed: Any, lead: tuple[int, ...]) -> tuple[Array, Array]:
+    """Whole configurations (1 or N, nq) to start from, and the chain's part of them as (1 or N, K, nq) for the kernel."""
+    if seed is None:
+        base, count = system.neutral[None], 0
+    else:
+        base = as_q(system, seed)
+        if base.ndim > 1 and base.shape[:-1] != lead:
+            raise InputError(f"seed has shape {base.shape}; it must be ({system.nq},) or {(*lead, system.nq)}")
+        base, count = np.array(base.reshape(-1, system.nq)), 1
+        if not lead and not np.isfinite(base).all():
+            raise InputError("seed has entries that are not finite")
+    at_q, at_v = system.layout.vector_q, system.layout.vector_v
+    base[:, at_q] = np.clip(base[:, at_q], system.lower[at_v], system.upper[at_v])
+    return base, np.ascontiguousarray(base[:, None, chain.q_index][:, :count])
+
+
+def _refuse_target(target: Array, seed: Array) -> None:
+    if not np.isfinite(target).all():
+        raise InputError("target has entries that are not finite")
+    if not np.isfinite(seed).all():
+        raise InputError("seed has entries that are not finite")
+    raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1, its last row 0 0 0 1")
+
+
+def _tolerance(tolerance: object) -> tuple[float, float]:
+    pair = np.broadcast_to(np.asarray(tolerance, dtype=float), 2)
+    if not (np.isfinite(pair).all() and (pair > 0).all()):
+        raise InputError(f"tolerance is {tolerance!r}; it must be one or two positive numbers, in metres and radians")
+    return float(pair[0]), float(pair[1])
+
+
+def _count(starts: object) -> int:
+    if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or starts < 1:
+        raise InputError(f"starts is {starts!r}; it must be a whole number, at least 1")
+    return int(starts)
+
+
+def _answer(task: Task, q: Array, code: np.ndarray, residual: Array, info: np.ndarray, lead: tuple[int, ...]) -> Solution:
+    fields = (code == SOLVED, code, residual[:, 0], residual[:, 1], info[:, 1], info[:, 2])
+    if lead:
+        return Solution(q.reshape(*lead, -1), *(x.reshape(lead) for x in fields), task)
+    return Solution(q[0], *(x[0].item() for x in fields), task)

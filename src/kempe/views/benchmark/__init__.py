@@ -1,0 +1,55 @@
+"""Kempe beside other kinematics libraries, in one run on one machine: `benchmark` yields table after table."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Iterable, Iterator
+
+from kempe.errors import UnknownNameError
+from kempe.views.benchmark import forward, inverse, peers, process
+from kempe.views.benchmark.bench import Bench
+from kempe.views.benchmark.timing import Table
+
+SECTIONS: dict[str, Callable[[Bench], Table | None]] = {
+    "batch": forward.batch, "single": forward.single, "tree": forward.tree, "threads": forward.threads,
+    "growth": forward.growth, "inverse": inverse.single, "startup": process.startup, "memory": process.memory,
+}  # fmt: skip
+"""The parts of the benchmark, in their order."""
+
+
+def benchmark(
+    sections: Iterable[str] | None = None,
+    wanted: list[str] | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> Iterator[Table]:
+    """Measured tables, one by one as they are done, so that an interruption loses only the section in work.
+
+    `sections` picks some of `SECTIONS`, `wanted` some of the peers; `say` is told what is being measured. Errors:
+    `UnknownNameError`; `UnsupportedError` where the robots' files are not installed.
+    """
+    names = list(SECTIONS if sections is None else sections)
+    for name in names:
+        if name not in SECTIONS:
+            raise UnknownNameError("section", name, SECTIONS)
+    bench = Bench(wanted, say)
+    for i, name in enumerate(names, start=1):
+        section = SECTIONS[name]
+        say(f"{i}/{len(names)} {name}: {(section.__doc__ or '').strip().splitlines()[0]}")
+        table = section(bench)
+        if table is not None:
+            yield table
+
+
+def page(tables: Iterable[Table], wanted: list[str] | None = None) -> str:
+    """The tables as one Markdown page, with the machine and the versions."""
+    from kempe import __version__
+
+    versions = {"kempe": __version__, **peers.installed(wanted)}
+    head = [
+        "# Benchmark", "",
+        "Medians of repeated turns in one run; the libraries take turns, so that ratios hold although absolute times",
+        "differ from machine to machine. A ratio is to the first line of its table.", "",
+        f"- Machine: {peers.machine()}", f"- Versions: {', '.join(f'{k} {v}' for k, v in versions.items())}",
+        f"- Date: {datetime.date.today().isoformat()}", "",
+    ]  # fmt: skip
+    return "\n".join([*head, *(t.markdown() for t in tables)])

@@ -1,0 +1,185 @@
+"""The other libraries, where they are installed, and the robots on which all of them are compared."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import platform
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.errors import UnknownNameError
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+PEERS = {
+    "pin": "pinocchio", "mujoco": "mujoco", "roboticstoolbox-python": "roboticstoolbox", "ikpy": "ikpy",
+    "pytorch-kinematics": "pytorch_kinematics",
+}  # fmt: skip
+"""Package name and module name of each peer."""
+
+
+def installed(wanted: list[str] | None = None) -> dict[str, str]:
+    """Versions of the peers that are installed (of those `wanted`, if given). Errors: `UnknownNameError`."""
+    for name in wanted or ():
+        if name not in PEERS:
+            raise UnknownNameError("peer", name, PEERS)
+    names = PEERS if wanted is None else wanted
+    return {n: importlib.metadata.version(n) for n in names if importlib.util.find_spec(PEERS[n]) is not None}
+
+
+def robot_file(name: str) -> Path | None:
+    """Path of a URDF file of the package example-robot-data, or None where it is not installed."""
+    try:
+        files = importlib.metadata.files("example-robot-data") or []
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    found = [Path(str(f.locate())) for f in files if Path(str(f)).name == name]
+    return next((path for path in found if path.is_file()), None)
+
+
+def machine() -> str:
+    """Processor, number of usable processors and versions of the machine that measures."""
+    import numba
+
+    from kempe.kinematics.parallel import processors
+
+    model = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        lines = [x for x in cpuinfo.read_text().splitlines() if x.startswith("model name")]
+        model = lines[0].split(":", 1)[1].strip() if lines else model
+    system = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
+    return f"{model}, {processors()} processors; {system}, numpy {np.__version__}, numba {numba.__version__}"
+
+
+# ---- the same arm for everybody
+
+
+@dataclass(frozen=True)
+class Link:
+    """A moving joint of a serial chain: the constant placement before it, its axis z, its kind and its limits."""
+
+    name: str
+    X: spatial.Array
+    slides: bool
+    limits: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A serial chain written out: the moving joints from the ground to a frame, then the constant placement `tool`."""
+
+    system: System
+    frame: str
+    links: tuple[Link, ...]
+    tool: spatial.Array
+    file: Path
+
+    def pose(self, q: spatial.Array) -> spatial.Array:
+        """Pose (n, 4, 4) of the frame for q (n, number of joints) by plain matrix products: an independent check."""
+        out = np.broadcast_to(np.eye(4), (len(q), 4, 4))
+        for i, link in enumerate(self.links):
+            motion = spatial.pose(None if link.slides else spatial.rot_z(q[:, i]))
+            if link.slides:
+                motion = np.broadcast_to(motion, (len(q), 4, 4)).copy()
+                motion[:, 2, 3] = q[:, i]
+            out = out @ link.X @ motion
+        return out @ self.tool
+
+    def random(self, n: int) -> spatial.Array:
+        """Configurations (n, number of joints), uniform inside the limits, the same ones each time."""
+        return self.system.random(1, n)
+
+
+def arm_of(system: System, frame: str, file: Path) -> Arm:
+    """The chain to a frame with everything beside it locked, and written out for libraries that take chains only."""
+    body = system.frames[frame].body if frame in system.frames else frame
+    path = []
+    number = system.body_names.index(body)
+    while number:
+        path.append(system.joints[system.parent_joints[number - 1]])
+        number = system.parent[number - 1]
+    path.reverse()
+    beside = set(system.coordinate_names) - {j.name for j in path}
+    system = system.lock({n: 0.0 for n in beside})
+    limits = dict(zip(system.coordinate_names, system.limits.tolist(), strict=True))
+    links, X = [], np.eye(4)
+    for joint in path:
+        X = X @ joint.X_PF.evaluate(system.parameters)
+        if joint.type.type_name != "fixed":
+            low, high = limits[joint.name]
+            links.append(Link(joint.name, X, joint.type.type_name == "prismatic", (low, high)))
+            X = np.eye(4)
+        X = X @ spatial.inverse(joint.X_CM.evaluate(system.parameters))
+    tool = system.frames[frame].X_BF.evaluate(system.parameters) if frame in system.frames else np.eye(4)
+    return Arm(system, frame, tuple(links), X @ tool, file)
+
+
+def pinocchio_arm(arm: Arm) -> tuple[Any, Any, int]:
+    """Pinocchio's model, data and frame number of the arm, with everything beside it locked."""
+    import pinocchio as pin
+
+    model = pin.buildModelFromUrdf(str(arm.file))
+    keep = {link.name for link in arm.links}
+    lock = [model.getJointId(n) for n in list(model.names)[1:] if n not in keep]
+    model = pin.buildReducedModel(model, lock, pin.neutral(model))
+    return model, model.createData(), model.getFrameId(arm.frame)
+
+
+def mujoco_model(file: Path) -> tuple[Any, Any]:
+    """MuJoCo's model and data of a URDF file: without shapes, with inertias, with all links kept."""
+    import mujoco
+
+    root = ElementTree.parse(file).getroot()
+    for link in root.iter("link"):
+        for tag in ("visual", "collision", "inertial"):
+            for child in link.findall(tag):
+                link.remove(child)
+        inertial = ElementTree.SubElement(link, "inertial")
+        ElementTree.SubElement(inertial, "mass", value="1")
+        ElementTree.SubElement(inertial, "inertia", ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1")
+    settings = ElementTree.SubElement(root, "mujoco")
+    ElementTree.SubElement(settings, "compiler", fusestatic="false", discardvisual="true")
+    model = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
+    return model, mujoco.MjData(model)
+
+
+def toolbox_arm(arm: Arm) -> Any:
+    """The arm as an elementary transform sequence of roboticstoolbox."""
+    from roboticstoolbox import ET, ETS
+
+    out = []
+    for i, link in enumerate(arm.links):
+        joint = ET.tz if link.slides else ET.Rz
+        out += [ET.SE3(link.X), joint(jindex=i, qlim=np.array(link.limits))]
+    return ETS([*out, ET.SE3(arm.tool)])
+
+
+def ikpy_arm(arm: Arm) -> Any:
+    """The arm as a chain of ikpy."""
+    from ikpy.chain import Chain
+    from ikpy.link import OriginLink, URDFLink
+
+    links: list[Any] = [OriginLink()]
+    for link in arm.links:
+        axis = {"translation": [0, 0, 1]} if link.slides else {"rotation": [0, 0, 1]}
+        links.append(URDFLink(link.name, link.X[:3, 3], spatial.matrix_to_rpy(link.X[:3, :3]), **axis,
+                              bounds=link.limits, joint_type="prismatic" if link.slides else "revolute"))  # fmt: skip
+    links.append(
+        URDFLink("tool", arm.tool[:3, 3], spatial.matrix_to_rpy(arm.tool[:3, :3]), joint_type="fixed")
+    )
+    return Chain(links, active_links_mask=[False, *(True for _ in arm.links), False])
+
+
+def torch_arm(arm: Arm) -> Any:
+    """The arm as a serial chain of pytorch-kinematics."""
+    import pytorch_kinematics  # type: ignore[import-not-found]
+
+    return pytorch_kinematics.build_serial_chain_from_urdf(arm.file.read_bytes(), arm.frame)

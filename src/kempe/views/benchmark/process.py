@@ -1,0 +1,128 @@
+"""What a process pays: import, compilation, first results, memory; each measured in processes of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+
+from kempe.views.benchmark import peers
+from kempe.views.benchmark.bench import Bench
+from kempe.views.benchmark.timing import Row, Table
+
+REPEATS = 3
+MEMORY_POSES = 1_000_000
+
+_FIRST = """
+import json, sys, time
+start = time.perf_counter()
+import kempe
+imported = time.perf_counter() - start
+robot = kempe.load(sys.argv[1])
+loaded = time.perf_counter() - start
+X = robot.fk(robot.mid, sys.argv[2])
+forward = time.perf_counter() - start
+if sys.argv[3] == "ik":
+    robot.ik(X, sys.argv[2])
+print(json.dumps([imported, loaded, forward, time.perf_counter() - start]))
+"""
+
+_IMPORT = """
+import importlib, sys, time
+start = time.perf_counter()
+importlib.import_module(sys.argv[1])
+print(time.perf_counter() - start)
+"""
+
+_MEMORY = """
+import json, resource, sys
+import numpy as np, kempe
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024.0 if sys.platform == "linux" else 1024.0**2)
+robot = kempe.load(sys.argv[1])
+query, n = robot.query(sys.argv[2]), int(sys.argv[3])
+q = robot.random(0, n)
+query(q[:30000], threads=2)
+out = np.ones((n, 4, 4))
+before = peak()
+query(q, out=out)
+into = peak() - before
+query(q)
+print(json.dumps([into, peak() - before - out.nbytes / 2**20]))
+"""
+
+
+def startup(bench: Bench) -> Table:
+    """Seconds until something is there: with an empty cache, and in every later process."""
+    file, frame = str(bench.arm.file), bench.arm.frame
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as cold, tempfile.TemporaryDirectory() as warm:
+        bench.say("  first call with an empty cache")
+        rows.append(
+            Row(
+                "Kempe",
+                "empty cache: process to its first forward result",
+                _wall(_FIRST, cold, file, frame, "fk"),
+            )
+        )
+        rows.append(
+            Row("Kempe", "then: process to its first inverse result", _wall(_FIRST, cold, file, frame, "ik"))
+        )
+        bench.say("  kempe warmup with an empty cache")
+        rows.append(Row("Kempe", "empty cache: kempe warmup", _wall("import kempe; kempe.warmup()", warm)))
+        runs = [
+            (_wall(_FIRST, warm, file, frame, "ik"), _run(_FIRST, warm, file, frame, "ik"))
+            for _ in range(REPEATS)
+        ]
+        wall = statistics.median(w for w, _ in runs)
+        inside = [statistics.median(column) for column in zip(*(json.loads(r) for _, r in runs), strict=True)]
+    labels = (
+        "import",
+        "import and load",
+        "import, load and first forward result",
+        "the same and first inverse result",
+    )
+    rows += [Row("Kempe", f"warm: {label}", t) for label, t in zip(labels, inside, strict=True)]
+    rows.append(Row("Kempe", "warm: the whole process of that", wall))
+    for package in bench.versions:
+        module = peers.PEERS[package]
+        seconds = statistics.median(float(_run(_IMPORT, None, module)) for _ in range(REPEATS))
+        rows.append(Row(package, "import", seconds))
+    table = Table("Start-up", "s", rows, ratios=False)
+    for text, call, bound in (
+        ("first forward result with an empty cache, under 10 s", "empty cache: process", 10.0),
+        ("first inverse result after that, under 10 s", "then", 10.0),
+        ("warmup, under 60 s", "empty cache: kempe warmup", 60.0), ("import, under 0.15 s", "warm: import", 0.15),
+        ("later processes to their first forward result, under 1.5 s", "warm: import, load", 1.5),
+    ):  # fmt: skip
+        table.at_most(text, table.value("Kempe", call), bound)
+    return table
+
+
+def memory(bench: Bench) -> Table:
+    """Peak memory of a batch call beyond its input and output."""
+    file, frame = str(bench.arm.file), bench.arm.frame
+    runs = [json.loads(_run(_MEMORY, None, file, frame, str(MEMORY_POSES))) for _ in range(REPEATS)]
+    into, new = (statistics.median(column) for column in zip(*runs, strict=True))
+    table = Table(f"Memory: {MEMORY_POSES:,} poses, peak beyond input and output", "MiB", ratios=False)
+    table.rows = [Row("Kempe", "into out=", into), Row("Kempe", "a new array", new)]
+    table.at_most("beyond the output, at most 8 MiB", max(into, new), 8.0)
+    return table
+
+
+def _run(code: str, cache: str | None, *arguments: str) -> str:
+    """Last line that a fresh Python process prints."""
+    environment = {**os.environ, "KEMPE_QUIET": "1"} | ({"KEMPE_CACHE_DIR": cache} if cache else {})
+    done = subprocess.run([sys.executable, "-c", code, *arguments], env=environment, capture_output=True, text=True,
+                          check=True)  # fmt: skip
+    return done.stdout.strip().splitlines()[-1] if done.stdout.strip() else ""
+
+
+def _wall(code: str, cache: str, *arguments: str) -> float:
+    start = time.perf_counter()
+    _run(code, cache, *arguments)
+    return time.perf_counter() - start

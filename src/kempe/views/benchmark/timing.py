@@ -1,0 +1,127 @@
+"""Timing side by side: statements take turns, medians count, and a table says how many times Kempe's time each needs."""
+
+from __future__ import annotations
+
+import statistics
+import time
+import timeit
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+ROUNDS = 9
+"""How often each statement has its turn."""
+TURN = 0.02
+"""Seconds that a turn of a fast statement lasts; a slow one runs once a turn."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A statement to time: which library, what it does, the code with the names it uses, results of one run."""
+
+    library: str
+    call: str
+    code: str
+    names: dict[str, Any]
+    results: int = 1
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table: a number for a library's call."""
+
+    library: str
+    call: str
+    value: float
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A bound that the project sets itself: the text, the number measured, and whether it is met."""
+
+    text: str
+    measured: float
+    met: bool
+
+    def __str__(self) -> str:
+        return f"{self.text}: {significant(self.measured)} ({'met' if self.met else 'NOT MET'})"
+
+
+@dataclass
+class Table:
+    """What one section measured. Ratios are to the first row."""
+
+    title: str
+    unit: str
+    rows: list[Row] = field(default_factory=list)
+    goals: list[Goal] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    ratios: bool = True
+
+    def value(self, library: str, call: str = "") -> float | None:
+        """The number of the first row of a library whose call begins so, or None where it was not measured."""
+        for row in self.rows:
+            if row.library == library and row.call.startswith(call):
+                return row.value
+        return None
+
+    def at_most(self, text: str, value: float | None, bound: float) -> None:
+        """Record the goal that a number is at most `bound`; nothing where it was not measured."""
+        if value is not None:
+            self.goals.append(Goal(text, value, value <= bound))
+
+    def at_least(self, text: str, value: float | None, bound: float) -> None:
+        """Record the goal that a number is at least `bound`; nothing where it was not measured."""
+        if value is not None:
+            self.goals.append(Goal(text, value, value >= bound))
+
+    def ratio(self, library: str, call: str, to: str) -> float | None:
+        """How many times Kempe's call `to` a library's call needs, or None."""
+        a, b = self.value(library, call), self.value("Kempe", to)
+        return None if a is None or b is None else a / b
+
+    def data(self) -> dict[str, Any]:
+        """The table as plain data."""
+        return {
+            "title": self.title, "unit": self.unit, "rows": [vars(r) for r in self.rows],
+            "goals": [vars(g) for g in self.goals], "remarks": list(self.remarks),
+        }  # fmt: skip
+
+    def markdown(self) -> str:
+        """The table as Markdown."""
+        times = self.ratios and len(self.rows) > 1
+        lines = [f"## {self.title}", "", f"| library | call | {self.unit} |" + (" ratio |" if times else "")]
+        lines.append("|---|---|--:|" + ("--:|" if times else ""))
+        for row in self.rows:
+            ratio = f" {significant(row.value / self.rows[0].value)} |" if times else ""
+            lines.append(f"| {row.library} | {row.call} | {significant(row.value)} |{ratio}")
+        for title, items in (("Goals", self.goals), ("Remarks", self.remarks)):
+            if items:
+                lines += ["", f"{title}:", "", *(f"- {item}" for item in items)]
+        return "\n".join(lines) + "\n"
+
+
+def significant(x: float) -> str:
+    """A number with three significant digits, without exponent."""
+    return f"{x:.0f}" if abs(x) >= 100 else f"{x:.3g}"
+
+
+def measure(cases: Sequence[Case], scale: float = 1e9, rounds: int = ROUNDS) -> list[Row]:
+    """Median time of one result of each case, in units of 1/`scale` seconds.
+
+    The cases take turns (A B C A B C ...), so that a drift of the machine's speed meets all of them alike; garbage
+    collection is off inside a turn.
+    """
+    timers = [timeit.Timer(c.code, timer=time.perf_counter_ns, globals=dict(c.names)) for c in cases]
+    numbers = []
+    for timer in timers:
+        timer.timeit(1)
+        once = max(timer.timeit(1), 100.0)
+        numbers.append(max(1, int(TURN * 1e9 / once)))
+    turns: list[list[float]] = [[] for _ in cases]
+    for _ in range(rounds):
+        for case, timer, number, record in zip(cases, timers, numbers, turns, strict=True):
+            record.append(timer.timeit(number) / (number * case.results))
+    return [
+        Row(c.library, c.call, statistics.median(t) * scale * 1e-9) for c, t in zip(cases, turns, strict=True)
+    ]

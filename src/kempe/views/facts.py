@@ -1,0 +1,201 @@
+"""Systems and answers as plain data (dicts, lists, numbers, text), ready for JSON and for the tables of `report`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.description.parts import Joint
+from kempe.errors import DescriptionError, KempeError, Problem
+from kempe.joints import Q, R
+from kempe.model.coordinates import Follower, relation_text
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.solvers.solution import Solution
+
+DEGREE = math.pi / 180.0
+
+
+def units(system: System) -> dict[str, str]:
+    """Unit of every joint coordinate and velocity coordinate by name: 'rad', 'm', or '' for a quaternion's parts."""
+    out: dict[str, str] = {}
+    bodies = system.mechanism.bodies
+    for joint in system.joints.values():
+        particle = bodies[joint.child].particle
+        names, primitives = joint.type.layout(system.dim, particle)
+        own = {p.coordinate: "rad" if p.kind == R else "m" for p in reversed(primitives) if p.kind != Q}
+        for i, name in enumerate(names):
+            out[_full(joint, name)] = own.get(i, "")
+        for name in joint.type.velocities(system.dim, particle):
+            out.setdefault(_full(joint, name), "rad")
+    return out
+
+
+def in_degrees(values: Any, names: Iterable[str], unit: dict[str, str], degrees: bool) -> spatial.Array:
+    """Values (..., k) of the named coordinates, the angles among them in degrees where `degrees` asks for it."""
+    factors = [1.0 / DEGREE if degrees and unit[n] == "rad" else 1.0 for n in names]
+    return np.asarray(values, dtype=float) * factors
+
+
+def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
+    """All that `kempe info` says of a system, by topic; limits of angles in radians, or in degrees."""
+    space = system.configuration_space
+    closures = set(system.closures)
+    return {
+        "name": system.name,
+        "dim": system.dim,
+        "angle_unit": "deg" if degrees else "rad",
+        "parent": list(system.parent),
+        "nq": system.nq,
+        "nv": system.nv,
+        "dof_of_tree": system.nv - _cut_freedoms(system),
+        "configuration_space": {
+            "shape": space.shape, "dim": space.dim, "limited": space.limited, "constraints": space.constraints,
+            "text": str(space),
+        },
+        "bodies": _bodies(system),
+        "joints": [_joint(system, j, j.name not in closures) for j in system.joints.values()],
+        "coordinates": coordinates(system, degrees),
+        "closures": list(system.closures),
+        "frames": [{"name": f.name, "body": f.body} for f in system.frames.values()],
+        "couplings": [_coupling(of, f) for of, f in system.couplings.items()],
+        "relations": [relation_text(r) for r in system.relations],
+        "postures": list(system.posture_names),
+        "parameters": system.parameters,
+        "notes": list(system.notes),
+    }  # fmt: skip
+
+
+def _cut_freedoms(system: System) -> int:
+    """How many velocity coordinates belong to the joints that the tree left out."""
+    bodies, joints, known = system.mechanism.bodies, system.joints, set(system.velocity_names)
+    cut = [joints[name] for name in system.closures]
+    return sum(
+        _full(j, v) in known for j in cut for v in j.type.velocities(system.dim, bodies[j.child].particle)
+    )
+
+
+def _bodies(system: System) -> list[dict[str, Any]]:
+    names = system.body_names
+    records = system.mechanism.bodies
+    out: list[dict[str, Any]] = [
+        {"number": 0, "name": names[0], "parent": None, "joint": None, "particle": False}
+    ]
+    for i, (parent, joint) in enumerate(zip(system.parent, system.parent_joints, strict=True), start=1):
+        out.append({"number": i, "name": names[i], "parent": parent, "joint": joint,
+                    "particle": records[names[i]].particle})  # fmt: skip
+    return out
+
+
+def _joint(system: System, joint: Joint, in_tree: bool) -> dict[str, Any]:
+    return {
+        "name": joint.name, "type": joint.type.type_name, "options": joint.type.options,
+        "parent": joint.parent, "child": joint.child, "in_tree": in_tree,
+        "coordinates": system.coordinates_of_joint(joint.name), "actuated": joint.actuated,
+    }  # fmt: skip
+
+
+def coordinates(system: System, degrees: bool = False) -> list[dict[str, Any]]:
+    """Each entry of q: its index, name, unit and limits (None where there is none)."""
+    unit = units(system)
+    limits = in_degrees(system.limits.T, system.velocity_names, unit, degrees)
+    of = dict(zip(system.velocity_names, limits.T.tolist(), strict=True))
+    out = []
+    for i, name in enumerate(system.coordinate_names):
+        lower, upper = of.get(name, (-math.inf, math.inf))
+        shown = "deg" if degrees and unit[name] == "rad" else unit[name]
+        out.append(
+            {"index": i, "name": name, "unit": shown, "lower": _number(lower), "upper": _number(upper)}
+        )
+    return out
+
+
+def _coupling(of: str, follower: Follower) -> dict[str, Any]:
+    return {"of": of, "source": follower.source, "multiplier": follower.multiplier, "offset": follower.offset}
+
+
+def pose_facts(X: spatial.Array, frame: str, degrees: bool = False) -> dict[str, Any]:
+    """A pose (4, 4) as matrix, as position [m] and as fixed-axis angles roll, pitch, yaw [rad, or degrees]."""
+    numbers = spatial.xyz_rpy_from_pose(X)
+    rpy = numbers[3:] / DEGREE if degrees else numbers[3:]
+    return {"frame": frame, "xyz": jsonable(numbers[:3]), "rpy": jsonable(rpy), "matrix": jsonable(X)}
+
+
+def poses_facts(system: System, frame: str | None, X: spatial.Array, degrees: bool = False) -> dict[str, Any]:
+    """Poses as `System.fk` gives them: of a frame, or of all bodies (`frame` None); of one or of many configurations."""
+    unit = {
+        "system": system.name,
+        "seen_from": system.body_names[0],
+        "angle_unit": "deg" if degrees else "rad",
+    }
+
+    def one(Y: spatial.Array) -> Any:
+        if frame is not None:
+            return pose_facts(Y, frame, degrees)
+        return [pose_facts(y, name, degrees) for name, y in zip(system.body_names, Y, strict=True)]
+
+    if X.ndim == (2 if frame is not None else 3):
+        return unit | (one(X) if frame is not None else {"bodies": one(X)})
+    return unit | {"configurations": [one(Y) for Y in X]}
+
+
+def solution_facts(system: System, answer: Solution, degrees: bool = False) -> dict[str, Any]:
+    """An answer of `ik`: configuration by name, whether and how well it reaches, and the sentence; lists for a batch."""
+    names = system.coordinate_names
+    q = jsonable(in_degrees(answer.q, names, units(system), degrees))
+    batch = np.ndim(answer.success) > 0
+    fields = ("success", "status", "position_error", "orientation_error", "residual", "iterations", "starts")
+    out = {name: jsonable(np.asarray(getattr(answer, name)).tolist()) for name in fields}
+    by_name = [dict(zip(names, row, strict=True)) for row in (q if batch else [q])]
+    return {
+        "system": system.name,
+        "angle_unit": "deg" if degrees else "rad",
+        **out,
+        "q": by_name if batch else by_name[0],
+    }
+
+
+def problem_facts(problem: Problem) -> dict[str, Any]:
+    """A finding about a file: its place, what it is about, what is wrong, what is allowed."""
+    where = problem.where
+    return {
+        "file": where.file if where else None, "line": where.line or None if where else None,
+        "column": where.column or None if where else None, "subject": problem.subject,
+        "message": problem.message, "allowed": problem.allowed, "text": str(problem),
+    }  # fmt: skip
+
+
+def error_facts(error: BaseException | str) -> dict[str, Any]:
+    """An error as data: its sentence under 'error', and what it carries."""
+    out: dict[str, Any] = {"error": str(error), "type": type(error).__name__}
+    if isinstance(error, str):
+        out["type"] = "UsageError"
+    elif isinstance(error, DescriptionError):
+        out["problems"] = [problem_facts(p) for p in error.problems]
+    elif isinstance(error, KempeError) and hasattr(error, "allowed"):
+        out["allowed"] = list(error.allowed)  # type: ignore[attr-defined]
+    return out
+
+
+def jsonable(values: Any) -> Any:
+    """Arrays as nested lists of numbers, with None in place of NaN and infinities, which JSON does not have."""
+    if isinstance(values, np.ndarray):
+        return jsonable(values.tolist())
+    if isinstance(values, (list, tuple)):
+        return [jsonable(v) for v in values]
+    if isinstance(values, float):
+        return values + 0.0 if math.isfinite(values) else None
+    return values
+
+
+def _number(x: Any) -> float | None:
+    return jsonable(float(x))
+
+
+def _full(joint: Joint, coordinate: str) -> str:
+    return f"{joint.name}.{coordinate}" if coordinate else joint.name

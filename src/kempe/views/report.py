@@ -1,0 +1,334 @@
+"""What the library answers, as tables and sentences for a terminal or a file (rich renderables).
+
+Print them with `show`, or with any rich console.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, TextIO
+
+import numpy as np
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from kempe import spatial
+from kempe.errors import PROBLEM_LIMIT, DescriptionError, Problem
+from kempe.views import facts, rows
+from kempe.views.benchmark.timing import significant
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.solvers.solution import Solution
+    from kempe.views import benchmark
+
+WIDE = 100_000
+"""Columns of an output that is not a terminal: nothing is cut or wrapped there."""
+
+_CONTROL = {i: f"\\x{i:02x}" for i in (*range(32), *range(127, 160)) if i not in (9, 10)}
+"""Control characters, which a name from a file must not send to the terminal."""
+
+
+def console(file: TextIO | None = None) -> Console:
+    """A rich console that takes text literally, colours terminals only, and neither cuts nor wraps elsewhere."""
+    file = sys.stdout if file is None else file
+    width = None if file.isatty() else WIDE
+    return Console(
+        file=file, width=width, markup=False, emoji=False, highlight=False, soft_wrap=width is not None
+    )
+
+
+def show(renderable: RenderableType, file: TextIO | None = None) -> None:
+    """Print a report to `file` (standard output unless given); lines have no trailing blanks outside a terminal."""
+    printer = console(file)
+    if printer.is_terminal:
+        printer.print(renderable)
+        return
+    with printer.capture() as captured:
+        printer.print(renderable)
+    printer.file.write("\n".join(line.rstrip() for line in captured.get().split("\n")))
+
+
+def clean(text: object) -> str:
+    """`text` with control characters made visible."""
+    return str(text).translate(_CONTROL)
+
+
+def table(columns: Sequence[str], lines: Iterable[Sequence[object]], title: str = "") -> Table:
+    """A light table; columns named with a leading '>' are aligned right."""
+    out = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), title=title or None, title_justify="left",
+                header_style="bold", title_style="bold")  # fmt: skip
+    for name in columns:
+        out.add_column(name.lstrip(">"), justify="right" if name.startswith(">") else "left", overflow="fold")
+    for line in lines:
+        out.add_row(*(cell if isinstance(cell, Text) else clean(cell) for cell in line))
+    return out
+
+
+def number(x: float, digits: int = 6) -> str:
+    """A number with fixed digits, without negative zero."""
+    text = f"{x:.{digits}f}"
+    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
+
+
+# ---- info
+
+
+def info(system: System, degrees: bool = False) -> RenderableType:
+    """A system: sizes, connectivity vector, freedoms, configuration space, bodies and joints, limits, and the rest."""
+    data = facts.system_facts(system, degrees)
+    blocks: list[RenderableType] = [_headline(data), "", _overview(data), "", _bodies(data)]
+    for block in (_loops(data), _couplings(data), _frames(data), _lines("Notes", data["notes"])):
+        if block is not None:
+            blocks += ["", block]
+    return Group(*blocks)
+
+
+def _headline(data: dict[str, Any]) -> Text:
+    place = "in the plane" if data["dim"] == 2 else "in space"
+    counts = f"{count(len(data['bodies']) - 1, 'body', 'bodies')}, {count(len(data['joints']), 'joint')}"
+    return Text.assemble((clean(data["name"]), "bold green"), f": {counts}, {place}")
+
+
+def _overview(data: dict[str, Any]) -> Table:
+    space = data["configuration_space"]
+    loops, constraints = len(data["closures"]), space["constraints"]
+    dof = f"{data['dof_of_tree']} of the tree"
+    if constraints:
+        left = data["nv"] - constraints
+        cause = count(loops, "loop") if loops else "coupled joints"
+        dof += f"; {data['nv']} of all joints less {constraints} equations ({cause}) leave at least {max(left, 0)}"
+    elif loops == 0:
+        dof += ", no loops"
+    lines: list[tuple[str, str]] = [
+        (
+            "connectivity",
+            "C = {" + ", ".join(map(str, data["parent"])) + "}  (parent of each body, 0 is the ground)",
+        ),
+        ("degrees of freedom", dof),
+        ("configuration space", space["text"]),
+        ("coordinates", f"q has {count(data['nq'], 'number')}"),
+    ]
+    if data["parameters"]:
+        lines.append(("parameters", ", ".join(f"{k} = {v:g}" for k, v in data["parameters"].items())))
+    if data["postures"]:
+        lines.append(("postures", ", ".join(data["postures"])))
+    grid = Table.grid(padding=(0, 2, 0, 0))
+    grid.add_column(style="bold", no_wrap=True)
+    grid.add_column(overflow="fold")
+    for name, text in lines:
+        grid.add_row(name, clean(text))
+    return grid
+
+
+def _bodies(data: dict[str, Any]) -> Table:
+    joints = {j["name"]: j for j in data["joints"]}
+    by_name = {c["name"]: c for c in data["coordinates"]}
+    names = [b["name"] for b in data["bodies"]]
+    lines: list[Sequence[object]] = [(0, names[0], "", "", "ground", "", "")]
+    for body in data["bodies"][1:]:
+        joint = joints[body["joint"]]
+        kind = _kind(joint) + (" (walked backwards)" if joint["child"] != body["name"] else "")
+        name = body["name"] + (" (particle)" if body["particle"] else "")
+        parent = f"{body['parent']} {names[body['parent']]}"
+        lines.append((body["number"], name, parent, joint["name"], kind, *_of_joint(joint, by_name)))
+    return table((">#", "body", "parent", "joint", "type", "q", "limits"), lines)
+
+
+def _kind(joint: dict[str, Any]) -> str:
+    options = ", ".join(f"{k} {v:g}" if isinstance(v, float) else k for k, v in joint["options"].items())
+    return joint["type"] + (f", {options}" if options else "")
+
+
+def _of_joint(joint: dict[str, Any], by_name: dict[str, dict[str, Any]]) -> tuple[str, str]:
+    """Indices in q of a joint's coordinates, and their limits, as text."""
+    own = [by_name[c] for c in joint["coordinates"] if c in by_name]
+    if not own:
+        return ("follows" if joint["coordinates"] else ""), ""
+    first, last = own[0]["index"], own[-1]["index"]
+    where = str(first) if first == last else f"{first}..{last}"
+    parts = []
+    for c in own:
+        if c["lower"] is not None or c["upper"] is not None:
+            label = f"{c['name'][len(joint['name']) + 1 :]} " if len(joint["coordinates"]) > 1 else ""
+            parts.append(f"{label}[{_bound(c['lower'], '-inf')}, {_bound(c['upper'], 'inf')}] {c['unit']}")
+    return where, ", ".join(parts)
+
+
+def _bound(x: float | None, missing: str) -> str:
+    return missing if x is None else f"{x:.5g}"
+
+
+def _loops(data: dict[str, Any]) -> Table | None:
+    joints = {j["name"]: j for j in data["joints"]}
+    by_name = {c["name"]: c for c in data["coordinates"]}
+    lines = [(j["name"], _kind(j), f"{j['parent']} - {j['child']}", *_of_joint(j, by_name))
+            for j in (joints[n] for n in data["closures"])]  # fmt: skip
+    columns = ("joint", "type", "bodies", "q", "limits")
+    return table(columns, lines, "Loops, closed by the joints that the tree leaves out") if lines else None
+
+
+def _couplings(data: dict[str, Any]) -> RenderableType | None:
+    lines = [_coupling(c) for c in data["couplings"]] + data["relations"]
+    return _lines("Coordinates that follow others", lines)
+
+
+def _coupling(c: dict[str, Any]) -> str:
+    if c["source"] is None:
+        return f"{c['of']} = {c['offset']:g} (held)"
+    factor = "" if c["multiplier"] == 1.0 else "-" if c["multiplier"] == -1.0 else f"{c['multiplier']:g} "
+    offset = f" {'-' if c['offset'] < 0 else '+'} {abs(c['offset']):g}" if c["offset"] else ""
+    return f"{c['of']} = {factor}{c['source']}{offset}"
+
+
+def _frames(data: dict[str, Any]) -> RenderableType | None:
+    return _lines("Frames", [f"{f['name']} on {f['body']}" for f in data["frames"]])
+
+
+def _lines(title: str, lines: Sequence[str]) -> RenderableType | None:
+    if not lines:
+        return None
+    return Group(Text(title, style="bold"), *(Text(f"  {clean(line)}") for line in lines))
+
+
+# ---- check
+
+
+def findings(file: str, problems: Sequence[Problem], notes: Sequence[str] = ()) -> RenderableType:
+    """What is wrong with a file: each problem with its place and a caret under it; then the notes."""
+    found = count(len(problems), "problem") if problems else "no problems"
+    noted = f", {count(len(notes), 'note')}" if notes else ""
+    head = Text.assemble(clean(file), ": ", (found, "bold red" if problems else "bold green"), noted)
+    shown = [_problem(p) for p in problems[:PROBLEM_LIMIT]]
+    if len(problems) > PROBLEM_LIMIT:
+        shown.append(Text(f"... and {len(problems) - PROBLEM_LIMIT} more"))
+    said = [Text.assemble(("note ", "bold cyan"), clean(note)) for note in notes]
+    return Group(head, *shown, *said)
+
+
+def _problem(problem: Problem) -> Text:
+    text = Text(clean(problem))
+    if problem.where:
+        text.stylize("bold", 0, len(str(problem.where)))
+    caret = problem.caret()
+    if caret:
+        line, mark = clean(caret).rsplit("\n", 1)
+        text.append(f"\n{line}\n", "dim").append(mark, "bold red")
+    return text
+
+
+def error(problem: BaseException | str) -> RenderableType:
+    """An error as one sentence; a description's problems each with its place and a caret."""
+    head = Text("error: ", style="bold red")
+    if isinstance(problem, DescriptionError):
+        shown = [_problem(p) for p in problem.problems[:PROBLEM_LIMIT]]
+        more = len(problem.problems) - len(shown)
+        tail = [Text(f"... and {more} more")] if more else []
+        return Group(head + shown[0], *shown[1:], *tail)
+    return head + Text(clean(problem))
+
+
+# ---- poses and configurations
+
+
+def poses(system: System, frame: str | None, X: spatial.Array, degrees: bool = False) -> RenderableType:
+    """Where a frame is, or all bodies are (`frame` None); of many configurations a line for each.
+
+    X is what `System.fk` gives: (4, 4), (n, 4, 4), or for all bodies (k, 4, 4), (n, k, 4, 4).
+    """
+    title = Text.assemble((clean(frame or "all bodies"), "bold green"), f" of {clean(system.name)}, seen from "
+                          f"{clean(system.body_names[0])}")  # fmt: skip
+    if frame is not None and X.ndim == 2:
+        return Group(title, "", _pose_table([()], (), X[None], degrees), "", Text(matrix(X)))
+    if frame is not None:
+        return Group(title, "", _pose_table([(i,) for i in range(len(X))], (">configuration",), X, degrees))
+    bodies = list(enumerate(system.body_names))
+    if X.ndim == 3:
+        return Group(title, "", _pose_table(bodies, (">#", "body"), X, degrees))
+    labels = [(i, *body) for i in range(len(X)) for body in bodies]
+    return Group(
+        title, "", _pose_table(labels, (">configuration", ">#", "body"), X.reshape(-1, 4, 4), degrees)
+    )
+
+
+def _pose_table(
+    labels: Sequence[tuple], columns: tuple[str, ...], X: spatial.Array, degrees: bool
+) -> Table:  # fmt: skip
+    unit, places = ("deg", 4) if degrees else ("rad", 6)
+    cells = [(*label, *(number(x) for x in r[:3]), *(number(x, places) for x in r[3:]))
+             for label, r in zip(labels, rows.pose_rows(X, degrees).tolist(), strict=True)]  # fmt: skip
+    return table(
+        (*columns, ">x [m]", ">y [m]", ">z [m]", *(f">{a} [{unit}]" for a in ("roll", "pitch", "yaw"))), cells
+    )
+
+
+def matrix(X: spatial.Array) -> str:
+    """A matrix (n, m) as aligned text."""
+    return "\n".join("  ".join(f"{number(x):>10}" for x in row) for row in np.asarray(X).tolist())
+
+
+def solution(system: System, answer: Solution, degrees: bool = False) -> RenderableType:
+    """An answer of `ik`: its sentence, and the configuration by name with limits; of many targets a line for each."""
+    coordinates = facts.coordinates(system, degrees)
+    q = facts.in_degrees(answer.q, system.coordinate_names, facts.units(system), degrees)
+    if np.ndim(answer.success):
+        return Group(outcome(answer), "", _configurations(coordinates, q, answer))
+    lines = []
+    for c, x in zip(coordinates, q.tolist(), strict=True):
+        limits = f"[{_bound(c['lower'], '-inf')}, {_bound(c['upper'], 'inf')}]"
+        lines.append((c["name"], _value(x, c), c["unit"], "" if c["lower"] is c["upper"] is None else limits))
+    title = "coordinate" if answer.success else "nearest found"
+    return Group(outcome(answer), "", table((title, ">value", "unit", "limits"), lines))
+
+
+def outcome(answer: Solution) -> Text:
+    """The sentence of an answer of `ik`, or how many of a batch of targets are reached and which are not."""
+    if np.ndim(answer.success) == 0:
+        return Text(clean(answer.status), style="bold green" if answer.success else "bold red")
+    missed = np.flatnonzero(~np.asarray(answer.success)).tolist()
+    text = Text(str(answer), style="bold red" if missed else "bold green")
+    if missed:
+        text.append(f"; not {rows_text(missed)}")
+    return text
+
+
+def rows_text(numbers: Sequence[int]) -> str:
+    """'row 3', 'rows 3, 4, ...'."""
+    more = ", ..." if len(numbers) > 12 else ""
+    return f"row{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers[:12]))}{more}"
+
+
+def _configurations(coordinates: list[dict[str, Any]], q: spatial.Array, answer: Solution) -> Table:
+    columns = (
+        ">target",
+        "reached",
+        *(f">{c['name']} [{c['unit']}]" if c["unit"] else f">{c['name']}" for c in coordinates),
+    )
+    cells = [(i, "yes" if good else "no", *(_value(x, c) for x, c in zip(row, coordinates, strict=True)))
+             for i, (good, row) in enumerate(zip(answer.success, q.tolist(), strict=True))]  # fmt: skip
+    return table(columns, cells)
+
+
+def _value(x: float, coordinate: dict[str, Any]) -> str:
+    return number(x, 4 if coordinate["unit"] == "deg" else 6)
+
+
+def count(n: int, one: str, many: str = "") -> str:
+    """'1 joint', '2 joints', '2 bodies'."""
+    return f"{n} {one if n == 1 else many or one + 's'}"
+
+
+# ---- benchmark
+
+
+def measured(result: benchmark.Table) -> RenderableType:
+    """A table of the benchmark with its goals and remarks."""
+    first = result.rows[0].value
+    times = [significant(r.value / first) if result.ratios else "" for r in result.rows]
+    cells = [(r.library, r.call, significant(r.value), t) for r, t in zip(result.rows, times, strict=True)]
+    columns = ("library", "call", f">{result.unit}", ">ratio" if result.ratios else "")
+    goals = [Text(f"  {goal}", style="green" if goal.met else "red") for goal in result.goals]
+    remarks = [Text(f"  {remark}") for remark in result.remarks]
+    return Group(table(columns, cells, result.title), *goals, *remarks, "")

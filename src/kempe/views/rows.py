@@ -1,0 +1,229 @@
+"""Configurations, targets and poses as text and as .csv and .npy files, in radians or degrees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe import spatial
+from kempe.errors import InputError, UnknownNameError
+from kempe.kinematics.configuration import as_q
+from kempe.views.facts import DEGREE, in_degrees, units
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+SUFFIXES = (".csv", ".npy")
+POSE_COLUMNS = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def is_file(text: str) -> bool:
+    """Whether a value given as text names a file of rows."""
+    return Path(text).suffix.lower() in SUFFIXES
+
+
+def numbers(text: str, what: str) -> list[float]:
+    """The numbers of 'a,b,c'. Errors: `InputError` naming the one that is none."""
+    out = []
+    for part in text.split(","):
+        try:
+            out.append(float(part))
+        except ValueError:
+            raise InputError(
+                f"{what}: {part.strip()!r} is not a number; write numbers with commas between them"
+            ) from None
+    return out
+
+
+def configuration(
+    system: System, text: str | None, posture: str | None = None, degrees: bool = False
+) -> spatial.Array:
+    """Configurations from the command line: (nq,), or (n, nq) where `text` names a file.
+
+    `text` is 'a,b,c' (all of q in order), 'name=value,...' (the rest neutral, or as in the posture) or a file.
+    `posture` names a posture of the system, or is 'neutral' or 'mid'. Errors: `InputError`, `UnknownNameError`.
+    """
+    base = _posture(system, posture)
+    if text is None:
+        return base
+    if is_file(text):
+        return _configurations(system, Path(text), degrees)
+    if "=" in text:
+        return system.q(_named(system, text, degrees), base)
+    return _radians(system, as_q(system, numbers(text, "q")), degrees)
+
+
+def _posture(system: System, name: str | None) -> spatial.Array:
+    special = {"neutral": system.neutral, "mid": system.mid}
+    if name is None:
+        return system.neutral
+    if name not in system.posture_names and name in special:
+        return special[name]
+    if name not in system.posture_names:
+        raise UnknownNameError("posture", name, (*system.posture_names, *special), system.name)
+    return system.posture(name)
+
+
+def _named(system: System, text: str, degrees: bool) -> dict[str, float]:
+    unit = units(system)
+    out: dict[str, float] = {}
+    for part in text.split(","):
+        name, sign, value = part.partition("=")
+        name = name.strip()
+        if not sign:
+            raise InputError(
+                f"q: {part.strip()!r} has no '='; write name=value,name=value or all {system.nq} numbers"
+            )
+        if name in out:
+            raise InputError(f"q: {name!r} is given twice")
+        (x,) = numbers(value, f"q: {name}")
+        out[name] = x * DEGREE if degrees and unit.get(name) == "rad" else x
+    return out
+
+
+def _radians(system: System, q: spatial.Array, degrees: bool) -> spatial.Array:
+    """q with its angles, given in degrees where `degrees` says so, in radians."""
+    return q / in_degrees(np.ones(system.nq), system.coordinate_names, units(system), degrees)
+
+
+def _configurations(system: System, path: Path, degrees: bool) -> spatial.Array:
+    """Configurations (n, nq) of a file; a .csv may name its columns, in any order, the missing ones neutral."""
+    names, rows = read(path)
+    if names is None:
+        return _radians(system, as_q(system, rows), degrees)
+    q = np.tile(system.neutral, (len(rows), 1))
+    order = []
+    for name in names:
+        system.q({name: 0.0})  # refuses unknown names, and says why where the coordinate follows another
+        order.append(system.coordinate_names.index(name))
+    if len(set(order)) < len(order):
+        raise InputError(f"{path}: a column appears twice")
+    q[:, order] = rows
+    given = np.isin(np.arange(system.nq), order)
+    q[:, given] = _radians(system, q, degrees)[:, given]
+    return q
+
+
+def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Array, bool]:
+    """Target poses (..., 4, 4) from the command line, and whether only their position counts.
+
+    'x,y,z,roll,pitch,yaw' (fixed axes, as in URDF) or 'x,y,z'; of planar systems also 'x,y,angle' and 'x,y'; or a
+    file of such rows, where a .npy may also hold (n, 4, 4) matrices.
+    """
+    if is_file(text):
+        _, rows = read(Path(text), matrices=True)
+    else:
+        rows = np.array(numbers(text, "target"))
+    if rows.ndim == 3:
+        return rows, False
+    n = rows.shape[-1]
+    planar = system.dim == 2
+    columns = {6: range(6), 3: (0, 1, 5) if planar else range(3), 2: (0, 1) if planar else None}.get(n)
+    if columns is None:
+        allowed = "x,y (position only), x,y,angle or x,y,z,roll,pitch,yaw" if planar else (
+            "x,y,z (position only) or x,y,z,roll,pitch,yaw")  # fmt: skip
+        raise InputError(f"the target has {n} number{'s' * (n != 1)}; it must be {allowed}")
+    full = np.zeros((*rows.shape[:-1], 6))
+    full[..., list(columns)] = rows
+    if degrees:
+        full[..., 3:] *= DEGREE
+    return spatial.pose_from_xyz_rpy(full), n == (2 if planar else 3)
+
+
+def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, spatial.Array]:
+    """Rows (n, k) of a .csv or .npy file, and the names in the first line of a .csv if it has them.
+
+    A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` naming the file and what is wrong.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    try:
+        return _read_npy(path, matrices) if path.suffix.lower() == ".npy" else _read_csv(path)
+    except (ValueError, EOFError) as error:
+        raise InputError(f"{path}: {str(error).splitlines()[0]}") from None
+
+
+def _read_npy(path: Path, matrices: bool) -> tuple[None, spatial.Array]:
+    array = np.asarray(np.load(path, allow_pickle=False), dtype=float)
+    if array.ndim == 2 or (matrices and array.ndim == 3 and array.shape[1:] == (4, 4)):
+        return None, array
+    raise InputError(
+        f"it holds an array of shape {array.shape}; needed is one row for each configuration or target"
+    )
+
+
+def _read_csv(path: Path) -> tuple[list[str] | None, spatial.Array]:
+    with path.open(encoding="utf-8-sig") as file:
+        first = file.readline().split(",")
+    names = None if all(map(_is_number, first)) else [n.strip().strip('"') for n in first]
+    rows = np.loadtxt(path, delimiter=",", skiprows=0 if names is None else 1, ndmin=2, encoding="utf-8-sig")
+    if names is not None and rows.size and rows.shape[1] != len(names):
+        raise InputError(f"its first line names {len(names)} columns, the others have {rows.shape[1]}")
+    return names, rows.reshape(-1, rows.shape[1] if names is None else len(names))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def write(path: Path, columns: Sequence[str], rows: spatial.Array, array: spatial.Array) -> None:
+    """Write `rows` (n, k) with their column names to a .csv, or `array` to a .npy file."""
+    if path.suffix.lower() == ".npy":
+        np.save(path, array)
+    elif path.suffix.lower() == ".csv":
+        np.savetxt(
+            path, rows, delimiter=",", fmt="%.17g", header=",".join(columns), comments="", encoding="utf-8"
+        )
+    else:
+        raise InputError(f"{path}: results are written to .csv or .npy files")
+
+
+def not_finite(q: spatial.Array) -> list[int]:
+    """Numbers of the rows of configurations (n, nq) that hold NaN or infinities; none of a single configuration."""
+    return np.flatnonzero(~np.isfinite(q).all(axis=-1)).tolist() if q.ndim > 1 else []
+
+
+def tolerance(text: str) -> tuple[float, float]:
+    """Largest errors in metres and radians, from 'm' (for both) or 'm,rad'."""
+    values = numbers(text, "tolerance")
+    if len(values) not in (1, 2) or not all(v > 0.0 for v in values):
+        raise InputError(
+            f"tolerance is {text!r}; it must be one or two positive numbers, in metres and radians"
+        )
+    return values[0], values[-1]
+
+
+def write_poses(path: Path, X: spatial.Array, bodies: bool, degrees: bool = False) -> None:
+    """Write poses: a .npy holds the array as it is, a .csv has x, y, z, roll, pitch, yaw in each line.
+
+    X is (4, 4) or (n, 4, 4), or with a line for each of several `bodies` (k, 4, 4) or (n, k, 4, 4); the .csv then
+    begins with the number of the configuration and of the body.
+    """
+    lines = pose_rows(X, degrees).reshape(-1, 6)
+    columns: tuple[str, ...] = POSE_COLUMNS
+    if bodies:
+        index = np.indices((len(X) if X.ndim == 4 else 1, X.shape[-3])).reshape(2, -1).T
+        lines, columns = np.concatenate([index, lines], axis=1), ("configuration", "body", *columns)
+    write(path, columns, lines, X)
+
+
+def write_configurations(path: Path, system: System, q: spatial.Array, degrees: bool = False) -> None:
+    """Write configurations (nq,) or (n, nq), a column for each coordinate; `configuration` reads them back."""
+    names = system.coordinate_names
+    shown = in_degrees(np.atleast_2d(q), names, units(system), degrees)
+    write(path, names, shown, shown)
+
+
+def pose_rows(X: spatial.Array, degrees: bool = False) -> spatial.Array:
+    """Poses (..., 4, 4) as rows (..., 6): x, y, z in metres, roll, pitch, yaw in radians or degrees."""
+    out = spatial.xyz_rpy_from_pose(X)
+    if degrees:
+        out[..., 3:] /= DEGREE
+    return out

@@ -1,0 +1,191 @@
+import numpy as np
+import pytest
+from primitive_tables import Row, Table, pose, random_pose, random_table
+
+from kempe.kernels.layout import BALL, BODY, SLIDE, TURN, WORLD, WORLD_ALIGNED
+from kempe.kernels.sweep import jacobian, jacobian1, pose1, poses, poses1
+
+FRAMES = (WORLD_ALIGNED, WORLD, BODY)
+SIZES = (0, 1, 2, 5, 8, 13, 40)
+
+
+def all_poses(table, q):
+    out = np.full((len(q), len(table.outputs), 4, 4), 7.0)
+    return poses(*table.pack(), q, out), out
+
+
+def all_jacobians(table, q, frame):
+    T, J = np.full((len(q), 4, 4), 7.0), np.full((len(q), 6, table.nv), 7.0)
+    return jacobian(*table.pack(), q, frame, T, J), T, J
+
+
+def close(a, b, scale=1.0):
+    return np.abs(a - b).max(initial=0.0) < 2e-13 * scale
+
+
+@pytest.mark.parametrize("n_rows", SIZES)
+@pytest.mark.parametrize("chain", [False, True])
+def test_poses_of_random_tables(n_rows, chain):
+    rng = np.random.default_rng(n_rows + 100 * chain)
+    table = random_table(rng, n_rows, n_out=1 if chain else 9, chain=chain, particles=True)
+    q = table.random_q(rng, 7)
+    bad, out = all_poses(table, q)
+    assert bad == 0 and close(out, np.array([table.poses(x) for x in q]))
+    single = np.empty(out.shape[1:])
+    for i, x in enumerate(q):
+        assert poses1(*table.pack(), x, single) == 0 and np.array_equal(single, out[i])
+        assert pose1(*table.pack(), x, single[0]) == 0 and close(single[0], out[i, 0])
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("chain", [False, True])
+@pytest.mark.parametrize("n_rows", SIZES)
+def test_jacobians_of_random_tables(n_rows, chain, frame):
+    rng = np.random.default_rng(n_rows)
+    table = random_table(rng, n_rows, chain=chain, particles=True)
+    q = table.random_q(rng, 5)
+    bad, T, J = all_jacobians(table, q, frame)
+    assert bad == 0 and close(T, np.array([table.poses(x)[0] for x in q]))
+    assert close(J, np.array([table.jacobian(x, frame) for x in q]), 100.0)
+    T1, J1 = np.empty((4, 4)), np.empty((6, table.nv))
+    assert jacobian1(*table.pack(), q[0], frame, T1, J1) == 0
+    assert np.array_equal(T1, T[0]) and np.array_equal(J1, J[0])
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("seed", range(6))
+def test_jacobians_are_derivatives_of_poses_on_the_manifold(seed, frame):
+    rng = np.random.default_rng(seed)
+    table = random_table(rng, 6, chain=True, particles=seed == 0)
+    packed, q, h = table.pack(), table.random_q(rng, 1)[0], 1e-6
+    T, J = np.empty((4, 4)), np.empty((6, table.nv))
+    jacobian1(*packed, q, frame, T, J)
+    p, R = T[:3, 3], T[:3, :3]
+    there, back = np.empty((4, 4)), np.empty((4, 4))
+    for i, v in enumerate(np.eye(table.nv)):
+        pose1(*packed, table.moved(q, h * v), there)
+        pose1(*packed, table.moved(q, -h * v), back)
+        rate = (there - back) / (2 * h)
+        W = rate[:3, :3] @ R.T
+        linear, angular = rate[:3, 3], np.array([W[2, 1], W[0, 2], W[1, 0]])
+        if frame == WORLD:
+            linear = linear + np.cross(p, angular)
+        elif frame == BODY:
+            linear, angular = R.T @ linear, R.T @ angular
+        assert np.abs(J[:, i] - np.r_[linear, angular]).max() < 2e-8
+
+
+def test_empty_batches():
+    table = random_table(np.random.default_rng(0), 4, n_out=3)
+    assert all_poses(table, np.empty((0, table.nq)))[0] == 0
+    assert all_jacobians(table, np.empty((0, table.nq)), WORLD)[0] == 0
+
+
+def test_frames_on_the_ground():
+    X = random_pose(np.random.default_rng(0))
+    table = Table([], [(-1, False, X), (-1, True, X)], 2, 2)
+    bad, out = all_poses(table, np.full((3, 2), np.nan))
+    assert (
+        bad == 0 and np.array_equal(out[:, 0], [X] * 3) and np.array_equal(out[:, 1], [pose(p=X[:3, 3])] * 3)
+    )
+    bad, T, J = all_jacobians(table, np.full((3, 2), np.nan), WORLD)
+    assert bad == 0 and np.array_equal(T, [X] * 3) and not J.any()
+
+
+BAD = [np.nan, np.inf, -np.inf]
+
+
+def poisoned(table, row, value):
+    """A configuration in which the coordinate of `row` is bad, and the rows that depend on it."""
+    q = table.random_q(np.random.default_rng(0), 1)[0]
+    r = table.rows[row]
+    q[r.iq : r.iq + (4 if r.kind == BALL else 1)] = value
+    hit = [r.iq == other.iq for other in table.rows]
+    for i, other in enumerate(table.rows):
+        hit[i] |= other.parent >= 0 and hit[other.parent]
+    return q, hit
+
+
+@pytest.mark.parametrize("value", [*BAD, 0.0])
+def test_bad_coordinates_spoil_what_depends_on_them_and_nothing_else(value):
+    rng = np.random.default_rng(4)
+    table = random_table(rng, 14, n_out=20, particles=True)
+    for row in range(14):
+        if value == 0.0 and table.rows[row].kind != BALL:
+            continue
+        q, hit = poisoned(table, row, value)
+        good = table.random_q(rng, 1)[0]
+        bad, out = all_poses(table, np.array([good, q, good]))
+        spoilt = [parent >= 0 and hit[parent] for parent, _, _ in table.outputs]
+        assert bad == int(any(spoilt))
+        assert np.isnan(out[1][spoilt][:, :3]).all() and not np.isnan(out[1][np.logical_not(spoilt)]).any()
+        assert np.array_equal(out[:, :, 3], np.broadcast_to([0.0, 0, 0, 1], out[:, :, 3].shape))
+        assert not np.isnan(out[[0, 2]]).any()
+        T, J = np.empty((4, 4)), np.empty((6, table.nv))
+        assert jacobian1(*table.pack(), q, WORLD_ALIGNED, T, J) == int(spoilt[0])
+        assert np.isnan(T[:3]).all() == np.isnan(J).all() == spoilt[0]
+        assert np.isnan(T[:3]).any() == np.isnan(J).any() == spoilt[0]
+        assert pose1(*table.pack(), q, T) == int(spoilt[0])
+
+
+def test_the_gauge_keeps_far_turns_exact():
+    """cos and sin of a turn by 1e8, and one beyond the polynomial's reach, beside a gauge angle."""
+    for turn in (1e8, -1e8, 3e12):
+        table = Table([Row(TURN, -1, 0, 0, np.eye(4), gauge=0.3)], [(0, False, np.eye(4))], 1, 1, True)
+        for out in (
+            all_poses(table, np.array([[turn]]))[1][0, 0],
+            all_jacobians(table, np.array([[turn]]), 0)[1][0],
+        ):
+            c, s = np.cos(turn), np.sin(turn)
+            expected = [c * np.cos(0.3) - s * np.sin(0.3), s * np.cos(0.3) + c * np.sin(0.3)]
+            assert np.abs(out[:2, 0] - expected).max() < 1e-15
+
+
+def test_quaternions_of_any_size_are_normalised():
+    table = Table([Row(BALL, -1, 0, 0, np.eye(4))], [(0, False, np.eye(4))], 4, 3, True, [(0, 0)])
+    unit = np.array([0.1, -0.7, 0.5, 0.5]) / np.linalg.norm([0.1, -0.7, 0.5, 0.5])
+    for size in (1.0, 1e-290, 1e-150, 1e150, 1e300):
+        bad, out = all_poses(table, np.array([unit * size]))
+        assert bad == 0 and close(out[0, 0], table.poses(unit)[0])
+
+
+def test_a_long_chain_stays_a_rigid_motion():
+    n = 10_000
+    rng = np.random.default_rng(0)
+    rows = [Row(TURN, i - 1, i, i, random_pose(rng)) for i in range(n)]
+    table = Table(rows, [(n - 1, False, np.eye(4))], n, n, True)
+    q = table.random_q(rng, 1)
+    bad, out = all_poses(table, q)
+    assert bad == 0 and np.abs(out[0, 0, :3, :3] @ out[0, 0, :3, :3].T - np.eye(3)).max() < 1e-11
+    assert close(all_jacobians(table, q, WORLD)[1][0, :3, 3], out[0, 0, :3, 3], 1e4)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_agrees_with_pinocchio(seed):
+    pin = pytest.importorskip("pinocchio")
+    rng = np.random.default_rng(seed)
+    table = random_table(rng, 12, plain=True)
+    model = pin.Model()
+    joints = {TURN: pin.JointModelRZ, SLIDE: pin.JointModelPZ, BALL: pin.JointModelSpherical}
+    for i, r in enumerate(table.rows):
+        model.addJoint(r.parent + 1, joints[r.kind](), pin.SE3(r.X[:3, :3], r.X[:3, 3]), f"j{i}")
+    row, _, X = table.outputs[0] = (11, False, table.outputs[0][2])
+    frame = model.addFrame(pin.Frame("f", row + 1, 0, pin.SE3(X[:3, :3], X[:3, 3]), pin.FrameType.OP_FRAME))
+    data = model.createData()
+    q = table.random_q(rng, 1)[0]
+    theirs, columns = np.empty(model.nq), []
+    for i, r in enumerate(table.rows):
+        joint = model.joints[i + 1]
+        values = q[r.iq : r.iq + joint.nq]
+        if r.kind == BALL:
+            values = np.roll(values / np.linalg.norm(values), -1)
+        theirs[joint.idx_q : joint.idx_q + joint.nq] = values
+        columns += [(r.iv + k, joint.idx_v + k) for k in range(joint.nv)]
+    pin.framesForwardKinematics(model, data, theirs)
+    for ours, reference in ((WORLD_ALIGNED, pin.LOCAL_WORLD_ALIGNED), (WORLD, pin.WORLD), (BODY, pin.LOCAL)):
+        expected = np.zeros((6, table.nv))
+        J = pin.computeFrameJacobian(model, data, theirs, frame, reference)
+        for a, b in columns:
+            expected[:, a] = J[:, b]
+        bad, T, J = all_jacobians(table, q[None], ours)
+        assert bad == 0 and close(T[0], data.oMf[frame].homogeneous, 10.0) and close(J[0], expected, 100.0)
