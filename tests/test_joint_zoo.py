@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from kempe import Mechanism
+from kempe.description.toml import read_toml
+from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 from kempe.joints import TYPES, Helical, JointType, P, Q, R, Revolute, Spherical, joint_type
 from kempe.kinematics.constraints import joint_pose
@@ -429,11 +431,9 @@ def test_types_and_systems_pickle(case):
 @every_case
 @ways
 def test_description_survives_a_round_trip(case, backwards):
-    toml = pytest.importorskip("kempe.description.toml")
     skip_impossible(case, backwards)
     system = one_joint(case, backwards, placed=True)
-    again = toml.read_toml(toml.write_toml(system.mechanism)).build()
-    assert again == system
+    assert read_toml(write_toml(system.mechanism)).build() == system
 
 
 @every_case

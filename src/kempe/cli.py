@@ -1,14 +1,13 @@
 """The command line: each command is a few lines over the library.
 
-Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that are no numbers);
-2 the question could not be asked (wrong usage, unknown name, a file that cannot be read).
+Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that are no
+numbers); 2 the question could not be asked (wrong usage, unknown name, a file that cannot be read).
 """
 
 from __future__ import annotations
 
 import functools
 import io
-import json as json_
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +17,7 @@ import typer
 from typer.core import TyperGroup
 
 from kempe import __version__
-from kempe.errors import KempeError
+from kempe.errors import InputError, KempeError
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -50,8 +49,8 @@ class Commands(TyperGroup):
 app = typer.Typer(
     cls=Commands, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="FILE is a URDF or TOML file, or the name of a shipped model. Exit codes: 0 complete, 1 no solution or "
-    "problems found, 2 wrong usage or unreadable file.",
+    epilog="FILE is a URDF or TOML file, or the name of a shipped model. "
+    "Exit codes: 0 complete, 1 no solution or problems found, 2 wrong usage or unreadable file.",
 )  # fmt: skip
 
 
@@ -74,6 +73,24 @@ Dirs = Annotated[
 Xacro = Annotated[
     bool, _option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)
 ]
+
+FrameOrAll = Annotated[str | None, _option("--frame", "Body or frame; all bodies if not given.", "NAME")]
+Values = Annotated[
+    str | None,
+    _option("--q", "a,b,c or name=value,... or a .csv or .npy file, one configuration a row.", "VALUES"),
+]
+Posture = Annotated[
+    str | None,
+    _option("--posture", "A posture of FILE, 'neutral' or 'mid'; --q name=value changes it.", "NAME"),
+]
+Frame = Annotated[str, _option("--frame", "Body or frame that shall reach the target.", "NAME")]
+Target = Annotated[
+    str, _option("--target", "x,y,z,roll,pitch,yaw (fixed axes) or x,y,z; or a .csv or .npy file.", "VALUES")
+]
+PositionOnly = Annotated[bool, _option("--position-only", "Leave the orientation free.")]
+Seed = Annotated[str | None, _option("--seed", "Configuration to start from, as --q of fk.", "VALUES")]
+Rng = Annotated[int, _option("--rng", "Number that fixes the random starts.", "N")]
+Tolerance = Annotated[str, _option("--tolerance", "Largest errors accepted, metres and radians.", "M[,RAD]")]
 
 
 # ---- what all commands share
@@ -114,11 +131,10 @@ def _refuse(error: BaseException | str, json: bool) -> NoReturn:
 
 
 def _print_json(data: Any) -> None:
-    print(json_.dumps(data, indent=2, allow_nan=False, ensure_ascii=not _utf8()))
+    from kempe.views.facts import json_text
 
-
-def _utf8() -> bool:
-    return (getattr(sys.stdout, "encoding", None) or "").lower().replace("-", "") == "utf8"
+    encoding = getattr(sys.stdout, "encoding", None) or "ascii"
+    print(json_text(data, ascii_only=encoding.lower().replace("-", "") != "utf8"))
 
 
 def _show(renderable: Any) -> None:
@@ -149,7 +165,7 @@ def main_options(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
 ) -> None:
-    """Every position question about a multibody system: where everything is, and which configurations reach a pose."""
+    """Where every body of a mechanism is, and which configurations reach a pose."""
     if version:
         print(f"kempe {__version__}")
     elif context.invoked_subcommand is None:
@@ -164,7 +180,7 @@ def info(
     file: File, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
     package_dir: Dirs = None, xacro: Xacro = False,
 ) -> None:  # fmt: skip
-    """Say what a system is: bodies, joints, loops, freedoms, limits, frames.
+    """Say what a system is: bodies, joints, loops, limits, frames.
 
     Example: kempe info panda.urdf
     """
@@ -182,7 +198,7 @@ def check(
     files: Annotated[list[str], typer.Argument(metavar="FILE...", help="URDF or TOML files.")],
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
 ) -> None:  # fmt: skip
-    """List all problems of files, each with its line. Exit code 1 if there are any.
+    """List all problems of files, each with its line.
 
     Example: kempe check robots/*.urdf
     """
@@ -192,12 +208,21 @@ def check(
     results: list[dict[str, Any]] = []
     for file in files:
         problems, notes = check_(file, **_options(base, root, package_dir, xacro))
-        results.append({"file": file, "ok": not problems, "problems": [facts.problem_facts(p) for p in problems],
-                        "notes": list(notes)})  # fmt: skip
+        results.append(
+            {
+                "file": file,
+                "ok": not problems,
+                "problems": [facts.problem_facts(p) for p in problems],
+                "notes": list(notes),
+            }
+        )
         if not json:
             _show(report.findings(file, problems, notes))
     if json:
         _print_json(results)
+    elif len(results) > 1:
+        bad = sum(not r["ok"] for r in results)
+        print(f"{len(results)} files: {len(results) - bad} good, {bad} with problems")
     raise typer.Exit(COMPLETE if all(r["ok"] for r in results) else INCOMPLETE)
 
 
@@ -206,15 +231,20 @@ def convert(
     file: File, out: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .toml or .urdf.")],
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
 ) -> None:  # fmt: skip
-    """Write a system in another format: .toml can say everything, .urdf trees.
+    """Write a system in another format: .toml (everything) or .urdf (trees).
 
     Example: kempe convert panda.urdf panda.toml
     """
     import kempe
+    from kempe.description.toml_writer import write_toml
+    from kempe.description.urdf_writer import write_urdf
 
     mechanism = kempe.read(file, **_options(base, root, package_dir, xacro))
     mechanism.build()
-    _write(mechanism, out)
+    writers = {".toml": write_toml, ".urdf": write_urdf}
+    if out.suffix.lower() not in writers:
+        raise InputError(f"{out}: the format is told by the ending; it must be .toml or .urdf")
+    out.write_text(writers[out.suffix.lower()](mechanism), encoding="utf-8")
     if json:
         _print_json({"written": str(out), "name": mechanism.name, "notes": list(mechanism.notes)})
     else:
@@ -227,23 +257,18 @@ def convert(
 @command
 def fk(
     file: File,
-    frame: Annotated[str | None, _option("--frame", "Body or frame; all bodies if not given.", "NAME")] = None,
-    q: Annotated[
-        str | None, _option("--q", "a,b,c or name=value,... or a .csv or .npy file, one configuration a row.", "VALUES")
-    ] = None,
-    posture: Annotated[
-        str | None, _option("--posture", "A named posture, 'neutral' (default) or 'mid'; --q name=value changes it.", "NAME")
-    ] = None,
-    deg: Deg = False, out: Out = None, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    frame: FrameOrAll = None, q: Values = None, posture: Posture = None, deg: Deg = False, out: Out = None,
+    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
 ) -> None:  # fmt: skip
-    """Say where a frame is, or all bodies are (forward geometric model).
+    """Say where a frame is, or all bodies are (forward model).
 
     Example: kempe fk panda.urdf --frame panda_hand_tcp --q 0,-45,0,-135,0,90,45,0.04 --deg
     """
     system = _load(file, base, root, package_dir, xacro)
     from kempe.views import facts, report, rows
 
+    if frame is not None:
+        system.frame_name(frame)  # a wrong name is told before kernels are compiled
     values = rows.configuration(system, q, posture, deg)
     X = system.fk(values, frame)
     if out is not None:
@@ -264,27 +289,18 @@ def fk(
 
 @command
 def ik(
-    file: File,
-    frame: Annotated[str, _option("--frame", "Body or frame that shall reach the target.", "NAME")],
-    target: Annotated[
-        str, _option("--target", "x,y,z,roll,pitch,yaw (fixed axes) or x,y,z; or a .csv or .npy file of such rows.", "VALUES")
-    ],
-    position_only: Annotated[bool, _option("--position-only", "Leave the orientation free.")] = False,
-    seed: Annotated[str | None, _option("--seed", "Configuration to start from, as --q of fk.", "VALUES")] = None,
-    rng: Annotated[int, _option("--rng", "Number that fixes the random starts.", "N")] = 0,
-    tolerance: Annotated[
-        str, _option("--tolerance", "Largest errors accepted, in metres and radians.", "M[,RAD]")
-    ] = "1e-6",
-    deg: Deg = False, out: Out = None, json: Json = False,
+    file: File, frame: Frame, target: Target, position_only: PositionOnly = False, seed: Seed = None,
+    rng: Rng = 0, tolerance: Tolerance = "1e-6", deg: Deg = False, out: Out = None, json: Json = False,
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
 ) -> None:  # fmt: skip
-    """Find a configuration in which a frame reaches a pose (inverse geometric model).
+    """Find a configuration that brings a frame to a pose (inverse model).
 
     Example: kempe ik panda.urdf --frame panda_hand_tcp --target 0.4,0.1,0.5,180,0,0 --deg
     """
     system = _load(file, base, root, package_dir, xacro)
     from kempe.views import facts, report, rows
 
+    system.frame_name(frame)  # a wrong name is told before kernels are compiled
     X, position = rows.target(system, target, deg)
     start = None if seed is None else rows.configuration(system, seed, None, deg)
     answer = system.ik(
@@ -319,18 +335,16 @@ def library(
 
     Example: kempe library puma560
     """
-    from kempe import library as models
+    from kempe.views import facts, report
 
     if name is not None:
-        text = models.text(name)
+        text = facts.model_text(name)
         _print_json({"name": name, "toml": text}) if json else print(text, end="")
         return
-    found = models.descriptions()
+    found = facts.models()
     if json:
         _print_json([{"name": n, "description": d} for n, d in found.items()])
     else:
-        from kempe.views import report
-
         _show(report.table(("model", "what it is"), found.items()))
 
 
@@ -347,7 +361,7 @@ def bench(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Measure Kempe beside the kinematics libraries that are installed, in about three minutes.
+    """Measure Kempe beside the other libraries installed (minutes).
 
     Example: kempe bench --only batch --only inverse --out results.md
     """
@@ -366,7 +380,7 @@ def bench(
 
 @command
 def warmup(json: Json = False) -> None:
-    """Compile all kernels for this machine now, so that no later call has to wait."""
+    """Compile all kernels now, so that no later call has to wait."""
     import kempe
 
     seconds = kempe.warmup()

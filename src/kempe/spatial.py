@@ -83,10 +83,8 @@ def align_z(axis: ArrayLike) -> Array:
     """
     a = unit(axis)
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
-    across = np.hypot(x, y)
-    upright = across == 0.0
-    with np.errstate(invalid="ignore", divide="ignore"):
-        u, w = np.where(upright, 0.0, x / across), np.where(upright, 1.0, y / across)
+    upright = (x == 0.0) & (y == 0.0)
+    u, w = np.moveaxis(np.where(upright[..., None], [0.0, 1.0], unit(a[..., :2])), -1, 0)
     k = 1.0 - z  # a turn about (-w, u, 0) with cosine z
     out = np.empty((*a.shape, 3))
     out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = 1.0 - k * u * u, -k * u * w, x

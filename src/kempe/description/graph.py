@@ -30,7 +30,11 @@ def choose_root(
     if len(roots) > 1:
         listed = _listed(roots, links)
         separate = len({parts[n] for n in roots}) > 1
-        cure = "join them by joints (type fixed where they do not move)" if separate else f"choose with root={roots[0]!r}"
+        cure = (
+            "join them by joints (type fixed where they do not move)"
+            if separate
+            else f"choose with root={roots[0]!r}"
+        )
         findings.add(f"{len(roots)} links are nobody's child: {listed}", "robot", links[roots[1]],
                      f"one link must be the root; {cure}")  # fmt: skip
         return None

@@ -22,7 +22,9 @@ def resolve_mesh(path: str, roots: Iterable[str | Path]) -> Path:
     subject = f"mesh {shorten(path)}"
     scheme = re.match(r"([A-Za-z][A-Za-z0-9+.-]*)://", path)
     if scheme and scheme[1] != "package":
-        raise InputError(f"{subject}: {scheme[0]} is not followed; a mesh is package://name/... or relative to the model")
+        raise InputError(
+            f"{subject}: {scheme[0]} is not followed; a mesh is package://name/... or relative to the model"
+        )
     inner = path.removeprefix("package://") if scheme else path
     parts = PurePosixPath(inner.replace("\\", "/")).parts
     if not parts or "\0" in path:

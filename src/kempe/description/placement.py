@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -80,10 +81,10 @@ def place(
         steps.append(("quat_wxyz", values(quat_wxyz, 4, "quat_wxyz")))
     if matrix is not None:
         steps.append(("matrix", values(_array(matrix, "matrix").reshape(-1), 9, "matrix")))
-    if axis is not None:
-        steps += axis_steps(axis)
     for step in steps:
         check_step(*step)
+    if axis is not None:
+        steps += axis_steps(axis)
     return Placement(tuple(steps)).simplified()
 
 
@@ -118,10 +119,14 @@ def check_step(motion: str, numbers: tuple[Value, ...]) -> None:
         raise InputError(f"unknown motion {motion!r}; allowed are {', '.join(COUNTS)}")
     if len(numbers) != COUNTS[motion]:
         raise InputError(f"{motion} has {len(numbers)} numbers; it must have {COUNTS[motion]}")
+    if motion in _SCALAR:
+        return
     if any(isinstance(x, Expression) for x in numbers):
         if motion in ("align", "unalign", "matrix"):
             raise InputError(f"{motion} has an expression among its numbers; it takes plain numbers only")
         return
+    if motion != "matrix" and 1e-100 < math.hypot(*numbers) < 1e100:  # type: ignore[arg-type]
+        return  # the common case, without the cost of an array
     array = np.array(numbers, dtype=float)
     if motion in ("align", "unalign", "quat_wxyz") and not np.isfinite(spatial.unit(array)).all():
         what = "quaternion" if motion == "quat_wxyz" else "axis"

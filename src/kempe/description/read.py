@@ -138,7 +138,11 @@ def _near(path: Path) -> str:
     if near:
         return f"did you mean {' or '.join(map(repr, near))}?"
     shown = ", ".join(names[:8])
-    return f"there are: {shown}{', ...' if len(names) > 8 else ''}" if names else "there are no robot files in that folder"
+    return (
+        f"there are: {shown}{', ...' if len(names) > 8 else ''}"
+        if names
+        else "there are no robot files in that folder"
+    )
 
 
 def _read_text(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 import re
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 
@@ -83,12 +83,14 @@ class Findings:
         """The notes, in the order of the file."""
         return [text for _, text in sorted(self._notes, key=lambda n: n[0])]
 
-    def hint(self, name: str, allowed: Iterable[str]) -> str:
-        """The tail of a message about an unknown name; empty where it would not be shown, or cost too much."""
-        allowed = allowed if isinstance(allowed, (list, tuple, dict)) else list(allowed)
+    def hint(self, name: str, allowed: Collection[str], but: str = "") -> str:
+        """The tail of a message about an unknown name; `but` is never suggested.
+
+        Empty where it would not be shown, or cost too much: comparing with 5000 names takes some 50 ms.
+        """
         if len(self.problems) >= PROBLEM_LIMIT or len(name) > 200 or (self.problems and len(allowed) > 5000):
             return ""
-        return hint(name, allowed)
+        return hint(name, [n for n in allowed if n != but])
 
     @contextmanager
     def guard(self, subject: str = "", where: Where | None = None) -> Iterator[None]:
@@ -124,7 +126,11 @@ def decode(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = No
     Errors: `DescriptionError` for empty, oversized and wrongly encoded data, with line and column.
     """
     if len(data) > SIZE_LIMIT:
-        raise fail(f"the file has more than {SIZE_LIMIT >> 20} MiB", Where(name), "a description is smaller than that")
+        raise fail(
+            f"the file has more than {SIZE_LIMIT >> 20} MiB",
+            Where(name),
+            "a description is smaller than that",
+        )
     if not data.strip(b"\0 \t\r\n" if isinstance(data, bytes) else None):
         raise fail("the file is empty" if not data else "the file holds nothing but blanks", Where(name),
                    "it must hold a description (URDF or TOML)")  # fmt: skip

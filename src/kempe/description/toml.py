@@ -60,7 +60,12 @@ class _Reader:
             table = self.document.table(kind)
             if kind in self.document.data and self.document.check(kind, table, (kind,), kind):
                 self.chain(kind, table)
-        steps = (("body", self.body), ("frame", self.frame), ("joint", self.joint), ("coupling", self.coupling))
+        steps = (
+            ("body", self.body),
+            ("frame", self.frame),
+            ("joint", self.joint),
+            ("coupling", self.coupling),
+        )
         for kind, add in steps:
             if kind == "coupling":
                 self.coordinates = _coordinates(self.mechanism)
@@ -93,7 +98,9 @@ class _Reader:
             with self.findings.guard(subject, where):
                 if table.get("particle"):
                     if center is not None or visuals or name == self.mechanism.ground.name:
-                        raise InputError("a particle is a point that moves: it has no center, no visuals, and is not the ground")
+                        raise InputError(
+                            "a particle is a point that moves: it has no center, no visuals, and is not the ground"
+                        )
                     self.mechanism.particle(str(name), mass, where)
                 elif name == self.mechanism.ground.name and self.mechanism.ground.where is None:
                     # the ground exists already: another mechanism checks the values
@@ -146,7 +153,9 @@ class _Reader:
             return True
         if key in table:
             said = self.findings.hint(str(name), self.mechanism.bodies)
-            self.findings.add(f"{key} is {shorten(name)}, which is no body{said}", subject, self.where(*path, key))
+            self.findings.add(
+                f"{key} is {shorten(name)}, which is no body{said}", subject, self.where(*path, key)
+            )
         return False
 
     # ---- coordinates
@@ -193,38 +202,41 @@ class _Reader:
     ) -> Placement | None:  # fmt: skip
         """Placement by the keys `PLACE` with a prefix, or None after recording what is wrong."""
         given = {k: table[prefix + k] for k in PLACE if prefix + k in table}
-        before = len(self.findings.problems)
-        for key, item in given.items():
-            with self.findings.guard(subject, self.where(*path, prefix + key)):
-                if key == "steps" and len(given) > 1:
-                    other = next(k for k in given if k != "steps")
-                    raise InputError(f"{prefix}steps and {prefix}{other} are both given; steps say the whole placement")
-                given[key] = self.placed(key, prefix + key, item, body)
-        if len(self.findings.problems) > before:
-            return None
-        if "steps" in given:
-            return given["steps"]
-        with self.findings.guard(subject, self.where(*path)):
-            return place(**given)
+        try:
+            return self.placed(given, prefix, body)
+        except (InputError, UnknownNameError) as error:
+            before = len(self.findings.problems)
+            for key, item in given.items():  # which of the keys is it?
+                with self.findings.guard(subject, self.where(*path, prefix + key)):
+                    self.placed({key: item}, prefix, body)
+            if len(self.findings.problems) == before:
+                self.findings.add(str(error), subject, self.where(*path))
         return None
 
-    def placed(self, key: str, label: str, item: Any, body: object) -> Any:
-        """The argument of `place` for one key, checked. Errors: `InputError`, `UnknownNameError`."""
-        if key == "at" and isinstance(item, str):
-            names = [f.name for f in self.mechanism.frames.values() if f.body == body]
-            if item not in names:
-                raise UnknownNameError("frame", item, names, f"body {body!r}")
-            return self.mechanism.frames[item].X_BF
-        if key != "angle" and not isinstance(item, list):
-            raise InputError(f"{label} is {shorten(item)}; it must be a list, such as [0, 0, 1]")
-        if key == "steps":
-            return self.checked(steps_from_data(item))
-        if key == "matrix":
-            item = [x for row in item for x in row] if all(isinstance(r, list) for r in item) else item
-            if len(item) != 9 or not all(type(x) in (int, float) for x in item):
-                raise InputError(f"{label} must be three rows of three numbers")
-        self.checked(place(**{key: item}))
-        return item
+    def placed(self, given: dict[str, Any], prefix: str, body: object) -> Placement:
+        """Placement by some of the keys `PLACE`. Errors: `InputError`, `UnknownNameError`."""
+        settings = dict(given)
+        for key, item in given.items():
+            if key == "at" and isinstance(item, str):
+                names = [f.name for f in self.mechanism.frames.values() if f.body == body]
+                if item not in names:
+                    raise UnknownNameError("frame", item, names, f"body {body!r}")
+                settings[key] = self.mechanism.frames[item].X_BF
+            elif key != "angle" and not isinstance(item, list):
+                raise InputError(f"{prefix}{key} is {shorten(item)}; it must be a list, such as [0, 0, 1]")
+            elif key == "matrix":
+                flat = [x for row in item for x in row] if all(isinstance(r, list) for r in item) else item
+                if len(flat) != 9 or not all(type(x) in (int, float) for x in flat):
+                    raise InputError(f"{prefix}matrix must be three rows of three numbers")
+                settings[key] = flat
+            elif key == "steps" and len(given) > 1:
+                other = next(k for k in given if k != "steps")
+                raise InputError(
+                    f"{prefix}steps and {prefix}{other} are both given; steps say the whole placement"
+                )
+        if "steps" in given:
+            return self.checked(steps_from_data(given["steps"]))
+        return self.checked(place(**settings))
 
     def checked(self, X: Placement) -> Placement:
         for name in sorted(X.names):

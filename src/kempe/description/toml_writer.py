@@ -64,8 +64,15 @@ def _frame(frame: Frame, dim: int) -> dict[str, Any]:
 
 def _joint(joint: Joint, dim: int) -> dict[str, Any]:
     if TYPES.get(joint.type.type_name) is not type(joint.type):
-        raise UnsupportedError(f"joint {joint.name!r}: type {joint.type.type_name!r} is not in the zoo of joints")
-    out: dict[str, Any] = {"name": joint.name, "type": joint.type.type_name, "parent": joint.parent, "child": joint.child}
+        raise UnsupportedError(
+            f"joint {joint.name!r}: type {joint.type.type_name!r} is not in the zoo of joints"
+        )
+    out: dict[str, Any] = {
+        "name": joint.name,
+        "type": joint.type.type_name,
+        "parent": joint.parent,
+        "child": joint.child,
+    }
     on_parent, on_child = _placement(joint.X_PF, dim), _placement(joint.X_CM, dim)
     # the child's axis is the parent's unless given
     if on_parent.get("axis") == on_child.get("axis"):
@@ -74,7 +81,11 @@ def _joint(joint: Joint, dim: int) -> dict[str, Any]:
         on_child["axis"] = [0.0, 0.0, 1.0]
     out |= on_parent
     out |= {f"child_{k}": v for k, v in on_child.items()}
-    for key, bounds in (("limits", joint.limits), ("velocity", joint.velocity_limits), ("effort", joint.effort_limits)):
+    for key, bounds in (
+        ("limits", joint.limits),
+        ("velocity", joint.velocity_limits),
+        ("effort", joint.effort_limits),
+    ):
         if bounds:
             out[key] = bounds[""] if "" in bounds else bounds
     if joint.actuated is not None:

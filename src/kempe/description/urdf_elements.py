@@ -44,7 +44,9 @@ ATTRIBUTES = {
 # ---- numbers
 
 
-def numbers(element: Element, attribute: str, count: int, findings: Findings, subject: str) -> tuple[float, ...] | None:
+def numbers(
+    element: Element, attribute: str, count: int, findings: Findings, subject: str
+) -> tuple[float, ...] | None:
     """The finite numbers of an attribute, or None after recording what is wrong with it."""
     text = element.attributes[attribute]
     pieces = [p for p in _BLANKS.split(text) if p]
@@ -67,8 +69,17 @@ def numbers(element: Element, attribute: str, count: int, findings: Findings, su
         wrong = f"{len(pieces)} number{'s' if len(pieces) != 1 else ''}"
     if wrong is None:
         return tuple(float(p) for p in pieces)
-    allowed = "it must be a finite number" if count == 1 else f"it must be {count} finite numbers separated by blanks"
-    findings.add(f"{element.tag} {attribute} is {shorten(text)}: {wrong}", subject, element.where_of(attribute), allowed)
+    allowed = (
+        "it must be a finite number"
+        if count == 1
+        else f"it must be {count} finite numbers separated by blanks"
+    )
+    findings.add(
+        f"{element.tag} {attribute} is {shorten(text)}: {wrong}",
+        subject,
+        element.where_of(attribute),
+        allowed,
+    )
     return None
 
 
@@ -86,7 +97,13 @@ def _bound(element: Element, attribute: str, findings: Findings, subject: str) -
     if special is not None and not math.isnan(special):
         return special
     found = numbers(element, attribute, 1, findings, subject)
-    return None if found is None else found[0] if abs(found[0]) < UNLIMITED else math.copysign(math.inf, found[0])
+    return (
+        None
+        if found is None
+        else found[0]
+        if abs(found[0]) < UNLIMITED
+        else math.copysign(math.inf, found[0])
+    )
 
 
 # ---- links
@@ -98,7 +115,9 @@ def read_link(name: str, element: Element, findings: Findings) -> Body:
     mass, center = None, None
     for child in element.children:
         if child.tag == "origin":
-            findings.note("an <origin> directly in a link has no meaning and is not used", subject, child.where)
+            findings.note(
+                "an <origin> directly in a link has no meaning and is not used", subject, child.where
+            )
         else:
             check_known("element", child.tag, _IN_LINK, findings, subject, child)
     inertials = element.of("inertial")
@@ -167,7 +186,9 @@ def _axis(kind: str, joint: Element, findings: Findings, subject: str) -> tuple[
         return None
     if abs(length - 1.0) > AXIS_TOLERANCE:
         text = " ".join(f"{x:g}" for x in found)
-        findings.note(f"its axis {text} has length {length:g}; it was normalised", subject, axis.where_of("xyz"))
+        findings.note(
+            f"its axis {text} has length {length:g}; it was normalised", subject, axis.where_of("xyz")
+        )
     return found
 
 
@@ -176,11 +197,17 @@ def _limit(kind: str, joint: Element, findings: Findings, subject: str) -> dict[
     limit = (joint.of("limit") or [None])[0]
     if limit is None:
         if kind in ("revolute", "prismatic"):
-            findings.note(f"a {kind} joint should have a <limit>; without one it is taken as unlimited", subject, joint.where)
+            findings.note(
+                f"a {kind} joint should have a <limit>; without one it is taken as unlimited",
+                subject,
+                joint.where,
+            )
         return {}
     bounds = {key: _bound(limit, key, findings, subject) for key in ("lower", "upper", "velocity", "effort")}
     if kind in ("planar", "floating"):
-        findings.note(f"the <limit> of a {kind} joint has no defined meaning and is not used", subject, limit.where)
+        findings.note(
+            f"the <limit> of a {kind} joint has no defined meaning and is not used", subject, limit.where
+        )
     if kind in ("fixed", "planar", "floating"):
         return {}
     out: dict[str, Any] = {}
@@ -192,12 +219,18 @@ def _limit(kind: str, joint: Element, findings: Findings, subject: str) -> dict[
             out[key] = found
     if kind == "continuous":
         if any(bounds[key] and not math.isinf(bounds[key] or 0.0) for key in ("lower", "upper")):
-            findings.note("a continuous joint turns without end: its lower and upper limit are not used", subject, limit.where)
+            findings.note(
+                "a continuous joint turns without end: its lower and upper limit are not used",
+                subject,
+                limit.where,
+            )
         return out
     return out | _range(limit, bounds, findings, subject)
 
 
-def _range(limit: Element, bounds: dict[str, float | None], findings: Findings, subject: str) -> dict[str, Any]:
+def _range(
+    limit: Element, bounds: dict[str, float | None], findings: Findings, subject: str
+) -> dict[str, Any]:
     """Keyword `limits` of a revolute or prismatic joint: what is missing is 0 by the rules of URDF."""
     given = [key for key in ("lower", "upper") if key in limit.attributes]
     lower, upper = bounds["lower"] or 0.0, bounds["upper"] or 0.0
@@ -207,7 +240,12 @@ def _range(limit: Element, bounds: dict[str, float | None], findings: Findings, 
     if lower > upper or lower == math.inf or upper == -math.inf:
         both = " ".join(f"{key}={shorten(limit.attributes[key])}" for key in given)
         missing = "" if len(given) == 2 else " (what is missing is 0 by the rules of URDF)"
-        findings.add(f"its limits are swapped: {both}{missing}", subject, limit.where_of(given[0]), "lower must not be above upper")
+        findings.add(
+            f"its limits are swapped: {both}{missing}",
+            subject,
+            limit.where_of(given[0]),
+            "lower must not be above upper",
+        )
         return {}
     return {} if (lower, upper) == (-math.inf, math.inf) else {"limits": (lower, upper)}
 
@@ -231,7 +269,9 @@ def _refuse_second(found: list[Element], findings: Findings, subject: str) -> No
                      "one is allowed")  # fmt: skip
 
 
-def check_known(kind: str, name: str, known: tuple[str, ...], findings: Findings, subject: str, element: Element) -> None:
+def check_known(
+    kind: str, name: str, known: tuple[str, ...], findings: Findings, subject: str, element: Element
+) -> None:
     """Refuse a name that looks like a slip of a known one; note any other unknown name."""
     if name in known or ":" in name or name.startswith("xmlns"):
         return

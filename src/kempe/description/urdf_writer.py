@@ -95,15 +95,25 @@ class _Writer:
                 loops = True
                 last = joints[-1]
                 names = ", ".join(repr(j.name) for j in joints)
-                what = f"{len(joints)} joints lead to it ({names}): a loop" if body != ground else f"joint {names} leads to it"
+                what = (
+                    f"{len(joints)} joints lead to it ({names}): a loop"
+                    if body != ground
+                    else f"joint {names} leads to it"
+                )
                 allowed = "in URDF one joint leads to each body, and none to the ground"
-                self.findings.add(what, f"body {body!r}" if body != ground else f"ground {body!r}", last.where, allowed)
+                self.findings.add(
+                    what, f"body {body!r}" if body != ground else f"ground {body!r}", last.where, allowed
+                )
         reached = reachable(ground, ((j.parent, j.child) for j in self.m.joints.values()))
         lost = [b for b in self.m.bodies if b not in reached]
         if lost and not loops:
             shown = ", ".join(map(repr, lost[:8])) + (", ..." if len(lost) > 8 else "")
-            self.findings.add(f"no joints lead from the ground to {shown} in their own direction, from parent to child",
-                              "mechanism", self.m.bodies[lost[0]].where, "swap parent and child of the joints between")
+            self.findings.add(
+                f"no joints lead from the ground to {shown} in their own direction, from parent to child",
+                "mechanism",
+                self.m.bodies[lost[0]].where,
+                "swap parent and child of the joints between",
+            )
 
     def resolve_couplings(self) -> None:
         """Sort couplings into constants (all sources locked) and mimics (one source left); others are problems."""
@@ -127,7 +137,12 @@ class _Writer:
             if of in self.held:
                 self.findings.add("it is locked, but follows others", subject, where, "lock what it follows")
             elif len(free) > 1:
-                self.findings.add(f"it follows several coordinates ({', '.join(free)})", subject, where, "a mimic follows one")
+                self.findings.add(
+                    f"it follows several coordinates ({', '.join(free)})",
+                    subject,
+                    where,
+                    "a mimic follows one",
+                )
             elif not {of, *free} <= self.m.joints.keys():
                 self.findings.add("it is one of several coordinates of a joint, or follows one", subject, where,
                                   "revolute and prismatic joints can mimic each other")  # fmt: skip
@@ -162,9 +177,16 @@ class _Writer:
         for visual in body.visuals:
             try:
                 if parse_xml(visual, subject).tag != "visual":
-                    self.findings.add("a visual is not one <visual> element", subject, body.where, "correct its text")
+                    self.findings.add(
+                        "a visual is not one <visual> element", subject, body.where, "correct its text"
+                    )
             except DescriptionError as error:
-                self.findings.add(f"a visual is not XML ({error.problems[0].message})", subject, body.where, "correct its text")
+                self.findings.add(
+                    f"a visual is not XML ({error.problems[0].message})",
+                    subject,
+                    body.where,
+                    "correct its text",
+                )
             inside.append(visual)
         self.link(body.name, inside)
 
@@ -178,7 +200,9 @@ class _Writer:
                               "lock all of them, or none")  # fmt: skip
         if len(held) == len(coordinates):
             X_PC = joint.X_PF @ self.locked_pose(joint, coordinates) @ joint.X_CM.inverse()
-            self.fixed(joint.name, joint.parent, joint.child, self.origin(X_PC if held else _difference(joint)))
+            self.fixed(
+                joint.name, joint.parent, joint.child, self.origin(X_PC if held else _difference(joint))
+            )
             return
         kind = self.urdf_type(joint)
         if kind is None:
@@ -224,7 +248,9 @@ class _Writer:
             return None
         bounded = {*joint.limits, *joint.velocity_limits, *joint.effort_limits}
         if name in ("planar", "free") and bounded:
-            self.findings.add(f"limits of a {name} joint do not exist in URDF", subject, joint.where, "remove them")
+            self.findings.add(
+                f"limits of a {name} joint do not exist in URDF", subject, joint.where, "remove them"
+            )
         return kinds[name]
 
     def limit(self, joint: Joint, kind: str) -> list[str]:

@@ -66,7 +66,13 @@ def expand_xacro(
     environment = {k: v for k, v in os.environ.items() if k in _KEPT}
     where = Where(str(path))
     with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as complaints:
-        code = _run([sys.executable, "-c", _WORKER, json.dumps(settings)], environment, output, complaints, 2 * seconds)
+        code = _run(
+            [sys.executable, "-c", _WORKER, json.dumps(settings)],
+            environment,
+            output,
+            complaints,
+            2 * seconds,
+        )
         output.seek(0)
         complaints.seek(0)
         text = output.read(SIZE_LIMIT + 1).decode("utf-8", "replace")
@@ -76,18 +82,29 @@ def expand_xacro(
     if code == -signal.SIGXFSZ or "File too large" in said:
         raise fail(f"xacro wrote more than {SIZE_LIMIT >> 20} MiB", where, "it may call itself without end")
     if "MemoryError" in said:
-        raise fail(f"xacro needs more than {MEMORY >> 30} GiB of memory", where, "it may call itself without end")
+        raise fail(
+            f"xacro needs more than {MEMORY >> 30} GiB of memory", where, "it may call itself without end"
+        )
     if "RecursionError" in said:
-        raise fail("xacro calls itself without end (RecursionError)", where, "look for a macro that calls itself")
+        raise fail(
+            "xacro calls itself without end (RecursionError)", where, "look for a macro that calls itself"
+        )
     if code != 0:
-        raise fail(f"xacro failed: {_last(said)}", where, "correct the file, or name its folders by package_dirs")
+        raise fail(
+            f"xacro failed: {_last(said)}", where, "correct the file, or name its folders by package_dirs"
+        )
     return text
 
 
 def _run(command: list[str], environment: dict[str, str], output, complaints, seconds: float) -> int | None:
     """Exit code of a command, or None where it was stopped for taking too long; its children are stopped with it."""
     with subprocess.Popen(
-        command, env=environment, stdin=subprocess.DEVNULL, stdout=output, stderr=complaints, start_new_session=True
+        command,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=complaints,
+        start_new_session=True,
     ) as process:
         try:
             return process.wait(timeout=seconds)

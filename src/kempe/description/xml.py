@@ -114,7 +114,9 @@ class _Builder:
             self.root = element
         self.stack.append(element)
         if len(self.stack) > DEPTH_LIMIT:
-            raise fail(f"elements are nested more than {DEPTH_LIMIT} deep", element.where, "this is no robot's file")
+            raise fail(
+                f"elements are nested more than {DEPTH_LIMIT} deep", element.where, "this is no robot's file"
+            )
 
     def _end(self, tag: str) -> None:
         self.stack.pop()._end = self._here()
@@ -139,11 +141,15 @@ class _Builder:
         inner = self.stack[-1] if self.stack else None
         if error.code in _TRUNCATED:
             if inner is None and self.root is None and "<" not in self.source.text:
-                return fail("the file holds no XML element", self.source.where(1), "URDF starts with <robot name=...>")
+                return fail(
+                    "the file holds no XML element", self.source.where(1), "URDF starts with <robot name=...>"
+                )
             inside = f" inside <{inner.tag}> opened on line {inner._line}" if inner else ""
             return fail(f"the file ends{inside}: it is truncated", where, "get the whole file")
         if error.code == _CODES[expat.errors.XML_ERROR_TAG_MISMATCH] and inner is not None:
-            close = re.match(r"</[^\s>]*", self.source.text[self.source.offset(where.line, where.column) - 2 :])
+            close = re.match(
+                r"</[^\s>]*", self.source.text[self.source.offset(where.line, where.column) - 2 :]
+            )
             found = shorten(close[0] + ">") if close else "another closing tag"
             return fail(f"{found} closes <{inner.tag}> opened on line {inner._line}", where,
                         f"close it by </{inner.tag}>")  # fmt: skip

@@ -137,8 +137,8 @@ def device(function: Callable) -> Callable:
 
 
 def routine(function: Callable) -> Callable:
-    """Decorator: a helper too large to be copied into each caller; compiled once a kernel, never cached alone.
+    """Decorator: a helper too large to be copied into callers; compiled once a kernel, never cached alone.
 
-    `forceinline` is said aloud, for Numba hands the wish of a `device` to be copied down to all that it calls.
+    `forceinline` is said aloud, for Numba hands a `device`'s wish to be copied down to all that it calls.
     """
     return numba.njit(forceinline=False, **_HELPER)(function)

@@ -11,7 +11,6 @@ import math
 import numpy as np
 
 from kempe.kernels._jit import device, routine
-from kempe.kernels._llvm import beyond
 from kempe.kernels.linear import back, factor
 from kempe.kernels.residual import (
     BOX_STRIDE,
@@ -29,6 +28,7 @@ from kempe.kernels.residual import (
     fill_jacobian,
     trace,
 )
+from kempe.kernels.scratch import beyond
 from kempe.kernels.step import advance, blocked, within
 from kempe.kernels.vectors import keep, raw
 
@@ -39,7 +39,7 @@ DAMPING_LIMIT = 1e12
 """Damping at which a descent gives up: its steps are nothing."""
 
 LAST = 1e-16
-"""Square of the step (radians, and lengths as parts of the chain's) after which rounding would hide the next."""
+"""Square of the step (radians, and parts of the chain's length) after which rounding hides the next."""
 
 
 @device
@@ -56,7 +56,7 @@ def dot(a, b):
 
 @routine
 def fill_hessian(chain, e, p, h):
-    """Write the Hessian of the energy, (nv, nv), at the configuration traced last, its tip at p and its error e.
+    """Write the Hessian (nv, nv) of the energy at the configuration traced last, its tip at p, its error e.
 
     For columns j before i of a chain, with axes a and tip velocities t: the tip's second derivative is a_j x
     t_i (0 if j slides). With phi the rotation error, n its direction and gamma = |phi|/2 cot(|phi|/2), the
@@ -98,7 +98,7 @@ def fill_hessian(chain, e, p, h):
 
 @routine
 def factor_damped(chain, h, damping, a):
-    """Damping, raised until the Hessian of the FREE coordinates plus damping * I is positive; writes its L and D."""
+    """Damping, raised until the Hessian of FREE coordinates plus damping * I is positive; writes L and D."""
     n = chain.nv
     while True:
         for i in range(n):
@@ -129,7 +129,7 @@ def unit_step(chain, v):
 
 @device
 def newton_pass(chain, e, h, damping, a, b):
-    """Whether the Newton step of the FREE coordinates, the others' given, met no limit; who met one stops there."""
+    """Whether the Newton step of FREE coordinates, the others' given, met no limit; who met one stays."""
     n, jacobian = chain.nv, chain.jacobian
     for i in range(n):
         b[i] = 0.0
@@ -153,7 +153,7 @@ def newton_pass(chain, e, h, damping, a, b):
 
 @routine
 def newton_step(chain, e, h, damping, a, b):
-    """The decrease that the damped Newton step within the limits promises, its square, the damping; writes it."""
+    """Decrease that the damped Newton step within the limits promises, its square, the damping; writes it."""
     while True:
         start_step(chain, e)
         for _ in range(2):
@@ -175,7 +175,7 @@ def newton_step(chain, e, h, damping, a, b):
 
 @routine
 def descend(chain, limit, kept):
-    """Energy of the local minimum within the limits that the descent from q reaches, and its steps; `kept` is where.
+    """Energy of the local minimum within the limits reached from q, and steps taken; `kept` is where.
 
     Damped Newton steps, taken where they decrease the energy; the damping follows the ratio of the decrease
     to the promised one (Levenberg 1944; Marquardt 1963; Fletcher 1971).

@@ -30,13 +30,13 @@ from kempe.kernels.trig import atan2, sincos_any
 from kempe.kernels.vectors import entry, pack4, store
 
 AXIS, POINT, FACTOR, AXES_STRIDE = 0, 4, 8, 9
-"""A column of the chain, in `Chain.axes`: axis times FACTOR, a point on it, FACTOR (multiplier times scale)."""
+"""A column, in `Chain.axes`: its axis times FACTOR, a point on it, FACTOR (multiplier times scale)."""
 
 OWNER, TURNS, COLUMN_INTS = 0, 1, 2
-"""A column of the chain, in `Chain.notes`: its velocity coordinate; 1 if it turns, 0 if it slides."""
+"""A column, in `Chain.notes`: its velocity coordinate; 1 if it turns, 0 if it slides."""
 
 PLACE, ROUND, PLACE_INTS = 0, 1, 2
-"""A velocity coordinate, in `Chain.notes` after the columns: index in q (-1: no row reads it); 1 if of a ball."""
+"""A velocity coordinate, in `Chain.notes` after the columns: index in q (-1 if unread); 1 if of a ball."""
 
 LOW, HIGH, SCALE, BOX_STRIDE = 0, 1, 2, 4
 """A velocity coordinate, in `Chain.box`: the limits that the solver keeps, and its unit."""
@@ -108,7 +108,7 @@ def placed(f, k, a, b, c, p):
 
 @routine
 def trace(chain):
-    """Pose of the chain's tip at q: three columns of its rotation, and its position; writes axes and points."""
+    """Pose of the tip at q, three columns of its rotation and its position; writes axes and points."""
     n, floats, axes = chain.ints[N_ROWS], chain.floats, chain.axes
     a, b, c = pack4(1.0, 0.0, 0.0, 0.0), pack4(0.0, 1.0, 0.0, 0.0), pack4(0.0, 0.0, 1.0, 0.0)
     p = pack4(0.0, 0.0, 0.0, 0.0)
@@ -215,7 +215,7 @@ def column_at(chain, column, p):
 
 @device
 def fill_jacobian(chain, p):
-    """Write the weighted Jacobian at the configuration traced last, its tip at p; columns of one coordinate add up."""
+    """Write the weighted Jacobian at the configuration traced last, tip at p; shared coordinates add up."""
     jacobian, g = chain.jacobian, chain.goal
     for v in range(chain.nv):
         for i in range(6):

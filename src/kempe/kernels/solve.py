@@ -15,7 +15,6 @@ import numpy as np
 from numba import types
 
 from kempe.kernels._jit import F1, F2, F3, I1, OUT2, OUTI2, device, kernel, routine
-from kempe.kernels._llvm import beyond
 from kempe.kernels.layout import (
     BALL,
     HEADER,
@@ -55,15 +54,16 @@ from kempe.kernels.residual import (
     fill_jacobian,
     trace,
 )
+from kempe.kernels.scratch import beyond
 from kempe.kernels.starts import LARGEST, copy, draw, middle, spread_of, take, wrap
 from kempe.kernels.step import advance, damped_step
 from kempe.kernels.vectors import keep, raw
 
 SOLVED, NOT_FOUND, BAD_INPUT = 0, 1, 2
-"""Status codes: within both tolerances and all limits; not found, q is the nearest found; not finite or no rotation."""
+"""Status codes: within tolerances and limits; not found, q is the nearest; not finite or no rotation."""
 
 DAMPING, DAMPING_FLOOR, DAMPING_CAP = 0.05, 1e-10, 0.1
-"""Damping of a step: DAMPING * E, at most DAMPING_CAP, plus DAMPING_FLOOR. Factors from 0.02 to 0.3 do equally well."""
+"""Damping: DAMPING * E, at most DAMPING_CAP, plus DAMPING_FLOOR. Factors of 0.02 to 0.3 do equally well."""
 
 PATIENCE = 4
 """Steps without decrease after which a start is given up."""
@@ -71,7 +71,7 @@ PATIENCE = 4
 DESCENTS, DESCENT_LIMIT = 16, 200
 """Descents to the nearest configuration, at most as many as starts, and steps of each.
 
-The best of 16 was the best of 1000 for 99 of 100 goals out of reach of real arms."""
+The best of 16 is the best of 1000 for at least 95 of 100 goals out of reach of five real arms."""
 
 ROTATION_TOLERANCE = 1e-6
 """Largest entry of R^T R - I that a goal's rotation may have."""
@@ -79,7 +79,7 @@ ROTATION_TOLERANCE = 1e-6
 
 @device
 def characteristic_length(ints, floats):
-    """A third of the sum of distances between the chain's rows, from the first to the tip; 1 where they all coincide.
+    """A third of the chain's length, from its first row over all rows to its tip; 1 where that is zero.
 
     So weighed, turning half of a chain by some angle changes the linear and the angular error alike.
     """
@@ -186,7 +186,7 @@ def ik(
     ints, floats, limits, circular, mask, targets, seeds, seed, offset, start_limit, iteration_limit,
     tol_linear, tol_angular, length, out_q, out_residual, out_info,
 ):  # fmt: skip
-    """Number of goals not reached; one goal after the other, each a pure function of its number and the arguments.
+    """Number of goals not reached; each answer is a pure function of the goal's number and the arguments.
 
     ints, floats: table of a chain with one output. limits: (2, nv), lower and upper, infinite where there is
     none; ignored for balls. circular: (nv,), 1 for a coordinate of a single turning row with multiplier +-1

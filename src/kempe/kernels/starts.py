@@ -45,7 +45,7 @@ def draw_ball(q, i, key):
 
 @routine
 def draw(chain, home, key, spread):
-    """Write a random configuration to q: uniform in `spread` times the limits about their middle, cut off there.
+    """Write a random configuration to q: uniform in `spread` times the limits' range, cut off at them.
 
     Where a limit is missing, the range is a turn, or twice the chain's length, about `home`.
     """
@@ -97,7 +97,7 @@ def take(chain, seeds, k):
 
 @routine
 def middle(chain, limits, home):
-    """Write the middle of the limits to `home`, the nearest to zero where one is missing; no turn for balls."""
+    """Write the middle of the limits to `home`, nearest to zero where one is missing, no turn for balls."""
     for k in range(chain.nq):
         home[k] = 0.0
     v = 0
@@ -114,7 +114,7 @@ def middle(chain, limits, home):
 
 @routine
 def wrap(chain, limits, circular, home):
-    """Turn the circular coordinates of q by whole turns: into the limits, and there as near to `home` as can be."""
+    """Turn circular coordinates of q by whole turns: into the limits, there as near to `home` as can be."""
     for v in range(chain.nv):
         i, low, high = place_of(chain, v), limits[v], limits[chain.nv + v]
         if circular[v] != 0 and i >= 0:

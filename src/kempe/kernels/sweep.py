@@ -224,14 +224,16 @@ def express(columns, first, nv, frame, particle, a, b, c):
 
 
 @device
-def jacobian_at(ints, floats, q, start, frame, out, k, columns, first):
-    """1 if the configuration q[start:] is bad, else 0; writes pose and Jacobian of output 0."""
+def jacobian_at(ints, floats, q, start, frame, with_pose, out, k, columns, first):
+    """1 if the configuration q[start:] is bad, else 0; writes the Jacobian of output 0 and, if asked, its pose."""
     nv = ints[3]
     particle = ints[HEADER + ROW_INTS * ints[0] + 1]
     for i in range(first, first + 6 * nv):
         columns[i] = 0.0
     a, b, c = climb(ints, floats, q, start, True, columns, first)
-    bad = write_pose(out, k, a, b, c, particle)
+    bad = int(entry(a, 0) != entry(a, 0))
+    if with_pose:
+        write_pose(out, k, a, b, c, particle)
     if bad:
         for i in range(first, first + 6 * nv):
             columns[i] = np.nan
@@ -248,17 +250,24 @@ def pose1(ints, floats, q, out):
     return pose_at(raw(ints), raw(floats), raw(q), 0, raw(out), 0)
 
 
-@kernel(types.int64(I1, F1, F1, types.int64, OUT2, OUT2), nogil=False)
-def jacobian1(ints, floats, q, frame, pose, columns):
-    """Number of bad configurations, 0 or 1; writes pose (4, 4) and Jacobian (6, nv) of the first output.
+@kernel(types.int64(I1, F1, F1, types.int64, OUT2), nogil=False)
+def jacobian1(ints, floats, q, frame, columns):
+    """Number of bad configurations, 0 or 1; writes the Jacobian (6, nv) of the first output. -1: wrong shapes.
 
     `frame` is WORLD_ALIGNED, WORLD or BODY. Rows: linear, angular. A bad configuration makes all columns NaN.
-    -1: wrong shapes, nothing is written.
     """
-    nq, nv = ints[2], ints[3]
-    if q.shape[0] != nq or pose.shape[0] != 4 or pose.shape[1] != 4 or columns.shape[0] != 6 or columns.shape[1] != nv:
+    if q.shape[0] != ints[2] or columns.shape[0] != 6 or columns.shape[1] != ints[3]:
         return -1
-    return jacobian_at(raw(ints), raw(floats), raw(q), 0, frame, raw(pose), 0, raw(columns), 0)
+    j = raw(columns)
+    return jacobian_at(raw(ints), raw(floats), raw(q), 0, frame, False, j, 0, j, 0)
+
+
+@kernel(types.int64(I1, F1, F1, types.int64, OUT2, OUT2), nogil=False)
+def pose_jacobian1(ints, floats, q, frame, pose, columns):
+    """As `jacobian1`, and writes the pose (4, 4) too."""
+    if q.shape[0] != ints[2] or columns.shape[0] != 6 or columns.shape[1] != ints[3]:
+        return -1
+    return jacobian_at(raw(ints), raw(floats), raw(q), 0, frame, True, raw(pose), 0, raw(columns), 0)
 
 
 @kernel(types.int64(I1, F1, F2, types.int64, OUT3, OUT3))
@@ -268,7 +277,7 @@ def jacobian(ints, floats, q, frame, pose, columns):
     i_, f_, q_, pose_, columns_ = raw(ints), raw(floats), raw(q), raw(pose), raw(columns)
     bad = 0
     for i in range(q.shape[0]):
-        bad += jacobian_at(i_, f_, q_, i * nq, frame, pose_, 16 * i, columns_, i * size)
+        bad += jacobian_at(i_, f_, q_, i * nq, frame, True, pose_, 16 * i, columns_, i * size)
     return bad
 
 

@@ -188,5 +188,7 @@ def configuration_space(system: System) -> ConfigurationSpace:
     rows = len(system.relations)
     for name in system.closures:
         joint = system.joints[name]
-        rows += joint.type.constraints(system.dim, system.mechanism.bodies[joint.child].particle)
+        particle = system.mechanism.bodies[joint.child].particle
+        # q holds the joint's own coordinates too: all freedoms of the child are tied to it
+        rows += joint.type.constraints(system.dim, particle) + joint.type.dof(system.dim, particle)
     return ConfigurationSpace(system.nv, " x ".join(parts) or "a point", limited, rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -62,7 +63,7 @@ def query(system: System, frame: FrameLike) -> Query:
     name = system.frame_name(frame)
     bound = _Bound(system, name)
     ints, floats, pose1, jacobian1 = bound.ints, bound.floats, sweep.pose1, sweep.jacobian1
-    nv, scratch = system.nv, np.empty((4, 4))
+    kind_of, size = IN_FRAMES.get, (6, system.nv)
 
     def pose(q: Any, out: Any = None, threads: int | None = None) -> Array:
         try:
@@ -77,16 +78,23 @@ def query(system: System, frame: FrameLike) -> Query:
 
     def jacobian(q: Any, in_frame: str = "world_aligned", out: Any = None, threads: int | None = None) -> Array:
         try:
-            if q.ndim == 1 and in_frame in IN_FRAMES:
+            if q.ndim == 1:
                 if out is None:
-                    out = _empty((6, nv))
-                if not jacobian1(ints, floats, q, IN_FRAMES[in_frame], scratch, out):
+                    out = _empty(size)
+                if not jacobian1(ints, floats, q, kind_of(in_frame), out):
                     return out
         except (TypeError, AttributeError):
             pass
         return bound.jacobian(q, in_frame, out, threads)[1]
 
     def pose_and_jacobian(q: Any, in_frame: str = "world_aligned", threads: int | None = None) -> tuple[Array, Array]:
+        try:
+            if q.ndim == 1:
+                X, J = _empty(_POSE), _empty(size)
+                if not sweep.pose_jacobian1(ints, floats, q, kind_of(in_frame), X, J):
+                    return X, J
+        except (TypeError, AttributeError):
+            pass
         return bound.jacobian(q, in_frame, None, threads)
 
     function: Any = pose
@@ -112,7 +120,7 @@ class _Bound:
             if sweep.pose1(self.ints, self.floats, q, out):
                 refuse_bad(self.system, q)
             return out
-        flat_q, flat_out = q.reshape(-1, self.system.nq), out.reshape(-1, 4, 4)
+        flat_q, flat_out = _rows(q, 1), _rows(out, 2)
         ints, floats = self.chain
 
         def work(start: int, stop: int) -> int:
@@ -128,10 +136,10 @@ class _Bound:
         q, nv = as_q(self.system, q), self.system.nv
         pose, columns = np.empty((*q.shape[:-1], 4, 4)), _out(out, (*q.shape[:-1], 6, nv))
         if q.ndim == 1:
-            if sweep.jacobian1(self.ints, self.floats, q, kind, pose, columns):
+            if sweep.pose_jacobian1(self.ints, self.floats, q, kind, pose, columns):
                 refuse_bad(self.system, q)
             return pose, columns
-        flat = q.reshape(-1, self.system.nq), pose.reshape(-1, 4, 4), columns.reshape(-1, 6, nv)
+        flat = _rows(q, 1), _rows(pose, 2), _rows(columns, 2)
 
         def work(start: int, stop: int) -> int:
             a, b, c = (x[start:stop] for x in flat)
@@ -179,7 +187,7 @@ def fk(
         if sweep.poses1(ints, floats, q, out):
             refuse_bad(system, q)
         return out
-    flat_q, flat_out = q.reshape(-1, system.nq), out.reshape(-1, k, 4, 4)
+    flat_q, flat_out = _rows(q, 1), _rows(out, 3)
 
     def work(start: int, stop: int) -> int:
         return sweep.poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
@@ -212,6 +220,11 @@ def refuse_bad(system: System, q: Array) -> None:
         if not np.any(q[i : i + 4]):
             raise InputError(f"the quaternion at q[{system.coordinate_names[i]!r}] is zero; (1, 0, 0, 0) is no rotation")
     raise InputError("q leads to poses that are not finite: a coordinate is too large")
+
+
+def _rows(x: Array, core: int) -> Array:
+    """`x` with all axes before the last `core` made one; numpy's -1 cannot where some axis is empty."""
+    return x.reshape(math.prod(x.shape[:-core]), *x.shape[-core:])
 
 
 def _out(out: Array | None, shape: tuple[int, ...]) -> Array:

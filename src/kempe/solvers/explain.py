@@ -30,6 +30,8 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     near = f"the nearest configuration found misses it by {position:.6g} m{_angle(task, angle)}"
     if code == OUT_OF_REACH:
         beyond = outside(task, target)[0]
+        if task.system.dim == 2 and abs(target[0, 2, 3]) > task.tolerance[0]:
+            return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m; {near}"
         return f"outside the workspace by at least {beyond:.6g} m, by the lengths of the links; {near}"
     reason = _over_determined(task, target) or _limits(task, target, solution.q[index]) or _why(task)
     return f"not reached after {_count(starts, 'start')}: {reason}; {near}"

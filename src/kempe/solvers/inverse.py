@@ -216,7 +216,7 @@ def _codes(task: Task, kernel_codes: np.ndarray) -> np.ndarray:
 
 def outside(task: Task, targets: Array) -> Array:
     """How far (N,) targets are outside the reach bounds, in metres: a proven lower bound of the position error."""
-    out = np.zeros(len(targets))
+    out = np.abs(targets[:, 2, 3]) if task.system.dim == 2 else np.zeros(len(targets))
     for point, largest, smallest in task.chain.bounds:
         distance = np.linalg.norm(targets[:, :3, 3] - point, axis=-1)
         out = np.maximum(out, np.maximum(distance - largest, smallest - distance))
@@ -258,7 +258,7 @@ def _seeds(system: System, chain: Chain, seed: Any, lead: tuple[int, ...]) -> tu
         base = as_q(system, seed)
         if base.ndim > 1 and base.shape[:-1] != lead:
             raise InputError(f"seed has shape {base.shape}; it must be ({system.nq},) or {(*lead, system.nq)}")
-        base, count = np.array(base.reshape(-1, system.nq)), 1
+        base, count = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq)), 1
         if not lead and not np.isfinite(base).all():
             raise InputError("seed has entries that are not finite")
     at_q, at_v = system.layout.vector_q, system.layout.vector_v
@@ -290,5 +290,5 @@ def _count(starts: object) -> int:
 def _answer(task: Task, q: Array, code: np.ndarray, residual: Array, info: np.ndarray, lead: tuple[int, ...]) -> Solution:
     fields = (code == SOLVED, code, residual[:, 0], residual[:, 1], info[:, 1], info[:, 2])
     if lead:
-        return Solution(q.reshape(*lead, -1), *(x.reshape(lead) for x in fields), task)
+        return Solution(q.reshape(*lead, task.system.nq), *(x.reshape(lead) for x in fields), task)
     return Solution(q[0], *(x[0].item() for x in fields), task)

@@ -1,0 +1,1 @@
+"""What people look at: reports, data for JSON, the benchmark."""

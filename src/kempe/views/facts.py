@@ -1,16 +1,20 @@
-"""Systems and answers as plain data (dicts, lists, numbers, text), ready for JSON and for the tables of `report`."""
+"""Systems and answers as plain data (dicts, lists, numbers, text): for JSON, and for `report`."""
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Iterable
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kempe import spatial
 from kempe.description.parts import Joint
-from kempe.errors import DescriptionError, KempeError, Problem
+from kempe.description.read import library_models
+from kempe.errors import DescriptionError, KempeError, Problem, UnknownNameError
 from kempe.joints import Q, R
 from kempe.model.coordinates import Follower, relation_text
 
@@ -19,10 +23,11 @@ if TYPE_CHECKING:
     from kempe.solvers.solution import Solution
 
 DEGREE = math.pi / 180.0
+_NUMBERS = re.compile(r"\[\n\s+(?:[-+.\deE]+|null)(?:,\n\s+(?:[-+.\deE]+|null))*\n\s+\]")
 
 
 def units(system: System) -> dict[str, str]:
-    """Unit of every joint coordinate and velocity coordinate by name: 'rad', 'm', or '' for a quaternion's parts."""
+    """Unit of every coordinate and velocity coordinate by name: 'rad', 'm', or '' in a quaternion."""
     out: dict[str, str] = {}
     bodies = system.mechanism.bodies
     for joint in system.joints.values():
@@ -37,7 +42,7 @@ def units(system: System) -> dict[str, str]:
 
 
 def in_degrees(values: Any, names: Iterable[str], unit: dict[str, str], degrees: bool) -> spatial.Array:
-    """Values (..., k) of the named coordinates, the angles among them in degrees where `degrees` asks for it."""
+    """Values (..., k) of the named coordinates, the angles among them in degrees if `degrees` asks for it."""
     factors = [1.0 / DEGREE if degrees and unit[n] == "rad" else 1.0 for n in names]
     return np.asarray(values, dtype=float) * factors
 
@@ -53,10 +58,10 @@ def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
         "parent": list(system.parent),
         "nq": system.nq,
         "nv": system.nv,
-        "dof_of_tree": system.nv - _cut_freedoms(system),
+        "dof_of_tree": _dof_of_tree(system),
         "configuration_space": {
-            "shape": space.shape, "dim": space.dim, "limited": space.limited, "constraints": space.constraints,
-            "text": str(space),
+            "shape": space.shape, "dim": space.dim, "limited": space.limited,
+            "constraints": space.constraints, "text": str(space),
         },
         "bodies": _bodies(system),
         "joints": [_joint(system, j, j.name not in closures) for j in system.joints.values()],
@@ -71,13 +76,12 @@ def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _cut_freedoms(system: System) -> int:
-    """How many velocity coordinates belong to the joints that the tree left out."""
+def _dof_of_tree(system: System) -> int:
+    """Degrees of freedom of the tree: those of all joints without those of the joints that it left out."""
     bodies, joints, known = system.mechanism.bodies, system.joints, set(system.velocity_names)
     cut = [joints[name] for name in system.closures]
-    return sum(
-        _full(j, v) in known for j in cut for v in j.type.velocities(system.dim, bodies[j.child].particle)
-    )
+    names = (_full(j, v) for j in cut for v in j.type.velocities(system.dim, bodies[j.child].particle))
+    return system.nv - sum(name in known for name in names)
 
 
 def _bodies(system: System) -> list[dict[str, Any]]:
@@ -120,14 +124,14 @@ def _coupling(of: str, follower: Follower) -> dict[str, Any]:
 
 
 def pose_facts(X: spatial.Array, frame: str, degrees: bool = False) -> dict[str, Any]:
-    """A pose (4, 4) as matrix, as position [m] and as fixed-axis angles roll, pitch, yaw [rad, or degrees]."""
+    """A pose (4, 4) as matrix, position [m] and fixed-axis angles roll, pitch, yaw [rad, or degrees]."""
     numbers = spatial.xyz_rpy_from_pose(X)
     rpy = numbers[3:] / DEGREE if degrees else numbers[3:]
     return {"frame": frame, "xyz": jsonable(numbers[:3]), "rpy": jsonable(rpy), "matrix": jsonable(X)}
 
 
 def poses_facts(system: System, frame: str | None, X: spatial.Array, degrees: bool = False) -> dict[str, Any]:
-    """Poses as `System.fk` gives them: of a frame, or of all bodies (`frame` None); of one or of many configurations."""
+    """Poses as `System.fk` gives them: of a frame, or of all bodies where `frame` is None; one or many q."""
     unit = {
         "system": system.name,
         "seen_from": system.body_names[0],
@@ -145,7 +149,7 @@ def poses_facts(system: System, frame: str | None, X: spatial.Array, degrees: bo
 
 
 def solution_facts(system: System, answer: Solution, degrees: bool = False) -> dict[str, Any]:
-    """An answer of `ik`: configuration by name, whether and how well it reaches, and the sentence; lists for a batch."""
+    """An answer of `ik`: configuration by name, how well it reaches, and the sentence; lists for a batch."""
     names = system.coordinate_names
     q = jsonable(in_degrees(answer.q, names, units(system), degrees))
     batch = np.ndim(answer.success) > 0
@@ -158,6 +162,22 @@ def solution_facts(system: System, answer: Solution, degrees: bool = False) -> d
         **out,
         "q": by_name if batch else by_name[0],
     }
+
+
+def models() -> dict[str, str]:
+    """The shipped models by name, each with a line that says what it is: the first line of its file."""
+    texts = {name: model_text(name) for name in library_models()}
+    return {
+        name: text.splitlines()[0].lstrip("# ") if text.startswith("#") else ""
+        for name, text in texts.items()
+    }
+
+
+def model_text(name: str) -> str:
+    """The TOML of a shipped model. Errors: `UnknownNameError`."""
+    if name not in library_models():
+        raise UnknownNameError("model", name, library_models(), "the library")
+    return (resources.files("kempe.library") / f"{name}.toml").read_text(encoding="utf-8")
 
 
 def problem_facts(problem: Problem) -> dict[str, Any]:
@@ -182,8 +202,14 @@ def error_facts(error: BaseException | str) -> dict[str, Any]:
     return out
 
 
+def json_text(data: Any, ascii_only: bool = False) -> str:
+    """Data as indented JSON, with lists of numbers on one line."""
+    text = json.dumps(data, indent=2, allow_nan=False, ensure_ascii=ascii_only)
+    return _NUMBERS.sub(lambda m: "[" + ", ".join(m[0].strip("[]").replace(",", " ").split()) + "]", text)
+
+
 def jsonable(values: Any) -> Any:
-    """Arrays as nested lists of numbers, with None in place of NaN and infinities, which JSON does not have."""
+    """Arrays as nested lists of numbers, None in place of NaN and infinities, which JSON does not have."""
     if isinstance(values, np.ndarray):
         return jsonable(values.tolist())
     if isinstance(values, (list, tuple)):

@@ -27,12 +27,15 @@ if TYPE_CHECKING:
 WIDE = 100_000
 """Columns of an output that is not a terminal: nothing is cut or wrapped there."""
 
+NOTE_LIMIT = 10
+"""Notes about one file that are shown."""
+
 _CONTROL = {i: f"\\x{i:02x}" for i in (*range(32), *range(127, 160)) if i not in (9, 10)}
 """Control characters, which a name from a file must not send to the terminal."""
 
 
 def console(file: TextIO | None = None) -> Console:
-    """A rich console that takes text literally, colours terminals only, and neither cuts nor wraps elsewhere."""
+    """A rich console that takes text literally, colours terminals only, and wraps nothing elsewhere."""
     file = sys.stdout if file is None else file
     width = None if file.isatty() else WIDE
     return Console(
@@ -41,7 +44,7 @@ def console(file: TextIO | None = None) -> Console:
 
 
 def show(renderable: RenderableType, file: TextIO | None = None) -> None:
-    """Print a report to `file` (standard output unless given); lines have no trailing blanks outside a terminal."""
+    """Print a report to `file` (standard output unless given), without trailing blanks outside a terminal."""
     printer = console(file)
     if printer.is_terminal:
         printer.print(renderable)
@@ -77,7 +80,7 @@ def number(x: float, digits: int = 6) -> str:
 
 
 def info(system: System, degrees: bool = False) -> RenderableType:
-    """A system: sizes, connectivity vector, freedoms, configuration space, bodies and joints, limits, and the rest."""
+    """A system: sizes, connectivity vector, freedoms, configuration space, bodies, joints, limits, ..."""
     data = facts.system_facts(system, degrees)
     blocks: list[RenderableType] = [_headline(data), "", _overview(data), "", _bodies(data)]
     for block in (_loops(data), _couplings(data), _frames(data), _lines("Notes", data["notes"])):
@@ -93,15 +96,14 @@ def _headline(data: dict[str, Any]) -> Text:
 
 
 def _overview(data: dict[str, Any]) -> Table:
-    space = data["configuration_space"]
-    loops, constraints = len(data["closures"]), space["constraints"]
-    dof = f"{data['dof_of_tree']} of the tree"
-    if constraints:
-        left = data["nv"] - constraints
-        cause = count(loops, "loop") if loops else "coupled joints"
-        dof += f"; {data['nv']} of all joints less {constraints} equations ({cause}) leave at least {max(left, 0)}"
-    elif loops == 0:
-        dof += ", no loops"
+    space, loops, dof = data["configuration_space"], len(data["closures"]), str(data["dof_of_tree"])
+    if space["constraints"]:
+        what = count(loops, "loop") if loops else "coordinates that follow several others"
+        equations = f"{count(space['constraints'], 'equation')} of {what}"
+        left = max(data["nv"] - space["constraints"], 0)
+        dof += f" of the tree; {data['nv']} of all joints less {equations}: at least {left}"
+    elif not loops:
+        dof += " (a tree, no loops)"
     lines: list[tuple[str, str]] = [
         (
             "connectivity",
@@ -138,7 +140,10 @@ def _bodies(data: dict[str, Any]) -> Table:
 
 
 def _kind(joint: dict[str, Any]) -> str:
-    options = ", ".join(f"{k} {v:g}" if isinstance(v, float) else k for k, v in joint["options"].items())
+    units = {"pitch": " m/rad"}
+    options = ", ".join(
+        f"{k} {v:g}{units.get(k, '')}" if isinstance(v, float) else k for k, v in joint["options"].items()
+    )
     return joint["type"] + (f", {options}" if options else "")
 
 
@@ -204,7 +209,9 @@ def findings(file: str, problems: Sequence[Problem], notes: Sequence[str] = ()) 
     shown = [_problem(p) for p in problems[:PROBLEM_LIMIT]]
     if len(problems) > PROBLEM_LIMIT:
         shown.append(Text(f"... and {len(problems) - PROBLEM_LIMIT} more"))
-    said = [Text.assemble(("note ", "bold cyan"), clean(note)) for note in notes]
+    said = [Text.assemble(("note ", "bold cyan"), clean(note)) for note in notes[:NOTE_LIMIT]]
+    if len(notes) > NOTE_LIMIT:
+        said.append(Text(f"... and {len(notes) - NOTE_LIMIT} more notes"))
     return Group(head, *shown, *said)
 
 
@@ -238,8 +245,8 @@ def poses(system: System, frame: str | None, X: spatial.Array, degrees: bool = F
 
     X is what `System.fk` gives: (4, 4), (n, 4, 4), or for all bodies (k, 4, 4), (n, k, 4, 4).
     """
-    title = Text.assemble((clean(frame or "all bodies"), "bold green"), f" of {clean(system.name)}, seen from "
-                          f"{clean(system.body_names[0])}")  # fmt: skip
+    seen = f" of {clean(system.name)}, seen from {clean(system.body_names[0])}"
+    title = Text.assemble((clean(frame or "all bodies"), "bold green"), seen)
     if frame is not None and X.ndim == 2:
         return Group(title, "", _pose_table([()], (), X[None], degrees), "", Text(matrix(X)))
     if frame is not None:
@@ -270,7 +277,7 @@ def matrix(X: spatial.Array) -> str:
 
 
 def solution(system: System, answer: Solution, degrees: bool = False) -> RenderableType:
-    """An answer of `ik`: its sentence, and the configuration by name with limits; of many targets a line for each."""
+    """An answer of `ik`: its sentence, and the configuration by name; of many targets a line for each."""
     coordinates = facts.coordinates(system, degrees)
     q = facts.in_degrees(answer.q, system.coordinate_names, facts.units(system), degrees)
     if np.ndim(answer.success):
@@ -280,7 +287,10 @@ def solution(system: System, answer: Solution, degrees: bool = False) -> Rendera
         limits = f"[{_bound(c['lower'], '-inf')}, {_bound(c['upper'], 'inf')}]"
         lines.append((c["name"], _value(x, c), c["unit"], "" if c["lower"] is c["upper"] is None else limits))
     title = "coordinate" if answer.success else "nearest found"
-    return Group(outcome(answer), "", table((title, ">value", "unit", "limits"), lines))
+    copy = f"--q {','.join(f'{x:.9g}' for x in q.tolist())}" if lines else ""
+    return Group(
+        outcome(answer), "", table((title, ">value", "unit", "limits"), lines), "", Text(copy, style="dim")
+    )
 
 
 def outcome(answer: Solution) -> Text:

@@ -43,8 +43,9 @@ def configuration(
 ) -> spatial.Array:
     """Configurations from the command line: (nq,), or (n, nq) where `text` names a file.
 
-    `text` is 'a,b,c' (all of q in order), 'name=value,...' (the rest neutral, or as in the posture) or a file.
-    `posture` names a posture of the system, or is 'neutral' or 'mid'. Errors: `InputError`, `UnknownNameError`.
+    `text` is 'a,b,c' (all of q in order), 'name=value,...' (the rest neutral, or as in the posture), or a
+    .csv or .npy file. `posture` names a posture of the system, or is 'neutral' or 'mid'.
+    Errors: `InputError`, `UnknownNameError`.
     """
     base = _posture(system, posture)
     if text is None:
@@ -90,7 +91,7 @@ def _radians(system: System, q: spatial.Array, degrees: bool) -> spatial.Array:
 
 
 def _configurations(system: System, path: Path, degrees: bool) -> spatial.Array:
-    """Configurations (n, nq) of a file; a .csv may name its columns, in any order, the missing ones neutral."""
+    """Configurations (n, nq) of a file; a .csv may name its columns, the missing ones are neutral."""
     names, rows = read(path)
     if names is None:
         return _radians(system, as_q(system, rows), degrees)
@@ -110,8 +111,8 @@ def _configurations(system: System, path: Path, degrees: bool) -> spatial.Array:
 def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Array, bool]:
     """Target poses (..., 4, 4) from the command line, and whether only their position counts.
 
-    'x,y,z,roll,pitch,yaw' (fixed axes, as in URDF) or 'x,y,z'; of planar systems also 'x,y,angle' and 'x,y'; or a
-    file of such rows, where a .npy may also hold (n, 4, 4) matrices.
+    'x,y,z,roll,pitch,yaw' (fixed axes, as in URDF) or 'x,y,z'; of planar systems 'x,y,angle' and 'x,y' in
+    place of 'x,y,z'; or a file of such rows, where a .npy may also hold (n, 4, 4) matrices.
     """
     if is_file(text):
         _, rows = read(Path(text), matrices=True)
@@ -136,7 +137,7 @@ def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Ar
 def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, spatial.Array]:
     """Rows (n, k) of a .csv or .npy file, and the names in the first line of a .csv if it has them.
 
-    A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` naming the file and what is wrong.
+    A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` that names the file.
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
@@ -186,7 +187,7 @@ def write(path: Path, columns: Sequence[str], rows: spatial.Array, array: spatia
 
 
 def not_finite(q: spatial.Array) -> list[int]:
-    """Numbers of the rows of configurations (n, nq) that hold NaN or infinities; none of a single configuration."""
+    """Numbers of the rows of q (n, nq) that hold NaN or infinities; none of a single configuration."""
     return np.flatnonzero(~np.isfinite(q).all(axis=-1)).tolist() if q.ndim > 1 else []
 
 
@@ -203,8 +204,8 @@ def tolerance(text: str) -> tuple[float, float]:
 def write_poses(path: Path, X: spatial.Array, bodies: bool, degrees: bool = False) -> None:
     """Write poses: a .npy holds the array as it is, a .csv has x, y, z, roll, pitch, yaw in each line.
 
-    X is (4, 4) or (n, 4, 4), or with a line for each of several `bodies` (k, 4, 4) or (n, k, 4, 4); the .csv then
-    begins with the number of the configuration and of the body.
+    X is (4, 4) or (n, 4, 4); of all `bodies` it is (k, 4, 4) or (n, k, 4, 4), and lines of the .csv begin
+    with the number of the configuration and of the body.
     """
     lines = pose_rows(X, degrees).reshape(-1, 6)
     columns: tuple[str, ...] = POSE_COLUMNS
@@ -215,7 +216,7 @@ def write_poses(path: Path, X: spatial.Array, bodies: bool, degrees: bool = Fals
 
 
 def write_configurations(path: Path, system: System, q: spatial.Array, degrees: bool = False) -> None:
-    """Write configurations (nq,) or (n, nq), a column for each coordinate; `configuration` reads them back."""
+    """Write configurations (nq,) or (n, nq), a column a coordinate; `configuration` reads them back."""
     names = system.coordinate_names
     shown = in_degrees(np.atleast_2d(q), names, units(system), degrees)
     write(path, names, shown, shown)

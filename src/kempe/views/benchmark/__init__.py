@@ -1,4 +1,4 @@
-"""Kempe beside other kinematics libraries, in one run on one machine: `benchmark` yields table after table."""
+"""Kempe beside other kinematics libraries, in one run on one machine: `benchmark` yields the tables."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import datetime
 from collections.abc import Callable, Iterable, Iterator
 
 from kempe.errors import UnknownNameError
-from kempe.views.benchmark import forward, inverse, peers, process
+from kempe.views.benchmark import forward, inverse, peers, process, trees
 from kempe.views.benchmark.bench import Bench
 from kempe.views.benchmark.timing import Table
 
 SECTIONS: dict[str, Callable[[Bench], Table | None]] = {
-    "batch": forward.batch, "single": forward.single, "tree": forward.tree, "threads": forward.threads,
-    "growth": forward.growth, "inverse": inverse.single, "startup": process.startup, "memory": process.memory,
+    "batch": forward.batch, "single": forward.single, "tree": trees.humanoid, "threads": forward.threads,
+    "growth": trees.growth, "inverse": inverse.single, "startup": process.startup, "memory": process.memory,
 }  # fmt: skip
 """The parts of the benchmark, in their order."""
 
@@ -24,8 +24,8 @@ def benchmark(
 ) -> Iterator[Table]:
     """Measured tables, one by one as they are done, so that an interruption loses only the section in work.
 
-    `sections` picks some of `SECTIONS`, `wanted` some of the peers; `say` is told what is being measured. Errors:
-    `UnknownNameError`; `UnsupportedError` where the robots' files are not installed.
+    `sections` picks some of `SECTIONS`, `wanted` some of the peers; `say` is told what is being measured.
+    Errors: `UnknownNameError`; `UnsupportedError` where the robots' files are not installed.
     """
     names = list(SECTIONS if sections is None else sections)
     for name in names:
@@ -47,8 +47,8 @@ def page(tables: Iterable[Table], wanted: list[str] | None = None) -> str:
     versions = {"kempe": __version__, **peers.installed(wanted)}
     head = [
         "# Benchmark", "",
-        "Medians of repeated turns in one run; the libraries take turns, so that ratios hold although absolute times",
-        "differ from machine to machine. A ratio is to the first line of its table.", "",
+        "Medians of one run in which the libraries take turns: ratios hold although times differ from",
+        "machine to machine. A ratio is to the first line of its table.", "",
         f"- Machine: {peers.machine()}", f"- Versions: {', '.join(f'{k} {v}' for k, v in versions.items())}",
         f"- Date: {datetime.date.today().isoformat()}", "",
     ]  # fmt: skip

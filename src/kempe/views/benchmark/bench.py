@@ -10,7 +10,7 @@ from kempe.views.benchmark import peers
 
 
 class Bench:
-    """One run: `versions` of the peers that take part, the arm on which all are compared, and `say` for progress."""
+    """One run: `versions` of the peers that take part, the arm for all, and `say` to tell of progress."""
 
     def __init__(self, wanted: list[str] | None = None, say: Callable[[str], None] = lambda text: None):
         self.versions = peers.installed(wanted)

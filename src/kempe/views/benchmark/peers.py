@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.metadata
 import importlib.util
 import platform
@@ -59,12 +60,17 @@ def machine() -> str:
     return f"{model}, {processors()} processors; {system}, numpy {np.__version__}, numba {numba.__version__}"
 
 
+def module(name: str) -> Any:
+    """A peer's module, imported when it is needed."""
+    return importlib.import_module(name)
+
+
 # ---- the same arm for everybody
 
 
 @dataclass(frozen=True)
 class Link:
-    """A moving joint of a serial chain: the constant placement before it, its axis z, its kind and its limits."""
+    """A moving joint of a serial chain: the placement before it, whether it slides along z, its limits."""
 
     name: str
     X: spatial.Array
@@ -74,7 +80,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Arm:
-    """A serial chain written out: the moving joints from the ground to a frame, then the constant placement `tool`."""
+    """A serial chain written out: the moving joints from the ground to a frame, then the placement `tool`."""
 
     system: System
     frame: str
@@ -83,7 +89,7 @@ class Arm:
     file: Path
 
     def pose(self, q: spatial.Array) -> spatial.Array:
-        """Pose (n, 4, 4) of the frame for q (n, number of joints) by plain matrix products: an independent check."""
+        """Pose (n, 4, 4) of the frame for q (n, number of joints) by plain products: an independent check."""
         out = np.broadcast_to(np.eye(4), (len(q), 4, 4))
         for i, link in enumerate(self.links):
             motion = spatial.pose(None if link.slides else spatial.rot_z(q[:, i]))
@@ -99,7 +105,7 @@ class Arm:
 
 
 def arm_of(system: System, frame: str, file: Path) -> Arm:
-    """The chain to a frame with everything beside it locked, and written out for libraries that take chains only."""
+    """The chain to a frame, everything beside it locked, written out for libraries that take chains only."""
     body = system.frames[frame].body if frame in system.frames else frame
     path = []
     number = system.body_names.index(body)
@@ -124,7 +130,7 @@ def arm_of(system: System, frame: str, file: Path) -> Arm:
 
 def pinocchio_arm(arm: Arm) -> tuple[Any, Any, int]:
     """Pinocchio's model, data and frame number of the arm, with everything beside it locked."""
-    import pinocchio as pin
+    pin = module("pinocchio")
 
     model = pin.buildModelFromUrdf(str(arm.file))
     keep = {link.name for link in arm.links}
@@ -135,7 +141,7 @@ def pinocchio_arm(arm: Arm) -> tuple[Any, Any, int]:
 
 def mujoco_model(file: Path) -> tuple[Any, Any]:
     """MuJoCo's model and data of a URDF file: without shapes, with inertias, with all links kept."""
-    import mujoco
+    mujoco = module("mujoco")
 
     root = ElementTree.parse(file).getroot()
     for link in root.iter("link"):
@@ -153,7 +159,8 @@ def mujoco_model(file: Path) -> tuple[Any, Any]:
 
 def toolbox_arm(arm: Arm) -> Any:
     """The arm as an elementary transform sequence of roboticstoolbox."""
-    from roboticstoolbox import ET, ETS
+    toolbox = module("roboticstoolbox")
+    ET, ETS = toolbox.ET, toolbox.ETS
 
     out = []
     for i, link in enumerate(arm.links):
@@ -164,22 +171,19 @@ def toolbox_arm(arm: Arm) -> Any:
 
 def ikpy_arm(arm: Arm) -> Any:
     """The arm as a chain of ikpy."""
-    from ikpy.chain import Chain
-    from ikpy.link import OriginLink, URDFLink
-
-    links: list[Any] = [OriginLink()]
+    link_type = module("ikpy.link").URDFLink
+    links: list[Any] = [module("ikpy.link").OriginLink()]
     for link in arm.links:
         axis = {"translation": [0, 0, 1]} if link.slides else {"rotation": [0, 0, 1]}
-        links.append(URDFLink(link.name, link.X[:3, 3], spatial.matrix_to_rpy(link.X[:3, :3]), **axis,
-                              bounds=link.limits, joint_type="prismatic" if link.slides else "revolute"))  # fmt: skip
+        kind = "prismatic" if link.slides else "revolute"
+        at = link.X[:3, 3], spatial.matrix_to_rpy(link.X[:3, :3])
+        links.append(link_type(link.name, *at, **axis, bounds=link.limits, joint_type=kind))
     links.append(
-        URDFLink("tool", arm.tool[:3, 3], spatial.matrix_to_rpy(arm.tool[:3, :3]), joint_type="fixed")
+        link_type("tool", arm.tool[:3, 3], spatial.matrix_to_rpy(arm.tool[:3, :3]), joint_type="fixed")
     )
-    return Chain(links, active_links_mask=[False, *(True for _ in arm.links), False])
+    return module("ikpy.chain").Chain(links, active_links_mask=[False, *(True for _ in arm.links), False])
 
 
 def torch_arm(arm: Arm) -> Any:
     """The arm as a serial chain of pytorch-kinematics."""
-    import pytorch_kinematics  # type: ignore[import-not-found]
-
-    return pytorch_kinematics.build_serial_chain_from_urdf(arm.file.read_bytes(), arm.frame)
+    return module("pytorch_kinematics").build_serial_chain_from_urdf(arm.file.read_bytes(), arm.frame)

@@ -42,7 +42,8 @@ _MEMORY = """
 import json, resource, sys
 import numpy as np, kempe
 def peak():
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024.0 if sys.platform == "linux" else 1024.0**2)
+    unit = 1024.0 if sys.platform == "linux" else 1024.0**2
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 robot = kempe.load(sys.argv[1])
 query, n = robot.query(sys.argv[2]), int(sys.argv[3])
 q = robot.random(0, n)
@@ -96,7 +97,8 @@ def startup(bench: Bench) -> Table:
     for text, call, bound in (
         ("first forward result with an empty cache, under 10 s", "empty cache: process", 10.0),
         ("first inverse result after that, under 10 s", "then", 10.0),
-        ("warmup, under 60 s", "empty cache: kempe warmup", 60.0), ("import, under 0.15 s", "warm: import", 0.15),
+        ("warmup, under 60 s", "empty cache: kempe warmup", 60.0),
+        ("import, under 0.15 s", "warm: import", 0.15),
         ("later processes to their first forward result, under 1.5 s", "warm: import, load", 1.5),
     ):  # fmt: skip
         table.at_most(text, table.value("Kempe", call), bound)
@@ -117,8 +119,8 @@ def memory(bench: Bench) -> Table:
 def _run(code: str, cache: str | None, *arguments: str) -> str:
     """Last line that a fresh Python process prints."""
     environment = {**os.environ, "KEMPE_QUIET": "1"} | ({"KEMPE_CACHE_DIR": cache} if cache else {})
-    done = subprocess.run([sys.executable, "-c", code, *arguments], env=environment, capture_output=True, text=True,
-                          check=True)  # fmt: skip
+    command = [sys.executable, "-c", code, *arguments]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     return done.stdout.strip().splitlines()[-1] if done.stdout.strip() else ""
 
 

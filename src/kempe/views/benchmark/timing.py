@@ -1,4 +1,4 @@
-"""Timing side by side: statements take turns, medians count, and a table says how many times Kempe's time each needs."""
+"""Timing side by side: statements take turns, medians count, tables compare them with Kempe."""
 
 from __future__ import annotations
 
@@ -17,13 +17,18 @@ TURN = 0.02
 
 @dataclass(frozen=True)
 class Case:
-    """A statement to time: which library, what it does, the code with the names it uses, results of one run."""
+    """A statement to time: whose, what it does, its code with the names in it, results of one run."""
 
     library: str
     call: str
     code: str
     names: dict[str, Any]
     results: int = 1
+
+
+def cases(library: str, names: dict[str, Any], *calls: tuple[str, str] | tuple[str, str, int]) -> list[Case]:
+    """Cases of one library that share names, from (call, code) or (call, code, results)."""
+    return [Case(library, call[0], call[1], names, *call[2:]) for call in calls]
 
 
 @dataclass(frozen=True)
@@ -59,7 +64,7 @@ class Table:
     ratios: bool = True
 
     def value(self, library: str, call: str = "") -> float | None:
-        """The number of the first row of a library whose call begins so, or None where it was not measured."""
+        """The number of a library's first row whose call begins so, or None where it was not measured."""
         for row in self.rows:
             if row.library == library and row.call.startswith(call):
                 return row.value
@@ -109,8 +114,8 @@ def significant(x: float) -> str:
 def measure(cases: Sequence[Case], scale: float = 1e9, rounds: int = ROUNDS) -> list[Row]:
     """Median time of one result of each case, in units of 1/`scale` seconds.
 
-    The cases take turns (A B C A B C ...), so that a drift of the machine's speed meets all of them alike; garbage
-    collection is off inside a turn.
+    The cases take turns (A B C A B C ...), so that a drift of the machine's speed meets all of them alike;
+    garbage collection is off inside a turn.
     """
     timers = [timeit.Timer(c.code, timer=time.perf_counter_ns, globals=dict(c.names)) for c in cases]
     numbers = []

@@ -1,9 +1,10 @@
-"""Pointers into one block of scratch, for which Numba has no words."""
+"""Pointers into one block of scratch: a kernel allocates once."""
 
 from __future__ import annotations
 
 from numba import types
-from numba.extending import intrinsic
+
+from kempe.kernels.vectors import intrinsic
 
 
 @intrinsic

@@ -1,0 +1,308 @@
+"""The inverse model through the public face, judged by independent forward passes and closed forms."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kempe import Mechanism
+from kempe.errors import InputError, NoSolutionError, UnknownNameError, UnsupportedError
+from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, SOLVED
+
+
+def two_link(l1=1.0, l2=0.7, limits=None):
+    arm = Mechanism("two-link", dim=2)
+    upper, lower = arm.body("upper"), arm.body("lower")
+    arm.revolute("q1", arm.ground, upper)
+    arm.revolute("q2", upper, lower, at=(l1, 0), limits=limits)
+    arm.frame("tip", lower, at=(l2, 0))
+    return arm.build()
+
+
+def tip(q, l1=1.0, l2=0.7):
+    return np.array([l1 * np.cos(q[0]) + l2 * np.cos(q[0] + q[1]), l1 * np.sin(q[0]) + l2 * np.sin(q[0] + q[1])])
+
+
+def spatial_arm(n=6, seed=1, limits=None):
+    """A chain of n joints in random directions; every third one slides."""
+    rng = np.random.default_rng(seed)
+    arm = Mechanism(f"random{n}")
+    last = arm.ground
+    for i in range(n):
+        body = arm.body(f"b{i}")
+        at, rpy, axis = rng.uniform(-0.4, 0.4, 3), rng.uniform(-2, 2, 3), rng.normal(size=3)
+        if i % 3 == 2:
+            arm.prismatic(f"j{i}", last, body, at=at, rpy=rpy, axis=axis, limits=(-0.3, 0.3))
+        else:
+            arm.revolute(f"j{i}", last, body, at=at, rpy=rpy, axis=axis, limits=limits)
+        last = body
+    arm.frame("tool", last, at=(0.1, 0.2, 0.3))
+    return arm.build()
+
+
+def angle_between(A, B):
+    """Angle of R_A^T R_B from its skew and trace parts, accurate near zero."""
+    R = np.swapaxes(A[..., :3, :3], -1, -2) @ B[..., :3, :3]
+    skew = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    return np.arctan2(np.linalg.norm(skew, axis=-1), np.trace(R, axis1=-2, axis2=-1) - 1.0)
+
+
+@given(r=st.floats(0.31, 1.69), phi=st.floats(-3.1, 3.1))
+@settings(max_examples=200, deadline=None)
+def test_two_link_agrees_with_the_closed_form(r, phi):
+    p = np.array([r * math.cos(phi), r * math.sin(phi)])
+    s = two_link().ik(p, "tip")
+    assert s.success
+    c2 = (r * r - 1.0 - 0.49) / 1.4
+    np.testing.assert_allclose(abs(math.remainder(s.q[1], 2 * math.pi)), math.acos(c2), atol=1e-5)
+    np.testing.assert_allclose(tip(s.q), p, atol=1e-6)
+
+
+@pytest.mark.parametrize("limits, sign", [((-math.pi, 0.0), -1), ((0.0, math.pi), 1)])
+def test_limits_choose_elbow_up_or_down(limits, sign):
+    s = two_link(limits=limits).ik([0.9, 0.4], "tip")
+    assert s.success and np.sign(math.sin(s.q[1])) == sign
+
+
+@pytest.mark.parametrize("p, distance", [((3.0, 0.0), 1.3), ((0.0, -2.5), 0.8), ((0.1, 0.0), 0.2), ((0.0, 0.0), 0.3)])
+def test_unreachable_points_say_how_far_outside_they_are(p, distance):
+    s = two_link().ik(p, "tip")
+    assert s.success is False and s.code == OUT_OF_REACH and not s
+    assert f"outside the workspace by at least {distance:g} m" in s.status
+    np.testing.assert_allclose(s.position_error, distance, atol=1e-6)  # the nearest configuration is the true one
+    np.testing.assert_allclose(np.linalg.norm(tip(s.q) - p), distance, atol=1e-6)
+    with pytest.raises(NoSolutionError, match="outside the workspace"):
+        two_link().ik(p, "tip", throw=True)
+
+
+@pytest.mark.parametrize("p", [(1.7, 0.0), (0.0, 1.7), (-0.3, 0.0)])
+def test_boundary_of_the_workspace_is_reached(p):
+    s = two_link().ik(p, "tip")
+    assert s.success and s.position_error <= 1e-6
+
+
+def test_a_limit_that_blocks_is_named():
+    s = two_link(limits=(-2.0, -0.5)).ik([1.7, 0.0], "tip")
+    assert s.code == NOT_FOUND and "blocked by the limit of 'q2'" in s.status
+    assert -2.0 <= s.q[1] <= -0.5
+    s = two_link(limits=(-2.0, -0.5)).ik([9.0, 0.0], "tip")
+    assert "outside the workspace" in s.status and s.q[1] == pytest.approx(-0.5)
+
+
+def test_more_equations_than_freedoms_is_said():
+    robot = two_link()
+    X = robot.fk([0.3, -0.8], "tip")
+    assert robot.ik(X, "tip").success
+    X[:2, :2] = [[0.0, 1.0], [-1.0, 0.0]]
+    s = robot.ik(X, "tip")
+    assert not s.success
+    assert "3 equations" in s.status and "2 freedoms" in s.status and "position alone can be reached" in s.status
+    s = robot.ik(X, "tip", position_only=True)
+    assert s.success and s.orientation_error == 0
+
+
+def test_a_target_outside_the_plane_is_said():
+    robot = two_link()
+    X = robot.fk([0.3, -0.8], "tip")
+    X[2, 3] = 0.25
+    s = robot.ik(X, "tip")
+    assert not s.success and "plane" in s.status
+    np.testing.assert_allclose(s.position_error, 0.25, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_spatial_chains_reach_what_they_can_reach(seed):
+    robot = spatial_arm(7, seed, limits=(-2.0, 2.5))
+    q = robot.random(seed, 300)
+    X = robot.fk(q, "tool")
+    s = robot.ik(X, "tool")
+    Y = robot.fk(s.q, "tool")
+    assert s.success.all()
+    assert np.linalg.norm(Y[:, :3, 3] - X[:, :3, 3], axis=-1).max() <= 1e-6
+    assert angle_between(X, Y).max() <= 1e-6
+    assert (s.q >= robot.lower).all() and (s.q <= robot.upper).all()
+
+
+def test_answers_do_not_depend_on_threads_or_on_the_rest_of_the_batch():
+    robot = spatial_arm(7, 2)
+    X = robot.fk(robot.random(5, 700), "tool")
+    one, two, five = (robot.ik(X, "tool", threads=n) for n in (1, 2, 5))
+    assert np.array_equal(one.q, two.q) and np.array_equal(one.q, five.q)
+    assert np.array_equal(one.q, robot.ik(X, "tool").q)
+    assert np.array_equal(one.q[:1], robot.ik(X[:1], "tool").q)
+    other = robot.ik(X, "tool", rng=1)
+    assert other.success.all() and not np.array_equal(one.q, other.q)
+
+
+def test_shapes_follow_the_targets():
+    robot = spatial_arm(6)
+    X = robot.fk(robot.random(0, (2, 3)), "tool")
+    s = robot.ik(X, "tool")
+    assert s.q.shape == (2, 3, robot.nq) and s.success.shape == s.starts.shape == s.residual.shape == (2, 3)
+    assert s.status.shape == (2, 3) and s.status[0, 0].startswith("reached")
+    assert robot.ik(X[:0], "tool").q.shape == (0, 3, robot.nq)
+    single = robot.ik(X[0, 0], "tool")
+    assert single.q.shape == (robot.nq,) and single.success is True and isinstance(single.iterations, int)
+    assert str(single).startswith("reached") and "j0 = " in str(single)
+
+
+def test_a_bad_row_leaves_the_others_alone():
+    robot = spatial_arm(6)
+    X = robot.fk(robot.random(0, 4), "tool")
+    good = robot.ik(X, "tool")
+    spoilt = X.copy()
+    spoilt[1, 0, 3], spoilt[2, :3, :3] = np.nan, 2.0 * np.eye(3)
+    s = robot.ik(spoilt, "tool")
+    assert s.code.tolist() == [SOLVED, BAD_INPUT, BAD_INPUT, SOLVED]
+    assert np.isnan(s.q[1:3]).all() and np.array_equal(s.q[[0, 3]], good.q[[0, 3]])
+
+
+def test_bad_single_arguments_raise():
+    robot = spatial_arm(6)
+    X = robot.fk(robot.neutral, "tool")
+    bad = X.copy()
+    bad[0, 0] = np.nan
+    with pytest.raises(InputError, match="not finite"):
+        robot.ik(bad, "tool")
+    with pytest.raises(InputError, match="orthonormal"):
+        robot.ik(np.diag([2.0, 1, 1, 1]), "tool")
+    with pytest.raises(InputError, match=r"shape \(5,\); it must be a pose"):
+        robot.ik(np.zeros(5), "tool")
+    with pytest.raises(UnknownNameError, match="did you mean 'tool'"):
+        robot.ik(X, "tol")
+    with pytest.raises(InputError, match="6"):
+        robot.ik(X, "tool", seed=np.zeros(5))
+    for keyword in ({"starts": 0}, {"tolerance": -1.0}, {"tolerance": (1e-6, math.nan)}):
+        with pytest.raises(InputError):
+            robot.ik(X, "tool", **keyword)
+
+
+def test_the_seed_decides_the_branch_and_keeps_what_the_chain_does_not_move():
+    m = two_link().mechanism
+    m.revolute("aside", m.ground, m.body("other"), limits=(-1.0, 1.0))
+    robot = m.build()
+    for q2 in (-1.0, 1.0):
+        s = robot.ik([0.9, 0.4], "tip", seed={"q1": 0.0, "q2": q2, "aside": 0.7})
+        assert s.success and s.starts == 1 and np.sign(s.q[1]) == np.sign(q2) and s.q[2] == 0.7
+    assert robot.ik([0.9, 0.4], "tip", seed={"aside": 5.0}).q[2] == 1.0
+    assert robot.ik([0.9, 0.4], "tip").q[2] == 0.0
+
+
+def test_a_warm_start_stays_near():
+    robot = spatial_arm(7, 3)
+    q = robot.random(1, 200)
+    near = q + np.random.default_rng(0).normal(scale=0.01, size=q.shape)
+    s = robot.ik(robot.fk(q, "tool"), "tool", seed=near)
+    assert s.success.all() and (s.starts == 1).mean() > 0.95
+    assert np.median(np.linalg.norm(s.q - near, axis=-1)) < 0.1
+
+
+def test_mimic_and_locked_joints_inside_the_chain():
+    m = Mechanism("curl", dim=2)
+    last = m.ground
+    for i in range(4):
+        body = m.body(f"b{i}")
+        m.revolute(f"j{i}", last, body, at=(0.3 if i else 0.0, 0))
+        last = body
+    m.frame("tip", last, at=(0.3, 0))
+    m.gear("j2", "j1", -0.5, 0.2)
+    m.lock({"j3": 0.4})
+    robot = m.build()
+    assert robot.coordinate_names == ("j0", "j1")
+    q = robot.random(0, 100)
+    s = robot.ik(robot.fk(q, "tip")[..., :2, 3], "tip")
+    assert s.success.all()
+    angles = np.cumsum(np.stack([s.q[:, 0], s.q[:, 1], -0.5 * s.q[:, 1] + 0.2, np.full(100, 0.4)], -1), axis=-1)
+    p = 0.3 * np.stack([np.cos(angles).sum(-1), np.sin(angles).sum(-1)], -1)
+    np.testing.assert_allclose(p, robot.fk(q, "tip")[:, :2, 3], atol=1e-6)
+
+
+def test_quaternion_chain():
+    m = Mechanism("ball and arm")
+    a, b = m.body("a"), m.body("b")
+    m.spherical("shoulder", m.ground, a)
+    m.revolute("elbow", a, b, at=(0.4, 0, 0), axis=(0, 1, 0), limits=(0.0, 2.5))
+    m.frame("hand", b, at=(0.3, 0, 0))
+    robot = m.build()
+    q = robot.random(0, 200)
+    s = robot.ik(robot.fk(q, "hand")[:, :3, 3], "hand")
+    assert s.success.all()
+    np.testing.assert_allclose(np.linalg.norm(s.q[:, :4], axis=-1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(robot.fk(s.q, "hand")[:, :3, 3], robot.fk(q, "hand")[:, :3, 3], atol=1e-6)
+
+
+def test_a_frame_that_nothing_moves():
+    m = Mechanism("post")
+    m.frame("top", m.ground, at=(0, 0, 1))
+    m.revolute("j", m.ground, m.body("arm"))
+    robot = m.build()
+    assert robot.ik([0.0, 0, 1], "top").success
+    s = robot.ik([0.0, 0, 3], "top")
+    assert not s.success and s.position_error == pytest.approx(2.0)
+
+
+def test_loops_are_refused_but_their_neighbours_are_not():
+    m = Mechanism("four-bar and arm", dim=2)
+    a, b, c, arm = (m.body(n) for n in ("a", "b", "c", "arm"))
+    m.revolute("A", m.ground, a)
+    m.revolute("B", a, b, at=(1, 0))
+    m.revolute("C", b, c, at=(2, 0), child_at=(1, 0))
+    m.revolute("D", m.ground, c, at=(2, 0))
+    m.revolute("E", m.ground, arm, at=(0, 5))
+    m.frame("tip", arm, at=(1, 0))
+    robot = m.build()
+    with pytest.raises(UnsupportedError, match="loop"):
+        robot.ik([0.0, 1.0], "b")
+    assert robot.ik([0.0, 6.0], "tip").success
+    m.couple("E", {"A": 1.0, "B": 1.0})
+    with pytest.raises(UnsupportedError, match="several"):
+        m.build().ik([0.0, 6.0], "tip")
+
+
+def test_scale_of_the_robot_does_not_matter():
+    for scale in (1e-3, 1.0, 100.0):
+        robot = two_link(scale, 0.7 * scale)
+        s = robot.ik([0.9 * scale, 0.4 * scale], "tip", tolerance=1e-9 * scale)
+        assert s.success
+
+
+def test_renaming_and_reordering_do_not_change_the_answer():
+    def build(order, names):
+        m = Mechanism("arm")
+        for i in order:
+            m.body(names[i])
+        for i in order:
+            parent = m.ground if i == 0 else names[i - 1]
+            m.revolute(f"{names[i]}_joint", parent, names[i], at=(0.2, 0.1 * i, 0.3), axis=(i % 2, 1 - i % 2, 0.3 * i))
+        return m.build()
+
+    plain, renamed, mixed = (
+        build(o, n) for o, n in (
+            (range(6), "abcdef"), (range(6), ["x", "y", "z", "u", "v", "w"]), ([3, 1, 5, 0, 4, 2], "abcdef"),
+        )
+    )  # fmt: skip
+    X = plain.fk(plain.random(0), "f")
+    s = plain.ik(X, "f")
+    assert np.array_equal(s.q, renamed.ik(X, "w").q)
+    assert plain.q_dict(s.q) == mixed.q_dict(mixed.ik(X, "f").q)
+
+
+def test_an_answer_can_be_pickled_and_shown():
+    s = two_link().ik([3.0, 0.0], "tip")
+    again = pickle.loads(pickle.dumps(s))
+    assert again.status == s.status and np.array_equal(again.q, s.q)
+    assert "outside the workspace" in s._repr_html_()
+
+
+def test_work_is_counted():
+    robot = spatial_arm(7, 2)
+    s = robot.ik(robot.fk(robot.random(0, 300), "tool"), "tool")
+    assert np.median(s.iterations) <= 30 and np.median(s.starts) <= 2
+    assert robot.ik([50.0, 0, 0], "tool", starts=7).starts == 7
+
+
