@@ -6,45 +6,19 @@ numbers); 2 the question could not be asked (wrong usage, unknown name, a file t
 
 from __future__ import annotations
 
-import functools
 import io
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
 from kempe import __version__
-from kempe.errors import InputError, KempeError
+from kempe.errors import InputError
+from kempe.views.terminal import COMPLETE, INCOMPLETE, Commands, guarded, print_json, show
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-
-COMPLETE, INCOMPLETE, REFUSED = 0, 1, 2
-"""The exit codes."""
-
-UsageError: type = typer.BadParameter.__mro__[1]
-
-
-class Commands(TyperGroup):
-    """The group of all commands; wrong usage is one sentence, or JSON where that was asked for."""
-
-    def main(self, args: Any = None, *rest: Any, standalone_mode: bool = True, **extra: Any) -> Any:
-        """Run the command line `args`; ends the process with an exit code unless `standalone_mode` is off."""
-        args = list(sys.argv[1:] if args is None else args)
-        try:
-            code = super().main(args, *rest, standalone_mode=False, **extra)
-        except UsageError as error:
-            context = getattr(error, "ctx", None)
-            path = context.command_path if context else "kempe"
-            _say_error(f"{error.format_message()} (see '{path} --help')", "--json" in args)
-            code = REFUSED
-        if standalone_mode:
-            sys.exit(code or COMPLETE)
-        return code
-
 
 app = typer.Typer(
     cls=Commands, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
@@ -96,53 +70,6 @@ Tolerance = Annotated[str, _option("--tolerance", "Largest errors accepted, metr
 # ---- what all commands share
 
 
-def command(function: Callable[..., None]) -> Callable[..., None]:
-    """Register a command whose errors become one sentence (or JSON) and exit code 2."""
-
-    @functools.wraps(function)
-    def run(*args: Any, **options: Any) -> None:
-        try:
-            function(*args, **options)
-        except KempeError as error:
-            _refuse(error, options.get("json", False))
-        except OSError as error:
-            if isinstance(error, BrokenPipeError):
-                raise
-            named = f"{error.filename}: " if error.filename else ""
-            _refuse(f"{named}{error.strerror or error}", options.get("json", False))
-
-    return app.command()(run)
-
-
-def _say_error(error: BaseException | str, json: bool) -> None:
-    if json:
-        from kempe.views.facts import error_facts
-
-        _print_json(error_facts(error))
-    else:
-        from kempe.views import report
-
-        report.show(report.error(error), sys.stderr)
-
-
-def _refuse(error: BaseException | str, json: bool) -> NoReturn:
-    _say_error(error, json)
-    raise typer.Exit(REFUSED)
-
-
-def _print_json(data: Any) -> None:
-    from kempe.views.facts import json_text
-
-    encoding = getattr(sys.stdout, "encoding", None) or "ascii"
-    print(json_text(data, ascii_only=encoding.lower().replace("-", "") != "utf8"))
-
-
-def _show(renderable: Any) -> None:
-    from kempe.views.report import show
-
-    show(renderable)
-
-
 def _options(
     base: str | None, root: str | None, package_dir: list[Path] | None, xacro: bool
 ) -> dict[str, Any]:
@@ -175,7 +102,8 @@ def main_options(
     raise typer.Exit(COMPLETE)
 
 
-@command
+@app.command()
+@guarded
 def info(
     file: File, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
     package_dir: Dirs = None, xacro: Xacro = False,
@@ -188,12 +116,13 @@ def info(
     from kempe.views import facts, report
 
     if json:
-        _print_json(facts.system_facts(system, deg))
+        print_json(facts.system_facts(system, deg))
     else:
-        _show(report.info(system, deg))
+        show(report.info(system, deg))
 
 
-@command
+@app.command()
+@guarded
 def check(
     files: Annotated[list[str], typer.Argument(metavar="FILE...", help="URDF or TOML files.")],
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
@@ -217,16 +146,17 @@ def check(
             }
         )
         if not json:
-            _show(report.findings(file, problems, notes))
+            show(report.findings(file, problems, notes))
     if json:
-        _print_json(results)
+        print_json(results)
     elif len(results) > 1:
         bad = sum(not r["ok"] for r in results)
         print(f"{len(results)} files: {len(results) - bad} good, {bad} with problems")
     raise typer.Exit(COMPLETE if all(r["ok"] for r in results) else INCOMPLETE)
 
 
-@command
+@app.command()
+@guarded
 def convert(
     file: File, out: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .toml or .urdf.")],
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
@@ -246,7 +176,7 @@ def convert(
         raise InputError(f"{out}: the format is told by the ending; it must be .toml or .urdf")
     out.write_text(writers[out.suffix.lower()](mechanism), encoding="utf-8")
     if json:
-        _print_json({"written": str(out), "name": mechanism.name, "notes": list(mechanism.notes)})
+        print_json({"written": str(out), "name": mechanism.name, "notes": list(mechanism.notes)})
     else:
         print(f"{mechanism.name} written to {out}")
 
@@ -254,7 +184,8 @@ def convert(
 # ---- forward and inverse
 
 
-@command
+@app.command()
+@guarded
 def fk(
     file: File,
     frame: FrameOrAll = None, q: Values = None, posture: Posture = None, deg: Deg = False, out: Out = None,
@@ -275,9 +206,9 @@ def fk(
         rows.write_poses(out, X, frame is None, deg)
         _told(out, json)
     elif json:
-        _print_json(facts.poses_facts(system, frame, X, deg))
+        print_json(facts.poses_facts(system, frame, X, deg))
     else:
-        _show(report.poses(system, frame, X, deg))
+        show(report.poses(system, frame, X, deg))
     bad = rows.not_finite(values)
     if bad:
         print(
@@ -287,7 +218,8 @@ def fk(
         raise typer.Exit(INCOMPLETE)
 
 
-@command
+@app.command()
+@guarded
 def ik(
     file: File, frame: Frame, target: Target, position_only: PositionOnly = False, seed: Seed = None,
     rng: Rng = 0, tolerance: Tolerance = "1e-6", deg: Deg = False, out: Out = None, json: Json = False,
@@ -314,9 +246,9 @@ def ik(
     if out is not None:
         rows.write_configurations(out, system, answer.q, deg)
     if json:
-        _print_json(facts.solution_facts(system, answer, deg))
+        print_json(facts.solution_facts(system, answer, deg))
     else:
-        _show(report.solution(system, answer, deg) if out is None else report.outcome(answer))
+        show(report.solution(system, answer, deg) if out is None else report.outcome(answer))
         if out is not None:
             _told(out, json)
     if not answer:
@@ -326,7 +258,8 @@ def ik(
 # ---- the library of models, and the machine
 
 
-@command
+@app.command()
+@guarded
 def library(
     name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Print this model's TOML.")] = None,
     json: Json = False,
@@ -339,16 +272,17 @@ def library(
 
     if name is not None:
         text = facts.model_text(name)
-        _print_json({"name": name, "toml": text}) if json else print(text, end="")
+        print_json({"name": name, "toml": text}) if json else print(text, end="")
         return
     found = facts.models()
     if json:
-        _print_json([{"name": n, "description": d} for n, d in found.items()])
+        print_json([{"name": n, "description": d} for n, d in found.items()])
     else:
-        _show(report.table(("model", "what it is"), found.items()))
+        show(report.table(("model", "what it is"), found.items()))
 
 
-@command
+@app.command()
+@guarded
 def bench(
     only: Annotated[
         list[str] | None, _option("--only", "A section to run; can be repeated.", "SECTION")
@@ -373,19 +307,20 @@ def bench(
         if out is not None:
             out.write_text(benchmark.page(tables, peer), encoding="utf-8")
         if not json:
-            _show(report.measured(table))
+            show(report.measured(table))
     if json:
-        _print_json({"machine": benchmark.peers.machine(), "tables": [t.data() for t in tables]})
+        print_json({"machine": benchmark.peers.machine(), "tables": [t.data() for t in tables]})
 
 
-@command
+@app.command()
+@guarded
 def warmup(json: Json = False) -> None:
     """Compile all kernels now, so that no later call has to wait."""
     import kempe
 
     seconds = kempe.warmup()
     if json:
-        _print_json({"seconds": seconds})
+        print_json({"seconds": seconds})
     else:
         print(f"all kernels are ready ({seconds:.1f} s)")
 
@@ -395,7 +330,7 @@ def _progress(text: str) -> None:
 
 
 def _told(out: Path, json: bool) -> None:
-    _print_json({"written": str(out)}) if json else print(f"written to {out}")
+    print_json({"written": str(out)}) if json else print(f"written to {out}")
 
 
 def main() -> None:

@@ -66,7 +66,8 @@ def solve(
     limits = np.array([chain.lower, chain.upper], dtype=float)
     q, residual, info = np.full((n, nq), 7.0), np.full((n, 2), 7.0), np.full((n, 3), 7, dtype=np.int64)
     missed = ik(
-        *chain.table.pack(), limits, chain.circular, np.array(mask), np.ascontiguousarray(targets), seeds, seed, offset,
+        *chain.table.pack(), limits, chain.circular, np.array(mask),
+        np.ascontiguousarray(targets), seeds, seed, offset,
         starts, steps, tol, tol, length, q, residual, info,
     )  # fmt: skip
     return Answers(missed, q, residual, *info.T.copy())

@@ -110,7 +110,7 @@ def test_nearest_of_three_slides_is_the_nearest_corner_of_the_box():
 
 
 def descend_elsewhere(chain, target, mask, length, q0):
-    """The least weighted distance that SciPy's bounded quasi-Newton method finds from q0; for chains without balls."""
+    """Least weighted distance that SciPy's bounded quasi-Newton method finds from q0; no balls."""
     rows, nv = np.array(mask, dtype=float), chain.table.nv
 
     def cost(x):
@@ -131,7 +131,7 @@ def descend_elsewhere(chain, target, mask, length, q0):
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("mask", [POSITION, POSE])
 def test_nearest_is_a_local_minimum_of_the_distance(seed, mask):
-    """From the answer an independent optimiser finds no way down; from random starts it finds nothing nearer."""
+    """From the answer an independent optimiser finds no way down, from random starts nothing nearer."""
     rng = np.random.default_rng(seed)
     table = random_table(rng, 6, chain=True, kinds=(TURN, TURN, SLIDE))
     chain = limited(table, -1.5, 1.5)

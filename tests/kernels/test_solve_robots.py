@@ -26,7 +26,7 @@ def test_the_table_is_the_robot(name):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_reachable_targets(name):
-    """All found, judged by Pinocchio, with the work that was counted when the solver was tuned and a margin."""
+    """All found, judged by Pinocchio, with no more work than when the solver was tuned, and a margin."""
     robot, mask = arm(name), POSITION if name == "so101" else POSE
     targets, _ = robot.reachable(np.random.default_rng(1), 400)
     answers = solve(robot, targets, mask)

@@ -1,0 +1,1 @@
+"""Text or calls -> Mechanism. No kinematics here."""

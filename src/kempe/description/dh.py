@@ -19,19 +19,19 @@ CONVENTIONS = ("standard", "modified")
 JOINT_TYPES = ("revolute", "prismatic", "fixed")
 
 UNIT_TOLERANCE = 1e-3
-"""A screw whose axis is this close to unit length is normalised; published tables round to three digits or more."""
+"""A screw whose axis is this close to unit length is normalised: published tables are rounded."""
 
 PITCH_TOLERANCE = 1e-12
-"""A pitch below this many metres a radian, relative to the size of the screw, is rounding: the screw is a pure turn."""
+"""A pitch below this many metres a radian, relative to the size of the screw, is rounding."""
 
 
 @dataclass(frozen=True)
 class DHRow:
-    """One row of a Denavit-Hartenberg table: lengths `a` and `d` in metres, angles `alpha` and `theta` in radians.
+    """One row of a Denavit-Hartenberg table: lengths `a` and `d` [m], angles `alpha` and `theta` [rad].
 
-    In the modified convention `a` and `alpha` are those that stand before the joint, a(i-1) and alpha(i-1). `type` is
-    revolute (theta is the angle at q = 0), prismatic (d is the length at q = 0) or fixed. Each number can be an
-    expression in parameters. `name` is the joint's, `body` that of the body it moves.
+    In the modified convention `a` and `alpha` are those that stand before the joint, a(i-1) and alpha(i-1).
+    `type` is revolute (theta is the angle at q = 0), prismatic (d is the length at q = 0) or fixed. Each
+    number can be an expression in parameters. `name` is the joint's, `body` that of the body it moves.
     """
 
     a: Value | str = 0.0
@@ -51,9 +51,9 @@ class DHRow:
 class ScrewRow:
     """One screw axis in the ground frame at q = 0: either `twist` or `axis` (with `point` and `pitch`).
 
-    `twist` is [v; w], the linear part first (Lynch and Park write [w; v]): |w| = 1, or w = 0 and |v| = 1 for a slide.
-    `axis` is the direction and `point` a point that it passes through, both in the ground frame; `pitch` is metres a
-    radian, infinite for a slide along the axis. `point` can use parameters.
+    `twist` is [v; w], the linear part first (Lynch and Park write [w; v]): |w| = 1, or w = 0 and |v| = 1 for
+    a slide. `axis` is the direction and `point` a point that it passes through, both in the ground frame;
+    `pitch` is metres a radian, infinite for a slide along the axis. `point` can use parameters.
     """
 
     twist: Iterable[float] | None = None
@@ -69,17 +69,23 @@ class ScrewRow:
 
 
 def from_dh(
-    rows: Iterable[DHRow | Mapping[str, Any]], convention: str = "standard", name: str = "arm",
-    base: object = None, tool: object = None, parameters: Mapping[str, float] | None = None,
-) -> Mechanism:  # fmt: skip
+    rows: Iterable[DHRow | Mapping[str, Any]],
+    convention: str = "standard",
+    name: str = "arm",
+    base: object = None,
+    tool: object = None,
+    parameters: Mapping[str, float] | None = None,
+) -> Mechanism:
     """Chain of a Denavit-Hartenberg table; the pose of body i is A1 A2 ... Ai, its frame is DH frame i.
 
-    With `convention` "standard", Ai = Rz(theta) Tz(d) Tx(a) Rx(alpha) (Denavit and Hartenberg, 1955); with "modified",
-    Ai = Rx(alpha) Tx(a) Rz(theta) Tz(d) (Craig, 1986). `rows` are `DHRow` or dicts with their fields. Bodies are
-    'link1', ... and joints 'q1', ... unless named. `base` is the pose of DH frame 0 on the ground, `tool` that of the
-    frame 'tool' on the last body: pose matrices (4, 4), `Placement` or dicts of the keywords of `place`.
+    With `convention` "standard", Ai = Rz(theta) Tz(d) Tx(a) Rx(alpha) (Denavit and Hartenberg, 1955); with
+    "modified", Ai = Rx(alpha) Tx(a) Rz(theta) Tz(d) (Craig, 1986). `rows` are `DHRow` or dicts with their
+    fields. Bodies are 'link1', ... and joints 'q1', ... unless named. `base` is the pose of DH frame 0 on the
+    ground, `tool` that of the frame 'tool' on the last body: pose matrices (4, 4), `Placement` or dicts of
+    the keywords of `place`.
 
-    >>> from_dh([{"a": 0.5}, {"a": "l2"}], parameters={"l2": 0.4}).joints["q2"].X_CM.evaluate({"l2": 0.4})[0, 3]
+    >>> arm = from_dh([{"a": 0.5}, {"a": "l2"}], parameters={"l2": 0.4})
+    >>> arm.joints["q2"].X_CM.evaluate(arm.parameters)[0, 3]
     -0.4
     """
     out = Mechanism(name)
@@ -90,12 +96,18 @@ def from_dh(
 
 
 def add_dh(
-    mechanism: Mechanism, rows: Iterable[DHRow | Mapping[str, Any]], convention: str = "standard",
-    on: BodyLike | None = None, base: object = None, tool: object = None, wheres: Iterable[Any] = (),
-) -> None:  # fmt: skip
+    mechanism: Mechanism,
+    rows: Iterable[DHRow | Mapping[str, Any]],
+    convention: str = "standard",
+    on: BodyLike | None = None,
+    base: object = None,
+    tool: object = None,
+    wheres: Iterable[Any] = (),
+) -> None:
     """Add the chain of a Denavit-Hartenberg table to `mechanism`, on the body `on` (the ground where None).
 
-    Other arguments as in `from_dh`; `wheres` are the rows' places in a file. Errors: `InputError`, `DescriptionError`.
+    Other arguments as in `from_dh`; `wheres` are the rows' places in a file. Errors: `InputError`,
+    `DescriptionError`.
     """
     if convention not in CONVENTIONS:
         raise InputError(f"convention is {convention!r}; it must be {' or '.join(map(repr, CONVENTIONS))}")
@@ -121,15 +133,17 @@ def add_dh(
 
 
 def from_screws(
-    screws: Iterable[ScrewRow | Mapping[str, Any] | ArrayLike], home: object = None, name: str = "arm",
+    screws: Iterable[ScrewRow | Mapping[str, Any] | ArrayLike],
+    home: object = None,
+    name: str = "arm",
     parameters: Mapping[str, float] | None = None,
-) -> Mechanism:  # fmt: skip
-    """Chain of screw axes: the pose of body i is exp(S1 q1) ... exp(Si qi), that of the frame 'tool' times `home`.
+) -> Mechanism:
+    """Chain of screw axes: body i has the pose exp(S1 q1) ... exp(Si qi), the frame 'tool' that times `home`.
 
-    `screws` are `ScrewRow`, dicts with their fields, or plain twists [v; w], the linear part first, in the ground
-    frame at q = 0. A screw is revolute, prismatic (w = 0) or, with a pitch, helical. `home` is the pose of the tool at
-    q = 0: a matrix (4, 4), a `Placement` or a dict of the keywords of `place`. All body frames coincide with the
-    ground's at q = 0. Source: Brockett, 1984; Lynch and Park, 2017, chapter 4.
+    `screws` are `ScrewRow`, dicts with their fields, or plain twists [v; w], the linear part first, in the
+    ground frame at q = 0. A screw is revolute, prismatic (w = 0) or, with a pitch, helical. `home` is the
+    pose of the tool at q = 0: a matrix (4, 4), a `Placement` or a dict of the keywords of `place`. All body
+    frames coincide with the ground's at q = 0. Source: Brockett, 1984; Lynch and Park, 2017, chapter 4.
 
     >>> sorted(from_screws([[0, 0, 0, 0, 0, 1], [0, -0.5, 0, 0, 0, 1]], home={"at": (0.9, 0, 0)}).joints)
     ['q1', 'q2']
@@ -142,9 +156,11 @@ def from_screws(
 
 
 def add_screws(
-    mechanism: Mechanism, screws: Iterable[ScrewRow | Mapping[str, Any] | ArrayLike], home: object = None,
+    mechanism: Mechanism,
+    screws: Iterable[ScrewRow | Mapping[str, Any] | ArrayLike],
+    home: object = None,
     wheres: Iterable[Any] = (),
-) -> None:  # fmt: skip
+) -> None:
     """Add a chain of screw axes to `mechanism`, on its ground; arguments as in `from_screws`."""
     checked = [
         _row(ScrewRow, s if isinstance(s, (ScrewRow, Mapping)) else {"twist": s}, i)
@@ -161,14 +177,31 @@ def add_screws(
 
 
 def _add(
-    mechanism: Mechanism, row: DHRow | ScrewRow, number: int, kind: str, parent: BodyLike, X_PF: Placement,
-    X_CM: Placement, where: Any, options: dict[str, Any],
-) -> BodyLike:  # fmt: skip
+    mechanism: Mechanism,
+    row: DHRow | ScrewRow,
+    number: int,
+    kind: str,
+    parent: BodyLike,
+    X_PF: Placement,
+    X_CM: Placement,
+    where: Any,
+    options: dict[str, Any],
+) -> BodyLike:
     child = mechanism.body(row.body or f"link{number}", where=where)
     mechanism.joint(
-        row.name or f"q{number}", kind, parent, child, at=X_PF, child_at=X_CM, limits=row.limits,
-        velocity=row.velocity, effort=row.effort, actuated=row.actuated, where=where, **options,
-    )  # fmt: skip
+        row.name or f"q{number}",
+        kind,
+        parent,
+        child,
+        at=X_PF,
+        child_at=X_CM,
+        limits=row.limits,
+        velocity=row.velocity,
+        effort=row.effort,
+        actuated=row.actuated,
+        where=where,
+        **options,
+    )
     return child
 
 
@@ -197,7 +230,7 @@ def _screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str, Any]]:
         )
     if what == "v":
         return "prismatic", place(axis=v), {}
-    # the axis passes through w x v and the pitch is w . v, for |w| = 1 (Murray, Li, Sastry, 1994, section 2.3)
+    # the axis passes through w x v and the pitch is w . v, for |w| = 1 (Murray, Li, Sastry, 1994, 2.3)
     v, w = v / length, w / length
     pitch = float(w @ v)
     X = place(np.cross(w, v).tolist(), axis=w.tolist())

@@ -1,4 +1,4 @@
-"""Questions about who is joined to whom, for readers and writers of tree-shaped formats. Iterative: any size."""
+"""Who is joined to whom, for readers and writers of tree-shaped formats; without recursion, for any size."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from kempe.errors import Where
 
 
 def choose_root(
-    links: Mapping[str, Where], ends: Mapping[str, tuple[str, str]], findings: Findings, file: Where, root: str | None
-) -> str | None:  # fmt: skip
+    links: Mapping[str, Where],
+    ends: Mapping[str, tuple[str, str]],
+    findings: Findings,
+    root: str | None,
+) -> str | None:
     """Name of the link that is the ground, or None after recording why there is none.
 
-    `ends` are (parent, child) of each joint. The root is the only link that is nobody's child, or `root`. Links that
-    no joint connects to it are a problem.
+    `ends` are (parent, child) of each joint. The root is the only link that is nobody's child, or `root`.
+    Links that no joint connects to it are a problem.
     """
     if not links:
         return None
@@ -24,8 +27,10 @@ def choose_root(
     parts = components(links, ends.values())
     if not roots:
         cycle = find_cycle(links, ends)
-        findings.add(f"no link is the root, since each is the child of a joint: {' -> '.join(map(repr, cycle))}", "robot",
-                     links[cycle[0]], f"name the link that does not move, with root={cycle[0]!r} (command line: --root)")  # fmt: skip
+        shown = " -> ".join(map(repr, cycle))
+        allowed = f"name the link that does not move, with root={cycle[0]!r} (command line: --root)"
+        message = f"no link is the root, since each is the child of a joint: {shown}"
+        findings.add(message, "robot", links[cycle[0]], allowed)
         return None
     if len(roots) > 1:
         listed = _listed(roots, links)
@@ -35,13 +40,17 @@ def choose_root(
             if separate
             else f"choose with root={roots[0]!r}"
         )
-        findings.add(f"{len(roots)} links are nobody's child: {listed}", "robot", links[roots[1]],
-                     f"one link must be the root; {cure}")  # fmt: skip
+        findings.add(
+            f"{len(roots)} links are nobody's child: {listed}",
+            "robot",
+            links[roots[1]],
+            f"one link must be the root; {cure}",
+        )
         return None
     detached = [n for n in links if parts[n] != parts[roots[0]]]
     if detached:
-        findings.add(f"no joints lead from the root {roots[0]!r} to {_listed(detached, links)}", "robot", links[detached[0]],
-                     "join them by joints, or remove them")  # fmt: skip
+        message = f"no joints lead from the root {roots[0]!r} to {_listed(detached, links)}"
+        findings.add(message, "robot", links[detached[0]], "join them by joints, or remove them")
         return None
     return roots[0]
 
@@ -72,7 +81,7 @@ def components(bodies: Iterable[str], ends: Iterable[tuple[str, str]]) -> dict[s
 
 
 def find_cycle(bodies: Iterable[str], ends: Mapping[str, tuple[str, str]]) -> list[str]:
-    """A cycle of bodies, from parent to child, its first repeated at the end, where every body is some joint's child."""
+    """A cycle of bodies, its first repeated at the end, where every body is some joint's child."""
     parent: dict[str, str] = {}
     for a, b in ends.values():
         parent.setdefault(b, a)

@@ -14,9 +14,9 @@ from kempe.errors import InputError
 def resolve_mesh(path: str, roots: Iterable[str | Path]) -> Path:
     """The file that a mesh path of a model means: an existing file inside one of the folders `roots`.
 
-    ``package://name/rest`` is looked for as ``name/rest`` in each root, and as ``rest`` in a root that is called `name`;
-    any other path is relative to a root. Errors: `InputError` for absolute paths, ``..``, other schemes than package,
-    links that lead out of their root, and files that do not exist.
+    ``package://name/rest`` is looked for as ``name/rest`` in each root, and as ``rest`` in a root that is
+    called `name`; any other path is relative to a root. Errors: `InputError` for absolute paths, ``..``,
+    other schemes than package, links that lead out of their root, and files that do not exist.
     """
     folders = [Path(root) for root in roots]
     subject = f"mesh {shorten(path)}"

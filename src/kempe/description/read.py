@@ -14,7 +14,7 @@ from kempe.description.mechanism import Mechanism
 from kempe.description.source import SIZE_LIMIT, fail, shorten
 from kempe.description.toml import read_toml
 from kempe.description.urdf import read_urdf
-from kempe.description.xacro import expand_xacro
+from kempe.description.xacro import XACRO_ADVICE, expand_xacro
 from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, UnsupportedError, Where
 
 FORMATS = ("urdf", "toml")
@@ -39,14 +39,20 @@ def library_models() -> tuple[str, ...]:
 
 
 def read(
-    source: str | Path | bytes, *, format: str | None = None, base: str | None = None, root: str | None = None,
-    package_dirs: Iterable[str | Path] = (), xacro: bool = False,
-) -> Mechanism:  # fmt: skip
+    source: str | Path | bytes,
+    *,
+    format: str | None = None,
+    base: str | None = None,
+    root: str | None = None,
+    package_dirs: Iterable[str | Path] = (),
+    xacro: bool = False,
+) -> Mechanism:
     """Mechanism from a file (its path), from text (URDF or TOML), or from a model of the library (its name).
 
-    `format` is "urdf" or "toml", found out where None. ``base="free"`` and `root` are for URDF, see `read_urdf`.
-    Meshes may lie in the file's folder and in `package_dirs`. ``xacro=True`` expands a xacro file first, which is a
-    program and must be trusted. Errors: `DescriptionError` with file, line, what is wrong and what is allowed.
+    `format` is "urdf" or "toml", found out where None. ``base="free"`` and `root` are for URDF, see
+    `read_urdf`. Meshes may lie in the file's folder and in `package_dirs`. ``xacro=True`` expands a xacro
+    file first, which is a program and must be trusted. Errors: `DescriptionError` with file, line, what is
+    wrong and what is allowed.
     """
     if format is not None and format not in FORMATS:
         raise InputError(f"format is {format!r}; it must be {' or '.join(map(repr, FORMATS))}")
@@ -65,9 +71,14 @@ def read(
 
 
 def check(
-    source: str | Path | bytes, *, format: str | None = None, base: str | None = None, root: str | None = None,
-    package_dirs: Iterable[str | Path] = (), xacro: bool = False,
-) -> Check:  # fmt: skip
+    source: str | Path | bytes,
+    *,
+    format: str | None = None,
+    base: str | None = None,
+    root: str | None = None,
+    package_dirs: Iterable[str | Path] = (),
+    xacro: bool = False,
+) -> Check:
     """All problems and notes of a description, which is read and compiled; arguments as in `read`."""
     try:
         mechanism = read(source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro)
@@ -87,13 +98,17 @@ def _is_text(source: str) -> bool:
 
 
 def _read_file(
-    path: Path, format: str | None, base: str | None, root: str | None, package_dirs: tuple[str | Path, ...], xacro: bool
-) -> Mechanism:  # fmt: skip
+    path: Path,
+    format: str | None,
+    base: str | None,
+    root: str | None,
+    package_dirs: tuple[str | Path, ...],
+    xacro: bool,
+) -> Mechanism:
     data = _bytes_of(path)
     roots = (path.parent, *package_dirs)
     if path.suffix == ".xacro" and not xacro:
-        raise fail("this is a xacro file, a program that writes URDF", Where(str(path)),
-                   "load it with xacro=True (command line: --xacro; needs the extra kempe[xacro]), only if you trust it")  # fmt: skip
+        raise fail("this is a xacro file, a program that writes URDF", Where(str(path)), XACRO_ADVICE)
     if xacro:
         text = expand_xacro(path, package_dirs=package_dirs)
         return _read_text(text, f"{path} (expanded)", "urdf", base, root, roots, ())
@@ -146,13 +161,18 @@ def _near(path: Path) -> str:
 
 
 def _read_text(
-    text: str | bytes, name: str, format: str | None, base: str | None, root: str | None,
-    package_dirs: Iterable[str | Path], beside: Iterable[str],
-) -> Mechanism:  # fmt: skip
+    text: str | bytes,
+    name: str,
+    format: str | None,
+    base: str | None,
+    root: str | None,
+    package_dirs: Iterable[str | Path],
+    beside: Iterable[str],
+) -> Mechanism:
     found = _format_of(text, name)
     if found in _LATER or (found == "toml" and format in _LATER):
-        raise UnsupportedError(f"{name}: {_LATER.get(found, '') or _LATER[str(format)]} files are not read yet;"
-                               " Kempe reads URDF and TOML")  # fmt: skip
+        kind = _LATER.get(found, "") or _LATER[str(format)]
+        raise UnsupportedError(f"{name}: {kind} files are not read yet; Kempe reads URDF and TOML")
     format = "urdf" if found == "urdf" and format != "toml" else format or found
     if format == "toml":
         if base is not None or root is not None:
@@ -162,7 +182,7 @@ def _read_text(
 
 
 def _format_of(text: str | bytes, name: str) -> str:
-    """What a text is, by its first element where it is XML; a text that cannot be decoded is left to the readers."""
+    """What a text is, by its first element where it is XML; what cannot be decoded is left to the readers."""
     if isinstance(text, bytes):
         head = text[:4096]
         text = head.decode("utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8", "replace")

@@ -64,7 +64,7 @@ class Source:
 
 
 class Findings:
-    """What a reader collects before it gives up: problems, which stop it in the end, and notes, which do not."""
+    """What a reader collects: problems, which stop it in the end, and notes, which do not."""
 
     def __init__(self) -> None:
         self.problems: list[Problem] = []
@@ -131,9 +131,12 @@ def decode(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = No
             Where(name),
             "a description is smaller than that",
         )
-    if not data.strip(b"\0 \t\r\n" if isinstance(data, bytes) else None):
-        raise fail("the file is empty" if not data else "the file holds nothing but blanks", Where(name),
-                   "it must hold a description (URDF or TOML)")  # fmt: skip
+    if not (data.strip(b"\0 \t\r\n") if isinstance(data, bytes) else data.strip()):
+        raise fail(
+            "the file is empty" if not data else "the file holds nothing but blanks",
+            Where(name),
+            "it must hold a description (URDF or TOML)",
+        )
     if isinstance(data, str):
         return data.removeprefix("\ufeff")
     for mark, encoding, refused in _BYTE_ORDER_MARKS:
@@ -143,8 +146,9 @@ def decode(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = No
             _check_declared(data[len(mark) :], encoding, name, declared)
             return _decode(data[len(mark) :], encoding, name, "the byte order mark at its start")
     if b"\0" in data[:4]:
-        raise fail("the file looks like UTF-16 without the byte order mark that UTF-16 needs", Where(name, 1, 1),
-                   "save it as UTF-8")  # fmt: skip
+        raise fail(
+            "the file looks like UTF-16 without its byte order mark", Where(name, 1, 1), "save it as UTF-8"
+        )
     match = declared.match(data[:300]) if declared else None
     if match is None:
         return _decode(data, "utf-8", name, "")
@@ -159,20 +163,37 @@ def _check_declared(data: bytes, encoding: str, name: str, declared: re.Pattern[
     given = match[1].decode("ascii")
     if not encoding.startswith(given.lower()):
         actual = encoding[:6].upper().rstrip("-")
-        raise fail(f"its first line declares the encoding {given!r}, but its byte order mark says {actual}",
-                   Where(name, 1, 1), "correct the declaration")  # fmt: skip
+        raise fail(
+            f"its first line declares the encoding {given!r}, but its byte order mark says {actual}",
+            Where(name, 1, 1),
+            "correct the declaration",
+        )
 
 
 def _codec(given: str, name: str) -> str:
-    accepted = {"utf-8": "utf-8", "utf8": "utf-8", "us-ascii": "ascii", "ascii": "ascii", "iso-8859-1": "latin-1",
-                "latin-1": "latin-1", "latin1": "latin-1", "iso-8859-15": "iso-8859-15",
-                "windows-1252": "cp1252"}  # fmt: skip
+    accepted = {
+        "utf-8": "utf-8",
+        "utf8": "utf-8",
+        "us-ascii": "ascii",
+        "ascii": "ascii",
+        "iso-8859-1": "latin-1",
+        "latin-1": "latin-1",
+        "latin1": "latin-1",
+        "iso-8859-15": "iso-8859-15",
+        "windows-1252": "cp1252",
+    }
     if given.lower().startswith("utf-16"):
-        raise fail(f"its first line declares the encoding {given!r}, but the bytes are not UTF-16 with a byte order mark",
-                   Where(name, 1, 1), "save it as UTF-8 and declare that, or nothing")  # fmt: skip
+        raise fail(
+            f"its first line declares {given!r}, but the bytes are not UTF-16 with a byte order mark",
+            Where(name, 1, 1),
+            "save it as UTF-8 and declare that, or nothing",
+        )
     if given.lower() not in accepted:
-        raise fail(f"its first line declares the encoding {given!r}, which is not read", Where(name, 1, 1),
-                   "save it as UTF-8 and declare that, or nothing")  # fmt: skip
+        raise fail(
+            f"its first line declares the encoding {given!r}, which is not read",
+            Where(name, 1, 1),
+            "save it as UTF-8 and declare that, or nothing",
+        )
     return accepted[given.lower()]
 
 
@@ -186,8 +207,11 @@ def _decode(data: bytes, encoding: str, name: str, claim: str) -> str:
         where = Where(name, len(lines), len(lines[-1]) + 1, lines[-1] + rest)
         said = f" (as {claim} says)" if claim else ""
         if error.end >= len(data) and "16" in encoding:
-            raise fail(f"the file ends inside a character of {encoding[:6].upper()}{said}: it is truncated", where,
-                       "get the whole file") from None  # fmt: skip
+            raise fail(
+                f"the file ends inside a character of {encoding[:6].upper()}{said}: it is truncated",
+                where,
+                "get the whole file",
+            ) from None
         byte = data[error.start]
         advice = "save the file as UTF-8"
         if encoding in ("utf-8", "ascii") and byte >= 0xA0:

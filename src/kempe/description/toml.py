@@ -22,11 +22,11 @@ from kempe.joints import TYPES
 
 def read_toml(
     text: str | bytes, source: str = "<text>", *, package_dirs: Iterable[str | FilePath] = ()
-) -> Mechanism:  # fmt: skip
+) -> Mechanism:
     """Mechanism that a TOML text describes; `source` names the text in messages.
 
-    `package_dirs` are the folders in which meshes may lie. Errors: `DescriptionError` with all problems, each with
-    its line; unknown keys are problems.
+    `package_dirs` are the folders in which meshes may lie. Errors: `DescriptionError` with all problems, each
+    with its line; unknown keys are problems.
     """
     document = Document(Source(source, decode(text, source)))
     document.check_format()
@@ -92,22 +92,21 @@ class _Reader:
     # ---- bodies, frames, joints
 
     def body(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:
-        name, mass, center = table.get("name"), table.get("mass"), table.get("center")
+        name: Any = table.get("name")
+        mass, center = table.get("mass"), table.get("center")
         visuals, where = table.get("visuals", ()), self.where(*path)
         if good:
             with self.findings.guard(subject, where):
                 if table.get("particle"):
                     if center is not None or visuals or name == self.mechanism.ground.name:
-                        raise InputError(
-                            "a particle is a point that moves: it has no center, no visuals, and is not the ground"
-                        )
-                    self.mechanism.particle(str(name), mass, where)
+                        raise InputError("a particle has no center and no visuals, and is not the ground")
+                    self.mechanism.particle(name, mass, where)
                 elif name == self.mechanism.ground.name and self.mechanism.ground.where is None:
                     # the ground exists already: another mechanism checks the values
                     checked = Mechanism(ground=f"not {name}").body(name, mass, center, visuals, where)
                     self.mechanism.bodies[name] = checked
                 else:
-                    self.mechanism.body(str(name), mass, center, visuals, where)
+                    self.mechanism.body(name, mass, center, visuals, where)
         if isinstance(name, str) and name.strip():  # so that joints to a wrong body are not called wrong, too
             self.mechanism.bodies.setdefault(name, Body(name))
 
@@ -136,9 +135,15 @@ class _Reader:
         given = {k: table[k] for k in options if k in table}
         try:
             self.mechanism.joint(
-                table["name"], table["type"], table["parent"], table["child"], at=X_PF, child_at=X_CM,
-                where=self.where(*path), **given,
-            )  # fmt: skip
+                table["name"],
+                table["type"],
+                table["parent"],
+                table["child"],
+                at=X_PF,
+                child_at=X_CM,
+                where=self.where(*path),
+                **given,
+            )
             self.failed.discard(table["name"])
         except DescriptionError as error:
             for p in error.problems:
@@ -199,7 +204,7 @@ class _Reader:
 
     def placement(
         self, table: Mapping[str, Any], prefix: str, path: Path, subject: str, body: object
-    ) -> Placement | None:  # fmt: skip
+    ) -> Placement | None:
         """Placement by the keys `PLACE` with a prefix, or None after recording what is wrong."""
         given = {k: table[prefix + k] for k in PLACE if prefix + k in table}
         try:

@@ -18,30 +18,69 @@ PLACE = ("at", "rpy", "angle", "quat_wxyz", "matrix", "axis", "steps")
 """Keys that place a frame on a body; for the frame on a joint's child with the prefix ``child_``."""
 
 KEYS = {
-    "": ("format", "name", "dim", "ground", "notes", "parameters", "body", "joint", "frame", "coupling", "postures",
-         "locks", "dh", "screws"),
+    "": (
+        "format",
+        "name",
+        "dim",
+        "ground",
+        "notes",
+        "parameters",
+        "body",
+        "joint",
+        "frame",
+        "coupling",
+        "postures",
+        "locks",
+        "dh",
+        "screws",
+    ),
     "body": ("name", "particle", "mass", "center", "visuals"),
-    "joint": ("name", "type", "parent", "child", *PLACE, *(f"child_{k}" for k in PLACE), "limits", "velocity",
-              "effort", "actuated", "cut", "pitch", "angles"),
+    "joint": (
+        "name",
+        "type",
+        "parent",
+        "child",
+        *PLACE,
+        *(f"child_{k}" for k in PLACE),
+        "limits",
+        "velocity",
+        "effort",
+        "actuated",
+        "cut",
+        "pitch",
+        "angles",
+    ),
     "frame": ("name", "body", *PLACE),
     "coupling": ("of", "sources", "offset"),
     "dh": ("convention", "rows", "on", "base", "tool"),
     "screws": ("rows", "home"),
-}  # fmt: skip
+}
 """Keys that each table knows."""
 
 REQUIRED = {
-    "body": ("name",), "joint": ("name", "type", "parent", "child"), "frame": ("name", "body"),
-    "coupling": ("of", "sources"), "dh": ("rows",), "screws": ("rows",),
-}  # fmt: skip
+    "body": ("name",),
+    "joint": ("name", "type", "parent", "child"),
+    "frame": ("name", "body"),
+    "coupling": ("of", "sources"),
+    "dh": ("rows",),
+    "screws": ("rows",),
+}
 """Keys that each table must have."""
 
 _TYPES: dict[str, tuple[type, str]] = {
-    "particle": (bool, "true or false"), "actuated": (bool, "true or false"), "cut": (bool, "true or false"),
-    "name": (str, "text in quotes"), "ground": (str, "text in quotes"), "of": (str, "the name of a coordinate"),
-    "on": (str, "the name of a body"), "dim": (int, "2 or 3"), "notes": (list, "a list of texts"),
-    "visuals": (list, "a list of texts"), "center": (list, "[x, y] or [x, y, z]"), "rows": (list, "a list of tables"),
-}  # fmt: skip
+    "particle": (bool, "true or false"),
+    "actuated": (bool, "true or false"),
+    "cut": (bool, "true or false"),
+    "name": (str, "text in quotes"),
+    "ground": (str, "text in quotes"),
+    "of": (str, "the name of a coordinate"),
+    "on": (str, "the name of a body"),
+    "dim": (int, "2 or 3"),
+    "notes": (list, "a list of texts"),
+    "visuals": (list, "a list of texts"),
+    "center": (list, "[x, y] or [x, y, z]"),
+    "rows": (list, "a list of tables"),
+}
 _AT_LINE = re.compile(r" \(at line (\d+), column (\d+)\)$")
 
 
@@ -59,7 +98,7 @@ class Document:
         return self.places.where(*path)
 
     def check_format(self) -> None:
-        """Raise unless the file says that it has our format, and holds nothing but text, numbers, lists and tables."""
+        """Raise unless the file has our format, and holds nothing but text, numbers, lists and tables."""
         given = self.data.get("format")
         if given is None:
             raise fail(

@@ -1,4 +1,4 @@
-"""Where each table, key and array element of a TOML text stands: the standard library's parser does not say."""
+"""Where each table, key and array element of a TOML text stands, which the standard parser does not say."""
 
 from __future__ import annotations
 

@@ -53,8 +53,13 @@ def _lines(table: Mapping[str, Any]) -> str:
 
 
 def _body(body: Body) -> dict[str, Any]:
-    given = {"name": body.name, "particle": body.particle or None, "mass": body.mass, "center": body.center,
-             "visuals": list(body.visuals) or None}  # fmt: skip
+    given = {
+        "name": body.name,
+        "particle": body.particle or None,
+        "mass": body.mass,
+        "center": body.center,
+        "visuals": list(body.visuals) or None,
+    }
     return {k: v for k, v in given.items() if v is not None}
 
 

@@ -1,4 +1,4 @@
-"""URDF text -> Mechanism. Strict: whatever would change the motion is understood exactly, or refused with its line."""
+"""URDF text -> Mechanism. Strict: what changes the motion is understood exactly, or refused with its line."""
 
 from __future__ import annotations
 
@@ -11,13 +11,18 @@ from kempe.description.graph import choose_root
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import Findings, fail, shorten
 from kempe.description.urdf_elements import ATTRIBUTES, TOP, check_known, numbers, read_joint, read_link
+from kempe.description.xacro import XACRO_ADVICE
 from kempe.description.xml import Element, parse_xml
 from kempe.errors import InputError, UnknownNameError
 
 TYPES = {
-    "revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed",
-    "floating": "free", "planar": "planar",
-}  # fmt: skip
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+    "fixed": "fixed",
+    "floating": "free",
+    "planar": "planar",
+}
 """URDF's joint types and the types of the zoo that they are."""
 
 _XACRO = re.compile(r"\$\{|\$\(")
@@ -37,16 +42,22 @@ class _Urdf:
 
 
 def read_urdf(
-    text: str | bytes, source: str = "<text>", *, base: str | None = None, root: str | None = None,
-    package_dirs: Iterable[str | Path] = (), beside: Iterable[str] = (),
-) -> Mechanism:  # fmt: skip
+    text: str | bytes,
+    source: str = "<text>",
+    *,
+    base: str | None = None,
+    root: str | None = None,
+    package_dirs: Iterable[str | Path] = (),
+    beside: Iterable[str] = (),
+) -> Mechanism:
     """Mechanism that a URDF text describes; its root link becomes the ground.
 
-    `source` names the text in messages. ``base="free"`` puts a ground called 'world' under the root link and joins
-    them by a free joint called 'base'. `root` names the link to take as root where the file leaves it open.
-    `package_dirs` are the folders in which meshes may lie, `beside` the names of other files to suggest. Two joints
-    that lead to one link are a loop. What was noticed but changes nothing is in `notes` of the mechanism.
-    Errors: `DescriptionError` with all problems; `UnknownNameError` for a `root` that is no link.
+    `source` names the text in messages. ``base="free"`` puts a ground called 'world' under the root link and
+    joins them by a free joint called 'base'. `root` names the link to take as root where the file leaves it
+    open. `package_dirs` are the folders in which meshes may lie, `beside` the names of other files to
+    suggest. Two joints that lead to one link are a loop. What was noticed but changes nothing is in `notes`
+    of the mechanism. Errors: `DescriptionError` with all problems; `UnknownNameError` for a `root` that is no
+    link.
     """
     if base not in (None, "free"):
         raise InputError(f"base is {base!r}; it must be None (the root link does not move) or 'free'")
@@ -60,9 +71,7 @@ def read_urdf(
     if root is not None and root not in urdf.links:
         raise UnknownNameError("link", root, urdf.links, source)
     _scan_joints(urdf)
-    ground = choose_root(
-        {n: e.where for n, e in urdf.links.items()}, urdf.ends, urdf.findings, robot.where, root
-    )
+    ground = choose_root({n: e.where for n, e in urdf.links.items()}, urdf.ends, urdf.findings, root)
     mechanism = _assemble(urdf, ground, base)
     _note_unused(urdf)
     urdf.findings.finish()
@@ -77,8 +86,13 @@ def read_urdf(
 def _check_is_urdf(robot: Element) -> None:
     if robot.tag == "robot":
         return
-    others = {"sdf": "it is an SDF file", "mujoco": "it is a MuJoCo file (MJCF)", "COLLADA": "it is a mesh",
-              "launch": "it is a ROS launch file", "package": "it is a ROS package manifest"}  # fmt: skip
+    others = {
+        "sdf": "it is an SDF file",
+        "mujoco": "it is a MuJoCo file (MJCF)",
+        "COLLADA": "it is a mesh",
+        "launch": "it is a ROS launch file",
+        "package": "it is a ROS package manifest",
+    }
     said = f": {others[robot.tag]}" if robot.tag in others else ""
     raise fail(
         f"the outermost element is <{robot.tag}>{said}", robot.where, "URDF starts with <robot name=...>"
@@ -86,7 +100,7 @@ def _check_is_urdf(robot: Element) -> None:
 
 
 def _refuse_xacro(robot: Element) -> None:
-    """Refuse text that has to be expanded first: xacro elements, or expressions where a name or number is needed."""
+    """Refuse text that has to be expanded first: xacro elements, or expressions in place of a name or number."""
     text = robot.source.text
     if "xacro:" not in text and not _XACRO.search(text):
         return
@@ -99,25 +113,29 @@ def _refuse_xacro(robot: Element) -> None:
                     found, where = f"{key}={shorten(text)}", element.where_of(key)
                     break
         if found:
-            raise fail(f"this is xacro, a program that writes URDF: {found} has to be expanded first", where,
-                       "load it with xacro=True (command line: --xacro; needs the extra kempe[xacro]), only if you"
-                       " trust the file: xacro can read any file")  # fmt: skip
+            raise fail(
+                f"this is xacro, a program that writes URDF: {found} has to be expanded first",
+                where,
+                XACRO_ADVICE,
+            )
 
 
 def _no_links(robot: Element, beside: tuple[str, ...]) -> Exception:
     generated = _GENERATED.search(robot.source.text)
     joints = len(robot.of("joint"))
-    holds = f"only {joints} joints" if joints else "nothing but an outer <robot> element"
+    holds = f"only {joints} joints" if joints else "nothing but an empty <robot> element"
     message = (
-        f"the file describes no robot: it has no <link> elements, so there are no bodies; it holds {holds}"
+        f"there is no robot in this file: it holds {holds}, and without a <link> there is no body to move"
     )
     allowed = "a robot has at least one <link name=...> and a <joint> for each further link"
     if generated:
         stem = generated[1].split(".")[0]
-        allowed = (f"its header says that xacro made it from {generated[1]!r}; that file most likely only *defines* macros,"
-                   f" and the file that *calls* them (often {stem + '_robot.urdf.xacro'!r}) has to be expanded instead")  # fmt: skip
+        allowed = (
+            f"its header says that xacro made it from {generated[1]!r}, which probably only defines macros:"
+            f" expand the file that calls them (often {stem + '_robot.urdf.xacro'!r})"
+        )
     if beside:
-        allowed += f"; or load another file of the same folder: {', '.join(sorted(beside)[:8])}"
+        allowed += f", or load another file of the same folder: {', '.join(sorted(beside)[:8])}"
     return fail(message, robot.where, allowed)
 
 
@@ -142,8 +160,8 @@ def _scan_top(urdf: _Urdf) -> None:
                 f"a {element.tag} {what}", where=where, allowed="every link and joint needs a name of its own"
             )
         elif name in table:
-            findings.add(f"there is another {element.tag} of this name, at {table[name].where}", f"{element.tag} {name!r}",
-                         element.where_of("name"), "names must be unique")  # fmt: skip
+            message = f"there is another {element.tag} of this name, at {table[name].where}"
+            findings.add(message, f"{element.tag} {name!r}", element.where_of("name"), "names must be unique")
         else:
             table[name] = element
 
@@ -158,14 +176,22 @@ def _scan_joints(urdf: _Urdf) -> None:
             urdf.types[name] = given
         else:
             wrong = "it has no type" if given is None else f"unknown type {shorten(given)}"
-            findings.add(wrong + (findings.hint(given, TYPES) if given else ""), subject,
-                         element.where_of("type"), f"URDF has {', '.join(TYPES)} (TOML has more)")  # fmt: skip
+            findings.add(
+                wrong + (findings.hint(given, TYPES) if given else ""),
+                subject,
+                element.where_of("type"),
+                f"URDF has {', '.join(TYPES)} (TOML has more)",
+            )
         ends = [_end(urdf, element, tag, subject) for tag in ("parent", "child")]
         if None in ends:
             continue
         if ends[0] == ends[1]:
-            findings.add(f"it connects link {ends[0]!r} to itself", subject, element.of("child")[0].where,
-                         "it must connect two links")  # fmt: skip
+            findings.add(
+                f"it connects link {ends[0]!r} to itself",
+                subject,
+                element.of("child")[0].where,
+                "it must connect two links",
+            )
             continue
         urdf.ends[name] = (ends[0], ends[1])  # type: ignore[assignment]
 
@@ -180,8 +206,11 @@ def _end(urdf: _Urdf, joint: Element, tag: str, subject: str) -> str | None:
         )
         return None
     if link not in urdf.links:
-        urdf.findings.add(f"its {tag} link {shorten(link)} does not exist{urdf.findings.hint(link, urdf.links)}", subject,
-                          element.where_of("link"))  # fmt: skip
+        urdf.findings.add(
+            f"its {tag} link {shorten(link)} does not exist{urdf.findings.hint(link, urdf.links)}",
+            subject,
+            element.where_of("link"),
+        )
         return None
     return link
 
@@ -239,7 +268,7 @@ def _mimics(urdf: _Urdf, mechanism: Mechanism) -> None:
         factor, offset = (
             numbers(mimic, key, 1, findings, subject) if key in mimic.attributes else (default,)
             for key, default in (("multiplier", 1.0), ("offset", 0.0))
-        )  # fmt: skip
+        )
         if leader not in urdf.joints:
             said = findings.hint(leader, urdf.joints, but=name)
             message = f"it mimics joint {shorten(leader)}, which does not exist{said}"
@@ -259,8 +288,12 @@ def _one_coordinate(urdf: _Urdf, name: str, leader: str, subject: str, mimic: El
         kind = urdf.types.get(joint)
         if kind in ("fixed", "planar", "floating"):
             has = "no coordinate" if kind == "fixed" else "several coordinates"
-            urdf.findings.add(f"it mimics joint {leader!r}, but {role} is {kind} and has {has}", subject, mimic.where_of("joint"),
-                              "revolute, continuous and prismatic joints can mimic each other")  # fmt: skip
+            urdf.findings.add(
+                f"it mimics joint {leader!r}, but {role} is {kind} and has {has}",
+                subject,
+                mimic.where_of("joint"),
+                "revolute, continuous and prismatic joints can mimic each other",
+            )
             return False
     return True
 
@@ -302,8 +335,12 @@ def _note_unused(urdf: _Urdf) -> None:
             if joint.tag != "joint":
                 continue
             if block.tag == "gazebo" and joint.of("child"):
-                urdf.findings.note("a joint inside a <gazebo> block is not read; if it closes a loop, give the link a second"
-                                   " <joint> or use TOML", f"joint {name!r}", joint.where)  # fmt: skip
+                urdf.findings.note(
+                    "a joint inside a <gazebo> block is not read; if it closes a loop, give the link a second"
+                    " <joint> or use TOML",
+                    f"joint {name!r}",
+                    joint.where,
+                )
             elif name not in urdf.joints and block.tag != "gazebo":
                 urdf.findings.note(
                     f"a <{block.tag}> speaks of joint {shorten(name)}, which does not exist",

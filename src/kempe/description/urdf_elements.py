@@ -24,20 +24,61 @@ SLIP = 0.8
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _BLANKS = re.compile(r"[ \t\r\n]+")
 
-TOP = ("link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control", "group", "group_state",
-       "disable_collisions", "end_effector", "virtual_joint", "mujoco", "drake", "verbose")  # fmt: skip
-"""Elements of a robot that are read or can change no motion; others are noted. Likewise in links and joints."""
+TOP = (
+    "link",
+    "joint",
+    "material",
+    "transmission",
+    "gazebo",
+    "sensor",
+    "ros2_control",
+    "group",
+    "group_state",
+    "disable_collisions",
+    "end_effector",
+    "virtual_joint",
+    "mujoco",
+    "drake",
+    "verbose",
+)
+"""Elements of a robot that are read or change no motion; others are noted. Likewise in links and joints."""
 
-_IN_LINK = ("inertial", "visual", "collision", "contact", "self_filter", "gravity", "surface", "kinematic", "self_collide",
-            "collision_checking", "verbose")  # fmt: skip
-_IN_JOINT = ("parent", "child", "origin", "axis", "limit", "mimic", "dynamics", "calibration", "safety_controller",
-             "hardwareInterface", "physics")  # fmt: skip
+_IN_LINK = (
+    "inertial",
+    "visual",
+    "collision",
+    "contact",
+    "self_filter",
+    "gravity",
+    "surface",
+    "kinematic",
+    "self_collide",
+    "collision_checking",
+    "verbose",
+)
+_IN_JOINT = (
+    "parent",
+    "child",
+    "origin",
+    "axis",
+    "limit",
+    "mimic",
+    "dynamics",
+    "calibration",
+    "safety_controller",
+    "hardwareInterface",
+    "physics",
+)
 _ONCE = ("parent", "child", "origin", "axis", "limit", "mimic")
 ATTRIBUTES = {
-    "joint": ("name", "type"), "parent": ("link",), "child": ("link",), "origin": ("xyz", "rpy", "quat_xyzw"),
-    "axis": ("xyz",), "mimic": ("joint", "multiplier", "offset"),
+    "joint": ("name", "type"),
+    "parent": ("link",),
+    "child": ("link",),
+    "origin": ("xyz", "rpy", "quat_xyzw"),
+    "axis": ("xyz",),
+    "mimic": ("joint", "multiplier", "offset"),
     "limit": ("lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"),
-}  # fmt: skip
+}
 """Attributes of the elements that decide on the motion."""
 
 
@@ -140,7 +181,7 @@ def read_link(name: str, element: Element, findings: Findings) -> Body:
 
 
 def read_joint(kind: str, name: str, element: Element, findings: Findings) -> dict[str, Any] | None:
-    """Keywords for `Mechanism.joint` of a <joint> of URDF type `kind`, or None after recording what is wrong."""
+    """Keywords for `Mechanism.joint` of a <joint> of type `kind`, or None after recording what is wrong."""
     subject, before = f"joint {name!r}", len(findings.problems)
     _check_joint(element, findings, subject)
     out = _origin(element, findings, subject)
@@ -152,8 +193,11 @@ def read_joint(kind: str, name: str, element: Element, findings: Findings) -> di
 def _origin(joint: Element, findings: Findings, subject: str) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for origin in joint.of("origin")[:1]:
-        given = {k: numbers(origin, k, n, findings, subject)
-                 for k, n in (("xyz", 3), ("rpy", 3), ("quat_xyzw", 4)) if k in origin.attributes}  # fmt: skip
+        given = {
+            k: numbers(origin, k, n, findings, subject)
+            for k, n in (("xyz", 3), ("rpy", 3), ("quat_xyzw", 4))
+            if k in origin.attributes
+        }
         if None in given.values():
             return out
         out["at"] = given.get("xyz", (0.0, 0.0, 0.0))
@@ -181,8 +225,12 @@ def _axis(kind: str, joint: Element, findings: Findings, subject: str) -> tuple[
         return None if kind in ("fixed", "floating") else found
     length = math.hypot(*found)
     if length < 1e-150:
-        findings.add(f"its axis is {shorten(axis.attributes['xyz'])}", subject, axis.where_of("xyz"),
-                     "it must not be zero: an axis has a direction, such as 0 0 1")  # fmt: skip
+        findings.add(
+            f"its axis is {shorten(axis.attributes['xyz'])}",
+            subject,
+            axis.where_of("xyz"),
+            "it must not be zero: an axis has a direction, such as 0 0 1",
+        )
         return None
     if abs(length - 1.0) > AXIS_TOLERANCE:
         text = " ".join(f"{x:g}" for x in found)
@@ -235,8 +283,11 @@ def _range(
     given = [key for key in ("lower", "upper") if key in limit.attributes]
     lower, upper = bounds["lower"] or 0.0, bounds["upper"] or 0.0
     if not given:
-        findings.note("its <limit> has no lower and upper; by the rules of URDF both are 0 and the joint cannot move",
-                      subject, limit.where)  # fmt: skip
+        findings.note(
+            "its <limit> has no lower and upper; by the rules of URDF both are 0 and the joint cannot move",
+            subject,
+            limit.where,
+        )
     if lower > upper or lower == math.inf or upper == -math.inf:
         both = " ".join(f"{key}={shorten(limit.attributes[key])}" for key in given)
         missing = "" if len(given) == 2 else " (what is missing is 0 by the rules of URDF)"
@@ -265,8 +316,8 @@ def _check_joint(joint: Element, findings: Findings, subject: str) -> None:
 
 def _refuse_second(found: list[Element], findings: Findings, subject: str) -> None:
     if len(found) > 1:
-        findings.add(f"it has two <{found[0].tag}> elements, on line {found[0].where.line} and here", subject, found[1].where,
-                     "one is allowed")  # fmt: skip
+        message = f"it has two <{found[0].tag}> elements, on line {found[0].where.line} and here"
+        findings.add(message, subject, found[1].where, "one is allowed")
 
 
 def check_known(

@@ -39,11 +39,11 @@ class _Origin:
 def write_urdf(mechanism: Mechanism) -> str:
     """URDF text of a mechanism; read again by `read_urdf`, all bodies and frames have the same poses.
 
-    Parameters are evaluated, locked joints become fixed ones, named frames become links without mass. A body whose
-    origin lies off the axis of its joint gets a link of its own for the joint's frame. Unlimited prismatic joints get
-    limits of +-1e308, since URDF demands some. Postures, notes and the marks of actuated joints are left out.
-    Errors: `DescriptionError` listing all that URDF cannot say: loops, joints that lead towards the ground, joint
-    types that it does not have, particles, couplings with several sources.
+    Parameters are evaluated, locked joints become fixed ones, named frames become links without mass. A body
+    whose origin lies off the axis of its joint gets a link of its own for the joint's frame. Unlimited
+    prismatic joints get limits of +-1e308, since URDF demands some. Postures, notes and the marks of actuated
+    joints are left out. Errors: `DescriptionError` listing all that URDF cannot say: loops, joints that lead
+    towards the ground, joint types that it does not have, particles, couplings with several sources.
     """
     return _Writer(mechanism).text()
 
@@ -116,7 +116,7 @@ class _Writer:
             )
 
     def resolve_couplings(self) -> None:
-        """Sort couplings into constants (all sources locked) and mimics (one source left); others are problems."""
+        """Sort couplings into constants (all sources locked) and mimics (one left); others are problems."""
         pending = dict(self.m.couplings)
         while True:
             open_ = {}
@@ -144,8 +144,12 @@ class _Writer:
                     "a mimic follows one",
                 )
             elif not {of, *free} <= self.m.joints.keys():
-                self.findings.add("it is one of several coordinates of a joint, or follows one", subject, where,
-                                  "revolute and prismatic joints can mimic each other")  # fmt: skip
+                self.findings.add(
+                    "it is one of several coordinates of a joint, or follows one",
+                    subject,
+                    where,
+                    "revolute and prismatic joints can mimic each other",
+                )
             else:
                 source, factor = next(iter(free.items()))
                 self.mimics[of] = (source, factor, offset)
@@ -196,8 +200,12 @@ class _Writer:
         coordinates = self.coordinates(joint)
         held = [c for c in coordinates if c in self.held]
         if held and len(held) < len(coordinates):
-            self.findings.add(f"only {', '.join(held)} of its coordinates are locked", f"joint {joint.name!r}", joint.where,
-                              "lock all of them, or none")  # fmt: skip
+            self.findings.add(
+                f"only {', '.join(held)} of its coordinates are locked",
+                f"joint {joint.name!r}",
+                joint.where,
+                "lock all of them, or none",
+            )
         if len(held) == len(coordinates):
             X_PC = joint.X_PF @ self.locked_pose(joint, coordinates) @ joint.X_CM.inverse()
             self.fixed(
@@ -239,12 +247,20 @@ class _Writer:
         subject, name = f"joint {joint.name!r}", joint.type.type_name
         if name == "free" and self.m.dim == 2:
             name = "planar"
-        kinds = {"revolute": "revolute" if joint.limits else "continuous", "prismatic": "prismatic", "planar": "planar",
-                 "free": "floating"}  # fmt: skip
+        kinds = {
+            "revolute": "revolute" if joint.limits else "continuous",
+            "prismatic": "prismatic",
+            "planar": "planar",
+            "free": "floating",
+        }
         if name not in kinds or joint.type.options:
             angles = " by angles" if joint.type.options.get("angles") else ""
-            self.findings.add(f"a {name} joint{angles} does not exist in URDF", subject, joint.where,
-                              "URDF has revolute, prismatic, fixed, planar and free (by quaternion)")  # fmt: skip
+            self.findings.add(
+                f"a {name} joint{angles} does not exist in URDF",
+                subject,
+                joint.where,
+                "URDF has revolute, prismatic, fixed, planar and free (by quaternion)",
+            )
             return None
         bounded = {*joint.limits, *joint.velocity_limits, *joint.effort_limits}
         if name in ("planar", "free") and bounded:
@@ -274,10 +290,11 @@ class _Writer:
         X_CM = joint.X_CM.evaluate(self.m.parameters)
         a, p = X_CM[:3, 2], X_CM[:3, 3]
         fits = {
-            "revolute": np.linalg.norm(p - (p @ a) * a) <= ON_AXIS, "prismatic": True,
+            "revolute": np.linalg.norm(p - (p @ a) * a) <= ON_AXIS,
+            "prismatic": True,
             "planar": np.allclose(X_CM, spatial.pose(spatial.align_z(a)), rtol=0.0, atol=ON_AXIS),
             "floating": np.allclose(X_CM, np.eye(4), rtol=0.0, atol=ON_AXIS),
-        }  # fmt: skip
+        }
         if not fits["revolute" if kind == "continuous" else kind]:
             return None
         return self.origin(joint.X_PF @ joint.X_CM.inverse()), a.tolist()
@@ -285,7 +302,7 @@ class _Writer:
     # ---- elements
 
     def origin(self, X: Placement) -> _Origin:
-        """Numbers of a placement: its own where it is made of a shift and roll, pitch, yaw, else worked out."""
+        """Numbers of a placement: its own where it is a shift, roll, pitch, yaw; else worked out."""
         steps = X.simplified().steps
         if [s[0] for s in steps] == [k for k in ("x", "y", "z", "rz", "ry", "rx") if k in dict(steps)]:
             given = {k: float(evaluate(v[0], self.m.parameters)) for k, v in steps}
@@ -300,8 +317,15 @@ class _Writer:
         self.write(name, "fixed", parent, child, origin, None, [])
 
     def write(
-        self, name: str, kind: str, parent: str, child: str, origin: _Origin, axis: Sequence[float] | None, inside: list[str]
-    ) -> None:  # fmt: skip
+        self,
+        name: str,
+        kind: str,
+        parent: str,
+        child: str,
+        origin: _Origin,
+        axis: Sequence[float] | None,
+        inside: list[str],
+    ) -> None:
         self.lines.append(f'  <joint name={self.quoted(name)} type="{kind}">')
         self.lines.append(f"    <parent link={self.quoted(parent)}/><child link={self.quoted(child)}/>")
         self.lines.append(f'    <origin xyz="{_numbers(origin.xyz)}" rpy="{_numbers(origin.rpy)}"/>')

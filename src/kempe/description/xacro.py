@@ -1,10 +1,11 @@
-"""xacro text -> URDF text. xacro is a program, not data: it runs in a process of its own, with limits, on request."""
+"""xacro text -> URDF text. xacro is a program, not data: it runs in a process with limits, and on request."""
 
 from __future__ import annotations
 
 import importlib.util
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,13 +17,32 @@ from kempe.description.source import SIZE_LIMIT, fail
 from kempe.errors import MissingExtraError, UnsupportedError, Where
 
 SECONDS = 20
-"""Processor time, and twice that of waiting, that an expansion may take; large robots take about two seconds."""
+"""Processor time, and twice that of waiting, that an expansion may take; large robots take about two."""
 
 MEMORY = 2 * 2**30
 """Bytes of memory that an expansion may use."""
 
-_KEPT = ("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "VIRTUAL_ENV", "ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH",
-         "ROS_ROOT", "ROS_DISTRO", "TMPDIR")  # fmt: skip
+XACRO_ADVICE = (
+    "load it with xacro=True (command line: --xacro; needs the extra kempe[xacro]), only if you trust it:"
+    " xacro can read any file"
+)
+"""What to do with a xacro file that was given in place of URDF."""
+
+_KEPT = (
+    "PATH",
+    "HOME",
+    "LANG",
+    "LC_ALL",
+    "PYTHONPATH",
+    "VIRTUAL_ENV",
+    "ROS_PACKAGE_PATH",
+    "AMENT_PREFIX_PATH",
+    "ROS_ROOT",
+    "ROS_DISTRO",
+    "TMPDIR",
+)
+
+_EXCEPTION = re.compile(r"[\w.]+(Error|Exception)\b")
 
 # The limits stand before the imports, so that nothing of xacro runs without them.
 _WORKER = """
@@ -43,28 +63,36 @@ sys.stdout.buffer.write(document.dom.toprettyxml(indent="  ").encode("utf-8"))
 
 
 def expand_xacro(
-    path: str | Path, *, arguments: Mapping[str, str] | None = None, package_dirs: Iterable[str | Path] = (),
+    path: str | Path,
+    *,
+    arguments: Mapping[str, str] | None = None,
+    package_dirs: Iterable[str | Path] = (),
     seconds: int = SECONDS,
-) -> str:  # fmt: skip
+) -> str:
     """URDF text that a xacro file expands to, with `arguments` for its ``<xacro:arg>``.
 
     Only for files that you trust: xacro reads any file that it is told to. It runs in a process with little
-    environment, bounded in time, memory and output. `package_dirs` are searched by ``$(find package)``. Errors:
-    `MissingExtraError` without the extra [xacro], `DescriptionError` with xacro's own message.
+    environment, bounded in time, memory and output. `package_dirs` are searched by ``$(find package)``.
+    Errors: `MissingExtraError` without the extra [xacro], `DescriptionError` with xacro's own message.
     """
     if importlib.util.find_spec("xacrodoc") is None:
         raise MissingExtraError("xacrodoc", "xacro")
     if importlib.util.find_spec("resource") is None:
         raise UnsupportedError("xacro is expanded on Linux and macOS only, where a process can be limited")
-    path = Path(path).resolve()
+    where, path = Where(str(path)), Path(path).resolve()
     settings = {
-        "path": str(path), "arguments": {str(k): str(v) for k, v in (arguments or {}).items()},
+        "path": str(path),
+        "arguments": {str(k): str(v) for k, v in (arguments or {}).items()},
         "package_dirs": [str(Path(d).resolve()) for d in package_dirs],
-        "limits": {"RLIMIT_CPU": seconds, "RLIMIT_AS": MEMORY, "RLIMIT_FSIZE": SIZE_LIMIT, "RLIMIT_CORE": 0,
-                   "RLIMIT_NOFILE": 256},
-    }  # fmt: skip
+        "limits": {
+            "RLIMIT_CPU": seconds,
+            "RLIMIT_AS": MEMORY,
+            "RLIMIT_FSIZE": SIZE_LIMIT,
+            "RLIMIT_CORE": 0,
+            "RLIMIT_NOFILE": 256,
+        },
+    }
     environment = {k: v for k, v in os.environ.items() if k in _KEPT}
-    where = Where(str(path))
     with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as complaints:
         code = _run(
             [sys.executable, "-c", _WORKER, json.dumps(settings)],
@@ -97,7 +125,7 @@ def expand_xacro(
 
 
 def _run(command: list[str], environment: dict[str, str], output, complaints, seconds: float) -> int | None:
-    """Exit code of a command, or None where it was stopped for taking too long; its children are stopped with it."""
+    """Exit code of a command, or None where it took too long and was stopped, with its children."""
     with subprocess.Popen(
         command,
         env=environment,
@@ -115,6 +143,7 @@ def _run(command: list[str], environment: dict[str, str], output, complaints, se
 
 
 def _last(said: str) -> str:
-    """The line of a traceback that says what happened."""
+    """The lines of a traceback that say what happened."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
-    return lines[-1][:300] if lines else "it says nothing"
+    first = next((i for i in reversed(range(len(lines))) if _EXCEPTION.match(lines[i])), len(lines) - 1)
+    return " ".join(lines[first:])[:300] or "it says nothing"

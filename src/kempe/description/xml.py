@@ -1,4 +1,4 @@
-"""A small safe XML reader on expat: no DTD, no entities, bounded, and every element knows its line and column."""
+"""A small safe XML reader on expat: no DTD, no entities, bounded; every element knows its line and column."""
 
 from __future__ import annotations
 
@@ -16,24 +16,38 @@ _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?\sencoding\s*=\s*["']([A-Za-z0-9._-]+
 _TAG_END = re.compile(r"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>""")
 
 _CODES = expat.errors.codes
-_TRUNCATED = {_CODES[m] for m in (expat.errors.XML_ERROR_NO_ELEMENTS, expat.errors.XML_ERROR_UNCLOSED_TOKEN,
-                                  expat.errors.XML_ERROR_PARTIAL_CHAR,
-                                  expat.errors.XML_ERROR_UNCLOSED_CDATA_SECTION)}  # fmt: skip
+_TRUNCATED = {
+    _CODES[m]
+    for m in (
+        expat.errors.XML_ERROR_NO_ELEMENTS,
+        expat.errors.XML_ERROR_UNCLOSED_TOKEN,
+        expat.errors.XML_ERROR_PARTIAL_CHAR,
+        expat.errors.XML_ERROR_UNCLOSED_CDATA_SECTION,
+    )
+}
 _EXPLANATIONS = {
     _CODES[expat.errors.XML_ERROR_DUPLICATE_ATTRIBUTE]: ("an attribute is given twice", "give it once"),
     _CODES[expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT]: (
-        "the file goes on after the end of its outermost element", "a file has one outermost element"),
+        "the file goes on after the end of its outermost element",
+        "a file has one outermost element",
+    ),
     _CODES[expat.errors.XML_ERROR_UNDEFINED_ENTITY]: (
-        "an entity is used that XML does not have", "allowed are &amp; &lt; &gt; &quot; &apos; and &#number;"),
+        "an entity is used that XML does not have",
+        "it has &amp; &lt; &gt; &quot; &apos; and &#number;",
+    ),
     _CODES[expat.errors.XML_ERROR_BAD_CHAR_REF]: (
-        "a character reference names a character that XML forbids", "remove it"),
+        "a character reference names a character that XML forbids",
+        "remove it",
+    ),
     _CODES[expat.errors.XML_ERROR_MISPLACED_XML_PI]: (
-        "the line <?xml ...?> is not at the very start of the file", "remove all that stands before it"),
-}  # fmt: skip
+        "the line <?xml ...?> is not at the very start of the file",
+        "remove all that stands before it",
+    ),
+}
 
 
 class Element:
-    """One XML element: `tag`, `attributes`, `children` (elements only), and where it stands in its `source`."""
+    """One XML element: `tag`, `attributes`, `children` (elements only), and its place in its `source`."""
 
     __slots__ = ("_column", "_end", "_line", "attributes", "children", "source", "tag")
 
@@ -71,7 +85,7 @@ class Element:
 
     def walk(self) -> Iterator[Element]:
         """The element and all below it, in the order of the file."""
-        stack = [self]
+        stack: list[Element] = [self]
         while stack:
             element = stack.pop()
             yield element
@@ -84,8 +98,9 @@ class Element:
 def parse_xml(data: bytes | str, name: str) -> Element:
     """The outermost element of an XML text; `name` is the file's name, for messages.
 
-    UTF-8, UTF-16 with a byte order mark, and Latin-1 where declared. Errors: `DescriptionError` with line and column
-    for what is not well-formed, truncated, too large or too deep, and for every DTD and entity declaration.
+    UTF-8, UTF-16 with a byte order mark, and Latin-1 where declared. Errors: `DescriptionError` with line and
+    column for what is not well-formed, truncated, too large or too deep, and for every DTD and entity
+    declaration.
     """
     source = Source(name, decode(data, name, _DECLARED))
     return _Builder(source).run()
@@ -122,8 +137,11 @@ class _Builder:
         self.stack.pop()._end = self._here()
 
     def _doctype(self, name: str, *_: object) -> None:
-        raise fail("the file has a DTD (<!DOCTYPE ...>)", self.source.where(*self._here()),
-                   "a DTD can pull in other files or grow without bound and is never read: remove it")  # fmt: skip
+        raise fail(
+            "the file has a DTD (<!DOCTYPE ...>)",
+            self.source.where(*self._here()),
+            "remove it: a DTD can pull in other files or grow without bound, and is never read",
+        )
 
     def run(self) -> Element:
         try:
@@ -131,8 +149,11 @@ class _Builder:
         except expat.ExpatError as error:
             raise self._explain(error) from None
         except UnicodeEncodeError as error:
-            raise fail("the text holds half of a surrogate pair, which is no character",
-                       self.source.where_offset(error.start), "remove it") from None  # fmt: skip
+            raise fail(
+                "the text holds half of a surrogate pair, which is no character",
+                self.source.where_offset(error.start),
+                "remove it",
+            ) from None
         assert self.root is not None, "expat refuses a text without elements"
         return self.root
 
@@ -151,8 +172,11 @@ class _Builder:
                 r"</[^\s>]*", self.source.text[self.source.offset(where.line, where.column) - 2 :]
             )
             found = shorten(close[0] + ">") if close else "another closing tag"
-            return fail(f"{found} closes <{inner.tag}> opened on line {inner._line}", where,
-                        f"close it by </{inner.tag}>")  # fmt: skip
+            return fail(
+                f"{found} closes <{inner.tag}> opened on line {inner._line}",
+                where,
+                f"close it by </{inner.tag}>",
+            )
         if error.code in _EXPLANATIONS:
             message, allowed = _EXPLANATIONS[error.code]
             return fail(message, where, allowed)

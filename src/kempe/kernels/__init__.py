@@ -1,0 +1,1 @@
+"""The only compiled code: kernels that know arrays, not the classes."""

@@ -12,7 +12,6 @@ import os
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -38,7 +37,7 @@ OUTI2 = types.Array(types.int64, 2, "C")
 
 _SECONDS_BEFORE_NOTICE = 0.7
 _lock = threading.Lock()
-_notice = {"started": 0.0, "said": False}
+_said = threading.Event()
 
 compiled: dict[str, int] = {}
 """Kernels compiled (not loaded from the cache) by this process: name -> count."""
@@ -49,9 +48,9 @@ def _folders() -> list[Path]:
     given = os.environ.get("KEMPE_CACHE_DIR")
     if given:
         return [Path(given)]
-    base = os.environ.get("XDG_CACHE_HOME")
-    home = Path(base) if base else Path(os.path.expanduser("~")) / ".cache"
-    return [home / "kempe", Path(__file__).parent / "__pycache__" / "compiled"]
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    homes = [Path(base) / "kempe"] if os.path.isabs(base) else []  # without a home '~' stays '~'
+    return [*homes, Path(__file__).parent / "__pycache__" / "compiled"]
 
 
 @lru_cache(1)
@@ -80,8 +79,8 @@ def cache_folder() -> Path | None:
 
 def _say_once() -> None:
     """Tell the user, once and on stderr, that kernels are being compiled."""
-    if not _notice["said"] and not os.environ.get("KEMPE_QUIET"):
-        _notice["said"] = True
+    if not _said.is_set() and not os.environ.get("KEMPE_QUIET"):
+        _said.set()
         where = "kept for next time" if cache_folder() else "not kept: no writable cache folder, see KEMPE_CACHE_DIR"
         print(f"kempe: compiling kernels for this machine, once ({where}) ...", file=sys.stderr, flush=True)
 
@@ -95,18 +94,17 @@ def kernel(*signatures: Signature, nogil: bool = True) -> Callable:
     def wrap(function: Callable) -> Callable:
         folder = cache_folder()
         with _lock:
-            before = config.CACHE_DIR
-            config.CACHE_DIR = str(folder) if folder else before
+            before = getattr(config, "CACHE_DIR", "")
+            setattr(config, "CACHE_DIR", str(folder) if folder else before)  # noqa: B010
             try:
                 dispatcher = numba.njit(
                     nogil=nogil, fastmath=FLAGS, error_model="numpy", cache=folder is not None
                 )(function)
             finally:
-                config.CACHE_DIR = before
+                setattr(config, "CACHE_DIR", before)  # noqa: B010
             timer = threading.Timer(_SECONDS_BEFORE_NOTICE, _say_once)
             timer.daemon = True
             timer.start()
-            start = time.perf_counter()
             try:
                 for signature in signatures:
                     dispatcher.compile(signature)
@@ -116,7 +114,6 @@ def kernel(*signatures: Signature, nogil: bool = True) -> Callable:
         hits = sum(dispatcher.stats.cache_hits.values()) if folder else 0
         if hits < len(signatures):
             compiled[function.__name__] = len(signatures) - hits
-            _notice["started"] += time.perf_counter() - start
         return dispatcher
 
     return wrap

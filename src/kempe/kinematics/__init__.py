@@ -1,0 +1,1 @@
+"""Where everything is: the forward model, the configuration space, constraints."""

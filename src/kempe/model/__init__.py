@@ -1,0 +1,1 @@
+"""Mechanism -> System: spanning tree, coordinates, primitive table."""

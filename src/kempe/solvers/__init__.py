@@ -1,0 +1,1 @@
+"""Which configurations do what is asked: the inverse model."""

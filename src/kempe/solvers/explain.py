@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from kempe.kinematics.forward import jacobian
 from kempe.solvers.inverse import POSITION, Task, outside, run
 from kempe.solvers.solution import BAD_INPUT, OUT_OF_REACH, SOLVED, Solution
 
@@ -52,6 +51,8 @@ def _solved(task: Task, target: np.ndarray, limits: np.ndarray | None = None) ->
 
 def _over_determined(task: Task, target: np.ndarray) -> str:
     """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random configurations."""
+    from kempe.kinematics.forward import jacobian  # only here: a success needs no forward kernels
+
     rows = [i for i, used in enumerate(task.mask) if used]
     system = task.system
     J = jacobian(system, system.random(0, 16), task.frame)[:, rows]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 STARTS = 100
 """Starts before a target is given up: each succeeds in about half of the cases or more, whatever the method."""
-ITERATIONS = 30
+ITERATIONS = 20
 """Steps of one start; those that converge need 5 to 9."""
 TOLERANCE = (1e-6, 1e-6)
 """Largest position error [m] and rotation angle [rad] of a success."""
@@ -90,9 +90,8 @@ def ik(
     chain = chain_of(system, name)
     targets, lead, is_position = _targets(system, target)
     mask = POSITION if position_only or is_position else POSE
-    number = int(rng.integers(2**62)) if isinstance(rng, np.random.Generator) else int(rng)
     base, seeds = _seeds(system, chain, seed, lead)
-    task = Task(system, name, targets, mask, _tolerance(tolerance), _count(starts), number, chain)
+    task = Task(system, name, targets, mask, _tolerance(tolerance), _count(starts), _seed_number(rng), chain)
     q, residual, info = run(task, seeds, threads)
     full = np.array(np.broadcast_to(base, (len(targets), system.nq)))
     full[:, chain.q_index] = q
@@ -287,8 +286,16 @@ def _count(starts: object) -> int:
     return int(starts)
 
 
+def _seed_number(rng: object) -> int:
+    if isinstance(rng, np.random.Generator):
+        return int(rng.integers(2**62))
+    if isinstance(rng, bool) or not isinstance(rng, (int, np.integer)) or not 0 <= rng < 2**62:
+        raise InputError(f"rng is {rng!r}; it must be a generator or a whole number, not negative")
+    return int(rng)
+
+
 def _answer(task: Task, q: Array, code: np.ndarray, residual: Array, info: np.ndarray, lead: tuple[int, ...]) -> Solution:
-    fields = (code == SOLVED, code, residual[:, 0], residual[:, 1], info[:, 1], info[:, 2])
-    if lead:
-        return Solution(q.reshape(*lead, task.system.nq), *(x.reshape(lead) for x in fields), task)
-    return Solution(q[0], *(x[0].item() for x in fields), task)
+    columns = (code == SOLVED, code, residual[:, 0], residual[:, 1], info[:, 1], info[:, 2])
+    fields = [x.reshape(lead) if lead else x[0].item() for x in columns]
+    success, code_, position, angle, steps, starts = fields
+    return Solution(q.reshape(*lead, task.system.nq), success, code_, position, angle, steps, starts, task)

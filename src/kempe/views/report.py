@@ -36,10 +36,10 @@ _CONTROL = {i: f"\\x{i:02x}" for i in (*range(32), *range(127, 160)) if i not in
 
 def console(file: TextIO | None = None) -> Console:
     """A rich console that takes text literally, colours terminals only, and wraps nothing elsewhere."""
-    file = sys.stdout if file is None else file
-    width = None if file.isatty() else WIDE
+    target: TextIO = file or sys.stdout
+    width = None if target.isatty() else WIDE
     return Console(
-        file=file, width=width, markup=False, emoji=False, highlight=False, soft_wrap=width is not None
+        file=target, width=width, markup=False, emoji=False, highlight=False, soft_wrap=width is not None
     )
 
 

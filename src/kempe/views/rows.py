@@ -211,7 +211,10 @@ def write_poses(path: Path, X: spatial.Array, bodies: bool, degrees: bool = Fals
     columns: tuple[str, ...] = POSE_COLUMNS
     if bodies:
         index = np.indices((len(X) if X.ndim == 4 else 1, X.shape[-3])).reshape(2, -1).T
-        lines, columns = np.concatenate([index, lines], axis=1), ("configuration", "body", *columns)
+        lines, columns = (
+            np.concatenate([index.astype(float), lines], axis=1),
+            ("configuration", "body", *columns),
+        )
     write(path, columns, lines, X)
 
 

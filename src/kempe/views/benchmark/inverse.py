@@ -44,7 +44,7 @@ def single(bench: Bench) -> Table:
             table,
             name,
             f"{n:,} calls",
-            100.0 * np.mean(reached(arm, found[name], targets[:n])),
+            100.0 * float(np.mean(reached(arm, found[name], targets[:n]))),
             np.array(times[name]),
         )
     _batch(table, arm, targets)

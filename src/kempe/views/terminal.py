@@ -1,0 +1,91 @@
+"""How commands speak: answers and errors as text or as JSON, and exit codes."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from kempe.errors import KempeError
+
+COMPLETE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
+"""Exit codes: complete answer; no solution or problems found; question that could not be asked; Ctrl-C."""
+
+UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+"""Base of the errors for wrong usage, which has moved between versions of typer."""
+
+
+class Commands(TyperGroup):
+    """A group of commands in which wrong usage is one sentence, or JSON where that was asked for."""
+
+    def main(self, args: Any = None, *rest: Any, standalone_mode: bool = True, **extra: Any) -> Any:
+        """Run the command line `args`; ends the process with an exit code unless `standalone_mode` is off."""
+        args = list(sys.argv[1:] if args is None else args)
+        try:
+            code = super().main(args, *rest, standalone_mode=False, **extra)
+        except UsageError as error:
+            context = getattr(error, "ctx", None)
+            path = context.command_path if context else "kempe"
+            message = getattr(error, "format_message", error.__str__)()
+            say_error(f"{message} (see '{path} --help')", "--json" in args)
+            code = REFUSED
+        except typer.Abort:
+            code = INTERRUPTED
+        if standalone_mode:
+            sys.exit(code or COMPLETE)
+        return code
+
+
+def guarded(function: Callable[..., None]) -> Callable[..., None]:
+    """The command with its errors made one sentence (or JSON, by its option `json`) and exit code 2."""
+
+    @functools.wraps(function)
+    def run(*args: Any, **options: Any) -> None:
+        try:
+            function(*args, **options)
+        except KempeError as error:
+            refuse(error, options.get("json", False))
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            named = f"{error.filename}: " if error.filename else ""
+            refuse(f"{named}{error.strerror or error}", options.get("json", False))
+
+    return run
+
+
+def refuse(error: BaseException | str, json: bool = False) -> NoReturn:
+    """Say why the question cannot be asked, and end the command with exit code 2."""
+    say_error(error, json)
+    raise typer.Exit(REFUSED)
+
+
+def say_error(error: BaseException | str, json: bool = False) -> None:
+    """Print an error: a sentence on standard error, or JSON on standard output."""
+    if json:
+        from kempe.views.facts import error_facts
+
+        print_json(error_facts(error))
+    else:
+        from kempe.views import report
+
+        report.show(report.error(error), sys.stderr)
+
+
+def print_json(data: Any) -> None:
+    """Print data as JSON; letters beyond ASCII are escaped where the output cannot show them."""
+    from kempe.views.facts import json_text
+
+    encoding = getattr(sys.stdout, "encoding", None) or "ascii"
+    print(json_text(data, ascii_only=encoding.lower().replace("-", "") != "utf8"))
+
+
+def show(renderable: Any) -> None:
+    """Print a report."""
+    from kempe.views import report
+
+    report.show(renderable)
