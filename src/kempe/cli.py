@@ -38,15 +38,11 @@ Json = Annotated[bool, _option("--json", "Print JSON.")]
 Deg = Annotated[bool, _option("--deg", "Angles are degrees, read and printed; lengths stay metres.")]
 Out = Annotated[Path | None, _option("--out", "Write the results to a .csv or .npy file.", "FILE")]
 Base = Annotated[str | None, _option("--base", "'free': the root link moves freely (URDF).", "free", _READ)]
-Root = Annotated[
-    str | None, _option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)
-]
+Root = Annotated[str | None, _option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)]
 Dirs = Annotated[
     list[Path] | None, _option("--package-dir", "Folder for package://; can be repeated.", "FOLDER", _READ)
 ]
-Xacro = Annotated[
-    bool, _option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)
-]
+Xacro = Annotated[bool, _option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)]
 
 FrameOrAll = Annotated[str | None, _option("--frame", "Body or frame; all bodies if not given.", "NAME")]
 Values = Annotated[
@@ -70,9 +66,7 @@ Tolerance = Annotated[str, _option("--tolerance", "Largest errors accepted, metr
 # ---- what all commands share
 
 
-def _options(
-    base: str | None, root: str | None, package_dir: list[Path] | None, xacro: bool
-) -> dict[str, Any]:
+def _options(base: str | None, root: str | None, package_dir: list[Path] | None, xacro: bool) -> dict[str, Any]:
     """The reader's options, without those that were not given."""
     given = {"base": base, "root": root, "package_dirs": package_dir, "xacro": xacro}
     return {k: v for k, v in given.items() if v}
@@ -211,10 +205,7 @@ def fk(
         show(report.poses(system, frame, X, deg))
     bad = rows.not_finite(values)
     if bad:
-        print(
-            f"kempe: {report.rows_text(bad)} of q have no finite numbers; their poses are NaN",
-            file=sys.stderr,
-        )
+        print(f"kempe: q is not finite in {report.rows_text(bad)}; poses there are NaN", file=sys.stderr)
         raise typer.Exit(INCOMPLETE)
 
 
@@ -284,12 +275,8 @@ def library(
 @app.command()
 @guarded
 def bench(
-    only: Annotated[
-        list[str] | None, _option("--only", "A section to run; can be repeated.", "SECTION")
-    ] = None,
-    peer: Annotated[
-        list[str] | None, _option("--peer", "A library to compare with; can be repeated.", "NAME")
-    ] = None,
+    only: Annotated[list[str] | None, _option("--only", "A section to run; can be repeated.", "SECTION")] = None,
+    peer: Annotated[list[str] | None, _option("--peer", "A library to compare with; can be repeated.", "NAME")] = None,
     out: Annotated[
         Path | None, _option("--out", "Write the tables to a Markdown file, section by section.", "FILE")
     ] = None,

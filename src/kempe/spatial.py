@@ -20,7 +20,7 @@ def unit(v: ArrayLike) -> Array:
     v = np.asarray(v, dtype=float)
     with np.errstate(invalid="ignore", divide="ignore"):
         v = v / np.max(np.abs(v), axis=-1, keepdims=True)  # or squares would overflow or vanish
-        return v / np.linalg.norm(v, axis=-1, keepdims=True)
+        return v / np.sqrt(np.sum(v * v, axis=-1, keepdims=True))
 
 
 def skew(v: ArrayLike) -> Array:
@@ -83,8 +83,10 @@ def align_z(axis: ArrayLike) -> Array:
     """
     a = unit(axis)
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
-    upright = (x == 0.0) & (y == 0.0)
-    u, w = np.moveaxis(np.where(upright[..., None], [0.0, 1.0], unit(a[..., :2])), -1, 0)
+    across = np.hypot(x, y)
+    upright = across < 1e-200  # the quotients would be inexact, and any do
+    across = np.where(upright, 1.0, across)
+    u, w = np.where(upright, 0.0, x / across), np.where(upright, 1.0, y / across)
     k = 1.0 - z  # a turn about (-w, u, 0) with cosine z
     out = np.empty((*a.shape, 3))
     out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = 1.0 - k * u * u, -k * u * w, x

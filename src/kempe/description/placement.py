@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,8 @@ class Placement:
 
     def evaluate(self, parameters: Mapping[str, Any]) -> spatial.Array:
         """Pose (4, 4), or (..., 4, 4) where parameters are arrays."""
+        if not self.names:
+            return _constant(self.steps)
         out = np.eye(4)
         for motion, numbers in self.steps:
             out = out @ _step_pose(motion, [evaluate(x, parameters) for x in numbers])
@@ -135,6 +138,24 @@ def check_step(motion: str, numbers: tuple[Value, ...]) -> None:
         R = array.reshape(3, 3)
         if np.abs(R @ R.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
             raise InputError("matrix is not a rotation (orthonormal, determinant +1)")
+
+
+@lru_cache(1024)
+def _constant(steps: tuple[Step, ...]) -> spatial.Array:
+    """Pose (4, 4), read-only, of steps without parameters."""
+    out = np.eye(4)
+    for motion, numbers in steps:
+        if motion in ("x", "y", "z"):
+            out[:3, 3] += out[:3, "xyz".index(motion)] * numbers[0]
+        else:
+            out[:3, :3] = out[:3, :3] @ _constant_turn(motion, numbers)
+    out.setflags(write=False)
+    return out
+
+
+@lru_cache(1024)
+def _constant_turn(motion: str, numbers: tuple[Value, ...]) -> spatial.Array:
+    return _step_pose(motion, list(numbers))[:3, :3]
 
 
 def _step_pose(motion: str, numbers: list[Any]) -> spatial.Array:

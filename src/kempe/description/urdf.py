@@ -100,7 +100,7 @@ def _check_is_urdf(robot: Element) -> None:
 
 
 def _refuse_xacro(robot: Element) -> None:
-    """Refuse text that has to be expanded first: xacro elements, or expressions in place of a name or number."""
+    """Refuse text that has to be expanded first: xacro elements, or expressions for a name or number."""
     text = robot.source.text
     if "xacro:" not in text and not _XACRO.search(text):
         return

@@ -87,9 +87,7 @@ def _dof_of_tree(system: System) -> int:
 def _bodies(system: System) -> list[dict[str, Any]]:
     names = system.body_names
     records = system.mechanism.bodies
-    out: list[dict[str, Any]] = [
-        {"number": 0, "name": names[0], "parent": None, "joint": None, "particle": False}
-    ]
+    out: list[dict[str, Any]] = [{"number": 0, "name": names[0], "parent": None, "joint": None, "particle": False}]
     for i, (parent, joint) in enumerate(zip(system.parent, system.parent_joints, strict=True), start=1):
         out.append({"number": i, "name": names[i], "parent": parent, "joint": joint,
                     "particle": records[names[i]].particle})  # fmt: skip
@@ -113,9 +111,7 @@ def coordinates(system: System, degrees: bool = False) -> list[dict[str, Any]]:
     for i, name in enumerate(system.coordinate_names):
         lower, upper = of.get(name, (-math.inf, math.inf))
         shown = "deg" if degrees and unit[name] == "rad" else unit[name]
-        out.append(
-            {"index": i, "name": name, "unit": shown, "lower": _number(lower), "upper": _number(upper)}
-        )
+        out.append({"index": i, "name": name, "unit": shown, "lower": _number(lower), "upper": _number(upper)})
     return out
 
 
@@ -123,11 +119,19 @@ def _coupling(of: str, follower: Follower) -> dict[str, Any]:
     return {"of": of, "source": follower.source, "multiplier": follower.multiplier, "offset": follower.offset}
 
 
+def pose_rows(X: spatial.Array, degrees: bool = False) -> spatial.Array:
+    """Poses (..., 4, 4) as rows (..., 6): x, y, z in metres, roll, pitch, yaw in radians or degrees."""
+    out = spatial.xyz_rpy_from_pose(X)
+    out[np.isnan(X).any(axis=(-2, -1))] = np.nan
+    if degrees:
+        out[..., 3:] /= DEGREE
+    return out
+
+
 def pose_facts(X: spatial.Array, frame: str, degrees: bool = False) -> dict[str, Any]:
     """A pose (4, 4) as matrix, position [m] and fixed-axis angles roll, pitch, yaw [rad, or degrees]."""
-    numbers = spatial.xyz_rpy_from_pose(X)
-    rpy = numbers[3:] / DEGREE if degrees else numbers[3:]
-    return {"frame": frame, "xyz": jsonable(numbers[:3]), "rpy": jsonable(rpy), "matrix": jsonable(X)}
+    numbers = pose_rows(X, degrees)
+    return {"frame": frame, "xyz": jsonable(numbers[:3]), "rpy": jsonable(numbers[3:]), "matrix": jsonable(X)}
 
 
 def poses_facts(system: System, frame: str | None, X: spatial.Array, degrees: bool = False) -> dict[str, Any]:
@@ -167,10 +171,7 @@ def solution_facts(system: System, answer: Solution, degrees: bool = False) -> d
 def models() -> dict[str, str]:
     """The shipped models by name, each with a line that says what it is: the first line of its file."""
     texts = {name: model_text(name) for name in library_models()}
-    return {
-        name: text.splitlines()[0].lstrip("# ") if text.startswith("#") else ""
-        for name, text in texts.items()
-    }
+    return {name: text.splitlines()[0].lstrip("# ") if text.startswith("#") else "" for name, text in texts.items()}
 
 
 def model_text(name: str) -> str:

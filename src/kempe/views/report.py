@@ -16,7 +16,7 @@ from rich.text import Text
 
 from kempe import spatial
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, Problem
-from kempe.views import facts, rows
+from kempe.views import facts
 from kempe.views.benchmark.timing import significant
 
 if TYPE_CHECKING:
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 WIDE = 100_000
 """Columns of an output that is not a terminal: nothing is cut or wrapped there."""
 
-NOTE_LIMIT = 10
-"""Notes about one file that are shown."""
+NOTE_LIMIT, REASON_LIMIT = 10, 5
+"""Notes about one file, and reasons why targets of a batch are not reached, that are shown."""
 
 _CONTROL = {i: f"\\x{i:02x}" for i in (*range(32), *range(127, 160)) if i not in (9, 10)}
 """Control characters, which a name from a file must not send to the terminal."""
@@ -38,9 +38,7 @@ def console(file: TextIO | None = None) -> Console:
     """A rich console that takes text literally, colours terminals only, and wraps nothing elsewhere."""
     target: TextIO = file or sys.stdout
     width = None if target.isatty() else WIDE
-    return Console(
-        file=target, width=width, markup=False, emoji=False, highlight=False, soft_wrap=width is not None
-    )
+    return Console(file=target, width=width, markup=False, emoji=False, highlight=False, soft_wrap=width is not None)
 
 
 def show(renderable: RenderableType, file: TextIO | None = None) -> None:
@@ -255,9 +253,7 @@ def poses(system: System, frame: str | None, X: spatial.Array, degrees: bool = F
     if X.ndim == 3:
         return Group(title, "", _pose_table(bodies, (">#", "body"), X, degrees))
     labels = [(i, *body) for i in range(len(X)) for body in bodies]
-    return Group(
-        title, "", _pose_table(labels, (">configuration", ">#", "body"), X.reshape(-1, 4, 4), degrees)
-    )
+    return Group(title, "", _pose_table(labels, (">configuration", ">#", "body"), X.reshape(-1, 4, 4), degrees))
 
 
 def _pose_table(
@@ -265,10 +261,8 @@ def _pose_table(
 ) -> Table:  # fmt: skip
     unit, places = ("deg", 4) if degrees else ("rad", 6)
     cells = [(*label, *(number(x) for x in r[:3]), *(number(x, places) for x in r[3:]))
-             for label, r in zip(labels, rows.pose_rows(X, degrees).tolist(), strict=True)]  # fmt: skip
-    return table(
-        (*columns, ">x [m]", ">y [m]", ">z [m]", *(f">{a} [{unit}]" for a in ("roll", "pitch", "yaw"))), cells
-    )
+             for label, r in zip(labels, facts.pose_rows(X, degrees).tolist(), strict=True)]  # fmt: skip
+    return table((*columns, ">x [m]", ">y [m]", ">z [m]", *(f">{a} [{unit}]" for a in ("roll", "pitch", "yaw"))), cells)
 
 
 def matrix(X: spatial.Array) -> str:
@@ -288,19 +282,21 @@ def solution(system: System, answer: Solution, degrees: bool = False) -> Rendera
         lines.append((c["name"], _value(x, c), c["unit"], "" if c["lower"] is c["upper"] is None else limits))
     title = "coordinate" if answer.success else "nearest found"
     copy = f"--q {','.join(f'{x:.9g}' for x in q.tolist())}" if lines else ""
-    return Group(
-        outcome(answer), "", table((title, ">value", "unit", "limits"), lines), "", Text(copy, style="dim")
-    )
+    return Group(outcome(answer), "", table((title, ">value", "unit", "limits"), lines), "", Text(copy, style="dim"))
 
 
 def outcome(answer: Solution) -> Text:
     """The sentence of an answer of `ik`, or how many of a batch of targets are reached and which are not."""
+    from kempe.solvers.explain import sentence
+
     if np.ndim(answer.success) == 0:
         return Text(clean(answer.status), style="bold green" if answer.success else "bold red")
     missed = np.flatnonzero(~np.asarray(answer.success)).tolist()
     text = Text(str(answer), style="bold red" if missed else "bold green")
-    if missed:
-        text.append(f"; not {rows_text(missed)}")
+    for row in missed[:REASON_LIMIT]:
+        text.append(f"\nrow {row}: {clean(sentence(answer, (row,)))}", "red")
+    if len(missed) > REASON_LIMIT:
+        text.append(f"\nand {rows_text(missed[REASON_LIMIT:])}", "red")
     return text
 
 

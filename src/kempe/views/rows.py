@@ -11,7 +11,7 @@ import numpy as np
 from kempe import spatial
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
-from kempe.views.facts import DEGREE, in_degrees, units
+from kempe.views.facts import DEGREE, in_degrees, pose_rows, units
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -27,20 +27,19 @@ def is_file(text: str) -> bool:
 
 def numbers(text: str, what: str) -> list[float]:
     """The numbers of 'a,b,c'. Errors: `InputError` naming the one that is none."""
-    out = []
-    for part in text.split(","):
-        try:
-            out.append(float(part))
-        except ValueError:
-            raise InputError(
-                f"{what}: {part.strip()!r} is not a number; write numbers with commas between them"
-            ) from None
-    return out
+    return _numbers(text.split(","), what)
 
 
-def configuration(
-    system: System, text: str | None, posture: str | None = None, degrees: bool = False
-) -> spatial.Array:
+def _numbers(parts: Sequence[str], what: str) -> list[float]:
+    try:
+        return [float(part) for part in parts]
+    except ValueError:
+        bad = next(part.strip() for part in parts if not _is_number(part))
+        advice = "write numbers with commas between them"
+        raise InputError(f"{what}: {bad!r} is not a number; {advice}") from None
+
+
+def configuration(system: System, text: str | None, posture: str | None = None, degrees: bool = False) -> spatial.Array:
     """Configurations from the command line: (nq,), or (n, nq) where `text` names a file.
 
     `text` is 'a,b,c' (all of q in order), 'name=value,...' (the rest neutral, or as in the posture), or a
@@ -75,9 +74,7 @@ def _named(system: System, text: str, degrees: bool) -> dict[str, float]:
         name, sign, value = part.partition("=")
         name = name.strip()
         if not sign:
-            raise InputError(
-                f"q: {part.strip()!r} has no '='; write name=value,name=value or all {system.nq} numbers"
-            )
+            raise InputError(f"q: {part.strip()!r} has no '='; write name=value,name=value or all {system.nq} numbers")
         if name in out:
             raise InputError(f"q: {name!r} is given twice")
         (x,) = numbers(value, f"q: {name}")
@@ -137,33 +134,43 @@ def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Ar
 def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, spatial.Array]:
     """Rows (n, k) of a .csv or .npy file, and the names in the first line of a .csv if it has them.
 
-    A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` that names the file.
+    A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` with the file and the line.
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
-    try:
-        return _read_npy(path, matrices) if path.suffix.lower() == ".npy" else _read_csv(path)
-    except (ValueError, EOFError) as error:
-        raise InputError(f"{path}: {str(error).splitlines()[0]}") from None
+    return _read_npy(path, matrices) if path.suffix.lower() == ".npy" else _read_csv(path)
 
 
 def _read_npy(path: Path, matrices: bool) -> tuple[None, spatial.Array]:
-    array = np.asarray(np.load(path, allow_pickle=False), dtype=float)
+    try:
+        array = np.asarray(np.load(path, allow_pickle=False), dtype=float)
+    except (ValueError, EOFError):
+        raise InputError(f"{path}: it is not a .npy file of numbers") from None
     if array.ndim == 2 or (matrices and array.ndim == 3 and array.shape[1:] == (4, 4)):
         return None, array
-    raise InputError(
-        f"it holds an array of shape {array.shape}; needed is one row for each configuration or target"
-    )
+    wanted = "a row for each target, or (n, 4, 4) poses" if matrices else "a row for each configuration"
+    raise InputError(f"{path}: it holds an array of shape {array.shape}; needed is {wanted}")
 
 
 def _read_csv(path: Path) -> tuple[list[str] | None, spatial.Array]:
-    with path.open(encoding="utf-8-sig") as file:
-        first = file.readline().split(",")
-    names = None if all(map(_is_number, first)) else [n.strip().strip('"') for n in first]
-    rows = np.loadtxt(path, delimiter=",", skiprows=0 if names is None else 1, ndmin=2, encoding="utf-8-sig")
-    if names is not None and rows.size and rows.shape[1] != len(names):
-        raise InputError(f"its first line names {len(names)} columns, the others have {rows.shape[1]}")
-    return names, rows.reshape(-1, rows.shape[1] if names is None else len(names))
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: it is not UTF-8 text") from None
+    table = [(i, line.split(",")) for i, line in enumerate(lines, start=1) if line.strip()]
+    names = None
+    if table and not any(map(_is_number, table[0][1])):
+        names = [name.strip().strip('"') for name in table[0][1]]
+        del table[0]
+    if not table:
+        raise InputError(f"{path}: it holds no rows of numbers")
+    width = len(table[0][1]) if names is None else len(names)
+    out = np.empty((len(table), width))
+    for row, (line, cells) in zip(out, table, strict=True):
+        if len(cells) != width:
+            raise InputError(f"{path}:{line}: {len(cells)} values; the first line has {width}")
+        row[:] = _numbers(cells, f"{path}:{line}")
+    return names, out
 
 
 def _is_number(text: str) -> bool:
@@ -179,9 +186,7 @@ def write(path: Path, columns: Sequence[str], rows: spatial.Array, array: spatia
     if path.suffix.lower() == ".npy":
         np.save(path, array)
     elif path.suffix.lower() == ".csv":
-        np.savetxt(
-            path, rows, delimiter=",", fmt="%.17g", header=",".join(columns), comments="", encoding="utf-8"
-        )
+        np.savetxt(path, rows, delimiter=",", fmt="%.17g", header=",".join(columns), comments="", encoding="utf-8")
     else:
         raise InputError(f"{path}: results are written to .csv or .npy files")
 
@@ -195,9 +200,7 @@ def tolerance(text: str) -> tuple[float, float]:
     """Largest errors in metres and radians, from 'm' (for both) or 'm,rad'."""
     values = numbers(text, "tolerance")
     if len(values) not in (1, 2) or not all(v > 0.0 for v in values):
-        raise InputError(
-            f"tolerance is {text!r}; it must be one or two positive numbers, in metres and radians"
-        )
+        raise InputError(f"tolerance is {text!r}; it must be one or two positive numbers, in metres and radians")
     return values[0], values[-1]
 
 
@@ -223,11 +226,3 @@ def write_configurations(path: Path, system: System, q: spatial.Array, degrees: 
     names = system.coordinate_names
     shown = in_degrees(np.atleast_2d(q), names, units(system), degrees)
     write(path, names, shown, shown)
-
-
-def pose_rows(X: spatial.Array, degrees: bool = False) -> spatial.Array:
-    """Poses (..., 4, 4) as rows (..., 6): x, y, z in metres, roll, pitch, yaw in radians or degrees."""
-    out = spatial.xyz_rpy_from_pose(X)
-    if degrees:
-        out[..., 3:] /= DEGREE
-    return out

@@ -23,7 +23,5 @@ class Bench:
 
         file = peers.robot_file("panda.urdf")
         if file is None:
-            raise UnsupportedError(
-                "the benchmark needs the package example-robot-data: pip install 'kempe[bench]'"
-            )
+            raise UnsupportedError("the benchmark needs the package example-robot-data: pip install 'kempe[bench]'")
         return peers.arm_of(kempe.load(file), "panda_hand", file)

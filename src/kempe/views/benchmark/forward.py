@@ -35,9 +35,7 @@ def batch(bench: Bench) -> Table:
     q = arm.random(BATCH)
     names = {"query": arm.system.query(arm.frame), "q": q, "out": np.empty((BATCH, 4, 4))}
     own, new = f"{BATCH:,} poses into out=", f"{BATCH:,} poses, a new array"
-    timed = cases(
-        "Kempe", names, (own, "query(q, out=out, threads=1)", BATCH), (new, "query(q, threads=1)", BATCH)
-    )
+    timed = cases("Kempe", names, (own, "query(q, out=out, threads=1)", BATCH), (new, "query(q, threads=1)", BATCH))
     loop, rows = (
         f"Python loop over {LOOP:,}, pose as array",
         {"q": list(q[:LOOP]), "out": np.zeros((LOOP, 4, 4))},
@@ -52,18 +50,12 @@ def batch(bench: Bench) -> Table:
         timed += cases("MuJoCo", _mujoco(arm) | rows, (loop, _MUJOCO_LOOP, LOOP))
     if "pytorch-kinematics" in bench.versions:
         timed += _torch(arm, q[:10_000], "batch of 10,000, float32, eager")
-    table = Table(
-        f"Forward: {arm.frame} of {arm.system.name}, batch, one thread", "ns a pose", measure(timed)
-    )
+    table = Table(f"Forward: {arm.frame} of {arm.system.name}, batch, one thread", "ns a pose", measure(timed))
     table.at_most("into out=, at most 20 ns a pose", table.value("Kempe", own), 20)
     table.at_most("a new array, at most 26 ns a pose", table.value("Kempe", new), 26)
-    table.at_least(
-        "into out=, at least 45 times as fast as Pinocchio's loop", table.ratio("Pinocchio", loop, own), 45
-    )
+    table.at_least("into out=, at least 45 times as fast as Pinocchio's loop", table.ratio("Pinocchio", loop, own), 45)
     table.at_least("a new array, at least 35 times as fast as it", table.ratio("Pinocchio", loop, new), 35)
-    table.at_least(
-        "at least 25 times as fast as ETS.eval", table.ratio("roboticstoolbox", "ETS.eval", own), 25
-    )
+    table.at_least("at least 25 times as fast as ETS.eval", table.ratio("roboticstoolbox", "ETS.eval", own), 25)
     return table
 
 

@@ -178,9 +178,7 @@ def ikpy_arm(arm: Arm) -> Any:
         kind = "prismatic" if link.slides else "revolute"
         at = link.X[:3, 3], spatial.matrix_to_rpy(link.X[:3, :3])
         links.append(link_type(link.name, *at, **axis, bounds=link.limits, joint_type=kind))
-    links.append(
-        link_type("tool", arm.tool[:3, 3], spatial.matrix_to_rpy(arm.tool[:3, :3]), joint_type="fixed")
-    )
+    links.append(link_type("tool", arm.tool[:3, 3], spatial.matrix_to_rpy(arm.tool[:3, :3]), joint_type="fixed"))
     return module("ikpy.chain").Chain(links, active_links_mask=[False, *(True for _ in arm.links), False])
 
 

@@ -70,15 +70,10 @@ def startup(bench: Bench) -> Table:
                 _wall(_FIRST, cold, file, frame, "fk"),
             )
         )
-        rows.append(
-            Row("Kempe", "then: process to its first inverse result", _wall(_FIRST, cold, file, frame, "ik"))
-        )
+        rows.append(Row("Kempe", "then: process to its first inverse result", _wall(_FIRST, cold, file, frame, "ik")))
         bench.say("  kempe warmup with an empty cache")
         rows.append(Row("Kempe", "empty cache: kempe warmup", _wall("import kempe; kempe.warmup()", warm)))
-        runs = [
-            (_wall(_FIRST, warm, file, frame, "ik"), _run(_FIRST, warm, file, frame, "ik"))
-            for _ in range(REPEATS)
-        ]
+        runs = [(_wall(_FIRST, warm, file, frame, "ik"), _run(_FIRST, warm, file, frame, "ik")) for _ in range(REPEATS)]
         wall = statistics.median(w for w, _ in runs)
         inside = [statistics.median(column) for column in zip(*(json.loads(r) for _, r in runs), strict=True)]
     labels = (

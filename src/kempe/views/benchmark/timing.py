@@ -127,6 +127,4 @@ def measure(cases: Sequence[Case], scale: float = 1e9, rounds: int = ROUNDS) -> 
     for _ in range(rounds):
         for case, timer, number, record in zip(cases, timers, numbers, turns, strict=True):
             record.append(timer.timeit(number) / (number * case.results))
-    return [
-        Row(c.library, c.call, statistics.median(t) * scale * 1e-9) for c, t in zip(cases, turns, strict=True)
-    ]
+    return [Row(c.library, c.call, statistics.median(t) * scale * 1e-9) for c, t in zip(cases, turns, strict=True)]

@@ -1,0 +1,502 @@
+"""Broken and unusual files: what each is, what is in it, and what Kempe must say (or that it must load)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+LINKS = '<link name="base"/>\n<link name="arm"/>\n<link name="hand"/>\n'
+
+
+@dataclass(frozen=True)
+class Case:
+    """`says`: pieces that the message must have, in any order; `line`: the first problem's line; None: it must load.
+
+    `note` is what a loadable file must be remarked on with, `holds` what must be true of its mechanism m.
+    """
+
+    title: str
+    text: str
+    says: tuple[str, ...] | None = None
+    line: int | None = None
+    note: str = ""
+    holds: str = "True"
+    encoding: str = "utf-8"
+    suffix: str = ".urdf"
+    any_encoding: bool = True
+
+
+def robot(*lines: str, links: str = LINKS) -> str:
+    """A URDF text; the given lines come after the opening tag and the three links, on lines 5, 6, ..."""
+    return f'<robot name="r">\n{links}' + "".join(f"{line}\n" for line in lines) + "</robot>\n"
+
+
+def joint(
+    name: str = "elbow",
+    inside: str = '<limit lower="-1" upper="1" effort="9" velocity="2"/>',
+    kind: str = "revolute",
+    parent: str = "base",
+    child: str = "arm",
+) -> str:
+    """A <joint> on one line."""
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}{inside}</joint>'
+
+
+SHOULDER = joint("shoulder")
+WRIST = joint("wrist", parent="arm", child="hand")
+LIMIT = '<limit lower="-1" upper="1" effort="9" velocity="2"/>'
+
+
+def mimic(of: str) -> str:
+    """A limit and a <mimic>."""
+    return f'{LIMIT}<mimic joint="{of}"/>'
+
+
+URDF_CASES = [
+    Case(
+        "an external entity in a DTD",
+        '<!DOCTYPE robot [<!ENTITY x SYSTEM "file:///etc/passwd">]>\n' + robot(SHOULDER, WRIST),
+        ("DTD", "remove it"),
+        1,
+    ),
+    Case(
+        "an external parameter entity in a DTD",
+        '<?xml version="1.0"?>\n<!DOCTYPE robot [<!ENTITY % x SYSTEM "file:///etc/passwd"> %x;]>\n'
+        + robot(SHOULDER, WRIST),
+        ("DTD", "remove it"),
+        2,
+    ),
+    Case(
+        "entities that double ten times each (billion laughs)",
+        '<!DOCTYPE robot [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;">]>\n' + robot('<link name="&b;"/>'),
+        ("DTD", "remove it"),
+        1,
+    ),
+    Case("an entity that nobody declared", robot('<link name="&x;"/>'), ("entity", "&amp;"), 5),
+    Case(
+        "a mesh path that leads out of the folders of the model",
+        robot(
+            SHOULDER,
+            WRIST,
+            links='<link name="base"><visual><geometry><mesh filename="../../../etc/passwd"/></geometry></visual></link>\n'
+            '<link name="arm"/>\n<link name="hand"/>\n',
+        ),
+        holds="'../../../etc/passwd' in m.bodies['base'].visuals[0]",
+    ),
+    Case(
+        "not a number in an origin",
+        robot(joint(inside='<origin xyz="nan 0 1"/>' + LIMIT), WRIST),
+        ("joint 'elbow'", "origin xyz", "'nan' is not finite", "3 finite numbers"),
+        5,
+    ),
+    Case(
+        "an infinite number in an origin",
+        robot(joint(inside='<origin rpy="0 1e999 1"/>' + LIMIT), WRIST),
+        ("joint 'elbow'", "origin rpy", "'1e999' is not finite", "3 finite numbers"),
+        5,
+    ),
+    Case(
+        "an axis of zeros",
+        robot(SHOULDER, joint("wrist", '<axis xyz="0 0 0"/>' + LIMIT, parent="arm", child="hand")),
+        ("joint 'wrist'", "axis", "0 0 0", "must not be zero"),
+        6,
+    ),
+    Case(
+        "a circle of joints: no link is the root",
+        robot(SHOULDER, WRIST, joint("back", parent="hand", child="base")),
+        ("no link is the root", "'arm' -> 'hand' -> 'base' -> 'arm'", "root='arm'"),
+        3,
+    ),
+    Case(
+        "a circle that is detached from the root",
+        robot(joint("a", parent="arm", child="hand"), joint("b", parent="hand", child="arm")),
+        ("no joints lead from the root 'base'", "'arm' (line 3)", "'hand' (line 4)", "join them"),
+        3,
+    ),
+    Case(
+        "two joints that lead to one link (a loop)",
+        robot(SHOULDER, WRIST, joint("second", parent="base", child="hand")),
+        holds="len(m.joints) == 3 and m.build().closures",
+    ),
+    Case(
+        "a chain of 3 000 links",
+        robot(
+            *(joint(f"j{i}", parent=f"l{i}", child=f"l{i + 1}") for i in range(2999)),
+            links="".join(f'<link name="l{i}"/>\n' for i in range(3000)),
+        ),
+        holds="len(m.joints) == 2999",
+    ),
+    Case(
+        "a chain of 20 000 links",
+        robot(
+            *(joint(f"j{i}", parent=f"l{i}", child=f"l{i + 1}") for i in range(19999)),
+            links="".join(f'<link name="l{i}"/>\n' for i in range(20000)),
+        ),
+        holds="len(m.joints) == 19999",
+        any_encoding=False,
+    ),
+    Case(
+        "two links of one name",
+        robot(SHOULDER, WRIST, '<link name="arm"/>'),
+        ("link 'arm'", "another link of this name", "file.urdf:3", "unique"),
+        7,
+    ),
+    Case(
+        "two joints of one name",
+        robot(joint("j"), joint("j", parent="arm", child="hand")),
+        ("joint 'j'", "another joint of this name", "file.urdf:5", "unique"),
+        6,
+    ),
+    Case(
+        "Latin-1 bytes without a declaration",
+        robot('<link name="Gelenkträger"/>', joint("j")),
+        ("0xe4 is not UTF-8", "'ä'", "save the file as UTF-8"),
+        5,
+        encoding="latin-1",
+        any_encoding=False,
+    ),
+    Case(
+        "Latin-1 bytes, declared",
+        '<?xml version="1.0" encoding="ISO-8859-1"?>\n'
+        + robot(SHOULDER, WRIST, joint("g", parent="hand", child="ä"), '<link name="ä"/>'),
+        holds="'ä' in m.bodies",
+        encoding="latin-1",
+        any_encoding=False,
+    ),
+    Case(
+        "a declared encoding that is not the file's",
+        '<?xml version="1.0" encoding="UTF-16"?>\n' + robot(SHOULDER, WRIST),
+        ("declares 'UTF-16'", "save it as UTF-8"),
+        1,
+        any_encoding=False,
+    ),
+    Case(
+        "an encoding that is not read",
+        '<?xml version="1.0" encoding="Shift_JIS"?>\n' + robot(SHOULDER, WRIST),
+        ("declares the encoding 'Shift_JIS'", "save it as UTF-8"),
+        1,
+        any_encoding=False,
+    ),
+    Case(
+        "UTF-16 with its byte order mark",
+        robot(SHOULDER, joint("Ellbögen", parent="arm", child="hand")),
+        holds="'Ellbögen' in m.joints",
+        encoding="utf-16",
+        any_encoding=False,
+    ),
+    Case(
+        "UTF-16 without its byte order mark",
+        robot(SHOULDER, WRIST),
+        ("UTF-16", "byte order mark", "UTF-8"),
+        1,
+        encoding="utf-16-le",
+        any_encoding=False,
+    ),
+    Case("UTF-8 names with accents", robot(joint("épaule"), WRIST), holds="'épaule' in m.joints"),
+    Case(
+        "a child link that does not exist",
+        robot(SHOULDER, joint("wrist", parent="arm", child="hnad")),
+        ("joint 'wrist'", "child link 'hnad' does not exist", "did you mean 'hand'"),
+        6,
+    ),
+    Case(
+        "joints that mimic each other",
+        robot(
+            joint("a", mimic("b")),
+            joint("b", mimic("a"), parent="arm", child="hand"),
+        ),
+        ("mimics itself", "'a' mimics 'b' mimics 'a'", "must be free"),
+        5,
+    ),
+    Case(
+        "a joint that mimics a missing joint",
+        robot(SHOULDER, joint("wrist", mimic("sholder"), parent="arm", child="hand")),
+        ("joint 'wrist'", "joint 'sholder', which does not exist", "did you mean 'shoulder'"),
+        6,
+    ),
+    Case(
+        "a mimic of a mimic",
+        robot(
+            joint("a"),
+            joint("b", mimic("a"), parent="arm", child="hand"),
+            joint("c", mimic("b"), parent="hand", child="tip"),
+            '<link name="tip"/>',
+        ),
+        holds="m.build().nq == 1",
+    ),
+    Case(
+        "an axis that is not of unit length",
+        robot(joint(kind="prismatic", inside='<axis xyz="0 0 2"/>' + LIMIT), WRIST),
+        note="axis 0 0 2 has length 2; it was normalised",
+        holds="abs(m.build().fk({'elbow': 0.5}, 'arm')[2, 3] - 0.5) < 1e-15",
+    ),
+    Case(
+        "two root links",
+        robot(joint("a", child="hand"), joint("b", parent="arm", child="hand")),
+        ("2 links are nobody's child", "'base' (line 2)", "'arm' (line 3)", "root='base'"),
+        3,
+    ),
+    Case(
+        "two separate robots",
+        robot(SHOULDER),
+        ("2 links are nobody's child", "'hand' (line 4)", "join them by joints"),
+        4,
+    ),
+    Case(
+        "a file that ends too soon",
+        robot(SHOULDER, WRIST)[:-40],
+        ("the file ends inside <joint> opened on line 6", "truncated"),
+        6,
+    ),
+    Case(
+        "a closing tag that does not fit",
+        robot(SHOULDER, "<link name='x'></joint>"),
+        ("closes <link> opened on line 6", "</link>"),
+        6,
+    ),
+    Case(
+        "a lower limit above the upper one",
+        robot(joint(inside='<limit lower="1" upper="-1" effort="1" velocity="1"/>'), WRIST),
+        ("joint 'elbow'", "swapped", "lower='1' upper='-1'", "lower must not be above upper"),
+        5,
+    ),
+    Case(
+        "a comma for the decimal point",
+        robot(joint(inside='<origin xyz="0 0 1,5"/>' + LIMIT), WRIST),
+        ("joint 'elbow'", "'1,5' is not a number", "1.5", "3 finite numbers"),
+        5,
+    ),
+    Case(
+        "commas between numbers",
+        robot(joint(inside='<origin xyz="0,0,1"/>' + LIMIT), WRIST),
+        ("joint 'elbow'", "'0,0,1' is not a number", "no commas", "3 finite numbers"),
+        5,
+    ),
+    Case(
+        "two numbers where three are needed",
+        robot(joint(inside='<origin xyz="0 1"/>' + LIMIT), WRIST),
+        ("joint 'elbow'", "origin xyz is '0 1': 2 numbers", "3 finite numbers"),
+        5,
+    ),
+    Case(
+        "a floating joint",
+        robot(joint(kind="floating", inside=""), WRIST),
+        holds="m.joints['elbow'].type.type_name == 'free'",
+    ),
+    Case(
+        "a planar joint",
+        robot(joint(kind="planar", inside='<axis xyz="0 1 0"/>'), WRIST),
+        holds="m.joints['elbow'].type.type_name == 'planar'",
+    ),
+    Case(
+        "an unknown joint type",
+        robot(joint(kind="revolut"), WRIST),
+        ("joint 'elbow'", "unknown type 'revolut'", "did you mean 'revolute'", "prismatic"),
+        5,
+    ),
+    Case(
+        "a joint without a type",
+        robot('<joint name="elbow"><parent link="base"/><child link="arm"/></joint>', WRIST),
+        ("joint 'elbow'", "it has no type", "revolute, continuous, prismatic"),
+        5,
+    ),
+    Case(
+        "a joint from a link to itself",
+        robot(SHOULDER, joint("odd", parent="hand", child="hand"), WRIST),
+        ("joint 'odd'", "connects link 'hand' to itself", "two links"),
+        6,
+    ),
+    Case("an empty file", "", ("empty", "URDF or TOML"), any_encoding=False),
+    Case("a file of blanks", " \n \n", ("blanks", "URDF or TOML")),
+    Case("a file that is no XML", "Hello!\n", ("no XML element", "<robot"), 1),
+    Case(
+        "a robot without links",
+        '<robot name="r">\n</robot>\n',
+        ("no robot in this file", "without a <link>"),
+        1,
+    ),
+    Case("a link without a name", robot(SHOULDER, WRIST, "<link/>"), ("a link has no name", "needs a name"), 7),
+    Case(
+        "a joint with an empty name",
+        robot(joint(""), WRIST),
+        ("a joint has an empty name", "needs a name"),
+        5,
+    ),
+    Case(
+        "a joint without a parent",
+        robot('<joint name="elbow" type="fixed"><child link="arm"/></joint>', WRIST),
+        ("joint 'elbow'", "no <parent link=...>"),
+        5,
+    ),
+    Case(
+        "a slip in the name of an element",
+        robot(joint(inside='<orgin xyz="0 0 1"/>' + LIMIT), WRIST),
+        ("joint 'elbow'", "unknown element 'orgin'", "did you mean 'origin'"),
+        5,
+    ),
+    Case(
+        "a slip in the name of an attribute",
+        robot(joint(inside='<mimic joint="wrist" multplier="2"/>' + LIMIT), WRIST),
+        ("joint 'elbow'", "unknown mimic attribute 'multplier'", "did you mean 'multiplier'"),
+        5,
+    ),
+    Case(
+        "an element that is given twice",
+        robot(joint(inside='<origin xyz="0 0 1"/><origin xyz="0 0 2"/>' + LIMIT), WRIST),
+        ("joint 'elbow'", "two <origin> elements", "one is allowed"),
+        5,
+    ),
+    Case(
+        "a xacro file that was not expanded",
+        robot(joint(inside='<origin xyz="${l} 0 1"/>' + LIMIT), WRIST),
+        ("xacro", "'${l} 0 1'", "xacro=True"),
+        5,
+    ),
+    Case(
+        "a revolute joint without limits",
+        robot(joint(inside=""), WRIST),
+        note="should have a <limit>; without one it is taken as unlimited",
+        holds="m.joints['elbow'].limits == {}",
+    ),
+    Case(
+        "a limit without numbers",
+        robot(joint(inside='<limit effort="1" velocity="1"/>'), WRIST),
+        note="by the rules of URDF both are 0 and the joint cannot move",
+        holds="m.joints['elbow'].limits == {'': (0.0, 0.0)}",
+    ),
+    Case(
+        "a transmission of a missing joint",
+        robot(SHOULDER, WRIST, '<transmission name="t"><joint name="knee"/></transmission>'),
+        note="a <transmission> speaks of joint 'knee', which does not exist",
+    ),
+    Case(
+        "a negative speed limit",
+        robot(joint(inside='<limit lower="-1" upper="1" effort="1" velocity="-2"/>'), WRIST),
+        ("joint 'elbow'", "velocity limit is -2", "must not be negative"),
+        5,
+    ),
+    Case(
+        "elements nested 1 000 deep",
+        robot("<a>" * 1000),
+        ("nested more than 100 deep", "no robot"),
+        5,
+    ),
+    Case(
+        "30 problems at once",
+        robot(SHOULDER, WRIST, *(joint(f"j{i}", parent="base", child=f"x{i}") for i in range(30))),
+        ("joint 'j0'", "joint 'j19'", "and 10 more"),
+        7,
+    ),
+]
+
+TOML_HEAD = 'format = 1\nname = "m"\ndim = 2\n[[body]]\nname = "a"\n[[body]]\nname = "b"\n'
+"""Seven lines."""
+
+
+def toml(*lines: str) -> str:
+    """A TOML text with the bodies a and b; the given lines follow on lines 8, 9, ..."""
+    return TOML_HEAD + "".join(f"{line}\n" for line in lines)
+
+
+def toml_joint(name: str, *more: str, kind: str = "revolute", parent: str = "ground", child: str = "a") -> str:
+    """A [[joint]]: its header, then name, type, parent, child, and more, one a line."""
+    return "\n".join(
+        ["[[joint]]", f'name = "{name}"', f'type = "{kind}"', f'parent = "{parent}"', f'child = "{child}"', *more]
+    )
+
+
+A, B = toml_joint("A"), toml_joint("B", parent="a", child="b")
+
+TOML_CASES = [
+    Case("a file that is not TOML", toml("[[joint"), ("this is not TOML", "see the caret"), 8),
+    Case("a text that ends too soon", toml('x = "ab')[:-1], ("this is not TOML", "caret"), 8),
+    Case("a list that ends too soon", toml("notes = [1, 2")[:-1], ("this is not TOML", "truncated"), 8),
+    Case("a comma for the decimal point", toml("[parameters]", "l1 = 1,5"), ("not TOML", "decimals take a point"), 9),
+    Case("no line that says the format", 'name = "m"\n', ("no line 'format = 1'", "starts with it")),
+    Case("another format", "format = 7\n", ("format is 7", "reads format 1"), 1),
+    Case("an unknown table", toml("[[joints]]"), ("unknown key 'joints'", "did you mean 'joint'"), 8),
+    Case(
+        "single brackets", 'format = 1\n[body]\nname = "a"\n', ("'body' is not a list of tables", "[[body]]"), 2
+    ),
+    Case(
+        "an unknown key",
+        toml(A, "limts = [0, 1]", B),
+        ("joint 'A'", "unknown key 'limts'", "did you mean 'limits'"),
+        13,
+    ),
+    Case("a missing key", toml("[[joint]]", 'name = "A"'), ("joint 'A'", "'type' is missing", "parent, child"), 8),
+    Case(
+        "not a number in a placement",
+        toml(toml_joint("A", "at = [nan, 0]"), B),
+        ("joint 'A'", "at is nan", "finite"),
+        13,
+    ),
+    Case("a wrong count", toml(toml_joint("A", "at = [1]"), B), ("joint 'A'", "at has 1 numbers", "2 or 3"), 13),
+    Case(
+        "an axis of zeros",
+        toml(toml_joint("A", "axis = [0, 0, 0]"), B),
+        ("joint 'A'", "axis is 0.0 0.0 0.0", "not zero"),
+        13,
+    ),
+    Case("swapped limits", toml(toml_joint("A", "limits = [1, -1]"), B), ("joint 'A'", "lower limit 1 is above"), 13),
+    Case("two bodies of one name", toml("[[body]]", 'name = "a"'), ("body 'a'", "another body", "file.toml:4"), 8),
+    Case("two joints of one name", toml(A, A), ("joint 'A'", "another joint", "file.toml:8"), 13),
+    Case(
+        "a missing body",
+        toml(toml_joint("A", child="aa")),
+        ("joint 'A'", "child is 'aa', which is no body", "did you mean 'a'"),
+        12,
+    ),
+    Case(
+        "a joint from a body to itself",
+        toml(toml_joint("A", parent="a")),
+        ("joint 'A'", "connects body 'a' to itself", "two bodies"),
+        8,
+    ),
+    Case("an unknown joint type", toml(toml_joint("A", kind="revolut")), ("unknown joint type 'revolut'",), 10),
+    Case(
+        "a joint that leaves the plane",
+        toml(toml_joint("A", kind="spherical")),
+        ("joint 'A'", "does not exist in the plane", "planar systems take"),
+        8,
+    ),
+    Case("an unknown parameter", toml(toml_joint("A", 'at = ["l1", 0]')), ("joint 'A'", "no parameter 'l1'"), 13),
+    Case(
+        "an expression that calls something else",
+        toml(toml_joint("A", "at = [\"__import__('os')\", 0]")),
+        ("joint 'A'", "calls '__import__'", "sin, cos"),
+        13,
+    ),
+    Case(
+        "coordinates that follow each other",
+        toml(A, B, "[[coupling]]", 'of = "A"', "sources = {B = 1}", "[[coupling]]", 'of = "B"', "sources = {A = 1}"),
+        ("it follows itself: A -> B -> A",),
+        18,
+    ),
+    Case(
+        "a coupling of a missing joint",
+        toml(A, B, "[[coupling]]", 'of = "A"', "sources = {BB = 1}"),
+        ("coupling 'A'", "'BB' is no coordinate", "did you mean 'B'"),
+        20,
+    ),
+    Case("detached bodies", toml(A), ("no joints lead from 'ground' to 'b'", "free"), 6),
+    Case(
+        "a loop",
+        toml(A, B, toml_joint("C", "at = [1, 0]", child="b")),
+        holds="m.build().closures == ('C',) or m.build().closures",
+    ),
+    Case("a posture of a missing joint", toml(A, B, "[postures]", "home = {AA = 1}"), ("'AA' is no coordinate",), 19),
+    Case("an integer of 100 digits", toml("[parameters]", "l = 1" + "0" * 100), ("more than 64 bits",), 9),
+    Case("a date", toml("[parameters]", "l = 1979-05-27"), ("is a date", "quotes"), 9),
+    Case("brackets nested 5 000 deep", toml("notes = " + "[" * 5000 + "]" * 5000), ("nested too deep",)),
+    Case("an empty file", "", ("empty", "URDF or TOML"), any_encoding=False),
+    Case(
+        "Latin-1 bytes",
+        toml('notes = ["ä"]'),
+        ("0xe4 is not UTF-8", "'ä'", "save the file as UTF-8"),
+        8,
+        encoding="latin-1",
+        any_encoding=False,
+    ),
+]
+TOML_CASES = [Case(**{**c.__dict__, "suffix": ".toml"}) for c in TOML_CASES]

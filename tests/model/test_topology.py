@@ -1,0 +1,374 @@
+"""Graph -> spanning tree: what is required of the result, on graphs that nobody chose."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kempe import Mechanism, System
+from kempe.errors import DescriptionError
+from kempe.joints import joint_type
+from kempe.model.topology import natural, spanning_tree
+
+KINDS = ["fixed", "revolute", "prismatic", "universal", "spherical", "planar", "free"]
+
+
+@dataclass(frozen=True)
+class Edge:
+    """One joint of a random graph."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    at: tuple[float, ...]
+    actuated: bool | None = None
+    cut: bool = False
+
+
+@dataclass(frozen=True)
+class Graph:
+    """A connected graph of bodies and joints, in an order of declaration."""
+
+    bodies: tuple[str, ...]
+    edges: tuple[Edge, ...]
+    gears: tuple[tuple[str, str], ...] = ()
+
+    def mechanism(self) -> Mechanism:
+        m = Mechanism("graph")
+        for body in self.bodies:
+            m.body(body)
+        for e in self.edges:
+            m.joint(e.name, e.kind, e.parent, e.child, at=e.at[:3], rpy=e.at[3:6], child_at=e.at[6:],
+                    actuated=e.actuated, cut=e.cut)  # fmt: skip
+        for of, source in self.gears:
+            m.gear(of, source, 0.5)
+        return m
+
+    def shuffled(self, seed: int) -> Graph:
+        rng = np.random.default_rng(seed)
+        return replace(self, bodies=tuple(rng.permutation(self.bodies).tolist()),
+                       edges=tuple(self.edges[i] for i in rng.permutation(len(self.edges))),
+                       gears=tuple(self.gears[i] for i in rng.permutation(len(self.gears))))  # fmt: skip
+
+
+@st.composite
+def graphs(draw, most: int = 9, loops: int = 5) -> Graph:
+    n = draw(st.integers(1, most))
+    seed = draw(st.integers(0, 2**32))
+    extra = draw(st.integers(0, loops))
+    rng = np.random.default_rng(seed)
+    names = [f"b{i}" for i in rng.permutation(n)]
+    everyone = ["ground", *names]
+    edges = []
+    for k in range(n + extra):
+        a = everyone[int(rng.integers(0, k + 1))] if k < n else everyone[int(rng.integers(0, n + 1))]
+        b = names[k] if k < n else everyone[int(rng.integers(0, n + 1))]
+        if a == b:
+            continue
+        a, b = (a, b) if rng.random() < 0.6 else (b, a)
+        edges.append(Edge(f"j{int(rng.integers(0, 10))}_{k}", str(rng.choice(KINDS)), a, b,
+                          tuple(rng.uniform(-1, 1, 9).round(3).tolist()),
+                          [None, None, True, False][int(rng.integers(4))], bool(rng.random() < 0.15)))  # fmt: skip
+    single = [e.name for e in edges if e.kind in ("revolute", "prismatic")]
+    gears = ((single[0], single[1]),) if len(single) > 1 and rng.random() < 0.3 else ()
+    return Graph(tuple(rng.permutation(names).tolist()), tuple(edges), gears).shuffled(seed)
+
+
+def tree_by_name(system: System) -> dict:
+    t = system.topology
+    return {b: (t.bodies[p], j, r) for b, p, j, r in zip(t.bodies[1:], t.parent, t.parent_joints, t.reversed_, strict=True)}
+
+
+# ------------------------------------------------------------------ permutations
+
+
+@given(graph=graphs(), seed=st.integers(0, 10**6))
+@settings(max_examples=120)
+def test_the_order_of_the_file_changes_no_answer_by_name(graph, seed):
+    one, other = graph.mechanism().build(), graph.shuffled(seed).mechanism().build()
+    assert set(one.closures) == set(other.closures)
+    assert tree_by_name(one) == tree_by_name(other)
+    assert sorted(one.coordinate_names) == sorted(other.coordinate_names)
+    by_name = lambda s, x: dict(zip(s.velocity_names, x.tolist(), strict=True))  # noqa: E731
+    assert by_name(one, one.lower) == by_name(other, other.lower)
+    q, p = one.random(3), other.random(3)
+    assert one.q_dict(q) == other.q_dict(p)
+    poses, others = one.fk(q), other.fk(p)
+    for name in one.body_names:
+        np.testing.assert_allclose(
+            poses[one.body_names.index(name)], others[other.body_names.index(name)], rtol=0, atol=1e-13
+        )
+    for name in one.closures:
+        np.testing.assert_allclose(one.closure_error(q)[one.closures.index(name)],
+                                   other.closure_error(p)[other.closures.index(name)], rtol=0, atol=1e-9)  # fmt: skip
+
+
+# ------------------------------------------------------------------ the tree
+
+
+@given(graph=graphs())
+@settings(max_examples=120)
+def test_it_is_a_spanning_tree_that_keeps_directions(graph):
+    t = spanning_tree(graph.mechanism())
+    ends = {e.name: (e.parent, e.child) for e in graph.edges}
+    assert t.bodies[0] == "ground" and sorted(t.bodies[1:]) == sorted(graph.bodies)
+    assert sorted([*t.parent_joints, *t.closures]) == sorted(ends)
+    for i, (p, joint, backwards) in enumerate(zip(t.parent, t.parent_joints, t.reversed_, strict=True), start=1):
+        assert 0 <= p < i
+        there = (t.bodies[i], t.bodies[p]) if backwards else (t.bodies[p], t.bodies[i])
+        assert ends[joint] == there
+    assert list(t.closures) == [e.name for e in graph.edges if e.name in t.closures]
+
+
+@given(graph=graphs())
+@settings(max_examples=120)
+def test_bodies_keep_their_order_unless_a_parent_comes_later(graph):
+    t = spanning_tree(graph.mechanism())
+    parent = {b: t.bodies[p] for b, p in zip(t.bodies[1:], t.parent, strict=True)}
+    expected, waiting = ["ground"], list(graph.bodies)
+    while waiting:  # always the first declared body whose parent is there
+        body = next(b for b in waiting if parent[b] in expected)
+        waiting.remove(body)
+        expected.append(body)
+    assert list(t.bodies) == expected
+
+
+@given(graph=graphs(loops=8))
+@settings(max_examples=120)
+def test_on_every_loop_the_least_wanted_joint_is_cut(graph):
+    """Fixed, actuated and coupled joints stay; of the others those with many freedoms go, then those far away."""
+    m = graph.mechanism()
+    t = spanning_tree(m)
+    edges = {e.name: e for e in graph.edges}
+    coupled = {name for gear in graph.gears for name in gear}
+    neighbours: dict[str, set[str]] = {b: set() for b in ("ground", *graph.bodies)}
+    for e in graph.edges:
+        neighbours[e.parent].add(e.child)
+        neighbours[e.child].add(e.parent)
+    level, front = {"ground": 0}, ["ground"]
+    while front:
+        front = [there for here in front for there in sorted(neighbours[here]) if there not in level
+                 and level.setdefault(there, level[here] + 1)]  # fmt: skip
+
+    def cost(e: Edge) -> tuple:
+        dof = joint_type(e.kind).dof()
+        wanted = 0 if e.actuated or e.name in coupled else 1 if e.actuated is None else 2
+        return e.cut, dof > 0, wanted, dof, level[e.parent] + level[e.child]
+
+    up = {b: (t.bodies[p], j) for b, p, j in zip(t.bodies[1:], t.parent, t.parent_joints, strict=True)}
+
+    def way(body: str) -> list[str]:
+        joints = []
+        while body != "ground":
+            body, joint = up[body]
+            joints.append(joint)
+        return joints
+
+    for name in t.closures:
+        loop = set(way(edges[name].parent)) ^ set(way(edges[name].child))
+        assert all(cost(edges[j]) <= cost(edges[name]) for j in loop), (name, loop)
+
+
+# ------------------------------------------------------------------ the lecture
+
+
+def seven_bodies(loop: bool = False) -> Mechanism:
+    m = Mechanism("seven bodies", ground="B0")
+    for i in range(1, 8):
+        m.body(f"B{i}")
+    for i, parent in enumerate((0, 1, 2, 1, 4, 4, 2), start=1):
+        m.revolute(f"J{i}", f"B{parent}", f"B{i}", at=(1, 0, 0))
+    if loop:
+        m.prismatic("J8", "B5", "B0", axis=(1, 0, 0))
+    return m
+
+
+def test_the_lectures_connectivity_vector():
+    s = seven_bodies().build()
+    assert s.parent == (0, 1, 2, 1, 4, 4, 2)
+    assert s.parent_joints == tuple(f"J{i}" for i in range(1, 8))  # joint i is the parent joint of body i
+    assert s.body_names == tuple(f"B{i}" for i in range(8)) and s.closures == ()
+    assert s.topology.reversed_ == (False,) * 7
+
+
+def test_a_loop_through_the_ground_does_not_change_the_rest():
+    s = seven_bodies(loop=True).build()
+    assert len(s.closures) == 1 and s.nq == 8
+    cut = s.mechanism.joints[s.closures[0]]
+    assert {cut.parent, cut.child} & {"B5", "B4", "B1"}
+
+
+@pytest.mark.parametrize("order", [(3, 1, 2), (2, 3, 1), (3, 2, 1)])
+def test_a_child_waits_for_its_parent(order):
+    m = Mechanism()
+    for i in order:
+        m.body(f"b{i}")
+    m.revolute("j3", "b2", "b3"), m.revolute("j2", "b1", "b2"), m.revolute("j1", "ground", "b1")
+    s = m.build()
+    assert s.body_names == ("ground", "b1", "b2", "b3") and s.parent == (0, 1, 2)
+    assert s.coordinate_names == ("j3", "j2", "j1")  # q is in the order of the joints
+
+
+# ------------------------------------------------------------------ what is cut
+
+
+def square(**changes: dict) -> Mechanism:
+    """Four-bar: A and D on the ground, B and C between."""
+    m = Mechanism("square")
+    for body in ("crank", "coupler", "rocker"):
+        m.body(body)
+    for name, parent, child in (("A", "ground", "crank"), ("B", "crank", "coupler"), ("C", "coupler", "rocker"),
+                                ("D", "ground", "rocker")):  # fmt: skip
+        m.joint(name, **{"kind": "revolute", "parent": parent, "child": child, **changes.get(name, {})})
+    return m
+
+
+def cut(m: Mechanism) -> str:
+    (name,) = spanning_tree(m).closures
+    return name
+
+
+def test_a_shallow_tree_is_preferred():
+    assert cut(square()) in ("B", "C")
+
+
+@pytest.mark.parametrize("name", "ABCD")
+def test_many_freedoms_are_cut_first(name):
+    assert cut(square(**{name: {"kind": "spherical"}})) == name
+    assert cut(square(**{name: {"kind": "universal"}, "A" if name != "A" else "B": {"kind": "fixed"}})) == name
+
+
+@pytest.mark.parametrize("name", "ABCD")
+def test_the_user_names_the_cut(name):
+    assert cut(square(**{name: {"cut": True}})) == name
+    others = {n: {"kind": "spherical", "actuated": False} for n in "ABCD" if n != name}
+    assert cut(square(**{name: {"cut": True, "kind": "fixed", "actuated": True}}, **others)) == name
+
+
+@pytest.mark.parametrize("name", "ABCD")
+def test_actuated_fixed_and_coupled_joints_stay(name):
+    spare = next(n for n in "BCAD" if n != name)
+    assert cut(square(**{name: {"actuated": True, "kind": "spherical"}})) != name
+    assert cut(square(**{name: {"kind": "fixed", "actuated": False}})) != name
+    m = square(**{spare: {"actuated": False}})
+    assert cut(m) == spare
+    m = square()
+    other = next(n for n in "DABC" if n != name)
+    m.gear(name, other, -1.0)
+    assert cut(m) not in (name, other)
+
+
+def test_coupled_joints_are_found_behind_dots():
+    """A coordinate is named 'joint.rz', and joints may have dots in their own names."""
+    m = Mechanism()
+    m.body("a"), m.body("b")
+    m.cylindrical("arm.1", "ground", "a"), m.revolute("x", "a", "b"), m.cylindrical("arm.2", "ground", "b")
+    m.revolute("y", "b", m.body("c"))
+    m.gear("arm.2.rz", "y", 1.0)
+    m.gear("arm.1.rz", "y", 2.0)
+    assert cut(m) == "x"
+
+
+def test_a_cut_that_would_detach_is_ignored():
+    m = Mechanism()
+    m.revolute("only", "ground", m.body("b"), cut=True)
+    assert m.build().closures == ()
+
+
+def test_two_joints_between_the_same_two_bodies_are_a_loop():
+    m = Mechanism()
+    m.revolute("j1", "ground", m.body("b"))
+    m.revolute("j2", "b", "ground", at=(1, 0, 0))
+    assert m.build().closures == ("j2",) and m.build().topology.reversed_ == (False,)
+
+
+def test_ties_are_broken_by_natural_names():
+    m = Mechanism()
+    m.body("b")
+    for name in ("J10", "J9", "J2"):
+        m.revolute(name, "ground", "b")
+    assert set(m.build().closures) == {"J9", "J10"} and m.build().parent_joints == ("J2",)
+
+
+def test_natural_order():
+    names = ["J", "J1", "J01", "J2", "J2a", "J10", "J10b3", "J10b20", "K"]
+    assert sorted(reversed(names), key=natural)[0] == "J"
+    assert [n for n in sorted(names, key=natural) if n != "J01"] == [n for n in names if n != "J01"]
+    for odd in ("²", "1²2", "٣", "9" * 5000, "0", "", "a\n1"):
+        assert natural(odd) < natural("zz") or natural(odd) > natural("zz")
+    assert len({natural(n) for n in ("a1", "a01", "a001", "a٣", "a3")}) == 5
+
+
+# ------------------------------------------------------------------ refusals, size
+
+
+def test_detached_bodies_are_named():
+    m = square()
+    m.body("lost"), m.body("alone")
+    m.revolute("E", "lost", "alone")
+    with pytest.raises(DescriptionError, match="mechanism 'square': no joints lead from 'ground' to 'lost', 'alone'; a free body"):
+        m.build()
+    for i in range(20):
+        m.body(f"b{i}")
+    with pytest.raises(DescriptionError, match="'b5', ...;"):
+        m.build()
+
+
+def test_the_ground_alone_is_a_system():
+    s = Mechanism("nothing").build()
+    assert (s.nq, s.nv, s.parent, s.body_names) == (0, 0, (), ("ground",))
+    np.testing.assert_array_equal(s.fk([]), np.eye(4)[None])
+    np.testing.assert_array_equal(s.fk(np.zeros((3, 0)), "ground"), np.tile(np.eye(4), (3, 1, 1)))
+    assert s.closure_error([]).shape == (0, 6) and str(s.configuration_space).startswith("a point")
+
+
+def chain(n: int, rungs: int = 0) -> Mechanism:
+    """Links in a row, with `rungs` extra joints that make loops."""
+    m = Mechanism("long")
+    here = m.ground.name
+    for i in range(n):
+        m.body(f"b{i}")
+        m.revolute(f"j{i}", here, f"b{i}", at=(0.001, 0, 0))
+        here = f"b{i}"
+    for i in range(rungs):
+        m.spherical(f"rung{i}", f"b{i}", f"b{i + n - rungs}")
+    return m
+
+
+def test_a_chain_of_20000_bodies():
+    s = chain(20_000).build()
+    assert s.nq == 20_000 and s.parent == tuple(range(20_000))
+    q = np.zeros(20_000)
+    q[0] = np.pi / 2
+    np.testing.assert_allclose(s.fk(q, "b19999")[:3, 3], [0.001, 19.999, 0], rtol=0, atol=1e-9)
+
+
+def steps(function: Callable[[], object]) -> int:
+    """Calls of functions that a call makes: work that does not depend on the machine."""
+    count = 0
+
+    def tick(frame, event, argument):
+        nonlocal count
+        count += event in ("call", "c_call")
+
+    before = sys.getprofile()
+    sys.setprofile(tick)
+    try:
+        function()
+    finally:
+        sys.setprofile(before)
+    return count
+
+
+@pytest.mark.parametrize("rungs", [0, 50])
+def test_work_grows_linearly(rungs):
+    small, large = chain(250, rungs), chain(1000, 4 * rungs)
+    assert steps(large.build) < 4.8 * steps(small.build)
+    assert steps(lambda: chain(1000)) < 4.8 * steps(lambda: chain(250))
