@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from kempe.description.mechanism import Mechanism
 
 LINKS = '<link name="base"/>\n<link name="arm"/>\n<link name="hand"/>\n'
 
@@ -19,7 +22,7 @@ class Case:
     says: tuple[str, ...] | None = None
     line: int | None = None
     note: str = ""
-    holds: str = "True"
+    holds: Callable[[Mechanism], object] = lambda m: True
     encoding: str = "utf-8"
     suffix: str = ".urdf"
     any_encoding: bool = True
@@ -81,7 +84,7 @@ URDF_CASES = [
             links='<link name="base"><visual><geometry><mesh filename="../../../etc/passwd"/></geometry></visual></link>\n'
             '<link name="arm"/>\n<link name="hand"/>\n',
         ),
-        holds="'../../../etc/passwd' in m.bodies['base'].visuals[0]",
+        holds=lambda m: "../../../etc/passwd" in m.bodies["base"].visuals[0],
     ),
     Case(
         "not a number in an origin",
@@ -116,7 +119,7 @@ URDF_CASES = [
     Case(
         "two joints that lead to one link (a loop)",
         robot(SHOULDER, WRIST, joint("second", parent="base", child="hand")),
-        holds="len(m.joints) == 3 and m.build().closures",
+        holds=lambda m: len(m.joints) == 3 and m.build().closures,
     ),
     Case(
         "a chain of 3 000 links",
@@ -124,7 +127,8 @@ URDF_CASES = [
             *(joint(f"j{i}", parent=f"l{i}", child=f"l{i + 1}") for i in range(2999)),
             links="".join(f'<link name="l{i}"/>\n' for i in range(3000)),
         ),
-        holds="len(m.joints) == 2999",
+        holds=lambda m: len(m.joints) == 2999,
+        any_encoding=False,
     ),
     Case(
         "a chain of 20 000 links",
@@ -132,7 +136,7 @@ URDF_CASES = [
             *(joint(f"j{i}", parent=f"l{i}", child=f"l{i + 1}") for i in range(19999)),
             links="".join(f'<link name="l{i}"/>\n' for i in range(20000)),
         ),
-        holds="len(m.joints) == 19999",
+        holds=lambda m: len(m.joints) == 19999,
         any_encoding=False,
     ),
     Case(
@@ -159,7 +163,7 @@ URDF_CASES = [
         "Latin-1 bytes, declared",
         '<?xml version="1.0" encoding="ISO-8859-1"?>\n'
         + robot(SHOULDER, WRIST, joint("g", parent="hand", child="ä"), '<link name="ä"/>'),
-        holds="'ä' in m.bodies",
+        holds=lambda m: "ä" in m.bodies,
         encoding="latin-1",
         any_encoding=False,
     ),
@@ -180,7 +184,7 @@ URDF_CASES = [
     Case(
         "UTF-16 with its byte order mark",
         robot(SHOULDER, joint("Ellbögen", parent="arm", child="hand")),
-        holds="'Ellbögen' in m.joints",
+        holds=lambda m: "Ellbögen" in m.joints,
         encoding="utf-16",
         any_encoding=False,
     ),
@@ -192,7 +196,7 @@ URDF_CASES = [
         encoding="utf-16-le",
         any_encoding=False,
     ),
-    Case("UTF-8 names with accents", robot(joint("épaule"), WRIST), holds="'épaule' in m.joints"),
+    Case("UTF-8 names with accents", robot(joint("épaule"), WRIST), holds=lambda m: "épaule" in m.joints),
     Case(
         "a child link that does not exist",
         robot(SHOULDER, joint("wrist", parent="arm", child="hnad")),
@@ -222,13 +226,13 @@ URDF_CASES = [
             joint("c", mimic("b"), parent="hand", child="tip"),
             '<link name="tip"/>',
         ),
-        holds="m.build().nq == 1",
+        holds=lambda m: m.build().nq == 1,
     ),
     Case(
         "an axis that is not of unit length",
         robot(joint(kind="prismatic", inside='<axis xyz="0 0 2"/>' + LIMIT), WRIST),
         note="axis 0 0 2 has length 2; it was normalised",
-        holds="abs(m.build().fk({'elbow': 0.5}, 'arm')[2, 3] - 0.5) < 1e-15",
+        holds=lambda m: abs(m.build().fk({"elbow": 0.5}, "arm")[2, 3] - 0.5) < 1e-15,
     ),
     Case(
         "two root links",
@@ -281,12 +285,12 @@ URDF_CASES = [
     Case(
         "a floating joint",
         robot(joint(kind="floating", inside=""), WRIST),
-        holds="m.joints['elbow'].type.type_name == 'free'",
+        holds=lambda m: m.joints["elbow"].type.type_name == "free",
     ),
     Case(
         "a planar joint",
         robot(joint(kind="planar", inside='<axis xyz="0 1 0"/>'), WRIST),
-        holds="m.joints['elbow'].type.type_name == 'planar'",
+        holds=lambda m: m.joints["elbow"].type.type_name == "planar",
     ),
     Case(
         "an unknown joint type",
@@ -356,13 +360,13 @@ URDF_CASES = [
         "a revolute joint without limits",
         robot(joint(inside=""), WRIST),
         note="should have a <limit>; without one it is taken as unlimited",
-        holds="m.joints['elbow'].limits == {}",
+        holds=lambda m: m.joints["elbow"].limits == {},
     ),
     Case(
         "a limit without numbers",
         robot(joint(inside='<limit effort="1" velocity="1"/>'), WRIST),
         note="by the rules of URDF both are 0 and the joint cannot move",
-        holds="m.joints['elbow'].limits == {'': (0.0, 0.0)}",
+        holds=lambda m: m.joints["elbow"].limits == {"": (0.0, 0.0)},
     ),
     Case(
         "a transmission of a missing joint",
@@ -409,15 +413,13 @@ A, B = toml_joint("A"), toml_joint("B", parent="a", child="b")
 
 TOML_CASES = [
     Case("a file that is not TOML", toml("[[joint"), ("this is not TOML", "see the caret"), 8),
-    Case("a text that ends too soon", toml('x = "ab')[:-1], ("this is not TOML", "caret"), 8),
+    Case("a text that ends too soon", toml('x = "ab')[:-1], ("this is not TOML", "truncated"), 8),
     Case("a list that ends too soon", toml("notes = [1, 2")[:-1], ("this is not TOML", "truncated"), 8),
     Case("a comma for the decimal point", toml("[parameters]", "l1 = 1,5"), ("not TOML", "decimals take a point"), 9),
     Case("no line that says the format", 'name = "m"\n', ("no line 'format = 1'", "starts with it")),
     Case("another format", "format = 7\n", ("format is 7", "reads format 1"), 1),
     Case("an unknown table", toml("[[joints]]"), ("unknown key 'joints'", "did you mean 'joint'"), 8),
-    Case(
-        "single brackets", 'format = 1\n[body]\nname = "a"\n', ("'body' is not a list of tables", "[[body]]"), 2
-    ),
+    Case("single brackets", 'format = 1\n[body]\nname = "a"\n', ("'body' is not a list of tables", "[[body]]"), 2),
     Case(
         "an unknown key",
         toml(A, "limts = [0, 1]", B),
@@ -431,7 +433,7 @@ TOML_CASES = [
         ("joint 'A'", "at is nan", "finite"),
         13,
     ),
-    Case("a wrong count", toml(toml_joint("A", "at = [1]"), B), ("joint 'A'", "at has 1 numbers", "2 or 3"), 13),
+    Case("a wrong count", toml(toml_joint("A", "at = [1]"), B), ("joint 'A'", "at has 1 number", "2 or 3"), 13),
     Case(
         "an axis of zeros",
         toml(toml_joint("A", "axis = [0, 0, 0]"), B),
@@ -483,7 +485,7 @@ TOML_CASES = [
     Case(
         "a loop",
         toml(A, B, toml_joint("C", "at = [1, 0]", child="b")),
-        holds="m.build().closures == ('C',) or m.build().closures",
+        holds=lambda m: len(m.build().closures) == 1,
     ),
     Case("a posture of a missing joint", toml(A, B, "[postures]", "home = {AA = 1}"), ("'AA' is no coordinate",), 19),
     Case("an integer of 100 digits", toml("[parameters]", "l = 1" + "0" * 100), ("more than 64 bits",), 9),
@@ -499,4 +501,4 @@ TOML_CASES = [
         any_encoding=False,
     ),
 ]
-TOML_CASES = [Case(**{**c.__dict__, "suffix": ".toml"}) for c in TOML_CASES]
+TOML_CASES = [replace(case, suffix=".toml") for case in TOML_CASES]

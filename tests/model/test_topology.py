@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from graphs import Edge, graphs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,71 +15,6 @@ from kempe import Mechanism, System
 from kempe.errors import DescriptionError
 from kempe.joints import joint_type
 from kempe.model.topology import natural, spanning_tree
-
-KINDS = ["fixed", "revolute", "prismatic", "universal", "spherical", "planar", "free"]
-
-
-@dataclass(frozen=True)
-class Edge:
-    """One joint of a random graph."""
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    at: tuple[float, ...]
-    actuated: bool | None = None
-    cut: bool = False
-
-
-@dataclass(frozen=True)
-class Graph:
-    """A connected graph of bodies and joints, in an order of declaration."""
-
-    bodies: tuple[str, ...]
-    edges: tuple[Edge, ...]
-    gears: tuple[tuple[str, str], ...] = ()
-
-    def mechanism(self) -> Mechanism:
-        m = Mechanism("graph")
-        for body in self.bodies:
-            m.body(body)
-        for e in self.edges:
-            m.joint(e.name, e.kind, e.parent, e.child, at=e.at[:3], rpy=e.at[3:6], child_at=e.at[6:],
-                    actuated=e.actuated, cut=e.cut)  # fmt: skip
-        for of, source in self.gears:
-            m.gear(of, source, 0.5)
-        return m
-
-    def shuffled(self, seed: int) -> Graph:
-        rng = np.random.default_rng(seed)
-        return replace(self, bodies=tuple(rng.permutation(self.bodies).tolist()),
-                       edges=tuple(self.edges[i] for i in rng.permutation(len(self.edges))),
-                       gears=tuple(self.gears[i] for i in rng.permutation(len(self.gears))))  # fmt: skip
-
-
-@st.composite
-def graphs(draw, most: int = 9, loops: int = 5) -> Graph:
-    n = draw(st.integers(1, most))
-    seed = draw(st.integers(0, 2**32))
-    extra = draw(st.integers(0, loops))
-    rng = np.random.default_rng(seed)
-    names = [f"b{i}" for i in rng.permutation(n)]
-    everyone = ["ground", *names]
-    edges = []
-    for k in range(n + extra):
-        a = everyone[int(rng.integers(0, k + 1))] if k < n else everyone[int(rng.integers(0, n + 1))]
-        b = names[k] if k < n else everyone[int(rng.integers(0, n + 1))]
-        if a == b:
-            continue
-        a, b = (a, b) if rng.random() < 0.6 else (b, a)
-        edges.append(Edge(f"j{int(rng.integers(0, 10))}_{k}", str(rng.choice(KINDS)), a, b,
-                          tuple(rng.uniform(-1, 1, 9).round(3).tolist()),
-                          [None, None, True, False][int(rng.integers(4))], bool(rng.random() < 0.15)))  # fmt: skip
-    single = [e.name for e in edges if e.kind in ("revolute", "prismatic")]
-    gears = ((single[0], single[1]),) if len(single) > 1 and rng.random() < 0.3 else ()
-    return Graph(tuple(rng.permutation(names).tolist()), tuple(edges), gears).shuffled(seed)
-
 
 def tree_by_name(system: System) -> dict:
     t = system.topology
@@ -118,7 +53,7 @@ def test_the_order_of_the_file_changes_no_answer_by_name(graph, seed):
 def test_it_is_a_spanning_tree_that_keeps_directions(graph):
     t = spanning_tree(graph.mechanism())
     ends = {e.name: (e.parent, e.child) for e in graph.edges}
-    assert t.bodies[0] == "ground" and sorted(t.bodies[1:]) == sorted(graph.bodies)
+    assert t.bodies[0] == "ground" and sorted(t.bodies[1:]) == sorted(graph.bodies + graph.particles)
     assert sorted([*t.parent_joints, *t.closures]) == sorted(ends)
     for i, (p, joint, backwards) in enumerate(zip(t.parent, t.parent_joints, t.reversed_, strict=True), start=1):
         assert 0 <= p < i
@@ -132,7 +67,7 @@ def test_it_is_a_spanning_tree_that_keeps_directions(graph):
 def test_bodies_keep_their_order_unless_a_parent_comes_later(graph):
     t = spanning_tree(graph.mechanism())
     parent = {b: t.bodies[p] for b, p in zip(t.bodies[1:], t.parent, strict=True)}
-    expected, waiting = ["ground"], list(graph.bodies)
+    expected, waiting = ["ground"], list(graph.bodies + graph.particles)
     while waiting:  # always the first declared body whose parent is there
         body = next(b for b in waiting if parent[b] in expected)
         waiting.remove(body)
@@ -147,18 +82,19 @@ def test_on_every_loop_the_least_wanted_joint_is_cut(graph):
     m = graph.mechanism()
     t = spanning_tree(m)
     edges = {e.name: e for e in graph.edges}
-    coupled = {name for gear in graph.gears for name in gear}
-    neighbours: dict[str, set[str]] = {b: set() for b in ("ground", *graph.bodies)}
+    coupled = {name for gear in graph.gears for name in gear[:2]}
+    neighbours: dict[str, set[str]] = {b: set() for b in ("ground", *graph.bodies, *graph.particles)}
     for e in graph.edges:
         neighbours[e.parent].add(e.child)
-        neighbours[e.child].add(e.parent)
+        if e.child not in graph.particles:  # no way leads on from a particle
+            neighbours[e.child].add(e.parent)
     level, front = {"ground": 0}, ["ground"]
     while front:
         front = [there for here in front for there in sorted(neighbours[here]) if there not in level
                  and level.setdefault(there, level[here] + 1)]  # fmt: skip
 
     def cost(e: Edge) -> tuple:
-        dof = joint_type(e.kind).dof()
+        dof = joint_type(e.kind, **e.options).dof(3, e.child in graph.particles)
         wanted = 0 if e.actuated or e.name in coupled else 1 if e.actuated is None else 2
         return e.cut, dof > 0, wanted, dof, level[e.parent] + level[e.child]
 
@@ -173,6 +109,8 @@ def test_on_every_loop_the_least_wanted_joint_is_cut(graph):
 
     for name in t.closures:
         loop = set(way(edges[name].parent)) ^ set(way(edges[name].child))
+        if edges[name].child in graph.particles:  # the choice is only which of its joints holds the particle
+            loop = {up[edges[name].child][1]}
         assert all(cost(edges[j]) <= cost(edges[name]) for j in loop), (name, loop)
 
 

@@ -132,7 +132,8 @@ def limits(
         if math.isnan(lower) or math.isnan(upper) or lower == math.inf or upper == -math.inf:
             refuse(subject, f"limits are ({lower}, {upper})", where, "they must be numbers")
         if lower > upper:
-            refuse(subject, f"lower limit {lower:g} is above upper limit {upper:g}", where)
+            said = f"lower limit {lower:g} is above upper limit {upper:g}"
+            refuse(subject, said, where, "lower must not be above upper")
         out[key] = (lower, upper)
     return out
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kempe.description import checks
@@ -120,7 +121,8 @@ class Mechanism:
         subject = f"joint {name!r}"
         if checks.name(name, "joint") in self.joints:
             first = self.joints[name].where
-            checks.refuse(subject, f"there is another joint of this name{f' ({first})' if first else ''}", where)
+            said = f"there is another joint of this name{f' ({first})' if first else ''}"
+            checks.refuse(subject, said, where, "names must be unique")
         try:
             type_ = joint_type(kind, **options)
         except (InputError, UnknownNameError) as error:
@@ -256,6 +258,12 @@ class Mechanism:
 
         return System(self)
 
+    def save(self, path: str | Path) -> Path:
+        """Write it to a file: .toml holds everything, .urdf what URDF can express; returns the path."""
+        from kempe.description.write import write
+
+        return write(self, path)
+
     def __repr__(self) -> str:
         return f"Mechanism({self.name!r}, dim={self.dim}, bodies={len(self.bodies) - 1}, joints={len(self.joints)})"
 
@@ -281,7 +289,9 @@ class Mechanism:
         if taken is not None:
             what = "body" if name in self.bodies else "frame"
             first = f" ({taken.where})" if taken.where else ""
-            checks.refuse(f"{kind} {name!r}", f"there is another {what} of this name{first}", where)
+            checks.refuse(
+                f"{kind} {name!r}", f"there is another {what} of this name{first}", where, "names must be unique"
+            )
 
     def _body(self, body: BodyLike, subject: str, where: Where | None) -> Body:
         name = body.name if isinstance(body, Body) else body

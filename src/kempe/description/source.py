@@ -126,33 +126,30 @@ def decode(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = No
     Errors: `DescriptionError` for empty, oversized and wrongly encoded data, with line and column.
     """
     if len(data) > SIZE_LIMIT:
-        raise fail(
-            f"the file has more than {SIZE_LIMIT >> 20} MiB",
-            Where(name),
-            "a description is smaller than that",
-        )
-    if not (data.strip(b"\0 \t\r\n") if isinstance(data, bytes) else data.strip()):
-        raise fail(
-            "the file is empty" if not data else "the file holds nothing but blanks",
-            Where(name),
-            "it must hold a description (URDF or TOML)",
-        )
-    if isinstance(data, str):
-        return data.removeprefix("\ufeff")
+        allowed = "a description is smaller than that"
+        raise fail(f"the file has more than {SIZE_LIMIT >> 20} MiB", Where(name), allowed)
+    text = data if isinstance(data, str) else _text_of(data, name, declared)
+    text = text.removeprefix("\ufeff")
+    if not text.strip():
+        what = "empty" if not text else "nothing but blanks"
+        raise fail(f"the file is {what}", Where(name), "it must hold a description (URDF or TOML)")
+    return text
+
+
+def _text_of(data: bytes, name: str, declared: re.Pattern[bytes] | None) -> str:
+    first = Where(name, 1, 1, re.split(rb"[\r\n]", data[:200])[0].decode("ascii", "replace").replace("\0", ""))
     for mark, encoding, refused in _BYTE_ORDER_MARKS:
         if data.startswith(mark):
             if refused:
-                raise fail(f"the file is {refused}", Where(name, 1, 1), "save it as UTF-8")
-            _check_declared(data[len(mark) :], encoding, name, declared)
+                raise fail(f"the file is {refused}", first, "save it as UTF-8")
+            _check_declared(data[len(mark) :], encoding, first, declared)
             return _decode(data[len(mark) :], encoding, name, "the byte order mark at its start")
     if b"\0" in data[:4]:
-        raise fail(
-            "the file looks like UTF-16 without its byte order mark", Where(name, 1, 1), "save it as UTF-8"
-        )
+        raise fail("the file looks like UTF-16 without its byte order mark", first, "save it as UTF-8")
     match = declared.match(data[:300]) if declared else None
     if match is None:
         return _decode(data, "utf-8", name, "")
-    return _decode(data, _codec(match[1].decode("ascii"), name), name, "its first line")
+    return _decode(data, _codec(match[1].decode("ascii"), first), name, "its first line")
 
 
 def _check_declared(data: bytes, encoding: str, name: str, declared: re.Pattern[bytes] | None) -> None:

@@ -126,7 +126,8 @@ class _Reader:
             self.findings.add(f"unknown joint type {shorten(kind)}{said}", subject, self.where(*path, "type"))
             good = False
         X_PF = self.placement(table, "", path, subject, table.get("parent"))
-        implied = {"child_axis": table["axis"]} if "axis" in table and "child_steps" not in table else {}
+        same = X_PF is not None and "axis" in table and "child_steps" not in table
+        implied = {"child_axis": table["axis"]} if same else {}
         X_CM = self.placement(implied | table, "child_", path, subject, table.get("child"))
         self.failed.add(str(table.get("name")))
         if not good or X_PF is None or X_CM is None:

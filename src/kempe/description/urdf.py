@@ -71,7 +71,10 @@ def read_urdf(
     if root is not None and root not in urdf.links:
         raise UnknownNameError("link", root, urdf.links, source)
     _scan_joints(urdf)
-    ground = choose_root({n: e.where for n, e in urdf.links.items()}, urdf.ends, urdf.findings, root)
+    # where a joint's ends are wrong, links that look detached may not be
+    sound = len(urdf.ends) == len(robot.of("joint"))
+    places = {name: element.where for name, element in urdf.links.items()}
+    ground = choose_root(places, urdf.ends, urdf.findings if sound else Findings(), root)
     mechanism = _assemble(urdf, ground, base)
     _note_unused(urdf)
     urdf.findings.finish()

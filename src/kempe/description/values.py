@@ -133,7 +133,7 @@ def values(xs: object, count: int | tuple[int, ...], what: str) -> tuple[Value, 
         raise InputError(f"{what} is {xs!r}; it must have {' or '.join(map(str, counts))} numbers")
     items = tuple(xs)
     if len(items) not in counts:
-        raise InputError(f"{what} has {len(items)} numbers; it must have {' or '.join(map(str, counts))}")
+        raise InputError(f"{what} has {len(items)} number{'s' if len(items) != 1 else ''}; it must have {' or '.join(map(str, counts))}")
     return tuple(value(x, what) for x in items)
 
 

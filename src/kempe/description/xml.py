@@ -160,11 +160,9 @@ class _Builder:
     def _explain(self, error: expat.ExpatError) -> DescriptionError:
         where = self.source.where(error.lineno, error.offset + 1)
         inner = self.stack[-1] if self.stack else None
+        if "<" not in self.source.text:
+            return fail("the file holds no XML element", self.source.where(1), "URDF starts with <robot name=...>")
         if error.code in _TRUNCATED:
-            if inner is None and self.root is None and "<" not in self.source.text:
-                return fail(
-                    "the file holds no XML element", self.source.where(1), "URDF starts with <robot name=...>"
-                )
             inside = f" inside <{inner.tag}> opened on line {inner._line}" if inner else ""
             return fail(f"the file ends{inside}: it is truncated", where, "get the whole file")
         if error.code == _CODES[expat.errors.XML_ERROR_TAG_MISMATCH] and inner is not None:

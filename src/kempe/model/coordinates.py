@@ -159,7 +159,8 @@ def _in_order(mechanism: Mechanism, pending: dict[str, tuple[dict[str, float], f
                 if source in done:
                     path = [n for n, _ in stack]
                     cycle = " -> ".join([*path[path.index(source) :], source])
-                    _refuse(f"coordinate {source!r}", f"it follows itself: {cycle}", mechanism.couplings[source].where)
+                    where = mechanism.couplings[source].where
+                    _refuse(f"coordinate {source!r}", f"it follows itself: {cycle}", where, "one of them must be free")
                 done[source] = False
                 stack.append((source, iter(pending[source][0])))
                 break

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,13 +36,23 @@ class System:
     coordinate name is accepted in its place. Poses are relative to body 0, the ground.
     """
 
+    _mechanism: Mechanism
+    _topology: Topology
+    _coordinates: Coordinates
+    _table: Table
+    _queries: dict[object, Any]
+
     def __init__(self, mechanism: Mechanism, topology: Topology | None = None):
-        self._mechanism = mechanism.copy()
-        self._topology = spanning_tree(self._mechanism) if topology is None else topology
-        self._coordinates = coordinates_of(self._mechanism)
-        self._table = lower(self._mechanism, self._topology, self._coordinates, self._mechanism.parameters)
+        own = vars(self)  # attributes cannot be set: the system is frozen
+        own["_mechanism"] = mechanism = mechanism.copy()
+        own["_topology"] = spanning_tree(mechanism) if topology is None else topology
+        own["_coordinates"] = coordinates_of(mechanism)
+        own["_table"] = lower(mechanism, self._topology, self._coordinates, mechanism.parameters)
+        own["_queries"] = {}
         self._check()
-        self._queries: dict[object, Any] = {}
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"{self!r} is frozen: change its mechanism and build another")
 
     def _check(self) -> None:
         finite = np.isfinite(self._table.placement).all(axis=(-2, -1)).all()
@@ -312,6 +323,10 @@ class System:
     def subchain(self, base: BodyLike, tip: FrameLike) -> System:
         """The bodies and joints between `base`, the new ground, and `tip`."""
         return System(self._mechanism.subchain(base, str(tip)))
+
+    def save(self, path: str | Path) -> Path:
+        """Write the description to a file: .toml holds everything, .urdf what URDF can express; returns the path."""
+        return self._mechanism.save(path)
 
     # ---- identity
 

@@ -1,0 +1,105 @@
+"""Writes docs/joints.md from the table of joint types: `python docs/joints_page.py`. A test fails where it is stale."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import fields
+from pathlib import Path
+
+from kempe.joints import TYPES, JointType, P
+
+PITCH = 0.01
+"""Value of an option that is a number, so that the table shows where it goes."""
+
+HEAD = """\
+# The joint zoo
+
+<!-- Written by docs/joints_page.py from kempe.joints.TYPES; do not edit. -->
+
+A joint connects a frame F on its parent body to a frame M on its child body. Its pose X_FM(q) is a product of
+*primitives*, from left to right: R(z) turns about axis z of the frame reached so far, P(x) slides along its axis x.
+Most joints are combinations of revolute and prismatic ones: a universal joint is two revolutes, a cylindrical joint a
+revolute and a prismatic one, a planar joint two prismatic and a revolute one, a spherical joint three revolutes.
+
+A body has 6 degrees of freedom in space and 3 in the plane. A joint leaves some of them (DoF) and takes the others
+away (constraints).
+
+"""
+
+NOTES = """
+- A joint with one coordinate gives it its own name, `elbow`; one with several gives `wrist.rx`, `wrist.ry`.
+- A rotation as a unit quaternion has four coordinates, `qw`, `qx`, `qy`, `qz`, and three velocities, `wx`, `wy`, `wz`:
+  the angular velocity in the axes of M. With `angles=True` it is three turns about z, y and x: as many coordinates as
+  degrees of freedom, at the price of a singularity at `ry` = ±90°.
+- In the plane a revolute joint turns about z and a prismatic joint slides along its `axis=(x, y)`; `free` has the
+  coordinates `x`, `y`, `rz` and `translation` has `x`, `y`.
+- `pitch` is in metres a radian, along z, and may be negative.
+- `limits` are given for each velocity coordinate; those of a quaternion have none.
+
+## Particles
+
+A particle is a body with a position only: 3 degrees of freedom in space, 2 in the plane. It takes the joints that do
+not turn it, as their child.
+
+"""
+
+
+def page() -> str:
+    """The page as Markdown."""
+    head = ("type", "motion", "DoF", "constraints", "DoF in the plane", "constraints in the plane", "primitives",
+            "coordinates", "velocities", "options")  # fmt: skip
+    bodies = table(head, map(body_row, examples()))
+    head = ("type", "DoF", "constraints", "DoF in the plane", "constraints in the plane", "coordinates")
+    particles = table(head, (particle_row(kind) for kind in examples() if is_for_particles(kind)))
+    return f"{HEAD}{bodies}{NOTES}{particles}"
+
+
+def examples() -> Iterator[JointType]:
+    """Each type of the zoo, and once more with each option that can be switched on."""
+    for kind in TYPES.values():
+        yield kind(**{f.name: PITCH for f in fields(kind) if isinstance(f.default, float)})
+        for f in fields(kind):
+            if f.default is False:
+                yield kind(**{f.name: True})
+
+
+def is_for_particles(kind: JointType) -> bool:
+    """Whether a particle can be the child, and no option is switched on."""
+    return True not in kind.options.values() and all(p.kind == P for p in kind.layout(3, True)[1])
+
+
+def body_row(kind: JointType) -> list[str]:
+    """What a joint type does to a body, in space and in the plane."""
+    options = ", ".join(f"`{f.name}={getattr(kind, f.name)}`" for f in fields(kind))
+    coordinates, velocities = names(kind.coordinates()), names(kind.velocities())
+    return [
+        f"`{kind.type_name}`", kind.summary, str(kind.dof()), str(kind.constraints()), *in_the_plane(kind, False),
+        kind.decomposition, coordinates, "the same" if velocities == coordinates else velocities, options,
+    ]  # fmt: skip
+
+
+def particle_row(kind: JointType) -> list[str]:
+    """What a joint type does to a particle, in space and in the plane."""
+    counts = [str(kind.dof(3, True)), str(kind.constraints(3, True)), *in_the_plane(kind, True)]
+    return [f"`{kind.type_name}`", *counts, names(kind.coordinates(3, True))]
+
+
+def in_the_plane(kind: JointType, particle: bool) -> list[str]:
+    """Degrees of freedom and constraints in the plane, or dashes where the joint does not exist there."""
+    return [str(kind.dof(2, particle)), str(kind.constraints(2, particle))] if kind.planar else ["–", "–"]
+
+
+def names(coordinates: tuple[str, ...]) -> str:
+    """Names of coordinates as code."""
+    return ", ".join(f"`{c}`" if c else "as the joint" for c in coordinates) or "none"
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A Markdown table."""
+    lines = [list(head), *map(list, rows)]
+    lines.insert(1, ["---"] * len(lines[0]))
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+if __name__ == "__main__":
+    Path(__file__).with_name("joints.md").write_text(page(), encoding="utf-8")

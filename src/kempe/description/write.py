@@ -1,0 +1,25 @@
+"""Mechanism -> file, in the format that the file's ending names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kempe.description.mechanism import Mechanism
+from kempe.description.toml_writer import write_toml
+from kempe.description.urdf_writer import write_urdf
+from kempe.errors import InputError
+
+WRITERS = {".toml": write_toml, ".urdf": write_urdf}
+"""Function that gives the text of a mechanism, by ending."""
+
+
+def write(mechanism: Mechanism, path: str | Path) -> Path:
+    """The path written: .toml holds everything, .urdf what URDF can express.
+
+    Errors: `InputError` for another ending, `DescriptionError` listing what URDF cannot say; nothing is written then.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in WRITERS:
+        raise InputError(f"{path}: the format is told by the ending; it must be .toml or .urdf")
+    path.write_text(WRITERS[path.suffix.lower()](mechanism), encoding="utf-8")
+    return path

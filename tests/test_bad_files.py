@@ -1,0 +1,201 @@
+"""Bad files never pass, and always say why; `docs/bad_files.md` is written from these cases.
+
+Run this file as a program to write the page anew.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+from pathlib import Path
+
+import pytest
+from bad_file_cases import TOML_CASES, URDF_CASES, Case
+
+from kempe.description.read import check, read
+from kempe.description.toml import read_toml
+from kempe.description.urdf import read_urdf
+from kempe.errors import DescriptionError, KempeError
+
+PAGE = Path(__file__).parent.parent / "docs" / "bad_files.md"
+CASES = [*URDF_CASES, *TOML_CASES]
+
+INTRODUCTION = """\
+# What happens to bad files
+
+A robot file often comes from somewhere else, and many are broken. Kempe repairs nothing silently: a file either means
+one system, or it is refused with its line, the thing that is wrong, and what is allowed. All problems of a file are
+collected before it gives up; 20 are shown. What is legal but strange loads, with a note (`kempe info` shows notes,
+`kempe check` shows problems with the line of the file and a caret).
+
+- No DTD and no entity is ever read. A file has at most 64 MiB, its elements are nested at most 100 deep.
+- Numbers are finite, separated by blanks, and exactly as many as the format says.
+- Names of links are unique, and so are those of joints; none is empty.
+- Exactly one link is the root, and joints lead from it to all others. A second way to a link is a *loop*, and legal.
+- A slip such as `orgin` for `origin` is refused; an element or attribute that Kempe does not know is noted.
+- Meshes are not opened on loading. When they are drawn, only files inside the folders of the model are.
+- xacro is a program, not data. It is expanded only where you ask for it, in a process with limits.
+
+The tables below are written by the tests: each line is a file that is fed to the reader, and its answer.
+"""
+
+
+def answer(case: Case, folder: Path, data: bytes) -> tuple[str, KempeError | None]:
+    """What reading and compiling the file says."""
+    (folder / f"file{case.suffix}").write_bytes(data)
+    here = os.getcwd()
+    os.chdir(folder)
+    try:
+        mechanism = read(f"file{case.suffix}")
+        mechanism.build()
+        assert case.holds(mechanism)
+        return "\n".join(mechanism.notes), None
+    except KempeError as error:
+        return str(error), error
+    finally:
+        os.chdir(here)
+
+
+def variants(case: Case) -> list[bytes]:
+    """The file's bytes in the encodings and with the line ends in which it must be understood alike."""
+    if not case.any_encoding:
+        return [case.text.encode(case.encoding)]
+    texts = [case.text, case.text.replace("\n", "\r\n")]
+    return [text.encode(encoding) for text in texts for encoding in ("utf-8", "utf-8-sig", "utf-16")]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.suffix[1:]}: {case.title}")
+def test_what_is_said(case: Case, tmp_path: Path):
+    for data in variants(case):
+        said, error = answer(case, tmp_path, data)
+        if case.says is None:
+            assert error is None, said
+            assert case.note in said
+            assert said.startswith(f"file{case.suffix}:") or not case.note
+            continue
+        assert isinstance(error, DescriptionError), said
+        for piece in case.says:
+            assert piece in said
+        where = error.problems[0].where
+        assert where is not None and where.file == f"file{case.suffix}"
+        if case.line is not None:
+            assert where.line == case.line, said
+            assert "^" in error.problems[0].caret()
+        if case.title != "30 problems at once":
+            assert error.problems[0].allowed or "did you mean" in said or ";" in said or "(" in said
+
+
+def test_caret_stands_under_the_place(tmp_path: Path):
+    case = next(c for c in URDF_CASES if c.title == "a comma for the decimal point")
+    problem = check(case.text).problems[0]
+    line, caret = problem.caret().splitlines()
+    assert line[caret.index("^") :].startswith("0 0 1,5")
+
+
+def page() -> str:
+    """The text of `docs/bad_files.md`."""
+    import tempfile
+
+    out = [INTRODUCTION]
+    for heading, cases in (("URDF", URDF_CASES), ("TOML", TOML_CASES)):
+        out.append(f"## {heading}\n\n| in the file | what Kempe says |\n|---|---|")
+        for case in cases:
+            with tempfile.TemporaryDirectory() as folder:
+                said, error = answer(case, Path(folder), variants(case)[0])
+            lines = said.splitlines()
+            shown = "<br>".join(f"`` {line.replace('|', chr(92) + '|')} ``" for line in lines[:3])
+            shown += f"<br>... ({len(lines)} lines)" if len(lines) > 3 else ""
+            verdict = shown if error is not None else f"loads{', noting ' + shown if said else ''}"
+            out.append(f"| {case.title} | {verdict} |")
+        out.append("")
+    return "\n".join(out)
+
+
+def test_page_is_true():
+    assert PAGE.read_text(encoding="utf-8") == page(), "run  python tests/test_bad_files.py  and commit the page"
+
+
+# ---- fuzzing: whatever the bytes, only errors of Kempe come out
+
+SMALL = next(c for c in URDF_CASES if c.title == "a mimic of a mimic").text.encode()
+
+
+def robot_bytes() -> bytes:
+    """A real robot where the package of robots is installed, else a small one."""
+    found = sorted(Path(p) for p in robot_files() if Path(p).name == "panda.urdf")
+    return found[0].read_bytes() if found else SMALL
+
+
+def robot_files() -> list[Path]:
+    """URDF files of the package example-robot-data, none where it is not installed."""
+    import sysconfig
+
+    roots = {Path(sysconfig.get_path(key)) / "cmeel.prefix" for key in ("purelib", "platlib")}
+    return sorted({p for root in roots for p in root.glob("share/example-robot-data/robots/**/*.urdf")})
+
+
+def survives(reader, data: bytes) -> bool:
+    """Whether the bytes load; raises unless they do or are refused by an error of Kempe."""
+    try:
+        reader(data).build()
+    except KempeError as error:
+        assert str(error)
+        return False
+    return True
+
+
+def test_truncated_robots_are_refused():
+    data, rng = robot_bytes(), random.Random(1)
+    end = data.rstrip().rfind(b"</robot>") + len(b"</robot>")
+    for cut in [rng.randrange(end) for _ in range(200)]:
+        assert not survives(read_urdf, data[:cut]), f"cut at {cut}"
+
+
+def test_damaged_robots_never_crash():
+    data, rng = robot_bytes(), random.Random(2)
+    for _ in range(150):
+        damaged = bytearray(data)
+        for _ in range(rng.choice([1, 1, 2, 5])):
+            damaged[rng.randrange(len(damaged))] = rng.randrange(256)
+        survives(read_urdf, bytes(damaged))
+
+
+def test_shuffled_pieces_never_crash():
+    rng = random.Random(3)
+    pieces = [c.text for c in URDF_CASES if len(c.text) < 5000]
+    for _ in range(300):
+        a, b = rng.choice(pieces), rng.choice(pieces)
+        survives(read_urdf, (a[: rng.randrange(len(a) + 1)] + b[rng.randrange(len(b) + 1) :]).encode())
+
+
+def test_damaged_tables_never_crash():
+    rng = random.Random(4)
+    texts = [c.text for c in TOML_CASES if 0 < len(c.text) < 2000]
+    marks = ["[", "]", "{", "}", "=", '"', "'", ",", "\n", "1e999", "nan", "-inf", "true", "[1]", "{}", '""', "-1", "0"]
+    for _ in range(600):
+        text = rng.choice(texts)
+        for _ in range(rng.choice([1, 2, 3])):
+            at = rng.randrange(len(text) + 1)
+            text = text[:at] + rng.choice(marks) + text[at + rng.choice([0, 0, 1, 3]) :]
+        survives(read_toml, text.encode())
+
+
+@pytest.mark.parametrize("path", robot_files(), ids=lambda p: p.name)
+def test_real_robots(path: Path):
+    if path.name not in ("ur3.urdf", "alex_psyonic_hands.urdf"):
+        assert read(path).build().body_names
+        return
+    with pytest.raises(DescriptionError) as caught:
+        read(path)
+    said = str(caught.value)
+    if path.name == "ur3.urdf":
+        assert said.startswith(f"{path}:6: there is no robot in this file")
+        assert "xacro made it from 'ur3.urdf.xacro'" in said and "ur3_robot.urdf" in said
+    else:
+        assert f"{path}:1037: joint 'Left_index_q2': it mimics joint 'index_q1', which does not exist" in said
+        assert "did you mean 'Left_index_q1'" in said
+
+
+if __name__ == "__main__":
+    PAGE.parent.mkdir(exist_ok=True)
+    PAGE.write_text(page(), encoding="utf-8")
