@@ -9,31 +9,41 @@ from pathlib import Path
 from kempe.joints import TYPES, JointType, P
 
 PITCH = 0.01
-"""Value of an option that is a number, so that the table shows where it goes."""
+"""Value of an option that is a number, so that the table shows what it does."""
 
 HEAD = """\
 # The joint zoo
 
 <!-- Written by docs/joints_page.py from kempe.joints.TYPES; do not edit. -->
 
-A joint connects a frame F on its parent body to a frame M on its child body. Its pose X_FM(q) is a product of
-*primitives*, from left to right: R(z) turns about axis z of the frame reached so far, P(x) slides along its axis x.
-Most joints are combinations of revolute and prismatic ones: a universal joint is two revolutes, a cylindrical joint a
-revolute and a prismatic one, a planar joint two prismatic and a revolute one, a spherical joint three revolutes.
+A joint connects a frame F on its parent body to a frame M on its child body.
 
-A body has 6 degrees of freedom in space and 3 in the plane. A joint leaves some of them (DoF) and takes the others
-away (constraints).
+## Degrees of freedom
+
+A body has 6 degrees of freedom (DoF) in space and 3 in the plane. A joint leaves some of them and takes the others away:
+these are its constraints.
+
+"""
+
+COORDINATES = """
+In the plane a revolute joint turns about z and a prismatic joint slides along its `axis=(x, y)`.
+
+## Coordinates
+
+The joint's pose X_FM(q) is a product of *primitives*, from left to right: R(z) turns about axis z of the frame reached
+so far, P(x) slides along its axis x. Most joints are combinations of revolute and prismatic ones: a universal joint is
+two revolutes, a cylindrical joint a revolute and a prismatic one, a planar joint two prismatic and a revolute one, a
+spherical joint three revolutes.
 
 """
 
 NOTES = """
 - A joint with one coordinate gives it its own name, `elbow`; one with several gives `wrist.rx`, `wrist.ry`.
-- A rotation as a unit quaternion has four coordinates, `qw`, `qx`, `qy`, `qz`, and three velocities, `wx`, `wy`, `wz`:
-  the angular velocity in the axes of M. With `angles=True` it is three turns about z, y and x: as many coordinates as
-  degrees of freedom, at the price of a singularity at `ry` = ±90°.
-- In the plane a revolute joint turns about z and a prismatic joint slides along its `axis=(x, y)`; `free` has the
-  coordinates `x`, `y`, `rz` and `translation` has `x`, `y`.
-- `pitch` is in metres a radian, along z, and may be negative.
+- A rotation as a unit quaternion has four coordinates and three velocities: the angular velocity in the axes of M.
+  With `angles=True` it is three turns about z, y and x: as many coordinates as degrees of freedom, at the price of a
+  singularity at `ry` = ±90°.
+- `pitch` is in metres a radian, along z; it may be negative.
+- In the plane `free` has the coordinates `x`, `y`, `rz`, and `translation` has `x`, `y`.
 - `limits` are given for each velocity coordinate; those of a quaternion have none.
 
 ## Particles
@@ -46,12 +56,14 @@ not turn it, as their child.
 
 def page() -> str:
     """The page as Markdown."""
-    head = ("type", "motion", "DoF", "constraints", "DoF in the plane", "constraints in the plane", "primitives",
-            "coordinates", "velocities", "options")  # fmt: skip
-    bodies = table(head, map(body_row, examples()))
-    head = ("type", "DoF", "constraints", "DoF in the plane", "constraints in the plane", "coordinates")
-    particles = table(head, (particle_row(kind) for kind in examples() if is_for_particles(kind)))
-    return f"{HEAD}{bodies}{NOTES}{particles}"
+    counts = ("DoF", "constraints", "DoF in the plane", "constraints in the plane")
+    freedoms = table(("type", "motion", *counts), (freedom_row(t()) for t in TYPES.values()))
+    head = ("type", "options", "primitives", "coordinates", "velocities")
+    coordinates = table(head, map(coordinate_row, examples()))
+    particles = table(
+        ("type", *counts, "coordinates"), (particle_row(t()) for t in TYPES.values() if is_for_particles(t()))
+    )
+    return f"{HEAD}{freedoms}{COORDINATES}{coordinates}{NOTES}{particles}"
 
 
 def examples() -> Iterator[JointType]:
@@ -64,18 +76,21 @@ def examples() -> Iterator[JointType]:
 
 
 def is_for_particles(kind: JointType) -> bool:
-    """Whether a particle can be the child, and no option is switched on."""
-    return True not in kind.options.values() and all(p.kind == P for p in kind.layout(3, True)[1])
+    """Whether the child can be a particle."""
+    return all(p.kind == P for p in kind.layout(3, True)[1])
 
 
-def body_row(kind: JointType) -> list[str]:
-    """What a joint type does to a body, in space and in the plane."""
+def freedom_row(kind: JointType) -> list[str]:
+    """What a joint type leaves to a body and takes away, in space and in the plane."""
+    return [f"`{kind.type_name}`", kind.summary, str(kind.dof()), str(kind.constraints()), *in_the_plane(kind, False)]
+
+
+def coordinate_row(kind: JointType) -> list[str]:
+    """What a joint type is made of in space, and its coordinates."""
     options = ", ".join(f"`{f.name}={getattr(kind, f.name)}`" for f in fields(kind))
     coordinates, velocities = names(kind.coordinates()), names(kind.velocities())
-    return [
-        f"`{kind.type_name}`", kind.summary, str(kind.dof()), str(kind.constraints()), *in_the_plane(kind, False),
-        kind.decomposition, coordinates, "the same" if velocities == coordinates else velocities, options,
-    ]  # fmt: skip
+    same = velocities == coordinates
+    return [f"`{kind.type_name}`", options, kind.decomposition, coordinates, "the same" if same else velocities]
 
 
 def particle_row(kind: JointType) -> list[str]:

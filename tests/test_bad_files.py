@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import os
 import random
+import re
+import sysconfig
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -15,7 +18,7 @@ from bad_file_cases import TOML_CASES, URDF_CASES, Case
 from kempe.description.read import check, read
 from kempe.description.toml import read_toml
 from kempe.description.urdf import read_urdf
-from kempe.errors import DescriptionError, KempeError
+from kempe.errors import PROBLEM_LIMIT, DescriptionError, KempeError
 
 PAGE = Path(__file__).parent.parent / "docs" / "bad_files.md"
 CASES = [*URDF_CASES, *TOML_CASES]
@@ -81,8 +84,8 @@ def test_what_is_said(case: Case, tmp_path: Path):
         if case.line is not None:
             assert where.line == case.line, said
             assert "^" in error.problems[0].caret()
-        if case.title != "30 problems at once":
-            assert error.problems[0].allowed or "did you mean" in said or ";" in said or "(" in said
+        for problem in error.problems[:PROBLEM_LIMIT]:
+            assert problem.allowed or re.search("did you mean|there are|allowed|must", problem.message)
 
 
 def test_caret_stands_under_the_place(tmp_path: Path):
@@ -94,8 +97,6 @@ def test_caret_stands_under_the_place(tmp_path: Path):
 
 def page() -> str:
     """The text of `docs/bad_files.md`."""
-    import tempfile
-
     out = [INTRODUCTION]
     for heading, cases in (("URDF", URDF_CASES), ("TOML", TOML_CASES)):
         out.append(f"## {heading}\n\n| in the file | what Kempe says |\n|---|---|")
@@ -128,8 +129,6 @@ def robot_bytes() -> bytes:
 
 def robot_files() -> list[Path]:
     """URDF files of the package example-robot-data, none where it is not installed."""
-    import sysconfig
-
     roots = {Path(sysconfig.get_path(key)) / "cmeel.prefix" for key in ("purelib", "platlib")}
     return sorted({p for root in roots for p in root.glob("share/example-robot-data/robots/**/*.urdf")})
 
@@ -156,7 +155,7 @@ def test_damaged_robots_never_crash():
     for _ in range(150):
         damaged = bytearray(data)
         for _ in range(rng.choice([1, 1, 2, 5])):
-            damaged[rng.randrange(len(damaged))] = rng.randrange(256)
+            damaged[rng.randrange(len(damaged))] = rng.choice([rng.randrange(256), rng.randrange(32, 127)])
         survives(read_urdf, bytes(damaged))
 
 

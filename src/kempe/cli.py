@@ -194,6 +194,7 @@ def fk(
 
     if frame is not None:
         system.frame_name(frame)  # a wrong name is told before kernels are compiled
+    rows.output(out)
     values = rows.configuration(system, q, posture, deg)
     X = system.fk(values, frame)
     if out is not None:
@@ -224,6 +225,7 @@ def ik(
     from kempe.views import facts, report, rows
 
     system.frame_name(frame)  # a wrong name is told before kernels are compiled
+    rows.output(out)
     X, position = rows.target(system, target, deg)
     start = None if seed is None else rows.configuration(system, seed, None, deg)
     answer = system.ik(

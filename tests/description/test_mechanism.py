@@ -96,7 +96,9 @@ def test_a_joint_can_sit_on_named_frames():
 def test_placements_and_axes_on_both_sides():
     m = Mechanism()
     b = m.body("b")
-    m.revolute("j", m.ground, b, at=Placement((("z", (1.0,)),)), axis=(0, 1, 0), child_at=(0.5, 0, 0), child_axis=(1, 0, 0))
+    m.revolute(
+        "j", m.ground, b, at=Placement((("z", (1.0,)),)), axis=(0, 1, 0), child_at=(0.5, 0, 0), child_axis=(1, 0, 0)
+    )
     X = m.build().fk([0.3], "b")
     align = {"y": reference.turn("x", -np.pi / 2), "x": reference.turn("y", np.pi / 2)}
     expected = (reference.slide("z", 1) @ align["y"] @ reference.turn("z", 0.3)
@@ -137,7 +139,11 @@ WRONG = [
     (lambda m: m.frame("f", "link9"), DescriptionError, "frame 'f': arm has no body 'link9'; did you mean 'link"),
     (lambda m: m.frame("f", 7), DescriptionError, "frame 'f': arm has no body 7"),
     (lambda m: m.frame("f", ["link1"]), DescriptionError, "frame 'f': arm has no body"),
-    (lambda m: m.frame("f", "link1", at=(1, 2, 3, 4)), DescriptionError, "frame 'f': at has 4 numbers; it must have 2 or 3"),
+    (
+        lambda m: m.frame("f", "link1", at=(1, 2, 3, 4)),
+        DescriptionError,
+        "frame 'f': at has 4 numbers; it must have 2 or 3",
+    ),
     (lambda m: m.frame("f", "link1", at=("l9", 0, 0)), DescriptionError, "frame 'f': arm has no parameter 'l9'"),
     (lambda m: m.frame("f", "link1", matrix="x"), DescriptionError, "frame 'f': matrix is 'x'"),
     (lambda m: m.frame("f", "p", at=(1, 0, 0)), DescriptionError, "frame 'f': a particle .'p'. has no extent"),
@@ -151,31 +157,91 @@ WRONG = [
     (lambda m: m.parameter("k", np.inf), InputError, "parameter 'k' is inf"),
     (lambda m: m.revolute("q1", "base", "p"), DescriptionError, "joint 'q1': there is another joint of this name"),
     (lambda m: m.revolute("", "base", "p"), InputError, "joint name is ''"),
-    (lambda m: m.joint("j", "hinge", "base", "free body"), DescriptionError, "joint 'j': no joint type 'hinge'; there are"),
-    (lambda m: m.revolute("j", "bass", "link1"), DescriptionError, "joint 'j': arm has no body 'bass'; did you mean 'base'"),
+    (
+        lambda m: m.joint("j", "hinge", "base", "free body"),
+        DescriptionError,
+        "joint 'j': no joint type 'hinge'; there are",
+    ),
+    (
+        lambda m: m.revolute("j", "bass", "link1"),
+        DescriptionError,
+        "joint 'j': arm has no body 'bass'; did you mean 'base'",
+    ),
     (lambda m: m.revolute("j", "link1", "link1"), DescriptionError, "joint 'j': it connects body 'link1' to itself"),
-    (lambda m: m.revolute("j", "p", "link1"), DescriptionError, "joint 'j': its parent 'p' is a particle.*make the particle the"),
-    (lambda m: m.revolute("j", "base", "p"), DescriptionError, "joint 'j': a revolute joint turns, but 'p' is a particle"),
-    (lambda m: m.free("j", "base", "p", child_at=(1, 0, 0)), DescriptionError, "joint 'j': a particle .'p'. has no extent"),
+    (
+        lambda m: m.revolute("j", "p", "link1"),
+        DescriptionError,
+        "joint 'j': its parent 'p' is a particle.*make the particle the",
+    ),
+    (
+        lambda m: m.revolute("j", "base", "p"),
+        DescriptionError,
+        "joint 'j': a revolute joint turns, but 'p' is a particle",
+    ),
+    (
+        lambda m: m.free("j", "base", "p", child_at=(1, 0, 0)),
+        DescriptionError,
+        "joint 'j': a particle .'p'. has no extent",
+    ),
     (lambda m: m.revolute("j", "base", "link2", axis=(0, 0, 0)), DescriptionError, "joint 'j': axis is 0.0 0.0 0.0"),
     (lambda m: m.revolute("j", "base", "link2", rpy=(1, 2)), DescriptionError, "joint 'j': rpy has 2 numbers"),
-    (lambda m: m.revolute("j", "base", "link2", color="red"), DescriptionError, "joint 'j':.*no option 'color'; it takes no"),
-    (lambda m: m.revolute("j", "base", "link2", limits=3), DescriptionError, "joint 'j': limits are 3; they must be a pair"),
-    (lambda m: m.revolute("j", "base", "link2", limits="12"), DescriptionError, "joint 'j': limits are '12'; they must be a pa"),
+    (
+        lambda m: m.revolute("j", "base", "link2", color="red"),
+        DescriptionError,
+        "joint 'j':.*no option 'color'; it takes no",
+    ),
+    (
+        lambda m: m.revolute("j", "base", "link2", limits=3),
+        DescriptionError,
+        "joint 'j': limits are 3; they must be a pair",
+    ),
+    (
+        lambda m: m.revolute("j", "base", "link2", limits="12"),
+        DescriptionError,
+        "joint 'j': limits are '12'; they must be a pa",
+    ),
     (lambda m: m.revolute("j", "base", "link2", limits=("0", "1")), DescriptionError, "joint 'j': limits are"),
-    (lambda m: m.revolute("j", "base", "link2", limits=(1, 0)), DescriptionError, "joint 'j': lower limit 1 is above upper limit"),
-    (lambda m: m.revolute("j", "base", "link2", limits=(0, np.nan)), DescriptionError, "joint 'j': limits are .0.0, nan.; they"),
+    (
+        lambda m: m.revolute("j", "base", "link2", limits=(1, 0)),
+        DescriptionError,
+        "joint 'j': lower limit 1 is above upper limit",
+    ),
+    (
+        lambda m: m.revolute("j", "base", "link2", limits=(0, np.nan)),
+        DescriptionError,
+        "joint 'j': limits are .0.0, nan.; they",
+    ),
     (lambda m: m.revolute("j", "base", "link2", limits=(np.inf, np.inf)), DescriptionError, "joint 'j': limits are"),
     (lambda m: m.fixed("j", "base", "link2", limits=(0, 1)), DescriptionError, "joint 'j'.*by coordinate: it has none"),
     (lambda m: m.universal("j", "base", "link2", limits=(0, 1)), DescriptionError, "joint 'j'.*by coordinate: rx, ry"),
-    (lambda m: m.universal("j", "base", "link2", limits={"rz": (0, 1)}), DescriptionError, "joint 'j'.*no coordinate 'rz'"),
-    (lambda m: m.spherical("j", "base", "link2", limits={"wx": (0, 1)}), DescriptionError, "joint 'j'.*no coordinate 'wx'"),
-    (lambda m: m.spherical("j", "base", "link2", limits={"qw": (0, 1)}), DescriptionError, "joint 'j'.*no coordinate 'qw'"),
-    (lambda m: m.revolute("j", "base", "link2", velocity=-1), DescriptionError, "joint 'j': velocity limit is -1; it must be"),
+    (
+        lambda m: m.universal("j", "base", "link2", limits={"rz": (0, 1)}),
+        DescriptionError,
+        "joint 'j'.*no coordinate 'rz'",
+    ),
+    (
+        lambda m: m.spherical("j", "base", "link2", limits={"wx": (0, 1)}),
+        DescriptionError,
+        "joint 'j'.*no coordinate 'wx'",
+    ),
+    (
+        lambda m: m.spherical("j", "base", "link2", limits={"qw": (0, 1)}),
+        DescriptionError,
+        "joint 'j'.*no coordinate 'qw'",
+    ),
+    (
+        lambda m: m.revolute("j", "base", "link2", velocity=-1),
+        DescriptionError,
+        "joint 'j': velocity limit is -1; it must be",
+    ),
     (lambda m: m.revolute("j", "base", "link2", effort="9"), DescriptionError, "joint 'j': effort limit is '9'"),
     (lambda m: m.couple("q2", {}), DescriptionError, "coupling of 'q2': it has no source"),
     (lambda m: m.couple("q2", "q1"), DescriptionError, "coupling of 'q2': its sources are 'q1'; they must be a dict"),
-    (lambda m: m.couple("q2", {"q1": np.nan}), DescriptionError, "coupling of 'q2': multiplier is nan; it must be finite"),
+    (
+        lambda m: m.couple("q2", {"q1": np.nan}),
+        DescriptionError,
+        "coupling of 'q2': multiplier is nan; it must be finite",
+    ),
     (lambda m: m.gear("q2", "q1", "2,5"), DescriptionError, "coupling of 'q2': '2,5' is not an expression"),
     (lambda m: m.posture("home", [0, 0]), InputError, "posture 'home' is .0, 0.; it must be a dict"),
     (lambda m: m.posture("home", {"q1": "up"}), InputError, "posture 'home': 'q1' is 'up'; it must be a number"),
@@ -184,7 +250,11 @@ WRONG = [
     (lambda m: m.attach("panda.urdf"), InputError, "'panda.urdf' is no Mechanism or System"),
     (lambda m: m.attach(Mechanism(dim=2)), InputError, "has dim 2, 'arm' has dim 3; they must be equal"),
     (lambda m: m.attach(gripper(), to="tipp"), UnknownNameError, "arm has no body or frame 'tipp'; did you mean 'tip'"),
-    (lambda m: m.attach(gripper(), to="tip", at=(1, 0, 0)), InputError, "`at` cannot be given when mounting on a frame"),
+    (
+        lambda m: m.attach(gripper(), to="tip", at=(1, 0, 0)),
+        InputError,
+        "`at` cannot be given when mounting on a frame",
+    ),
     (lambda m: m.attach(gripper(), to="p"), DescriptionError, "joint 'palm_mount': its parent 'p' is a particle"),
     (lambda m: m.attach(arm()), DescriptionError, "body 'base': there is another body of this name"),
     (lambda m: m.subchain("bass", "tip"), UnknownNameError, "arm has no body 'bass'; did you mean 'base'"),
@@ -203,21 +273,33 @@ def test_wrong_calls_say_what_is_wrong_and_change_nothing(call, kind, words):
 
 
 FLAT = [
-    (lambda m: m.frame("f", "b", at=(1, 2, 3)), "frame 'f': z leaves the plane; planar systems take x, y and turns about z"),
+    (
+        lambda m: m.frame("f", "b", at=(1, 2, 3)),
+        "frame 'f': z leaves the plane; planar systems take x, y and turns about z",
+    ),
     (lambda m: m.frame("f", "b", rpy=(0.1, 0, 0)), "frame 'f': rx leaves the plane"),
     (lambda m: m.frame("f", "b", axis=(1, 0)), "frame 'f': align leaves the plane"),
     (lambda m: m.frame("f", "b", quat_wxyz=(1, 0, 0, 0)), "frame 'f': quat_wxyz leaves the plane"),
     (lambda m: m.revolute("j", "ground", "b", axis=(1, 0)), "joint 'j': align leaves the plane"),
     (lambda m: m.revolute("j", "ground", "b", at=(0, 0, 1)), "joint 'j': z leaves the plane"),
     (lambda m: m.revolute("j", "ground", "b", child_rpy=(0, 1, 0)), "joint 'j': ry leaves the plane"),
-    (lambda m: m.prismatic("j", "ground", "b"), "joint 'j': a prismatic joint slides along z, out of the plane; give its axis"),
+    (
+        lambda m: m.prismatic("j", "ground", "b"),
+        "joint 'j': a prismatic joint slides along z, out of the plane; give its axis",
+    ),
     (lambda m: m.prismatic("j", "ground", "p"), "joint 'j': a prismatic joint slides along z, out of the plane"),
     (lambda m: m.prismatic("j", "ground", "b", axis=(0, 0, 1)), "joint 'j': a prismatic joint slides along z"),
     (lambda m: m.prismatic("j", "ground", "b", axis=(1, 0, 1)), "joint 'j': its axis has z = 0.7"),
-    (lambda m: m.prismatic("j", "ground", "b", axis=(1, 0), child_axis=(0, 1)), "joint 'j': its axis differs on the two bodies"),
+    (
+        lambda m: m.prismatic("j", "ground", "b", axis=(1, 0), child_axis=(0, 1)),
+        "joint 'j': its axis differs on the two bodies",
+    ),
     (lambda m: m.planar("j", "ground", "b", axis=(0, 1)), "joint 'j': align leaves the plane"),
     (lambda m: m.fixed("j", "ground", "b", axis=(0, 1)), "joint 'j': align leaves the plane"),
-    (lambda m: m.cylindrical("j", "ground", "b"), "joint 'j': a cylindrical joint does not exist in the plane; planar systems"),
+    (
+        lambda m: m.cylindrical("j", "ground", "b"),
+        "joint 'j': a cylindrical joint does not exist in the plane; planar systems",
+    ),
 ]
 
 
@@ -232,7 +314,9 @@ def test_planar_systems_refuse_what_leaves_the_plane(call, words):
 
 def test_sliders_of_the_plane_slide_where_they_point():
     m = planar()
-    m.prismatic("j", m.ground, "b", at=(1, 0), angle=0.5, axis=(0, 2), child_at=(0, 1), child_angle=0.2, child_axis=(0, 3))
+    m.prismatic(
+        "j", m.ground, "b", at=(1, 0), angle=0.5, axis=(0, 2), child_at=(0, 1), child_angle=0.2, child_axis=(0, 3)
+    )
     m.prismatic("k", "b", "p", axis=(1, 0))
     s = m.build()
     q = np.array([0.4, 0.3])
@@ -249,7 +333,7 @@ def test_problems_know_where_they_are():
     with pytest.raises(DescriptionError) as error:
         m.body("b", where=Where("robot.urdf", 7, 5, "  <link name='b'/>"))
     (problem,) = error.value.problems
-    assert str(problem) == "robot.urdf:7: body 'b': there is another body of this name (robot.urdf:3)"
+    assert str(problem) == "robot.urdf:7: body 'b': there is another body of this name (robot.urdf:3); names must be unique"
     assert problem.caret() == "      <link name='b'/>\n        ^"
     again = pickle.loads(pickle.dumps(error.value))
     assert isinstance(again, DescriptionError) and str(again) == str(error.value) and again.problems == (problem,)
@@ -397,7 +481,9 @@ def test_couplings_that_do_not_fit():
     refused("coordinate 'b': it is locked, but follows a; lock what it follows",
             lambda m: m.gear("b", "a", 1), lambda m: m.lock({"b": 0}))  # fmt: skip
     refused("lock of 'x': three has no coordinate 'x'", lambda m: m.lock({"x": 0}))
-    refused("lock of 's.qw': a quaternion is locked as a whole; missing are s.qx, s.qy, s.qz", lambda m: m.lock({"s.qw": 1}))
+    refused(
+        "lock of 's.qw': a quaternion is locked as a whole; missing are s.qx, s.qy, s.qz", lambda m: m.lock({"s.qw": 1})
+    )
     refused("lock of 's.qw': the quaternion is zero", lambda m: m.lock({f"s.q{c}": 0 for c in "wxyz"}))
     with pytest.raises(DescriptionError, match="coupling of 'b': the coordinate follows others already"):
         m = three()
@@ -448,12 +534,16 @@ def test_coordinate_names_must_be_unique():
     m = Mechanism()
     m.cylindrical("a", m.ground, m.body("A"))
     m.revolute("a.rz", "A", m.body("B"))
-    with pytest.raises(DescriptionError, match="joint 'a.rz': its coordinate 'a.rz' has the same name as one of joint 'a'"):
+    with pytest.raises(
+        DescriptionError, match="joint 'a.rz': its coordinate 'a.rz' has the same name as one of joint 'a'"
+    ):
         m.build()
     m = Mechanism()
     m.spherical("a", m.ground, m.body("A"))
     m.revolute("a.wx", "A", m.body("B"))
-    with pytest.raises(DescriptionError, match="joint 'a.wx': its coordinate 'a.wx' has the same name as one of joint 'a'"):
+    with pytest.raises(
+        DescriptionError, match="joint 'a.wx': its coordinate 'a.wx' has the same name as one of joint 'a'"
+    ):
         m.build()
 
 
@@ -653,7 +743,9 @@ def test_the_chain_between_two_bodies():
 
 def test_a_chain_keeps_what_it_follows_or_says_what_it_cannot():
     m = gripper()
-    with pytest.raises(DescriptionError, match="coordinate 'right_finger': it follows left_finger, outside the chain; lock"):
+    with pytest.raises(
+        DescriptionError, match="coordinate 'right_finger': it follows left_finger, outside the chain; lock"
+    ):
         m.subchain("palm", "right")
     held = m.lock({"left_finger": 0.03}).subchain("palm", "right").build()
     np.testing.assert_allclose(held.fk([], "right")[:3, 3], [0, -0.03, 0], atol=1e-16)
@@ -780,7 +872,9 @@ def test_particles_hold_nothing():
     b, p = m.body("b"), m.particle("p")
     m.free("f", m.ground, p)
     m.prismatic("s", b, p)
-    with pytest.raises(DescriptionError, match="no joints lead from 'ground' to 'b'; a free body needs.*particle can hold no"):
+    with pytest.raises(
+        DescriptionError, match="no joints lead from 'ground' to 'b'; a free body needs.*particle can hold no"
+    ):
         m.build()
 
 

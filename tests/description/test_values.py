@@ -59,7 +59,9 @@ def test_other_texts_are_refused(text):
     assert len(str(error.value)) < 1200
 
 
-@pytest.mark.parametrize("text", ["1/0", "a/(a - a)", "0**-1", "sqrt(-1)", "(-8)**(1/3)", "asin(2)", "1e308*10", "9.0**9**9**9"])
+@pytest.mark.parametrize(
+    "text", ["1/0", "a/(a - a)", "0**-1", "sqrt(-1)", "(-8)**(1/3)", "asin(2)", "1e308*10", "9.0**9**9**9"]
+)
 def test_what_is_no_number_gives_nan_or_infinity(text):
     with np.errstate(all="ignore"):
         assert not np.isfinite(Expression(text).evaluate(PARAMETERS))
@@ -182,7 +184,7 @@ def test_nearly_rotations_become_rotations():
 
 
 @pytest.mark.parametrize(("call", "words"), [
-    (lambda: place((1,)), "at has 1 numbers; it must have 2 or 3"),
+    (lambda: place((1,)), "at has 1 number; it must have 2 or 3"),
     (lambda: place("origin"), "at is 'origin'; it must have 2 or 3 numbers"),
     (lambda: place((1, math.nan, 0)), "at is nan; it must be finite"),
     (lambda: place((1, "1,5", 0)), "'1,5' is not an expression"),
@@ -215,5 +217,7 @@ def test_bad_placements_say_what_is_wrong(call, words):
 
 def test_steps_from_data():
     X = steps_from_data([["z", "d1"], ["rx", 0.5], ["align", 0, 1, 0], ["y", 1]])
-    expected = reference.slide("z", 0.2) @ reference.turn("x", 0.5) @ reference.turn("x", -np.pi / 2) @ reference.slide("y", 1)
+    expected = (
+        reference.slide("z", 0.2) @ reference.turn("x", 0.5) @ reference.turn("x", -np.pi / 2) @ reference.slide("y", 1)
+    )
     np.testing.assert_allclose(X.evaluate({"d1": 0.2}), expected.astype(float), rtol=0, atol=1e-15)

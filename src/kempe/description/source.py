@@ -152,46 +152,30 @@ def _text_of(data: bytes, name: str, declared: re.Pattern[bytes] | None) -> str:
     return _decode(data, _codec(match[1].decode("ascii"), first), name, "its first line")
 
 
-def _check_declared(data: bytes, encoding: str, name: str, declared: re.Pattern[bytes] | None) -> None:
+_CODECS = {
+    "utf-8": "utf-8", "utf8": "utf-8", "us-ascii": "ascii", "ascii": "ascii", "iso-8859-1": "latin-1",
+    "latin-1": "latin-1", "latin1": "latin-1", "iso-8859-15": "iso-8859-15", "windows-1252": "cp1252",
+}  # fmt: skip
+_ADVICE = "save it as UTF-8 and declare that, or nothing"
+
+
+def _check_declared(data: bytes, encoding: str, first: Where, declared: re.Pattern[bytes] | None) -> None:
     head = data[:600].decode(encoding, "replace").encode("utf-8", "replace")
     match = declared.match(head) if declared else None
-    if match is None:
-        return
-    given = match[1].decode("ascii")
-    if not encoding.startswith(given.lower()):
-        actual = encoding[:6].upper().rstrip("-")
-        raise fail(
-            f"its first line declares the encoding {given!r}, but its byte order mark says {actual}",
-            Where(name, 1, 1),
-            "correct the declaration",
-        )
+    given = match[1].decode("ascii") if match else encoding
+    if not encoding.replace("-", "").startswith(given.lower().replace("-", "")):
+        actual = encoding.upper().removesuffix("-LE").removesuffix("-BE")
+        said = f"its first line declares the encoding {given!r}, but its byte order mark says {actual}"
+        raise fail(said, first, "correct the declaration")
 
 
-def _codec(given: str, name: str) -> str:
-    accepted = {
-        "utf-8": "utf-8",
-        "utf8": "utf-8",
-        "us-ascii": "ascii",
-        "ascii": "ascii",
-        "iso-8859-1": "latin-1",
-        "latin-1": "latin-1",
-        "latin1": "latin-1",
-        "iso-8859-15": "iso-8859-15",
-        "windows-1252": "cp1252",
-    }
+def _codec(given: str, first: Where) -> str:
+    said = f"its first line declares the encoding {given!r}"
     if given.lower().startswith("utf-16"):
-        raise fail(
-            f"its first line declares {given!r}, but the bytes are not UTF-16 with a byte order mark",
-            Where(name, 1, 1),
-            "save it as UTF-8 and declare that, or nothing",
-        )
-    if given.lower() not in accepted:
-        raise fail(
-            f"its first line declares the encoding {given!r}, which is not read",
-            Where(name, 1, 1),
-            "save it as UTF-8 and declare that, or nothing",
-        )
-    return accepted[given.lower()]
+        raise fail(f"{said}, but the bytes are not UTF-16 with a byte order mark", first, _ADVICE)
+    if given.lower() not in _CODECS:
+        raise fail(f"{said}, which is not read", first, _ADVICE)
+    return _CODECS[given.lower()]
 
 
 def _decode(data: bytes, encoding: str, name: str, claim: str) -> str:

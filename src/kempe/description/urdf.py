@@ -178,13 +178,10 @@ def _scan_joints(urdf: _Urdf) -> None:
         if given in TYPES:
             urdf.types[name] = given
         else:
-            wrong = "it has no type" if given is None else f"unknown type {shorten(given)}"
-            findings.add(
-                wrong + (findings.hint(given, TYPES) if given else ""),
-                subject,
-                element.where_of("type"),
-                f"URDF has {', '.join(TYPES)} (TOML has more)",
-            )
+            said = urdf.findings.hint(given, TYPES) if given else ""
+            wrong = "it has no type" if given is None else f"unknown type {shorten(given)}{said}"
+            allowed = "" if "did you mean" in said else f"URDF has {', '.join(TYPES)} (TOML has more)"
+            findings.add(wrong, subject, element.where_of("type"), allowed)
         ends = [_end(urdf, element, tag, subject) for tag in ("parent", "child")]
         if None in ends:
             continue

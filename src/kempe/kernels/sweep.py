@@ -95,7 +95,7 @@ def turned(s, c, a, b):
 def slid(theta, c):
     """The third row of Tz @ [...; c; 0 0 0 1]; all NaN if theta is not finite."""
     bad = theta - theta
-    return c + pack4(bad, bad, bad, theta)
+    return c + pack4(bad, bad, bad, theta + bad)
 
 
 @device
@@ -295,7 +295,7 @@ def times_turn(row, s, c):
 def times_slide(row, theta):
     """The row `row` of [...] @ Tz; all NaN if theta is not finite."""
     bad = theta - theta
-    return row + entry(row, 2) * pack4(bad, bad, bad, theta)
+    return row + entry(row, 2) * pack4(bad, bad, bad, theta + bad)
 
 
 @device

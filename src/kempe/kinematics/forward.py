@@ -150,7 +150,10 @@ class _Bound:
 
 
 def _query(system: System, frame: FrameLike) -> Query:
-    bound = system._queries.get(frame)
+    try:
+        bound = system._queries.get(frame)
+    except TypeError:  # nothing that could be a key is a name
+        bound = None
     if bound is None:
         bound = system._queries[frame] = query(system, frame)
     return bound

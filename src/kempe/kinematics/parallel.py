@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 _lock = threading.Lock()
 _pools: dict[int, ThreadPoolExecutor] = {}
@@ -20,17 +20,29 @@ def processors() -> int:
 
 
 def over_chunks(work: Callable[[int, int], int], count: int, chunk: int, threads: int | None, serial_below: int) -> int:
-    """Sum of ``work(start, stop)`` over fixed chunks of ``range(count)``; one thread below `serial_below` items."""
-    n = processors() if threads is None else max(1, int(threads))
-    if n == 1 or count < serial_below or count <= chunk:
-        return work(0, count) if n == 1 or count < serial_below else _serial(work, count, chunk)
+    """Sum of ``work(start, stop)`` over fixed chunks of ``range(count)``; one thread below `serial_below` items.
+
+    The calling thread works too. Each thread takes the next chunk when it is done with one, so a thread that gets no
+    processor holds nobody up for longer than a chunk. If one fails or is interrupted, no further chunk is begun.
+    """
+    n = min(processors() if threads is None else max(1, int(threads)), -(-count // chunk))
+    if n <= 1 or count < serial_below:
+        return work(0, count)
+    starts = iter(range(0, count, chunk))
+
+    def take_chunks() -> int:
+        try:
+            return sum(work(i, min(i + chunk, count)) for i in starts)
+        finally:
+            for _ in starts:
+                pass
+
     with _lock:
         pool = _pools.get(n)
         if pool is None:
-            pool = _pools[n] = ThreadPoolExecutor(n, thread_name_prefix="kempe")
-    futures = [pool.submit(work, i, min(i + chunk, count)) for i in range(0, count, chunk)]
-    return sum(f.result() for f in futures)
-
-
-def _serial(work: Callable[[int, int], int], count: int, chunk: int) -> int:
-    return sum(work(i, min(i + chunk, count)) for i in range(0, count, chunk))
+            pool = _pools[n] = ThreadPoolExecutor(n - 1, thread_name_prefix="kempe")
+    others = [pool.submit(take_chunks) for _ in range(n - 1)]
+    try:
+        return take_chunks() + sum(f.result() for f in others)
+    finally:
+        wait(others)

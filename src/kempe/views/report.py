@@ -45,7 +45,7 @@ def show(renderable: RenderableType, file: TextIO | None = None) -> None:
     """Print a report to `file` (standard output unless given), without trailing blanks outside a terminal."""
     printer = console(file)
     if printer.is_terminal:
-        printer.print(renderable)
+        printer.print(renderable, crop=False)
         return
     with printer.capture() as captured:
         printer.print(renderable)
@@ -58,11 +58,15 @@ def clean(text: object) -> str:
 
 
 def table(columns: Sequence[str], lines: Iterable[Sequence[object]], title: str = "") -> Table:
-    """A light table; columns named with a leading '>' are aligned right."""
-    out = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), title=title or None, title_justify="left",
-                header_style="bold", title_style="bold")  # fmt: skip
+    """A light table; columns named with a leading '>' hold numbers (right, not wrapped), with '=' are not wrapped."""
+    out = Table(
+        box=None, pad_edge=False, padding=(0, 2, 0, 0), title=title or None, title_justify="left",
+        header_style="bold", title_style="bold",
+    )  # fmt: skip
     for name in columns:
-        out.add_column(name.lstrip(">"), justify="right" if name.startswith(">") else "left", overflow="fold")
+        numeric = name.startswith(">")
+        justify = "right" if numeric else "left"
+        out.add_column(name.lstrip(">="), justify=justify, overflow="fold", no_wrap=numeric or name.startswith("="))
     for line in lines:
         out.add_row(*(cell if isinstance(cell, Text) else clean(cell) for cell in line))
     return out
@@ -132,9 +136,8 @@ def _bodies(data: dict[str, Any]) -> Table:
         joint = joints[body["joint"]]
         kind = _kind(joint) + (" (walked backwards)" if joint["child"] != body["name"] else "")
         name = body["name"] + (" (particle)" if body["particle"] else "")
-        parent = f"{body['parent']} {names[body['parent']]}"
-        lines.append((body["number"], name, parent, joint["name"], kind, *_of_joint(joint, by_name)))
-    return table((">#", "body", "parent", "joint", "type", "q", "limits"), lines)
+        lines.append((body["number"], name, body["parent"], joint["name"], kind, *_of_joint(joint, by_name)))
+    return table((">#", "body", ">parent", "joint", "=type", "=q", "=limits"), lines)
 
 
 def _kind(joint: dict[str, Any]) -> str:
@@ -169,7 +172,7 @@ def _loops(data: dict[str, Any]) -> Table | None:
     by_name = {c["name"]: c for c in data["coordinates"]}
     lines = [(j["name"], _kind(j), f"{j['parent']} - {j['child']}", *_of_joint(j, by_name))
             for j in (joints[n] for n in data["closures"])]  # fmt: skip
-    columns = ("joint", "type", "bodies", "q", "limits")
+    columns = ("joint", "=type", "bodies", "=q", "=limits")
     return table(columns, lines, "Loops, closed by the joints that the tree leaves out") if lines else None
 
 
@@ -243,26 +246,27 @@ def poses(system: System, frame: str | None, X: spatial.Array, degrees: bool = F
 
     X is what `System.fk` gives: (4, 4), (n, 4, 4), or for all bodies (k, 4, 4), (n, k, 4, 4).
     """
-    seen = f" of {clean(system.name)}, seen from {clean(system.body_names[0])}"
+    units = f"metres and {'degrees' if degrees else 'radians'}"
+    seen = f" of {clean(system.name)}, seen from {clean(system.body_names[0])}, in {units}"
     title = Text.assemble((clean(frame or "all bodies"), "bold green"), seen)
     if frame is not None and X.ndim == 2:
         return Group(title, "", _pose_table([()], (), X[None], degrees), "", Text(matrix(X)))
     if frame is not None:
-        return Group(title, "", _pose_table([(i,) for i in range(len(X))], (">configuration",), X, degrees))
+        return Group(title, "", _pose_table([(i,) for i in range(len(X))], (">q",), X, degrees))
     bodies = list(enumerate(system.body_names))
     if X.ndim == 3:
         return Group(title, "", _pose_table(bodies, (">#", "body"), X, degrees))
     labels = [(i, *body) for i in range(len(X)) for body in bodies]
-    return Group(title, "", _pose_table(labels, (">configuration", ">#", "body"), X.reshape(-1, 4, 4), degrees))
+    return Group(title, "", _pose_table(labels, (">q", ">#", "body"), X.reshape(-1, 4, 4), degrees))
 
 
-def _pose_table(
-    labels: Sequence[tuple], columns: tuple[str, ...], X: spatial.Array, degrees: bool
-) -> Table:  # fmt: skip
-    unit, places = ("deg", 4) if degrees else ("rad", 6)
-    cells = [(*label, *(number(x) for x in r[:3]), *(number(x, places) for x in r[3:]))
-             for label, r in zip(labels, facts.pose_rows(X, degrees).tolist(), strict=True)]  # fmt: skip
-    return table((*columns, ">x [m]", ">y [m]", ">z [m]", *(f">{a} [{unit}]" for a in ("roll", "pitch", "yaw"))), cells)
+def _pose_table(labels: Sequence[tuple], columns: tuple[str, ...], X: spatial.Array, degrees: bool) -> Table:
+    places = 4 if degrees else 6
+    cells = [
+        (*label, *(number(x) for x in r[:3]), *(number(x, places) for x in r[3:]))
+        for label, r in zip(labels, facts.pose_rows(X, degrees).tolist(), strict=True)
+    ]
+    return table((*columns, ">x", ">y", ">z", ">roll", ">pitch", ">yaw"), cells)
 
 
 def matrix(X: spatial.Array) -> str:
@@ -282,7 +286,13 @@ def solution(system: System, answer: Solution, degrees: bool = False) -> Rendera
         lines.append((c["name"], _value(x, c), c["unit"], "" if c["lower"] is c["upper"] is None else limits))
     title = "coordinate" if answer.success else "nearest found"
     copy = f"--q {','.join(f'{x:.9g}' for x in q.tolist())}" if lines else ""
-    return Group(outcome(answer), "", table((title, ">value", "unit", "limits"), lines), "", Text(copy, style="dim"))
+    return Group(
+        outcome(answer),
+        "",
+        table((title, ">value", "=unit", "=limits"), lines),
+        "",
+        Text(copy, style="dim", no_wrap=True, overflow="ignore"),
+    )
 
 
 def outcome(answer: Solution) -> Text:

@@ -181,14 +181,19 @@ def _is_number(text: str) -> bool:
     return True
 
 
+def output(path: Path | None) -> Path | None:
+    """The path of a file to write. Errors: `InputError` where its ending is neither .csv nor .npy."""
+    if path is not None and path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: results are written to {' or '.join(SUFFIXES)} files")
+    return path
+
+
 def write(path: Path, columns: Sequence[str], rows: spatial.Array, array: spatial.Array) -> None:
     """Write `rows` (n, k) with their column names to a .csv, or `array` to a .npy file."""
     if path.suffix.lower() == ".npy":
         np.save(path, array)
-    elif path.suffix.lower() == ".csv":
-        np.savetxt(path, rows, delimiter=",", fmt="%.17g", header=",".join(columns), comments="", encoding="utf-8")
     else:
-        raise InputError(f"{path}: results are written to .csv or .npy files")
+        np.savetxt(path, rows, delimiter=",", fmt="%.17g", header=",".join(columns), comments="", encoding="utf-8")
 
 
 def not_finite(q: spatial.Array) -> list[int]:

@@ -29,7 +29,7 @@ class Commands(TyperGroup):
             code = super().main(args, *rest, standalone_mode=False, **extra)
         except UsageError as error:
             context = getattr(error, "ctx", None)
-            path = context.command_path if context else "kempe"
+            path = " ".join(["kempe", *(context.command_path.split()[1:] if context else ())])
             message = getattr(error, "format_message", error.__str__)()
             say_error(f"{message} (see '{path} --help')", "--json" in args)
             code = REFUSED

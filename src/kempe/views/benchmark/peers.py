@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.metadata
 import importlib.util
+import os
 import platform
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
@@ -58,6 +59,11 @@ def machine() -> str:
         model = lines[0].split(":", 1)[1].strip() if lines else model
     system = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
     return f"{model}, {processors()} processors; {system}, numpy {np.__version__}, numba {numba.__version__}"
+
+
+def load() -> float:
+    """Processes that wanted to run in the last minute, on average: above 1 or 2, figures are of a busy machine."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
 
 
 def module(name: str) -> Any:

@@ -111,7 +111,7 @@ def significant(x: float) -> str:
     return f"{x:.0f}" if abs(x) >= 100 else f"{x:.3g}"
 
 
-def measure(cases: Sequence[Case], scale: float = 1e9, rounds: int = ROUNDS) -> list[Row]:
+def measure(cases: Sequence[Case], scale: float = 1e9) -> list[Row]:
     """Median time of one result of each case, in units of 1/`scale` seconds.
 
     The cases take turns (A B C A B C ...), so that a drift of the machine's speed meets all of them alike;
@@ -124,7 +124,7 @@ def measure(cases: Sequence[Case], scale: float = 1e9, rounds: int = ROUNDS) -> 
         once = max(timer.timeit(1), 100.0)
         numbers.append(max(1, int(TURN * 1e9 / once)))
     turns: list[list[float]] = [[] for _ in cases]
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         for case, timer, number, record in zip(cases, timers, numbers, turns, strict=True):
             record.append(timer.timeit(number) / (number * case.results))
     return [Row(c.library, c.call, statistics.median(t) * scale * 1e-9) for c, t in zip(cases, turns, strict=True)]

@@ -1,0 +1,171 @@
+"""Which coordinates make up q, their order and limits, and the rows of the table that they drive."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import reference
+from graphs import Graph, graphs
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kempe import Mechanism
+from kempe.errors import DescriptionError
+from kempe.joints import P, Q, R, joint_type
+from kempe.kernels import sweep
+from kempe.kinematics.constraints import coordinate_value
+from kempe.model.coordinates import Follower, relation_text
+
+
+@given(graph=graphs(loops=4))
+@settings(max_examples=80)
+def test_q_holds_all_coordinates_in_the_order_of_the_joints(graph: Graph):
+    """Those of cut joints too; not those that follow or are locked."""
+    s = graph.mechanism().build()
+    gone = {of for of, *_ in graph.gears} | {name for name, _ in graph.locks}
+    names, velocities = [], []
+    for e in graph.edges:
+        kind, particle = joint_type(e.kind, **e.options), e.child in graph.particles
+        for c in kind.coordinates(3, particle):
+            names += [n for n in [f"{e.name}.{c}" if c else e.name] if n not in gone]
+        for c in kind.velocities(3, particle):
+            velocities += [n for n in [f"{e.name}.{c}" if c else e.name] if n not in gone]
+    assert s.coordinate_names == tuple(names) and s.velocity_names == tuple(velocities)
+    assert (s.nq, s.nv) == (len(names), len(velocities)) == (len(s.neutral), len(s.lower))
+
+
+@given(graph=graphs())
+@settings(max_examples=80)
+def test_the_layout_uses_every_entry_once(graph: Graph):
+    s = graph.mechanism().build()
+    lay = s.layout
+    in_q = [*lay.vector_q, *(lay.quaternion_q[:, None] + np.arange(4)).ravel()]
+    in_v = [*lay.vector_v, *(lay.quaternion_v[:, None] + np.arange(3)).ravel()]
+    assert sorted(in_q) == list(range(s.nq)) and sorted(in_v) == list(range(s.nv))
+    for iq, iv in zip(lay.vector_q, lay.vector_v, strict=True):
+        assert s.coordinate_names[iq] == s.velocity_names[iv]
+    for iq, iv in zip(lay.quaternion_q, lay.quaternion_v, strict=True):
+        assert s.coordinate_names[iq].removesuffix("qw") == s.velocity_names[iv].removesuffix("wx")
+        np.testing.assert_array_equal(s.neutral[iq : iq + 4], [1, 0, 0, 0])
+
+
+@given(graph=graphs(), seed=st.integers(0, 10**6))
+def test_any_coordinate_has_a_value(graph: Graph, seed):
+    s = graph.mechanism().build()
+    q = s.random(seed, (2, 3))
+    for i in np.ndindex(2, 3):
+        values = reference.coordinate_values(
+            s.q_dict(q[i]), {of: ({source: r}, offset) for of, source, r, offset in graph.gears}, dict(graph.locks)
+        )
+        for name, x in values.items():
+            assert coordinate_value(s, q, name)[i] == pytest.approx(x, abs=1e-12)
+
+
+# ------------------------------------------------------------------ the table
+
+
+@given(graph=graphs())
+@settings(max_examples=80)
+def test_the_table_has_a_row_for_each_moving_primitive_of_the_tree(graph: Graph):
+    s = graph.mechanism().build()
+    table = s.table
+    held = {name for name, f in s.couplings.items() if f.source is None}
+    expected = 0
+    for e in graph.edges:
+        if e.name in s.closures or e.name in held:
+            continue
+        expected += len(joint_type(e.kind, **e.options).layout(3, e.child in graph.particles)[1])
+    assert len(table.kind) == expected and set(table.kind) <= {R, P, Q}
+    assert np.all(table.parent < np.arange(expected)) and np.all(table.parent >= -1)
+    for row in range(expected):
+        iq, iv = int(table.iq[row]), int(table.iv[row])
+        if table.kind[row] == Q:
+            assert iq in s.layout.quaternion_q and iv in s.layout.quaternion_v and abs(table.multiplier[row]) == 1.0
+        else:
+            assert s.coordinate_names[iq] == s.velocity_names[iv]
+    assert np.all(table.gauge[table.kind != R] == 0.0)
+
+
+@given(graph=graphs(), seed=st.integers(0, 10**6))
+def test_packs_hold_what_moves_their_outputs(graph: Graph, seed):
+    s, rng = graph.mechanism().build(), np.random.default_rng(seed)
+    names = [s.body_names[i] for i in rng.integers(0, len(s.body_names), 3)]
+    ints, floats = s.table.pack(names)
+    rows = sorted({r for n in names for r in s.table.path(n)})
+    assert (ints[0], ints[1], ints[2], ints[3]) == (len(rows), 3, s.nq, s.nv)
+    assert len(ints) == 8 + 6 * len(rows) + 2 * 3 and len(floats) == 16 * len(rows) + 12 * 3
+    q, out = s.random(rng), np.empty((3, 4, 4))
+    assert sweep.poses1(ints, floats, q, out) == 0
+    np.testing.assert_allclose(out, s.fk(q, names), rtol=0, atol=1e-14)
+    ints, floats = s.table.pack(names[:1], s.table.path(names[0]))
+    assert ints[4] == 1, "the way to one body is a chain"
+
+
+def test_constants_are_folded():
+    """Fixed joints, offsets and locked coordinates cost nothing."""
+    m = Mechanism()
+    a, b, c, d = (m.body(x) for x in "abcd")
+    m.fixed("f", m.ground, a, at=(1, 0, 0)), m.revolute("r", a, b), m.prismatic("p", b, c), m.cylindrical("c", c, d)
+    m.gear("p", "r", 0.5, offset=0.25)
+    m.lock({"c.z": 0.1})
+    table = m.build().table
+    np.testing.assert_array_equal(table.kind, [R, P, R])
+    np.testing.assert_array_equal(table.iq, [0, 0, 1])
+    np.testing.assert_array_equal(table.multiplier, [1.0, 0.5, 1.0])
+    np.testing.assert_allclose(table.placement[1][:3, 3], [0, 0, 0.25])
+    np.testing.assert_allclose(table.at["d"][1][:3, 3], [0, 0, 0.1])
+
+
+def test_large_offsets_do_not_cost_accuracy():
+    """The offset of a turn is kept apart from the coordinate: nothing is lost at large q."""
+    m = Mechanism()
+    m.revolute("a", m.ground, m.body("A")), m.revolute("b", m.ground, m.body("B"))
+    m.gear("b", "a", 3.0, offset=0.1)
+    X = m.build().fk([1e8 / 3], "B")
+    angle = np.longdouble(3.0 * (1e8 / 3)) + np.longdouble(0.1)
+    np.testing.assert_allclose(X[0, 0], float(np.cos(angle)), rtol=0, atol=1e-15)
+
+
+# ------------------------------------------------------------------ limits, words
+
+
+def test_limits_by_coordinate():
+    m = Mechanism()
+    m.planar("j", m.ground, m.body("b"), limits={"rz": (-1, 1), "x": (0, np.inf)}, velocity={"y": 2.0})
+    m.free("f", "b", m.body("c"), limits={"z": (0, 1)}, velocity={"wx": 3.0})
+    s = m.build()
+    inf = np.inf
+    assert s.velocity_names == ("j.x", "j.y", "j.rz", "f.x", "f.y", "f.z", "f.wx", "f.wy", "f.wz")
+    np.testing.assert_array_equal(s.lower, [0, -inf, -1, -inf, -inf, 0, -inf, -inf, -inf])
+    np.testing.assert_array_equal(s.upper, [inf, inf, 1, inf, inf, 1, inf, inf, inf])
+    np.testing.assert_array_equal(s.velocity_limits, [inf, 2, inf, inf, inf, inf, 3, inf, inf])
+    np.testing.assert_array_equal(s.limits, np.stack([s.lower, s.upper], axis=-1))
+
+
+def test_limits_of_cut_joints_count():
+    m = Mechanism()
+    m.revolute("a", m.ground, m.body("b"), limits=(-1, 1))
+    m.revolute("c", m.ground, "b", limits=(-0.5, 0.5), cut=True)
+    s = m.build()
+    assert s.closures == ("c",)
+    np.testing.assert_array_equal(s.limits, [[-1, 1], [-0.5, 0.5]])
+    with pytest.raises(DescriptionError, match="lock of 'c'"):
+        s.lock({"c": 0.7})
+
+
+def test_relations_in_words():
+    m = Mechanism()
+    for name in "abc":
+        m.revolute(name, m.ground, m.body(name.upper()))
+    m.couple("c", {"a": 0.5, "b": -2}, offset=0.1)
+    (relation,) = m.build().relations
+    assert relation_text(relation) == "c = 0.5 a + -2 b + 0.1"
+
+
+def test_followers_say_what_they_follow():
+    m = Mechanism()
+    for name in "abc":
+        m.revolute(name, m.ground, m.body(name.upper()))
+    m.gear("b", "a", 2.0, offset=1.0)
+    m.lock({"c": 0.5})
+    assert m.build().couplings == {"c": Follower(None, 0.0, 0.5), "b": Follower("a", 2.0, 1.0)}

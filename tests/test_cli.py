@@ -1,0 +1,534 @@
+"""The command line as its users see it: answers, JSON, exit codes, sentences for what goes wrong."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import kempe
+from kempe.cli import app
+from kempe.description.read import library_models
+
+ARM = """\
+<robot name="arm">
+  <link name="base"/> <link name="upper"/> <link name="lower"/> <link name="tip"/> <link name="finger"/>
+  <joint name="shoulder" type="revolute">
+    <parent link="base"/> <child link="upper"/> <axis xyz="0 0 1"/>
+    <limit lower="-2" upper="2" effort="1" velocity="1"/>
+  </joint>
+  <joint name="elbow" type="revolute">
+    <parent link="upper"/> <child link="lower"/> <origin xyz="1 0 0"/> <axis xyz="0 0 1"/>
+    <limit lower="-2" upper="2" effort="1" velocity="1"/>
+  </joint>
+  <joint name="end" type="fixed"> <parent link="lower"/> <child link="tip"/> <origin xyz="0.5 0 0"/> </joint>
+  <joint name="slide" type="prismatic">
+    <parent link="tip"/> <child link="finger"/> <axis xyz="1 0 0"/>
+    <limit lower="0" upper="0.1" effort="1" velocity="1"/> <mimic joint="elbow" multiplier="0.01"/>
+  </joint>
+</robot>
+"""
+
+BROKEN = """\
+<robot name="broken">
+  <link name="base"/>
+  <link name="hand"/>
+  <joint name="wrist" type="revolute">
+    <parent link="base"/> <child link="hand"/> <axis xyz="0 0 0"/>
+    <limit lower="2" upper="1" effort="1" velocity="1"/>
+  </joint>
+</robot>
+"""
+
+FOUR_BAR = """\
+# A four-bar linkage.
+format = 1
+name = "four-bar"
+dim = 2
+body = [{name = "crank"}, {name = "coupler"}, {name = "rocker"}]
+frame = [{name = "pen", body = "crank", at = [1.0, 0.0]}]
+postures = {home = {A = 0.5}}
+[[joint]]
+name = "A"
+type = "revolute"
+parent = "ground"
+child = "crank"
+[[joint]]
+name = "B"
+type = "revolute"
+parent = "crank"
+child = "coupler"
+at = [1.0, 0.0]
+[[joint]]
+name = "C"
+type = "revolute"
+parent = "coupler"
+child = "rocker"
+at = [2.0, 0.0]
+child_at = [1.0, 0.0]
+[[joint]]
+name = "D"
+type = "revolute"
+parent = "ground"
+child = "rocker"
+at = [2.0, 0.0]
+"""
+
+
+class Result:
+    """What one run of the command printed, and its exit code."""
+
+    def __init__(self, *arguments: object):
+        done = CliRunner().invoke(app, [str(a) for a in arguments])
+        self.code, self.out, self.err = done.exit_code, done.stdout, done.stderr
+        assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+
+    def json(self) -> dict:
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM)
+    return path
+
+
+@pytest.fixture
+def broken(tmp_path: Path) -> Path:
+    path = tmp_path / "broken.urdf"
+    path.write_text(BROKEN)
+    return path
+
+
+@pytest.fixture
+def four_bar(tmp_path: Path) -> Path:
+    path = tmp_path / "fourbar.toml"
+    path.write_text(FOUR_BAR)
+    return path
+
+
+def tip(q1: float, q2: float) -> tuple[float, float, float]:
+    """x, y and angle of the arm's tip."""
+    return math.cos(q1) + 0.5 * math.cos(q1 + q2), math.sin(q1) + 0.5 * math.sin(q1 + q2), q1 + q2
+
+
+# ---- the command itself
+
+
+def test_help_and_version():
+    assert Result("--version").out == f"kempe {kempe.__version__}\n"
+    alone, asked = Result(), Result("--help")
+    assert alone.code == asked.code == 0
+    for name in ("info", "check", "fk", "ik", "convert", "bench", "library", "warmup"):
+        assert name in alone.out and name in asked.out
+        assert Result(name, "--help").code == 0
+
+
+@pytest.mark.parametrize("arguments", [["fly"], ["info"], ["fk", "x", "--fly"], ["ik", "x"], ["ik", "x", "--frame"]])
+def test_wrong_usage(arguments):
+    plain = Result(*arguments)
+    assert plain.code == 2 and plain.out == ""
+    assert plain.err.startswith("error: ") and plain.err.count("\n") == 1 and "--help" in plain.err
+    data = Result(*arguments, "--json")
+    assert data.code == 2 and (data.json()["error"] or "").strip() and data.err == ""
+
+
+def test_no_traceback_and_no_heavy_imports(arm):
+    code = (
+        "import sys, kempe.cli\n"
+        "kempe.cli.app(sys.argv[1:], standalone_mode=False)\n"
+        "print(sorted({'numba', 'scipy', 'sympy', 'matplotlib', 'pinocchio', 'mujoco'} & set(sys.modules)))"
+    )
+    for arguments in (["--help"], ["info", str(arm)], ["check", str(arm)], ["library"]):
+        done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.splitlines()[-1] == "[]", arguments
+
+
+def test_as_a_process(arm, tmp_path):
+    command = [sys.executable, "-c", "import kempe.cli; kempe.cli.main()"]
+    good = subprocess.run([*command, "info", str(arm)], capture_output=True, text=True)
+    assert good.returncode == 0 and good.stderr == "" and "\x1b" not in good.stdout
+    assert not any(line != line.rstrip() for line in good.stdout.splitlines())
+    bad = subprocess.run([*command, "info", str(tmp_path / "nothing.urdf")], capture_output=True, text=True)
+    assert bad.returncode == 2 and bad.stdout == "" and "Traceback" not in bad.stderr
+    half = subprocess.run(
+        f"{sys.executable} -c 'import kempe.cli; kempe.cli.main()' info {arm} | head -n 1",
+        shell=True, capture_output=True, text=True,
+    )  # fmt: skip
+    assert half.stdout.startswith("arm") and "Traceback" not in half.stderr
+
+
+# ---- info
+
+
+def test_info(arm):
+    out = Result("info", arm).out
+    assert "C = {0, 1, 2, 3}" in out
+    assert "T^2, dimension 2" in out
+    assert "[-2, 2] rad" in out and "slide = 0.01 elbow" in out
+    assert "[-114.59, 114.59] deg" in Result("info", arm, "--deg").out
+
+
+def test_info_as_json(arm):
+    data = Result("info", arm, "--json").json()
+    assert data["parent"] == [0, 1, 2, 3] and data["nq"] == data["nv"] == data["dof_of_tree"] == 2
+    assert [b["name"] for b in data["bodies"]] == ["base", "upper", "lower", "tip", "finger"]
+    assert [j["type"] for j in data["joints"]] == ["revolute", "revolute", "fixed", "prismatic"]
+    shoulder, elbow = data["coordinates"]
+    assert shoulder == {"index": 0, "name": "shoulder", "unit": "rad", "lower": -2.0, "upper": 2.0}
+    assert (elbow["lower"], elbow["upper"]) == (0.0, 2.0), "the finger's limits reach back to the elbow"
+    assert data["couplings"] == [{"of": "slide", "source": "elbow", "multiplier": 0.01, "offset": 0.0}]
+    degrees = Result("info", arm, "--json", "--deg").json()["coordinates"][0]
+    assert degrees["unit"] == "deg" and degrees["upper"] == pytest.approx(math.degrees(2.0))
+
+
+def test_info_of_loops(four_bar):
+    data = Result("info", four_bar, "--json").json()
+    assert len(data["closures"]) == 1 and data["dof_of_tree"] == 3 and data["nv"] == 4
+    assert data["coordinates"][0]["lower"] is None
+    text = Result("info", four_bar).out
+    assert "at least 1" in text and "Loops" in text and "pen on crank" in text and "home" in text
+
+
+def test_free_base(arm):
+    data = Result("info", arm, "--json", "--base", "free").json()
+    assert data["nv"] == 8 and data["nq"] == 9
+    refused = Result("info", arm, "--base", "fixed")
+    assert refused.code == 2 and "'free'" in refused.err
+
+
+def test_names_cannot_reach_the_terminal(tmp_path):
+    path = tmp_path / "evil.toml"
+    path.write_text('format = 1\nname = "a\\u001b[31mb [bold]c"\n')
+    assert "a\\x1b[31mb [bold]c" in Result("info", path).out
+
+
+# ---- check
+
+
+def test_check(arm, broken):
+    good = Result("check", arm)
+    assert good.code == 0 and good.out == f"{arm}: no problems\n"
+    bad = Result("check", broken)
+    assert bad.code == 1 and "2 problems" in bad.out
+    assert f"{broken}:5: joint 'wrist': " in bad.out and f"{broken}:6: joint 'wrist': " in bad.out
+    lines = bad.out.splitlines()
+    shown = next(i for i, line in enumerate(lines) if line.strip().startswith("<parent link="))
+    assert lines[shown + 1].strip() == "^" and lines[shown].index("0 0 0") == lines[shown + 1].index("^")
+
+
+def test_check_several(arm, broken, tmp_path):
+    both = Result("check", arm, broken, tmp_path / "nothing.urdf")
+    assert both.code == 1 and both.out.rstrip().endswith("3 files: 1 good, 2 with problems")
+    data = json.loads(Result("check", arm, broken, "--json").out)
+    assert [d["ok"] for d in data] == [True, False]
+    assert [(p["line"], p["subject"]) for p in data[1]["problems"]] == [(5, "joint 'wrist'"), (6, "joint 'wrist'")]
+
+
+def test_broken_file_is_refused_by_all(broken):
+    for arguments in (["info", broken], ["fk", broken], ["convert", broken, broken.with_suffix(".toml")]):
+        plain = Result(*arguments)
+        assert plain.code == 2 and plain.out == "" and f"{broken}:5: joint 'wrist'" in plain.err and "^" in plain.err
+        data = Result(*arguments, "--json")
+        assert data.code == 2 and data.err == "" and len(data.json()["problems"]) == 2
+
+
+# ---- fk
+
+
+def test_fk_of_a_frame(arm):
+    data = Result("fk", arm, "--frame", "tip", "--q", "-0.3,0.7", "--json").json()
+    x, y, angle = tip(-0.3, 0.7)
+    np.testing.assert_allclose(data["xyz"], [x, y, 0.0], atol=1e-15)
+    np.testing.assert_allclose(data["rpy"], [0.0, 0.0, angle], atol=1e-15)
+    np.testing.assert_allclose(data["matrix"][0], [math.cos(angle), -math.sin(angle), 0.0, x], atol=1e-15)
+    text = Result("fk", arm, "--frame", "tip", "--q", "-0.3,0.7").out
+    assert f"{x:.6f}" in text and f"{y:.6f}" in text and f"{angle:.6f}" in text
+
+
+def test_fk_in_degrees_and_by_name(arm):
+    data = Result("fk", arm, "--frame", "tip", "--q", "elbow=90", "--deg", "--json").json()
+    np.testing.assert_allclose(data["xyz"], [1.0, 0.5, 0.0], atol=1e-15)
+    assert data["angle_unit"] == "deg" and data["rpy"][2] == pytest.approx(90.0)
+
+
+def test_lengths_stay_metres(tmp_path, arm):
+    path = tmp_path / "slider.urdf"
+    path.write_text(ARM.replace('<mimic joint="elbow" multiplier="0.01"/>', ""))
+    data = Result("fk", path, "--frame", "finger", "--q", "0,0,0.1", "--deg", "--json").json()
+    np.testing.assert_allclose(data["xyz"], [1.6, 0.0, 0.0], atol=1e-15)
+
+
+def test_fk_of_all_bodies(arm):
+    data = Result("fk", arm, "--json").json()["bodies"]
+    assert [b["frame"] for b in data] == ["base", "upper", "lower", "tip", "finger"]
+    np.testing.assert_allclose(data[3]["xyz"], [1.5, 0.0, 0.0], atol=1e-15)
+    assert "1.500000" in Result("fk", arm).out and "-0.000000" not in Result("fk", arm, "--q", "-0.0,0").out
+
+
+def test_fk_of_postures(four_bar):
+    for arguments, angle in ((["home"], 0.5), (["home", "--q", "A=0.2"], 0.2), (["neutral"], 0.0), (["mid"], 0.0)):
+        data = Result("fk", four_bar, "--frame", "pen", "--json", "--posture", *arguments).json()
+        np.testing.assert_allclose(data["xyz"], [math.cos(angle), math.sin(angle), 0.0], atol=1e-15)
+    refused = Result("fk", four_bar, "--posture", "hom")
+    assert refused.code == 2 and "did you mean 'home'" in refused.err
+
+
+def test_fk_of_a_file(arm, tmp_path):
+    q = np.array([[0.1, 0.2], [-0.3, 0.7], [1.0, 1.5]])
+    want = np.array([tip(*row) for row in q])
+    np.save(tmp_path / "q.npy", q)
+    np.savetxt(tmp_path / "q.csv", q, delimiter=",", fmt="%.17g")
+    np.savetxt(tmp_path / "named.csv", q[:, ::-1], delimiter=",", fmt="%.17g", header="elbow,shoulder", comments="")
+    for name in ("q.npy", "q.csv", "named.csv"):
+        data = Result("fk", arm, "--frame", "tip", "--q", tmp_path / name, "--json").json()["configurations"]
+        np.testing.assert_allclose([d["xyz"][:2] for d in data], want[:, :2], atol=1e-15)
+        assert Result("fk", arm, "--frame", "tip", "--q", tmp_path / name, "--out", tmp_path / "X.npy").code == 0
+        np.testing.assert_allclose(np.load(tmp_path / "X.npy")[:, :2, 3], want[:, :2], atol=1e-15)
+    Result("fk", arm, "--frame", "tip", "--q", tmp_path / "q.npy", "--out", tmp_path / "X.csv", "--deg")
+    table = np.genfromtxt(tmp_path / "X.csv", delimiter=",", names=True)
+    want = np.array([tip(*np.radians(row)) for row in q])
+    np.testing.assert_allclose([table["x"], table["y"], np.radians(table["yaw"])], want.T, atol=1e-15)
+    Result("fk", arm, "--q", tmp_path / "q.npy", "--out", tmp_path / "all.csv")
+    table = np.genfromtxt(tmp_path / "all.csv", delimiter=",", names=True)
+    assert table.size == 15 and list(table["body"][:5]) == [0, 1, 2, 3, 4] and table["configuration"][-1] == 2
+
+
+def test_fk_of_bad_rows(arm, tmp_path):
+    path = tmp_path / "q.csv"
+    path.write_text("0,0\nnan,0\n0,0\n")
+    result = Result("fk", arm, "--frame", "tip", "--q", path, "--json")
+    assert result.code == 1 and "row 1" in result.err
+    xyz = [d["xyz"] for d in result.json()["configurations"]]
+    assert xyz[1] == [None, None, None] and xyz[0] == xyz[2] == [1.5, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("q", "said"),
+    [
+        ("1", "arm needs 2: shoulder, elbow"), ("1,2,3", "arm needs 2"), ("1,a", "'a' is not a number"),
+        ("1,inf", "'elbow'"), ("elbw=1", "did you mean 'elbow'"), ("slide=1", "follows 'elbow'"),
+        ("elbow=1,2", "name=value"), ("elbow=1,elbow=2", "twice"), ("elbow=", "not a number"),
+        ("nothing.csv", "no such file"), ("nothing.npy", "no such file"), ("", "not a number"),
+    ],
+)  # fmt: skip
+def test_wrong_configurations(arm, q, said):
+    plain, data = Result("fk", arm, "--q", q), Result("fk", arm, "--q", q, "--json")
+    assert plain.code == data.code == 2 and plain.out == data.err == ""
+    assert said in plain.err and plain.err.count("\n") == 1 and said in data.json()["error"]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "no rows"), (b"shoulder\n", "no rows"), (b"1,2\n3\n", ":2: 1 values"), (b"1,2\n3,x\n", ":2: 'x'"),
+        (b"1,x\n", ":1: 'x'"), (b"shoulder,arm\n1,2\n", "'arm'"), (b"elbow,elbow\n1,2\n", "twice"),
+        (b"1,2,3\n", "arm needs 2"), (b"\xff\xfe,1\n", "UTF-8"),
+    ],
+)  # fmt: skip
+def test_wrong_files(arm, tmp_path, content, said):
+    (tmp_path / "q.csv").write_bytes(content)
+    result = Result("fk", arm, "--q", tmp_path / "q.csv")
+    assert result.code == 2 and said in result.err and result.err.count("\n") == 1
+
+
+def test_wrong_arrays(arm, tmp_path):
+    (tmp_path / "text.npy").write_text("no array")
+    np.save(tmp_path / "flat.npy", np.zeros(2))
+    np.save(tmp_path / "object.npy", np.array([{}], dtype=object), allow_pickle=True)
+    for name in ("text.npy", "flat.npy", "object.npy"):
+        assert Result("fk", arm, "--q", tmp_path / name).code == 2
+    refused = Result("fk", arm, "--out", tmp_path / "X.txt")
+    assert refused.code == 2 and ".csv or .npy" in refused.err and refused.out == ""
+
+
+def test_wrong_frame(arm):
+    for arguments in (["fk", arm, "--frame", "tipp"], ["ik", arm, "--frame", "tipp", "--target", "1,0,0"]):
+        plain, data = Result(*arguments), Result(*arguments, "--json")
+        assert plain.code == data.code == 2
+        assert plain.err == "error: arm has no frame 'tipp'; did you mean 'tip'?\n"
+        assert data.json()["error"] in plain.err and "tip" in data.json()["allowed"]
+
+
+# ---- ik
+
+
+def test_ik_of_a_position(arm):
+    x, y, _ = tip(-1.2, 0.9)
+    result = Result("ik", arm, "--frame", "tip", "--target", f"{x},{y},0", "--json")
+    assert result.code == 0
+    q = result.json()["q"]
+    np.testing.assert_allclose(tip(q["shoulder"], q["elbow"])[:2], (x, y), atol=1e-6)
+    assert result.json()["success"] is True and result.json()["position_error"] <= 1e-6
+
+
+def test_ik_of_a_pose_with_a_negative_number_first(arm):
+    x, y, angle = tip(1.9, 1.6)
+    assert x < 0
+    target = f"{x},{y},0,0,0,{math.degrees(angle)}"
+    result = Result("ik", arm, "--frame", "tip", "--target", target, "--deg")
+    assert result.code == 0 and "reached" in result.out
+    q = [float(v) for v in result.out.splitlines()[-1].removeprefix("--q ").split(",")]
+    np.testing.assert_allclose(q, np.degrees([1.9, 1.6]), atol=1e-4)
+    again = Result("fk", arm, "--frame", "tip", "--deg", "--json", *result.out.splitlines()[-1].split()).json()
+    np.testing.assert_allclose(again["xyz"], [x, y, 0.0], atol=1e-6)
+
+
+def test_ik_with_seed_tolerance_and_rng(arm):
+    x, y, _ = tip(0.4, 1.1)
+    options = ["--seed", "shoulder=0.4,elbow=1.1", "--tolerance", "1e-3,1e-2", "--rng", "7"]
+    result = Result(
+        "ik", arm, "--frame", "tip", "--target", f"{x},{y},0,90,90,90", "--position-only", *options, "--json"
+    )
+    assert result.code == 0 and result.json()["starts"] == 1
+    assert result.json()["q"] == pytest.approx({"shoulder": 0.4, "elbow": 1.1}, abs=1e-3)
+
+
+def test_ik_without_a_solution(arm):
+    result = Result("ik", arm, "--frame", "tip", "--target", "4,0,0")
+    assert result.code == 1 and "outside the workspace" in result.out and "nearest found" in result.out
+    data = Result("ik", arm, "--frame", "tip", "--target", "4,0,0", "--json")
+    assert data.code == 1 and data.json()["success"] is False
+    assert data.json()["position_error"] == pytest.approx(2.5, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        (["--target", "1,2"], "2 numbers"), (["--target", "1,2,3,4"], "4 numbers"), (["--target", "1,2,x"], "'x'"),
+        (["--target", "1,2,nan"], "finite"), (["--target", "1,0,0", "--tolerance", "0"], "positive"),
+        (["--target", "1,0,0", "--tolerance", "1,2,3"], "one or two"),
+        (["--target", "1,0,0", "--seed", "1"], "needs 2"),
+        (["--target", "1,0,0", "--rng", "x"], "--rng"), (["--target", "1,0,0", "--out", "q.txt"], ".csv"),
+    ],
+)  # fmt: skip
+def test_wrong_targets(arm, option, said):
+    result = Result("ik", arm, "--frame", "tip", *option)
+    assert result.code == 2 and said in result.err and result.err.count("\n") == 1
+
+
+def test_ik_of_many(arm, tmp_path):
+    q = np.array([[0.1, 0.2], [-0.3, 0.7], [1.0, 1.5]])
+    xy = np.array([tip(*row)[:2] for row in q])
+    targets = np.concatenate([np.column_stack([xy, np.zeros(3)]), [[9.0, 0.0, 0.0]]])
+    np.savetxt(tmp_path / "t.csv", targets, delimiter=",", fmt="%.17g")
+    result = Result("ik", arm, "--frame", "tip", "--target", tmp_path / "t.csv", "--out", tmp_path / "q.csv")
+    assert result.code == 1 and "3 of 4" in result.out and "row 3: outside the workspace" in result.out
+    found = np.genfromtxt(tmp_path / "q.csv", delimiter=",", names=True)
+    reached = np.array([tip(a, b)[:2] for a, b in zip(found["shoulder"], found["elbow"], strict=True)])
+    np.testing.assert_allclose(reached[:3], xy, atol=1e-6)
+    data = Result("ik", arm, "--frame", "tip", "--target", tmp_path / "t.csv", "--json").json()
+    assert data["success"] == [True, True, True, False] and len(data["q"]) == len(data["status"]) == 4
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, 0, 3] = 1.5
+    np.save(tmp_path / "X.npy", poses)
+    assert Result("ik", arm, "--frame", "tip", "--target", tmp_path / "X.npy").code == 0
+
+
+def test_ik_in_the_plane(tmp_path, four_bar):
+    path = tmp_path / "arm.toml"
+    text = FOUR_BAR[: FOUR_BAR.index('[[joint]]\nname = "C"')].replace('{name = "rocker"}', "")
+    path.write_text(text.replace('body = "crank", at = [1.0', 'body = "coupler", at = [0.5'))
+    x, y, angle = tip(0.4, 0.8)
+    for target in (f"{x},{y}", f"{x},{y},{angle}", f"{x},{y},0,0,0,{angle}"):
+        result = Result("ik", path, "--frame", "pen", "--target", target, "--json")
+        assert result.code == 0
+        np.testing.assert_allclose(tip(result.json()["q"]["A"], result.json()["q"]["B"])[:2], (x, y), atol=1e-6)
+    assert result.json()["q"] == pytest.approx({"A": 0.4, "B": 0.8}, abs=1e-5)
+    loop = Result("ik", four_bar, "--frame", "pen", "--target", "1,0")
+    assert loop.code == 2 and "loop" in loop.err
+
+
+# ---- the rest
+
+
+def test_convert(arm, tmp_path):
+    toml, urdf = tmp_path / "arm.toml", tmp_path / "again.urdf"
+    assert Result("convert", arm, toml).code == 0
+    assert Result("convert", toml, urdf, "--json").json()["written"] == str(urdf)
+    q = np.array([0.3, 0.9])
+    for path in (arm, toml, urdf):
+        np.testing.assert_allclose(kempe.load(path).fk(q, "tip")[:2, 3], tip(*q)[:2], atol=1e-15)
+
+
+def test_convert_refuses(arm, four_bar, tmp_path):
+    ending, loop = Result("convert", arm, tmp_path / "arm.txt"), Result("convert", four_bar, tmp_path / "x.urdf")
+    assert ending.code == loop.code == 2 and ".toml or .urdf" in ending.err and "loop" in loop.err
+    assert not (tmp_path / "x.urdf").exists()
+    folder = Result("convert", arm, tmp_path / "no" / "arm.toml")
+    assert folder.code == 2 and "No such file" in folder.err and folder.err.count("\n") == 1
+
+
+def test_library():
+    data = json.loads(Result("library", "--json").out)
+    assert [d["name"] for d in data] == list(library_models())
+    for model in data:
+        assert model["description"], model["name"]
+        shown = Result("library", model["name"])
+        assert shown.code == 0 and model["description"] in Result("library").out
+        assert kempe.read(shown.out) == kempe.read(model["name"])
+        assert Result("library", model["name"], "--json").json()["toml"] == shown.out
+    assert Result("library", "no such model").code == 2
+
+
+@pytest.mark.skipif(not library_models(), reason="no models are shipped")
+def test_commands_take_shipped_models():
+    for name in library_models():
+        data = Result("info", name, "--json").json()
+        assert data["nq"] == kempe.load(name).nq
+        assert Result("check", name).code == 0
+        assert len(Result("fk", name, "--json").json()["bodies"]) == len(data["bodies"])
+
+
+def test_warmup():
+    assert Result("warmup").code == 0
+    assert Result("warmup", "--json").json()["seconds"] >= 0.0
+
+
+def test_bench_refuses_unknown_names():
+    for option, said in (("--only", "batch"), ("--peer", "pin")):
+        result = Result("bench", option, f"{said}x")
+        assert result.code == 2 and f"did you mean '{said}'" in result.err
+
+
+# ---- the main job, on a real robot
+
+
+def _panda() -> Path:
+    try:
+        files = importlib.metadata.files("example-robot-data") or []
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed")
+    return Path(str(next(f.locate() for f in files if Path(str(f)).name == "panda.urdf")))
+
+
+@pytest.mark.parametrize("target", ["0.4,0.1,0.5,180,0,0", "-0.4,0.1,0.5,180,0,0", "0.3,-0.3,0.6,170,10,-20"])
+def test_main_job(target):
+    pin = pytest.importorskip("pinocchio")
+    panda = _panda()
+    result = Result("ik", panda, "--frame", "panda_hand_tcp", "--target", target, "--deg", "--json")
+    assert result.code == 0
+    model = pin.buildModelFromUrdf(str(panda))
+    data = model.createData()
+    q = pin.neutral(model)
+    for name, value in result.json()["q"].items():
+        finger = "finger" in name
+        q[model.joints[model.getJointId(name)].idx_q] = value if finger else math.radians(value)
+    assert (q >= model.lowerPositionLimit).all() and (q <= model.upperPositionLimit).all()
+    pin.forwardKinematics(model, data, q)
+    X = pin.updateFramePlacement(model, data, model.getFrameId("panda_hand_tcp"))
+    numbers = [float(v) for v in target.split(",")]
+    want = pin.SE3(pin.rpy.rpyToMatrix(*np.radians(numbers[3:])), np.array(numbers[:3]))
+    error = pin.log6(X.actInv(want))
+    assert np.linalg.norm(error.linear) <= 1e-6 and np.linalg.norm(error.angular) <= 1e-6
+    text = Result("ik", panda, "--frame", "panda_hand_tcp", "--target", target, "--deg").out
+    assert text.startswith("reached: ") and "panda_joint7" in text
