@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import io
+import itertools
 import re
 import shlex
 from pathlib import Path
@@ -85,7 +86,7 @@ def test_output_in_the_readme(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found, names = blocks(ROOT / "README.md"), {"__name__": "__main__"}
     compared = 0
-    for block, after in zip(found, [*found[1:], Block("", "", 0)], strict=True):
+    for block, after in itertools.pairwise([*found, Block("", "", 0)]):
         if is_code(block):
             printed = run(ROOT / "README.md", block, names)
             if after.kind == "text":

@@ -77,11 +77,11 @@ def test_no_home_makes_no_folder_called_tilde(monkeypatch):
 
 
 def test_every_kernel_has_one_signature_and_read_only_inputs_take_writable_arrays():
-    from kempe.kernels import chain, solve, sweep
+    from kempe.kernels import bound, chain, solve, sweep
 
     kernels = {
         f"{module.__name__}.{name}": thing
-        for module in (chain, solve, sweep)
+        for module in (bound, chain, solve, sweep)
         for name, thing in vars(module).items()
         if isinstance(thing, numba.core.dispatcher.Dispatcher) and thing._can_compile is False
     }
@@ -89,13 +89,12 @@ def test_every_kernel_has_one_signature_and_read_only_inputs_take_writable_array
     assert {name: len(k.signatures) for name, k in kernels.items()} == dict.fromkeys(kernels, 1)
     ints = np.zeros(10, dtype=np.int64)
     ints[1], ints[8] = 1, -1
-    floats, out = np.eye(3, 4).ravel(), np.empty((4, 4))
+    table, out = bound.fuse(ints, np.eye(3, 4).ravel()), np.empty((4, 4))
     for writeable in (True, False):
-        ints.setflags(write=writeable)
-        floats.setflags(write=writeable)
-        assert sweep.pose1(ints, floats, np.empty(0), out) == 0
+        table.setflags(write=writeable)
+        assert bound.pose(table, np.empty(0), out) == 0
         assert np.array_equal(out, np.eye(4))
-    assert len(sweep.pose1.signatures) == 1
+    assert len(bound.pose.signatures) == 1
 
 
 def test_two_threads_may_be_first(tmp_path):

@@ -3,7 +3,8 @@ import pytest
 from primitive_tables import Row, Table, pose, random_pose, random_table
 
 from kempe.kernels.layout import BALL, BODY, SLIDE, TURN, WORLD, WORLD_ALIGNED
-from kempe.kernels.sweep import jacobian, jacobian1, pose1, pose_jacobian1, poses, poses1
+from kempe.kernels import bound
+from kempe.kernels.sweep import jacobian, poses, poses1
 
 FRAMES = (WORLD_ALIGNED, WORLD, BODY)
 SIZES = (0, 1, 2, 5, 8, 13, 40)
@@ -34,7 +35,7 @@ def test_poses_of_random_tables(n_rows, chain):
     single = np.empty(out.shape[1:])
     for i, x in enumerate(q):
         assert poses1(*table.pack(), x, single) == 0 and np.array_equal(single, out[i])
-        assert pose1(*table.pack(), x, single[0]) == 0 and close(single[0], out[i, 0])
+        assert bound.pose(bound.fuse(*table.pack()), x, single[0]) == 0 and close(single[0], out[i, 0])
 
 
 @pytest.mark.parametrize("frame", FRAMES)
@@ -48,9 +49,9 @@ def test_jacobians_of_random_tables(n_rows, chain, frame):
     assert bad == 0 and close(T, np.array([table.poses(x)[0] for x in q]))
     assert close(J, np.array([table.jacobian(x, frame) for x in q]), 100.0)
     T1, J1 = np.empty((4, 4)), np.empty((6, table.nv))
-    assert pose_jacobian1(*table.pack(), q[0], frame, T1, J1) == 0
+    assert bound.pose_jacobian(bound.fuse(*table.pack(), frame), q[0], T1, J1) == 0
     only = np.empty_like(J1)
-    assert jacobian1(*table.pack(), q[0], frame, only) == 0 and np.array_equal(only, J1)
+    assert bound.jacobian(bound.fuse(*table.pack(), frame), q[0], only) == 0 and np.array_equal(only, J1)
     assert np.array_equal(T1, T[0]) and np.array_equal(J1, J[0])
 
 
@@ -61,12 +62,12 @@ def test_jacobians_are_derivatives_of_poses_on_the_manifold(seed, frame):
     table = random_table(rng, 6, chain=True, particles=seed == 0)
     packed, q, h = table.pack(), table.random_q(rng, 1)[0], 1e-6
     T, J = np.empty((4, 4)), np.empty((6, table.nv))
-    pose_jacobian1(*packed, q, frame, T, J)
+    bound.pose_jacobian(bound.fuse(*packed, frame), q, T, J)
     p, R = T[:3, 3], T[:3, :3]
     there, back = np.empty((4, 4)), np.empty((4, 4))
     for i, v in enumerate(np.eye(table.nv)):
-        pose1(*packed, table.moved(q, h * v), there)
-        pose1(*packed, table.moved(q, -h * v), back)
+        bound.pose(bound.fuse(*packed), table.moved(q, h * v), there)
+        bound.pose(bound.fuse(*packed), table.moved(q, -h * v), back)
         rate = (there - back) / (2 * h)
         W = rate[:3, :3] @ R.T
         linear, angular = rate[:3, 3], np.array([W[2, 1], W[0, 2], W[1, 0]])
@@ -124,10 +125,10 @@ def test_bad_coordinates_spoil_what_depends_on_them_and_nothing_else(value):
         assert np.array_equal(out[:, :, 3], np.broadcast_to([0.0, 0, 0, 1], out[:, :, 3].shape))
         assert not np.isnan(out[[0, 2]]).any()
         T, J = np.empty((4, 4)), np.empty((6, table.nv))
-        assert pose_jacobian1(*table.pack(), q, WORLD_ALIGNED, T, J) == int(spoilt[0])
+        assert bound.pose_jacobian(bound.fuse(*table.pack(), WORLD_ALIGNED), q, T, J) == int(spoilt[0])
         assert np.isnan(T[:3]).all() == np.isnan(J).all() == spoilt[0]
         assert np.isnan(T[:3]).any() == np.isnan(J).any() == spoilt[0]
-        assert pose1(*table.pack(), q, T) == int(spoilt[0])
+        assert bound.pose(bound.fuse(*table.pack()), q, T) == int(spoilt[0])
 
 
 def test_the_gauge_keeps_far_turns_exact():

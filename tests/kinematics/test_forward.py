@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from kempe import Mechanism, System
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels import sweep
+from kempe.kernels import bound
 from kempe.kinematics.forward import SERIAL_BELOW
 from kempe.model.table import local_chain
 
@@ -82,7 +82,7 @@ def test_a_chain_alone_is_the_chain_in_its_system(graph: Graph, seed):
     for name in s.body_names:
         table, to_q, to_v = local_chain(s.table, name)
         pose, columns = np.empty((4, 4)), np.zeros((6, table.nv))
-        assert sweep.pose1(*table.pack([name]), q[to_q], pose) == 0
+        assert bound.pose(bound.fuse(*table.pack([name])), q[to_q], pose) == 0
         np.testing.assert_allclose(pose, s.fk(q, name), rtol=0, atol=1e-14)
         whole = s.jacobian(q, name)
         others = np.setdiff1d(np.arange(s.nv), to_v)

@@ -122,8 +122,8 @@ def test_large_offsets_do_not_cost_accuracy():
     m.revolute("a", m.ground, m.body("A")), m.revolute("b", m.ground, m.body("B"))
     m.gear("b", "a", 3.0, offset=0.1)
     X = m.build().fk([1e8 / 3], "B")
-    angle = np.longdouble(3.0 * (1e8 / 3)) + np.longdouble(0.1)
-    np.testing.assert_allclose(X[0, 0], float(np.cos(angle)), rtol=0, atol=1e-15)
+    expected = reference.turn("z", 3.0 * (1e8 / 3)) @ reference.turn("z", 0.1)
+    np.testing.assert_allclose(X, expected.astype(float), rtol=0, atol=1e-15)
 
 
 # ------------------------------------------------------------------ limits, words

@@ -32,7 +32,7 @@ class Placement:
 
     def evaluate(self, parameters: Mapping[str, Any]) -> spatial.Array:
         """Pose (4, 4), or (..., 4, 4) where parameters are arrays."""
-        if not self.names:
+        if not any(isinstance(x, Expression) for _, numbers in self.steps for x in numbers):
             return _constant(self.steps)
         out = np.eye(4)
         for motion, numbers in self.steps:

@@ -242,37 +242,9 @@ def jacobian_at(ints, floats, q, start, frame, with_pose, out, k, columns, first
     return bad
 
 
-@kernel(types.int64(I1, F1, F1, OUT2), nogil=False)
-def pose1(ints, floats, q, out):
-    """Number of bad configurations, 0 or 1; writes the pose (4, 4) of the first output at q (nq,). -1: wrong shapes."""
-    if q.shape[0] != ints[2] or out.shape[0] != 4 or out.shape[1] != 4:
-        return -1
-    return pose_at(raw(ints), raw(floats), raw(q), 0, raw(out), 0)
-
-
-@kernel(types.int64(I1, F1, F1, types.int64, OUT2), nogil=False)
-def jacobian1(ints, floats, q, frame, columns):
-    """Number of bad configurations, 0 or 1; writes the Jacobian (6, nv) of the first output. -1: wrong shapes.
-
-    `frame` is WORLD_ALIGNED, WORLD or BODY. Rows: linear, angular. A bad configuration makes all columns NaN.
-    """
-    if q.shape[0] != ints[2] or columns.shape[0] != 6 or columns.shape[1] != ints[3]:
-        return -1
-    j = raw(columns)
-    return jacobian_at(raw(ints), raw(floats), raw(q), 0, frame, False, j, 0, j, 0)
-
-
-@kernel(types.int64(I1, F1, F1, types.int64, OUT2, OUT2), nogil=False)
-def pose_jacobian1(ints, floats, q, frame, pose, columns):
-    """As `jacobian1`, and writes the pose (4, 4) too."""
-    if q.shape[0] != ints[2] or columns.shape[0] != 6 or columns.shape[1] != ints[3]:
-        return -1
-    return jacobian_at(raw(ints), raw(floats), raw(q), 0, frame, True, raw(pose), 0, raw(columns), 0)
-
-
 @kernel(types.int64(I1, F1, F2, types.int64, OUT3, OUT3))
 def jacobian(ints, floats, q, frame, pose, columns):
-    """Number of bad configurations; like `jacobian1` for q (N, nq), pose (N, 4, 4), Jacobians (N, 6, nv)."""
+    """Number of bad configurations; writes poses (N, 4, 4) and Jacobians (N, 6, nv) of the first output."""
     nq, size = q.shape[1], 6 * ints[3]
     i_, f_, q_, pose_, columns_ = raw(ints), raw(floats), raw(q), raw(pose), raw(columns)
     bad = 0

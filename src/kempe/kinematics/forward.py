@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels import chain, sweep
+from kempe.kernels import bound, chain, sweep
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.gauge import regauge
@@ -61,41 +61,42 @@ def query(system: System, frame: FrameLike) -> Query:
     as much as the forward model itself. The kernels check shapes; whatever they refuse goes the general way.
     """
     name = system.frame_name(frame)
-    bound = _Bound(system, name)
-    ints, floats, pose1, jacobian1 = bound.ints, bound.floats, sweep.pose1, sweep.jacobian1
-    kind_of, size = IN_FRAMES.get, (6, system.nv)
+    chain_of = _Chain(system, name)
+    tables, size = chain_of.tables, (6, system.nv)
+    table, table_in = tables["world_aligned"], tables.get
+    pose_kernel, jacobian_kernel, both_kernel = bound.pose, bound.jacobian, bound.pose_jacobian
 
     def pose(q: Any, out: Any = None, threads: int | None = None) -> Array:
         try:
             if q.ndim == 1:
                 if out is None:
                     out = _empty(_POSE)
-                if not pose1(ints, floats, q, out):
+                if not pose_kernel(table, q, out):
                     return out
         except (TypeError, AttributeError):
             pass  # not float64, not contiguous, not an array
-        return bound.pose(q, out, threads)
+        return chain_of.pose(q, out, threads)
 
     def jacobian(q: Any, in_frame: str = "world_aligned", out: Any = None, threads: int | None = None) -> Array:
         try:
             if q.ndim == 1:
                 if out is None:
                     out = _empty(size)
-                if not jacobian1(ints, floats, q, kind_of(in_frame), out):
+                if not jacobian_kernel(table_in(in_frame), q, out):
                     return out
         except (TypeError, AttributeError):
             pass
-        return bound.jacobian(q, in_frame, out, threads)[1]
+        return chain_of.jacobian(q, in_frame, out, threads)[1]
 
     def pose_and_jacobian(q: Any, in_frame: str = "world_aligned", threads: int | None = None) -> tuple[Array, Array]:
         try:
             if q.ndim == 1:
                 X, J = _empty(_POSE), _empty(size)
-                if not sweep.pose_jacobian1(ints, floats, q, kind_of(in_frame), X, J):
+                if not both_kernel(table_in(in_frame), q, X, J):
                     return X, J
         except (TypeError, AttributeError):
             pass
-        return bound.jacobian(q, in_frame, None, threads)
+        return chain_of.jacobian(q, in_frame, None, threads)
 
     function: Any = pose
     function.jacobian, function.pose_and_jacobian = jacobian, pose_and_jacobian
@@ -105,23 +106,24 @@ def query(system: System, frame: FrameLike) -> Query:
     return function
 
 
-class _Bound:
+class _Chain:
     """The packed chain of one frame, and the general ways through it: conversions, batches, threads, errors."""
 
     def __init__(self, system: System, name: str):
         self.system = system
         self.ints, self.floats = system.table.pack([name], system.table.path(name))
-        self.chain = regauge(self.ints, self.floats)
+        self.tables = {key: bound.fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
+        self.regauged = regauge(self.ints, self.floats)
 
     def pose(self, q: Any, out: Array | None, threads: int | None) -> Array:
         q = as_q(self.system, q)
         out = _out(out, (*q.shape[:-1], 4, 4))
         if q.ndim == 1:
-            if sweep.pose1(self.ints, self.floats, q, out):
+            if bound.pose(self.tables["world_aligned"], q, out):
                 refuse_bad(self.system, q)
             return out
         flat_q, flat_out = _rows(q, 1), _rows(out, 2)
-        ints, floats = self.chain
+        ints, floats = self.regauged
 
         def work(start: int, stop: int) -> int:
             return chain.chain_poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
@@ -136,7 +138,7 @@ class _Bound:
         q, nv = as_q(self.system, q), self.system.nv
         pose, columns = np.empty((*q.shape[:-1], 4, 4)), _out(out, (*q.shape[:-1], 6, nv))
         if q.ndim == 1:
-            if sweep.pose_jacobian1(self.ints, self.floats, q, kind, pose, columns):
+            if bound.pose_jacobian(self.tables[in_frame], q, pose, columns):
                 refuse_bad(self.system, q)
             return pose, columns
         flat = _rows(q, 1), _rows(pose, 2), _rows(columns, 2)

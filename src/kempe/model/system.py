@@ -274,12 +274,18 @@ class System:
         self, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None, threads: int | None = None
     ) -> Array:  # fmt: skip
         """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None)."""
+        query = self._queries.get(frame) if frame.__class__ is str else None
+        if query is not None and q.__class__ is np.ndarray:  # the import below alone would double the time
+            return query(q, out, threads)
         from kempe.kinematics.forward import fk
 
         return fk(self, q, frame, out, threads)
 
     def jacobian(self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None) -> Array:
         """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see `kempe.kinematics.forward.jacobian`."""
+        query = self._queries.get(frame) if frame.__class__ is str else None
+        if query is not None and q.__class__ is np.ndarray:
+            return query.jacobian(q, in_frame, None, threads)
         from kempe.kinematics.forward import jacobian
 
         return jacobian(self, q, frame, in_frame, threads)

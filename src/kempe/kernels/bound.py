@@ -1,0 +1,81 @@
+"""One frame at one configuration, for bound queries: the table comes as one array.
+
+Each array that is handed to a compiled function costs 40 ns, as much as the forward model of three joints. So the
+integers of a table travel in the same array as its numbers, as the same bytes, and with them the frame in which a
+Jacobian is expressed: `fuse`. Wrong shapes are reported, not refused: the caller then takes the general way.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import types
+
+from kempe.kernels._jit import F1, OUT2, kernel
+from kempe.kernels.sweep import jacobian_at, pose_at
+from kempe.kernels.vectors import intrinsic, raw
+
+_SIZE, _FRAME = 6, 7
+"""Spare integers of the table's head: how many integers there are, and the frame of expression."""
+
+
+def fuse(ints: np.ndarray, floats: np.ndarray, frame: int = 0) -> np.ndarray:
+    """The table as one float64 array, for Jacobians in the given frame (0 world_aligned, 1 world, 2 body)."""
+    ints = ints.copy()
+    ints[_SIZE], ints[_FRAME] = len(ints), frame
+    return np.concatenate([ints.view(np.float64), floats])
+
+
+@intrinsic
+def integers(typingctx, pointer):
+    """The same pointer, to integers."""
+    to = types.CPointer(types.int64)
+
+    def codegen(context, builder, sig, args):
+        return builder.bitcast(args[0], context.get_value_type(to))
+
+    return to(pointer), codegen
+
+
+@intrinsic
+def after(typingctx, pointer, count):
+    """Pointer to the entry that is `count` further."""
+
+    def codegen(context, builder, sig, args):
+        return builder.gep(args[0], [args[1]])
+
+    return pointer(pointer, count), codegen
+
+
+@kernel(types.int64(F1, F1, OUT2), nogil=False)
+def pose(table, q, out):
+    """Number of bad configurations, 0 or 1; writes the pose (4, 4) of the first output at q (nq,). -1: wrong shapes."""
+    numbers = raw(table)
+    ints = integers(numbers)
+    if q.shape[0] != ints[2] or out.shape[0] != 4 or out.shape[1] != 4:
+        return -1
+    return pose_at(ints, after(numbers, ints[_SIZE]), raw(q), 0, raw(out), 0)
+
+
+@kernel(types.int64(F1, F1, OUT2), nogil=False)
+def jacobian(table, q, columns):
+    """Number of bad configurations, 0 or 1; writes the Jacobian (6, nv) of the first output. -1: wrong shapes.
+
+    Rows: linear, angular. A bad configuration makes all columns NaN.
+    """
+    numbers, j = raw(table), raw(columns)
+    ints = integers(numbers)
+    if q.shape[0] != ints[2] or columns.shape[0] != 6 or columns.shape[1] != ints[3]:
+        return -1
+    return jacobian_at(ints, after(numbers, ints[_SIZE]), raw(q), 0, ints[_FRAME], False, j, 0, j, 0)
+
+
+@kernel(types.int64(F1, F1, OUT2, OUT2), nogil=False)
+def pose_jacobian(table, q, out, columns):
+    """As `pose` and `jacobian` together."""
+    numbers = raw(table)
+    ints = integers(numbers)
+    if q.shape[0] != ints[2] or columns.shape[0] != 6 or columns.shape[1] != ints[3]:
+        return -1
+    if out.shape[0] != 4 or out.shape[1] != 4:
+        return -1
+    return jacobian_at(ints, after(numbers, ints[_SIZE]), raw(q), 0, ints[_FRAME], True, raw(out), 0, raw(columns), 0)
