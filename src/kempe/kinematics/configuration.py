@@ -28,9 +28,12 @@ def as_q(system: System, q: object) -> Array:
     if isinstance(q, Mapping):
         return q_from_dict(system, q)
     try:
+        if q is None or np.iscomplexobj(q):
+            raise TypeError
         array = np.asarray(q, dtype=np.float64, order="C")
     except (TypeError, ValueError):
-        raise InputError(f"q is {type(q).__name__}; it must be an array of numbers or a dict by coordinate name") from None
+        what = "complex" if np.iscomplexobj(q) else type(q).__name__
+        raise InputError(f"q is {what}; it must be an array of real numbers or a dict by coordinate name") from None
     if array.ndim == 0 or array.shape[-1] != system.nq:
         names = ", ".join(system.coordinate_names[:12]) + (", ..." if system.nq > 12 else "")
         got = "a single number" if array.ndim == 0 else f"{array.shape[-1]} coordinates"

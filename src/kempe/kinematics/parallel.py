@@ -7,6 +7,10 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 
+import numpy as np
+
+from kempe.errors import InputError
+
 _lock = threading.Lock()
 _pools: dict[int, ThreadPoolExecutor] = {}
 
@@ -25,7 +29,11 @@ def over_chunks(work: Callable[[int, int], int], count: int, chunk: int, threads
     The calling thread works too. Each thread takes the next chunk when it is done with one, so a thread that gets no
     processor holds nobody up for longer than a chunk. If one fails or is interrupted, no further chunk is begun.
     """
-    n = min(processors() if threads is None else max(1, int(threads)), -(-count // chunk))
+    if threads is None:
+        threads = processors()
+    elif isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
+        raise InputError(f"threads is {threads!r}; it must be None (all processors) or a whole number, at least 1")
+    n = min(int(threads), -(-count // chunk))
     if n <= 1 or count < serial_below:
         return work(0, count)
     starts = iter(range(0, count, chunk))

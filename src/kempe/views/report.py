@@ -285,14 +285,11 @@ def solution(system: System, answer: Solution, degrees: bool = False) -> Rendera
         limits = f"[{_bound(c['lower'], '-inf')}, {_bound(c['upper'], 'inf')}]"
         lines.append((c["name"], _value(x, c), c["unit"], "" if c["lower"] is c["upper"] is None else limits))
     title = "coordinate" if answer.success else "nearest found"
-    copy = f"--q {','.join(f'{x:.9g}' for x in q.tolist())}" if lines else ""
-    return Group(
-        outcome(answer),
-        "",
-        table((title, ">value", "=unit", "=limits"), lines),
-        "",
-        Text(copy, style="dim", no_wrap=True, overflow="ignore"),
-    )
+    shown: list[RenderableType] = [outcome(answer), "", table((title, ">value", "=unit", "=limits"), lines)]
+    if answer.success and lines:
+        copy = f"--q {','.join(number(x, 9).rstrip('0').rstrip('.') for x in q.tolist())}"
+        shown += ["", Text(copy, style="dim", no_wrap=True, overflow="ignore")]
+    return Group(*shown)
 
 
 def outcome(answer: Solution) -> Text:
