@@ -9,7 +9,7 @@ os.environ["KEMPE_QUIET"] = "1"  # the notice about compilation belongs to no pa
 
 project = "Kempe"
 author = "The Kempe authors"
-copyright = author  # noqa: A001
+copyright = author
 version = release = __version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc"]

@@ -20,8 +20,8 @@ A joint connects a frame F on its parent body to a frame M on its child body.
 
 ## Degrees of freedom
 
-A body has 6 degrees of freedom (DoF) in space and 3 in the plane. A joint leaves some of them and takes the others away:
-these are its constraints.
+A body has 6 degrees of freedom (DoF) in space and 3 in the plane. A joint leaves some of them and takes the others
+away: these are its constraints.
 
 """
 

@@ -25,9 +25,9 @@ def good_urdf_files() -> dict[str, Path]:
 def mimics(path: Path) -> dict[str, tuple[str, float, float]]:
     """Joints that follow another, as written: source, multiplier, offset."""
     found = {}
-    for joint in ET.parse(path).getroot().iter("joint"):
+    for joint in ET.parse(path).getroot().findall("joint"):
         mimic = joint.find("mimic")
-        if mimic is not None:
+        if mimic is not None and joint.get("type") != "fixed":
             source, factor, offset = mimic.get("joint"), mimic.get("multiplier", "1"), mimic.get("offset", "0")
             found[joint.get("name")] = (source, float(factor), float(offset))
     return found

@@ -482,7 +482,6 @@ def test_library():
     assert Result("library", "no such model").code == 2
 
 
-@pytest.mark.skipif(not library_models(), reason="no models are shipped")
 def test_commands_take_shipped_models():
     for name in library_models():
         data = Result("info", name, "--json").json()
@@ -570,5 +569,13 @@ def test_main_job(target):
     want = pin.SE3(pin.rpy.rpyToMatrix(*np.radians(numbers[3:])), np.array(numbers[:3]))
     error = pin.log6(X.actInv(want))
     assert np.linalg.norm(error.linear) <= 1e-6 and np.linalg.norm(error.angular) <= 1e-6
-    text = Result("ik", panda, "--frame", "panda_hand_tcp", "--target", target, "--deg").out
-    assert text.startswith("reached: ") and "panda_joint7" in text
+
+
+def test_main_job_on_the_shipped_arm():
+    result = Result("ik", "panda", "--frame", "panda_hand_tcp", "--target", "0.4,0.1,0.5,180,0,0", "--deg")
+    assert result.code == 0 and result.out.startswith("reached: ") and "panda_joint7" in result.out
+    q = result.out.splitlines()[-1].split()
+    pose = Result("fk", "panda", "--frame", "panda_hand_tcp", *q, "--deg", "--json").json()
+    np.testing.assert_allclose(
+        pose["matrix"], [[1, 0, 0, 0.4], [0, -1, 0, 0.1], [0, 0, -1, 0.5], [0, 0, 0, 1]], atol=1e-6
+    )

@@ -216,6 +216,17 @@ def test_joint_types_from_outside_are_refused():
         write_toml(m)
 
 
+@pytest.mark.parametrize(
+    "name", ["\n", "a\nb", "'''", '"', "\\", "a'\n'", "\r\n\r", "\x00\x7f", "#", "=", "é", " x "]
+)
+def test_any_text_survives(name: str):
+    m = Mechanism("a" + name)
+    m.posture("p" + name, {})
+    m.body("b" + name, visuals=[name, "x\n" + name, name + "\n"])
+    assert read_toml(write_toml(m)) == m
+    assert read_toml(write_toml(m).replace("\n", "\r\n").encode()) == m
+
+
 def test_floats_survive_to_the_last_bit():
     m = Mechanism()
     numbers = [0.1 + 0.2, 5e-324, 1.7976931348623157e308, -0.0, 1 / 3, 1e22]

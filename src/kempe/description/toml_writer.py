@@ -136,12 +136,16 @@ def _plain_form(X: Placement, dim: int) -> dict[str, Any]:
 
 
 def _key(key: str) -> str:
-    return key if _BARE.fullmatch(key) else _text(key)
+    return key if _BARE.fullmatch(key) else _quoted(key)
 
 
 def _text(text: str) -> str:
     if "\n" in text and not _NOT_LITERAL.search(text):
         return f"'''\n{text}'''"
+    return _quoted(text)
+
+
+def _quoted(text: str) -> str:
     return '"' + _NEEDS_ESCAPE.sub(lambda m: _ESCAPES.get(m[0], f"\\u{ord(m[0]):04x}"), text) + '"'
 
 

@@ -29,13 +29,11 @@ def over_chunks(work: Callable[[int, int], int], count: int, chunk: int, threads
     The calling thread works too. Each thread takes the next chunk when it is done with one, so a thread that gets no
     processor holds nobody up for longer than a chunk. If one fails or is interrupted, no further chunk is begun.
     """
-    if threads is None:
-        threads = processors()
-    elif isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
+    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1):
         raise InputError(f"threads is {threads!r}; it must be None (all processors) or a whole number, at least 1")
-    n = min(int(threads), -(-count // chunk))
-    if n <= 1 or count < serial_below:
+    if count < serial_below or threads == 1:
         return work(0, count)
+    n = min(int(threads or processors()), -(-count // chunk))
     starts = iter(range(0, count, chunk))
 
     def take_chunks() -> int:

@@ -16,12 +16,13 @@ RANK_TOLERANCE = 1e-9
 def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     """The sentence for one target of a solution."""
     task = solution.task
-    code, position, angle, starts, steps = (
-        np.asarray(x)[index].item()
-        for x in (solution.code, solution.position_error, solution.orientation_error, solution.starts, solution.iterations)
-    )
+    figures = (
+        solution.code, solution.position_error, solution.orientation_error, solution.starts, solution.iterations
+    )  # fmt: skip
+    code, position, angle, starts, steps = (np.asarray(x)[index].item() for x in figures)
     if code == SOLVED:
-        return f"reached: position error {position:.1e} m{_angle(task, angle)} ({_count(steps, 'step')}, {_count(starts, 'start')})"
+        work = f"{_count(steps, 'step')}, {_count(starts, 'start')}"
+        return f"reached: position error {position:.1e} m{_angle(task, angle)} ({work})"
     if code == BAD_INPUT:
         return "target or seed is not a finite pose"
     at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
@@ -45,8 +46,7 @@ def _count(n: int, what: str) -> str:
 
 
 def _solved(task: Task, target: np.ndarray, limits: np.ndarray | None = None) -> bool:
-    nothing = np.empty((1, 0, len(task.chain.q_index)))
-    return bool(run(task, nothing, 1, limits, target)[2][0, 0] == SOLVED)
+    return bool(run(task, task.chain.no_seed, 1, limits, target)[2][0, 0] == SOLVED)
 
 
 def _over_determined(task: Task, target: np.ndarray) -> str:

@@ -1,4 +1,4 @@
-"""The inverse geometric model, numerically: a configuration in which a frame reaches a target, for any chain of a tree."""
+"""The inverse geometric model, numerically: a configuration in which a frame of a tree reaches a target."""
 
 from __future__ import annotations
 
@@ -44,6 +44,9 @@ class Chain:
     v_index: np.ndarray
     limits: np.ndarray
     circular: np.ndarray
+    base: Array
+    """Where (1, nq) coordinates rest that no seed names: neutral, inside the limits."""
+    no_seed: Array
     bounds: tuple[tuple[Array, float, float], ...]
     """Reach bounds: the frame is never farther than the second number, nor nearer than the third, from the point."""
 
@@ -93,10 +96,13 @@ def ik(
     base, seeds = _seeds(system, chain, seed, lead)
     task = Task(system, name, targets, mask, _tolerance(tolerance), _count(starts), _seed_number(rng), chain)
     q, residual, info = run(task, seeds, threads)
-    full = np.array(np.broadcast_to(base, (len(targets), system.nq)))
+    full = np.empty((len(targets), system.nq))
+    full[:] = base
     full[:, chain.q_index] = q
-    code = _codes(task, info[:, 0])
-    full[code == BAD_INPUT] = math.nan
+    code = info[:, 0]
+    if code.any():
+        _look_closer(task, code)
+        full[code == BAD_INPUT] = math.nan
     if not lead and code[0] == BAD_INPUT:
         _refuse_target(targets[0], base[0])
     solution = _answer(task, full, code, residual, info, lead)
@@ -143,7 +149,8 @@ def chain_of(system: System, name: str) -> Chain:
             rows = table.multiplier[table.iv == iv]
             circular[iv] = wide[iv] and len(rows) == 1 and abs(rows[0]) == 1.0 and table.kind[table.iv == iv][0] == 0
         bounds = tuple(_reach(*arrays, limits) for arrays in (packed, (ints, floats)))
-        chain = Chain(ints, floats, q_index, v_index, limits, circular, bounds)
+        base, no_seed = _inside(system, system.neutral[None]), np.empty((1, 0, len(q_index)))
+        chain = Chain(ints, floats, q_index, v_index, limits, circular, base, no_seed, bounds)
         system._queries[("ik", name)] = chain
     return chain
 
@@ -158,8 +165,8 @@ def _refuse_closed(system: System, name: str, used: set[str]) -> None:
     for relation in system.relations:
         if used & {relation.of, *relation.sources}:
             raise UnsupportedError(
-                f"frame {name!r} moves with coordinate {relation.of!r}, which follows several others; inverse kinematics "
-                "under such relations is not available in this version"
+                f"frame {name!r} moves with coordinate {relation.of!r}, which follows several others; inverse "
+                "kinematics under such relations is not available in this version"
             )
 
 
@@ -205,12 +212,10 @@ def _reach(ints: np.ndarray, floats: np.ndarray, limits: Array) -> tuple[Array, 
     return start, total, max(0.0, 2.0 * longest - total)
 
 
-def _codes(task: Task, kernel_codes: np.ndarray) -> np.ndarray:
-    code = np.where(kernel_codes == solve.SOLVED, SOLVED, np.where(kernel_codes == solve.BAD_INPUT, BAD_INPUT, NOT_FOUND))
-    failed = code == NOT_FOUND
-    if failed.any():
-        code[failed] = np.where(outside(task, task.targets[failed]) > task.tolerance[0], OUT_OF_REACH, NOT_FOUND)
-    return code
+def _look_closer(task: Task, code: np.ndarray) -> None:
+    """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
+    failed = np.flatnonzero(code == NOT_FOUND)
+    code[failed[outside(task, task.targets[failed]) > task.tolerance[0]]] = OUT_OF_REACH
 
 
 def outside(task: Task, targets: Array) -> Array:
@@ -245,24 +250,30 @@ def _targets(system: System, target: ArrayLike) -> tuple[Array, tuple[int, ...],
         out[:] = np.eye(4)
         out[:, : array.shape[-1], 3] = array.reshape(len(out), array.shape[-1])
         return out, lead, True
-    allowed = "a pose (..., 4, 4) or a position (..., 3)" + (", or (..., 3, 3) or (..., 2) in the plane" if planar else "")
+    in_plane = ", or (..., 3, 3) or (..., 2) in the plane" if planar else ""
+    allowed = f"a pose (..., 4, 4) or a position (..., 3){in_plane}"
     raise InputError(f"target has shape {array.shape}; it must be {allowed}")
 
 
 def _seeds(system: System, chain: Chain, seed: Any, lead: tuple[int, ...]) -> tuple[Array, Array]:
-    """Whole configurations (1 or N, nq) to start from, and the chain's part of them as (1 or N, K, nq) for the kernel."""
+    """Configurations (1 or N, nq) to start from, and the chain's part of them as (1 or N, K, nq) for the kernel."""
     if seed is None:
-        base, count = system.neutral[None], 0
-    else:
-        base = as_q(system, seed)
-        if base.ndim > 1 and base.shape[:-1] != lead:
-            raise InputError(f"seed has shape {base.shape}; it must be ({system.nq},) or {(*lead, system.nq)}")
-        base, count = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq)), 1
-        if not lead and not np.isfinite(base).all():
-            raise InputError("seed has entries that are not finite")
+        return chain.base, chain.no_seed
+    base = as_q(system, seed)
+    if base.ndim > 1 and base.shape[:-1] != lead:
+        raise InputError(f"seed has shape {base.shape}; it must be ({system.nq},) or {(*lead, system.nq)}")
+    base = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq))
+    if not lead and not np.isfinite(base).all():
+        raise InputError("seed has entries that are not finite")
+    base = _inside(system, base)
+    return base, np.ascontiguousarray(base[:, None, chain.q_index])
+
+
+def _inside(system: System, q: Array) -> Array:
+    """The configurations (N, nq) with every limited coordinate brought inside its limits, in place."""
     at_q, at_v = system.layout.vector_q, system.layout.vector_v
-    base[:, at_q] = np.clip(base[:, at_q], system.lower[at_v], system.upper[at_v])
-    return base, np.ascontiguousarray(base[:, None, chain.q_index][:, :count])
+    q[:, at_q] = np.clip(q[:, at_q], system.lower[at_v], system.upper[at_v])
+    return q
 
 
 def _refuse_target(target: Array, seed: Array) -> None:
@@ -270,14 +281,17 @@ def _refuse_target(target: Array, seed: Array) -> None:
         raise InputError("target has entries that are not finite")
     if not np.isfinite(seed).all():
         raise InputError("seed has entries that are not finite")
-    raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1, its last row 0 0 0 1")
+    raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
 
 
-def _tolerance(tolerance: object) -> tuple[float, float]:
-    pair = np.broadcast_to(np.asarray(tolerance, dtype=float), 2)
-    if not (np.isfinite(pair).all() and (pair > 0).all()):
-        raise InputError(f"tolerance is {tolerance!r}; it must be one or two positive numbers, in metres and radians")
-    return float(pair[0]), float(pair[1])
+def _tolerance(tolerance: Any) -> tuple[float, float]:
+    try:
+        linear, angular = tolerance if isinstance(tolerance, (tuple, list)) else (tolerance, tolerance)
+        if 0.0 < linear < math.inf and 0.0 < angular < math.inf:
+            return float(linear), float(angular)
+    except (TypeError, ValueError):
+        pass
+    raise InputError(f"tolerance is {tolerance!r}; it must be one or two positive numbers, in metres and radians")
 
 
 def _count(starts: object) -> int:
@@ -294,7 +308,9 @@ def _seed_number(rng: object) -> int:
     return int(rng)
 
 
-def _answer(task: Task, q: Array, code: np.ndarray, residual: Array, info: np.ndarray, lead: tuple[int, ...]) -> Solution:
+def _answer(
+    task: Task, q: Array, code: np.ndarray, residual: Array, info: np.ndarray, lead: tuple[int, ...]
+) -> Solution:  # fmt: skip
     columns = (code == SOLVED, code, residual[:, 0], residual[:, 1], info[:, 1], info[:, 2])
     fields = [x.reshape(lead) if lead else x[0].item() for x in columns]
     success, code_, position, angle, steps, starts = fields

@@ -44,7 +44,7 @@ class Solution:
 
     @cached_property
     def status(self) -> Any:
-        """The sentence for a single target; an array of sentences for a batch. Failures are looked into when asked for."""
+        """The sentence for a single target; an array of sentences for a batch. Made when asked for."""
         from kempe.solvers.explain import sentence
 
         if np.ndim(self.success) == 0:

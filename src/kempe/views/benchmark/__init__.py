@@ -25,7 +25,7 @@ def benchmark(
     """Measured tables, one by one as they are done, so that an interruption loses only the section in work.
 
     `sections` picks some of `SECTIONS`, `wanted` some of the peers; `say` is told what is being measured.
-    Errors: `UnknownNameError`; `UnsupportedError` where the robots' files are not installed.
+    Errors: `UnknownNameError`.
     """
     names = list(SECTIONS if sections is None else sections)
     for name in names:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from functools import cached_property
+from pathlib import Path
 
-from kempe.errors import UnsupportedError
+import kempe
+from kempe.description.urdf_writer import write_urdf
 from kempe.views.benchmark import peers
 
 
@@ -17,11 +20,14 @@ class Bench:
         self.say = say
 
     @cached_property
-    def arm(self) -> peers.Arm:
-        """Panda's arm up to its hand."""
-        import kempe
+    def _folder(self) -> tempfile.TemporaryDirectory[str]:
+        return tempfile.TemporaryDirectory()
 
+    @cached_property
+    def arm(self) -> peers.Arm:
+        """Panda's arm up to its hand: of example-robot-data, or the shipped one, written as URDF for the others."""
         file = peers.robot_file("panda.urdf")
         if file is None:
-            raise UnsupportedError("the benchmark needs the package example-robot-data: pip install 'kempe[bench]'")
-        return peers.arm_of(kempe.load(file), "panda_hand", file)
+            file = Path(self._folder.name) / "panda.urdf"
+            file.write_text(write_urdf(kempe.read("panda")), encoding="utf-8")
+        return peers.arm_of(kempe.load(file), "panda_hand_tcp", file)
