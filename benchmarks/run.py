@@ -29,7 +29,7 @@ def main() -> int:
             RESULTS.write_text(page(tables), encoding="utf-8")
             report.show(report.measured(table))
     except KeyboardInterrupt:
-        say(f"interrupted; {RESULTS} holds the sections that were done")
+        say(f"interrupted after {len(tables)} sections; {RESULTS} holds them" if tables else "interrupted")
         return 130
     missed = [f"{table.title}: {goal}" for table in tables for goal in table.goals if not goal.met]
     say("\n".join([f"written to {RESULTS}", *missed]))

@@ -12,9 +12,9 @@ from kempe import Mechanism, System
 from kempe.joints import joint_type
 
 KINDS: list[tuple[str, dict]] = [
-    ("fixed", {}), ("revolute", {}), ("prismatic", {}), ("helical", {"pitch": 0.3}), ("cylindrical", {}), ("universal", {}),
-    ("planar", {}), ("translation", {}), ("spherical", {}), ("spherical", {"angles": True}), ("free", {}),
-    ("free", {"angles": True}),
+    ("fixed", {}), ("revolute", {}), ("prismatic", {}), ("helical", {"pitch": 0.3}), ("cylindrical", {}),
+    ("universal", {}), ("planar", {}), ("translation", {}), ("spherical", {}), ("spherical", {"angles": True}),
+    ("free", {}), ("free", {"angles": True}),
 ]  # fmt: skip
 
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 import os
 import random
 import re
-import sysconfig
 import tempfile
 from pathlib import Path
 
 import pytest
 from bad_file_cases import TOML_CASES, URDF_CASES, Case
+from robots import urdf_files
 
 from kempe.description.read import check, read
 from kempe.description.toml import read_toml
@@ -123,14 +123,8 @@ SMALL = next(c for c in URDF_CASES if c.title == "a mimic of a mimic").text.enco
 
 def robot_bytes() -> bytes:
     """A real robot where the package of robots is installed, else a small one."""
-    found = sorted(Path(p) for p in robot_files() if Path(p).name == "panda.urdf")
+    found = [path for name, path in urdf_files().items() if name.endswith("panda.urdf")]
     return found[0].read_bytes() if found else SMALL
-
-
-def robot_files() -> list[Path]:
-    """URDF files of the package example-robot-data, none where it is not installed."""
-    roots = {Path(sysconfig.get_path(key)) / "cmeel.prefix" for key in ("purelib", "platlib")}
-    return sorted({p for root in roots for p in root.glob("share/example-robot-data/robots/**/*.urdf")})
 
 
 def survives(reader, data: bytes) -> bool:
@@ -179,7 +173,7 @@ def test_damaged_tables_never_crash():
         survives(read_toml, text.encode())
 
 
-@pytest.mark.parametrize("path", robot_files(), ids=lambda p: p.name)
+@pytest.mark.parametrize("path", urdf_files().values(), ids=list(urdf_files()))
 def test_real_robots(path: Path):
     if path.name not in ("ur3.urdf", "alex_psyonic_hands.urdf"):
         assert read(path).build().body_names

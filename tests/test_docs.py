@@ -108,6 +108,17 @@ def test_first_command_of_the_readme(tmp_path, monkeypatch):
     assert same_output(result.stdout, found[at + 1].text), result.stdout
 
 
+def test_figures_of_the_readme_are_those_of_the_benchmark():
+    """Each measured number of the README stands in benchmarks/results.md: copy them anew after a run."""
+    results = (ROOT / "benchmarks" / "results.md").read_text(encoding="utf-8")
+    measured = {cell.strip() for line in results.splitlines() for cell in line.split("|")}
+    section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## How fast")[2].partition("\n## ")[0]
+    rows = [line.split("|")[2:-1] for line in section.splitlines() if line.startswith("|")][2:]
+    figures = [cell.split()[0] for row in rows for cell in row if cell.strip()]
+    assert figures
+    assert [x for x in figures if x not in measured] == []
+
+
 @pages
 def test_links_lead_somewhere(path):
     for target in LINK.findall(FENCE.sub("", path.read_text(encoding="utf-8"))):

@@ -373,9 +373,7 @@ def test_composite_joints_are_chains_of_primitives(case):
         q = sample(joint, rng)
         np.testing.assert_allclose(joint.fk(q, "M"), chain.fk(q, "M"), rtol=0, atol=1e-14)
         for frame in ("body", "world", "world_aligned"):
-            np.testing.assert_allclose(
-                joint.jacobian(q, "M", frame), chain.jacobian(q, "M", frame), rtol=0, atol=1e-13
-            )
+            np.testing.assert_allclose(joint.jacobian(q, "M", frame), chain.jacobian(q, "M", frame), rtol=0, atol=1e-13)
 
 
 def test_what_the_lecture_says_the_composites_are():

@@ -58,14 +58,16 @@ class Pinocchio:
 
     def poses(self, values: dict[str, float]) -> dict[str, np.ndarray]:
         pin.framesForwardKinematics(self.model, self.data, self.q(values))
-        return {name: self.data.oMf[self.model.getFrameId(name, pin.FrameType.BODY)].homogeneous for name in self.bodies}
+        return {
+            name: self.data.oMf[self.model.getFrameId(name, pin.FrameType.BODY)].homogeneous for name in self.bodies
+        }
 
     def jacobian(self, values: dict[str, float], frame: str, kind) -> dict[str, np.ndarray]:
         """Columns by joint name; of the source for its mimic joints."""
         number = self.model.getFrameId(frame, pin.FrameType.BODY)
         J = pin.computeFrameJacobian(self.model, self.data, self.q(values), number, kind)
-        return {name: J[:, joint.idx_v] for name, joint in zip(list(self.model.names)[1:], list(self.model.joints)[1:], strict=True)
-                if joint.shortname() != "JointModelMimic"}  # fmt: skip
+        joints = zip(list(self.model.names)[1:], list(self.model.joints)[1:], strict=True)
+        return {name: J[:, j.idx_v] for name, j in joints if j.shortname() != "JointModelMimic"}
 
 
 def configurations(s: System, rng: np.random.Generator) -> list[np.ndarray]:
@@ -108,7 +110,9 @@ def test_jacobians_are_pinocchios(path):
                     factor *= more
                 expected[joint] = expected[joint] + factor * column
             columns = np.stack([np.broadcast_to(expected[v], 6) for v in s.velocity_names], axis=-1)
-            np.testing.assert_allclose(s.jacobian(q, name, frame), columns, rtol=0, atol=1e-10, err_msg=f"{name} {frame}")
+            np.testing.assert_allclose(
+                s.jacobian(q, name, frame), columns, rtol=0, atol=1e-10, err_msg=f"{name} {frame}"
+            )
 
 
 @every_robot
@@ -126,7 +130,9 @@ def test_poses_are_mujocos(path):
         poses = dict(zip(s.body_names, s.fk(q), strict=True))
         for i, name in enumerate(names, start=1):
             np.testing.assert_allclose(poses[name][:3, 3], data.xpos[i], rtol=0, atol=1e-12, err_msg=name)
-            np.testing.assert_allclose(poses[name][:3, :3], data.xmat[i].reshape(3, 3), rtol=0, atol=1e-12, err_msg=name)
+            np.testing.assert_allclose(
+                poses[name][:3, :3], data.xmat[i].reshape(3, 3), rtol=0, atol=1e-12, err_msg=name
+            )
 
 
 @every_robot
@@ -148,8 +154,9 @@ def test_limits_and_mimics_are_pinocchios(path):
 
 
 @pytest.mark.parametrize(("kind", "model"), [
-    ("free", pin.JointModelFreeFlyer()), ("spherical", pin.JointModelSpherical()), ("translation", pin.JointModelTranslation()),
-    ("planar", pin.JointModelPlanar()), ("spherical angles", pin.JointModelSphericalZYX()),
+    ("free", pin.JointModelFreeFlyer()), ("spherical", pin.JointModelSpherical()),
+    ("translation", pin.JointModelTranslation()), ("planar", pin.JointModelPlanar()),
+    ("spherical angles", pin.JointModelSphericalZYX()),
 ])  # fmt: skip
 def test_joints_with_many_freedoms_are_pinocchios(kind, model):
     """Velocities of a free joint: Pinocchio has both parts in body axes, here the linear one is in those of F."""

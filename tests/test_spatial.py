@@ -69,7 +69,8 @@ def test_every_function_broadcasts(shape):
         "rpy_to_matrix": (three, (3, 3)), "matrix_to_rpy": (R, (3,)), "log_so3": (R, (3,)), "exp_se3": (six, (4, 4)),
         "quat_wxyz_to_matrix": (four, (3, 3)), "matrix_to_quat_wxyz": (R, (4,)), "quat_wxyz_exp": (three, (4,)),
         "quat_wxyz_log": (four, (3,)), "quat_wxyz_conjugate": (four, (4,)), "inverse": (X, (4, 4)),
-        "log_se3": (X, (6,)), "adjoint": (X, (6, 6)), "pose_from_xyz_rpy": (six, (4, 4)), "xyz_rpy_from_pose": (X, (6,)),
+        "log_se3": (X, (6,)), "adjoint": (X, (6, 6)), "pose_from_xyz_rpy": (six, (4, 4)),
+        "xyz_rpy_from_pose": (X, (6,)),
     }  # fmt: skip
     for name, (argument, core) in sizes.items():
         function = getattr(spatial, name)
@@ -168,9 +169,7 @@ def test_quaternion_of_half_turns(direction):
 @given(a=quaternions, b=quaternions)
 def test_quaternion_product_is_the_product_of_rotations(a, b):
     A, B = spatial.quat_wxyz_to_matrix(a), spatial.quat_wxyz_to_matrix(b)
-    np.testing.assert_allclose(
-        spatial.quat_wxyz_to_matrix(spatial.quat_wxyz_multiply(a, b)), A @ B, rtol=0, atol=1e-13
-    )
+    np.testing.assert_allclose(spatial.quat_wxyz_to_matrix(spatial.quat_wxyz_multiply(a, b)), A @ B, rtol=0, atol=1e-13)
     np.testing.assert_allclose(spatial.quat_wxyz_to_matrix(spatial.quat_wxyz_conjugate(a)), A.T, rtol=0, atol=1e-14)
 
 

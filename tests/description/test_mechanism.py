@@ -106,7 +106,7 @@ def test_placements_and_axes_on_both_sides():
     np.testing.assert_allclose(X, expected.astype(float), rtol=0, atol=1e-15)
 
 
-# ------------------------------------------------------------------ wrong calls: the thing, what is wrong, what is allowed
+# ------------------------------------------------------------------ wrong calls: what, why, what is allowed
 
 
 def planar() -> Mechanism:
@@ -333,7 +333,10 @@ def test_problems_know_where_they_are():
     with pytest.raises(DescriptionError) as error:
         m.body("b", where=Where("robot.urdf", 7, 5, "  <link name='b'/>"))
     (problem,) = error.value.problems
-    assert str(problem) == "robot.urdf:7: body 'b': there is another body of this name (robot.urdf:3); names must be unique"
+    assert (
+        str(problem)
+        == "robot.urdf:7: body 'b': there is another body of this name (robot.urdf:3); names must be unique"
+    )
     assert problem.caret() == "      <link name='b'/>\n        ^"
     again = pickle.loads(pickle.dumps(error.value))
     assert isinstance(again, DescriptionError) and str(again) == str(error.value) and again.problems == (problem,)
@@ -777,7 +780,8 @@ def test_equality_is_of_content():
     m.notes.append("a note")
     assert m == arm(), "notes do not matter"
     for change in (lambda m: m.body("x"), lambda m: m.frame("f", "link1"), lambda m: m.parameter("k", 1.0),
-                   lambda m: m.gear("q2", "q1", 1.0), lambda m: m.posture("p", {}), lambda m: m.lock({"q1": 0.0})):  # fmt: skip
+                   lambda m: m.gear("q2", "q1", 1.0), lambda m: m.posture("p", {}),
+                   lambda m: m.lock({"q1": 0.0})):  # fmt: skip
         m = arm()
         change(m)
         assert m != arm()
@@ -802,7 +806,8 @@ def test_content_hash_is_the_same_in_every_process():
             "m.universal('u', m.ground, m.body('b'), at=('k', 0, 0), limits={'rx': (0, 1), 'ry': (-1, 1)}); "
             "print(m.build().content_hash, m.build().structure_hash)")  # fmt: skip
     outs = {subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True,
-                           env={"PYTHONHASHSEED": seed, "PYTHONPATH": ":".join(sys.path)}).stdout for seed in "12"}  # fmt: skip
+                           env={"PYTHONHASHSEED": seed, "PYTHONPATH": ":".join(sys.path)}).stdout
+            for seed in "12"}  # fmt: skip
     assert len(outs) == 1 and len(outs.pop().split()) == 2
 
 

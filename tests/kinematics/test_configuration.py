@@ -108,7 +108,13 @@ def test_random_inside_limits():
                point=("revolute", {"limits": (0.1, 0.1)}), huge=("prismatic", {"limits": (-top, top)}))  # fmt: skip
     q = s.random(0, 2000)
     assert np.isfinite(q).all() and np.all(q >= s.lower) and np.all(q <= s.upper)
-    bounds = {"both": (0.5, 0.75), "low": (1, 1 + 2 * np.pi), "high": (-5, -3), "none": (-np.pi, np.pi), "length": (-1, 1)}
+    bounds = {
+        "both": (0.5, 0.75),
+        "low": (1, 1 + 2 * np.pi),
+        "high": (-5, -3),
+        "none": (-np.pi, np.pi),
+        "length": (-1, 1),
+    }
     for name, (low, high) in bounds.items():
         x = np.sort(q[:, s.coordinate_names.index(name)])
         assert low <= x[0] and x[-1] <= high
@@ -137,7 +143,8 @@ def test_mid_is_inside():
     top = 1.7e308
     s = system(both=("revolute", {"limits": (0.5, 0.75)}), low=("revolute", {"limits": (1.0, np.inf)}),
                high=("prismatic", {"limits": (-np.inf, -3.0)}), none="revolute", ball="spherical",
-               huge=("prismatic", {"limits": (0.9 * top, top)}), wide=("prismatic", {"limits": (-top, top)}))  # fmt: skip
+               huge=("prismatic", {"limits": (0.9 * top, top)}),
+               wide=("prismatic", {"limits": (-top, top)}))  # fmt: skip
     np.testing.assert_allclose(s.mid, [0.625, 1.0, -3.0, 0.0, 1, 0, 0, 0, 0.95 * top, 0.0])
 
 
@@ -229,7 +236,9 @@ def test_relations_and_limits_end_circles():
         m.revolute(name, m.ground, m.body(name.upper()), limits=(-9, 9) if name == "d" else None)
     m.couple("c", {"a": 0.5, "b": 0.5})
     np.testing.assert_array_equal(circles(m.build()), [False, False, False, False])
-    np.testing.assert_array_equal(circles(system(a="helical", b="universal", c="spherical")), [False, True, True] + [False] * 3)
+    np.testing.assert_array_equal(
+        circles(system(a="helical", b="universal", c="spherical")), [False, True, True] + [False] * 3
+    )
 
 
 # ------------------------------------------------------------------ the shape in words

@@ -18,7 +18,9 @@ def two_link() -> System:
 
 
 def closed_form(l1, l2, alpha, q1, q2):
-    return np.stack([l1 * np.cos(q1) + l2 * np.cos(q1 + q2 + alpha), l1 * np.sin(q1) + l2 * np.sin(q1 + q2 + alpha)], axis=-1)
+    return np.stack(
+        [l1 * np.cos(q1) + l2 * np.cos(q1 + q2 + alpha), l1 * np.sin(q1) + l2 * np.sin(q1 + q2 + alpha)], axis=-1
+    )
 
 
 def test_the_lectures_formula_for_many_lengths():
@@ -44,7 +46,11 @@ def test_a_design_can_be_taken_out():
     designs = s.with_parameters(l1=np.linspace(1, 2, 6).reshape(2, 3), l2=0.5)
     one = designs[1, 2]
     assert isinstance(one, System) and one.parameters == {"l1": 2.0, "l2": 0.5, "alpha": 0.0}
-    assert designs[0].shape == (3,) and designs[:, 1:].shape == (2, 2) and designs[designs.parameters["l1"] > 1.5].shape == (3,)
+    assert (
+        designs[0].shape == (3,)
+        and designs[:, 1:].shape == (2, 2)
+        and designs[designs.parameters["l1"] > 1.5].shape == (3,)
+    )
     q = s.random(0)
     np.testing.assert_array_equal(designs[0].fk(q, "tip"), designs.fk(q, "tip")[0])
     with pytest.raises(IndexError):

@@ -16,9 +16,12 @@ from kempe.errors import DescriptionError
 from kempe.joints import joint_type
 from kempe.model.topology import natural, spanning_tree
 
+
 def tree_by_name(system: System) -> dict:
     t = system.topology
-    return {b: (t.bodies[p], j, r) for b, p, j, r in zip(t.bodies[1:], t.parent, t.parent_joints, t.reversed_, strict=True)}
+    return {
+        b: (t.bodies[p], j, r) for b, p, j, r in zip(t.bodies[1:], t.parent, t.parent_joints, t.reversed_, strict=True)
+    }
 
 
 # ------------------------------------------------------------------ permutations
@@ -251,7 +254,9 @@ def test_detached_bodies_are_named():
     m = square()
     m.body("lost"), m.body("alone")
     m.revolute("E", "lost", "alone")
-    with pytest.raises(DescriptionError, match="mechanism 'square': no joints lead from 'ground' to 'lost', 'alone'; a free body"):
+    with pytest.raises(
+        DescriptionError, match="mechanism 'square': no joints lead from 'ground' to 'lost', 'alone'; a free body"
+    ):
         m.build()
     for i in range(20):
         m.body(f"b{i}")

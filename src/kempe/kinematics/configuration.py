@@ -27,12 +27,14 @@ def as_q(system: System, q: object) -> Array:
     """
     if isinstance(q, Mapping):
         return q_from_dict(system, q)
+    what = type(q).__name__
     try:
-        if q is None or np.iscomplexobj(q):
+        given = np.asarray(q)
+        if given.dtype.kind not in "fiub":
+            what = "complex" if given.dtype.kind == "c" else what
             raise TypeError
-        array = np.asarray(q, dtype=np.float64, order="C")
+        array = np.asarray(given, dtype=np.float64, order="C")
     except (TypeError, ValueError):
-        what = "complex" if np.iscomplexobj(q) else type(q).__name__
         raise InputError(f"q is {what}; it must be an array of real numbers or a dict by coordinate name") from None
     if array.ndim == 0 or array.shape[-1] != system.nq:
         names = ", ".join(system.coordinate_names[:12]) + (", ..." if system.nq > 12 else "")

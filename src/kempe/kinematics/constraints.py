@@ -9,6 +9,7 @@ import numpy as np
 from kempe import spatial
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
+from kempe.joints import JointType
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import fk
 from kempe.model.coordinates import Follower, coordinate_names
@@ -53,7 +54,7 @@ def closure_error(system: System, q: Any) -> spatial.Array:
     return out
 
 
-def joint_pose(kind, q: spatial.Array, dim: int = 3, particle: bool = False) -> spatial.Array:
+def joint_pose(kind: JointType, q: spatial.Array, dim: int = 3, particle: bool = False) -> spatial.Array:
     """Pose X_FM (..., 4, 4) of a joint type at its own coordinates (..., number of coordinates)."""
     mechanism = Mechanism("joint", dim)
     child = mechanism.particle("M") if particle else mechanism.body("M")

@@ -31,9 +31,9 @@ def over_chunks(work: Callable[[int, int], int], count: int, chunk: int, threads
     """
     if threads is not None and (isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1):
         raise InputError(f"threads is {threads!r}; it must be None (all processors) or a whole number, at least 1")
-    if count < serial_below or threads == 1:
+    n = 1 if count < serial_below else min(int(threads or processors()), -(-count // chunk))
+    if n == 1:
         return work(0, count)
-    n = min(int(threads or processors()), -(-count // chunk))
     starts = iter(range(0, count, chunk))
 
     def take_chunks() -> int:

@@ -203,6 +203,11 @@ def error_facts(error: BaseException | str) -> dict[str, Any]:
     return out
 
 
+def significant(x: float) -> str:
+    """A number with three significant digits, without exponent."""
+    return f"{x:.0f}" if abs(x) >= 100 else f"{x:.3g}"
+
+
 def json_text(data: Any, ascii_only: bool = False) -> str:
     """Data as indented JSON, with lists of numbers on one line."""
     text = json.dumps(data, indent=2, allow_nan=False, ensure_ascii=ascii_only)

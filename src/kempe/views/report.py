@@ -17,7 +17,6 @@ from rich.text import Text
 from kempe import spatial
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, Problem
 from kempe.views import facts
-from kempe.views.benchmark.timing import significant
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -339,8 +338,8 @@ def count(n: int, one: str, many: str = "") -> str:
 def measured(result: benchmark.Table) -> RenderableType:
     """A table of the benchmark with its goals and remarks."""
     first = result.rows[0].value
-    times = [significant(r.value / first) if result.ratios else "" for r in result.rows]
-    cells = [(r.library, r.call, significant(r.value), t) for r, t in zip(result.rows, times, strict=True)]
+    times = [facts.significant(r.value / first) if result.ratios else "" for r in result.rows]
+    cells = [(r.library, r.call, facts.significant(r.value), t) for r, t in zip(result.rows, times, strict=True)]
     columns = ("library", "call", f">{result.unit}", ">ratio" if result.ratios else "")
     goals = [Text(f"  {goal}", style="green" if goal.met else "red") for goal in result.goals]
     remarks = [Text(f"  {remark}") for remark in result.remarks]

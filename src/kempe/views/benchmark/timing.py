@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from kempe.views.facts import significant
+
 ROUNDS = 9
 """How often each statement has its turn."""
 TURN = 0.02
@@ -104,11 +106,6 @@ class Table:
             if items:
                 lines += ["", f"{title}:", "", *(f"- {item}" for item in items)]
         return "\n".join(lines) + "\n"
-
-
-def significant(x: float) -> str:
-    """A number with three significant digits, without exponent."""
-    return f"{x:.0f}" if abs(x) >= 100 else f"{x:.3g}"
 
 
 def measure(cases: Sequence[Case], scale: float = 1e9) -> list[Row]:

@@ -1,0 +1,219 @@
+"""What each element of a URDF file means, against formulas written out here."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from bad_file_cases import LIMIT, joint, mimic, robot
+from scipy.spatial.transform import Rotation
+
+from kempe.description.urdf import read_urdf
+from kempe.errors import DescriptionError, InputError, UnknownNameError
+
+
+def pose(xyz=(0, 0, 0), rpy=(0, 0, 0)) -> np.ndarray:
+    X = np.eye(4)
+    X[:3, :3], X[:3, 3] = Rotation.from_euler("xyz", rpy).as_matrix(), xyz
+    return X
+
+
+def about(axis, angle) -> np.ndarray:
+    X = np.eye(4)
+    X[:3, :3] = Rotation.from_rotvec(angle * np.array(axis) / np.linalg.norm(axis)).as_matrix()
+    return X
+
+
+def along(axis, length) -> np.ndarray:
+    X = np.eye(4)
+    X[:3, 3] = length * np.array(axis) / np.linalg.norm(axis)
+    return X
+
+
+ORIGIN = '<origin xyz="1 -2 .5" rpy="0.3 -1e-1 +2"/>'
+X0 = pose((1, -2, 0.5), (0.3, -0.1, 2))
+REST = joint("rest", "", "fixed", "arm", "hand")
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (0, -1, 0), (0, 0, -1), (0.6, 0, 0.8), (1, 2, -3)])
+@pytest.mark.parametrize(("kind", "motion"), [("revolute", about), ("continuous", about), ("prismatic", along)])
+def test_joints_with_an_axis(kind: str, motion, axis):
+    text = robot(joint("j", f'{ORIGIN}<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>{LIMIT}', kind), REST)
+    s = read_urdf(text).build()
+    for q in (0.0, 0.7):
+        np.testing.assert_allclose(s.fk([q], "arm"), X0 @ motion(axis, q), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (0, 0, -1), (1, 2, -3)])
+def test_planar_joints_move_in_the_plane_across_their_axis(axis):
+    text = robot(joint("j", f'{ORIGIN}<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>', "planar"), REST)
+    s = read_urdf(text).build()
+    np.testing.assert_allclose(s.fk(s.neutral, "arm"), X0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(s.fk({"j.rz": 0.4}, "arm"), X0 @ about(axis, 0.4), rtol=0, atol=1e-14)
+    moved = np.linalg.inv(X0) @ s.fk({"j.x": 0.3, "j.y": -0.4}, "arm")
+    np.testing.assert_allclose(moved[:3, :3], np.eye(3), rtol=0, atol=1e-14)
+    assert abs(np.dot(moved[:3, 3], axis)) < 1e-14 and abs(np.linalg.norm(moved[:3, 3]) - 0.5) < 1e-14
+
+
+def test_floating_joints():
+    s = read_urdf(robot(joint("j", ORIGIN, "floating"), REST)).build()
+    q = {"j.x": 1.0, "j.y": 2.0, "j.z": 3.0, "j.qw": math.cos(0.2), "j.qx": math.sin(0.2)}
+    np.testing.assert_allclose(s.fk(q, "arm"), X0 @ pose((1, 2, 3)) @ about((1, 0, 0), 0.4), rtol=0, atol=1e-14)
+
+
+def test_defaults():
+    s = read_urdf(robot(joint("j", LIMIT), REST)).build()
+    np.testing.assert_allclose(s.fk([0.5], "hand"), about((1, 0, 0), 0.5), rtol=0, atol=1e-15)
+    m = read_urdf(robot(joint("j", '<origin/><axis xyz="0 0 1"/>' + LIMIT), REST))
+    assert m.joints["j"].X_PF.steps == () and m.name == "r" and m.ground.name == "base"
+
+
+def test_quaternions_of_newer_files():
+    text = robot(joint("j", f'<origin xyz="1 2 3" quat_xyzw="0 0 {math.sin(0.3)} {math.cos(0.3)}"/>{LIMIT}'), REST)
+    s = read_urdf(text).build()
+    np.testing.assert_allclose(s.fk([0.0], "arm"), pose((1, 2, 3), (0, 0, 0.6)), rtol=0, atol=1e-15)
+    with pytest.raises(DescriptionError, match="both rpy and quat_xyzw; give one"):
+        read_urdf(text.replace("quat_xyzw", 'rpy="0 0 0" quat_xyzw'))
+
+
+@pytest.mark.parametrize(
+    ("limit", "limits", "bounds"),
+    [
+        ('<limit lower="-1" upper="2" effort="3" velocity="4"/>', (-1.0, 2.0), (4.0, 3.0)),
+        ('<limit upper="2"/>', (0.0, 2.0), (None, None)),
+        ('<limit lower="-2"/>', (-2.0, 0.0), (None, None)),
+        ('<limit lower="-inf" upper="2"/>', (-math.inf, 2.0), (None, None)),
+        ('<limit lower="-1e308" upper="+Infinity" effort="1e308" velocity="inf"/>', None, (None, None)),
+        ("", None, (None, None)),
+    ],
+)
+def test_limits(limit: str, limits, bounds):
+    j = read_urdf(robot(joint("j", limit), REST)).joints["j"]
+    assert j.limits == ({"": limits} if limits else {})
+    assert (j.velocity_limits.get(""), j.effort_limits.get("")) == bounds
+
+
+def test_limits_of_continuous_joints_are_not_used():
+    m = read_urdf(robot(joint("j", LIMIT, "continuous"), REST))
+    assert m.joints["j"].limits == {} and m.joints["j"].velocity_limits == {"": 2.0}
+    assert m.notes == [
+        "<text>:5: joint 'j': a continuous joint turns without end: its lower and upper limit are not used"
+    ]
+
+
+def test_mimic_chains_multiply():
+    text = robot(
+        joint("a"),
+        joint("b", f'{LIMIT}<mimic joint="a" multiplier="-2" offset="0.5"/>', child="hand", parent="arm"),
+        joint("c", f'{LIMIT}<mimic joint="b" multiplier="3"/>', child="tip", parent="hand"),
+        '<link name="tip"/>',
+    )
+    m = read_urdf(text)
+    assert {k: (v.sources, v.offset) for k, v in m.couplings.items()} == {
+        "b": ({"a": -2.0}, 0.5), "c": ({"b": 3.0}, 0.0)
+    }  # fmt: skip
+    s = m.build()
+    q = 0.1
+    total = q + (-2 * q + 0.5) + 3 * (-2 * q + 0.5)
+    np.testing.assert_allclose(s.fk([q], "tip"), about((1, 0, 0), total), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("kind", ["fixed", "planar", "floating"])
+def test_mimic_needs_one_coordinate(kind: str):
+    text = robot(joint("a", "", kind), joint("b", mimic("a"), parent="arm", child="hand"))
+    with pytest.raises(DescriptionError, match=f"'a' is {kind} and has"):
+        read_urdf(text)
+
+
+def test_mimic_of_a_fixed_joint_is_noted():
+    m = read_urdf(robot(joint("a"), joint("b", '<mimic joint="a"/>', "fixed", "arm", "hand")))
+    assert not m.couplings and "its <mimic> is not used" in m.notes[0]
+
+
+def test_masses_and_visuals():
+    visual = '<visual name="v">\n  <geometry><mesh filename="package://p/m.stl"/></geometry></visual>'
+    inertial = '<inertial><origin xyz="1 2 3" rpy="1 1 1"/><mass value="4.5"/><inertia ixx="1"/></inertial>'
+    links = (
+        f'<link name="base">{inertial}{visual}<visual/></link><link name="arm"><inertial/></link><link name="hand"/>\n'
+    )
+    m = read_urdf(robot(joint("j"), REST, links=links), package_dirs=["/models"])
+    assert (m.ground.mass, m.ground.center, m.ground.visuals) == (4.5, (1.0, 2.0, 3.0), (visual, "<visual/>"))
+    assert (m.bodies["arm"].mass, m.bodies["arm"].center) == (None, (0.0, 0.0, 0.0))
+    assert m.bodies["hand"].center is None and m.roots == ("/models",)
+    with pytest.raises(DescriptionError, match="link 'base': mass is -1; it must not be negative"):
+        read_urdf(robot(joint("j"), REST, links=links.replace("4.5", "-1")))
+
+
+def test_floating_base():
+    m = read_urdf(robot(joint("base"), REST), base="free")
+    assert m.ground.name == "world" and list(m.joints) == ["base_2", "base", "rest"]
+    assert m.build().nv == 7 and list(m.bodies) == ["world", "base", "arm", "hand"]
+    links = '<link name="world"/><link name="arm"/><link name="hand"/>\n'
+    m = read_urdf(robot(joint("j", parent="world"), REST, links=links), base="free")
+    assert m.ground.name == "world_2" and m.joints["base"].child == "world"
+    with pytest.raises(InputError, match="base is 'fixed'; it must be None"):
+        read_urdf(robot(joint("j"), REST), base="fixed")
+
+
+def test_root_is_chosen_where_the_file_leaves_it_open():
+    circle = robot(joint("a"), joint("b", parent="arm", child="hand"), joint("c", parent="hand", child="base"))
+    m = read_urdf(circle, root="arm")
+    assert m.ground.name == "arm" and m.build().closures
+    two = robot(joint("a", child="hand"), joint("b", parent="arm", child="hand"))
+    assert read_urdf(two, root="arm").build().body_names[0] == "arm"
+    with pytest.raises(UnknownNameError, match="no link 'amr'; did you mean 'arm'"):
+        read_urdf(two, root="amr")
+    with pytest.raises(DescriptionError, match="no joints lead from the root 'arm'"):
+        read_urdf(robot(joint("a", child="hand")), root="arm")
+
+
+def test_order_of_the_file_is_kept():
+    links = '<link name="hand"/><link name="arm"/><link name="base"/>\n'
+    m = read_urdf(robot(joint("wrist", parent="arm", child="hand"), joint("elbow"), links=links))
+    assert list(m.bodies) == ["base", "hand", "arm"] and list(m.joints) == ["wrist", "elbow"]
+
+
+def test_all_problems_are_told_in_the_order_of_the_file():
+    text = robot(
+        joint("a", '<axis xyz="0 0 0"/><origin xyz="1 2"/>' + LIMIT),
+        joint("b", "", "spherical", "arm", "hand"),
+        joint("c", mimic("x")),
+        links='<link name="base"><inertial><mass value="x"/></inertial></link>\n<link name="arm"/>\n<link name="hand"/>\n',
+    )
+    with pytest.raises(DescriptionError) as caught:
+        read_urdf(text, "r.urdf")
+    assert [str(p).split(":")[1] for p in caught.value.problems] == ["2", "5", "5", "6", "7"]
+
+
+def test_what_is_not_read_is_noted():
+    text = robot(
+        joint("a", LIMIT + "<spring/>"),
+        REST,
+        '<gazebo><joint name="loop" type="revolute"><parent>base</parent><child>hand</child></joint></gazebo>',
+        "<loop_joint/>",
+        '<ros2_control><joint name="nobody"/></ros2_control>',
+        '<material name="m"/>',
+    )
+    notes = "\n".join(read_urdf(text).notes)
+    for piece in (
+        "<text>:5: joint 'a': the element 'spring' is not read",
+        "<text>:7: joint 'loop': a joint inside a <gazebo> block is not read",
+        "<text>:8: the element 'loop_joint' is not read",
+        "<text>:9: a <ros2_control> speaks of joint 'nobody', which does not exist",
+    ):
+        assert piece in notes
+    assert notes.count("\n") == 3
+
+
+def test_other_files_are_named():
+    for tag, words in (("sdf", "SDF"), ("mujoco", "MJCF"), ("launch", "launch file"), ("svg", "starts with <robot")):
+        with pytest.raises(DescriptionError, match=words):
+            read_urdf(f"<{tag}/>")
+
+
+def test_long_names_and_values_do_not_flood_the_message():
+    text = robot(joint("a", f'<origin xyz="{"9" * 5000}x"/>' + LIMIT), joint("b", child="h" * 5000))
+    with pytest.raises(DescriptionError) as caught:
+        read_urdf(text)
+    assert len(str(caught.value)) < 2000

@@ -1,0 +1,116 @@
+"""The XML reader: places, verbatim text, encodings, and what it refuses."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kempe.description.source import SIZE_LIMIT, Findings, Source
+from kempe.description.xml import DEPTH_LIMIT, parse_xml
+from kempe.errors import PROBLEM_LIMIT, DescriptionError, Where
+
+TEXT = '<?xml version="1.0"?>\r\n<a é="1" b=\'>/>\'>\n  <c/>text &amp; <d\n x="&lt;"\t>/>\n</d>\r</a>'
+
+
+def test_elements_know_their_places():
+    a = parse_xml(TEXT, "f")
+    c, d = a.children
+    assert [(e.tag, e.where.line, e.where.column) for e in a.walk()] == [("a", 2, 1), ("c", 3, 3), ("d", 3, 18)]
+    assert a.attributes == {"é": "1", "b": ">/>"} and d.attributes == {"x": "<"}
+    assert (d.where_of("x").line, d.where_of("x").column) == (4, 5)
+    assert d.where_of("y") == d.where
+    assert a.where_of("b") == Where("f", 2, 14, "<a é=\"1\" b='>/>'>")
+    assert a.of("d") == [d] and a.of("e") == []
+
+
+def test_text_is_kept_as_written():
+    a = parse_xml(TEXT, "f")
+    assert a.text == TEXT[TEXT.index("<a") :]
+    assert [e.text for e in a.children] == ["<c/>", '<d\n x="&lt;"\t>/>\n</d>']
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le+", "utf-16-be+"])
+def test_encodings(encoding: str):
+    name, _, marked = encoding.partition("+")
+    data = ("\ufeff" * (encoding[-1:] == "+") + TEXT).encode(name)
+    a = parse_xml(data, "f")
+    assert a.attributes["é"] == "1" and a.children[1].where.line == 3
+
+
+@pytest.mark.parametrize("declared", ["ISO-8859-1", "latin1", "windows-1252"])
+def test_declared_latin(declared: str):
+    text = f"<?xml version='1.0' encoding='{declared}'?><a b='é'/>"
+    assert parse_xml(text.encode("latin-1"), "f").attributes == {"b": "é"}
+    assert parse_xml(text, "f").attributes == {"b": "é"}  # a text is decoded already
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ("<a/>".encode("utf-32"), "UTF-32"),
+        (b'\xef\xbb\xbf<?xml version="1.0" encoding="ISO-8859-1"?><a/>', "byte order mark says UTF-8"),
+        ('\ufeff<?xml version="1.0" encoding="utf-8"?><a/>'.encode("utf-16-le"), "byte order mark says UTF-16"),
+        ("<a/>".encode("utf-16")[:-1], "ends inside a character of UTF-16"),
+        ("<a>é</a>".encode()[:4], "0xc3 is not UTF-8"),
+        (b"<a b='1' b='2'/>", "an attribute is given twice"),
+        (b"<a/><b/>", "goes on after the end"),
+        (b" <?xml version='1.0'?><a/>", "not at the very start"),
+        (b"<a>&#0;</a>", "a character that XML forbids"),
+        (b"<a>\x01</a>", "not XML"),
+        (b"<a", "truncated"),
+        (b"<a><!-- ", "truncated"),
+        (b"<a><![CDATA[ ", "truncated"),
+        (b"<a b='", "truncated"),
+        (b"<!DOCTYPE a><a/>", "DTD"),
+        (b"<a>" * (DEPTH_LIMIT + 1), f"more than {DEPTH_LIMIT} deep"),
+        (b" " * (SIZE_LIMIT + 1), "more than 64 MiB"),
+        ("<a>\ud800</a>", "surrogate"),
+    ],
+)
+def test_what_is_refused(data, words: str):
+    with pytest.raises(DescriptionError, match=words) as caught:
+        parse_xml(data, "f.xml")
+    (problem,) = caught.value.problems
+    assert problem.allowed and str(problem).startswith("f.xml")
+
+
+def test_entities_of_a_file_are_never_opened(tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("hunter2")
+    for kind in ("x SYSTEM", "% x SYSTEM"):
+        text = f'<!DOCTYPE a [<!ENTITY {kind} "{secret.as_uri()}">]><a>&x;</a>'
+        with pytest.raises(DescriptionError) as caught:
+            parse_xml(text, "f")
+        assert "hunter2" not in str(caught.value)
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes(data: bytes):
+    try:
+        parse_xml(data, "f")
+    except DescriptionError as error:
+        assert len(error.problems) == 1
+
+
+@given(st.text(st.sampled_from("ab\r\n\u2028é"), max_size=30))
+def test_lines_and_offsets_agree(text: str):
+    source = Source("t", text)
+    for offset in range(len(text)):
+        where = source.where_offset(offset)
+        assert source.offset(where.line, where.column) == offset
+    assert "".join(source.lines) == text.replace("\r", "").replace("\n", "")
+
+
+def test_findings_are_sorted_and_bounded():
+    findings = Findings()
+    for line in range(30, 0, -1):
+        findings.add("wrong", where=Where("f", line), allowed="right")
+        findings.note("odd", where=Where("f", line))
+    assert findings.notes[:2] == ["f:1: odd", "f:2: odd"]
+    with pytest.raises(DescriptionError) as caught:
+        findings.finish()
+    assert len(caught.value.problems) == 30
+    assert str(caught.value).splitlines()[0] == "f:1: wrong; right"
+    assert str(caught.value).splitlines()[PROBLEM_LIMIT:] == ["... and 10 more"]
+    assert findings.hint("x", ["y"]) == ""  # nobody would see it

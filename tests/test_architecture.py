@@ -1,0 +1,163 @@
+"""Dependencies point one way, importing is cheap, and nothing of the machine it was written on is left behind."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+SOURCE = ROOT / "src" / "kempe"
+MODULES = sorted(SOURCE.rglob("*.py"))
+
+LAYERS = [
+    {"errors", "spatial"}, {"kernels"}, {"joints"}, {"description", "library"}, {"model"}, {"kinematics"}, {"solvers"},
+    {"analysis"}, {"views", "cli"},
+]  # fmt: skip
+"""Each may import itself and what stands to the left."""
+
+UPWARD = {("description/mechanism.py", "build"), ("model/system.py", "*")}
+"""Functions that import upwards inside their bodies: the builder's last step, and the map of the library."""
+
+
+def name_of(path: Path) -> str:
+    """The first part of a module's name below the package: its layer."""
+    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+
+
+def level(layer: str) -> int:
+    return next(i for i, names in enumerate(LAYERS) if layer in names)
+
+
+def imports(tree: ast.Module) -> Iterator[tuple[str, str, int]]:
+    """Imported modules with the function that imports them ('' at the top) and the line; type checking left out."""
+
+    def walk(node: ast.AST, function: str) -> Iterator[tuple[str, str, int]]:
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            return
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, function, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"line {node.lineno}: a relative import"
+            yield from ((f"{node.module}.{alias.name}", function, node.lineno) for alias in node.names)
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            function = node.name
+        for child in ast.iter_child_nodes(node):
+            yield from walk(child, function)
+
+    return walk(tree, "")
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
+def test_imports_go_to_the_left(path):
+    own = name_of(path)
+    for module, function, line in imports(ast.parse(path.read_text())):
+        parts = module.split(".")
+        if parts[0] != "kempe" or len(parts) == 1 or parts[1] not in set().union(*LAYERS):
+            continue
+        where = f"{path.relative_to(SOURCE)}:{line} imports {module}"
+        if own == "__init__":
+            assert function or level(parts[1]) <= level("model"), where
+        elif own == "kernels":
+            assert parts[1] == "kernels", f"{where}: kernels know arrays and each other"
+        elif own == "library":
+            assert parts[1] == "errors", f"{where}: the library is data"
+        else:
+            file = path.relative_to(SOURCE).as_posix()
+            free = function and ((file, function) in UPWARD or (file, "*") in UPWARD)
+            assert level(parts[1]) <= level(own) or free, where
+
+
+def test_the_map_of_the_library_only_delegates():
+    """A method of System that imports upwards ends by calling what it imported, and does little before."""
+    tree = ast.parse((SOURCE / "model" / "system.py").read_text())
+    for function in (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)):
+        inner = [n for n in function.body if isinstance(n, ast.ImportFrom)]
+        if inner:
+            kinds = [type(n) for n in function.body]
+            assert kinds[0] is ast.Expr and kinds[-2:] == [ast.ImportFrom, ast.Return], function.name
+            assert len(kinds) <= 5, function.name
+
+
+def modules_after(code: str) -> set[str]:
+    """Modules that a fresh interpreter has loaded after running `code`."""
+    script = f"import sys, json\n{code}\nprint(json.dumps(sorted(sys.modules)))"
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    return set(json.loads(run.stdout.splitlines()[-1]))
+
+
+def test_importing_is_cheap():
+    """Counted in modules, since seconds depend on the machine."""
+    loaded = modules_after("import kempe")
+    heavy = {
+        "numba",
+        "llvmlite",
+        "sympy",
+        "matplotlib",
+        "scipy",
+        "typer",
+        "rich",
+        "pinocchio",
+        "viser",
+        "xml",
+        "tomllib",
+    }
+    assert not heavy & loaded
+    ours = {m for m in loaded if m.split(".")[0] == "kempe"}
+    assert len(ours) < 30, sorted(ours)
+    others = loaded - modules_after("import numpy, numpy.typing") - ours
+    assert len(others) < 30, sorted(others)
+
+
+def test_describing_and_building_needs_no_compiler():
+    loaded = modules_after(
+        "import kempe\nm = kempe.Mechanism()\nm.revolute('j', m.ground, m.body('b'))\ns = m.build()\n"
+        "s.q({'j': 1.0}), s.limits, s.parent, s.random(0), s.configuration_space, hash(s), s.mid"
+    )
+    assert "numba" not in loaded and "scipy" not in loaded
+
+
+def test_forward_needs_numba_only():
+    loaded = modules_after(
+        "import kempe\nm = kempe.Mechanism()\nm.revolute('j', m.ground, m.body('b'))\nm.build().fk([0.1], 'b')"
+    )
+    assert "numba" in loaded and not {"sympy", "matplotlib", "typer", "rich"} & loaded
+
+
+def test_errors_are_caught_by_name():
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ExceptHandler):
+                caught = ast.unparse(node.type) if node.type else ""
+                names = set(re.findall(r"\w+", caught))
+                assert names and not names & {"Exception", "BaseException"}, f"{path.name}:{node.lineno}"
+
+
+def test_nothing_is_evaluated_or_unpickled():
+    """Files are data."""
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call):
+                called = ast.unparse(node.func)
+                forbidden = {"eval", "exec", "compile", "pickle.load", "pickle.loads", "os.system", "__import__"}
+                assert called not in forbidden, f"{path.name}:{node.lineno}: {called}"
+
+
+TEXT = {".py", ".md", ".toml", ".cfg", ".yml", ".yaml", ".txt", ".ipynb", ".urdf", ".xml", ".json", ""}
+SKIPPED = {".git", ".venv", "__pycache__", "_build", "jupyter_execute", "dist", "build"}
+
+
+def test_no_paths_of_a_machine():
+    found = re.compile(r"(?<![\w.])/(?:work|home|root|Users|opt|mnt)/\w|[A-Z]:\\\\Users")
+    for path in ROOT.rglob("*"):
+        hidden = any(p in SKIPPED or p.endswith("_cache") or p == ".hypothesis" for p in path.relative_to(ROOT).parts)
+        if hidden or not path.is_file() or path.suffix not in TEXT or path == Path(__file__):
+            continue
+        text = path.read_text(encoding="utf-8", errors="replace")
+        assert not (hit := found.search(text)), f"{path.relative_to(ROOT)}: {hit.group() if hit else ''}"

@@ -1,0 +1,94 @@
+"""Sizes, docstrings and types: what keeps the code readable, as numbers."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parent.parent / "src" / "kempe"
+MODULES = sorted(SOURCE.rglob("*.py"))
+every_module = pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
+
+MODULE_LINES, FUNCTION_LINES = 400, 60
+
+LONG_MODULES: dict[str, str] = {}
+LONG_FUNCTIONS = {("kernels/solve.py", "ik"): "one loop whose state would otherwise be passed in a dozen arguments"}
+"""Exceptions, each with its reason."""
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def file(path: Path) -> str:
+    return path.relative_to(SOURCE).as_posix()
+
+
+def functions(tree: ast.AST) -> Iterator[Function]:
+    """All functions and methods, nested ones too."""
+    return (n for n in ast.walk(tree) if isinstance(n, Function))
+
+
+def public(node: ast.AST) -> Iterator[ast.ClassDef | Function]:
+    """Classes, functions and methods that users can name."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
+            overload = any("overload" in ast.unparse(d) for d in child.decorator_list)
+            if child.name.startswith("_") or overload:
+                continue
+            yield child
+            if isinstance(child, ast.ClassDef):
+                yield from public(child)
+
+
+@every_module
+def test_modules_are_short(path):
+    lines = len(path.read_text().splitlines())
+    assert lines <= MODULE_LINES or file(path) in LONG_MODULES, f"{lines} lines"
+
+
+@every_module
+def test_functions_are_short(path):
+    for function in functions(ast.parse(path.read_text())):
+        lines = (function.end_lineno or 0) - function.lineno + 1
+        assert lines <= FUNCTION_LINES or (file(path), function.name) in LONG_FUNCTIONS, (
+            f"{function.name}: {lines} lines"
+        )
+
+
+def test_exceptions_are_needed():
+    for name in LONG_MODULES:
+        assert len((SOURCE / name).read_text().splitlines()) > MODULE_LINES, name
+    names = {(file(p), f.name) for p in MODULES for f in functions(ast.parse(p.read_text()))}
+    assert set(LONG_FUNCTIONS) <= names
+
+
+@every_module
+def test_all_that_is_public_is_documented(path):
+    tree = ast.parse(path.read_text())
+    if path.read_text().strip():
+        assert ast.get_docstring(tree), "the module says what it is for"
+    for node in public(tree):
+        text = ast.get_docstring(node)
+        assert text, f"{node.name} has no docstring"
+        first = text.splitlines()[0]
+        assert first.strip() and first.rstrip()[-1] in ".:;,?)`…" or len(first) > 60, f"{node.name}: {first!r}"
+
+
+@every_module
+def test_arguments_are_typed(path):
+    if file(path).startswith("kernels/"):
+        return  # compiled for explicit signatures
+    for function in (n for n in public(ast.parse(path.read_text())) if isinstance(n, Function)):
+        arguments = function.args
+        for a in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs):
+            if a.arg not in ("self", "cls"):
+                assert a.annotation is not None, f"{function.name}({a.arg})"
+
+
+@every_module
+def test_no_leftovers(path):
+    text = path.read_text()
+    for word in ("TODO", "FIXME", "XXX", "breakpoint(", "import pdb"):
+        assert word not in text, word
