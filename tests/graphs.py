@@ -18,6 +18,12 @@ KINDS: list[tuple[str, dict]] = [
 ]  # fmt: skip
 
 
+PLANAR_KINDS: list[tuple[str, dict]] = [
+    (k, {}) for k in ("fixed", "revolute", "prismatic", "planar", "translation", "free")
+]
+SLIDES: list[tuple[str, dict]] = [(k, {}) for k in ("fixed", "prismatic", "planar", "translation", "free")]
+
+
 @dataclass(frozen=True)
 class Edge:
     """One joint of a random graph; `at` are x, y, z, roll, pitch, yaw of F and then of M."""
@@ -41,17 +47,23 @@ class Graph:
     particles: tuple[str, ...] = ()
     gears: tuple[tuple[str, str, float, float], ...] = ()
     locks: tuple[tuple[str, float], ...] = ()
+    dim: int = 3
 
     def mechanism(self) -> Mechanism:
-        m = Mechanism("graph")
+        m = Mechanism("graph", self.dim)
         for body in self.bodies:
             m.body(body)
         for particle in self.particles:
             m.particle(particle)
         for e in self.edges:
-            ends = {} if e.child in self.particles else {"child_at": e.at[6:9], "child_rpy": e.at[9:]}
-            m.joint(e.name, e.kind, e.parent, e.child, at=e.at[:3], rpy=e.at[3:6], actuated=e.actuated, cut=e.cut,
-                    **e.options, **ends)  # fmt: skip
+            where = {"at": e.at[:3], "rpy": e.at[3:6], "child_at": e.at[6:9], "child_rpy": e.at[9:]}
+            if self.dim == 2:
+                where = {"at": e.at[:2], "angle": e.at[5], "child_at": e.at[6:8], "child_angle": e.at[11]}
+            if e.child in self.particles:
+                where = {k: v for k, v in where.items() if not k.startswith("child")}
+            if self.dim == 2 and e.kind == "prismatic":
+                where["axis"] = (0.6, -0.8)
+            m.joint(e.name, e.kind, e.parent, e.child, actuated=e.actuated, cut=e.cut, **e.options, **where)
         for of, source, ratio, offset in self.gears:
             m.gear(of, source, ratio, offset)
         return m.lock(dict(self.locks))
@@ -63,22 +75,36 @@ class Graph:
                  for name in ("bodies", "edges", "particles", "gears", "locks")}  # fmt: skip
         return replace(self, **mixed)
 
+    def ends(self, e: Edge) -> tuple[np.ndarray, np.ndarray]:
+        """X_PF and X_CM of a joint."""
+        if self.dim == 2:
+            X_PF = reference.placement(e.at[:2], (0, 0, e.at[5]))
+            X_CM = reference.placement(e.at[6:8], (0, 0, e.at[11]))
+        else:
+            X_PF, X_CM = reference.placement(e.at[:3], e.at[3:6]), reference.placement(e.at[6:9], e.at[9:])
+        return X_PF, np.eye(4, dtype=X_PF.dtype) if e.child in self.particles else X_CM
+
+    def joint_pose(self, e: Edge, values: dict[str, float]) -> np.ndarray:
+        """Motion of a joint between its two placements, from the values of all coordinates by name."""
+        particle = e.child in self.particles
+        names = joint_type(e.kind, **e.options).coordinates(self.dim, particle)
+        q = [values[f"{e.name}.{c}" if c else e.name] for c in names]
+        if self.dim == 2 and e.kind == "prismatic":
+            return reference.slide("x", 0.6 * q[0]) @ reference.slide("y", -0.8 * q[0])
+        return reference.joint_pose(e.kind, q, dim=self.dim, particle=particle, **e.options)
+
+    def values(self, system: System, q: np.ndarray) -> dict[str, float]:
+        """Values of all coordinates by name, those that follow or are locked included."""
+        couplings = {of: ({source: ratio}, offset) for of, source, ratio, offset in self.gears}
+        return reference.coordinate_values(system.q_dict(q), couplings, dict(self.locks))
+
     def poses(self, system: System, q: np.ndarray) -> dict[str, np.ndarray]:
         """Poses of all bodies by name at one configuration, by the reference, along the tree of the system."""
-        free = system.q_dict(q)
-        values = reference.coordinate_values(
-            free, {of: ({source: ratio}, offset) for of, source, ratio, offset in self.gears}, dict(self.locks)
-        )
-        edges = {e.name: e for e in self.edges}
+        values, edges = self.values(system, q), {e.name: e for e in self.edges}
         joints = []
         for name, backwards in zip(system.parent_joints, system.topology.reversed_, strict=True):
-            e = edges[name]
-            particle = e.child in self.particles
-            names = joint_type(e.kind, **e.options).coordinates(3, particle)
-            local = [values[f"{name}.{c}" if c else name] for c in names]
-            X_FM = reference.joint_pose(e.kind, local, particle=particle, **e.options)
-            X_CM = np.eye(4) if particle else reference.placement(e.at[6:9], e.at[9:])
-            joints.append((reference.placement(e.at[:3], e.at[3:6]), X_FM, X_CM, backwards))
+            X_PF, X_CM = self.ends(edges[name])
+            joints.append((X_PF, self.joint_pose(edges[name], values), X_CM, backwards))
         poses = dict(zip(system.body_names, reference.tree_poses(system.parent, joints), strict=True))
         for name in self.particles:
             poses[name][:3, :3] = np.eye(3)
@@ -86,8 +112,9 @@ class Graph:
 
 
 @st.composite
-def graphs(draw: st.DrawFn, most: int = 9, loops: int = 5, extras: bool = True) -> Graph:
-    """Graphs of up to `most` bodies; with `extras` also particles, gears and locks."""
+def graphs(draw: st.DrawFn, most: int = 9, loops: int = 5, dims: tuple[int, ...] = (2, 3)) -> Graph:
+    """Graphs of up to `most` bodies, with some particles, gears and locks."""
+    dim = draw(st.sampled_from(dims))
     n = draw(st.integers(1, most))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     names = [f"b{i}" for i in rng.permutation(n)]
@@ -105,22 +132,20 @@ def graphs(draw: st.DrawFn, most: int = 9, loops: int = 5, extras: bool = True) 
         b = names[k] if k < n else everyone[int(rng.integers(0, n + 1))]
         if a != b:
             a, b = (a, b) if rng.random() < 0.6 else (b, a)
-            edges.append(edge(f"j{int(rng.integers(0, 10))}_{k}", a, b, KINDS))
+            edges.append(edge(f"j{int(rng.integers(0, 10))}_{k}", a, b, KINDS if dim == 3 else PLANAR_KINDS))
     particles: list[str] = []
     gears: list[tuple[str, str, float, float]] = []
     locks: list[tuple[str, float]] = []
-    if extras:
-        slides: list[tuple[str, dict]] = [(k, {}) for k in ("fixed", "prismatic", "planar", "translation", "free")]
-        for i in range(int(rng.integers(0, 3))):
-            particles.append(f"p{i}")
-            for k in range(int(rng.integers(1, 3))):
-                edges.append(edge(f"s{i}{k}", everyone[int(rng.integers(0, n + 1))], f"p{i}", slides))
-        single = [e.name for e in edges if e.kind in ("revolute", "prismatic", "helical")]
-        rng.shuffle(single)
-        while len(single) > 2 and rng.random() < 0.6:
-            gears.append((single.pop(), single[0], round(rng.normal(), 3), round(rng.normal(), 3)))
-        if len(single) > 1 and rng.random() < 0.4:
-            locks.append((single[0], 0.7))
+    for i in range(int(rng.integers(0, 3))):
+        particles.append(f"p{i}")
+        for k in range(int(rng.integers(1, 3))):
+            edges.append(edge(f"s{i}{k}", everyone[int(rng.integers(0, n + 1))], f"p{i}", SLIDES))
+    single = [e.name for e in edges if e.kind in ("revolute", "prismatic", "helical")]
+    rng.shuffle(single)
+    while len(single) > 2 and rng.random() < 0.6:
+        gears.append((single.pop(), single[0], round(rng.normal(), 3), round(rng.normal(), 3)))
+    if len(single) > 1 and rng.random() < 0.4:
+        locks.append((single[0], 0.7))
     order = rng.permutation(len(edges))
     return Graph(tuple(rng.permutation(names).tolist()), tuple(edges[i] for i in order), tuple(particles),
-                 tuple(gears), tuple(locks))  # fmt: skip
+                 tuple(gears), tuple(locks), dim)  # fmt: skip

@@ -19,8 +19,8 @@ def unit(v: ArrayLike) -> Array:
     """Vectors (..., n) scaled to length one, however large or small; NaN for a vector that is zero or not finite."""
     v = np.asarray(v, dtype=float)
     with np.errstate(invalid="ignore", divide="ignore"):
-        v = v / np.max(np.abs(v), axis=-1, keepdims=True)  # or squares would overflow or vanish
-        return v / np.sqrt(np.sum(v * v, axis=-1, keepdims=True))
+        scaled = v / np.max(np.abs(v), axis=-1, keepdims=True)  # or squares would overflow or vanish
+        return scaled / np.sqrt(np.sum(scaled * scaled, axis=-1, keepdims=True))
 
 
 def skew(v: ArrayLike) -> Array:

@@ -153,7 +153,7 @@ WRONG = [
     (lambda m: m.parameter("sin", 2.0), InputError, "'sin'"),
     (lambda m: m.parameter("pi", 2.0), InputError, "parameter name 'pi' must be"),
     (lambda m: m.parameter("lambda", 2.0), InputError, "'lambda'"),
-    (lambda m: m.parameter("k", "l1"), InputError, "parameter 'k' is l1; it must be a number"),
+    (lambda m: m.parameter("k", "l1"), InputError, "parameter 'k' is 'l1'; it must be a number"),
     (lambda m: m.parameter("k", np.inf), InputError, "parameter 'k' is inf"),
     (lambda m: m.revolute("q1", "base", "p"), DescriptionError, "joint 'q1': there is another joint of this name"),
     (lambda m: m.revolute("", "base", "p"), InputError, "joint name is ''"),

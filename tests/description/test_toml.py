@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +12,10 @@ from hypothesis import given
 from random_mechanisms import mechanisms
 
 from kempe.description.mechanism import Mechanism
+from kempe.description.placement import COUNTS
 from kempe.description.source import Source
 from kempe.description.toml import read_toml
+from kempe.description.toml_document import KEYS
 from kempe.description.toml_places import Places
 from kempe.description.toml_writer import write_toml
 from kempe.description.values import Expression
@@ -216,9 +220,7 @@ def test_joint_types_from_outside_are_refused():
         write_toml(m)
 
 
-@pytest.mark.parametrize(
-    "name", ["\n", "a\nb", "'''", '"', "\\", "a'\n'", "\r\n\r", "\x00\x7f", "#", "=", "é", " x "]
-)
+@pytest.mark.parametrize("name", ["\n", "a\nb", "'''", '"', "\\", "a'\n'", "\r\n\r", "\x00\x7f", "#", "=", "é", " x "])
 def test_any_text_survives(name: str):
     m = Mechanism("a" + name)
     m.posture("p" + name, {})
@@ -235,3 +237,21 @@ def test_floats_survive_to_the_last_bit():
     m.revolute("j", m.ground, m.body("a"))
     again = read_toml(write_toml(m))
     assert [np.float64(p["j"]).tobytes() for p in again.postures.values()] == [np.float64(x).tobytes() for x in numbers]
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "toml.md"
+
+
+@pytest.mark.parametrize("text", re.findall(r"^```toml\n(.*?)^```$", PAGE.read_text(), re.DOTALL | re.MULTILINE))
+def test_examples_of_the_page(text: str):
+    m = read_toml(text)
+    assert read_toml(write_toml(m)) == m and m.build().nq >= 3
+
+
+def test_the_page_names_every_key():
+    page = PAGE.read_text()
+    keys = {key.removeprefix("child_") for known in KEYS.values() for key in known} | set(COUNTS)
+    assert {key for key in keys if f"`{key}`" not in page and f"[[{key}]]" not in page and f"[{key}]" not in page} <= {
+        "of", "sources", "offset", "rows", "convention",
+    }  # fmt: skip
+    assert all(f"{key} = " in page for key in ("of", "sources", "rows", "convention"))

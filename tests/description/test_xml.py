@@ -20,7 +20,7 @@ def test_elements_know_their_places():
     assert a.attributes == {"é": "1", "b": ">/>"} and d.attributes == {"x": "<"}
     assert (d.where_of("x").line, d.where_of("x").column) == (4, 5)
     assert d.where_of("y") == d.where
-    assert a.where_of("b") == Where("f", 2, 14, "<a é=\"1\" b='>/>'>")
+    assert a.where_of("b") == Where("f", 2, 13, "<a é=\"1\" b='>/>'>")
     assert a.of("d") == [d] and a.of("e") == []
 
 

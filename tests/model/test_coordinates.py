@@ -26,9 +26,9 @@ def test_q_holds_all_coordinates_in_the_order_of_the_joints(graph: Graph):
     names, velocities = [], []
     for e in graph.edges:
         kind, particle = joint_type(e.kind, **e.options), e.child in graph.particles
-        for c in kind.coordinates(3, particle):
+        for c in kind.coordinates(graph.dim, particle):
             names += [n for n in [f"{e.name}.{c}" if c else e.name] if n not in gone]
-        for c in kind.velocities(3, particle):
+        for c in kind.velocities(graph.dim, particle):
             velocities += [n for n in [f"{e.name}.{c}" if c else e.name] if n not in gone]
     assert s.coordinate_names == tuple(names) and s.velocity_names == tuple(velocities)
     assert (s.nq, s.nv) == (len(names), len(velocities)) == (len(s.neutral), len(s.lower))
@@ -54,10 +54,7 @@ def test_any_coordinate_has_a_value(graph: Graph, seed):
     s = graph.mechanism().build()
     q = s.random(seed, (2, 3))
     for i in np.ndindex(2, 3):
-        values = reference.coordinate_values(
-            s.q_dict(q[i]), {of: ({source: r}, offset) for of, source, r, offset in graph.gears}, dict(graph.locks)
-        )
-        for name, x in values.items():
+        for name, x in graph.values(s, q[i]).items():
             assert coordinate_value(s, q, name)[i] == pytest.approx(x, abs=1e-12)
 
 
@@ -74,7 +71,7 @@ def test_the_table_has_a_row_for_each_moving_primitive_of_the_tree(graph: Graph)
     for e in graph.edges:
         if e.name in s.closures or e.name in held:
             continue
-        expected += len(joint_type(e.kind, **e.options).layout(3, e.child in graph.particles)[1])
+        expected += len(joint_type(e.kind, **e.options).layout(graph.dim, e.child in graph.particles)[1])
     assert len(table.kind) == expected and set(table.kind) <= {R, P, Q}
     assert np.all(table.parent < np.arange(expected)) and np.all(table.parent >= -1)
     for row in range(expected):

@@ -97,7 +97,7 @@ def test_on_every_loop_the_least_wanted_joint_is_cut(graph):
                  and level.setdefault(there, level[here] + 1)]  # fmt: skip
 
     def cost(e: Edge) -> tuple:
-        dof = joint_type(e.kind, **e.options).dof(3, e.child in graph.particles)
+        dof = joint_type(e.kind, **e.options).dof(graph.dim, e.child in graph.particles)
         wanted = 0 if e.actuated or e.name in coupled else 1 if e.actuated is None else 2
         return e.cut, dof > 0, wanted, dof, level[e.parent] + level[e.child]
 

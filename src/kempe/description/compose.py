@@ -63,8 +63,8 @@ def _new_key(table: Mapping, kind: str, name: str) -> None:
 def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
     """The bodies and joints on the shortest path from body `base` to body or frame `tip`, as a mechanism.
 
-    Frames on these bodies, couplings and locks among these joints come along; a coupling that reaches outside is
-    refused, as the chain alone would move differently. Errors: `UnknownNameError`, `DescriptionError`.
+    Frames on these bodies, couplings and locks among these joints come along; one that follows a free coordinate
+    outside is refused, as the chain alone would move differently. Errors: `UnknownNameError`, `DescriptionError`.
     """
     if base not in mechanism.bodies:
         raise UnknownNameError("body", base, mechanism.bodies, mechanism.name)
@@ -74,9 +74,10 @@ def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
     path = _path(mechanism, base, end)
     kept = {base, end} | {b for j in path for b in (j.parent, j.child)}
     out = Mechanism(f"{mechanism.name}: {base} to {tip}", mechanism.dim, ground=base)
-    out.parameters = dict(mechanism.parameters)
+    out.parameters, out.roots = dict(mechanism.parameters), mechanism.roots
     out.bodies = {n: mechanism.bodies[n] for n in [base, *(b for b in mechanism.bodies if b in kept and b != base)]}
-    out.joints = {j.name: j for j in mechanism.joints.values() if j in path}
+    names = {j.name for j in path}
+    out.joints = {n: j for n, j in mechanism.joints.items() if n in names}
     out.frames = {f.name: f for f in mechanism.frames.values() if f.body in kept}
     coordinates = {
         f"{j.name}.{c}" if c else j.name for j in path

@@ -211,10 +211,10 @@ def _screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str, Any]]:
     if (row.twist is None) == (row.axis is None):
         raise InputError(f"{label} must have either twist or axis")
     if row.axis is not None:
+        if isinstance(row.pitch, bool) or not isinstance(row.pitch, (int, float)) or math.isnan(row.pitch):
+            raise InputError(f"{label}: pitch is {row.pitch!r}; it must be a number, infinite for a slide")
         pitch = float(row.pitch)
         kind = "prismatic" if math.isinf(pitch) else "helical" if pitch else "revolute"
-        if math.isnan(pitch):
-            raise InputError(f"{label}: pitch is nan; it must be a number, infinite for a slide")
         X = place(values(row.point, 3, f"{label}: point"), axis=values(row.axis, 3, f"{label}: axis"))
         return kind, X, {"pitch": pitch} if kind == "helical" else {}
     twist = values(row.twist, 6, f"{label}: twist")  # type: ignore[arg-type]

@@ -66,7 +66,7 @@ class Mechanism:
         return self._add_body(checks.body(name, False, mass, center, visuals, where))
 
     def particle(self, name: str, mass: float | None = None, where: Where | None = None) -> Body:
-        """A new particle: a body with a position only. Attach it by a joint of slides (free, translation, prismatic)."""
+        """A new particle: a body with a position only. Attach it by slides (free, translation, prismatic)."""
         return self._add_body(checks.body(name, True, mass, None, (), where))
 
     def _add_body(self, body: Body) -> Body:
@@ -74,7 +74,9 @@ class Mechanism:
         self.bodies[body.name] = body
         return body
 
-    def frame(self, name: str, body: BodyLike, at: object = (0.0, 0.0, 0.0), where: Where | None = None, **turn) -> Frame:
+    def frame(
+        self, name: str, body: BodyLike, at: object = (0.0, 0.0, 0.0), where: Where | None = None, **turn
+    ) -> Frame:
         """A named frame on a body, placed as `place` says (`at`, `rpy`, `angle`, `axis`, `quat_wxyz`, `matrix`)."""
         on = self._body(body, f"frame {name!r}", where)
         self._free_name(checks.name(name, "frame"), "frame", where)
@@ -93,12 +95,9 @@ class Mechanism:
         parsed = value(name, "parameter name") if isinstance(name, str) and name.isidentifier() else None
         if not isinstance(parsed, Expression) or parsed.names != (name,):
             raise InputError(f"parameter name {name!r} must be an identifier that is not a function or constant")
-        number = value(number, f"parameter {name!r}")
-        if isinstance(number, Expression):
-            raise InputError(f"parameter {name!r} is {number}; it must be a number")
         if name in self.parameters:
             raise InputError(f"parameter {name!r} exists already")
-        self.parameters[name] = number
+        self.parameters[name] = checks.number(number, f"parameter {name!r}")
         return parsed
 
     # ---- joints
@@ -196,7 +195,7 @@ class Mechanism:
         of = str(of)
         subject = f"coupling of {of!r}"
         if not isinstance(sources, Mapping):
-            checks.refuse(subject, f"its sources are {sources!r}", where, "they must be a dict of multipliers by coordinate")
+            checks.refuse(subject, f"its sources are {sources!r}", where, "they must be a dict of multipliers by name")
         if of in self.couplings:
             checks.refuse(subject, "the coordinate follows others already", where)
         if not sources:
@@ -253,7 +252,7 @@ class Mechanism:
         return out
 
     def build(self) -> System:
-        """The `System` to compute with. Errors: `DescriptionError` listing all that does not fit together."""
+        """The `System` to compute with. Errors: `DescriptionError` naming what does not fit together."""
         from kempe.model.system import System
 
         return System(self)

@@ -72,7 +72,8 @@ def place(
     if isinstance(at, Placement):
         return at @ place(rpy=rpy, angle=angle, axis=axis, quat_wxyz=quat_wxyz, matrix=matrix)
     steps: list[Step] = [(n, (x,)) for n, x in zip("xyz", values(at, (2, 3), "at"), strict=False)]
-    given = [n for n, x in (("rpy", rpy), ("angle", angle), ("quat_wxyz", quat_wxyz), ("matrix", matrix)) if x is not None]
+    ways = {"rpy": rpy, "angle": angle, "quat_wxyz": quat_wxyz, "matrix": matrix}
+    given = [n for n, x in ways.items() if x is not None]
     if len(given) > 1:
         raise InputError(f"orientation given twice, by {' and '.join(given)}; give one")
     if rpy is not None:
@@ -146,7 +147,7 @@ def _constant(steps: tuple[Step, ...]) -> spatial.Array:
     out = np.eye(4)
     for motion, numbers in steps:
         if motion in ("x", "y", "z"):
-            out[:3, 3] += out[:3, "xyz".index(motion)] * numbers[0]
+            out[:3, 3] += out[:3, "xyz".index(motion)] * numbers[0]  # type: ignore[operator]
         else:
             out[:3, :3] = out[:3, :3] @ _constant_turn(motion, numbers)
     out.setflags(write=False)

@@ -133,7 +133,8 @@ def values(xs: object, count: int | tuple[int, ...], what: str) -> tuple[Value, 
         raise InputError(f"{what} is {xs!r}; it must have {' or '.join(map(str, counts))} numbers")
     items = tuple(xs)
     if len(items) not in counts:
-        raise InputError(f"{what} has {len(items)} number{'s' if len(items) != 1 else ''}; it must have {' or '.join(map(str, counts))}")
+        s = "s" if len(items) != 1 else ""
+        raise InputError(f"{what} has {len(items)} number{s}; it must have {' or '.join(map(str, counts))}")
     return tuple(value(x, what) for x in items)
 
 
@@ -188,7 +189,7 @@ def _check(node: ast.AST, text: str, depth: int) -> None:
         raise InputError(f"{text!r} uses the function {node.id!r} without its brackets, such as {node.id}(x)")
     elif not (
         isinstance(node, ast.Name)
-        or (isinstance(node, ast.Constant) and type(node.value) in (int, float) and math.isfinite(node.value))
+        or (isinstance(node, ast.Constant) and type(node.value) in (int, float) and math.isfinite(node.value))  # type: ignore[arg-type]
     ):
         raise InputError(f"{text!r} is not an expression of numbers, parameters, + - * / ** and functions")
 
@@ -206,7 +207,7 @@ def _fold(node: Any, names: Mapping[str, Any], functions: Mapping[str, Callable]
         return _UNARY[type(node.op)](_fold(node.operand, names, functions, number))
     if isinstance(node, ast.Call):
         arguments = [_fold(a, names, functions, number) for a in node.args]
-        return functions[node.func.id](*arguments)
+        return functions[node.func.id](*arguments)  # type: ignore[attr-defined]
     if isinstance(node, ast.Name):
         return names[node.id]
     return number(node.value)

@@ -76,8 +76,8 @@ def random(system: System, rng: np.random.Generator | int | None, shape: int | t
     """Configurations (*shape, nq), uniform inside the limits.
 
     Angles without limits are in [-pi, pi), lengths without limits within 1 m of zero, screws within 1 rad; a
-    coordinate with one limit is as near to that. Rotations are uniform. Numbers are drawn in the order of the names, so the order of declaration does not matter.
-    Loop closures and relations of several coordinates are not imposed.
+    coordinate with one limit is as near to that. Rotations are uniform. Numbers are drawn in the order of the names,
+    so the order of declaration does not matter. Loop closures and relations of several coordinates are not imposed.
     """
     rng = np.random.default_rng(rng)
     shape = tuple(np.atleast_1d(np.asarray(shape, dtype=np.int64)).tolist())

@@ -50,9 +50,10 @@ class Designs:
         self.system, self.shape = system, arrays[0].shape
         self.parameters = {**system.parameters, **dict(zip(numbers, arrays, strict=True))}
         for coupling in system.mechanism.couplings.values():
-            used = {n for v in (*coupling.sources.values(), coupling.offset) if isinstance(v, Expression) for n in v.names}
-            if used & set(numbers):
-                raise UnsupportedError(f"the coupling of {coupling.of!r} depends on {', '.join(sorted(used & set(numbers)))}: "
+            terms = (*coupling.sources.values(), coupling.offset)
+            used = {n for v in terms if isinstance(v, Expression) for n in v.names if n in numbers}
+            if used:
+                raise UnsupportedError(f"the coupling of {coupling.of!r} depends on {', '.join(sorted(used))}: "
                                        "a batch of designs must share its couplings")  # fmt: skip
         self._table = lower(system.mechanism, system.topology, system.coordinates, self.parameters)
 

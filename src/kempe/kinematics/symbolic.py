@@ -295,7 +295,15 @@ class _Turn:
     angle: Any = 0
     matrix: sympy.Matrix | None = None
 
+    @property
+    def constant(self) -> bool:
+        """Whether it is a rotation by numbers, other than the ground's."""
+        if self.matrix is None:
+            return self.axis is not None and bool(self.angle.is_number)
+        return not self.matrix.free_symbols
+
     def rotation(self) -> sympy.Matrix:
+        """Its matrix (3, 3)."""
         if self.matrix is not None or self.axis is None:
             return sympy.eye(3) if self.matrix is None else self.matrix
         along = self.axis * self.axis.T
@@ -354,6 +362,11 @@ class _Chain:
             self._append(_Turn(sympy.zeros(3, 1), matrix=turned))
 
     def _append(self, turn: _Turn) -> None:
+        last = self.turns[-1]
+        if last.constant and turn.constant:  # one matrix of numbers instead of a product
+            self.turns[-2].way += last.rotation() * last.way
+            self.turns[-1] = _Turn(sympy.zeros(3, 1), matrix=last.rotation() * turn.rotation())
+            return
         self.turns.append(turn)
         if len(self.turns) > TURN_LIMIT + 1:
             raise UnsupportedError(f"the formula has more than {TURN_LIMIT} turns about different axes; ask for a subchain")

@@ -117,8 +117,8 @@ def _resolve(
     for coupling in mechanism.couplings.values():
         _check_coupling(mechanism, coupling, every, balls)
         if coupling.of in followers:
-            _refuse(f"coordinate {coupling.of!r}", f"it is locked, but follows {', '.join(coupling.sources)}", coupling.where,
-                    "lock what it follows")  # fmt: skip
+            said = f"it is locked, but follows {', '.join(coupling.sources)}"
+            _refuse(f"coordinate {coupling.of!r}", said, coupling.where, "lock what it follows")
         sources = {k: float(evaluate(v, mechanism.parameters)) for k, v in coupling.sources.items()}
         pending[coupling.of] = (sources, float(evaluate(coupling.offset, mechanism.parameters)))
     relations: list[Relation] = []
@@ -177,7 +177,8 @@ def _check_coupling(mechanism: Mechanism, coupling, every: dict[str, Joint], bal
         if name not in every:
             _refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), coupling.where)
         if name in balls:
-            _refuse(subject, f"{name!r} is part of a quaternion", coupling.where, "only angles and lengths can be coupled")
+            said = f"{name!r} is part of a quaternion"
+            _refuse(subject, said, coupling.where, "only angles and lengths can be coupled")
     for v in (*coupling.sources.values(), coupling.offset):
         if isinstance(v, Expression):
             for name in v.names:

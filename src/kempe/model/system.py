@@ -55,12 +55,12 @@ class System:
         raise AttributeError(f"{self!r} is frozen: change its mechanism and build another")
 
     def _check(self) -> None:
-        finite = np.isfinite(self._table.placement).all(axis=(-2, -1)).all()
+        problem = "placement is not a number with these parameters"
         for name, (_, X, _p) in self._table.at.items():
             if not np.isfinite(X).all():
-                raise DescriptionError(Problem("its placement is not a number with these parameters", f"frame {name!r}"))
-        if not finite:
-            raise DescriptionError(Problem("a placement is not a number with these parameters", f"system {self.name!r}"))
+                raise DescriptionError(Problem(f"its {problem}", f"frame {name!r}"))
+        if not np.isfinite(self._table.placement).all():
+            raise DescriptionError(Problem(f"a {problem}", f"system {self.name!r}"))
         known = {*self.coordinate_names, *self._coordinates.followers}
         for name, posture in self._mechanism.postures.items():
             for key in posture:
@@ -360,8 +360,9 @@ class System:
 
     def __repr__(self) -> str:
         loops = f", loops={len(self.closures)}" if self.closures else ""
-        planar = ", planar" if self.dim == 2 else ""
-        return f"System({self.name!r}, bodies={len(self.parent)}, joints={len(self.joint_names)}, nq={self.nq}{loops}{planar})"
+        more = loops + (", planar" if self.dim == 2 else "")
+        counts = f"bodies={len(self.parent)}, joints={len(self.joint_names)}, nq={self.nq}"
+        return f"System({self.name!r}, {counts}{more})"
 
     # ---- inside
 

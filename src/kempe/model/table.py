@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,8 @@ _EYE = np.eye(4)
 class Table:
     """The primitive rows of a system, and where bodies and frames sit on them.
 
-    Rows: `kind`, `parent` row (-1 ground), `iq`, `iv`, `multiplier`, `gauge` angle (..., n), `placement` (..., n, 4, 4).
+    Rows: `kind`, `parent` row (-1 ground), `iq`, `iv`, `multiplier`, `gauge` angle (..., n), `placement`
+    (..., n, 4, 4).
     `at` gives for each body or frame name its row, its pose (..., 4, 4) on that row, and whether it is a particle.
     """
 
@@ -100,7 +102,9 @@ class _Rows:
         self.coordinates = coordinates
         self.rows: list[tuple[int, int, int, int, object, object, np.ndarray]] = []
 
-    def motion(self, at: tuple[int, np.ndarray], primitive: Primitive, name: str, sign: float) -> tuple[int, np.ndarray]:
+    def motion(
+        self, at: tuple[int, np.ndarray], primitive: Primitive, name: str, sign: float
+    ) -> tuple[int, np.ndarray]:
         """Where one is after a primitive of the coordinate `name`, starting at (row, placement)."""
         row, X = at
         X = X @ _AXES[primitive.axis]
@@ -134,7 +138,7 @@ class _Rows:
 
 
 def lower(
-    mechanism: Mechanism, topology: Topology, coordinates: Coordinates, parameters: Mapping[str, object]
+    mechanism: Mechanism, topology: Topology, coordinates: Coordinates, parameters: Mapping[str, Any]
 ) -> Table:
     """The table of a mechanism for these parameters, which may be arrays of one shape (a batch of designs)."""
     rows = _Rows(coordinates)
@@ -158,7 +162,7 @@ def lower(
     return _finish(mechanism, rows, where, parameters, coordinates)
 
 
-def _finish(mechanism: Mechanism, rows: _Rows, where: dict, parameters: Mapping[str, object], c: Coordinates) -> Table:
+def _finish(mechanism: Mechanism, rows: _Rows, where: dict, parameters: Mapping[str, Any], c: Coordinates) -> Table:
     at = {b: (row, X, mechanism.bodies[b].particle) for b, (row, X) in where.items()}
     for frame in mechanism.frames.values():
         row, X = where[frame.body]

@@ -41,7 +41,7 @@ def natural(name: str) -> tuple:
 
 
 def spanning_tree(mechanism: Mechanism) -> Topology:
-    """Spanning tree and loop closures of a mechanism. Errors: `DescriptionError` naming bodies without a way to ground."""
+    """Spanning tree and loop closures of a mechanism. Errors: `DescriptionError` naming bodies without a way to it."""
     ground = mechanism.ground.name
     neighbours: dict[str, list[tuple[str, Joint]]] = {b: [] for b in mechanism.bodies}
     for joint in mechanism.joints.values():
@@ -55,7 +55,7 @@ def spanning_tree(mechanism: Mechanism) -> Topology:
     while queue:
         here = queue.popleft()
         for there, joint in neighbours[here]:
-            if joint.name in kept and there != ground and there not in came and came.get(here, ("", None))[1] is not joint:
+            if joint.name in kept and there != ground and there not in came:
                 came[there] = (here, joint)
                 queue.append(there)
     order = _number(mechanism, came)

@@ -1,0 +1,238 @@
+"""Finding out what a source is; files that are not there; meshes and xacro."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from bad_file_cases import LIMIT, SHOULDER, WRIST, joint, robot
+
+from kempe.description import xacro as xacro_module
+from kempe.description.meshes import resolve_mesh
+from kempe.description.read import check, library_models, read
+from kempe.description.toml_writer import write_toml
+from kempe.description.xacro import expand_xacro
+from kempe.errors import DescriptionError, InputError, MissingExtraError, UnsupportedError
+
+URDF = robot(SHOULDER, WRIST)
+TOML = write_toml(read(URDF))
+
+
+@pytest.mark.parametrize("text", [URDF, TOML], ids=["urdf", "toml"])
+@pytest.mark.parametrize("suffix", [".right", ".txt", ""])
+def test_text_bytes_and_files(text: str, suffix: str, tmp_path: Path):
+    expected = read(URDF)
+    right = ".urdf" if text == URDF else ".toml"
+    path = tmp_path / f"model{suffix.replace('.right', right)}"
+    path.write_text(text, encoding="utf-16" if text == URDF else "utf-8")
+    for source in (text, text.encode(), "\n" + text if text == TOML else text, path, str(path)):
+        assert read(source) == expected
+    assert read(path, format=right[1:]) == expected
+    assert read(path, package_dirs=["/meshes"]).roots == (str(tmp_path), "/meshes")
+    assert read(text).roots == ()
+
+
+def test_options_of_urdf_reach_the_reader():
+    assert read(URDF, base="free").ground.name == "world"
+    with pytest.raises(InputError, match="base and root are for URDF"):
+        read(TOML, base="free")
+    with pytest.raises(InputError, match="format is 'sdf'; it must be 'urdf' or 'toml'"):
+        read(URDF, format="sdf")
+    with pytest.raises(InputError, match="it must be a path, text or bytes"):
+        read(5)  # type: ignore[arg-type]
+
+
+def test_models_of_the_library():
+    for name in library_models():
+        assert read(name).build().nq >= 0
+    if library_models():
+        name = library_models()[0]
+        with pytest.raises(DescriptionError, match=f"did you mean .*{name!r}"):
+            read(name + "x")
+
+
+def test_a_file_goes_before_a_model_of_the_library(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("kempe.description.read.library_models", lambda: ("arm",))
+    Path("arm").write_text(URDF)
+    assert read("arm").name == "r"
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("model.udrf", "there is no such file; did you mean 'model.urdf'"),
+        ("zzzzzz.xml", "there is no such file; there are: model.urdf, other.toml"),
+        ("nowhere/model.urdf", "there is no folder 'nowhere' either"),
+        ("empty/x.urdf", "there are no robot files in that folder"),
+        (".", "this is a folder; give one of its files: model.urdf, other.toml"),
+        ("empty", "this is a folder; give the path of a file"),
+        ("a\0b.urdf", "cannot be read: embedded null"),
+        ("n" * 5000, "cannot be read: File name too long"),
+        ("model.urdf.xacro", "this is a xacro file, a program that writes URDF; load it with xacro=True"),
+    ],
+)
+def test_files_that_are_not_there(source: str, words: str, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("model.urdf").write_text(URDF)
+    Path("other.toml").write_text(TOML)
+    Path("empty").mkdir()
+    if source.endswith(".xacro"):
+        Path(source).write_text(URDF)
+    with pytest.raises(DescriptionError, match=words):
+        read(source)
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="needs a user whom files can be closed to")
+def test_files_without_permission(tmp_path):
+    path = tmp_path / "m.urdf"
+    path.write_text(URDF)
+    path.chmod(0)
+    with pytest.raises(DescriptionError, match="cannot be read: Permission denied"):
+        read(path)
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs /dev/zero")
+def test_endless_files():
+    with pytest.raises(DescriptionError, match="more than 64 MiB"):
+        read("/dev/zero")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<sdf version='1.9'/>", "SDF files are not read yet; Kempe reads URDF and TOML"),
+        ("<?xml version='1.0'?>\n<!-- <robot> -->\n<mujoco/>", r"MJCF \(MuJoCo\) files are not read yet"),
+    ],
+)
+def test_formats_to_come(text: str, words: str, tmp_path):
+    (tmp_path / "m.xml").write_text(text)
+    for source in (text, text.encode("utf-16"), tmp_path / "m.xml"):
+        with pytest.raises(UnsupportedError, match=words):
+            read(source)
+
+
+def test_check_collects_what_reading_and_building_find(tmp_path):
+    good = check(robot(joint("j", ""), WRIST))
+    assert good.problems == () and len(good.notes) == 1
+    bad = check(URDF.replace('"arm"/>', '"amr"/>', 1))
+    assert [p.where.line for p in bad.problems if p.where] == [5, 6] and bad.notes == ()
+    (problem,) = check("format = 1\n[[body]]\nname = 'lost'\n").problems
+    assert problem.where is not None and problem.where.line == 2
+    (problem,) = check(tmp_path / "nothing.urdf").problems
+    assert "no such file" in problem.message
+    (problem,) = check("<sdf/>").problems
+    assert "not read yet" in problem.message
+    (problem,) = check(URDF, root="x").problems
+    assert "no link 'x'" in problem.message
+
+
+# ---- meshes
+
+
+def test_meshes_inside_the_roots(tmp_path):
+    for name in ("pkg/meshes/a.stl", "b.stl"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "pkg" / "link.stl").symlink_to(tmp_path / "b.stl")
+    a = (tmp_path / "pkg/meshes/a.stl").resolve()
+    assert resolve_mesh("package://pkg/meshes/a.stl", [tmp_path]) == a
+    assert resolve_mesh("package://pkg/meshes/a.stl", ["/nowhere", tmp_path / "pkg"]) == a
+    assert resolve_mesh("meshes/./a.stl", [str(tmp_path / "pkg")]) == a
+    assert resolve_mesh("pkg/link.stl", [tmp_path]).name == "b.stl"
+    with pytest.raises(InputError, match="a link that leads out of"):
+        resolve_mesh("link.stl", [tmp_path / "pkg"])
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ("../b.stl", "'..' could lead out"),
+        ("package://pkg/../../b.stl", "'..' could lead out"),
+        ("a\\..\\b.stl", "'..' could lead out"),
+        ("/etc/passwd", "absolute"),
+        ("package:///etc/passwd", "absolute"),
+        ("~/x", "absolute"),
+        ("C:\\x", "absolute"),
+        ("\\\\server\\x", "absolute"),
+        ("file:///etc/passwd", "file:// is not followed"),
+        ("http://a/b.stl", "http:// is not followed"),
+        ("", "names no file"),
+        ("package://", "names no file"),
+        ("a\0b", "names no file"),
+        ("pkg", "no such file"),
+        ("missing.stl", "no such file; looked in"),
+    ],
+)
+def test_meshes_that_are_refused(path: str, words: str, tmp_path):
+    (tmp_path / "pkg").mkdir()
+    (tmp_path / "b.stl").touch()
+    with pytest.raises(InputError, match=words):
+        resolve_mesh(path, [tmp_path / "pkg", tmp_path])
+
+
+def test_meshes_without_roots():
+    with pytest.raises(InputError, match="declare some by package_dirs"):
+        resolve_mesh("a.stl", [])
+
+
+# ---- xacro
+
+XACRO = '<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro">\n{}\n</robot>\n'
+
+
+def expanded(tmp_path: Path, inside: str, **options) -> str:
+    path = tmp_path / "m.urdf.xacro"
+    path.write_text(XACRO.format(inside))
+    pytest.importorskip("xacrodoc")
+    return expand_xacro(path, **options)
+
+
+def test_xacro_is_expanded_on_request(tmp_path):
+    pytest.importorskip("xacrodoc")
+    (tmp_path / "part.xacro").write_text(
+        XACRO.format('<xacro:macro name="leg" params="n"><link name="leg${n}"/></xacro:macro>')
+    )
+    path = tmp_path / "m.urdf.xacro"
+    path.write_text(
+        XACRO.format(
+            '<xacro:include filename="part.xacro"/><xacro:property name="l" value="0.25"/><link name="a"/><xacro:leg n="1"/>'
+            + joint("j", '<origin xyz="${2*l} 0 0"/>' + LIMIT, parent="a", child="leg1")
+        )
+    )
+    m = read(path, xacro=True)
+    assert m.joints["j"].X_PF.steps[0] == ("x", (0.5,)) and m.roots == (str(tmp_path),)
+    assert m.joints["j"].where is not None and m.joints["j"].where.file.endswith("m.urdf.xacro (expanded)")
+    with pytest.raises(InputError, match="from a file, not from text"):
+        read(path.read_text(), xacro=True)
+
+
+def test_xacro_arguments(tmp_path):
+    text = expanded(tmp_path, '<xacro:arg name="n" default="b"/><link name="$(arg n)"/>', arguments={"n": "c"})
+    assert '<link name="c"/>' in text
+
+
+@pytest.mark.parametrize(
+    ("inside", "words"),
+    [
+        ('<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>', "calls itself without end"),
+        ('<link name="${nothing}"/>', "xacro failed: .*nothing"),
+        ('<link name="${10**9*[0]}"/>', "more than 2 GiB of memory"),
+        ('<link name="${9**9**9}"/>', "did not finish in 1 s"),
+        ('<link name="$(env KEMPE_SECRET)"/>', "KEMPE_SECRET"),
+        ('<xacro:include filename="missing.xacro"/>', "missing.xacro"),
+        ("<link", "xacro failed"),
+    ],
+)
+def test_xacro_that_goes_wrong(inside: str, words: str, tmp_path, monkeypatch):
+    monkeypatch.setenv("KEMPE_SECRET", "hunter2")
+    with pytest.raises(DescriptionError, match=words) as caught:
+        expanded(tmp_path, inside, seconds=1)
+    assert "hunter2" not in str(caught.value)
+
+
+def test_xacro_without_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setattr(xacro_module.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r"kempe\[xacro\]"):
+        expand_xacro(tmp_path / "m.xacro")
