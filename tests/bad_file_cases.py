@@ -81,7 +81,8 @@ URDF_CASES = [
         robot(
             SHOULDER,
             WRIST,
-            links='<link name="base"><visual><geometry><mesh filename="../../../etc/passwd"/></geometry></visual></link>\n'
+            links='<link name="base"><visual><geometry><mesh filename="../../../etc/passwd"/></geometry></visual>'
+            "</link>\n"
             '<link name="arm"/>\n<link name="hand"/>\n',
         ),
         holds=lambda m: "../../../etc/passwd" in m.bodies["base"].visuals[0],

@@ -31,7 +31,8 @@ one system, or it is refused with its line, the thing that is wrong, and what is
 collected before it gives up; 20 are shown. What is legal but strange loads, with a note (`kempe info` shows notes,
 `kempe check` shows problems with the line of the file and a caret).
 
-- No DTD and no entity is ever read. A file has at most 64 MiB, its elements are nested at most 100 deep.
+- No DTD and no entity is ever read. A file has at most 32 MiB, its elements are nested
+  at most 100 deep.
 - Numbers are finite, separated by blanks, and exactly as many as the format says.
 - Names of links are unique, and so are those of joints; none is empty.
 - Exactly one link is the root, and joints lead from it to all others. A second way to a link is a *loop*, and legal.

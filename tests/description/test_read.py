@@ -95,7 +95,7 @@ def test_files_without_permission(tmp_path):
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs /dev/zero")
 def test_endless_files():
-    with pytest.raises(DescriptionError, match="more than 64 MiB"):
+    with pytest.raises(DescriptionError, match="more than 32 MiB"):
         read("/dev/zero")
 
 
@@ -197,7 +197,8 @@ def test_xacro_is_expanded_on_request(tmp_path):
     path = tmp_path / "m.urdf.xacro"
     path.write_text(
         XACRO.format(
-            '<xacro:include filename="part.xacro"/><xacro:property name="l" value="0.25"/><link name="a"/><xacro:leg n="1"/>'
+            '<xacro:include filename="part.xacro"/><xacro:property name="l" value="0.25"/><link name="a"/>'
+            + '<xacro:leg n="1"/>'
             + joint("j", '<origin xyz="${2*l} 0 0"/>' + LIMIT, parent="a", child="leg1")
         )
     )

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from bad_file_cases import LIMIT, joint, mimic, robot
+from bad_file_cases import LIMIT, LINKS, joint, mimic, robot
 from scipy.spatial.transform import Rotation
 
 from kempe.description.urdf import read_urdf
@@ -179,7 +179,7 @@ def test_all_problems_are_told_in_the_order_of_the_file():
         joint("a", '<axis xyz="0 0 0"/><origin xyz="1 2"/>' + LIMIT),
         joint("b", "", "spherical", "arm", "hand"),
         joint("c", mimic("x")),
-        links='<link name="base"><inertial><mass value="x"/></inertial></link>\n<link name="arm"/>\n<link name="hand"/>\n',
+        links=LINKS.replace('base"/>', 'base"><inertial><mass value="x"/></inertial></link>'),
     )
     with pytest.raises(DescriptionError) as caught:
         read_urdf(text, "r.urdf")

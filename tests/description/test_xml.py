@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kempe.description.source import SIZE_LIMIT, Findings, Source
-from kempe.description.xml import DEPTH_LIMIT, parse_xml
+from kempe.description.source import MANY_PROBLEMS, SIZE_LIMIT, Findings, Source
+from kempe.description.xml import DEPTH_LIMIT, ELEMENT_LIMIT, parse_xml
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, Where
 
 TEXT = '<?xml version="1.0"?>\r\n<a é="1" b=\'>/>\'>\n  <c/>text &amp; <d\n x="&lt;"\t>/>\n</d>\r</a>'
@@ -22,6 +22,11 @@ def test_elements_know_their_places():
     assert d.where_of("y") == d.where
     assert a.where_of("b") == Where("f", 2, 13, "<a é=\"1\" b='>/>'>")
     assert a.of("d") == [d] and a.of("e") == []
+
+
+def test_attributes_are_not_found_in_each_other():
+    a = parse_xml("""<a x=" y='1'" y = '2'/>""", "f")
+    assert [a.where_of(name).column for name in "xy"] == [7, 20]
 
 
 def test_text_is_kept_as_written():
@@ -64,7 +69,8 @@ def test_declared_latin(declared: str):
         (b"<a b='", "truncated"),
         (b"<!DOCTYPE a><a/>", "DTD"),
         (b"<a>" * (DEPTH_LIMIT + 1), f"more than {DEPTH_LIMIT} deep"),
-        (b" " * (SIZE_LIMIT + 1), "more than 64 MiB"),
+        (b"<r>" + b"<a/>" * ELEMENT_LIMIT, "more than 1000000 elements"),
+        (b" " * (SIZE_LIMIT + 1), "more than 32 MiB"),
         ("<a>\ud800</a>", "surrogate"),
     ],
 )
@@ -100,6 +106,15 @@ def test_lines_and_offsets_agree(text: str):
         where = source.where_offset(offset)
         assert source.offset(where.line, where.column) == offset
     assert "".join(source.lines) == text.replace("\r", "").replace("\n", "")
+
+
+def test_a_hostile_number_of_problems_ends_the_reading():
+    findings = Findings()
+    with pytest.raises(DescriptionError) as caught:
+        for _ in range(10 * MANY_PROBLEMS):
+            with findings.guard("a"):
+                findings.add("wrong")
+    assert len(caught.value.problems) == MANY_PROBLEMS
 
 
 def test_findings_are_sorted_and_bounded():

@@ -107,3 +107,21 @@ def test_two_threads_may_be_first(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_filled_folder_that_cannot_be_written_is_used(tmp_path, monkeypatch):
+    filled = tmp_path / _jit.source_digest()
+    (filled / "sub").mkdir(parents=True)
+    (filled / "sub" / "kernel.nbi").write_text("compiled")
+    temporary = _jit.tempfile.TemporaryFile
+
+    def refuse(dir=None):
+        if Path(dir).is_relative_to(tmp_path):
+            raise PermissionError(dir)
+        return temporary(dir=dir)
+
+    monkeypatch.setattr(_jit, "_folders", lambda: [tmp_path])
+    monkeypatch.setattr(_jit.tempfile, "TemporaryFile", refuse)
+    folder = _jit.cache_folder.__wrapped__()
+    assert folder is not None and folder != filled
+    assert (folder / "sub" / "kernel.nbi").read_text() == "compiled"

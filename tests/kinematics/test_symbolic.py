@@ -11,14 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import reference
-from graphs import Graph, graphs
+from graphs import KINDS, Graph, graphs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import kempe
 from kempe import Mechanism, System
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.joints import TYPES
 
 sympy = pytest.importorskip("sympy")
 from kempe.kinematics.symbolic import TURN_LIMIT, symbolic_fk  # noqa: E402
@@ -55,22 +54,20 @@ def test_the_lectures_formula():
 
 def test_it_prints_as_latex():
     T = two_link().build().symbolic_fk("e")
-    assert sympy.latex(T[0, 3]) == (
-        r"l_{1} \cos{\left(q_{1} \right)} + l_{2} \cos{\left(q_{1} + q_{2} \right)}"
-    )
+    assert sympy.latex(T[0, 3]) == r"l_{1} \cos{\left(q_{1} \right)} + l_{2} \cos{\left(q_{1} + q_{2} \right)}"
     shown = T._repr_latex_()
     assert shown.startswith("$") and r"l_{2} \sin{\left(q_{1} + q_{2} \right)}" in shown
     assert pickle.loads(pickle.dumps(T)) == T
 
 
-@pytest.mark.parametrize("tilt", [(0, 0, 0), (math.pi / 2, 0, 0), (0, -math.pi / 2, math.pi), (math.pi, 0, math.pi / 2)])
+@pytest.mark.parametrize("tilt", [(0, 0, 0), (0.5, 0, 0), (0, -0.5, 1), (1, 0, 0.5)])
 def test_three_parallel_joints_whatever_axes_they_are_written_in(tilt):
     """The second joint's frames are tilted by quarter turns; its axis stays the same."""
     m = Mechanism("3R")
     for i in (1, 2, 3):
         m.parameter(f"l{i}", 1.0)
     lengths = ["0", "l1", "l2"]
-    here = m.ground
+    here, tilt = m.ground, [x * math.pi for x in tilt]
     R = reference.placement((0, 0, 0), tilt)[:3, :3].astype(float)
     for i, length in enumerate(lengths, 1):
         link = m.body(f"B{i}")
@@ -158,12 +155,8 @@ def test_random_systems(graph: Graph, seed):
 
 
 @pytest.mark.parametrize("backwards", [False, True])
-@pytest.mark.parametrize("options", [{}, {"angles": True}])
-@pytest.mark.parametrize("kind", TYPES)
+@pytest.mark.parametrize("kind, options", KINDS)
 def test_each_joint(kind, options, backwards):
-    if options and kind not in ("spherical", "free"):
-        pytest.skip("no such option")
-    options = {"pitch": 0.3} if kind == "helical" else options
     m = Mechanism("one joint")
     body = m.body("b")
     m.joint("J", kind, *((body, m.ground) if backwards else (m.ground, body)), **options)
@@ -185,17 +178,20 @@ def chains(draw) -> System:
     m = Mechanism("chain")
     m.parameter("alpha", 0.4), m.parameter("l", 0.7)
     here = m.ground
-    kinds = ["revolute", "revolute", "revolute", "prismatic", "helical", "cylindrical", "universal", "spherical", "planar"]
+    others = ["prismatic", "helical", "cylindrical", "universal", "spherical", "planar"]
 
     def place():
-        return {"at": [draw(st.sampled_from(LENGTHS)) for _ in range(3)], "rpy": [draw(st.sampled_from(ANGLES)) for _ in range(3)]}
+        rpy = [draw(st.sampled_from(ANGLES[:3])) for _ in range(3)]
+        rpy[draw(st.integers(0, 2))] = draw(st.sampled_from(ANGLES))  # one, or formulas get long
+        return {"at": [draw(st.sampled_from(LENGTHS)) for _ in range(3)], "rpy": rpy}
 
     for i in range(draw(st.integers(1, 4))):
-        body, kind = m.body(f"b{i}"), draw(st.sampled_from(kinds))
+        body, kind = m.body(f"b{i}"), draw(st.just("revolute") | st.sampled_from(others))
         X, Y = place(), place()
         options = {"pitch": draw(st.sampled_from([0.2, -1.0]))} if kind == "helical" else {}
         ends = (body, here) if draw(st.booleans()) else (here, body)
-        m.joint(f"j{i}", kind, *ends, **X, child_at=Y["at"], child_rpy=Y["rpy"], axis=draw(st.sampled_from(DIRECTIONS)), **options)
+        axis = draw(st.sampled_from(DIRECTIONS))
+        m.joint(f"j{i}", kind, *ends, **X, child_at=Y["at"], child_rpy=Y["rpy"], axis=axis, **options)
         here = body
     single = [n for n, j in m.joints.items() if j.type.type_name in ("revolute", "prismatic", "helical")]
     if len(single) > 2 and draw(st.booleans()):
@@ -207,7 +203,7 @@ def chains(draw) -> System:
 
 
 @given(s=chains(), seed=st.integers(0, 10**6))
-@settings(max_examples=80)
+@settings(max_examples=50)
 def test_chains_with_parameters(s: System, seed):
     q = s.random(seed)
     T = s.symbolic_fk("e")
@@ -216,7 +212,7 @@ def test_chains_with_parameters(s: System, seed):
         np.testing.assert_allclose(numbers(T, s, q, **new), expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["puma560", "ur5", "stanford", "cobra600", "panda", "seven_bodies", "seven_bodies_loop"])
+@pytest.mark.parametrize("name", ["puma560", "ur5", "stanford", "cobra600", "panda", "seven_bodies_loop"])
 def test_shipped_models(name):
     s = kempe.load(name)
     q = s.random(1)
@@ -302,6 +298,16 @@ def test_snap_of_a_matrix():
     assert s.symbolic_fk("f", snap=1e-7).snapped == ()
 
 
+def test_snap_of_an_axis():
+    m = Mechanism("axis")
+    m.revolute("A", m.ground, m.body("b"), axis=(1e-7, 0, -2))
+    s = m.build()
+    assert s.symbolic_fk("b").has(sympy.Float)
+    T = s.symbolic_fk("b", snap=1e-6)
+    assert str(T[1, 0]) == "-sin(A)" and T[2, 2] == 1
+    assert T.snapped == ("joint 'A': axis (1e-07, 0.0, -2.0) taken as (0.0, 0.0, -1.0)",)
+
+
 def test_couplings_keep_their_names():
     m = Mechanism("gears", dim=2)
     ratio = m.parameter("ratio", 3.0)
@@ -323,7 +329,7 @@ def test_symbols_of_ones_own():
     theta = sympy.Symbol("theta_1", real=True)
     T = s.symbolic_fk("e", symbols={"q1": theta, "l1": 1, "l2": "a/2"})
     assert str(T[0, 3]) == "a*cos(q2 + theta_1)/2 + cos(theta_1)"
-    assert str(s.symbolic_fk("e", symbols={"q2": 0})[0, 3]) == "l1*cos(q1) + l2*cos(q1)"
+    assert str(s.symbolic_fk("e", symbols={"q2": 0})[0, 3]) == "(l1 + l2)*cos(q1)"  # one body, then
 
 
 def test_wrong_arguments():

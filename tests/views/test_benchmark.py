@@ -45,14 +45,15 @@ def test_cases_take_turns(quick):
 
 
 def test_table():
-    table = timing.Table("T", "ns", [timing.Row("Kempe", "fk", 2.0), timing.Row("pin", "fk, loop", 90.0)])
+    table = timing.Table("T", "ns", [timing.Row("Kempe", "fk", 2.0, 1.5), timing.Row("pin", "fk, loop", 90.0)])
     assert table.ratio("pin", "fk", "fk") == 45.0 and table.ratio("other", "", "fk") is None
     table.at_least("45 times", table.ratio("pin", "fk", "fk"), 45)
     table.at_most("1 ns", table.value("Kempe"), 1.0)
     table.at_most("not measured", table.value("other"), 1.0)
     assert [g.met for g in table.goals] == [True, False]
+    assert table.best("Kempe") == 1.5 and table.best("pin") == 90.0
     page = table.markdown()
-    assert "| pin | fk, loop | 90 | 45 |" in page and "- 1 ns: 2 (NOT MET)" in page
+    assert "| pin | fk, loop | 90 | 90 | 45 |" in page and "- 1 ns: 2 (NOT MET)" in page
 
 
 def test_unknown_names():

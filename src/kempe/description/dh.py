@@ -163,8 +163,7 @@ def add_screws(
 ) -> None:
     """Add a chain of screw axes to `mechanism`, on its ground; arguments as in `from_screws`."""
     checked = [
-        _row(ScrewRow, s if isinstance(s, (ScrewRow, Mapping)) else {"twist": s}, i)
-        for i, s in enumerate(screws, 1)
+        _row(ScrewRow, s if isinstance(s, (ScrewRow, Mapping)) else {"twist": s}, i) for i, s in enumerate(screws, 1)
     ]
     if not checked:
         raise InputError("the list of screws is empty; it must have one for each joint")
@@ -225,9 +224,7 @@ def _screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str, Any]]:
     length = float(np.linalg.norm(unit))
     if abs(length - 1.0) > UNIT_TOLERANCE:
         said = "its rotation part w" if what == "w" else "it has no rotation, and its linear part v"
-        raise InputError(
-            f"{label}: {said} has length {length:g}; it must be 1 (the order is [v; w], linear first)"
-        )
+        raise InputError(f"{label}: {said} has length {length:g}; it must be 1 (the order is [v; w], linear first)")
     if what == "v":
         return "prismatic", place(axis=v), {}
     # the axis passes through w x v and the pitch is w . v, for |w| = 1 (Murray, Li, Sastry, 1994, 2.3)

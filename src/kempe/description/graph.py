@@ -36,9 +36,7 @@ def choose_root(
         listed = _listed(roots, links)
         separate = len({parts[n] for n in roots}) > 1
         cure = (
-            "join them by joints (type fixed where they do not move)"
-            if separate
-            else f"choose with root={roots[0]!r}"
+            "join them by joints (type fixed where they do not move)" if separate else f"choose with root={roots[0]!r}"
         )
         findings.add(
             f"{len(roots)} links are nobody's child: {listed}",

@@ -154,9 +154,7 @@ def _near(path: Path) -> str:
         return f"did you mean {' or '.join(map(repr, near))}?"
     shown = ", ".join(names[:8])
     return (
-        f"there are: {shown}{', ...' if len(names) > 8 else ''}"
-        if names
-        else "there are no robot files in that folder"
+        f"there are: {shown}{', ...' if len(names) > 8 else ''}" if names else "there are no robot files in that folder"
     )
 
 

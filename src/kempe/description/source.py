@@ -19,8 +19,8 @@ from kempe.errors import (
     hint,
 )
 
-SIZE_LIMIT = 64 * 2**20
-"""Bytes of the largest description that is read: about ten times a chain of 20 000 links."""
+SIZE_LIMIT = 32 * 2**20
+"""Bytes of the largest description that is read: about five times a chain of 20 000 links."""
 
 _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF8, "utf-8", ""),
@@ -31,6 +31,10 @@ _BYTE_ORDER_MARKS = (
 )
 
 _LINE_END = re.compile(r"\r\n|\n|\r")
+
+
+MANY_PROBLEMS = 1000
+"""Problems after which a reader gives up at once, so that a hostile file costs bounded time."""
 
 
 class Source:
@@ -71,8 +75,10 @@ class Findings:
         self._notes: list[tuple[int, str]] = []
 
     def add(self, message: str, subject: str = "", where: Where | None = None, allowed: str = "") -> None:
-        """Record a problem."""
+        """Record a problem; raise at once where there are many already."""
         self.problems.append(Problem(message, subject, where, allowed))
+        if len(self.problems) >= MANY_PROBLEMS:
+            self.finish()
 
     def note(self, message: str, subject: str = "", where: Where | None = None) -> None:
         """Record something harmless that the user should know."""
@@ -98,6 +104,8 @@ class Findings:
         try:
             yield
         except DescriptionError as error:
+            if len(self.problems) >= MANY_PROBLEMS:
+                raise
             for p in error.problems:
                 self.problems.append(Problem(p.message, p.subject or subject, p.where or where, p.allowed))
         except (InputError, UnknownNameError) as error:

@@ -20,9 +20,7 @@ from kempe.errors import DescriptionError, InputError, UnknownNameError
 from kempe.joints import TYPES
 
 
-def read_toml(
-    text: str | bytes, source: str = "<text>", *, package_dirs: Iterable[str | FilePath] = ()
-) -> Mechanism:
+def read_toml(text: str | bytes, source: str = "<text>", *, package_dirs: Iterable[str | FilePath] = ()) -> Mechanism:
     """Mechanism that a TOML text describes; `source` names the text in messages.
 
     `package_dirs` are the folders in which meshes may lie. Errors: `DescriptionError` with all problems, each
@@ -159,9 +157,7 @@ class _Reader:
             return True
         if key in table:
             said = self.findings.hint(str(name), self.mechanism.bodies)
-            self.findings.add(
-                f"{key} is {shorten(name)}, which is no body{said}", subject, self.where(*path, key)
-            )
+            self.findings.add(f"{key} is {shorten(name)}, which is no body{said}", subject, self.where(*path, key))
         return False
 
     # ---- coordinates
@@ -237,9 +233,7 @@ class _Reader:
                 settings[key] = flat
             elif key == "steps" and len(given) > 1:
                 other = next(k for k in given if k != "steps")
-                raise InputError(
-                    f"{prefix}steps and {prefix}{other} are both given; steps say the whole placement"
-                )
+                raise InputError(f"{prefix}steps and {prefix}{other} are both given; steps say the whole placement")
         if "steps" in given:
             return self.checked(steps_from_data(given["steps"]))
         return self.checked(place(**settings))

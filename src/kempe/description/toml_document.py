@@ -101,13 +101,9 @@ class Document:
         """Raise unless the file has our format, and holds nothing but text, numbers, lists and tables."""
         given = self.data.get("format")
         if given is None:
-            raise fail(
-                "the file has no line 'format = 1'", self.where(), "every mechanism file starts with it"
-            )
+            raise fail("the file has no line 'format = 1'", self.where(), "every mechanism file starts with it")
         if type(given) is not int or given != FORMAT:
-            raise fail(
-                f"format is {given!r}", self.where("format"), f"this version of Kempe reads format {FORMAT}"
-            )
+            raise fail(f"format is {given!r}", self.where("format"), f"this version of Kempe reads format {FORMAT}")
         stack: list[tuple[Path, Any]] = [((), self.data)]
         while stack:
             path, item = stack.pop()
@@ -116,9 +112,7 @@ class Document:
             elif isinstance(item, list):
                 stack += [((*path, i), v) for i, v in enumerate(item)]
             elif isinstance(item, int) and abs(item) >= 2**63:
-                self.findings.add(
-                    "an integer of more than 64 bits", "", self.where(*path), "write it as 1e20"
-                )
+                self.findings.add("an integer of more than 64 bits", "", self.where(*path), "write it as 1e20")
             elif not isinstance(item, (int, float, str)):
                 message = f"{shorten(item)} is a date or a time"
                 self.findings.add(message, "", self.where(*path), "write text in quotes")
@@ -137,9 +131,7 @@ class Document:
             if not isinstance(item, wanted) or (wanted is int and isinstance(item, bool)):
                 self.findings.add(f"{key} is {shorten(item)}", subject, where, f"it must be {said}")
             elif said == "a list of texts" and not all(isinstance(x, str) for x in item):
-                self.findings.add(
-                    f"{key} holds something else than text", subject, where, f"it must be {said}"
-                )
+                self.findings.add(f"{key} holds something else than text", subject, where, f"it must be {said}")
         for key in REQUIRED.get(kind, ()):
             if key not in table:
                 allowed = f"it needs {', '.join(REQUIRED[kind])}"

@@ -69,9 +69,7 @@ def _frame(frame: Frame, dim: int) -> dict[str, Any]:
 
 def _joint(joint: Joint, dim: int) -> dict[str, Any]:
     if TYPES.get(joint.type.type_name) is not type(joint.type):
-        raise UnsupportedError(
-            f"joint {joint.name!r}: type {joint.type.type_name!r} is not in the zoo of joints"
-        )
+        raise UnsupportedError(f"joint {joint.name!r}: type {joint.type.type_name!r} is not in the zoo of joints")
     out: dict[str, Any] = {
         "name": joint.name,
         "type": joint.type.type_name,

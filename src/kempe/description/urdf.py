@@ -97,9 +97,7 @@ def _check_is_urdf(robot: Element) -> None:
         "package": "it is a ROS package manifest",
     }
     said = f": {others[robot.tag]}" if robot.tag in others else ""
-    raise fail(
-        f"the outermost element is <{robot.tag}>{said}", robot.where, "URDF starts with <robot name=...>"
-    )
+    raise fail(f"the outermost element is <{robot.tag}>{said}", robot.where, "URDF starts with <robot name=...>")
 
 
 def _refuse_xacro(robot: Element) -> None:
@@ -127,9 +125,7 @@ def _no_links(robot: Element, beside: tuple[str, ...]) -> Exception:
     generated = _GENERATED.search(robot.source.text)
     joints = len(robot.of("joint"))
     holds = f"only {joints} joints" if joints else "nothing but an empty <robot> element"
-    message = (
-        f"there is no robot in this file: it holds {holds}, and without a <link> there is no body to move"
-    )
+    message = f"there is no robot in this file: it holds {holds}, and without a <link> there is no body to move"
     allowed = "a robot has at least one <link name=...> and a <joint> for each further link"
     if generated:
         stem = generated[1].split(".")[0]
@@ -159,9 +155,7 @@ def _scan_top(urdf: _Urdf) -> None:
         if name is None or not name.strip():
             what = "has no name" if name is None else "has an empty name"
             where = element.where if name is None else element.where_of("name")
-            findings.add(
-                f"a {element.tag} {what}", where=where, allowed="every link and joint needs a name of its own"
-            )
+            findings.add(f"a {element.tag} {what}", where=where, allowed="every link and joint needs a name of its own")
         elif name in table:
             message = f"there is another {element.tag} of this name, at {table[name].where}"
             findings.add(message, f"{element.tag} {name!r}", element.where_of("name"), "names must be unique")
@@ -201,9 +195,7 @@ def _end(urdf: _Urdf, joint: Element, tag: str, subject: str) -> str | None:
     link = element.attributes.get("link") if element is not None else None
     if element is None or not link:
         where = element.where if element is not None else joint.where
-        urdf.findings.add(
-            f"it has no <{tag} link=...>", subject, where, "a joint names its parent and its child link"
-        )
+        urdf.findings.add(f"it has no <{tag} link=...>", subject, where, "a joint names its parent and its child link")
         return None
     if link not in urdf.links:
         urdf.findings.add(
@@ -235,9 +227,7 @@ def _assemble(urdf: _Urdf, ground: str | None, base: str | None) -> Mechanism:
         settings = read_joint(urdf.types.get(joint, "fixed"), joint, element, urdf.findings)
         if joint in urdf.ends and joint in urdf.types and settings is not None:
             with urdf.findings.guard(f"joint {joint!r}", element.where):
-                mechanism.joint(
-                    joint, TYPES[urdf.types[joint]], *urdf.ends[joint], where=element.where, **settings
-                )
+                mechanism.joint(joint, TYPES[urdf.types[joint]], *urdf.ends[joint], where=element.where, **settings)
     _mimics(urdf, mechanism)
     return mechanism
 
@@ -310,9 +300,7 @@ def _refuse_cycles(follows: Mapping[str, tuple[str, Element]], findings: Finding
         if name in path:
             order = list(path)
             cycle = [*order[order.index(name) :], name]
-            shown = " mimics ".join(
-                repr(n) for n in (cycle if len(cycle) < 12 else [*cycle[:10], "...", name])
-            )
+            shown = " mimics ".join(repr(n) for n in (cycle if len(cycle) < 12 else [*cycle[:10], "...", name]))
             findings.add(
                 f"it mimics itself: {shown}",
                 f"joint {name!r}",

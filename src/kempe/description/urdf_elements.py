@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+from functools import lru_cache
 from typing import Any
 
 from kempe.description.parts import Body
@@ -85,9 +86,7 @@ ATTRIBUTES = {
 # ---- numbers
 
 
-def numbers(
-    element: Element, attribute: str, count: int, findings: Findings, subject: str
-) -> tuple[float, ...] | None:
+def numbers(element: Element, attribute: str, count: int, findings: Findings, subject: str) -> tuple[float, ...] | None:
     """The finite numbers of an attribute, or None after recording what is wrong with it."""
     text = element.attributes[attribute]
     pieces = [p for p in _BLANKS.split(text) if p]
@@ -110,11 +109,7 @@ def numbers(
         wrong = f"{len(pieces)} number{'s' if len(pieces) != 1 else ''}"
     if wrong is None:
         return tuple(float(p) for p in pieces)
-    allowed = (
-        "it must be a finite number"
-        if count == 1
-        else f"it must be {count} finite numbers separated by blanks"
-    )
+    allowed = "it must be a finite number" if count == 1 else f"it must be {count} finite numbers separated by blanks"
     findings.add(
         f"{element.tag} {attribute} is {shorten(text)}: {wrong}",
         subject,
@@ -138,13 +133,7 @@ def _bound(element: Element, attribute: str, findings: Findings, subject: str) -
     if special is not None and not math.isnan(special):
         return special
     found = numbers(element, attribute, 1, findings, subject)
-    return (
-        None
-        if found is None
-        else found[0]
-        if abs(found[0]) < UNLIMITED
-        else math.copysign(math.inf, found[0])
-    )
+    return None if found is None else found[0] if abs(found[0]) < UNLIMITED else math.copysign(math.inf, found[0])
 
 
 # ---- links
@@ -156,9 +145,7 @@ def read_link(name: str, element: Element, findings: Findings) -> Body:
     mass, center = None, None
     for child in element.children:
         if child.tag == "origin":
-            findings.note(
-                "an <origin> directly in a link has no meaning and is not used", subject, child.where
-            )
+            findings.note("an <origin> directly in a link has no meaning and is not used", subject, child.where)
         else:
             check_known("element", child.tag, _IN_LINK, findings, subject, child)
     inertials = element.of("inertial")
@@ -234,9 +221,7 @@ def _axis(kind: str, joint: Element, findings: Findings, subject: str) -> tuple[
         return None
     if abs(length - 1.0) > AXIS_TOLERANCE:
         text = " ".join(f"{x:g}" for x in found)
-        findings.note(
-            f"its axis {text} has length {length:g}; it was normalised", subject, axis.where_of("xyz")
-        )
+        findings.note(f"its axis {text} has length {length:g}; it was normalised", subject, axis.where_of("xyz"))
     return found
 
 
@@ -253,9 +238,7 @@ def _limit(kind: str, joint: Element, findings: Findings, subject: str) -> dict[
         return {}
     bounds = {key: _bound(limit, key, findings, subject) for key in ("lower", "upper", "velocity", "effort")}
     if kind in ("planar", "floating"):
-        findings.note(
-            f"the <limit> of a {kind} joint has no defined meaning and is not used", subject, limit.where
-        )
+        findings.note(f"the <limit> of a {kind} joint has no defined meaning and is not used", subject, limit.where)
     if kind in ("fixed", "planar", "floating"):
         return {}
     out: dict[str, Any] = {}
@@ -276,9 +259,7 @@ def _limit(kind: str, joint: Element, findings: Findings, subject: str) -> dict[
     return out | _range(limit, bounds, findings, subject)
 
 
-def _range(
-    limit: Element, bounds: dict[str, float | None], findings: Findings, subject: str
-) -> dict[str, Any]:
+def _range(limit: Element, bounds: dict[str, float | None], findings: Findings, subject: str) -> dict[str, Any]:
     """Keyword `limits` of a revolute or prismatic joint: what is missing is 0 by the rules of URDF."""
     given = [key for key in ("lower", "upper") if key in limit.attributes]
     lower, upper = bounds["lower"] or 0.0, bounds["upper"] or 0.0
@@ -326,9 +307,14 @@ def check_known(
     """Refuse a name that looks like a slip of a known one; note any other unknown name."""
     if name in known or ":" in name or name.startswith("xmlns"):
         return
-    near = difflib.get_close_matches(name[:60].casefold(), known, n=1, cutoff=SLIP)
+    near = _near(name[:60].casefold(), known)
     if near:
         where = element.where if kind == "element" else element.where_of(name)
         findings.add(f"unknown {kind} {shorten(name)}; did you mean {near[0]!r}?", subject, where)
     else:
         findings.note(f"the {kind} {shorten(name)} is not read", subject, element.where)
+
+
+@lru_cache(maxsize=1024)
+def _near(name: str, known: tuple[str, ...]) -> list[str]:
+    return difflib.get_close_matches(name, known, n=1, cutoff=SLIP)

@@ -101,9 +101,7 @@ class _Writer:
                     else f"joint {names} leads to it"
                 )
                 allowed = "in URDF one joint leads to each body, and none to the ground"
-                self.findings.add(
-                    what, f"body {body!r}" if body != ground else f"ground {body!r}", last.where, allowed
-                )
+                self.findings.add(what, f"body {body!r}" if body != ground else f"ground {body!r}", last.where, allowed)
         reached = reachable(ground, ((j.parent, j.child) for j in self.m.joints.values()))
         lost = [b for b in self.m.bodies if b not in reached]
         if lost and not loops:
@@ -181,9 +179,7 @@ class _Writer:
         for visual in body.visuals:
             try:
                 if parse_xml(visual, subject).tag != "visual":
-                    self.findings.add(
-                        "a visual is not one <visual> element", subject, body.where, "correct its text"
-                    )
+                    self.findings.add("a visual is not one <visual> element", subject, body.where, "correct its text")
             except DescriptionError as error:
                 self.findings.add(
                     f"a visual is not XML ({error.problems[0].message})",
@@ -208,9 +204,7 @@ class _Writer:
             )
         if len(held) == len(coordinates):
             X_PC = joint.X_PF @ self.locked_pose(joint, coordinates) @ joint.X_CM.inverse()
-            self.fixed(
-                joint.name, joint.parent, joint.child, self.origin(X_PC if held else _difference(joint))
-            )
+            self.fixed(joint.name, joint.parent, joint.child, self.origin(X_PC if held else _difference(joint)))
             return
         kind = self.urdf_type(joint)
         if kind is None:
@@ -264,9 +258,7 @@ class _Writer:
             return None
         bounded = {*joint.limits, *joint.velocity_limits, *joint.effort_limits}
         if name in ("planar", "free") and bounded:
-            self.findings.add(
-                f"limits of a {name} joint do not exist in URDF", subject, joint.where, "remove them"
-            )
+            self.findings.add(f"limits of a {name} joint do not exist in URDF", subject, joint.where, "remove them")
         return kinds[name]
 
     def limit(self, joint: Joint, kind: str) -> list[str]:

@@ -110,17 +110,11 @@ def expand_xacro(
     if code == -signal.SIGXFSZ or "File too large" in said:
         raise fail(f"xacro wrote more than {SIZE_LIMIT >> 20} MiB", where, "it may call itself without end")
     if "MemoryError" in said:
-        raise fail(
-            f"xacro needs more than {MEMORY >> 30} GiB of memory", where, "it may call itself without end"
-        )
+        raise fail(f"xacro needs more than {MEMORY >> 30} GiB of memory", where, "it may call itself without end")
     if "RecursionError" in said:
-        raise fail(
-            "xacro calls itself without end (RecursionError)", where, "look for a macro that calls itself"
-        )
+        raise fail("xacro calls itself without end (RecursionError)", where, "look for a macro that calls itself")
     if code != 0:
-        raise fail(
-            f"xacro failed: {_last(said)}", where, "correct the file, or name its folders by package_dirs"
-        )
+        raise fail(f"xacro failed: {_last(said)}", where, "correct the file, or name its folders by package_dirs")
     return text
 
 

@@ -12,8 +12,13 @@ from kempe.errors import DescriptionError, Where
 DEPTH_LIMIT = 100
 """Elements inside each other; robots need less than ten."""
 
+ELEMENT_LIMIT = 1_000_000
+"""Elements of the largest file that is read: seven times a chain of 20 000 links."""
+
 _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?\sencoding\s*=\s*["']([A-Za-z0-9._-]+)["']""")
 _TAG_END = re.compile(r"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>""")
+
+_ATTRIBUTE = re.compile(r"""\s([^\s=]+)(\s*=\s*(["'])).*?\3""", re.DOTALL)
 
 _CODES = expat.errors.codes
 _TRUNCATED = {
@@ -49,35 +54,35 @@ _EXPLANATIONS = {
 class Element:
     """One XML element: `tag`, `attributes`, `children` (elements only), and its place in its `source`."""
 
-    __slots__ = ("_column", "_end", "_line", "attributes", "children", "source", "tag")
+    __slots__ = ("_end", "_start", "attributes", "children", "source", "tag")
 
-    def __init__(self, tag: str, attributes: dict[str, str], source: Source, line: int, column: int):
+    def __init__(self, tag: str, attributes: dict[str, str], source: Source, start: int):
         self.tag, self.attributes, self.source = tag, attributes, source
         self.children: list[Element] = []
-        self._line, self._column = line, column
-        self._end = (line, column)
+        self._start = self._end = start
 
     @property
     def where(self) -> Where:
         """The place of its opening tag."""
-        return self.source.where(self._line, self._column)
+        return self.source.where_offset(self._start)
 
     def where_of(self, attribute: str) -> Where:
         """The place of the value of an attribute; of the tag where it has none."""
-        start = self.source.offset(self._line, self._column)
-        tag = _TAG_END.match(self.source.text, start)
-        match = tag and re.search(rf"""\s{re.escape(attribute)}\s*=\s*["']""", tag[0])
-        return self.source.where_offset(start + match.end()) if match else self.where
+        tag = _TAG_END.match(self.source.text, self._start)
+        for match in _ATTRIBUTE.finditer(tag[0] if tag else ""):
+            if match[1] == attribute:
+                return self.source.where_offset(self._start + match.end(1) + len(match[2]))
+        return self.where
 
     @property
     def text(self) -> str:
         """The element as it is written in the source, tags included."""
-        text, start = self.source.text, self.source.offset(self._line, self._column)
+        text, start = self.source.text, self._start
         tag = _TAG_END.match(text, start)
         assert tag is not None, "expat accepted the tag"
         if tag[0].endswith("/>"):
             return tag[0]
-        return text[start : text.index(">", self.source.offset(*self._end)) + 1]
+        return text[start : text.index(">", self._end) + 1]
 
     def of(self, tag: str) -> list[Element]:
         """Its children with this tag."""
@@ -92,7 +97,7 @@ class Element:
             stack.extend(reversed(element.children))
 
     def __repr__(self) -> str:
-        return f"<{self.tag}> at {self.source.name}:{self._line}"
+        return f"<{self.tag}> at {self.where}"
 
 
 def parse_xml(data: bytes | str, name: str) -> Element:
@@ -113,25 +118,35 @@ class _Builder:
         self.source = source
         self.stack: list[Element] = []
         self.root: Element | None = None
+        self.count = 0
+        self.data = b""
+        self.byte, self.character = 0, 0
         self.parser = expat.ParserCreate("utf-8")
         self.parser.StartElementHandler = self._start
         self.parser.EndElementHandler = self._end
         self.parser.StartDoctypeDeclHandler = self._doctype
 
-    def _here(self) -> tuple[int, int]:
-        return self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber + 1
+    def _here(self) -> int:
+        """Index into the source's text of where the parser is; it only goes forwards."""
+        byte = self.parser.CurrentByteIndex
+        if len(self.data) == len(self.source.text):
+            return byte
+        self.character += len(self.data[self.byte : byte].decode("utf-8"))
+        self.byte = byte
+        return self.character
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        element = Element(tag, attributes, self.source, *self._here())
+        element = Element(tag, attributes, self.source, self._here())
         if self.stack:
             self.stack[-1].children.append(element)
         else:
             self.root = element
         self.stack.append(element)
+        self.count += 1
+        if self.count > ELEMENT_LIMIT:
+            raise fail(f"the file has more than {ELEMENT_LIMIT} elements", element.where, "this is no robot's file")
         if len(self.stack) > DEPTH_LIMIT:
-            raise fail(
-                f"elements are nested more than {DEPTH_LIMIT} deep", element.where, "this is no robot's file"
-            )
+            raise fail(f"elements are nested more than {DEPTH_LIMIT} deep", element.where, "this is no robot's file")
 
     def _end(self, tag: str) -> None:
         self.stack.pop()._end = self._here()
@@ -139,13 +154,14 @@ class _Builder:
     def _doctype(self, name: str, *_: object) -> None:
         raise fail(
             "the file has a DTD (<!DOCTYPE ...>)",
-            self.source.where(*self._here()),
+            self.source.where_offset(self._here()),
             "remove it: a DTD can pull in other files or grow without bound, and is never read",
         )
 
     def run(self) -> Element:
         try:
-            self.parser.Parse(self.source.text.encode("utf-8"), True)
+            self.data = self.source.text.encode("utf-8")
+            self.parser.Parse(self.data, True)
         except expat.ExpatError as error:
             raise self._explain(error) from None
         except UnicodeEncodeError as error:
@@ -163,15 +179,13 @@ class _Builder:
         if "<" not in self.source.text:
             return fail("the file holds no XML element", self.source.where(1), "URDF starts with <robot name=...>")
         if error.code in _TRUNCATED:
-            inside = f" inside <{inner.tag}> opened on line {inner._line}" if inner else ""
+            inside = f" inside <{inner.tag}> opened on line {inner.where.line}" if inner else ""
             return fail(f"the file ends{inside}: it is truncated", where, "get the whole file")
         if error.code == _CODES[expat.errors.XML_ERROR_TAG_MISMATCH] and inner is not None:
-            close = re.match(
-                r"</[^\s>]*", self.source.text[self.source.offset(where.line, where.column) - 2 :]
-            )
+            close = re.match(r"</[^\s>]*", self.source.text[self.source.offset(where.line, where.column) - 2 :])
             found = shorten(close[0] + ">") if close else "another closing tag"
             return fail(
-                f"{found} closes <{inner.tag}> opened on line {inner._line}",
+                f"{found} closes <{inner.tag}> opened on line {inner.where.line}",
                 where,
                 f"close it by </{inner.tag}>",
             )

@@ -7,8 +7,10 @@ interpreter's; Numba itself adds the processor. Without a writable folder kernel
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
+import shutil
 import sys
 import tempfile
 import threading
@@ -65,13 +67,25 @@ def source_digest() -> str:
 
 @lru_cache(1)
 def cache_folder() -> Path | None:
-    """Folder that holds the compiled kernels of this very source, or None where nothing can be written."""
-    for folder in _folders():
-        folder = folder / source_digest()
+    """Folder that holds the compiled kernels of this very source, or None where there is none and none can be made.
+
+    A filled folder that cannot be written (a warmed-up image, run read-only) is used through a temporary copy, for
+    Numba loads from writable folders only.
+    """
+    folders = [folder / source_digest() for folder in _folders()]
+    for folder in folders:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
                 return folder
+        except OSError:
+            continue
+    for folder in folders:
+        try:
+            if any(folder.iterdir()):
+                copy = tempfile.mkdtemp(prefix="kempe-")
+                atexit.register(shutil.rmtree, copy, ignore_errors=True)
+                return Path(shutil.copytree(folder, copy, dirs_exist_ok=True))
         except OSError:
             continue
     return None

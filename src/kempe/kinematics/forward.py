@@ -117,7 +117,7 @@ class _Chain:
 
     def pose(self, q: Any, out: Array | None, threads: int | None) -> Array:
         q = as_q(self.system, q)
-        out = _out(out, (*q.shape[:-1], 4, 4))
+        out, q = _out(out, (*q.shape[:-1], 4, 4)), _apart(q, out)
         if q.ndim == 1:
             if bound.pose(self.tables["world_aligned"], q, out):
                 refuse_bad(self.system, q)
@@ -132,11 +132,12 @@ class _Chain:
         return out
 
     def jacobian(self, q: Any, in_frame: str, out: Array | None, threads: int | None) -> tuple[Array, Array]:
-        kind = IN_FRAMES.get(in_frame)
+        kind = IN_FRAMES.get(in_frame) if isinstance(in_frame, str) else None
         if kind is None:
             raise UnknownNameError("frame of expression", in_frame, IN_FRAMES)
         q, nv = as_q(self.system, q), self.system.nv
         pose, columns = np.empty((*q.shape[:-1], 4, 4)), _out(out, (*q.shape[:-1], 6, nv))
+        q = _apart(q, out)
         if q.ndim == 1:
             if bound.pose_jacobian(self.tables[in_frame], q, pose, columns):
                 refuse_bad(self.system, q)
@@ -187,7 +188,7 @@ def fk(
     ints, floats = packed
     q = as_q(system, q)
     k = len(system.body_names) if key is None else len(key)
-    out = _out(out, (*q.shape[:-1], k, 4, 4))
+    out, q = _out(out, (*q.shape[:-1], k, 4, 4)), _apart(q, out)
     if q.ndim == 1:
         if sweep.poses1(ints, floats, q, out):
             refuse_bad(system, q)
@@ -230,6 +231,11 @@ def refuse_bad(system: System, q: Array) -> None:
 def _rows(x: Array, core: int) -> Array:
     """`x` with all axes before the last `core` made one; numpy's -1 cannot where some axis is empty."""
     return x.reshape(math.prod(x.shape[:-core]), *x.shape[-core:])
+
+
+def _apart(q: Array, out: Array | None) -> Array:
+    """`q`, copied where writing to `out` would change it before it is read."""
+    return q.copy() if out is not None and np.may_share_memory(q, out) else q
 
 
 def _out(out: Array | None, shape: tuple[int, ...]) -> Array:

@@ -19,7 +19,7 @@ from kempe.description.parts import Joint
 from kempe.description.placement import Placement
 from kempe.description.values import Expression, Value
 from kempe.errors import InputError, MissingExtraError, UnknownNameError, UnsupportedError
-from kempe.joints import P, Q, R
+from kempe.joints import Q, R
 from kempe.model.coordinates import coordinate_names
 
 if TYPE_CHECKING:
@@ -49,8 +49,8 @@ def symbolic_fk(
     symbols, expressions or numbers. Parallel joints come out merged: cos(q1 + q2). Coordinates that follow one other
     or are locked are replaced by what they follow. Quaternion coordinates are taken to have norm one (`fk` normalises
     them). Angles that are the nearest double to a multiple of pi/12 become exact; other numbers stay decimals. With
-    `snap`, angles within that many radians of a multiple of pi/2 become that multiple (robot files write 1.5708);
-    the attribute `snapped` of the result says which, one sentence each. Jupyter shows the result as a formula;
+    `snap`, angles within that many radians of a multiple of pi/2 become that multiple (robot files write 1.5708), and
+    axes that near to x, y or z become these; the attribute `snapped` of the result says which, one sentence each. Jupyter shows the result as a formula;
     `sympy.latex` prints it.
 
     Errors: `UnknownNameError` for names; `InputError` for a `snap` that is not in [0, pi/4), and where a parameter and
@@ -78,8 +78,8 @@ def symbolic_fk(
     on = system.frames[name].body if name in system.frames else name
     if system.mechanism.bodies[on].particle:
         rotation = sympy.eye(3)  # a particle has no orientation
-    out = sympy.Matrix(sympy.BlockMatrix([[rotation, position], [sympy.zeros(1, 3), sympy.eye(1)]]))
-    out.snapped = tuple(leaves.snapped)
+    out: Any = sympy.Matrix(sympy.BlockMatrix([[rotation, position], [sympy.zeros(1, 3), sympy.eye(1)]]))
+    out.snapped = tuple(dict.fromkeys(leaves.snapped))
     return out
 
 
@@ -91,7 +91,7 @@ class _Step:
     """A turn by the angle or a slide by the length `amount` about or along an axis, or a rotation matrix."""
 
     kind: str
-    axis: sympy.Matrix | None = None
+    axis: Any = None
     amount: Any = None
     subject: str = ""
 
@@ -135,7 +135,7 @@ def _placement_steps(X: Placement, subject: str, leaves: _Leaves) -> Iterator[_S
         elif motion in ("rx", "ry", "rz"):
             yield _Step("turn", sympy.Matrix(_AXES[motion[1]]), leaves.angle(numbers[0], subject), subject)
         elif motion in ("align", "unalign"):
-            yield _Step(motion, _direction([float(x) for x in numbers]), None, subject)  # type: ignore[arg-type]
+            yield _Step(motion, leaves.direction(numbers, subject), None, subject)
         elif motion == "quat_wxyz" and any(isinstance(x, Expression) for x in numbers):
             yield _Step("rotation", amount=_any_ball([leaves.value(x) for x in numbers]), subject=subject)
         else:
@@ -156,16 +156,6 @@ def _unwrapped(steps: Iterator[_Step]) -> list[_Step]:
                 continue
         out.append(step)
     return out
-
-
-def _direction(axis: list[float]) -> sympy.Matrix:
-    """Unit vector of an axis, exact where its entries are whole numbers or all but one are zero."""
-    if sum(x != 0.0 for x in axis) == 1:
-        return sympy.Matrix([int(math.copysign(1.0, x)) if x else 0 for x in axis])
-    if all(x.is_integer() for x in axis):
-        whole = sympy.Matrix([int(x) for x in axis])
-        return whole / sympy.sqrt(whole.dot(whole))
-    return sympy.Matrix([_number(x) for x in spatial.unit(axis).tolist()])
 
 
 def _ball(quat_wxyz: list[Any]) -> sympy.Matrix:
@@ -239,10 +229,9 @@ class _Leaves:
     def angle(self, x: Value, subject: str) -> Any:
         """An angle: exact where it is a multiple of pi/12, or of pi/2 after snapping."""
         if isinstance(x, Expression):
-            x = self.value(x)
-            if not x.is_Float and not x.is_Integer:
-                return x
-        return self._exact(float(x), subject)
+            formula = self.value(x)
+            return self._exact(float(formula), subject) if formula.is_Float or formula.is_Integer else formula
+        return self._exact(x, subject)
 
     def _exact(self, angle: float, subject: str) -> Any:
         k = round(angle * 12.0 / math.pi)
@@ -254,6 +243,20 @@ class _Leaves:
             self.snapped.append(f"{subject}: angle {angle!r} taken as {quarters}")
             return quarters
         return sympy.Float(angle)
+
+    def direction(self, axis: tuple[Any, ...], subject: str) -> sympy.Matrix:
+        """Unit vector of an axis, exact where its entries are whole numbers or, after snapping, only one is not zero."""
+        unit = spatial.unit(axis)
+        nearest = np.rint(unit)
+        off = float(np.linalg.norm(unit - nearest))
+        if np.abs(nearest).sum() == 1.0 and off <= self.snap:
+            if off:
+                self.snapped.append(f"{subject}: axis {axis} taken as {tuple(nearest.tolist())}")
+            return sympy.Matrix([int(x) for x in nearest])
+        if all(x.is_integer() for x in axis):
+            whole = sympy.Matrix([int(x) for x in axis])
+            return whole / sympy.sqrt(whole.dot(whole))
+        return sympy.Matrix([_number(x) for x in unit.tolist()])
 
     def constant(self, matrix: np.ndarray, subject: str) -> sympy.Matrix:
         """A constant rotation matrix: a signed permutation after snapping, if it is near enough to one."""
@@ -290,10 +293,10 @@ def _number(x: Any) -> Any:
 class _Turn:
     """A rotation (about `axis` by `angle`, or `matrix`) and the way from it to the next one, in turned axes."""
 
-    way: sympy.Matrix
-    axis: sympy.Matrix | None = None
+    way: Any
+    axis: Any = None
     angle: Any = 0
-    matrix: sympy.Matrix | None = None
+    matrix: Any = None
 
     @property
     def constant(self) -> bool:
@@ -323,16 +326,16 @@ class _Chain:
     def add(self, step: _Step, leaves: _Leaves) -> None:
         """Go on by a step."""
         if step.kind == "slide":
-            self.turns[-1].way += self.corner * step.axis * step.amount
+            self.turns[-1].way += _product(self.corner, step.axis) * step.amount
         elif step.kind == "turn":
             self.turn(step.axis, step.amount)
         elif step.kind == "rotation":
             self.rotate(step.amount)
         else:
-            R_align = spatial.align_z([float(x) for x in step.axis])  # type: ignore[union-attr]
+            R_align = spatial.align_z([float(x) for x in step.axis])
             self.rotate(leaves.constant(R_align if step.kind == "align" else R_align.T, step.subject))
 
-    def turn(self, axis: sympy.Matrix, angle: Any) -> None:
+    def turn(self, axis: Any, angle: Any) -> None:
         """Turn by an angle about an axis of the frame reached so far."""
         axis = self.corner * axis
         quarters = 2 * angle / sympy.pi
@@ -344,7 +347,7 @@ class _Chain:
         last = self.turns[-1]
         if last.axis is not None and last.axis in (axis, -axis):
             # turn(a) way turn(b) = [turn(a) way], then turn(a + b)
-            self.turns[-2].way += last.rotation() * last.way
+            self.turns[-2].way += _product(last.rotation(), last.way)
             last.way = sympy.zeros(3, 1)
             last.angle = sympy.expand(last.angle + (angle if last.axis == axis else -angle))
             if (2 * last.angle / sympy.pi).is_Integer and _is_corner(axis):
@@ -353,7 +356,7 @@ class _Chain:
         elif angle != 0:
             self._append(_Turn(sympy.zeros(3, 1), axis, angle))
 
-    def rotate(self, matrix: sympy.Matrix) -> None:
+    def rotate(self, matrix: Any) -> None:
         """Turn by a rotation matrix."""
         if all(x in (-1, 0, 1) for x in matrix):
             self.corner = self.corner * matrix
@@ -364,21 +367,36 @@ class _Chain:
     def _append(self, turn: _Turn) -> None:
         last = self.turns[-1]
         if last.constant and turn.constant:  # one matrix of numbers instead of a product
-            self.turns[-2].way += last.rotation() * last.way
-            self.turns[-1] = _Turn(sympy.zeros(3, 1), matrix=last.rotation() * turn.rotation())
+            self.turns[-2].way += _product(last.rotation(), last.way)
+            self.turns[-1] = _Turn(sympy.zeros(3, 1), matrix=_product(last.rotation(), turn.rotation()))
             return
         self.turns.append(turn)
         if len(self.turns) > TURN_LIMIT + 1:
-            raise UnsupportedError(f"the formula has more than {TURN_LIMIT} turns about different axes; ask for a subchain")
+            raise UnsupportedError(f"the formula has more than {TURN_LIMIT} turns of different axes; take a subchain")
 
     def pose(self) -> tuple[sympy.Matrix, sympy.Matrix]:
         """Rotation (3, 3) and position (3, 1)."""
         rotation, position = self.corner, sympy.zeros(3, 1)
         for turn in reversed(self.turns):
             R_turn = turn.rotation()
-            rotation, position = R_turn * rotation, R_turn * (turn.way + position)
+            rotation, position = _product(R_turn, rotation), _product(R_turn, turn.way + position)
         return rotation, position
 
 
-def _is_corner(axis: sympy.Matrix) -> bool:
+def _product(a: Any, b: Any) -> Any:
+    """Matrix product. Most entries are zero, and sympy asks of each factor of a zero whether it is finite."""
+
+    def entry(i: int, j: int) -> Any:
+        pairs = zip(a.row(i), b.col(j), strict=True)
+        return sympy.Add(*(_times(x, y) for x, y in pairs if x != 0 and y != 0))
+
+    return sympy.Matrix(a.rows, b.cols, entry)
+
+
+def _times(x: Any, y: Any) -> Any:
+    """Product in which a sum of negative terms gives its sign to the other factor."""
+    return -x * -y if y.is_Add and all(term.could_extract_minus_sign() for term in y.args) else x * y
+
+
+def _is_corner(axis: Any) -> bool:
     return all(x in (-1, 0, 1) for x in axis)

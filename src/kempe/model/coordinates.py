@@ -212,6 +212,7 @@ def _limits(
     index = {n: i for i, n in enumerate(velocity_names)}
     lower, upper = np.full(len(index), -math.inf), np.full(len(index), math.inf)
     speed = np.full(len(index), math.inf)
+    setter: list[str] = [""] * len(index)
     for joint in mechanism.joints.values():
         for local in joint.type.velocities(mechanism.dim, mechanism.bodies[joint.child].particle):
             name = _full(joint.name, local)
@@ -231,9 +232,17 @@ def _limits(
                 low, high = sorted(((low - follower.offset) / m, (high - follower.offset) / m))
                 name, fast = follower.source, fast / abs(m)
             i = index[name]
+            before = (lower[i], upper[i])
             lower[i], upper[i], speed[i] = max(lower[i], low), min(upper[i], high), min(speed[i], fast)
             if lower[i] > upper[i]:
-                _refuse(f"joint {joint.name!r}", f"its limits leave nothing to {name!r}, which drives it", joint.where)
+                gap = lower[i] - upper[i]
+                if gap > HELD_TOLERANCE * (1.0 + abs(lower[i])):
+                    _refuse(f"joint {joint.name!r}", f"its limits keep {name!r} in [{low:g}, {high:g}], those of joint "
+                            f"{setter[i]!r} in [{before[0]:g}, {before[1]:g}]: nothing is left", joint.where,
+                            "they must overlap, as one coordinate moves both joints")  # fmt: skip
+                lower[i] = upper[i] = before[0] if math.isfinite(before[0]) else before[1]
+            if (lower[i], upper[i]) != before:
+                setter[i] = joint.name
     return lower, upper, speed
 
 

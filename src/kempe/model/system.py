@@ -271,7 +271,8 @@ class System:
     # ---- where everything is
 
     def fk(
-        self, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None, threads: int | None = None
+        self, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
+        threads: int | None = None,
     ) -> Array:  # fmt: skip
         """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None)."""
         query = self._queries.get(frame) if frame.__class__ is str else None

@@ -33,7 +33,7 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
         if task.system.dim == 2 and abs(target[0, 2, 3]) > task.tolerance[0]:
             return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m; {near}"
         return f"outside the workspace by at least {beyond:.6g} m, by the lengths of the links; {near}"
-    reason = _over_determined(task, target) or _limits(task, target, solution.q[index]) or _why(task)
+    reason = _limits(task, target) or _over_determined(task, target) or _why(task)
     return f"not reached after {_count(starts, 'start')}: {reason}; {near}"
 
 
@@ -70,7 +70,7 @@ def _over_determined(task: Task, target: np.ndarray) -> str:
     return text
 
 
-def _limits(task: Task, target: np.ndarray, q: np.ndarray) -> str:
+def _limits(task: Task, target: np.ndarray) -> str:
     """Which limits block the target, by solving without them."""
     chain, names = task.chain, task.system.velocity_names
     limited = np.flatnonzero(np.isfinite(chain.limits).any(axis=0))

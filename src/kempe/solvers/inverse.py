@@ -93,6 +93,8 @@ def ik(
     chain = chain_of(system, name)
     targets, lead, is_position = _targets(system, target)
     mask = POSITION if position_only or is_position else POSE
+    if mask is POSE and system.table.at[name][2]:
+        mask = _of_particle(targets, name)
     base, seeds = _seeds(system, chain, seed, lead)
     task = Task(system, name, targets, mask, _tolerance(tolerance), _count(starts), _seed_number(rng), chain)
     q, residual, info = run(task, seeds, threads)
@@ -230,9 +232,12 @@ def outside(task: Task, targets: Array) -> Array:
 def _targets(system: System, target: ArrayLike) -> tuple[Array, tuple[int, ...], bool]:
     """Targets (N, 4, 4), their leading shape, and whether they are positions."""
     try:
-        array = np.asarray(target, dtype=float)
+        given = np.asarray(target)
+        if given.dtype.kind == "c":
+            raise TypeError
+        array = np.asarray(given, dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"target is {type(target).__name__}; it must be an array of numbers") from None
+        raise InputError(f"target is {type(target).__name__}; it must be an array of real numbers") from None
     planar = system.dim == 2
     is_pose = array.ndim >= 2 and array.shape[-2:] == (4, 4)
     if planar and array.ndim >= 2 and array.shape[-2:] == (3, 3) and np.all(array[..., 2, :] == [0.0, 0.0, 1.0]):
@@ -243,7 +248,13 @@ def _targets(system: System, target: ArrayLike) -> tuple[Array, tuple[int, ...],
         is_pose = True
     if is_pose:
         lead = array.shape[:-2]
-        return np.ascontiguousarray(array.reshape(-1, 4, 4)), lead, False
+        out = array.reshape(math.prod(lead), 4, 4)
+        bad = np.any(out[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=-1)  # a transposed pose would pass for another one
+        if bad.any():
+            out = np.where(bad[:, None, None], math.nan, out)
+            if not lead and np.isfinite(array).all():
+                raise InputError(f"target is not a pose: its last row is {array[3].tolist()}; it must be 0 0 0 1")
+        return np.ascontiguousarray(out), lead, False
     if array.ndim and (array.shape[-1] == 3 or (planar and array.shape[-1] == 2)):
         lead = array.shape[:-1]
         out = np.zeros((math.prod(lead), 4, 4))
@@ -255,13 +266,22 @@ def _targets(system: System, target: ArrayLike) -> tuple[Array, tuple[int, ...],
     raise InputError(f"target has shape {array.shape}; it must be {allowed}")
 
 
+def _of_particle(targets: Array, name: str) -> tuple[int, ...]:
+    """What of a pose counts for a particle: its position. Errors: `InputError` for a target that turns it."""
+    turned = np.abs(targets[:, :3, :3] - np.eye(3)).max(axis=(1, 2), initial=0.0) > TOLERANCE[1]  # a NaN stays one
+    if turned.any():
+        raise InputError(f"{name!r} is a particle, which has no orientation; give a position (..., 3) as target")
+    return POSITION
+
+
 def _seeds(system: System, chain: Chain, seed: Any, lead: tuple[int, ...]) -> tuple[Array, Array]:
     """Configurations (1 or N, nq) to start from, and the chain's part of them as (1 or N, K, nq) for the kernel."""
     if seed is None:
         return chain.base, chain.no_seed
     base = as_q(system, seed)
     if base.ndim > 1 and base.shape[:-1] != lead:
-        raise InputError(f"seed has shape {base.shape}; it must be ({system.nq},) or {(*lead, system.nq)}")
+        each = f" or {(*lead, system.nq)}" if lead else ""
+        raise InputError(f"seed has shape {base.shape}; it must be ({system.nq},){each}")
     base = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq))
     if not lead and not np.isfinite(base).all():
         raise InputError("seed has entries that are not finite")
@@ -286,7 +306,7 @@ def _refuse_target(target: Array, seed: Array) -> None:
 
 def _tolerance(tolerance: Any) -> tuple[float, float]:
     try:
-        linear, angular = tolerance if isinstance(tolerance, (tuple, list)) else (tolerance, tolerance)
+        linear, angular = (tolerance, tolerance) if np.ndim(tolerance) == 0 else tolerance
         if 0.0 < linear < math.inf and 0.0 < angular < math.inf:
             return float(linear), float(angular)
     except (TypeError, ValueError):
@@ -295,7 +315,7 @@ def _tolerance(tolerance: Any) -> tuple[float, float]:
 
 
 def _count(starts: object) -> int:
-    if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or starts < 1:
+    if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or not 1 <= starts < 2**62:
         raise InputError(f"starts is {starts!r}; it must be a whole number, at least 1")
     return int(starts)
 

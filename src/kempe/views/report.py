@@ -337,10 +337,7 @@ def count(n: int, one: str, many: str = "") -> str:
 
 def measured(result: benchmark.Table) -> RenderableType:
     """A table of the benchmark with its goals and remarks."""
-    first = result.rows[0].value
-    times = [facts.significant(r.value / first) if result.ratios else "" for r in result.rows]
-    cells = [(r.library, r.call, facts.significant(r.value), t) for r, t in zip(result.rows, times, strict=True)]
-    columns = ("library", "call", f">{result.unit}", ">ratio" if result.ratios else "")
+    header, cells = result.columns()
     goals = [Text(f"  {goal}", style="green" if goal.met else "red") for goal in result.goals]
     remarks = [Text(f"  {remark}") for remark in result.remarks]
-    return Group(table(columns, cells, result.title), *goals, *remarks, "")
+    return Group(table([*header[:2], *(f">{name}" for name in header[2:])], cells, result.title), *goals, *remarks, "")

@@ -49,7 +49,8 @@ def page(tables: Iterable[Table], wanted: list[str] | None = None) -> str:
     head = [
         "# Benchmark", "",
         "Medians of one run in which the libraries take turns: ratios hold although times differ from",
-        "machine to machine. A ratio is to the first line of its table.", "",
+        "machine to machine. A ratio is to the first line of its table. Goals for absolute times judge the best turn.",
+        "",
         f"- Machine: {peers.machine()}", f"- Versions: {', '.join(f'{k} {v}' for k, v in versions.items())}",
         f"- Date: {datetime.date.today().isoformat()}", "",
     ]  # fmt: skip

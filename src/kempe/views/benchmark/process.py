@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 
 from kempe.views.benchmark import peers
 from kempe.views.benchmark.bench import Bench
@@ -64,45 +65,45 @@ print(json.dumps([extra(lambda: query(q, out=out), 0.0), extra(lambda: query(q),
 
 def startup(bench: Bench) -> Table:
     """Seconds until something is there: with an empty cache, and in every later process."""
-    file, frame = str(bench.arm.file), bench.arm.frame
-    rows: list[Row] = []
-    with tempfile.TemporaryDirectory() as cold, tempfile.TemporaryDirectory() as warm:
-        bench.say("  first call with an empty cache")
-        rows.append(
-            Row(
-                "Kempe",
-                "empty cache: process to its first forward result",
-                _wall(_FIRST, cold, file, frame, "fk"),
-            )
-        )
-        rows.append(Row("Kempe", "then: process to its first inverse result", _wall(_FIRST, cold, file, frame, "ik")))
-        bench.say("  kempe warmup with an empty cache")
-        rows.append(Row("Kempe", "empty cache: kempe warmup", _wall("import kempe; kempe.warmup()", warm)))
-        runs = [(_wall(_FIRST, warm, file, frame, "ik"), _run(_FIRST, warm, file, frame, "ik")) for _ in range(REPEATS)]
-        wall = statistics.median(w for w, _ in runs)
-        inside = [statistics.median(column) for column in zip(*(json.loads(r) for _, r in runs), strict=True)]
-    labels = (
-        "import",
-        "import and load",
-        "import, load and first forward result",
-        "the same and first inverse result",
-    )
-    rows += [Row("Kempe", f"warm: {label}", t) for label, t in zip(labels, inside, strict=True)]
-    rows.append(Row("Kempe", "warm: the whole process of that", wall))
+    table = Table("Start-up", "s", _own_startup(bench), ratios=False)
     for package in bench.versions:
         module = _MODULES.get(package, peers.PEERS[package])
-        seconds = statistics.median(float(_run(_IMPORT, None, module)) for _ in range(REPEATS))
-        rows.append(Row(package, "import", seconds))
-    table = Table("Start-up", "s", rows, ratios=False)
+        table.rows.append(_row(package, "import", [float(_run(_IMPORT, None, module)) for _ in range(REPEATS)]))
     for text, call, bound in (
         ("first forward result with an empty cache, under 10 s", "empty cache: process", 10.0),
         ("first inverse result after that, under 10 s", "then", 10.0),
         ("warmup, under 60 s", "empty cache: kempe warmup", 60.0),
         ("import, under 0.15 s", "warm: import", 0.15),
         ("later processes to their first forward result, under 1.5 s", "warm: import, load", 1.5),
-    ):  # fmt: skip
-        table.at_most(text, table.value("Kempe", call), bound)
+    ):
+        table.at_most(text, table.best("Kempe", call), bound)
     return table
+
+
+def _own_startup(bench: Bench) -> list[Row]:
+    job = (str(bench.arm.file), bench.arm.frame)
+    with tempfile.TemporaryDirectory() as cold, tempfile.TemporaryDirectory() as warm:
+        bench.say("  first calls with an empty cache")
+        forward, _ = _timed(_FIRST, cold, *job, "fk")
+        inverse, _ = _timed(_FIRST, cold, *job, "ik")
+        bench.say("  kempe warmup with an empty cache")
+        all_, _ = _timed("import kempe; kempe.warmup()", warm)
+        runs = [_timed(_FIRST, warm, *job, "ik") for _ in range(REPEATS)]
+    rows = [
+        Row("Kempe", "empty cache: process to its first forward result", forward),
+        Row("Kempe", "then: process to its first inverse result", inverse),
+        Row("Kempe", "empty cache: kempe warmup", all_),
+    ]
+    labels = (
+        "import", "import and load", "import, load and first forward result", "the same and first inverse result",
+        "the whole process of that",
+    )  # fmt: skip
+    columns = zip(*([*json.loads(told), wall] for wall, told in runs), strict=True)
+    return rows + [_row("Kempe", f"warm: {label}", seconds) for label, seconds in zip(labels, columns, strict=True)]
+
+
+def _row(library: str, call: str, seconds: Sequence[float]) -> Row:
+    return Row(library, call, statistics.median(seconds), min(seconds))
 
 
 def memory(bench: Bench) -> Table | None:
@@ -127,7 +128,8 @@ def _run(code: str, cache: str | None, *arguments: str) -> str:
     return done.stdout.strip().splitlines()[-1] if done.stdout.strip() else ""
 
 
-def _wall(code: str, cache: str, *arguments: str) -> float:
+def _timed(code: str, cache: str, *arguments: str) -> tuple[float, str]:
+    """Seconds of a whole process, and its last line."""
     start = time.perf_counter()
-    _run(code, cache, *arguments)
-    return time.perf_counter() - start
+    told = _run(code, cache, *arguments)
+    return time.perf_counter() - start, told

@@ -35,11 +35,12 @@ def cases(library: str, names: dict[str, Any], *calls: tuple[str, str] | tuple[s
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table: a number for a library's call."""
+    """One line of a table: a number for a library's call (a median), and the best one that was seen."""
 
     library: str
     call: str
     value: float
+    best: float | None = None
 
 
 @dataclass(frozen=True)
@@ -67,10 +68,16 @@ class Table:
 
     def value(self, library: str, call: str = "") -> float | None:
         """The number of a library's first row whose call begins so, or None where it was not measured."""
-        for row in self.rows:
-            if row.library == library and row.call.startswith(call):
-                return row.value
-        return None
+        row = self._row(library, call)
+        return None if row is None else row.value
+
+    def best(self, library: str, call: str = "") -> float | None:
+        """As `value`, but the best turn: what the machine can do when nothing else disturbs it."""
+        row = self._row(library, call)
+        return None if row is None else row.value if row.best is None else row.best
+
+    def _row(self, library: str, call: str) -> Row | None:
+        return next((r for r in self.rows if r.library == library and r.call.startswith(call)), None)
 
     def at_most(self, text: str, value: float | None, bound: float) -> None:
         """Record the goal that a number is at most `bound`; nothing where it was not measured."""
@@ -94,14 +101,24 @@ class Table:
             "goals": [vars(g) for g in self.goals], "remarks": list(self.remarks),
         }  # fmt: skip
 
+    def columns(self) -> tuple[list[str], list[list[str]]]:
+        """Header and cells of the table as text: the best turn and the ratio where they mean something."""
+        best = any(row.best is not None for row in self.rows)
+        times = self.ratios and len(self.rows) > 1
+        header = ["library", "call", self.unit, *(["best"] if best else []), *(["ratio"] if times else [])]
+        cells = []
+        for row in self.rows:
+            line = [row.library, row.call, significant(row.value)]
+            line += [significant(row.value if row.best is None else row.best)] if best else []
+            line += [significant(row.value / self.rows[0].value)] if times else []
+            cells.append(line)
+        return header, cells
+
     def markdown(self) -> str:
         """The table as Markdown."""
-        times = self.ratios and len(self.rows) > 1
-        lines = [f"## {self.title}", "", f"| library | call | {self.unit} |" + (" ratio |" if times else "")]
-        lines.append("|---|---|--:|" + ("--:|" if times else ""))
-        for row in self.rows:
-            ratio = f" {significant(row.value / self.rows[0].value)} |" if times else ""
-            lines.append(f"| {row.library} | {row.call} | {significant(row.value)} |{ratio}")
+        header, cells = self.columns()
+        rule = ["---", "---", *("--:" for _ in header[2:])]
+        lines = [f"## {self.title}", "", *(f"| {' | '.join(line)} |" for line in (header, rule, *cells))]
         for title, items in (("Goals", self.goals), ("Remarks", self.remarks)):
             if items:
                 lines += ["", f"{title}:", "", *(f"- {item}" for item in items)]
@@ -109,7 +126,7 @@ class Table:
 
 
 def measure(cases: Sequence[Case], scale: float = 1e9) -> list[Row]:
-    """Median time of one result of each case, in units of 1/`scale` seconds.
+    """Median and best time of one result of each case, in units of 1/`scale` seconds.
 
     The cases take turns (A B C A B C ...), so that a drift of the machine's speed meets all of them alike;
     garbage collection is off inside a turn.
@@ -124,4 +141,8 @@ def measure(cases: Sequence[Case], scale: float = 1e9) -> list[Row]:
     for _ in range(ROUNDS):
         for case, timer, number, record in zip(cases, timers, numbers, turns, strict=True):
             record.append(timer.timeit(number) / (number * case.results))
-    return [Row(c.library, c.call, statistics.median(t) * scale * 1e-9) for c, t in zip(cases, turns, strict=True)]
+    unit = scale * 1e-9
+    return [
+        Row(case.library, case.call, statistics.median(record) * unit, min(record) * unit)
+        for case, record in zip(cases, turns, strict=True)
+    ]

