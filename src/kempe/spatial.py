@@ -107,7 +107,7 @@ def matrix_to_rpy(R: ArrayLike) -> Array:
     cos_pitch = np.hypot(R[..., 0, 0], R[..., 1, 0])
     pitch = np.arctan2(-R[..., 2, 0], cos_pitch)
     regular = cos_pitch > 1e-12
-    roll = np.where(regular, np.arctan2(R[..., 2, 1], R[..., 2, 2]), 0.0)
+    roll = np.where(regular, np.arctan2(R[..., 2, 1], R[..., 2, 2]), 0.0 * pitch)  # or NaN
     yaw = np.where(
         regular, np.arctan2(R[..., 1, 0], R[..., 0, 0]), np.arctan2(-R[..., 0, 1], R[..., 1, 1])
     )

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 SERIAL_BELOW = 20_000
 """Configurations below which a batch stays on one thread: starting others would cost more than it saves."""
-CHUNK = 8192
+CHUNK = 16384
 """Configurations in one piece of work of a thread."""
 IN_FRAMES = {"world_aligned": 0, "world": 1, "body": 2}
 """Frames in which a Jacobian can be expressed, with the number that the kernels use."""
@@ -198,7 +198,9 @@ def fk(
     def work(start: int, stop: int) -> int:
         return sweep.poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
 
-    over_chunks(work, len(flat_q), max(1, min(CHUNK, 4 * CHUNK // max(k, 1))), threads, max(1, SERIAL_BELOW // max(k, 1)))
+    over_chunks(
+        work, len(flat_q), max(1, min(CHUNK, 4 * CHUNK // max(k, 1))), threads, max(1, SERIAL_BELOW // max(k, 1))
+    )
     return out
 
 
@@ -224,7 +226,9 @@ def refuse_bad(system: System, q: Array) -> None:
             raise InputError(f"q[{name!r}] is {x}; it must be a finite number")
     for i in system.layout.quaternion_q:
         if not np.any(q[i : i + 4]):
-            raise InputError(f"the quaternion at q[{system.coordinate_names[i]!r}] is zero; (1, 0, 0, 0) is no rotation")
+            raise InputError(
+                f"the quaternion at q[{system.coordinate_names[i]!r}] is zero; (1, 0, 0, 0) is no rotation"
+            )
     raise InputError("q leads to poses that are not finite: a coordinate is too large")
 
 

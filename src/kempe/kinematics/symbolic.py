@@ -47,11 +47,11 @@ def symbolic_fk(
 
     Symbols are called like the coordinates and the parameters; `symbols` replaces some of them, by name, by other
     symbols, expressions or numbers. Parallel joints come out merged: cos(q1 + q2). Coordinates that follow one other
-    or are locked are replaced by what they follow. Quaternion coordinates are taken to have norm one (`fk` normalises
-    them). Angles that are the nearest double to a multiple of pi/12 become exact; other numbers stay decimals. With
-    `snap`, angles within that many radians of a multiple of pi/2 become that multiple (robot files write 1.5708), and
-    axes that near to x, y or z become these; the attribute `snapped` of the result says which, one sentence each. Jupyter shows the result as a formula;
-    `sympy.latex` prints it.
+    or are locked are replaced by what they follow. Quaternions are taken to have norm one (`fk` normalises them).
+    Angles that are the nearest double to a multiple of pi/12 become exact; other numbers stay decimals. With `snap`,
+    angles within that many radians of a multiple of pi/2 become that multiple (robot files write 1.5708), and axes
+    that near to x, y or z become these; the attribute `snapped` of the result says which, one sentence each.
+    Jupyter shows the result as a formula; `sympy.latex` prints it.
 
     Errors: `UnknownNameError` for names; `InputError` for a `snap` that is not in [0, pi/4), and where a parameter and
     a coordinate share a name; `UnsupportedError` beyond `TURN_LIMIT` turns; `MissingExtraError`
@@ -137,7 +137,9 @@ def _placement_steps(X: Placement, subject: str, leaves: _Leaves) -> Iterator[_S
         elif motion in ("align", "unalign"):
             yield _Step(motion, leaves.direction(numbers, subject), None, subject)
         elif motion == "quat_wxyz" and any(isinstance(x, Expression) for x in numbers):
-            yield _Step("rotation", amount=_any_ball([leaves.value(x) for x in numbers]), subject=subject)
+            any_length = [leaves.value(x) for x in numbers]
+            length = sympy.sqrt(sum(x**2 for x in any_length))
+            yield _Step("rotation", amount=_ball([x / length for x in any_length]), subject=subject)
         else:
             constant = Placement(((motion, numbers),)).evaluate({})[:3, :3]
             yield _Step("rotation", amount=leaves.constant(constant, subject), subject=subject)
@@ -166,12 +168,6 @@ def _ball(quat_wxyz: list[Any]) -> sympy.Matrix:
         [2 * (x * y + w * z), 1 - 2 * (x**2 + z**2), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)],
     ])  # fmt: skip
-
-
-def _any_ball(quat_wxyz: list[Any]) -> sympy.Matrix:
-    """Rotation of a quaternion of any length."""
-    length = sympy.sqrt(sum(x**2 for x in quat_wxyz))
-    return _ball([x / length for x in quat_wxyz])
 
 
 # ---- numbers, parameters and coordinates as sympy expressions
@@ -245,7 +241,7 @@ class _Leaves:
         return sympy.Float(angle)
 
     def direction(self, axis: tuple[Any, ...], subject: str) -> sympy.Matrix:
-        """Unit vector of an axis, exact where its entries are whole numbers or, after snapping, only one is not zero."""
+        """Unit vector of an axis, exact where its entries are whole numbers or, after snapping, all but one zero."""
         unit = spatial.unit(axis)
         nearest = np.rint(unit)
         off = float(np.linalg.norm(unit - nearest))

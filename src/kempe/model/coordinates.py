@@ -235,15 +235,24 @@ def _limits(
             before = (lower[i], upper[i])
             lower[i], upper[i], speed[i] = max(lower[i], low), min(upper[i], high), min(speed[i], fast)
             if lower[i] > upper[i]:
-                gap = lower[i] - upper[i]
-                if gap > HELD_TOLERANCE * (1.0 + abs(lower[i])):
-                    _refuse(f"joint {joint.name!r}", f"its limits keep {name!r} in [{low:g}, {high:g}], those of joint "
-                            f"{setter[i]!r} in [{before[0]:g}, {before[1]:g}]: nothing is left", joint.where,
-                            "they must overlap, as one coordinate moves both joints")  # fmt: skip
-                lower[i] = upper[i] = before[0] if math.isfinite(before[0]) else before[1]
+                if lower[i] - upper[i] > HELD_TOLERANCE * (1.0 + abs(lower[i])):
+                    _refuse_limits(mechanism.joints[setter[i]], before, joint, (low, high), name, follower is None)
+                lower[i] = upper[i] = before[1] if low > before[1] else before[0]  # they touch, up to rounding
             if (lower[i], upper[i]) != before:
                 setter[i] = joint.name
     return lower, upper, speed
+
+
+def _refuse_limits(
+    first: Joint, before: tuple[float, float], second: Joint, now: tuple[float, float], name: str, swap: bool
+):  # fmt: skip
+    """Refuse limits of two joints that one coordinate moves; the one that follows is named as the subject."""
+    a, b = ((first, before), (second, now)) if swap else ((second, now), (first, before))
+    _refuse(
+        f"joint {a[0].name!r}",
+        f"its limits leave nothing to {name!r}, which drives it: they ask for {name!r} in [{a[1][0]:g}, {a[1][1]:g}], "
+        f"those of joint {b[0].name!r} for [{b[1][0]:g}, {b[1][1]:g}]", a[0].where, "these must overlap",
+    )  # fmt: skip
 
 
 def _refuse(subject: str, message: str, where, allowed: str = ""):
@@ -254,5 +263,3 @@ def relation_text(relation: Relation) -> str:
     """The relation as an equation."""
     terms = " + ".join(f"{m:g} {s}" for s, m in relation.sources.items())
     return f"{relation.of} = {terms}" + (f" + {relation.offset:g}" if relation.offset else "")
-
-

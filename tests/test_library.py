@@ -1,0 +1,181 @@
+"""The shipped models are what they say: published poses, other libraries' models, closed loops, counted freedoms."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import library
+from kempe.description.toml import read_toml
+from kempe.description.toml_writer import write_toml
+from kempe.errors import UnknownNameError
+from kempe.joints import TYPES
+
+MODELS = library.names()
+LECTURE = {
+    "two_link", "two_link_pose", "unreachable", "seven_bodies", "seven_bodies_loop", "four_links", "slider", "car", "ball",
+}  # fmt: skip
+ROBOTS = {"puma560", "ur5", "cobra600", "stanford", "panda"}
+
+
+def test_what_is_shipped():
+    joints = {f"joint_{kind}" for kind in TYPES}
+    assert set(MODELS) == LECTURE | ROBOTS | joints | {"four_bar"}
+    assert list(MODELS) == sorted(MODELS)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_each_model_loads_and_describes_itself(name):
+    text = library.path(name).read_text(encoding="utf-8")
+    assert text.startswith(f"# {library.describe(name)}\n") and 10 < len(library.describe(name)) <= 118
+    mechanism = read_toml(text, name)
+    assert mechanism.name == name and not mechanism.notes
+    assert read_toml(write_toml(mechanism)) == mechanism
+    system = kempe.load(name)
+    assert system == mechanism.build()
+    q = system.random(0, 3)
+    assert np.isfinite(system.fk(q)).all()
+    assert ((system.lower <= system.upper) & (system.mid[system.layout.vector_q].size <= system.nv)).all()
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_postures_are_allowed_and_loops_closed(name):
+    system = kempe.load(name)
+    assert not system.closures or "closed" in system.posture_names
+    for posture in system.posture_names:
+        q = system.posture(posture)
+        v = q[system.layout.vector_q]
+        inside = system.limits[system.layout.vector_v]
+        assert (inside[:, 0] <= v).all() and (v <= inside[:, 1]).all()
+        if posture == "closed":
+            np.testing.assert_allclose(system.closure_error(q), 0.0, rtol=0, atol=1e-15)
+
+
+def test_names_that_are_not_there():
+    for call in (library.path, library.describe):
+        with pytest.raises(UnknownNameError, match="did you mean 'puma560'"):
+            call("puma5600")
+
+
+# ------------------------------------------------------------------ the zoo
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_a_model_of_each_joint(kind):
+    system = kempe.load(f"joint_{kind}")
+    joint = system.joints["joint"]
+    assert joint.type.type_name == kind
+    said = re.search(r"(\d) DoF", library.describe(f"joint_{kind}"))
+    assert said is not None and int(said[1]) == joint.type.dof() == system.nv
+
+
+def test_the_screw_climbs_10_mm_a_turn():
+    X = kempe.load("joint_helical").fk([2 * np.pi], "body")
+    np.testing.assert_allclose(X[:3, 3], [0, 0, 0.01], rtol=0, atol=1e-15)
+
+
+# ------------------------------------------------------------------ linkages
+
+
+def test_the_four_bar_has_the_lengths_that_it_says():
+    system = kempe.load("four_bar")
+    poses = dict(zip(system.body_names, system.fk(system.posture("closed")), strict=True))
+    B = poses["crank"] @ [0.1, 0, 0, 1]
+    C = poses["coupler"] @ [0.5, 0, 0, 1]
+    np.testing.assert_allclose(B[:2], [0, 0.1], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(C[:2], [0.4, 0.4], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(C, poses["rocker"] @ [0.4, 0, 0, 1], rtol=0, atol=1e-15)
+    assert np.linalg.norm(C - B) == pytest.approx(0.5, abs=1e-15)
+
+
+# ------------------------------------------------------------------ robots
+
+
+@pytest.mark.parametrize(
+    "posture, rotation, position",
+    [
+        ("qz", np.eye(3), (0.4521, -0.1500, 0.4318)),
+        ("qr", np.eye(3), (0.0203, -0.1500, 0.8636)),
+        ("qn", [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], (0.5963, -0.1501, -0.0144)),
+    ],
+)
+def test_puma_poses_of_the_textbook(posture, rotation, position):
+    """Corke, Robotics, Vision and Control, 2011, section 7.2: four digits."""
+    X = kempe.load("puma560").posture(posture)
+    X = kempe.load("puma560").fk(X, "tool")
+    np.testing.assert_allclose(X[:3, :3], rotation, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(X[:3, 3], position, rtol=0, atol=6e-5)
+
+
+def test_ur5_upright():
+    """All lengths along the way up: 1001.059 mm high, 191.45 mm aside."""
+    robot = kempe.load("ur5")
+    X = robot.fk(robot.posture("up"), "tool")
+    np.testing.assert_allclose(X[:3, 3], [0, -0.19145, 1.001059], rtol=0, atol=1e-15)
+
+
+def test_stanford_arm_stretched():
+    """At zero angles the slide points up and the hand with it, beside the shoulder by d2."""
+    X = kempe.load("stanford").fk({"d3": 0.5}, "tool")
+    np.testing.assert_allclose(X[:3, 3], [0, 0.154, 0.412 + 0.5 + 0.263], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(X[:3, :3], np.eye(3), rtol=0, atol=1e-15)
+
+
+def test_toolbox_agrees():
+    """Models of the Robotics Toolbox; it has the Puma on a pedestal and another hand on the Panda."""
+    rtb = pytest.importorskip("roboticstoolbox")
+    rng = np.random.default_rng(0)
+    pedestal, hand = np.eye(4), np.eye(4)
+    pedestal[2, 3], hand[2, 3] = 26.45 * 0.0254, 0.103 - 0.1034
+    cases = [
+        ("puma560", rtb.models.DH.Puma560(), "tool", pedestal, np.eye(4)),
+        ("cobra600", rtb.models.DH.Cobra600(), "tool", np.eye(4), np.eye(4)),
+        ("panda", rtb.models.DH.Panda(), "panda_hand_tcp", np.eye(4), hand),
+    ]
+    for name, other, frame, before, after in cases:
+        robot = kempe.load(name)
+        for q in robot.random(rng, 5):
+            expected = other.fkine(q).A
+            np.testing.assert_allclose(before @ robot.fk(q, frame) @ after, expected, rtol=0, atol=1e-14)
+        limited = np.isfinite(robot.lower)
+        np.testing.assert_allclose(robot.limits[limited], np.asarray(other.qlim).T[limited], rtol=1e-15)
+
+
+def robot_file(name: str) -> str:
+    folder = Path(sys.prefix) / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "site-packages"
+    found = sorted(folder.glob(f"cmeel.prefix/share/example-robot-data/robots/**/{name}"))
+    if not found:
+        pytest.skip("example-robot-data is not installed")
+    return str(found[0])
+
+
+@pytest.mark.parametrize(
+    "name, file, base, ours, theirs, tolerance",
+    [
+        ("panda", "panda.urdf", "panda_link0", "tool", "panda_link8", 1e-12),
+        ("panda", "panda.urdf", "panda_link0", "panda_hand_tcp", "panda_hand_tcp", 1e-12),
+        # its maker's file writes pi/2 with twelve digits
+        ("ur5", "ur5_robot.urdf", "base", "tool", "tool0", 1e-10),
+    ],
+)
+def test_pinocchio_agrees(name, file, base, ours, theirs, tolerance):
+    """The published table and the maker's URDF are the same robot."""
+    pin = pytest.importorskip("pinocchio")
+    model = pin.buildModelFromUrdf(robot_file(file))
+    data, robot = model.createData(), kempe.load(name)
+
+    def placed(frame: str) -> np.ndarray:
+        return data.oMf[model.getFrameId(frame)].homogeneous
+
+    for q in robot.random(1, 5):
+        pin.framesForwardKinematics(model, data, np.concatenate([q, np.zeros(model.nq - robot.nq)]))
+        expected = np.linalg.inv(placed(base)) @ placed(theirs)
+        np.testing.assert_allclose(robot.fk(q, ours), expected, rtol=0, atol=tolerance)
+    if name == "panda":
+        limits = np.stack([model.lowerPositionLimit, model.upperPositionLimit], axis=-1)[: robot.nq]
+        np.testing.assert_array_equal(robot.limits, limits)
