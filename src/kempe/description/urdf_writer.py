@@ -96,7 +96,7 @@ class _Writer:
                 last = joints[-1]
                 names = ", ".join(repr(j.name) for j in joints)
                 what = (
-                    f"{len(joints)} joints lead to it ({names}): a loop"
+                    f"{len(joints)} joints lead to it ({names}): a loop, or a joint given from child to parent"
                     if body != ground
                     else f"joint {names} leads to it"
                 )
@@ -230,7 +230,8 @@ class _Writer:
     def locked_pose(self, joint: Joint, coordinates: list[str]) -> Placement:
         """X_FM of a joint whose coordinates are all locked."""
         steps = []
-        for kind, axis, first, multiplier in joint.type.layout(self.m.dim, False)[1] if coordinates else ():
+        primitives = joint.type.layout(self.m.dim, self.m.bodies[joint.child].particle)[1]
+        for kind, axis, first, multiplier in primitives:
             if kind == Q:
                 steps.append(("quat_wxyz", tuple(self.held[c] for c in coordinates[first : first + 4])))
             else:
