@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 import kempe
 from kempe.cli import app
-from kempe.description.read import library_models
+from kempe.library import names as library_models
 
 ARM = """\
 <robot name="arm">

@@ -50,8 +50,9 @@ def mini(tmp_path):
         (package / "callee.py").write_text(CALLEE.format(factor=factor))
         settings = {"KEMPE_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path), **environment}
         done = subprocess.run(
-            [sys.executable, "-B", "-c", MAIN], env={**os.environ, **settings}, capture_output=True, text=True, timeout=120
-        )
+            [sys.executable, "-B", "-c", MAIN],
+            env={**os.environ, **settings}, capture_output=True, text=True, timeout=120,
+        )  # fmt: skip
         assert done.returncode == 0, done.stderr
         return done.stdout.strip()
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from primitive_tables import Row, Table, pose, random_pose, random_table
 
-from kempe.kernels.layout import BALL, BODY, SLIDE, TURN, WORLD, WORLD_ALIGNED
 from kempe.kernels import bound
+from kempe.kernels.layout import BALL, BODY, SLIDE, TURN, WORLD, WORLD_ALIGNED
 from kempe.kernels.sweep import jacobian, poses, poses1
 
 FRAMES = (WORLD_ALIGNED, WORLD, BODY)

@@ -285,3 +285,14 @@ def test_planar_systems():
     m.free("f", m.ground, m.body("b")), m.free("g", m.ground, m.particle("p"))
     s = m.build()
     assert s.coordinate_names == ("f.x", "f.y", "f.rz", "g.x", "g.y") and s.configuration_space.shape == "T x R^4"
+
+
+@pytest.mark.parametrize("call", [
+    lambda s: s.random(0, -1), lambda s: s.random(0, 2.5), lambda s: s.random("x"), lambda s: s.random(-1),
+    lambda s: s.random(0, (2, "a")), lambda s: s.q(None),
+])  # fmt: skip
+def test_odd_arguments_are_refused(call):
+    m = Mechanism("arm")
+    m.revolute("j", m.ground, m.body("b"))
+    with pytest.raises(InputError, match="must be"):
+        call(m.build())

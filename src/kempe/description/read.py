@@ -6,7 +6,6 @@ import difflib
 import os
 import re
 from collections.abc import Iterable
-from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +15,8 @@ from kempe.description.toml import read_toml
 from kempe.description.urdf import read_urdf
 from kempe.description.xacro import XACRO_ADVICE, expand_xacro
 from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, UnsupportedError, Where
+from kempe.library import names as library_models
+from kempe.library import path as library_path
 
 FORMATS = ("urdf", "toml")
 """Formats that are read."""
@@ -30,12 +31,6 @@ class Check(NamedTuple):
 
     problems: tuple[Problem, ...]
     notes: tuple[str, ...]
-
-
-def library_models() -> tuple[str, ...]:
-    """Names of the models that come with Kempe."""
-    files = resources.files("kempe.library").iterdir()
-    return tuple(sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml")))
 
 
 def read(
@@ -65,7 +60,7 @@ def read(
         raise InputError(f"source is a {type(source).__name__}; it must be a path, text or bytes")
     path = Path(source)
     if isinstance(source, str) and not os.path.exists(path) and source in library_models():
-        data = (resources.files("kempe.library") / f"{source}.toml").read_bytes()
+        data = library_path(source).read_bytes()
         return _read_text(data, f"{source}.toml", "toml", base, root, package_dirs, ())
     return _read_file(path, format, base, root, package_dirs, xacro)
 

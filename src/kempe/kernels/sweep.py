@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import types
 
-from kempe.kernels._jit import F1, F2, I1, OUT2, OUT3, OUT4, device, kernel
+from kempe.kernels._jit import F1, F2, I1, OUT3, OUT4, device, kernel
 from kempe.kernels.layout import (
     BODY,
     HEADER,

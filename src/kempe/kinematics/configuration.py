@@ -45,6 +45,8 @@ def as_q(system: System, q: object) -> Array:
 
 def q_from_dict(system: System, coordinates: Mapping[str, float], base: ArrayLike | None = None) -> Array:
     """Configuration (nq,) from values by coordinate name; the others are neutral, or as in `base` (..., nq)."""
+    if not isinstance(coordinates, Mapping):
+        raise InputError(f"coordinates are {type(coordinates).__name__}; they must be a dict by coordinate name")
     q = system.neutral if base is None else np.array(as_q(system, base))
     index = {n: i for i, n in enumerate(system.coordinate_names)}
     for name, number in coordinates.items():
@@ -79,8 +81,14 @@ def random(system: System, rng: np.random.Generator | int | None, shape: int | t
     coordinate with one limit is as near to that. Rotations are uniform. Numbers are drawn in the order of the names,
     so the order of declaration does not matter. Loop closures and relations of several coordinates are not imposed.
     """
-    rng = np.random.default_rng(rng)
-    shape = tuple(np.atleast_1d(np.asarray(shape, dtype=np.int64)).tolist())
+    sizes = shape if isinstance(shape, (tuple, list)) else (shape,)
+    if not all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and n >= 0 for n in sizes):
+        raise InputError(f"shape is {shape!r}; it must be a whole number or a tuple of them, not negative")
+    shape = tuple(int(n) for n in sizes)
+    try:
+        rng = np.random.default_rng(rng)
+    except (TypeError, ValueError):
+        raise InputError(f"rng is {rng!r}; it must be a generator, a whole number >= 0 or None") from None
     layout, names = system.layout, system.velocity_names
     q = np.broadcast_to(system.neutral, (*shape, system.nq)).copy()
     low, high = sampling_box(system)

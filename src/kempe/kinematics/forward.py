@@ -173,8 +173,8 @@ def fk(
     number, (..., n_bodies + 1, 4, 4), the ground included. `out`, where given, must be a C-contiguous float64 array of
     that shape. Large batches run in `threads` threads (default: as many as there are processors).
 
-    A NaN, an infinity or a zero quaternion in one configuration is an `InputError`; in a batch its row becomes NaN and
-    the others are right. Errors: `UnknownNameError` for names, `InputError` for shapes.
+    A NaN, an infinity or a zero quaternion that a pose depends on is an `InputError`; in a batch the first three rows
+    of such a pose are NaN and all others are right. Errors: `UnknownNameError` for names, `InputError` for shapes.
     """
     if isinstance(q, dict):
         q = system.q(q)

@@ -6,15 +6,13 @@ import json
 import math
 import re
 from collections.abc import Iterable
-from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe import spatial
+from kempe import library, spatial
 from kempe.description.parts import Joint
-from kempe.description.read import library_models
-from kempe.errors import DescriptionError, KempeError, Problem, UnknownNameError
+from kempe.errors import DescriptionError, KempeError, Problem
 from kempe.joints import Q, R
 from kempe.model.coordinates import Follower, relation_text
 
@@ -169,16 +167,13 @@ def solution_facts(system: System, answer: Solution, degrees: bool = False) -> d
 
 
 def models() -> dict[str, str]:
-    """The shipped models by name, each with a line that says what it is: the first line of its file."""
-    texts = {name: model_text(name) for name in library_models()}
-    return {name: text.splitlines()[0].lstrip("# ") if text.startswith("#") else "" for name, text in texts.items()}
+    """The shipped models by name, each with a line that says what it is."""
+    return {name: library.describe(name) for name in library.names()}
 
 
 def model_text(name: str) -> str:
     """The TOML of a shipped model. Errors: `UnknownNameError`."""
-    if name not in library_models():
-        raise UnknownNameError("model", name, library_models(), "the library")
-    return (resources.files("kempe.library") / f"{name}.toml").read_text(encoding="utf-8")
+    return library.path(name).read_text(encoding="utf-8")
 
 
 def problem_facts(problem: Problem) -> dict[str, Any]:
