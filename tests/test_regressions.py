@@ -87,3 +87,12 @@ def test_wrong_arguments_are_named():
     with pytest.raises(kempe.KempeError, match="frame of expression"):
         robot.jacobian(robot.neutral, "tool", ["body"])
     assert robot.ik(target, "tool", tolerance=np.array([1e-6, 1e-6]))
+
+
+def test_swapped_letters_of_a_short_attribute_are_a_slip():
+    text = (
+        "<robot name='r'><link name='a'/><link name='b'/><joint name='j' type='fixed'><parent link='a'/>"
+        "<child link='b'/><origin xzy='1 0 0'/></joint></robot>"
+    )
+    with pytest.raises(kempe.errors.DescriptionError, match="did you mean 'xyz'"):
+        kempe.load(text)

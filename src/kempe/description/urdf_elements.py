@@ -317,4 +317,5 @@ def check_known(
 
 @lru_cache(maxsize=1024)
 def _near(name: str, known: tuple[str, ...]) -> list[str]:
-    return difflib.get_close_matches(name, known, n=1, cutoff=SLIP)
+    swapped = [k for k in known if sorted(k) == sorted(name)]  # 'xzy': too short to be like 'xyz' otherwise
+    return swapped or difflib.get_close_matches(name, known, n=1, cutoff=SLIP)
