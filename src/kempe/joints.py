@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 
 from kempe import spatial
 from kempe.errors import InputError, UnknownNameError
+from kempe.kernels.layout import BALL, SLIDE, TURN
 
-R, P, Q = 0, 1, 2
+R, P, Q = TURN, SLIDE, BALL
 """Kinds of primitives in the table of the kernels: turn, slide, unit quaternion."""
 
 

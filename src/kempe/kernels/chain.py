@@ -13,7 +13,7 @@ import numpy as np
 from numba import types
 
 from kempe.kernels._jit import F1, F2, I1, OUT3, device, kernel
-from kempe.kernels.layout import BALL, GENERAL, HEADER, ROW_FLOATS, ROW_INTS, RX, RX_FLAT, SLIDE, TURN
+from kempe.kernels.layout import BALL, GENERAL, HEADER, MULTIPLIER, ROW_FLOATS, ROW_INTS, RX, RX_FLAT, SLIDE, TURN
 from kempe.kernels.sweep import gauged, pose_at, rotation
 from kempe.kernels.trig import REACH, sincos
 from kempe.kernels.vectors import (
@@ -165,7 +165,7 @@ def strays(ints, floats, q, start):
             w, x, y, z = q[index], q[index + 1], q[index + 2], q[index + 3]
             if not SMALLEST_SQUARE <= w * w + x * x + y * y + z * z <= LARGEST_SQUARE:
                 return True
-        elif not abs(floats[ROW_FLOATS * row + 14] * q[index]) <= REACH:
+        elif not abs(floats[ROW_FLOATS * row + MULTIPLIER] * q[index]) <= REACH:
             return True
     return False
 

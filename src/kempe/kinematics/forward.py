@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels import bound, chain, sweep
+from kempe.kernels.layout import BODY, WORLD, WORLD_ALIGNED
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.gauge import regauge
@@ -22,7 +23,7 @@ SERIAL_BELOW = 20_000
 """Configurations below which a batch stays on one thread: starting others would cost more than it saves."""
 CHUNK = 16384
 """Configurations in one piece of work of a thread."""
-IN_FRAMES = {"world_aligned": 0, "world": 1, "body": 2}
+IN_FRAMES = {"world_aligned": WORLD_ALIGNED, "world": WORLD, "body": BODY}
 """Frames in which a Jacobian can be expressed, with the number that the kernels use."""
 
 _POSE, _empty = (4, 4), np.empty
@@ -154,12 +155,12 @@ class _Chain:
 
 def _query(system: System, frame: FrameLike) -> Query:
     try:
-        bound = system._queries.get(frame)
+        found = system._queries.get(frame)
     except TypeError:  # nothing that could be a key is a name
-        bound = None
-    if bound is None:
-        bound = system._queries[frame] = query(system, frame)
-    return bound
+        found = None
+    if found is None:
+        found = system._queries[frame] = query(system, frame)
+    return found
 
 
 def fk(
@@ -243,16 +244,13 @@ def _apart(q: Array, out: Array | None) -> Array:
 
 
 def _out(out: Array | None, shape: tuple[int, ...]) -> Array:
+    """`out`, checked, or a new array where it is None."""
     if out is None:
         return np.empty(shape)
-    _check_out(out, shape)
-    return out
-
-
-def _check_out(out: object, shape: tuple[int, ...]) -> None:
     if not (
         isinstance(out, np.ndarray) and out.shape == shape and out.dtype == np.float64
         and out.flags.c_contiguous and out.flags.writeable
     ):  # fmt: skip
         given = f"{out.dtype} array of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
         raise InputError(f"out is a {given}; it must be a writable, C-contiguous float64 array of shape {shape}")
+    return out

@@ -1,6 +1,6 @@
 """Lowering: joints -> primitive rows whose axis is z, bodies -> (row, constant placement).
 
-The packed form, one int64 and one float64 array, is described in `kempe.kernels.sweep`. Constants (offsets of mimic
+The packed form, one int64 and one float64 array, is described in `kempe.kernels.layout`. Constants (offsets of mimic
 joints, locked coordinates, fixed joints) end up in placements and gauges, so a table has rows for motion only.
 Placements may carry leading axes: a batch of designs is lowered in one pass.
 """
@@ -16,10 +16,18 @@ import numpy as np
 from kempe import spatial
 from kempe.description.mechanism import Mechanism
 from kempe.joints import AXIS_ROTATIONS, P, Primitive, Q
+from kempe.kernels.layout import (
+    COS_GAUGE,
+    HEADER,
+    MULTIPLIER,
+    OUTPUT_FLOATS,
+    OUTPUT_INTS,
+    ROW_FLOATS,
+    ROW_INTS,
+    SIN_GAUGE,
+)
 from kempe.model.coordinates import Coordinates, coordinate_names
 from kempe.model.topology import Topology
-
-HEADER, ROW_INTS, OUTPUT_INTS, ROW_FLOATS, OUTPUT_FLOATS = 8, 6, 2, 16, 12
 
 _AXES = {axis: spatial.pose(rotation) for axis, rotation in AXIS_ROTATIONS.items()}
 _AXES_BACK = {axis: spatial.inverse(X) for axis, X in _AXES.items()}
@@ -87,8 +95,8 @@ class Table:
         floats = np.zeros((*lead, ROW_FLOATS * n + OUTPUT_FLOATS * k))
         body = floats[..., : ROW_FLOATS * n].reshape(*lead, n, ROW_FLOATS)
         body[..., :12] = self.placement[..., rows, :3, :].reshape(*lead, n, 12)
-        body[..., 12], body[..., 13] = np.cos(self.gauge[..., rows]), np.sin(self.gauge[..., rows])
-        body[..., 14] = self.multiplier[..., rows]
+        body[..., COS_GAUGE], body[..., SIN_GAUGE] = np.cos(self.gauge[..., rows]), np.sin(self.gauge[..., rows])
+        body[..., MULTIPLIER] = self.multiplier[..., rows]
         tail = floats[..., ROW_FLOATS * n :].reshape(*lead, k, OUTPUT_FLOATS)
         for i, name in enumerate(names):
             tail[..., i, :] = self.at[name][1][..., :3, :].reshape(*self.at[name][1].shape[:-2], 12)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, NoSolutionError, UnsupportedError
 from kempe.kernels import solve
+from kempe.kernels.layout import HEADER, KIND, MULTIPLIER, ROW_FLOATS, ROW_INTS, SLIDE, TURN, V_INDEX
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.gauge import regauge
@@ -149,7 +150,7 @@ def chain_of(system: System, name: str) -> Chain:
         wide = np.subtract(limits[1], limits[0]) >= 2.0 * math.pi
         for iv in range(len(v_index)):
             rows = table.multiplier[table.iv == iv]
-            circular[iv] = wide[iv] and len(rows) == 1 and abs(rows[0]) == 1.0 and table.kind[table.iv == iv][0] == 0
+            circular[iv] = wide[iv] and len(rows) == 1 and abs(rows[0]) == 1.0 and table.kind[table.iv == iv][0] == TURN
         bounds = tuple(_reach(*arrays, limits) for arrays in (packed, (ints, floats)))
         base, no_seed = _inside(system, system.neutral[None]), np.empty((1, 0, len(q_index)))
         chain = Chain(ints, floats, q_index, v_index, limits, circular, base, no_seed, bounds)
@@ -198,17 +199,18 @@ def _reach(ints: np.ndarray, floats: np.ndarray, limits: Array) -> tuple[Array, 
     n = int(ints[0])
     lengths = []
     for k in range(1, n + 1):  # the last one is the output's placement
-        at = 16 * k
+        at = ROW_FLOATS * k
         lengths.append(float(np.linalg.norm(floats[[at + 3, at + 7, at + 11]])))
     for row in range(n):
-        kind, iv, m = ints[8 + 6 * row], ints[8 + 6 * row + 3], floats[16 * row + 14]
-        if kind == 1:
+        at = HEADER + ROW_INTS * row
+        kind, iv, m = ints[at + KIND], ints[at + V_INDEX], floats[ROW_FLOATS * row + MULTIPLIER]
+        if kind == SLIDE:
             far = float(np.max(np.abs(m * limits[:, iv])))
             lengths.append(far)
             if not math.isfinite(far):
                 return np.zeros(3), math.inf, 0.0
     start = floats[[3, 7, 11]]
-    slides = np.any(ints[8 : 8 + 6 * n : 6] == 1)
+    slides = np.any(ints[HEADER + KIND : HEADER + ROW_INTS * n : ROW_INTS] == SLIDE)
     total = sum(lengths)
     longest = 0.0 if slides or not lengths else max(lengths)
     return start, total, max(0.0, 2.0 * longest - total)
