@@ -96,3 +96,17 @@ def test_swapped_letters_of_a_short_attribute_are_a_slip():
     )
     with pytest.raises(kempe.errors.DescriptionError, match="did you mean 'xyz'"):
         kempe.load(text)
+
+
+def test_a_jacobian_written_over_its_own_configuration():
+    robot = kempe.load("puma560")
+    query = robot.query("tool")
+    q = robot.random(0)
+    J, X = query.jacobian(q), query(q)
+    memory = np.zeros(40)
+    for start in (0, 3, 30, 34):
+        memory[start : start + 6] = q
+        out = query.jacobian(memory[start : start + 6], "world_aligned", memory[:36].reshape(6, 6))
+        assert np.array_equal(out, J)
+    memory[5:11] = q
+    assert np.array_equal(query(memory[5:11], memory[:16].reshape(4, 4)), X)

@@ -85,7 +85,7 @@ def from_dh(
     the keywords of `place`.
 
     >>> arm = from_dh([{"a": 0.5}, {"a": "l2"}], parameters={"l2": 0.4})
-    >>> arm.joints["q2"].X_CM.evaluate(arm.parameters)[0, 3]
+    >>> float(arm.joints["q2"].X_CM.evaluate(arm.parameters)[0, 3])
     -0.4
     """
     out = Mechanism(name)

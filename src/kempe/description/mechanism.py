@@ -31,7 +31,7 @@ class Mechanism:
     >>> _ = arm.revolute("q1", arm.ground, upper)
     >>> _ = arm.revolute("q2", upper, lower, at=(0.5, 0))
     >>> _ = arm.frame("tip", lower, at=(0.4, 0))
-    >>> arm.build().fk([0.0, 0.0], "tip")[0, 3]
+    >>> float(arm.build().fk([0.0, 0.0], "tip")[0, 3])
     0.9
     """
 

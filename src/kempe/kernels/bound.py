@@ -58,13 +58,17 @@ def pose(table, q, out):
 
 @kernel(types.int64(F1, F1, OUT2), nogil=False)
 def jacobian(table, q, columns):
-    """Number of bad configurations, 0 or 1; writes the Jacobian (6, nv) of the first output. -1: wrong shapes.
+    """Number of bad configurations, 0 or 1; writes the Jacobian (6, nv) of the first output.
 
-    Rows: linear, angular. A bad configuration makes all columns NaN.
+    Rows: linear, angular. A bad configuration makes all columns NaN. -1: wrong shapes, or columns that lie over q,
+    which are written before all of q is read.
     """
     numbers, j = raw(table), raw(columns)
     ints = integers(numbers)
     if q.shape[0] != ints[2] or columns.shape[0] != 6 or columns.shape[1] != ints[3]:
+        return -1
+    here, there = q.ctypes.data, columns.ctypes.data
+    if here < there + 8 * columns.size and there < here + 8 * q.size:
         return -1
     return jacobian_at(ints, after(numbers, ints[_SIZE]), raw(q), 0, ints[_FRAME], False, j, 0, j, 0)
 
