@@ -277,9 +277,15 @@ def scratch_size(n_rows):
 
 
 @device
-def descend(ints, floats, q, start, out, first, scratch):
-    """1 if an output is bad at the configuration q[start:], else 0; writes all poses to out[first:]."""
-    n_rows, n_out = ints[0], ints[1]
+def poses_at(n_rows):
+    """Where the poses of the rows begin in the scratch block of `descend`."""
+    return 3 * ((n_rows + LANES - 1) // LANES * LANES)
+
+
+@device
+def row_poses(ints, floats, q, start, scratch):
+    """Write the poses of all rows at the configuration q[start:] to scratch[poses_at(n_rows):]."""
+    n_rows = ints[0]
     sine = (n_rows + LANES - 1) // LANES * LANES
     cosine, poses = 2 * sine, 3 * sine
     for row in range(n_rows):
@@ -317,6 +323,14 @@ def descend(ints, floats, q, start, out, first, scratch):
         store(scratch, k, a)
         store(scratch, k + 4, b)
         store(scratch, k + 8, c)
+
+
+@device
+def descend(ints, floats, q, start, out, first, scratch):
+    """1 if an output is bad at the configuration q[start:], else 0; writes all poses to out[first:]."""
+    n_rows, n_out = ints[0], ints[1]
+    poses = poses_at(n_rows)
+    row_poses(ints, floats, q, start, scratch)
     bad = 0
     for i in range(n_out):
         k = HEADER + ROW_INTS * n_rows + OUTPUT_INTS * i

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, UnknownNameError
-from kempe.joints import R
-from kempe.model.coordinates import coordinate_names
+from kempe.model.coordinates import returning
 from kempe.model.topology import natural
 from kempe.spatial import Array
 
@@ -139,19 +138,7 @@ def _tangent(system: System, q0: Any, q1: Any) -> Array:
 
 def circles(system: System) -> np.ndarray:
     """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes nothing."""
-    back = system.coordinates.turning & np.isinf(system.lower) & np.isinf(system.upper)
-    number = {name: i for i, name in enumerate(system.velocity_names)}
-    mechanism, followers = system.mechanism, system.couplings
-    for joint in mechanism.joints.values() if followers else ():
-        names = coordinate_names(mechanism, joint)
-        for p in joint.type.layout(system.dim, mechanism.bodies[joint.child].particle)[1]:
-            follower = followers.get(names[p.coordinate])
-            if follower is not None and follower.source is not None:  # it must return after a full turn, too
-                back[number[follower.source]] &= p.kind == R and follower.multiplier.is_integer()
-    for relation in system.relations:
-        for name in (relation.of, *relation.sources):
-            back[number[name]] = False
-    return back
+    return returning(system.mechanism, system.coordinates)
 
 
 def interpolate(system: System, q0: Any, q1: Any, t: ArrayLike) -> Array:

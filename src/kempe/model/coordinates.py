@@ -263,3 +263,19 @@ def relation_text(relation: Relation) -> str:
     """The relation as an equation."""
     terms = " + ".join(f"{m:g} {s}" for s, m in relation.sources.items())
     return f"{relation.of} = {terms}" + (f" + {relation.offset:g}" if relation.offset else "")
+
+
+def returning(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
+    """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes nothing."""
+    back = c.turning & np.isinf(c.lower) & np.isinf(c.upper)
+    number = {name: i for i, name in enumerate(c.velocity_names)}
+    for joint in mechanism.joints.values() if c.followers else ():
+        names = coordinate_names(mechanism, joint)
+        for p in joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]:
+            follower = c.followers.get(names[p.coordinate])
+            if follower is not None and follower.source is not None:  # it must return after a full turn, too
+                back[number[follower.source]] &= p.kind == R and follower.multiplier.is_integer()
+    for relation in c.relations:
+        for name in (relation.of, *relation.sources):
+            back[number[name]] = False
+    return back

@@ -15,6 +15,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Joint
 from kempe.joints import AXIS_ROTATIONS, P, Primitive, Q
 from kempe.kernels.layout import (
     COS_GAUGE,
@@ -50,11 +51,11 @@ class Table:
     multiplier: np.ndarray
     gauge: np.ndarray
     placement: np.ndarray
-    at: Mapping[str, tuple[int, np.ndarray, bool]]
+    at: Mapping[Any, tuple[int, np.ndarray, bool]]
     nq: int
     nv: int
 
-    def path(self, name: str) -> list[int]:
+    def path(self, name: Any) -> list[int]:
         """Rows from the ground to the body or frame."""
         rows, row = [], self.at[name][0]
         while row >= 0:
@@ -62,7 +63,7 @@ class Table:
             row = int(self.parent[row])
         return rows[::-1]
 
-    def pack(self, names: Sequence[str], rows: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def pack(self, names: Sequence[Any], rows: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Arrays (ints, floats) for the kernels: the rows that move the named outputs, and the outputs.
 
         Leading axes of a batch of designs stay on `floats`.
@@ -89,7 +90,7 @@ class Table:
         tail[:, 0], tail[:, 1] = out_rows, [self.at[m][2] for m in names]
         return ints, self._floats(rows, names)
 
-    def _floats(self, rows: Sequence[int], names: Sequence[str]) -> np.ndarray:
+    def _floats(self, rows: Sequence[int], names: Sequence[Any]) -> np.ndarray:
         n, k = len(rows), len(names)
         lead = self.placement.shape[:-3]
         floats = np.zeros((*lead, ROW_FLOATS * n + OUTPUT_FLOATS * k))
@@ -133,6 +134,20 @@ class _Rows:
             row, X = len(self.rows) - 1, _EYE
         return row, X @ _AXES_BACK[primitive.axis]
 
+    def joint(
+        self, mechanism: Mechanism, joint: Joint, at: tuple[int, np.ndarray], backwards: bool
+    ) -> tuple[int, np.ndarray]:
+        """Where one is after the motion of a joint, walked from F to M or backwards."""
+        names = coordinate_names(mechanism, joint)
+        primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]
+        sign = -1.0 if backwards else 1.0
+        for p in reversed(primitives) if backwards else primitives:
+            if p.kind == Q:
+                at = self.ball(at, names[p.coordinate : p.coordinate + 4], sign)
+            else:
+                at = self.motion(at, p, names[p.coordinate], sign)
+        return at
+
     def ball(self, at: tuple[int, np.ndarray], names: Sequence[str], sign: float) -> tuple[int, np.ndarray]:
         """Where one is after a quaternion, or after a constant one where it is locked."""
         row, X = at
@@ -146,35 +161,51 @@ class _Rows:
 
 
 def lower(
-    mechanism: Mechanism, topology: Topology, coordinates: Coordinates, parameters: Mapping[str, Any]
+    mechanism: Mechanism, topology: Topology, coordinates: Coordinates, parameters: Mapping[str, Any],
+    carried: Mapping[str, bool] | None = None,
 ) -> Table:
-    """The table of a mechanism for these parameters, which may be arrays of one shape (a batch of designs)."""
+    """The table of a mechanism for these parameters, which may be arrays of one shape (a batch of designs).
+
+    For each joint in `carried` that the tree left out, `at` has its frames too: (name, "M") on the child, and
+    (name, "F") on the parent, led on through the joint's own motion where `carried[name]`.
+    """
     rows = _Rows(coordinates)
     where: dict[str, tuple[int, np.ndarray]] = {topology.bodies[0]: (-1, _EYE)}
     tree = zip(topology.bodies[1:], topology.parent, topology.parent_joints, topology.reversed_, strict=True)
     for body, parent, joint_name, backwards in tree:
         joint = mechanism.joints[joint_name]
-        names = coordinate_names(mechanism, joint)
-        primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]
         X_PF, X_CM = joint.X_PF.evaluate(parameters), joint.X_CM.evaluate(parameters)
         first, last = (X_CM, X_PF) if backwards else (X_PF, X_CM)
         row, X = where[topology.bodies[parent]]
-        at = (row, X @ first)
-        sign = -1.0 if backwards else 1.0
-        for p in reversed(primitives) if backwards else primitives:
-            if p.kind == Q:
-                at = rows.ball(at, names[p.coordinate : p.coordinate + 4], sign)
-            else:
-                at = rows.motion(at, p, names[p.coordinate], sign)
-        where[body] = (at[0], at[1] @ spatial.inverse(last))
-    return _finish(mechanism, rows, where, parameters, coordinates)
+        row, X = rows.joint(mechanism, joint, (row, X @ first), backwards)
+        where[body] = (row, X @ spatial.inverse(last))
+    ends = _ends(mechanism, rows, where, parameters, carried or {})
+    return _finish(mechanism, rows, where, parameters, coordinates, ends)
 
 
-def _finish(mechanism: Mechanism, rows: _Rows, where: dict, parameters: Mapping[str, Any], c: Coordinates) -> Table:
-    at = {b: (row, X, mechanism.bodies[b].particle) for b, (row, X) in where.items()}
+def _ends(
+    mechanism: Mechanism, rows: _Rows, where: dict, parameters: Mapping[str, Any], carried: Mapping[str, bool]
+) -> dict:
+    """Both frames of each joint in `carried`: F, led on through the joint where it is carried, and M."""
+    at = {}
+    for name, through in carried.items():
+        joint = mechanism.joints[name]
+        row, X = where[joint.parent]
+        here = row, X @ joint.X_PF.evaluate(parameters)
+        at[name, "F"] = (*(rows.joint(mechanism, joint, here, False) if through else here), False)
+        row, X = where[joint.child]
+        at[name, "M"] = row, X @ joint.X_CM.evaluate(parameters), mechanism.bodies[joint.child].particle
+    return at
+
+
+def _finish(
+    mechanism: Mechanism, rows: _Rows, where: dict, parameters: Mapping[str, Any], c: Coordinates, ends: dict
+) -> Table:
+    at: dict[Any, Any] = {b: (row, X, mechanism.bodies[b].particle) for b, (row, X) in where.items()}
     for frame in mechanism.frames.values():
         row, X = where[frame.body]
         at[frame.name] = (row, X @ frame.X_BF.evaluate(parameters), mechanism.bodies[frame.body].particle)
+    at |= ends
     n = len(rows.rows)
     columns = list(zip(*rows.rows, strict=True)) if n else [[]] * 7
     lead = np.broadcast_shapes(*(np.shape(p) for p in parameters.values())) if parameters else ()

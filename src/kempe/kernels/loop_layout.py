@@ -1,0 +1,41 @@
+"""Where the numbers of packed loop closures lie. Imports nothing, as `layout`.
+
+Besides the primitive table, whose outputs 2k and 2k + 1 are the frames A and B of tie k, there are `plan` (int64) and
+`weights` (float64):
+
+    plan     head, then, from the places that the head gives:
+             a tie:      MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, LOCALS, LOCAL, BLOCK, PIN
+             an entry:   row of the table, local column of the tie
+             a local:    velocity coordinate, or for a LINEAR tie its place in q
+             a velocity: where its uses begin; a use: tie, local column
+             a matrix row: its first column and where it begins in the envelope
+             a reading:  code, place in q, tie; a velocity: place in q, sort, held
+    weights  1/length, length; scales, lower, upper, low and high ends to draw from of all velocities; a number for each
+             tie; a factor for each entry (for a LINEAR tie for each local)
+"""
+
+N_TIES, N_ROWS, N_READINGS, N_PINS, BLOCKS, ENVELOPE = 0, 1, 2, 3, 4, 5
+AT_TIES, AT_ENTRIES, AT_LOCALS, AT_VARS, AT_USES, AT_ROWS, AT_READINGS, AT_PLACES = 6, 7, 8, 9, 10, 11, 12, 13
+AT_NUMBERS, AT_FACTORS = 14, 15
+HEAD = 16
+"""Places in the head of `plan`, and its size."""
+
+MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, LOCALS, LOCAL, BLOCK, PIN = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+TIE_INTS, ENTRY_INTS, USE_INTS, ENVELOPE_INTS, READING_INTS, PLACE_INTS = 10, 2, 2, 2, 3, 3
+
+INVERSE_LENGTH, LENGTH, SCALES = 0, 1, 2
+"""Places in `weights`; the five lists of velocities follow from SCALES on."""
+
+PLAIN, CIRCLE, BALL_FIRST, BALL_MORE = 0, 1, 2, 3
+"""Sorts of velocity coordinates: any; an angle that a full turn brings back; the first and the others of a ball."""
+
+NO_TURN, ANGLE, ALIGN, CROSS, FULL, DISTANCE, LINEAR = 0, 1, 2, 3, 4, 5, 6
+"""What of the rotation of B in A a tie holds: nothing; the angle about z; z parallel to z; y of B normal to x of A;
+all. DISTANCE and LINEAR are ties of another kind: one row each."""
+
+TURN_ROWS = (0, 1, 2, 1, 3, 1, 1)
+"""How many rows each kind of TURNS adds."""
+
+READ_X, READ_Y, READ_Z, READ_ANGLE, READ_RX, READ_RY, READ_QUATERNION, READ_YAW, READ_PITCH, READ_ROLL = range(10)
+"""How a coordinate of a cut joint follows from the pose of B in A: a slide, the turn about z, the turns of a cross
+about x and y, a quaternion, the three turns about z, y', x''."""

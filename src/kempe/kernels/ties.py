@@ -1,0 +1,324 @@
+"""Constraint equations of loops and their Jacobian at one configuration, tie by tie (`loop_layout`).
+
+A tie holds frame B in frame A: rows of p = R_A^T (p_B - p_A) and of the rotation R = R_A^T R_B. Between them lie the
+joints of the loop. The twist that a joint gives B against A, at the origin of B and in axes of A, is v = f z x (p_B - o),
+w = f z for a turn about z through o, and v = f z for a slide; f is negative on the way to A (Featherstone, 2008,
+chapter 8). Then dp/dt = v and dR/dt = w x R exactly, so the rows below have exact derivatives everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from kempe.kernels import loop_layout as L
+from kempe.kernels._jit import device, routine
+from kempe.kernels.layout import (
+    BALL,
+    HEADER,
+    KIND,
+    MULTIPLIER,
+    OUTPUT_FLOATS,
+    OUTPUT_INTS,
+    PARENT,
+    ROW_FLOATS,
+    ROW_INTS,
+    TURN,
+)
+from kempe.kernels.residual import logarithm
+from kempe.kernels.sweep import placed, placement
+from kempe.kernels.trig import atan2
+from kempe.kernels.vectors import entry, pack4
+
+ANTIPODE = 1e-9
+"""1 + cosine below which two axes count as opposite: the direction back is arbitrary there, its length is not."""
+
+
+class Loops(NamedTuple):
+    """Packed loops with the scratch of their solver; everything but the numbers is a pointer."""
+
+    ints: object
+    floats: object
+    plan: object
+    weights: object
+    pins: object
+    q: object
+    scratch: object
+    poses: object
+    """Poses (3x4) of the rows of the table."""
+    error: object
+    """The equations' residual."""
+    blocks: object
+    """The Jacobian, tie by tie: a tie's rows by its local columns, column by column."""
+    n_rows: int
+    nq: int
+    nv: int
+
+
+@device
+def frame_of(loops, output):
+    """The rows of the pose of an output."""
+    k = HEADER + ROW_INTS * loops.n_rows + OUTPUT_INTS * output
+    row = loops.ints[k]
+    a, b, c = placement(loops.floats, ROW_FLOATS * loops.n_rows + OUTPUT_FLOATS * output)
+    if row >= 0:
+        a, b, c = placed(loops.poses, OUTPUT_FLOATS * row, a, b, c)
+    if loops.ints[k + 1] != 0:  # a particle: only its place counts
+        a, b, c = unturned(a, 0), unturned(b, 1), unturned(c, 2)
+    return a, b, c
+
+
+@device
+def unturned(row, i):
+    """A row of a pose with the identity in place of its rotation."""
+    zero = entry(row, 3) * 0.0
+    x = zero + (1.0 if i == 0 else 0.0)
+    y = zero + (1.0 if i == 1 else 0.0)
+    z = zero + (1.0 if i == 2 else 0.0)
+    return pack4(x, y, z, entry(row, 3))
+
+
+@device
+def matrix(a, b, c):
+    """The nine entries of the rotation in the rows a, b, c."""
+    return (entry(a, 0), entry(a, 1), entry(a, 2), entry(b, 0), entry(b, 1), entry(b, 2), entry(c, 0), entry(c, 1),
+            entry(c, 2))  # fmt: skip
+
+
+@device
+def back(r, x, y, z):
+    """R^T (x, y, z)."""
+    return r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z
+
+
+@device
+def relative(r, s):
+    """R^T S of two rotations."""
+    return (
+        r[0] * s[0] + r[3] * s[3] + r[6] * s[6], r[0] * s[1] + r[3] * s[4] + r[6] * s[7],
+        r[0] * s[2] + r[3] * s[5] + r[6] * s[8],
+        r[1] * s[0] + r[4] * s[3] + r[7] * s[6], r[1] * s[1] + r[4] * s[4] + r[7] * s[7],
+        r[1] * s[2] + r[4] * s[5] + r[7] * s[8],
+        r[2] * s[0] + r[5] * s[3] + r[8] * s[6], r[2] * s[1] + r[5] * s[4] + r[8] * s[7],
+        r[2] * s[2] + r[5] * s[5] + r[8] * s[8],
+    )  # fmt: skip
+
+
+@device
+def ends_of(loops, k):
+    """Rotation of A, position of A, rotation and position of B of tie k, as numbers."""
+    pin = loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.PIN]
+    if pin >= 0:
+        a, b, c = placement(loops.pins, 12 * pin)
+    else:
+        a, b, c = frame_of(loops, 2 * k)
+    d, e, f = frame_of(loops, 2 * k + 1)
+    return (
+        matrix(a, b, c), (entry(a, 3), entry(b, 3), entry(c, 3)), matrix(d, e, f),
+        (entry(d, 3), entry(e, 3), entry(f, 3)),
+    )  # fmt: skip
+
+
+@device
+def tilt(r):
+    """Scale of the tilt of z, by which (-R12, R02) is a vector as long as twice the sine of half the angle."""
+    return math.sqrt(2.0 / max(1.0 + r[8], ANTIPODE))
+
+
+@device
+def write_error(loops, tie, at, p, r):
+    """Write the equations of one tie, p and R the pose of B in A; returns the rotation vector, where all is held."""
+    e, short = loops.error, loops.weights[L.INVERSE_LENGTH]
+    mask, turns = loops.plan[tie + L.MASK], loops.plan[tie + L.TURNS]
+    phi = (0.0, 0.0, 0.0)
+    for i in range(3):
+        if (mask >> i) & 1:
+            e[at] = p[i] * short
+            at += 1
+    if turns == L.FULL:
+        phi = logarithm(r)
+        e[at], e[at + 1], e[at + 2] = phi[0], phi[1], phi[2]
+    elif turns == L.ALIGN:
+        k = tilt(r)
+        e[at], e[at + 1] = -r[5] * k, r[2] * k
+    elif turns == L.ANGLE:
+        e[at] = atan2(r[3] - r[1], r[0] + r[4])
+    elif turns == L.CROSS:
+        e[at] = r[1]
+    return phi
+
+
+@device
+def inverse_left(phi, w):
+    """The rate of the rotation vector phi under the angular velocity w (Bullo and Murray, 1995)."""
+    square = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
+    if square < 1e-8:
+        rest = 1.0 / 12.0
+    else:
+        half = 0.5 * math.sqrt(square)
+        rest = (1.0 - half / math.tan(half)) / square
+    c = (phi[1] * w[2] - phi[2] * w[1], phi[2] * w[0] - phi[0] * w[2], phi[0] * w[1] - phi[1] * w[0])
+    return (
+        w[0] - 0.5 * c[0] + rest * (phi[1] * c[2] - phi[2] * c[1]),
+        w[1] - 0.5 * c[1] + rest * (phi[2] * c[0] - phi[0] * c[2]),
+        w[2] - 0.5 * c[2] + rest * (phi[0] * c[1] - phi[1] * c[0]),
+    )
+
+
+@device
+def add_rates(loops, tie, at, r, phi, v, w):
+    """Add the rates of the equations of a tie under the twist (v, w), already scaled, to the column at blocks[at:]."""
+    j, short = loops.blocks, loops.weights[L.INVERSE_LENGTH]
+    mask, turns = loops.plan[tie + L.MASK], loops.plan[tie + L.TURNS]
+    for i in range(3):
+        if (mask >> i) & 1:
+            j[at] += v[i] * short
+            at += 1
+    if turns == L.FULL:
+        rate = inverse_left(phi, w)
+        j[at] += rate[0]
+        j[at + 1] += rate[1]
+        j[at + 2] += rate[2]
+    elif turns == L.ALIGN:
+        k = tilt(r)
+        x, y, z = w[1] * r[8] - w[2] * r[5], w[2] * r[2] - w[0] * r[8], w[0] * r[5] - w[1] * r[2]
+        change = -0.5 * k / max(1.0 + r[8], ANTIPODE) * z
+        j[at] += -y * k - r[5] * change
+        j[at + 1] += x * k + r[2] * change
+    elif turns == L.ANGLE:
+        j[at] += w[2]
+    elif turns == L.CROSS:
+        j[at] += w[1] * r[7] - w[2] * r[4]
+
+
+@device
+def axes_of(loops, row):
+    """Three axes and their point of a row: of its frame, or for a reversed ball of the frame before its motion."""
+    k, f = HEADER + ROW_INTS * row, ROW_FLOATS * row
+    if loops.ints[k + KIND] == BALL and loops.floats[f + MULTIPLIER] < 0.0:
+        a, b, c = placement(loops.floats, f)
+        if loops.ints[k + PARENT] >= 0:
+            a, b, c = placed(loops.poses, OUTPUT_FLOATS * loops.ints[k + PARENT], a, b, c)
+        return a, b, c
+    return placement(loops.poses, OUTPUT_FLOATS * row)
+
+
+@device
+def add_turn(loops, tie, at, r_a, r, phi, factor, axis, arm):
+    """Add the column of a turn about `axis` (in ground axes), `arm` from it to the origin of B."""
+    x, y, z = factor * axis[0], factor * axis[1], factor * axis[2]
+    v = back(r_a, y * arm[2] - z * arm[1], z * arm[0] - x * arm[2], x * arm[1] - y * arm[0])
+    add_rates(loops, tie, at, r, phi, v, back(r_a, x, y, z))
+
+
+@routine
+def fill_block(loops, k, r_a, p_b, r, phi):
+    """Write the Jacobian block of tie k."""
+    plan, weights = loops.plan, loops.weights
+    tie = plan[L.AT_TIES] + L.TIE_INTS * k
+    rows, block = plan[tie + L.ROWS], plan[tie + L.BLOCK]
+    for i in range(rows * plan[tie + L.LOCALS]):
+        loops.blocks[block + i] = 0.0
+    local, first = plan[L.AT_LOCALS] + plan[tie + L.LOCAL], plan[tie + L.ENTRY]
+    for i in range(first, first + plan[tie + L.ENTRIES]):
+        at = plan[L.AT_ENTRIES] + L.ENTRY_INTS * i
+        row, column = plan[at], plan[at + 1]
+        f = ROW_FLOATS * row + MULTIPLIER
+        kind, multiplier = loops.ints[HEADER + ROW_INTS * row + KIND], loops.floats[f]
+        factor = weights[plan[L.AT_FACTORS] + i] * multiplier
+        a, b, c = axes_of(loops, row)
+        arm = (p_b[0] - entry(a, 3), p_b[1] - entry(b, 3), p_b[2] - entry(c, 3))
+        z = (entry(a, 2), entry(b, 2), entry(c, 2))
+        there = block + rows * column
+        if kind == BALL:
+            add_turn(loops, tie, there, r_a, r, phi, factor, (entry(a, 0), entry(b, 0), entry(c, 0)), arm)
+            add_turn(loops, tie, there + rows, r_a, r, phi, factor, (entry(a, 1), entry(b, 1), entry(c, 1)), arm)
+            add_turn(loops, tie, there + 2 * rows, r_a, r, phi, factor, z, arm)
+            continue
+        factor *= weights[L.SCALES + plan[local + column]]
+        if kind == TURN:
+            add_turn(loops, tie, there, r_a, r, phi, factor, z, arm)
+        else:
+            v = back(r_a, factor * z[0], factor * z[1], factor * z[2])
+            add_rates(loops, tie, there, r, phi, v, (0.0, 0.0, 0.0))
+
+
+@device
+def fill_distance(loops, k, at, with_blocks):
+    """Write the equation, and the block, of a rod: (|p_B - p_A| - length) / L."""
+    plan, short = loops.plan, loops.weights[L.INVERSE_LENGTH]
+    _, p_a, _, p_b = ends_of(loops, k)
+    d = (p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
+    far = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    loops.error[at] = (far - loops.weights[plan[L.AT_NUMBERS] + k]) * short
+    if with_blocks:
+        far = max(far, 1e-300)
+        x, y, z = d[0] / far, d[1] / far, d[2] / far
+        # the rate of the distance is the first row of a frame whose x points from A to B
+        fill_along(loops, k, (x, y, z), p_b)
+
+
+@routine
+def fill_along(loops, k, x, p_b):
+    """Write the block of a rod of direction x."""
+    plan, weights = loops.plan, loops.weights
+    tie = plan[L.AT_TIES] + L.TIE_INTS * k
+    block, first, local = plan[tie + L.BLOCK], plan[tie + L.ENTRY], plan[L.AT_LOCALS] + plan[tie + L.LOCAL]
+    for i in range(plan[tie + L.LOCALS]):
+        loops.blocks[block + i] = 0.0
+    for i in range(first, first + plan[tie + L.ENTRIES]):
+        at = plan[L.AT_ENTRIES] + L.ENTRY_INTS * i
+        row, column = plan[at], plan[at + 1]
+        kind, multiplier = loops.ints[HEADER + ROW_INTS * row + KIND], loops.floats[ROW_FLOATS * row + MULTIPLIER]
+        factor = weights[plan[L.AT_FACTORS] + i] * multiplier * weights[L.INVERSE_LENGTH]
+        a, b, c = axes_of(loops, row)
+        arm = (p_b[0] - entry(a, 3), p_b[1] - entry(b, 3), p_b[2] - entry(c, 3))
+        # x . (z x arm) = z . (arm x x)
+        m = (arm[1] * x[2] - arm[2] * x[1], arm[2] * x[0] - arm[0] * x[2], arm[0] * x[1] - arm[1] * x[0])
+        if kind == BALL:
+            for n in range(3):
+                loops.blocks[block + column + n] += factor * (entry(a, n) * m[0] + entry(b, n) * m[1] + entry(c, n) * m[2])
+            continue
+        if kind != TURN:
+            m = x
+        factor *= weights[L.SCALES + plan[local + column]]
+        loops.blocks[block + column] += factor * (entry(a, 2) * m[0] + entry(b, 2) * m[1] + entry(c, 2) * m[2])
+
+
+@device
+def fill_linear(loops, k, at, with_blocks):
+    """Write the equation, and the block, of a linear relation."""
+    plan, weights = loops.plan, loops.weights
+    tie = plan[L.AT_TIES] + L.TIE_INTS * k
+    entry_at, local = plan[tie + L.ENTRY], plan[L.AT_LOCALS] + plan[tie + L.LOCAL]
+    value = -weights[plan[L.AT_NUMBERS] + k]
+    for i in range(plan[tie + L.ENTRIES]):
+        factor = weights[plan[L.AT_FACTORS] + entry_at + i]
+        value += factor * loops.q[plan[plan[L.AT_ENTRIES] + L.ENTRY_INTS * (entry_at + i)]]
+        if with_blocks:
+            loops.blocks[plan[tie + L.BLOCK] + i] = factor * weights[L.SCALES + plan[local + i]]
+    loops.error[at] = value
+
+
+@routine
+def fill(loops, with_blocks):
+    """Square of the residual at the poses last written; writes it and, if asked, the Jacobian's blocks."""
+    plan = loops.plan
+    for k in range(plan[L.N_TIES]):
+        tie = plan[L.AT_TIES] + L.TIE_INTS * k
+        at, turns = plan[tie + L.FIRST_ROW], plan[tie + L.TURNS]
+        if turns == L.LINEAR:
+            fill_linear(loops, k, at, with_blocks)
+        elif turns == L.DISTANCE:
+            fill_distance(loops, k, at, with_blocks)
+        else:
+            r_a, p_a, r_b, p_b = ends_of(loops, k)
+            p = back(r_a, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
+            r = relative(r_a, r_b)
+            phi = write_error(loops, tie, at, p, r)
+            if with_blocks:
+                fill_block(loops, k, r_a, p_b, r, phi)
+    square = 0.0
+    for i in range(plan[L.N_ROWS]):
+        square += loops.error[i] * loops.error[i]
+    return square

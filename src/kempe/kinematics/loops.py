@@ -1,0 +1,63 @@
+"""All constraint equations of a system at once: residual and Jacobian over all velocity coordinates.
+
+*Full* form: each joint that the tree left out ties its frame M, led there through its own coordinates, to its child. The
+unknowns are all coordinates, those of cut joints included, so that nothing depends on where a loop was cut, and the
+nullity of the Jacobian is the number of freedoms that the rank sees.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.kernels.equations import equations
+from kempe.kinematics.configuration import as_q
+from kempe.model.loops import Loops, characteristic_length, loops_of
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+__all__ = ["characteristic_length", "evaluate", "jacobian", "residual", "row_names"]
+
+
+def residual(system: System, q: Any) -> Array:
+    """Residual (..., m) of all constraint equations at q (..., nq), in metres and radians; zero where all loops close.
+
+    For each joint that the tree left out: position and rotation vector of its frame M on the child, in axes of the M
+    that its own coordinates predict (in planar systems two positions and an angle; for particles the position);
+    then the declared constraints and the relations between several coordinates. `row_names` says which row is which.
+    """
+    return evaluate(system, q, False)[0]
+
+
+def jacobian(system: System, q: Any) -> Array:
+    """Jacobian (..., m, nv) of `residual` by the velocity coordinates, exact at every q, closed or not."""
+    return evaluate(system, q, True)[1]
+
+
+def evaluate(system: System, q: Any, with_jacobian: bool = True, scaled: bool = False) -> tuple[Array, Array]:
+    """Residual (..., m) and Jacobian (..., m, nv) in one pass; the Jacobian is empty unless asked for.
+
+    `scaled`: lengths, those of sliding coordinates included, are measured in characteristic lengths, so that nothing
+    depends on the unit.
+    """
+    q = as_q(system, q)
+    loops = _full(system, scaled)
+    lead, m = q.shape[:-1], len(loops.names)
+    flat = q.reshape(math.prod(lead), system.nq)
+    out = np.empty((len(flat), m))
+    columns = np.empty((len(flat) if with_jacobian else 0, m, system.nv))
+    equations(loops.ints, loops.floats, loops.plan, loops.weights, flat, with_jacobian, out, columns)
+    return out.reshape(*lead, m), columns.reshape(*lead, m, system.nv) if with_jacobian else columns
+
+
+def row_names(system: System) -> list[tuple[str, str]]:
+    """For each equation the name of the joint, constraint or coupling, and what it holds: 'x', 'rz', 'distance', ..."""
+    return list(_full(system, False).names)
+
+
+def _full(system: System, scaled: bool) -> Loops:
+    return loops_of(system, frozenset(system.closures), length=None if scaled else 1.0)
