@@ -401,10 +401,26 @@ def sound(loops, home):
     return good
 
 
+@device
+def lead_on(loops, done, i):
+    """Write to the unknowns of q where rows i - 2 and i - 1 of `done` lead."""
+    last, nq = (i - 1) * loops.nq, loops.nq
+    for v in range(loops.nv):
+        if is_held(loops, v):
+            continue
+        sort, k = sort_of(loops, v), place_of(loops, v)
+        if sort == L.BALL_FIRST:
+            copy(beyond(loops.q, k), done, last + k, 4)
+        elif sort != L.BALL_MORE:
+            before = done[last - nq + k] if i > 1 else done[last + k]
+            loops.q[k] = 2.0 * done[last + k] - before
+
+
 @kernel(types.int64(I1, F1, I1, F1, F2, F2, types.int64, types.int64, types.float64, types.int64, types.int64,
-                    types.int64, OUT2, OUT1, OUTI2))  # fmt: skip
+                    types.int64, types.boolean, OUT2, OUT1, OUTI2))  # fmt: skip
 def assemble(
-    ints, floats, plan, weights, starts, pins, tries, limit, tolerance, nearest, seed, offset, out_q, out_residual, info
+    ints, floats, plan, weights, starts, pins, tries, limit, tolerance, nearest, seed, offset, follow,
+    out_q, out_residual, info
 ):  # fmt: skip
     """Number of starts that were not closed.
 
@@ -412,7 +428,8 @@ def assemble(
     (N or 1, 12 pins) the poses (3x4) of pinned frames. tries: starts at most, the first at `starts`, the others drawn
     from (seed, offset + row), wider and wider about it. limit: steps of a start. tolerance: largest norm of the
     residual, in radians and characteristic lengths. nearest: steps at most towards the closed configuration nearest
-    to the start. out_q: (N, nq), the closed configuration, else the nearest to closing. out_residual: (N,). info: (N, 3)
+    to the start. follow: each row after the first starts where the two before it lead, with its own held coordinates.
+    out_q: (N, nq), the closed configuration, else the nearest to closing. out_residual: (N,). info: (N, 3)
     status, steps, starts.
     """
     nq, nv, n_rows, m = ints[NQ], ints[NV], ints[TABLE_ROWS], plan[L.N_ROWS]
@@ -433,6 +450,8 @@ def assemble(
         loops = Loops(raw(ints), raw(floats), raw(plan), raw(weights), pin, q, scratch,
                       beyond(scratch, poses_at(n_rows)), error, blocks, n_rows, nq, nv)  # fmt: skip
         copy(q, beyond(raw(starts), i * nq), 0, nq)
+        if follow and i > 0:
+            lead_on(loops, raw(out_q), i)
         best, steps, count, status = np.inf, 0, 0, BAD_INPUT
         if sound(loops, home):
             status = NOT_CLOSED

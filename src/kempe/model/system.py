@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from kempe.kinematics.configuration import ConfigurationSpace
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
+    from kempe.solvers.assembly import Assembler, Assembly
     from kempe.solvers.solution import Solution
 
 FrameLike = Body | Frame | str
@@ -314,6 +315,20 @@ class System:
         from kempe.solvers.inverse import ik
 
         return ik(self, target, frame, **options)
+
+    # ---- closed loops
+
+    def assemble(self, known: Mapping[str, Any] | None = None, near: Any = None, **options: Any) -> Assembly:
+        """A configuration that closes all loops, with the `known` given; see `kempe.solvers.assembly.assemble`."""
+        from kempe.solvers.assembly import assemble
+
+        return assemble(self, known, near, **options)
+
+    def assembler(self, known: Iterable[str] = ()) -> Assembler:
+        """The bound form of `assemble`: names looked up once; see `kempe.solvers.assembly.Assembler`."""
+        from kempe.solvers.assembly import assembler
+
+        return assembler(self, known)
 
     # ---- other systems from this one
 

@@ -1,0 +1,364 @@
+"""Assembly: from some known coordinates, or places of frames, a configuration that closes all loops."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.errors import InputError, NoSolutionError, UnknownNameError
+from kempe.kernels import assembly as kernel
+from kempe.kernels import loop_layout as L
+from kempe.kinematics.configuration import as_q, sampling_box
+from kempe.kinematics.loops import evaluate
+from kempe.kinematics.parallel import over_chunks
+from kempe.model.loops import Loops, loops_of, must_carry
+from kempe.solvers.inverse import _count, _seed_number
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+CLOSED, NOT_CLOSED, BAD_INPUT, OUTSIDE = 0, 1, 2, 3
+"""Codes of `Assembly.code`; OUTSIDE: a known coordinate is outside its limits."""
+STARTS = 20
+"""Starts before an assembly is given up; from a guess 1 rad off 95 to 100 % of the first ones close."""
+STEPS = 60
+"""Steps of a start; 3 to 6 are usual, at singular positions up to 50."""
+TOLERANCE = 1e-10
+"""Largest norm of the closure equations of a success, in radians and characteristic lengths; 1e-15 is usual."""
+NEAREST_STEPS = 50
+"""Steps at most towards the closed configuration nearest to the start."""
+CHUNK, SERIAL_BELOW = 64, 2048
+RANK_TOLERANCE = 1e-8
+"""Singular values below this fraction of the largest count as zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """Answer of `assemble`: one configuration for each set of known values.
+
+    `q` (..., nq) closes all loops where `success`; elsewhere it is the configuration found that is nearest to closing.
+    `residual` is the norm of the closure equations, in radians and characteristic lengths; `iterations` and `starts`
+    count the work. All have the leading shape of the known values; for a single set they are plain Python numbers.
+    """
+
+    q: Array
+    success: Any
+    code: Any
+    residual: Any
+    iterations: Any
+    starts: Any
+    assembler: Assembler = field(repr=False)
+
+    @cached_property
+    def status(self) -> Any:
+        """The sentence for a single answer; an array of sentences for a batch. Made when asked for."""
+        from kempe.solvers.explain_assembly import sentence
+
+        if np.ndim(self.success) == 0:
+            return sentence(self, ())
+        out = np.empty(np.shape(self.success), dtype=object)
+        for index in np.ndindex(out.shape):
+            out[index] = sentence(self, index)
+        return out
+
+    @property
+    def system(self) -> System:
+        """The system that was assembled."""
+        return self.assembler.system
+
+    def __bool__(self) -> bool:
+        return bool(np.all(self.success))
+
+    def __len__(self) -> int:
+        return len(self.success)
+
+    def __str__(self) -> str:
+        if np.ndim(self.success):
+            return f"{int(np.sum(self.success))} of {np.size(self.success)} configurations closed"
+        lines = [self.status]
+        lines += [f"  {name} = {x:.9g}" for name, x in zip(self.system.coordinate_names, self.q, strict=True)]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        if np.ndim(self.success):
+            return f"<p>{escape(str(self))}</p>"
+        rows = "".join(
+            f"<tr><td>{escape(n)}</td><td>{x:.9g}</td></tr>"
+            for n, x in zip(self.system.coordinate_names, self.q, strict=True)
+        )
+        return f"<p>{escape(self.status)}</p><table>{rows}</table>"
+
+
+class Assembler:
+    """Assembly with the names of what is known looked up and the loops packed, once.
+
+    `known` are names of coordinates and of frames, in the order in which values are given.
+    """
+
+    def __init__(self, system: System, known: Iterable[str] = ()):
+        self.system, self.known = system, tuple(known)
+        coordinates = [k for k in self.known if k not in system.frame_names or k in system.coordinate_names]
+        self.frames = tuple(k for k in self.known if k not in coordinates)
+        self._places(coordinates)
+        self.carried = must_carry(system, self.sources)
+        self.loops = self._loops((False,) * len(self.frames))
+        self.no_pins = np.zeros((1, 12 * len(self.frames)))
+        self.freedoms = self._freedoms()
+
+    def _places(self, names: list[str]) -> None:
+        """Where known coordinates are in q, and how those that follow others lead to their source."""
+        system = self.system
+        index = {n: i for i, n in enumerate(system.coordinate_names)}
+        places, factors, offsets = [], [], []
+        for name in names:
+            follower = system.couplings.get(name)
+            if follower is not None and follower.source is None:
+                raise InputError(f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given")
+            if follower is None and name not in index:
+                allowed = (*system.coordinate_names, *system.couplings, *system.frames)
+                raise UnknownNameError("coordinate or frame", name, allowed, system.name)
+            places.append(index[name if follower is None or follower.source is None else follower.source])
+            factors.append(1.0 if follower is None else 1.0 / follower.multiplier)
+            offsets.append(0.0 if follower is None else follower.offset)
+        if len(set(places)) < len(places):
+            raise InputError("two of the known coordinates move together: give one of them")
+        self.coordinates = tuple(names)
+        self.places = np.array(places, dtype=np.int64)
+        self.factors, self.offsets = np.array(factors), np.array(offsets)
+        self.plain = bool(np.all(self.factors == 1.0) and not np.any(self.offsets))
+        layout = system.layout
+        self.sources = [system.coordinate_names[i] for i in places]
+        velocity = dict(zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True))
+        held = [velocity[i] for i in places if i in velocity]
+        for iq, iv in zip(layout.quaternion_q.tolist(), layout.quaternion_v.tolist(), strict=True):
+            given = set(range(iq, iq + 4)) & set(places)
+            if given and len(given) < 4:
+                missing = [system.coordinate_names[i] for i in range(iq, iq + 4) if i not in given]
+                raise InputError(f"a quaternion is given as a whole; missing are {', '.join(missing)}")
+            held += [iv, iv + 1, iv + 2] if given else []
+        self.held = frozenset(system.velocity_names[v] for v in held)
+        limits = np.full((2, len(places)), np.inf) * [[-1.0], [1.0]]
+        for k, i in enumerate(places):
+            if i in velocity:
+                limits[:, k] = system.coordinates.lower[velocity[i]], system.coordinates.upper[velocity[i]]
+        slack = 1e-9 * (1.0 + np.abs(np.where(np.isfinite(limits), limits, 0.0)))
+        self.low, self.high = limits[0] - slack[0], limits[1] + slack[1]
+        self.limited = bool(np.isfinite(limits).any())
+
+    def _loops(self, turned: tuple[bool, ...]) -> Loops:
+        """The packed loops, with the known frames held in place, and in orientation where `turned`."""
+        return loops_of(self.system, self.carried, self.held, tuple(zip(self.frames, turned, strict=True)))
+
+    def _freedoms(self) -> int:
+        """Freedoms that are left when the known ones are given, at the closed configuration nearest to home."""
+        if self.frames:
+            return -1
+        home = home_of(self.system)[None]
+        q, _, info = self.run(home, self.no_pins, nearest=0)
+        if info[0, 0] != CLOSED:
+            return -1
+        return freedoms_left(self.system, q[0], self.held)
+
+    def run(
+        self, starts: Array, pins: Array, tries: int = STARTS, nearest: int = NEAREST_STEPS, rng: int = 0,
+        threads: int | None = 1, limits: bool = True, tolerance: float = TOLERANCE, follow: bool = False,
+        loops: Loops | None = None,
+    ) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
+        """Configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3) from starts (N, nq)."""
+        loops, n = loops or self.loops, len(starts)
+        q, residual, info = np.empty((n, self.system.nq)), np.empty(n), np.empty((n, 3), dtype=np.int64)
+        weights = loops.weights if limits else _limitless(self.system, loops)
+
+        def work(i: int, j: int) -> int:
+            return kernel.assemble(
+                loops.ints, loops.floats, loops.plan, weights, starts[i:j], pins[i:j] if len(pins) > 1 else pins,
+                tries, STEPS, tolerance, nearest, rng, i, follow, q[i:j], residual[i:j], info[i:j],
+            )  # fmt: skip
+
+        if n <= CHUNK or follow:
+            work(0, n)
+        else:
+            over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+        return q, residual, info
+
+    def __call__(
+        self, values: Any = (), near: Any = None, *, nearest: bool = True, limits: bool = True, starts: int = STARTS,
+        rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None,
+        follow: bool = False,
+    ) -> Assembly:  # fmt: skip
+        """As `assemble`, with `values` (..., k) of the known coordinates in their order, or a dict with all of them."""
+        given = values if isinstance(values, Mapping) else self._by_name(values)
+        base, lead = self._starts(given, near)
+        turned = self._turned(given)
+        pins = self._pins(given, turned, lead) if turned else self.no_pins
+        steps = NEAREST_STEPS if nearest and self.freedoms != 0 else 0
+        number = rng if rng.__class__ is int else _seed_number(rng)
+        q, residual, info = self.run(
+            base, pins, _count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
+            self._loops(turned) if turned else None,
+        )  # fmt: skip
+        if not lead:
+            code = int(info[0, 0])
+            if code == BAD_INPUT:
+                raise InputError("known values, places or near are not finite, or a quaternion is zero")
+            if self.limited and limits and self._outside(base)[0]:
+                code = OUTSIDE
+            return Assembly(q[0], code == CLOSED, code, float(residual[0]), int(info[0, 1]), int(info[0, 2]), self)
+        code = info[:, 0]
+        if self.limited and limits:
+            code = np.where(self._outside(base) & (code != BAD_INPUT), OUTSIDE, code)
+        fields = [x.reshape(lead) for x in (code == CLOSED, code, residual, info[:, 1], info[:, 2])]
+        return Assembly(q.reshape(*lead, self.system.nq), *fields, self)
+
+    def _by_name(self, values: Any) -> dict[str, Any]:
+        if self.frames:
+            raise InputError("give the places of frames by name: a dict")
+        array = np.asarray(values, dtype=float)
+        if array.ndim == 0 or array.shape[-1] != len(self.known):
+            raise InputError(f"values have shape {array.shape}; needed are (..., {len(self.known)}): {self.known}")
+        return {k: array[..., i] for i, k in enumerate(self.known)}
+
+    def _starts(self, given: Mapping[str, Any], near: Any) -> tuple[Array, tuple[int, ...]]:
+        """Starts (N, nq) with the known values written in, and the leading shape of the answer."""
+        system = self.system
+        base = home_of(system) if near is None else as_q(system, near)
+        try:
+            columns = [np.asarray(given[k], dtype=float) for k in self.coordinates]
+        except (TypeError, ValueError):
+            raise InputError("known values must be numbers or arrays of numbers") from None
+        shapes = [c.shape for c in columns] + [base.shape[:-1]]
+        shapes += [np.shape(given[f])[: -2 if t else -1] for f, t in zip(self.frames, self._turned(given), strict=True)]
+        try:
+            lead = np.broadcast_shapes(*shapes) if any(shapes) else ()
+        except ValueError:
+            raise InputError(f"known values and near have shapes that do not fit together: {shapes}") from None
+        starts = np.empty((*lead, system.nq))
+        starts[:] = base
+        for k, column in enumerate(columns):
+            starts[..., self.places[k]] = column if self.plain else (column - self.offsets[k]) * self.factors[k]
+        return starts.reshape(math.prod(lead), system.nq), lead
+
+    def _turned(self, given: Mapping[str, Any]) -> tuple[bool, ...]:
+        """For each known frame whether its orientation is given too."""
+        size = self.system.dim
+        out = []
+        for frame in self.frames:
+            shape = np.shape(given[frame])
+            if len(shape) >= 2 and shape[-2:] == (4, 4):
+                out.append(True)
+            elif len(shape) >= 1 and shape[-1] in (size, 3):
+                out.append(False)
+            else:
+                allowed = f"a position (..., {size}) or a pose (..., 4, 4)"
+                raise InputError(f"the place of frame {frame!r} has shape {shape}; it must be {allowed}")
+        return tuple(out)
+
+    def _pins(self, given: Mapping[str, Any], turned: tuple[bool, ...], lead: tuple[int, ...]) -> Array:
+        """Poses (N, 12 k) of the known frames."""
+        n = math.prod(lead)
+        pins = np.zeros((n, len(self.frames), 3, 4))
+        pins[..., :3, :3] = np.eye(3)
+        for k, (frame, whole) in enumerate(zip(self.frames, turned, strict=True)):
+            place = np.asarray(given[frame], dtype=float)
+            if whole:
+                pins[:, k] = np.broadcast_to(place, (*lead, 4, 4)).reshape(n, 4, 4)[:, :3]
+            else:
+                size = place.shape[-1]
+                pins[:, k, :size, 3] = np.broadcast_to(place, (*lead, size)).reshape(n, size)
+        if not np.isfinite(pins).all():
+            raise InputError("the place of a frame is not finite")
+        return pins.reshape(n, 12 * len(self.frames))
+
+    def _outside(self, starts: Array) -> np.ndarray:
+        x = starts[:, self.places]
+        return np.any((x < self.low) | (x > self.high), axis=-1)
+
+
+def _limitless(system: System, loops: Loops) -> Array:
+    """The weights of loops without limits."""
+    weights, nv = loops.weights.copy(), system.nv
+    weights[L.SCALES + nv : L.SCALES + 2 * nv], weights[L.SCALES + 2 * nv : L.SCALES + 3 * nv] = -np.inf, np.inf
+    return weights
+
+
+def home_of(system: System) -> Array:
+    """Where an assembly starts that is told nothing: the posture 'closed' if there is one, else within the limits."""
+    if "closed" in system.posture_names:
+        return system.posture("closed")
+    return system.mid
+
+
+def freedoms_left(system: System, q: Array, held: frozenset[str] = frozenset()) -> int:
+    """Nullity of the constraint Jacobian at q over the coordinates that are not held."""
+    free = [i for i, n in enumerate(system.velocity_names) if n not in held]
+    J = evaluate(system, q, True, True)[1][:, free]
+    values = np.linalg.svd(J, compute_uv=False) if J.size else np.zeros(0)
+    return len(free) - int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
+
+
+def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
+    """The bound form of `assemble` for these known names, made once. Errors: `UnknownNameError`, `InputError`."""
+    key = ("assembler", tuple(known))
+    found = system._queries.get(key)
+    if found is None:
+        found = system._queries[key] = Assembler(system, key[1])
+    return found
+
+
+def assemble(
+    system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, branch: str | None = None,
+    nearest: bool = True, limits: bool = True, continuous: bool = False, starts: int = STARTS,
+    rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None, throw: bool = False,
+) -> Assembly:  # fmt: skip
+    """A configuration that closes all loops, with the `known` given and everything else found.
+
+    `known` maps names of coordinates to values in radians and metres, and names of frames to positions (..., 3) (in
+    planar systems also (..., 2)) or poses (..., 4, 4); arrays give a batch. What the loops leave open is decided by
+    *additional considerations*: `near` (nq,) or (..., nq), or a dict by name, is where the search starts (default: the
+    posture 'closed' of the file, else the middle of the limits), and where freedoms are left the answer is the
+    closed configuration nearest to it (`nearest`). `branch` names a branch: signs such as '+-' for planar
+    mechanisms made of dyads (see `assembly_modes`), or a posture, which is where the search starts. `continuous`: row by
+    row, each started where the last two lead. Coordinates stay inside their limits unless `limits=False`.
+
+    The first of `starts` starts is `near`; the others are drawn around it from `rng`, wider and wider. An open loop is never
+    a success: the answer then says which loop is open, by how much, and `q` is the nearest to closing; `throw=True`
+    raises `NoSolutionError`. Redundant constraints are no obstacle. Method: damped least squares with steps of minimum
+    norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
+    """
+    given = {} if known is None else known
+    if not isinstance(given, Mapping):
+        raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
+    bound = system._queries.get(("assembler", tuple(given))) or assembler(system, given)
+    if branch is not None:
+        if branch in system.posture_names:
+            near = system.posture(branch) if near is None else near
+        else:
+            from kempe.solvers.dyads import on_branch
+
+            near = on_branch(system, given, branch, near)
+            starts, nearest = 1, False
+    answer = bound(
+        given, near, nearest=nearest, limits=limits, starts=starts, rng=rng, tolerance=tolerance, threads=threads,
+        follow=continuous,
+    )  # fmt: skip
+    if throw and not answer:
+        raise NoSolutionError(answer)
+    return answer
+
+
+def scatter(system: System, n: int, rng: np.random.Generator) -> Array:
+    """Starts (n, nq) all over the coordinates' ranges, for those who look for all closed configurations."""
+    low, high = sampling_box(system)
+    q = np.broadcast_to(system.neutral, (n, system.nq)).copy()
+    at_q, at_v = system.layout.vector_q, system.layout.vector_v
+    q[:, at_q] = low[at_v] + (high - low)[at_v] * rng.random((n, len(at_v)))
+    system.layout.random_quaternions(q, rng)
+    return q
