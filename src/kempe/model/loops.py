@@ -150,7 +150,7 @@ def _ties(
         elif c.kind == "point_on_plane":
             ties.append(Tie(c.name, *ends, mask=MASKS["z"]))
         elif system.dim == 2:
-            ends = [_flat(end, ends[0]) for end in ends]
+            ends = [_flat(end, ends[0], table) for end in ends]
             ties.append(Tie(c.name, *ends, mask=MASKS["y"]))
         else:
             ties.append(Tie(c.name, *ends, mask=MASKS["xy"]))
@@ -170,13 +170,24 @@ def _number(value: Any, parameters: Any) -> float:
     return evaluate(value, parameters)
 
 
-def _flat(end: tuple, of: tuple) -> tuple:
+def _flat(end: tuple, of: tuple, table: Table) -> tuple:
     """The end turned so that x is what was z of `of`, and z the plane's normal: a slide of the plane is along z."""
-    z = of[1][2, :3]  # the plane's normal in axes of the frame
+    z = _normal(of, table)
     x = np.array([0.0, 0.0, 1.0])
     C = np.eye(4)
     C[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
     return end[0], end[1] @ C, end[2]
+
+
+def _normal(end: tuple, table: Table) -> np.ndarray:
+    """The normal of the plane of a planar system, in axes of a frame: the same in all configurations."""
+    z, way, row = np.array([0.0, 0.0, 1.0]), [end[1]], end[0]
+    while row >= 0:
+        way.append(table.placement[row])
+        row = int(table.parent[row])
+    for X in reversed(way):
+        z = X[:3, :3].T @ z
+    return z
 
 
 def _of_joint(system: System, table: Table, joint: Joint, carried: bool) -> Tie:
@@ -185,8 +196,8 @@ def _of_joint(system: System, table: Table, joint: Joint, carried: bool) -> Tie:
     position, turns = ("xyz", "xyz") if carried else joint.type.ties
     if system.dim == 2:
         turns = "z" if turns == "xyz" else ""
-        if abs(b[1][2, 2]) < 0.5:  # a slider
-            a, b = _flat(a, b), _flat(b, b)
+        if abs(_normal(b, table)[2]) < 0.5:  # a slider
+            a, b = _flat(a, b, table), _flat(b, b, table)
             position = "xy" if carried else "y"
         else:
             position = "xy" if position == "xyz" else ""

@@ -34,6 +34,8 @@ TOLERANCE = 1e-10
 NEAREST_STEPS = 50
 """Steps at most towards the closed configuration nearest to the start."""
 CHUNK, SERIAL_BELOW = 64, 2048
+FEW = 300
+"""Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
 RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero."""
 
@@ -159,7 +161,7 @@ class Assembler:
 
     def _freedoms(self) -> int:
         """Freedoms that are left when the known ones are given, at the closed configuration nearest to home."""
-        if self.frames:
+        if self.frames or len(self.loops.names) > FEW:
             return -1
         home = home_of(self.system)[None]
         q, _, info = self.run(home, self.no_pins, nearest=0)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kempe.solvers.assembly import BAD_INPUT, CLOSED, OUTSIDE, Assembler, Assembly, freedoms_left, home_of
+from kempe.solvers.assembly import BAD_INPUT, CLOSED, FEW, OUTSIDE, Assembler, Assembly, freedoms_left, home_of
 from kempe.spatial import Array
 
 
@@ -20,7 +20,7 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     if code == BAD_INPUT:
         return "known values, places or near are not finite"
     if code == CLOSED:
-        left = freedoms_left(bound.system, q, bound.held) if not bound.frames else 0
+        left = freedoms_left(bound.system, q, bound.held) if 0 <= bound.freedoms else 0
         more = f"; {_count(left, 'freedom')} left open" if left else ""
         return f"closed: residual {residual:.1e} ({_count(steps, 'step')}, {_count(starts, 'start')}){more}"
     if code == OUTSIDE:
@@ -75,7 +75,7 @@ def _too_many(bound: Assembler) -> str:
     """Whether more is given than the system has freedoms where it is closed."""
     system = bound.system
     home = home_of(system)
-    if not bound.held or np.abs(system.closure_error(home)).max(initial=0.0) > 1e-9:
+    if not bound.held or len(bound.loops.names) > FEW or np.abs(system.closure_error(home)).max(initial=0.0) > 1e-9:
         return ""
     freedoms = freedoms_left(system, home)
     if len(bound.held) <= freedoms:
