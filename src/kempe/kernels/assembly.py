@@ -85,37 +85,54 @@ def product(loops, v, y):
 
 
 @routine
-def normal(loops, step, damping, a):
-    """Write the lower triangle of J J^T + damping I, row by row within its envelope; without columns marked NaN."""
-    plan = loops.plan
+def normal(loops, step, damping, a, column):
+    """Write the lower triangle of J J^T + damping I, row by row within its envelope; without columns marked NaN.
+
+    Each column is spread out first, so that the inner loop runs over neighbours.
+    """
+    plan, blocks = loops.plan, loops.blocks
     for i in range(plan[L.ENVELOPE]):
         a[i] = 0.0
-    rows_at, uses_at = plan[L.AT_ROWS], plan[L.AT_USES]
-    for i in range(plan[L.N_ROWS]):
+    rows_at, ties_at, uses_at, m = plan[L.AT_ROWS], plan[L.AT_TIES], plan[L.AT_USES], plan[L.N_ROWS]
+    for i in range(m):
+        column[i] = 0.0
         k = rows_at + L.ENVELOPE_INTS * i
         a[plan[k + 1] + i - plan[k]] = damping
     for v in range(loops.nv):
         if step[v] != step[v]:
             continue
         at = plan[L.AT_VARS] + v
-        first_use = plan[at]
-        for use in range(first_use, plan[at + 1]):
+        low, high = m, 0
+        for use in range(plan[at], plan[at + 1]):
             k = uses_at + L.USE_INTS * use
-            tie = plan[L.AT_TIES] + L.TIE_INTS * plan[k]
+            tie = ties_at + L.TIE_INTS * plan[k]
             rows, first = plan[tie + L.ROWS], plan[tie + L.FIRST_ROW]
             block = plan[tie + L.BLOCK] + rows * plan[k + 1]
-            for other in range(first_use, use + 1):
-                k = uses_at + L.USE_INTS * other
-                tie = plan[L.AT_TIES] + L.TIE_INTS * plan[k]
-                columns, left = plan[tie + L.ROWS], plan[tie + L.FIRST_ROW]
-                there = plan[tie + L.BLOCK] + columns * plan[k + 1]
-                for i in range(rows):
-                    x = loops.blocks[block + i]
-                    if x != 0.0:
-                        k = rows_at + L.ENVELOPE_INTS * (first + i)
-                        row = plan[k + 1] + left - plan[k]
-                        for j in range(min(columns, first + i - left + 1)):
-                            a[row + j] += x * loops.blocks[there + j]
+            for i in range(rows):
+                column[first + i] = blocks[block + i]
+            low, high = min(low, first), max(high, first + rows)
+        for i in range(low, high):
+            x = column[i]
+            if x != 0.0:
+                k = rows_at + L.ENVELOPE_INTS * i
+                row = beyond(a, plan[k + 1] + low - plan[k])
+                there = beyond(column, low)
+                for j in range(i + 1 - low):
+                    row[j] += x * there[j]
+        for i in range(low, high):
+            column[i] = 0.0
+
+
+@device
+def dot(a, b, n):
+    """The scalar product of n numbers each, in two sums."""
+    even, odd = 0.0, 0.0
+    for k in range(n // 2):
+        even += a[2 * k] * b[2 * k]
+        odd += a[2 * k + 1] * b[2 * k + 1]
+    if n % 2:
+        even += a[n - 1] * b[n - 1]
+    return even + odd
 
 
 @routine
@@ -126,13 +143,11 @@ def factor(loops, a, least):
     for i in range(plan[L.N_ROWS]):
         k = rows_at + L.ENVELOPE_INTS * i
         first, row = plan[k], plan[k + 1] - plan[k]
-        for j in range(first, i):
+        for j in range(first + 1, i):
             k = rows_at + L.ENVELOPE_INTS * j
-            other_first, other = plan[k], plan[k + 1] - plan[k]
-            s = a[row + j]
-            for n in range(max(first, other_first), j):
-                s -= a[row + n] * a[other + n]
-            a[row + j] = s  # L_ij D_j until the row is done
+            start, other = max(first, plan[k]), plan[k + 1] - plan[k]
+            if start < j:  # L_ij D_j until the row is done
+                a[row + j] -= dot(beyond(a, row + start), beyond(a, other + start), j - start)
         d = a[row + i]
         for j in range(first, i):
             k = rows_at + L.ENVELOPE_INTS * j
@@ -210,7 +225,7 @@ def move(loops, step, y, target, with_target):
 
 
 @routine
-def close(loops, limit, accepted, step, a, y, kept):
+def close(loops, limit, accepted, step, a, y, column, kept):
     """Least square of the residual reached from q, and steps taken; `kept` is where."""
     best, before, steps = np.inf, np.inf, 0
     m = loops.plan[L.N_ROWS]
@@ -226,7 +241,7 @@ def close(loops, limit, accepted, step, a, y, kept):
         before = square
         damping = DAMPING * min(square, 1.0) + LEAST
         mark(loops, step)
-        normal(loops, step, damping, a)
+        normal(loops, step, damping, a, column)
         factor(loops, a, LEAST)
         copy(y, loops.error, 0, m)
         solve(loops, a, y)
@@ -253,7 +268,7 @@ def ball_difference(q, home, i, to, at):
 
 
 @routine
-def approach(loops, limit, home, step, a, y, target, kept):
+def approach(loops, limit, home, step, a, y, column, target, kept):
     """Steps taken along the closed configurations towards the one nearest to `home`, from a closed q.
 
     Gauss-Newton steps of the nearest point: home - J^+ (phi + J (home - q)); they stop when they no longer come
@@ -288,7 +303,7 @@ def approach(loops, limit, home, step, a, y, target, kept):
             break
         least = far + 1e3 * square
         copy(kept, loops.q, 0, loops.nq)
-        normal(loops, step, LEAST, a)
+        normal(loops, step, LEAST, a, column)
         factor(loops, a, LEAST)
         solve(loops, a, y)
         steps += 1
@@ -434,7 +449,7 @@ def assemble(
     """
     nq, nv, n_rows, m = ints[NQ], ints[NV], ints[TABLE_ROWS], plan[L.N_ROWS]
     sweep = scratch_size(n_rows)
-    block = np.empty(sweep + 4 * nq + 2 * nv + 2 * m + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8)
+    block = np.empty(sweep + 4 * nq + 2 * nv + 3 * m + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8)
     scratch = raw(block)
     q = beyond(scratch, sweep)
     home, kept, best_q = beyond(q, nq), beyond(q, 2 * nq), beyond(q, 3 * nq)
@@ -443,7 +458,8 @@ def assemble(
     error = beyond(target, nv)
     y = beyond(error, m)
     blocks = beyond(y, m)
-    a = beyond(blocks, plan[L.BLOCKS])
+    column = beyond(blocks, plan[L.BLOCKS])
+    a = beyond(column, m)
     accepted, missed = tolerance * tolerance, 0
     for i in range(starts.shape[0]):
         pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
@@ -459,7 +475,7 @@ def assemble(
             while count < tries and not best <= accepted:
                 if count > 0:
                     draw(loops, home, min(1.0, 0.15 * count), mix(key, np.uint64(count)))
-                square, used = close(loops, limit, accepted, step, a, y, kept)
+                square, used = close(loops, limit, accepted, step, a, y, column, kept)
                 steps += used
                 count += 1
                 if square < best:
@@ -467,12 +483,12 @@ def assemble(
                     copy(best_q, kept, 0, nq)
             copy(q, best_q, 0, nq)
             if best > accepted:
-                best, used = close(loops, 10 * limit, accepted, step, a, y, best_q)
+                best, used = close(loops, 10 * limit, accepted, step, a, y, column, best_q)
                 steps += used
             elif nearest > 0:
-                steps += approach(loops, nearest, home, step, a, y, target, best_q)
+                steps += approach(loops, nearest, home, step, a, y, column, target, best_q)
                 copy(q, best_q, 0, nq)
-                best, used = close(loops, limit, accepted, step, a, y, best_q)
+                best, used = close(loops, limit, accepted, step, a, y, column, best_q)
             copy(q, best_q, 0, nq)
             if best < np.inf:
                 evaluate(loops, False)

@@ -34,6 +34,7 @@ TOLERANCE = 1e-10
 NEAREST_STEPS = 50
 """Steps at most towards the closed configuration nearest to the start."""
 CHUNK, SERIAL_BELOW = 64, 2048
+PLAIN_NUMBERS = {float, int, np.float64}
 FEW = 300
 """Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
 RANK_TOLERANCE = 1e-8
@@ -133,7 +134,7 @@ class Assembler:
         if len(set(places)) < len(places):
             raise InputError("two of the known coordinates move together: give one of them")
         self.coordinates = tuple(names)
-        self.places = np.array(places, dtype=np.int64)
+        self.places, self.place_list, self.shape = np.array(places, dtype=np.int64), places, (system.nq,)
         self.factors, self.offsets = np.array(factors), np.array(offsets)
         self.plain = bool(np.all(self.factors == 1.0) and not np.any(self.offsets))
         layout = system.layout
@@ -198,13 +199,15 @@ class Assembler:
     ) -> Assembly:  # fmt: skip
         """As `assemble`, with `values` (..., k) of the known coordinates in their order, or a dict with all of them."""
         given = values if isinstance(values, Mapping) else self._by_name(values)
-        base, lead = self._starts(given, near)
-        turned = self._turned(given)
+        base, lead = self._single(given, near), ()
+        if base is None:
+            base, lead = self._starts(given, near)
+        turned = self._turned(given) if self.frames else ()
         pins = self._pins(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if nearest and self.freedoms != 0 else 0
         number = rng if rng.__class__ is int else _seed_number(rng)
         q, residual, info = self.run(
-            base, pins, _count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
+            base, pins, starts if starts.__class__ is int and starts > 0 else _count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
             self._loops(turned) if turned else None,
         )  # fmt: skip
         if not lead:
@@ -227,6 +230,18 @@ class Assembler:
         if array.ndim == 0 or array.shape[-1] != len(self.known):
             raise InputError(f"values have shape {array.shape}; needed are (..., {len(self.known)}): {self.known}")
         return {k: array[..., i] for i, k in enumerate(self.known)}
+
+    def _single(self, given: Mapping[str, Any], near: Any) -> Array | None:
+        """The start (1, nq) of the usual call, an array and plain numbers, in a fraction of the time; else None."""
+        if near.__class__ is not np.ndarray or near.shape != self.shape or near.dtype != np.float64 or self.frames:
+            return None
+        numbers = [given[k] for k in self.coordinates]
+        if not self.plain or any(x.__class__ not in PLAIN_NUMBERS for x in numbers):
+            return None
+        start = near[None].copy()
+        for place, x in zip(self.place_list, numbers, strict=True):
+            start[0, place] = x
+        return start
 
     def _starts(self, given: Mapping[str, Any], near: Any) -> tuple[Array, tuple[int, ...]]:
         """Starts (N, nq) with the known values written in, and the leading shape of the answer."""

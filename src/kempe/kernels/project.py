@@ -1,0 +1,303 @@
+"""Equations of ties with their Jacobian, and the projection of configurations onto their solution set.
+
+Equations and packed arrays are those of `jet`; Jacobian columns of rows follow from the axes of the rows (geometric
+Jacobian), so one configuration costs one sweep.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import types
+
+from kempe.kernels._jit import F1, F2, I1, OUT2, OUT3, kernel, routine
+from kempe.kernels.jet import (
+    AFTER,
+    BEFORE,
+    ENTRIES,
+    ENTRY,
+    FIRST_ROW,
+    MASK,
+    POSE_SIZE,
+    POWERS,
+    TIE_INTS,
+    TURNS,
+    between,
+    output_order,
+    sweep_order,
+    violation_order,
+)
+from kempe.kernels.layout import (
+    HEADER,
+    KIND,
+    MULTIPLIER,
+    N_OUT,
+    N_ROWS,
+    NV,
+    OUTPUT_INTS,
+    PARENT,
+    ROW_FLOATS,
+    ROW_INTS,
+    SLIDE,
+    TURN,
+    V_INDEX,
+)
+from kempe.kernels.linear import back, factor
+from kempe.kernels.loop_layout import ALIGN, ANGLE, CROSS, DISTANCE, FULL, LINEAR, NO_TURN
+from kempe.kernels.step import turn_ball
+from kempe.kernels.vectors import keep, raw
+
+DAMPING_LEAST, DAMPING_FIRST, DAMPING_MOST = 1e-14, 1e-4, 1e4
+"""Levenberg-Marquardt damping, as a part of the mean square of the Jacobian's columns."""
+
+
+@routine
+def _column(ties, numbers, tie, frames, x, y, z, px, py, pz, J, b, column):
+    """Add what a unit of velocity does to the equations of a tie: B turns by (x, y, z) and moves by (px, py, pz)."""
+    t = 1 + TIE_INTS * tie
+    a, mask, turns, row = 2 * tie, ties[t + MASK], ties[t + TURNS], ties[t + FIRST_ROW]
+    if turns == DISTANCE:
+        total = 0.0
+        total += px * (frames[0, a + 1, 0, 9] - frames[0, a, 0, 9])
+        total += py * (frames[0, a + 1, 0, 10] - frames[0, a, 0, 10])
+        total += pz * (frames[0, a + 1, 0, 11] - frames[0, a, 0, 11])
+        J[b, row, column] += total * numbers[0] / numbers[1 + tie]
+        return
+    for i in range(3):
+        if mask >> i & 1:
+            d = frames[0, a, 0, i] * px + frames[0, a, 0, 3 + i] * py + frames[0, a, 0, 6 + i] * pz
+            J[b, row, column] += numbers[0] * d
+            row += 1
+    if turns == NO_TURN:
+        return
+    wx = frames[0, a, 0, 0] * x + frames[0, a, 0, 3] * y + frames[0, a, 0, 6] * z
+    wy = frames[0, a, 0, 1] * x + frames[0, a, 0, 4] * y + frames[0, a, 0, 7] * z
+    wz = frames[0, a, 0, 2] * x + frames[0, a, 0, 5] * y + frames[0, a, 0, 8] * z
+    m00, m01, m02 = between(frames, 0, a, 0, 0, 0), between(frames, 0, a, 0, 0, 1), between(frames, 0, a, 0, 0, 2)
+    m10, m11, m12 = between(frames, 0, a, 0, 1, 0), between(frames, 0, a, 0, 1, 1), between(frames, 0, a, 0, 1, 2)
+    m20, m21, m22 = between(frames, 0, a, 0, 2, 0), between(frames, 0, a, 0, 2, 1), between(frames, 0, a, 0, 2, 2)
+    # dR_AB = [w] R_AB, and [w] X + X^T [w] = [(tr X - X) w]
+    if turns == FULL:
+        J[b, row, column] += 0.5 * ((m11 + m22) * wx - m01 * wy - m02 * wz)
+        J[b, row + 1, column] += 0.5 * ((m00 + m22) * wy - m10 * wx - m12 * wz)
+        row += 2
+    if turns == FULL or turns == ANGLE:
+        J[b, row, column] += 0.5 * ((m00 + m11) * wz - m20 * wx - m21 * wy)
+    if turns == ALIGN:
+        J[b, row, column] -= wz * m02 - wx * m22
+        J[b, row + 1, column] += wy * m22 - wz * m12
+    if turns == CROSS:
+        J[b, row, column] += wy * m21 - wz * m11
+
+
+@routine
+def _columns(ints, floats, ties, numbers, tie, poses, frames, row, sign, J, b):
+    """Add the columns of one row of the table, which moves B against A in the direction `sign`."""
+    h, f = HEADER + ROW_INTS * row, ROW_FLOATS * row
+    kind, iv, multiplier = ints[h + KIND], ints[h + V_INDEX], floats[f + MULTIPLIER]
+    o = 2 * tie + 1
+    dx = frames[0, o, 0, 9] - poses[0, row, 0, AFTER + 9]
+    dy = frames[0, o, 0, 10] - poses[0, row, 0, AFTER + 10]
+    dz = frames[0, o, 0, 11] - poses[0, row, 0, AFTER + 11]
+    for i in range(3):
+        column, at, factor = iv, AFTER + 2, sign * multiplier
+        if kind != TURN and kind != SLIDE:
+            column, at, factor = iv + i, (AFTER if multiplier > 0.0 else BEFORE) + i, sign * multiplier
+        elif i > 0:
+            break
+        x, y, z = factor * poses[0, row, 0, at], factor * poses[0, row, 0, at + 3], factor * poses[0, row, 0, at + 6]
+        if kind == SLIDE:
+            _column(ties, numbers, tie, frames, 0.0, 0.0, 0.0, x, y, z, J, b, column)
+        else:
+            px, py, pz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
+            _column(ties, numbers, tie, frames, x, y, z, px, py, pz, J, b, column)
+
+
+@routine
+def _linearise(ints, floats, ties, numbers, q, start, v, poses, extra, frames, value, J, b):
+    """Write the equations at q[start:] to value[0, 0] and their Jacobian to J[b]."""
+    n, count = ints[N_ROWS], ties[0]
+    sweep_order(ints, floats, q, start, v, 0, 0, poses, extra)
+    output_order(ints, floats, 0, 0, poses, frames)
+    violation_order(ties, numbers, q, start, v, 0, 0, frames, value)
+    for i in range(J.shape[1]):
+        for j in range(J.shape[2]):
+            J[b, i, j] = 0.0
+    for tie in range(count):
+        t = 1 + TIE_INTS * tie
+        if ties[t + TURNS] == LINEAR:
+            for e in range(ties[t + ENTRY], ties[t + ENTRY] + ties[t + ENTRIES]):
+                J[b, ties[t + FIRST_ROW], ties[1 + TIE_INTS * count + 2 * e + 1]] += numbers[1 + count + e]
+            continue
+        h = HEADER + ROW_INTS * n + OUTPUT_INTS * 2 * tie
+        left, right = ints[h], ints[h + OUTPUT_INTS]
+        while left != right:  # a parent comes before its child: the common part of both ways is reached together
+            if left > right:
+                _columns(ints, floats, ties, numbers, tie, poses, frames, left, -1.0, J, b)
+                left = ints[HEADER + ROW_INTS * left + PARENT]
+            else:
+                _columns(ints, floats, ties, numbers, tie, poses, frames, right, 1.0, J, b)
+                right = ints[HEADER + ROW_INTS * right + PARENT]
+
+
+@kernel(types.void(I1, F1, I1, F1, F2, OUT2, OUT3))
+def linearise(ints, floats, ties, numbers, q, out, J):
+    """Write the equations (N, m) at q (N, nq) and their Jacobian (N, m, nv)."""
+    n = max(ints[N_ROWS], 1)
+    v, value = np.zeros((1, 1, max(ints[NV], 1))), np.zeros((1, 1, max(out.shape[1], 1)))
+    poses, extra = np.zeros((1, n, 1, POSE_SIZE)), np.zeros((1, n, 1, POWERS + 1))
+    frames = np.zeros((1, max(ints[N_OUT], 1), 1, 12))
+    q_, nq = raw(q), q.shape[1]
+    for b in range(q.shape[0]):
+        _linearise(ints, floats, ties, numbers, q_, b * nq, v, poses, extra, frames, value, J, b)
+        for i in range(out.shape[1]):
+            out[b, i] = value[0, 0, i]
+
+
+@routine
+def _apart(places, scale, center, q, start, x):
+    """The square of the distance of q[start:] from `center`; writes the tangent vector between them to x, scaled.
+
+    places: for each velocity coordinate its place in q, -1 - place for the first of a ball, -1e9 for its others.
+    """
+    total, j = 0.0, 0
+    while j < places.shape[0]:
+        i = places[j]
+        if i >= 0:
+            x[j] = (q[start + i] - center[i]) / scale[j]
+            total += x[j] * x[j]
+            j += 1
+            continue
+        i = -1 - i
+        a0, a1, a2, a3 = center[i], center[i + 1], center[i + 2], center[i + 3]
+        b0, b1, b2, b3 = q[start + i], q[start + i + 1], q[start + i + 2], q[start + i + 3]
+        w = a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3
+        u = a0 * b1 - a1 * b0 - a2 * b3 + a3 * b2
+        v = a0 * b2 - a2 * b0 - a3 * b1 + a1 * b3
+        z = a0 * b3 - a3 * b0 - a1 * b2 + a2 * b1
+        sine = math.sqrt(u * u + v * v + z * z)
+        f = 2.0 if sine < 1e-12 else 2.0 * math.atan2(sine, abs(w)) / sine
+        if w < 0.0:
+            f = -f
+        x[j], x[j + 1], x[j + 2] = f * u, f * v, f * z
+        total += x[j] * x[j] + x[j + 1] * x[j + 1] + x[j + 2] * x[j + 2]
+        j += 3
+    return total
+
+
+@routine
+def _move(places, scale, q, start, x, target, at):
+    """Write the configuration reached from q[start:] by the scaled step x to target[at:]."""
+    j = 0
+    while j < places.shape[0]:
+        i = places[j]
+        if i >= 0:
+            target[at + i] = q[start + i] + scale[j] * x[j]
+            j += 1
+            continue
+        i = -1 - i
+        for k in range(i, i + 4):
+            target[at + k] = q[start + k]
+        turn_ball(target, at + i, x[j], x[j + 1], x[j + 2])
+        j += 3
+
+
+@routine
+def _normal(J, scale, value, x, radius, distance2, A, g, damping):
+    """Write J^T J + damping and -J^T residual, the equation of the sphere included where radius > 0."""
+    m, n = J.shape[1], J.shape[2]
+    for i in range(n):
+        s = 0.0
+        for r in range(m):
+            s -= J[0, r, i] * value[0, 0, r]
+        g[i] = s * scale[i]
+        for j in range(i + 1):
+            s = 0.0
+            for r in range(m):
+                s += J[0, r, i] * J[0, r, j]
+            A[i * n + j] = s * scale[i] * scale[j]
+    if radius > 0.0:
+        error = 0.5 * (distance2 - radius * radius) / radius
+        for i in range(n):
+            g[i] -= x[i] / radius * error
+            for j in range(i + 1):
+                A[i * n + j] += x[i] * x[j] / (radius * radius)
+    trace = 0.0
+    for i in range(n):
+        trace += A[i * n + i]
+    for i in range(n):
+        A[i * n + i] += damping * trace / n + 1e-300
+
+
+@routine
+def _size2(value, m, radius, distance2):
+    """Square of the residual, the equation of the sphere included."""
+    total = 0.0
+    for i in range(m):
+        total += value[0, 0, i] * value[0, 0, i]
+    if radius > 0.0:
+        error = 0.5 * (distance2 - radius * radius) / radius
+        total += error * error
+    return total
+
+
+@kernel(types.void(I1, F1, I1, F1, I1, F1, F2, OUT2, F1, types.int64, types.float64, OUT2))
+def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iterations, longest, info):
+    """Move each configuration of q (N, nq), in place, onto the solution set of the equations.
+
+    Where radius[i] > 0 the point found is, if one is found, also at that distance from centers[i], in scaled tangent
+    coordinates (places and scale as in `_apart`). Damped least squares (Levenberg, 1944; Marquardt, 1963) with steps
+    no longer than `longest`. info (N, 3): residual of the equations (norm), distance from the center, iterations.
+    """
+    m, nv, nq = info.shape[1], scale.shape[0], q.shape[1]
+    m = 0
+    for tie in range(ties[0]):
+        m = max(m, ties[1 + TIE_INTS * tie + FIRST_ROW] + ties[1 + TIE_INTS * tie + 2])
+    n = max(ints[N_ROWS], 1)
+    v, value = np.zeros((1, 1, nv + 1)), np.zeros((1, 1, m + 1))
+    poses, extra = np.zeros((1, n, 1, POSE_SIZE)), np.zeros((1, n, 1, POWERS + 1))
+    frames, J = np.zeros((1, max(ints[N_OUT], 1), 1, 12)), np.zeros((1, m, nv))
+    A, g, x, trial, least = np.zeros(nv * nv), np.zeros(nv), np.zeros(nv), np.zeros(nq), np.zeros(nv)
+    A_, g_, q_, trial_ = raw(A), raw(g), raw(q), raw(trial)
+    for b in range(q.shape[0]):
+        center = centers[b]
+        _linearise(ints, floats, ties, numbers, q_, b * nq, v, poses, extra, frames, value, J, 0)
+        distance2 = _apart(places, scale, center, q_, b * nq, x)
+        size2, damping, count, again = _size2(value, m, radius[b], distance2), DAMPING_FIRST, 0, True
+        while count < iterations and size2 > 1e-32 and damping < DAMPING_MOST:
+            count += 1
+            _normal(J, scale, value, x, radius[b], distance2, A, g, max(damping, DAMPING_LEAST))
+            if not factor(A_, nv):
+                damping = max(10.0 * damping, DAMPING_LEAST)
+                continue
+            back(A_, nv, g_)
+            length2 = 0.0
+            for j in range(nv):
+                length2 += g[j] * g[j]
+            cut = min(1.0, longest / math.sqrt(length2 + 1e-300))
+            for j in range(nv):
+                least[j] = cut * g[j]
+            _move(places, scale, q_, b * nq, least, trial_, 0)
+            _linearise(ints, floats, ties, numbers, trial_, 0, v, poses, extra, frames, value, J, 0)
+            new2 = _apart(places, scale, center, trial_, 0, x)
+            new_size2 = _size2(value, m, radius[b], new2)
+            if new_size2 < size2:
+                for j in range(nq):
+                    q[b, j] = trial[j]
+                again = new_size2 < 0.98 * size2 or damping > DAMPING_LEAST
+                size2, distance2, damping = new_size2, new2, max(0.02 * damping, DAMPING_LEAST)
+                if math.sqrt(length2) < 1e-14 or not again:
+                    break
+            else:
+                if math.sqrt(length2) < 1e-13:
+                    break
+                damping = max(30.0 * damping, 1e-12)
+                _linearise(ints, floats, ties, numbers, q_, b * nq, v, poses, extra, frames, value, J, 0)
+                distance2 = _apart(places, scale, center, q_, b * nq, x)
+        _linearise(ints, floats, ties, numbers, q_, b * nq, v, poses, extra, frames, value, J, 0)
+        info[b, 0] = math.sqrt(_size2(value, m, 0.0, 0.0))
+        info[b, 1], info[b, 2] = math.sqrt(_apart(places, scale, center, q_, b * nq, x)), float(count)
+    keep(A)
+    keep(g)
+    keep(trial)
