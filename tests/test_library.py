@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import PLANAR
+from mechanisms_spatial import SPATIAL
 
 import kempe
 from kempe import library
@@ -22,11 +24,12 @@ LECTURE = {
     "ball",
 }  # fmt: skip
 ROBOTS = {"puma560", "ur5", "cobra600", "stanford", "panda"}
+LINKAGES = {mechanism.name for mechanism in (*PLANAR, *SPATIAL)}
 
 
 def test_what_is_shipped():
     joints = {f"joint_{kind}" for kind in TYPES}
-    assert set(MODELS) == LECTURE | ROBOTS | joints | {"four_bar"}
+    assert set(MODELS) == LECTURE | ROBOTS | joints | LINKAGES
     assert list(MODELS) == sorted(MODELS)
 
 

@@ -26,8 +26,8 @@ TIE_INTS, ENTRY_INTS, USE_INTS, ENVELOPE_INTS, READING_INTS, PLACE_INTS = 10, 2,
 INVERSE_LENGTH, LENGTH, SCALES = 0, 1, 2
 """Places in `weights`; the five lists of velocities follow from SCALES on."""
 
-PLAIN, CIRCLE, BALL_FIRST, BALL_MORE = 0, 1, 2, 3
-"""Sorts of velocity coordinates: any; an angle that a full turn brings back; the first and the others of a ball."""
+SLIDE, BOUND_TURN, CIRCLE, BALL_FIRST, BALL_MORE = 0, 1, 2, 3, 4
+"""Sorts of velocity coordinates: a slide; an angle; one that a turn brings back; the first and the others of a ball."""
 
 NO_TURN, ANGLE, ALIGN, CROSS, FULL, DISTANCE, LINEAR = 0, 1, 2, 3, 4, 5, 6
 """What of the rotation of B in A a tie holds: nothing; the angle about z; z parallel to z; y of B normal to x of A;

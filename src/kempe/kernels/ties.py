@@ -1,9 +1,10 @@
 """Constraint equations of loops and their Jacobian at one configuration, tie by tie (`loop_layout`).
 
 A tie holds frame B in frame A: rows of p = R_A^T (p_B - p_A) and of the rotation R = R_A^T R_B. Between them lie the
-joints of the loop. The twist that a joint gives B against A, at the origin of B and in axes of A, is v = f z x (p_B - o),
-w = f z for a turn about z through o, and v = f z for a slide; f is negative on the way to A (Featherstone, 2008,
-chapter 8). Then dp/dt = v and dR/dt = w x R exactly, so the rows below have exact derivatives everywhere.
+joints of the loop. The twist that a joint gives B against A, at the origin of B and in axes of A, is
+v = f z x (p_B - o), w = f z for a turn about z through o, and v = f z for a slide; f is negative on the way to A
+(Featherstone, 2008, chapter 8). Then dp/dt = v and dR/dt = w x R exactly, so the rows below have exact derivatives
+everywhere.
 """
 
 from __future__ import annotations
@@ -277,7 +278,8 @@ def fill_along(loops, k, x, p_b):
         m = (arm[1] * x[2] - arm[2] * x[1], arm[2] * x[0] - arm[0] * x[2], arm[0] * x[1] - arm[1] * x[0])
         if kind == BALL:
             for n in range(3):
-                loops.blocks[block + column + n] += factor * (entry(a, n) * m[0] + entry(b, n) * m[1] + entry(c, n) * m[2])
+                rate = entry(a, n) * m[0] + entry(b, n) * m[1] + entry(c, n) * m[2]
+                loops.blocks[block + column + n] += factor * rate
             continue
         if kind != TURN:
             m = x

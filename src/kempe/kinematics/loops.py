@@ -45,7 +45,7 @@ def evaluate(system: System, q: Any, with_jacobian: bool = True, scaled: bool = 
     depends on the unit.
     """
     q = as_q(system, q)
-    loops = _full(system, scaled)
+    loops = full(system, scaled)
     lead, m = q.shape[:-1], len(loops.names)
     flat = q.reshape(math.prod(lead), system.nq)
     out = np.empty((len(flat), m))
@@ -56,8 +56,9 @@ def evaluate(system: System, q: Any, with_jacobian: bool = True, scaled: bool = 
 
 def row_names(system: System) -> list[tuple[str, str]]:
     """For each equation the name of the joint, constraint or coupling, and what it holds: 'x', 'rz', 'distance', ..."""
-    return list(_full(system, False).names)
+    return list(full(system, False).names)
 
 
-def _full(system: System, scaled: bool) -> Loops:
+def full(system: System, scaled: bool) -> Loops:
+    """The packed loops in full form, in metres or `scaled`."""
     return loops_of(system, frozenset(system.closures), length=None if scaled else 1.0)

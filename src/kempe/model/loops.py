@@ -119,7 +119,7 @@ def _pack(
     table = lower(
         mechanism, system.topology, system.coordinates, mechanism.parameters, {n: n in carried for n in system.closures}
     )
-    ties = _in_order([t for t in _ties(system, table, carried, pins) if t.rows], table)
+    ties = _in_order([t for t in _ties(system, table, carried, pins) if t.rows or t.joint], table)
     size = characteristic_length(system) if length is None else length
     at = dict(table.at)
     for k, tie in enumerate(ties):
@@ -274,13 +274,15 @@ class _Plan:
         self.outputs = ints[HEADER + ROW_INTS * n :].reshape(-1, OUTPUT_INTS)
         self.held = np.array([name in held for name in system.velocity_names], dtype=bool)
         c = system.coordinates
-        self.scale = np.where(c.turning, 1.0, length)
+        self.turns = c.turning.copy()
         for iv in system.layout.quaternion_v:
-            self.scale[iv : iv + 3] = 1.0
-        self.scale[self.rows[self.rows[:, 0] == R, 3]] = 1.0  # what slides and turns together counts as a turn
-        self.place, self.sort = np.full(system.nv, -1, dtype=np.int64), np.full(system.nv, L.PLAIN, dtype=np.int64)
+            self.turns[iv : iv + 3] = True
+        self.turns[self.rows[self.rows[:, 0] == R, 3]] = True  # what slides and turns together counts as a turn
+        self.scale = np.where(self.turns, 1.0, length)
+        self.place, self.sort = np.full(system.nv, -1, dtype=np.int64), np.full(system.nv, L.SLIDE, dtype=np.int64)
         self.place[system.layout.vector_v] = system.layout.vector_q
         self.place[system.layout.quaternion_v] = system.layout.quaternion_q
+        self.sort[self.turns] = L.BOUND_TURN
         self.sort[returning(system.mechanism, c)] = L.CIRCLE
         for iv in system.layout.quaternion_v:
             self.sort[iv : iv + 3] = L.BALL_FIRST, L.BALL_MORE, L.BALL_MORE
@@ -356,7 +358,7 @@ class _Plan:
     def _ranges(self) -> list[float]:
         """Limits, and where to draw random coordinates from."""
         low, high = self.system.coordinates.lower, self.system.coordinates.upper
-        reach = np.where(self.system.coordinates.turning, np.pi, self.length)
+        reach = np.where(self.turns, np.pi, self.length)
         far, near = np.where(np.isfinite(low), low, -np.inf), np.where(np.isfinite(high), high, np.inf)
         draw_low = np.where(np.isfinite(low), low, np.where(np.isfinite(high), near - 2.0 * reach, -reach))
         draw_high = np.where(np.isfinite(high), high, np.where(np.isfinite(low), far + 2.0 * reach, reach))

@@ -207,7 +207,7 @@ class Assembler:
         steps = NEAREST_STEPS if nearest and self.freedoms != 0 else 0
         number = rng if rng.__class__ is int else _seed_number(rng)
         q, residual, info = self.run(
-            base, pins, starts if starts.__class__ is int and starts > 0 else _count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
+            base, pins, _count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
             self._loops(turned) if turned else None,
         )  # fmt: skip
         if not lead:

@@ -1,0 +1,354 @@
+"""Assembly of closed loops, against closed forms, other libraries, and itself cut elsewhere."""
+
+from __future__ import annotations
+
+import math
+
+import graphs
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import kempe
+from kempe import Mechanism
+from kempe.errors import InputError, NoSolutionError, UnknownNameError
+from kempe.kinematics import loops
+from kempe.solvers.assembly import CLOSED, OUTSIDE, Assembler
+
+MECHANISMS = [
+    "four_bar", "slider_crank", "double_parallelogram", "bennett", "sarrus", "stewart", "peaucellier", "jansen",
+    "three_rrr", "delta_ss", "bricard_trihedral",
+]  # fmt: skip
+
+
+def four_bar(a=0.1, b=0.5, c=0.4, d=0.4, cut="C", **more) -> kempe.System:
+    m = Mechanism("four-bar", dim=2)
+    for body in ("crank", "coupler", "rocker"):
+        m.body(body)
+    for name, parent, child, at, child_at in (
+        ("A", "ground", "crank", 0.0, 0.0), ("B", "crank", "coupler", a, 0.0), ("C", "coupler", "rocker", b, c),
+        ("D", "ground", "rocker", d, 0.0),
+    ):  # fmt: skip
+        m.revolute(name, parent, child, at=(at, 0), child_at=(child_at, 0), cut=name == cut, **more.get(name, {}))
+    return m.build()
+
+
+def rocker_angles(a, b, c, d, theta):
+    """Both angles of the rocker of a four-bar, by intersecting two circles."""
+    x, y = a * math.cos(theta) - d, a * math.sin(theta)
+    r = math.hypot(x, y)
+    spread = math.acos((r * r + c * c - b * b) / (2 * r * c))
+    return math.atan2(y, x) + spread, math.atan2(y, x) - spread
+
+
+@given(st.floats(-math.pi, math.pi), st.sampled_from("ABCD"))
+def test_four_bar_is_the_intersection_of_two_circles(theta, cut):
+    s = four_bar(cut=cut)
+    answer = s.assemble({"A": theta}, near=s.q({"B": -0.9, "C": 0.9, "D": 1.5}))
+    assert answer.success and s.closure_error(answer.q) == pytest.approx(0.0, abs=1e-14)
+    expected = rocker_angles(0.1, 0.5, 0.4, 0.4, theta)
+    d = s.q_dict(answer.q)["D"]
+    assert min(abs(math.remainder(d - e, 2 * math.pi)) for e in expected) < 1e-12
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+@pytest.mark.parametrize("sigma", [0.1, 0.3, 1.0])
+def test_perturbed_mechanisms_close(name, sigma):
+    """From Gaussian noise at least 95 of 100 close at the first start, and all with the usual starts."""
+    s = kempe.load(name)
+    home = s.posture("closed")
+    rng = np.random.default_rng(5)
+    q = np.stack([s.integrate(home, sigma * rng.normal(size=s.nv)) for _ in range(100)])
+    once = s.assemble(near=q, starts=1, nearest=False)
+    assert once.success.mean() >= 0.95
+    answer = s.assemble(near=q)
+    assert answer.success.all()
+    assert np.abs(s.closure_error(answer.q)).max() < 1e-9
+    assert np.abs(loops.residual(s, answer.q)).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_convergence_is_quadratic(name):
+    """Near the closed set each step squares the residual, redundant equations or not (counted steps, not time)."""
+    from kempe.kernels import assembly as kernel
+
+    s = kempe.load(name)
+    b = Assembler(s, ())
+    rng = np.random.default_rng(2)
+    start = s.integrate(s.posture("closed"), 0.02 * rng.normal(size=s.nv))[None]
+    q, r, info = np.empty_like(start), np.empty(1), np.empty((1, 3), dtype=np.int64)
+    sizes = []
+    for limit in range(4):
+        loops_ = b.loops
+        kernel.assemble(loops_.ints, loops_.floats, loops_.plan, loops_.weights, start, b.no_pins, 1, limit, 1e100, 0, 0,
+                        0, False, q, r, info)  # fmt: skip
+        sizes.append(r[0])
+    bound = 30.0
+    for before, after in zip(sizes, sizes[1:], strict=False):
+        assert after <= bound * before**2 + 1e-14, sizes
+
+
+@pytest.mark.parametrize("name", ["four_bar", "stewart", "delta_uu", "sarrus", "jansen"])
+def test_closed_in_pinocchio_too(name):
+    """Poses of both ends of each cut joint, computed by Pinocchio from a tree written by hand, coincide."""
+    pin = pytest.importorskip("pinocchio")
+    s = kempe.load(name)
+    answer = s.assemble(near=s.integrate(s.posture("closed"), 0.2 * np.random.default_rng(0).normal(size=s.nv)))
+    assert answer
+    model, place = pinocchio_tree(pin, s)
+    data = model.createData()
+    q = pin.neutral(model)
+    for joint, (idx, size, first) in place.items():
+        del joint
+        q[idx : idx + size] = answer.q[first] if size == 1 else answer.q[first]
+    pin.forwardKinematics(model, data, q)
+    pin.updateFramePlacements(model, data)
+    X = s.fk(answer.q)
+    for i, body in enumerate(s.body_names):
+        if i:
+            np.testing.assert_allclose(data.oMf[model.getFrameId(body)].homogeneous, X[i], atol=1e-10)
+
+
+def pinocchio_tree(pin, s):
+    """The spanning tree as a Pinocchio model of revolute and prismatic joints, and where its coordinates are."""
+    model, place = pin.Model(), {}
+    ids = {0: 0}
+    at = {0: pin.SE3.Identity()}
+    m = s.mechanism
+    for i, (parent, name) in enumerate(zip(s.parent, s.parent_joints, strict=True), start=1):
+        joint = m.joints[name]
+        if s.topology.reversed_[i - 1]:
+            pytest.skip("a reversed joint")
+        before = at[parent] * pin.SE3(joint.X_PF.evaluate(m.parameters))
+        here = ids[parent]
+        primitives = joint.type.layout(s.dim)[1]
+        names = s.coordinates_of_joint(name)
+        for k, p in enumerate(primitives):
+            axis = "xyz".index(p.axis)
+            if p.kind == 2:
+                kind, size = pin.JointModelSpherical(), 4
+            elif p.kind == 0:
+                kind, size = [pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ][axis](), 1
+            else:
+                kind, size = [pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ][axis](), 1
+            here = model.addJoint(here, kind, before, f"{name}_{k}")
+            before = pin.SE3.Identity()
+            first = s.coordinate_names.index(names[p.coordinate])
+            index = first if size == 1 else [first + 1, first + 2, first + 3, first]  # xyzw
+            place[f"{name}_{k}"] = (model.joints[here].idx_q, size, index)
+        ids[i] = here
+        at[i] = before * pin.SE3(joint.X_CM.evaluate(m.parameters)).inverse()
+        model.addFrame(pin.Frame(s.body_names[i], here, 0, at[i], pin.FrameType.BODY))
+    return model, place
+
+
+# ---- equations
+
+
+@settings(max_examples=60)
+@given(graphs.graphs(), st.integers(0, 10**6))
+def test_equations_have_exact_derivatives(graph, seed):
+    s = graph.mechanism().build()
+    q = s.random(seed)
+    J = loops.jacobian(s, q)
+    h = 1e-6
+    numeric = np.stack(
+        [(loops.residual(s, s.integrate(q, h * e)) - loops.residual(s, s.integrate(q, -h * e))) / (2 * h)
+         for e in np.eye(s.nv)], -1,
+    ) if s.nv else J  # fmt: skip
+    angles = np.array([k.startswith("r") for _, k in loops.row_names(s)], dtype=bool)
+    near_pi = np.abs(loops.residual(s, q))[angles].max(initial=0.0) > 2.9  # where the rotation vector jumps
+    if not near_pi:
+        np.testing.assert_allclose(J, numeric, atol=2e-6 * (1 + np.abs(J).max(initial=0.0)))
+
+
+@settings(max_examples=60)
+@given(graphs.graphs(), st.integers(0, 10**6))
+def test_equations_vanish_where_the_closure_error_does(graph, seed):
+    s = graph.mechanism().build()
+    q = s.random(seed)
+    error = s.closure_error(q)
+    rows = loops.residual(s, q)
+    names = loops.row_names(s)
+    for k, name in enumerate(s.closures):
+        mine = np.array([r for r, (n, _) in zip(rows, names, strict=True) if n == name])
+        assert np.linalg.norm(mine) == pytest.approx(0.0, abs=1e-9) or np.linalg.norm(error[k]) > 1e-10
+        if len(mine) == 6:  # the rotation vector is the same, the position is taken without the screw's pitch
+            np.testing.assert_allclose(mine[3:], error[k][3:], atol=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(graphs.graphs(), st.integers(0, 10**6))
+def test_what_is_assembled_is_closed(graph, seed):
+    """Whatever the joints: an answer called a success closes every loop, by the independent closure error."""
+    s = graph.mechanism().build()
+    answer = s.assemble(near=s.random(seed), starts=3)
+    if answer:
+        assert np.abs(s.closure_error(answer.q)).max(initial=0.0) < 1e-7
+        assert np.all(answer.q[s.layout.vector_q] >= s.lower[s.layout.vector_v] - 1e-12)
+
+
+# ---- what is known
+
+
+def test_any_coordinate_can_be_known_cut_or_not():
+    s = four_bar(cut="C")
+    home = s.assemble({"A": 1.2}).q
+    for name in "ABCD":
+        value = s.q_dict(home)[name]
+        answer = s.assemble({name: value}, near=home)
+        np.testing.assert_allclose(answer.q, home, atol=1e-12)
+
+
+def test_places_of_frames_can_be_known():
+    s = kempe.load("four_bar")
+    q = s.assemble({"A": 0.7}).q
+    place = s.fk(q, "coupler_point")[:2, 3]
+    answer = s.assemble({"coupler_point": place}, near=s.posture("closed"))
+    np.testing.assert_allclose(s.fk(answer.q, "coupler_point")[:2, 3], place, atol=1e-12)
+    assert answer and np.abs(s.closure_error(answer.q)).max() < 1e-12
+    stewart = kempe.load("stewart")
+    X = stewart.fk(stewart.posture("closed"), "platform")
+    X[:3, 3] += [0.02, -0.03, 0.05]
+    pose = stewart.assemble({"platform": X})
+    np.testing.assert_allclose(stewart.fk(pose.q, "platform"), X, atol=1e-12)
+
+
+def test_followers_stand_for_their_source():
+    m = four_bar().mechanism
+    m.body("wheel")
+    m.revolute("W", m.ground, "wheel", at=(-0.2, 0))
+    m.gear("W", "A", -2.0, 0.1)
+    s = m.build()
+    answer = s.assemble({"W": 0.5})
+    assert s.q_dict(answer.q)["A"] == pytest.approx(-0.2, abs=1e-15)
+
+
+def test_limits_hold_and_are_named():
+    s = four_bar(D={"limits": (0.0, 1.2)})
+    answer = s.assemble({"A": math.pi / 2}, near=s.q({"B": -0.9, "C": 0.9, "D": 1.1}))
+    assert not answer and "limits of 'D'" in answer.status
+    assert s.q_dict(answer.q)["D"] <= 1.2
+    assert s.assemble({"A": math.pi / 2}, near=s.q({"B": -0.9, "D": 1.1}), limits=False).success
+    known = s.assemble({"D": 2.0})
+    assert known.code == OUTSIDE and not known and "D = 2 is not in" in known.status
+
+
+def test_an_open_loop_says_which_and_by_how_much():
+    """Crank and coupler stretched cannot reach: the gap is a difference of lengths."""
+    s = four_bar(a=0.2, b=0.3, c=0.1, d=1.0)
+    answer = s.assemble()
+    assert not answer and answer.code == 1
+    gap = 1.0 - 0.2 - 0.3 - 0.1
+    assert f"open by {gap:.6g} m" in answer.status and "'C'" in answer.status
+    assert np.linalg.norm(s.closure_error(answer.q)[0, :3]) == pytest.approx(gap, rel=1e-6)
+    with pytest.raises(NoSolutionError, match="open by"):
+        s.assemble(throw=True)
+
+
+def test_too_much_known_is_said():
+    s = kempe.load("four_bar")
+    answer = s.assemble({"A": 0.3, "D": 1.0})
+    assert not answer and "2 coordinates are given, but it has 1 freedom" in answer.status
+    fitting = s.assemble({"A": 0.3}).q
+    both = {"A": 0.3, "D": s.q_dict(fitting)["D"]}
+    assert s.assemble(both).success
+
+
+def test_wrong_questions_are_refused():
+    s = kempe.load("four_bar")
+    with pytest.raises(UnknownNameError, match="'crank' ... no, 'X'|'X'"):
+        s.assemble({"X": 1.0})
+    with pytest.raises(InputError, match="not finite"):
+        s.assemble({"A": math.nan})
+    with pytest.raises(InputError, match="must be a dict"):
+        s.assemble([0.3])
+    with pytest.raises(InputError, match="shape"):
+        s.assemble({"coupler_point": [1.0]})
+    with pytest.raises(InputError, match="needs 4"):
+        s.assemble(near=[0.0])
+    with pytest.raises(InputError, match="numbers"):
+        s.assemble({"A": "x"})
+
+
+def test_a_batch_is_its_rows():
+    s = kempe.load("jansen")
+    driver = s.coordinate_names[0]
+    angles = np.linspace(0, 6, 40)
+    batch = s.assemble({driver: angles})
+    assert batch.q.shape == (40, s.nq) and batch.success.all()
+    for k in (0, 7, 39):
+        one = s.assemble({driver: float(angles[k])}, rng=0)
+        if one.starts == 1 == batch.starts[k]:
+            np.testing.assert_array_equal(one.q, batch.q[k])
+    assert s.assemble({driver: np.zeros((0,))}).q.shape == (0, s.nq)
+    assert s.assemble({driver: np.zeros((2, 3))}).success.shape == (2, 3)
+    bad = s.assemble({driver: [0.1, math.nan]})
+    assert bad.success.tolist() == [True, False] and np.isnan(bad.q[1]).all()
+    assert list(bad.status)[1] == "known values, places or near are not finite"
+
+
+def test_threads_do_not_matter():
+    s = kempe.load("four_bar")
+    angles = np.linspace(0, 6, 5000)
+    np.testing.assert_array_equal(
+        s.assemble({"A": angles}, threads=1).q, s.assemble({"A": angles}, threads=3).q
+    )  # fmt: skip
+
+
+def test_continuous_rows_follow_each_other():
+    """A parallelogram led through its change points stays a parallelogram; row by row from one start it need not."""
+    s = kempe.load("parallelogram")
+    driver = s.coordinate_names[0]
+    for n in (36, 101, 360):
+        angles = np.linspace(0.4, 0.4 + 2 * np.pi, n)
+        start = s.assemble({driver: 0.4}, near=s.posture("closed"))
+        q = s.assemble({driver: angles}, near=start.q, continuous=True).q
+        X = s.fk(q, "coupler") if "coupler" in s.body_names else s.fk(q)[:, 2]
+        assert np.abs(X[:, 1, 0] - X[0, 1, 0]).max() < 1e-9, n  # the coupler does not turn
+
+
+# ---- additional considerations
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10**6))
+def test_what_is_left_open_is_nearest(seed):
+    """The answer is stationary: the way to `near` is normal to the closed set."""
+    from kempe.solvers.charts import tangent_space
+
+    s = kempe.load("stewart")
+    near = s.integrate(s.posture("closed"), 0.15 * np.random.default_rng(seed).normal(size=s.nv))
+    answer = s.assemble(near=near)
+    assert answer
+    b = s.assembler(())
+    # measured in the coordinates that are solved for: those of cut joints follow
+    moving = np.array([not any(n.startswith(f"{c}.") or n == c for c in s.closures) for n in s.velocity_names])
+    N, scale = tangent_space(s, answer.q)
+    away = (s.difference(answer.q, near) / scale)[moving]
+    along = N[moving]
+    assert np.abs(along.T @ away).max() < 1e-5 * max(1.0, np.linalg.norm(away))
+    assert b.freedoms == 6
+
+
+def test_large_systems_are_sparse():
+    """The envelope of J J^T of a row of 200 four-bars grows with their number, not with its square."""
+    def row(n):
+        m = Mechanism("row", dim=2)
+        for i in range(n + 1):
+            m.body(f"r{i}")
+            m.revolute(f"A{i}", m.ground, f"r{i}", at=(i, 0))
+        for i in range(n):
+            m.body(f"c{i}")
+            m.revolute(f"B{i}", f"r{i}", f"c{i}", at=(0, 0.5))
+            m.revolute(f"C{i}", f"c{i}", f"r{i + 1}", at=(1, 0), child_at=(0, 0.5))
+        return m.build()
+
+    sizes = [int(Assembler(row(n), ()).loops.plan[5]) for n in (100, 200)]
+    assert sizes[1] < 2.1 * sizes[0]
+    s = row(200)
+    near = s.integrate(s.neutral, 0.1 * np.random.default_rng(0).normal(size=s.nv))
+    answer = s.assemble({"A0": 0.2}, near=near)
+    assert answer.code == CLOSED and answer.starts == 1
+    assert np.abs(loops.residual(s, answer.q)).max() < 1e-12
