@@ -411,6 +411,7 @@ def toml_joint(name: str, *more: str, kind: str = "revolute", parent: str = "gro
 
 
 A, B = toml_joint("A"), toml_joint("B", parent="a", child="b")
+ROD = '[[constraint]]\nname = "R"\ntype = "distance"\nparent = "ground"\nchild = "b"'
 
 TOML_CASES = [
     Case("a file that is not TOML", toml("[[joint"), ("this is not TOML", "see the caret"), 8),
@@ -488,6 +489,48 @@ TOML_CASES = [
         toml(A, B, toml_joint("C", "at = [1, 0]", child="b")),
         holds=lambda m: len(m.build().closures) == 1,
     ),
+    Case("a rod", toml(A, B, ROD, "length = 1.5"), holds=lambda m: m.constraints["R"].length == 1.5),
+    Case("a rod without a length", toml(A, B, ROD), ("constraint 'R'", "no length", "length of the rod"), 18),
+    Case("a rod of length zero", toml(A, B, ROD, "length = 0"), ("constraint 'R'", "length is 0", "above zero"), 23),
+    Case("a length that is negative", toml(A, B, ROD, "length = -1"), ("length is -1", "above zero"), 23),
+    Case("a length that is not a number", toml(A, B, ROD, "length = nan"), ("length is nan", "finite"), 23),
+    Case("a length that is a list", toml(A, B, ROD, "length = [1]"), ("length is [1]", "must be a number"), 23),
+    Case(
+        "a length that comes out negative",
+        toml("[parameters]", "l = 1", A, B, ROD, 'length = "l - 2"'),
+        ("its length is -1 (length = l - 2)", "above zero"),
+        25,
+    ),
+    Case("a length in unknown parameters", toml(A, B, ROD, 'length = "l"'), ("length is l", "no parameter 'l'"), 23),
+    Case(
+        "an unknown type of constraint",
+        toml(A, B, ROD.replace("distance", "distanc")),
+        ("constraint 'R'", "unknown type of constraint 'distanc'", "did you mean 'distance'"),
+        20,
+    ),
+    Case(
+        "a constraint of a missing body",
+        toml(A, B, ROD.replace('"b"', '"bb"')),
+        ("constraint 'R'", "child is 'bb', which is no body", "did you mean 'b'"),
+        22,
+    ),
+    Case("a constraint from a body to itself", toml(A, B, ROD.replace('"b"', '"ground"')), ("to itself", "two"), 18),
+    Case("a constraint of a joint's name", toml(A, B, ROD.replace('"R"', '"A"')), ("another joint", "file.toml:8"), 18),
+    Case("a plane in the plane", toml(A, B, ROD.replace("distance", "point_on_plane")), ("does not exist in the",), 18),
+    Case(
+        "a line that leaves the plane",
+        toml(A, B, ROD.replace("distance", "point_on_line")),
+        ("constraint 'R'", "its line is z of the frame, out of the plane", "axis=(x, y)"),
+        18,
+    ),
+    Case(
+        "a line with a length",
+        toml(A, B, ROD.replace("distance", "point_on_line"), "axis = [1, 0]", "length = 1"),
+        ("constraint 'R'", "point_on_line takes no length"),
+        24,
+    ),
+    Case("an unknown key of a constraint", toml(A, B, ROD, "lenght = 1"), ("unknown key 'lenght'", "'length'"), 23),
+    Case("bodies that only a rod holds", toml(A, ROD, "length = 1"), ("no joints lead from 'ground' to 'b'",), 6),
     Case("a posture of a missing joint", toml(A, B, "[postures]", "home = {AA = 1}"), ("'AA' is no coordinate",), 19),
     Case("an integer of 100 digits", toml("[parameters]", "l = 1" + "0" * 100), ("more than 64 bits",), 9),
     Case("a date", toml("[parameters]", "l = 1979-05-27"), ("is a date", "quotes"), 9),

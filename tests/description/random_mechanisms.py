@@ -85,6 +85,7 @@ def mechanisms(draw):
             body = draw(st.sampled_from(names))
             X = Placement() if m.bodies[body].particle else draw(placements(dim, parameters))
             m.frame(name, body, at=X)
+    _constraints(draw, m, parameters)
     _relations(draw, m, parameters)
     m.notes = draw(st.lists(st.text(max_size=9), max_size=2))
     return m
@@ -111,6 +112,23 @@ def _joint(draw, m: Mechanism, name: str, parent: str, child: str, parameters: l
         name, kind, parent, child, at=X_PF, child_at=X_CM, cut=joint.cut, limits={c: draw(limits()) for c in chosen},
         actuated=draw(st.none() | st.booleans()), **bounds, **options,
     )  # fmt: skip
+
+
+def _constraints(draw, m: Mechanism, parameters: list[str]) -> None:
+    """Rods, points on lines and in planes, between bodies and particles."""
+    for name in draw(st.lists(NAMES, max_size=2, unique=True)):
+        a, b = draw(st.permutations(list(m.bodies)))[:2]
+        kinds = ["distance"] if m.bodies[a].particle else ["distance", "point_on_line", "point_on_plane"][: m.dim]
+        kind = draw(st.sampled_from(kinds))
+        X_PF, X_CM = (
+            Placement() if m.bodies[body].particle else draw(placements(m.dim, parameters)) for body in (a, b)
+        )
+        axis = draw(st.sampled_from([(1.0, 0.0), (0.6, -0.8)])) if (m.dim, kind) == (2, "point_on_line") else None
+        length = draw(st.sampled_from([1.0, 5e-324, 0.1, 1e300])) if kind == "distance" else None
+        if length and parameters:
+            length = draw(st.sampled_from([length, f"2 + sin({parameters[0]})"]))
+        if name not in m.joints:
+            m.constraint(name, kind, a, b, X_PF, X_CM, axis=axis, length=length)
 
 
 def _relations(draw, m: Mechanism, parameters: list[str]) -> None:

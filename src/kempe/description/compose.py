@@ -37,6 +37,7 @@ def attach(
     trial.joint(f"{prefix}{guest.ground.name}_mount", Fixed(), on, prefix + guest.ground.name, **placement)
     for joint in guest.joints.values():
         _new_key(trial.joints, "joint", prefix + joint.name)
+        _new_key(trial.constraints, "joint", prefix + joint.name)
         trial.joints[prefix + joint.name] = replace(
             joint, name=prefix + joint.name, parent=prefix + joint.parent, child=prefix + joint.child
         )
@@ -46,6 +47,13 @@ def attach(
     for coupling in guest.couplings.values():
         sources = {prefix + k: v for k, v in coupling.sources.items()}
         trial.couplings[prefix + coupling.of] = replace(coupling, of=prefix + coupling.of, sources=sources)
+    for constraint in guest.constraints.values():
+        _new_key(trial.joints, "constraint", prefix + constraint.name)
+        _new_key(trial.constraints, "constraint", prefix + constraint.name)
+        trial.constraints[prefix + constraint.name] = replace(
+            constraint, name=prefix + constraint.name, parent=prefix + constraint.parent,
+            child=prefix + constraint.child,
+        )  # fmt: skip
     for key, posture in guest.postures.items():
         _new_key(trial.postures, "posture", prefix + key)
         trial.postures[prefix + key] = {prefix + k: v for k, v in posture.items()}
@@ -63,8 +71,9 @@ def _new_key(table: Mapping, kind: str, name: str) -> None:
 def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
     """The bodies and joints on the shortest path from body `base` to body or frame `tip`, as a mechanism.
 
-    Frames on these bodies, couplings and locks among these joints come along; one that follows a free coordinate
-    outside is refused, as the chain alone would move differently. Errors: `UnknownNameError`, `DescriptionError`.
+    Frames on these bodies, constraints between them, couplings and locks among these joints come along; one that
+    follows a free coordinate outside is refused, as the chain alone would move differently.
+    Errors: `UnknownNameError`, `DescriptionError`.
     """
     if base not in mechanism.bodies:
         raise UnknownNameError("body", base, mechanism.bodies, mechanism.name)
@@ -79,6 +88,7 @@ def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
     names = {j.name for j in path}
     out.joints = {n: j for n, j in mechanism.joints.items() if n in names}
     out.frames = {f.name: f for f in mechanism.frames.values() if f.body in kept}
+    out.constraints = {n: c for n, c in mechanism.constraints.items() if {c.parent, c.child} <= kept}
     coordinates = {
         f"{j.name}.{c}" if c else j.name for j in path
         for c in j.type.coordinates(out.dim, mechanism.bodies[j.child].particle)

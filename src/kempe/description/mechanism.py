@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kempe.description import checks
-from kempe.description.parts import Body, Coupling, Frame, Joint
+from kempe.description.parts import Body, Constraint, Coupling, Frame, Joint
 from kempe.description.placement import Placement, place
 from kempe.description.values import Expression, Value, value
 from kempe.errors import InputError, UnknownNameError, Where
@@ -43,6 +43,7 @@ class Mechanism:
         self.joints: dict[str, Joint] = {}
         self.frames: dict[str, Frame] = {}
         self.couplings: dict[str, Coupling] = {}
+        self.constraints: dict[str, Constraint] = {}
         self.parameters: dict[str, float] = {}
         self.postures: dict[str, dict[str, float]] = {}
         self.locks: dict[str, float] = {}
@@ -118,10 +119,7 @@ class Mechanism:
         (`pitch`, `angles`). Errors: `DescriptionError` with what is wrong and what is allowed.
         """
         subject = f"joint {name!r}"
-        if checks.name(name, "joint") in self.joints:
-            first = self.joints[name].where
-            said = f"there is another joint of this name{f' ({first})' if first else ''}"
-            checks.refuse(subject, said, where, "names must be unique")
+        self._free_joint_name(checks.name(name, "joint"), subject, where)
         try:
             type_ = joint_type(kind, **options)
         except (InputError, UnknownNameError) as error:
@@ -182,6 +180,49 @@ class Mechanism:
     def free(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
         """No constraint, but coordinates for where the child is; keywords as in `joint`."""
         return self.joint(name, "free", parent, child, **keywords)
+
+    # ---- constraints that are not joints
+
+    def distance(
+        self, name: str, a: BodyLike | Frame, b: BodyLike | Frame, length: Value | str,
+        at: object = (0.0, 0.0, 0.0), child_at: object = (0.0, 0.0, 0.0), where: Where | None = None,
+    ) -> Constraint:  # fmt: skip
+        """A rod of this length, hinged in all directions, from point `at` on `a` to point `child_at` on `b`.
+
+        `a` and `b` are bodies or frames; points are read in their axes, or are names of frames on them. The rod is
+        no connection: both bodies need joints besides, `free` where nothing else holds them.
+        """
+        return self.constraint(name, "distance", a, b, at, child_at, length=length, where=where)
+
+    def point_on_line(self, name: str, a: BodyLike | Frame, b: BodyLike | Frame, **keywords) -> Constraint:
+        """Point `child_at` of `b` stays on the line through `at` of `a` along z (or `axis`); see `constraint`."""
+        return self.constraint(name, "point_on_line", a, b, **keywords)
+
+    def point_on_plane(self, name: str, a: BodyLike | Frame, b: BodyLike | Frame, **keywords) -> Constraint:
+        """Point `child_at` of `b` stays in the plane through `at` of `a` across z (or `axis`); see `constraint`."""
+        return self.constraint(name, "point_on_plane", a, b, **keywords)
+
+    def constraint(
+        self, name: str, kind: str, parent: BodyLike | Frame, child: BodyLike | Frame,
+        at: object = (0.0, 0.0, 0.0), child_at: object = (0.0, 0.0, 0.0), rpy: object = None, angle: object = None,
+        axis: object = None, length: Value | str | None = None, where: Where | None = None,
+    ) -> Constraint:  # fmt: skip
+        """A condition on two bodies that is not a joint: "distance", "point_on_line" or "point_on_plane".
+
+        `parent` and `child` are bodies or frames. Frame A sits on the parent at `at`, turned by `rpy` (or `angle`)
+        and then so that its z is `axis`; point B sits on the child at `child_at`. `length` is for distances.
+        Errors: `DescriptionError` with what is wrong and what is allowed.
+        """
+        subject = f"constraint {name!r}"
+        self._free_joint_name(checks.name(name, "constraint"), subject, where)
+        kind = checks.constraint_kind(subject, kind, where)
+        on, X_PF = self._end(parent, at, {"rpy": rpy, "angle": angle, "axis": axis}, subject, where)
+        to, X_CM = self._end(child, child_at, {}, subject, where)
+        if length is not None:
+            length = checks.constraint_value(subject, length, self.parameters, where)
+        made = Constraint(name, kind, on.name, to.name, X_PF, X_CM, length, where)
+        self.constraints[name] = checks.constraint(made, self.dim, on, to, self.parameters)
+        return made
 
     # ---- relations between coordinates
 
@@ -246,7 +287,7 @@ class Mechanism:
     def copy(self) -> Mechanism:
         """An independent copy."""
         out = copy.copy(self)
-        for key in ("bodies", "joints", "frames", "couplings", "parameters", "locks", "notes"):
+        for key in ("bodies", "joints", "frames", "couplings", "constraints", "parameters", "locks", "notes"):
             setattr(out, key, copy.copy(getattr(self, key)))
         out.postures = {k: dict(v) for k, v in self.postures.items()}
         return out
@@ -278,7 +319,7 @@ class Mechanism:
             tuple((j, tuple(j.limits.items()), tuple(j.velocity_limits.items())) for j in self.joints.values()),
             tuple(self.frames.values()), tuple((c, tuple(c.sources.items())) for c in self.couplings.values()),
             tuple(self.parameters.items()), tuple((k, tuple(v.items())) for k, v in self.postures.items()),
-            tuple(self.locks.items()),
+            tuple(self.locks.items()), tuple(self.constraints.values()),
         )  # fmt: skip
 
     # ---- checks
@@ -291,6 +332,26 @@ class Mechanism:
             checks.refuse(
                 f"{kind} {name!r}", f"there is another {what} of this name{first}", where, "names must be unique"
             )
+
+    def _free_joint_name(self, name: str, subject: str, where: Where | None) -> None:
+        taken = self.joints.get(name) or self.constraints.get(name)
+        if taken is not None:
+            what, first = type(taken).__name__.lower(), f" ({taken.where})" if taken.where else ""
+            checks.refuse(subject, f"there is another {what} of this name{first}", where, "names must be unique")
+
+    def _end(
+        self, thing: BodyLike | Frame, at: object, turn: Mapping, subject: str, where: Where | None
+    ) -> tuple[Body, Placement]:  # fmt: skip
+        """Body and placement on it of one end of a constraint, which may be given by a frame."""
+        frame = self.frames.get(str(thing)) if isinstance(thing, (Frame, str)) else None
+        if frame is None:
+            on = self._body(thing, subject, where)  # type: ignore[arg-type]
+            return on, self._place(at, turn, subject, where, on)
+        if isinstance(at, (Frame, str)):
+            checks.refuse(subject, f"its point is given twice, by frames {frame.name!r} and {str(at)!r}", where,
+                          "name the frame once")  # fmt: skip
+        on = self.bodies[frame.body]
+        return on, frame.X_BF @ self._place(at, turn, subject, where, on)
 
     def _body(self, body: BodyLike, subject: str, where: Where | None) -> Body:
         name = body.name if isinstance(body, Body) else body

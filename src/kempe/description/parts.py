@@ -71,6 +71,32 @@ class Frame:
 
 
 @dataclass(frozen=True)
+class Constraint:
+    """A condition on two bodies that is not a joint; the bodies need joints besides.
+
+    Frame A sits at `X_PF` on the parent, point B is the origin of `X_CM` on the child. By `kind`: "distance", B is
+    `length` metres from the origin of A (a rod with a ball joint at each end); "point_on_line", B is on the z axis of
+    A; "point_on_plane", B is in the xy-plane of A.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    X_PF: Placement = Placement()
+    X_CM: Placement = Placement()
+    length: Value | None = None
+    where: Where | None = field(default=None, compare=False, repr=False)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+CONSTRAINT_KINDS = ("distance", "point_on_line", "point_on_plane")
+"""What a `Constraint` can ask."""
+
+
+@dataclass(frozen=True)
 class Coupling:
     """A linear relation of joint coordinates: coordinate `of` = sum of multiplier * source + `offset`."""
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from kempe.description.dh import add_dh, add_screws
 from kempe.description.mechanism import Mechanism
-from kempe.description.parts import Body
+from kempe.description.parts import CONSTRAINT_KINDS, Body
 from kempe.description.placement import Placement, place, steps_from_data
 from kempe.description.source import Source, decode, fail, shorten
 from kempe.description.toml_document import PLACE, Document
@@ -62,6 +62,7 @@ class _Reader:
             ("body", self.body),
             ("frame", self.frame),
             ("joint", self.joint),
+            ("constraint", self.constraint),
             ("coupling", self.coupling),
         )
         for kind, add in steps:
@@ -149,6 +150,37 @@ class _Reader:
                 about = [k for k in given if re.search(rf"\b{k.removesuffix('s')}", p.message)]
                 self.findings.problems.append(replace(p, where=self.where(*path, *about[:1])))
         except (InputError, UnknownNameError) as error:
+            self.findings.add(str(error), subject, self.where(*path))
+
+    def constraint(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:
+        for key in ("parent", "child"):
+            good &= self.known_body(table, key, path, subject)
+        kind = table.get("type")
+        if kind is not None and kind not in CONSTRAINT_KINDS:
+            said = self.findings.hint(str(kind), CONSTRAINT_KINDS)
+            message = f"unknown type of constraint {shorten(kind)}{said}"
+            self.findings.add(message, subject, self.where(*path, "type"))
+            good = False
+        X_PF = self.placement(table, "", path, subject, table.get("parent"))
+        X_CM = self.placement(table, "child_", path, subject, table.get("child"))
+        if not good or X_PF is None or X_CM is None:
+            return
+        try:
+            self.mechanism.constraint(
+                table["name"],
+                table["type"],
+                table["parent"],
+                table["child"],
+                at=X_PF,
+                child_at=X_CM,
+                length=table.get("length"),
+                where=self.where(*path),
+            )
+        except DescriptionError as error:
+            for p in error.problems:
+                about = ["length"] if "length" in table and "length" in p.message else []
+                self.findings.problems.append(replace(p, where=self.where(*path, *about)))
+        except InputError as error:
             self.findings.add(str(error), subject, self.where(*path))
 
     def known_body(self, table: dict[str, Any], key: str, path: Path, subject: str) -> bool:

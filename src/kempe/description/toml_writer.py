@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from kempe.description.mechanism import Mechanism
-from kempe.description.parts import Body, Frame, Joint
+from kempe.description.parts import Body, Constraint, Frame, Joint
 from kempe.description.placement import Placement, place
 from kempe.description.toml_document import FORMAT
 from kempe.description.values import Expression
@@ -34,6 +34,7 @@ def write_toml(mechanism: Mechanism) -> str:
     blocks += [_block("body", _body(b)) for b in m.bodies.values() if b != Body(m.ground.name)]
     blocks += [_block("joint", _joint(j, m.dim)) for j in m.joints.values()]
     blocks += [_block("frame", _frame(f, m.dim)) for f in m.frames.values()]
+    blocks += [_block("constraint", _constraint(c, m.dim)) for c in m.constraints.values()]
     for c in m.couplings.values():
         table = {"of": c.of, "sources": c.sources} | ({"offset": c.offset} if c.offset != 0.0 else {})
         blocks.append(_block("coupling", table))
@@ -96,6 +97,15 @@ def _joint(joint: Joint, dim: int) -> dict[str, Any]:
     if joint.cut:
         out["cut"] = True
     return out | joint.type.options
+
+
+def _constraint(constraint: Constraint, dim: int) -> dict[str, Any]:
+    out: dict[str, Any] = {"name": constraint.name, "type": constraint.kind}
+    out |= {"parent": constraint.parent, "child": constraint.child}
+    if constraint.length is not None:
+        out["length"] = constraint.length
+    out |= _placement(constraint.X_PF, dim)
+    return out | {f"child_{k}": v for k, v in _placement(constraint.X_CM, dim).items()}
 
 
 def _placement(X: Placement, dim: int) -> dict[str, Any]:

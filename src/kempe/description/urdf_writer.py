@@ -43,7 +43,8 @@ def write_urdf(mechanism: Mechanism) -> str:
     whose origin lies off the axis of its joint gets a link of its own for the joint's frame. Unlimited
     prismatic joints get limits of +-1e308, since URDF demands some. Postures, notes and the marks of actuated
     joints are left out. Errors: `DescriptionError` listing all that URDF cannot say: loops, joints that lead
-    towards the ground, joint types that it does not have, particles, couplings with several sources.
+    towards the ground, joint types that it does not have, particles, constraints that are not joints, couplings with
+    several sources.
     """
     return _Writer(mechanism).text()
 
@@ -60,6 +61,13 @@ class _Writer:
 
     def text(self) -> str:
         self.check_tree()
+        for constraint in self.m.constraints.values():
+            self.findings.add(
+                f"a {constraint.kind} does not exist in URDF",
+                f"constraint {constraint.name!r}",
+                constraint.where,
+                "URDF has joints only; a .toml file can hold it",
+            )
         self.resolve_couplings()
         left_out = [f"posture {name!r}" for name in self.m.postures]
         if left_out:

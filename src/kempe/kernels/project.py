@@ -1,7 +1,8 @@
 """Equations of ties with their Jacobian, and the projection of configurations onto their solution set.
 
 Equations and packed arrays are those of `jet`; Jacobian columns of rows follow from the axes of the rows (geometric
-Jacobian), so one configuration costs one sweep.
+Jacobian), so one configuration costs one sweep. Only what moves B against A counts: of a particle, ties hold neither its
+orientation nor anything in its axes.
 """
 
 from __future__ import annotations

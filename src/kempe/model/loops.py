@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.description.checks import constraint_length
 from kempe.description.parts import Joint
 from kempe.joints import P, Q, R
 from kempe.kernels import loop_layout as L
@@ -100,9 +101,9 @@ def loops_of(
 ) -> Loops:  # fmt: skip
     """The packed loops of a system.
 
-    `carried` names the left-out joints to carry, `held` the velocity coordinates that are no unknowns, `pins` the frames
-    that are held in place (with their orientation where the flag says so). Equations and unknowns are
-    scaled by `length` (default: the characteristic length); with length 1 they are in metres.
+    `carried` names the left-out joints to carry, `held` the velocity coordinates that are no unknowns, `pins` the
+    frames that are held in place (with their orientation where the flag says so). Equations and unknowns are scaled by
+    `length` (default: the characteristic length); with length 1 they are in metres.
     """
     key = ("loops", carried, held, pins, length)
     found = system._queries.get(key)
@@ -140,13 +141,13 @@ def _ties(
 ) -> list[Tie]:  # fmt: skip
     mechanism = system.mechanism
     ties = [_of_joint(system, table, mechanism.joints[n], n in carried) for n in system.closures]
-    for c in getattr(mechanism, 'constraints', {}).values():
+    for c in mechanism.constraints.values():
         ends = []
         for body, X in ((c.parent, c.X_PF), (c.child, c.X_CM)):
             row, X_row, particle = table.at[body]
             ends.append((row, X_row @ X.evaluate(mechanism.parameters), particle))
         if c.kind == "distance":
-            ties.append(Tie(c.name, *ends, turns=L.DISTANCE, number=float(_number(c.length, mechanism.parameters))))
+            ties.append(Tie(c.name, *ends, turns=L.DISTANCE, number=constraint_length(c, mechanism.parameters)))
         elif c.kind == "point_on_plane":
             ties.append(Tie(c.name, *ends, mask=MASKS["z"]))
         elif system.dim == 2:
@@ -162,12 +163,6 @@ def _ties(
         turns = L.NO_TURN if not turned else L.ANGLE if system.dim == 2 else L.FULL
         ties.append(Tie(frame, ground, table.at[frame], mask, turns, pin=True))
     return ties
-
-
-def _number(value: Any, parameters: Any) -> float:
-    from kempe.description.values import evaluate
-
-    return evaluate(value, parameters)
 
 
 def _flat(end: tuple, of: tuple, table: Table) -> tuple:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,25 +12,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.description.mechanism import BodyLike, Mechanism
-from kempe.description.parts import Body, Frame, Joint
+from kempe.description.parts import Frame, Joint
 from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError
 from kempe.joints import Layout
 from kempe.model.coordinates import Coordinates, Relation, coordinate_names, coordinates_of
 from kempe.model.table import Table, lower
 from kempe.model.topology import Topology, spanning_tree
+from kempe.model.verbs import FrameLike, Verbs
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.kinematics.configuration import ConfigurationSpace
     from kempe.kinematics.designs import Designs
-    from kempe.kinematics.forward import Query
-    from kempe.solvers.assembly import Assembler, Assembly
-    from kempe.solvers.solution import Solution
 
-FrameLike = Body | Frame | str
+__all__ = ["FrameLike", "System"]
 
 
-class System:
+class System(Verbs):
     """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates, primitive table.
 
     A configuration `q` is an array (..., nq) in the order of `coordinate_names`, in radians and metres; a dict by
@@ -236,100 +233,6 @@ class System:
             raise InputError(f"q has shape {q.shape}; {self.name} needs ({self.nq},)")
         return dict(zip(self.coordinate_names, q.tolist(), strict=True))
 
-    # ---- the space of configurations
-
-    @property
-    def configuration_space(self) -> ConfigurationSpace:
-        """What set `q` ranges over: its dimension and shape, such as T^2 x R."""
-        from kempe.kinematics.configuration import configuration_space
-
-        return configuration_space(self)
-
-    def integrate(self, q: Any, v: ArrayLike) -> Array:
-        """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv)."""
-        from kempe.kinematics.configuration import integrate
-
-        return integrate(self, q, v)
-
-    def difference(self, q0: Any, q1: Any) -> Array:
-        """Tangent vector (..., nv) from `q0` to `q1`: ``integrate(q0, difference(q0, q1)) == q1``."""
-        from kempe.kinematics.configuration import difference
-
-        return difference(self, q0, q1)
-
-    def interpolate(self, q0: Any, q1: Any, t: ArrayLike) -> Array:
-        """Configuration (..., nq) at the fraction `t` (...) of the straight way from `q0` to `q1`."""
-        from kempe.kinematics.configuration import interpolate
-
-        return interpolate(self, q0, q1, t)
-
-    def distance(self, q0: Any, q1: Any) -> Array:
-        """Length (...) of the shortest way from `q0` to `q1`; unlimited joints turn the short way."""
-        from kempe.kinematics.configuration import distance
-
-        return distance(self, q0, q1)
-
-    # ---- where everything is
-
-    def fk(
-        self, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
-        threads: int | None = None,
-    ) -> Array:  # fmt: skip
-        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None)."""
-        query = self._queries.get(frame) if frame.__class__ is str else None
-        if query is not None and q.__class__ is np.ndarray:  # the import below alone would double the time
-            return query(q, out, threads)
-        from kempe.kinematics.forward import fk
-
-        return fk(self, q, frame, out, threads)
-
-    def jacobian(self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None) -> Array:
-        """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see `kempe.kinematics.forward.jacobian`."""
-        query = self._queries.get(frame) if frame.__class__ is str else None
-        if query is not None and q.__class__ is np.ndarray:
-            return query.jacobian(q, in_frame, None, threads)
-        from kempe.kinematics.forward import jacobian
-
-        return jacobian(self, q, frame, in_frame, threads)
-
-    def query(self, frame: FrameLike) -> Query:
-        """The forward model of one frame with everything looked up: ``f(q, out=None)`` and ``f.jacobian(q)``."""
-        from kempe.kinematics.forward import query
-
-        return query(self, frame)
-
-    def symbolic_fk(self, frame: FrameLike, **options: Any) -> Any:
-        """The forward model in symbols (sympy Matrix 4x4); see `kempe.kinematics.symbolic.symbolic_fk`."""
-        from kempe.kinematics.symbolic import symbolic_fk
-
-        return symbolic_fk(self, frame, **options)
-
-    def closure_error(self, q: Any) -> Array:
-        """How far each loop is open (..., len(closures), 6): the twist [m; rad] missing in each left-out joint."""
-        from kempe.kinematics.constraints import closure_error
-
-        return closure_error(self, q)
-
-    def ik(self, target: ArrayLike, frame: FrameLike, **options: Any) -> Solution:
-        """A configuration in which the frame reaches the target pose; see `kempe.solvers.inverse.ik`."""
-        from kempe.solvers.inverse import ik
-
-        return ik(self, target, frame, **options)
-
-    # ---- closed loops
-
-    def assemble(self, known: Mapping[str, Any] | None = None, near: Any = None, **options: Any) -> Assembly:
-        """A configuration that closes all loops, with the `known` given; see `kempe.solvers.assembly.assemble`."""
-        from kempe.solvers.assembly import assemble
-
-        return assemble(self, known, near, **options)
-
-    def assembler(self, known: Iterable[str] = ()) -> Assembler:
-        """The bound form of `assemble`: names looked up once; see `kempe.solvers.assembly.Assembler`."""
-        from kempe.solvers.assembly import assembler
-
-        return assembler(self, known)
-
     # ---- other systems from this one
 
     def with_parameters(self, **numbers: Any) -> System | Designs:
@@ -362,7 +265,8 @@ class System:
         """Digest of bodies, joints and tree without their numbers: the same for all designs of one kind."""
         m = self._mechanism
         joints = [(j.name, j.type.type_name, j.parent, j.child) for j in m.joints.values()]
-        text = repr((m.dim, self._topology, joints, self.coordinate_names, tuple(m.frames)))
+        constraints = [(c.name, c.kind, c.parent, c.child) for c in m.constraints.values()]
+        text = repr((m.dim, self._topology, joints, constraints, self.coordinate_names, tuple(m.frames)))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def __eq__(self, other: object) -> bool:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.description.values import evaluate
 from kempe.joints import P, R
 from kempe.kernels import dyads_layout as K
 from kempe.kinematics.constraints import joint_pose
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from kempe.description.parts import Joint
     from kempe.model.system import System
 
+NOWHERE = -1
+"""In place of the number of a coordinate, or of a body: there is none."""
 SAME = 1e-12
 """Points nearer than this share of the mechanism's size are one, and directions nearer than this are parallel."""
 
@@ -58,7 +61,8 @@ class End:
 class Link:
     """A joint of one freedom between two parts: frames F on the first and M on the second.
 
-    A revolute joint turns by multiplier * q[slot] + offset, a prismatic one slides by that along x of F.
+    A revolute joint turns by multiplier * q[slot] + offset, a prismatic one slides by that along x of F. Constraints
+    that are not joints have links too, whose motion is no coordinate: their slot is NOWHERE.
     """
 
     name: str
@@ -85,6 +89,7 @@ def _against(end: End) -> End:
 class Parts:
     """The graph that is decomposed: parts (bodies without motion between them), links and hinges.
 
+    A distance between two points is a part too, a rod on two pins, and a point on a line a block on a rail and a pin.
     `hinges` are lists of ends that coincide, with the names of their joints; `reps` the body whose frame is the
     part's; `misfit` the largest opening of a loop of fixed joints; `trouble` says why there is no such graph.
     """
@@ -96,6 +101,31 @@ class Parts:
     size: float = 1.0
     misfit: float = 0.0
     trouble: str = ""
+
+
+@dataclass(frozen=True)
+class Dyad:
+    """A ring that was closed: the joint types on the way round from the base, and what its two roots are.
+
+    `bodies` are those of the two clusters that it places; `joints` lie between base and first, first and second, and
+    second and base. `sign` is its number among the branch signs, None where there is one root only. For `branch_of`:
+    the signed height of `ends[2]` above the line from `ends[0]` to `ends[1]`, or, with `along`, the distance from
+    `ends[0]` to `ends[2]` along the direction of `ends[1]`.
+    """
+
+    kind: str
+    base: int
+    bodies: tuple[tuple[str, ...], tuple[str, ...]]
+    joints: tuple[str, str, str]
+    sign: int | None = None
+    meaning: str = ""
+    ends: tuple[End, ...] = ()
+    along: bool = False
+
+    def __str__(self) -> str:
+        first, second = (", ".join(b) for b in self.bodies)
+        text = f"{self.kind} dyad of {first} and {second}, joints {', '.join(self.joints)}"
+        return f"{text}: {self.meaning}"
 
 
 def times(a: Pose, b: Pose) -> Pose:
@@ -134,8 +164,6 @@ def parts_of(system: System) -> Parts:
     particles = [b.name for b in mechanism.bodies.values() if b.particle]
     if particles:
         return Parts(trouble=f"{particles[0]!r} is a particle")
-    if extra := list(getattr(mechanism, "constraints", ())):
-        return Parts(trouble=f"constraint {extra[0]!r} is not a joint")
     held: dict[str, tuple[str, str, Pose]] = {}
     moving: list[Joint] = []
     for name in sorted(mechanism.joints, key=natural):
@@ -170,10 +198,28 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
         if follower is not None:
             source, multiplier, offset = follower.source or "", follower.multiplier, follower.offset
         links.append(Link(joint.name, R if turns else P, a, b, F, M, slots[source], multiplier, offset))
+    for name in sorted(system.mechanism.constraints, key=natural):
+        links += _tie(system, name, len(groups), at)
+        groups.append([name])
     size = _size(links)
     hinges = _hinges([k for k in links if k.kind == R], links, SAME * size)
-    reps = tuple(number[g[0]] for g in groups)
+    reps = tuple(number.get(g[0], NOWHERE) for g in groups)
     return Parts(tuple(tuple(g) for g in groups), reps, tuple(links), hinges, size, misfit)
+
+
+def _tie(system: System, name: str, part: int, at: dict[str, tuple[int, Pose]]) -> list[Link]:
+    """The two links of a constraint, on a part of its own."""
+    constraint, parameters = system.mechanism.constraints[name], system.parameters
+    (a, X_A), (b, X_B) = at[constraint.parent], at[constraint.child]
+    X_PF, X_CM = constraint.X_PF.evaluate(parameters), constraint.X_CM.evaluate(parameters)
+    here, there = (f"{name} ({body})" for body in (constraint.parent, constraint.child))
+    start, end, length = (1.0, 0.0, 0.0, 0.0), times(X_B, _flat(X_CM)), 0.0
+    if constraint.kind == "distance":
+        first = Link(here, R, a, part, times(X_A, _flat(X_PF)), start, NOWHERE, 1.0, 0.0)
+        length = float(evaluate(constraint.length or 0.0, parameters))
+    else:
+        first = Link(here, P, a, part, times(X_A, _rail(X_PF)), start, NOWHERE, 1.0, 0.0)
+    return [first, Link(there, R, part, b, (1.0, 0.0, length, 0.0), end, NOWHERE, 1.0, 0.0)]
 
 
 def _merge(
@@ -283,7 +329,7 @@ class Code:
         floats = [x for i, e in enumerate(ends) for x in (e.rail if i < rails else e.numbers)]
         self.say(code, [*(self.register(e.part) for e in ends), *more], floats)
 
-    def pack(self, known: list[int]) -> tuple[Array, Array]:
+    def pack(self, known: list[int]) -> tuple[np.ndarray, Array]:
         """The arrays that the kernel walks."""
         n = len(self.ops)
         spare = self.target(self.nq) + self.signs

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING
 
 from kempe.joints import P, R
 from kempe.kernels import dyads_layout as K
-from kempe.solvers.decompose import SAME, Code, End, Link, Parts, Pose, inverse, times, turned
+from kempe.solvers.decompose import NOWHERE, SAME, Code, Dyad, End, Link, Parts, Pose, inverse, times, turned
 
 if TYPE_CHECKING:
     from kempe.model.coordinates import Relation
@@ -21,31 +20,6 @@ Edge = tuple[int, int]
 """What joins clusters: (R, number of a hinge) or (P, number of a link)."""
 
 GROUND = 0
-
-
-@dataclass(frozen=True)
-class Dyad:
-    """A ring that was closed: the joint types on the way round from the base, and what its two roots are.
-
-    `bodies` are those of the two clusters that it places; `joints` lie between base and first, first and second, and
-    second and base. `sign` is its number among the branch signs, None where there is one root only. For `branch_of`:
-    the signed height of `ends[2]` above the line from `ends[0]` to `ends[1]`, or, with `along`, the distance from
-    `ends[0]` to `ends[2]` along the direction of `ends[1]`.
-    """
-
-    kind: str
-    base: int
-    bodies: tuple[tuple[str, ...], tuple[str, ...]]
-    joints: tuple[str, str, str]
-    sign: int | None = None
-    meaning: str = ""
-    ends: tuple[End, ...] = ()
-    along: bool = False
-
-    def __str__(self) -> str:
-        first, second = (", ".join(b) for b in self.bodies)
-        text = f"{self.kind} dyad of {first} and {second}, joints {', '.join(self.joints)}"
-        return f"{text}: {self.meaning}"
 
 
 class Decomposition:
@@ -65,7 +39,8 @@ class Decomposition:
             for end in ends:
                 self.incident[end.part].append((R, h))
         for i, link in enumerate(parts.links):
-            self.by_slot.setdefault(link.slot, []).append(i)
+            if link.slot != NOWHERE:
+                self.by_slot.setdefault(link.slot, []).append(i)
             for part in {link.a, link.b}:
                 self.of_part[part].append(i)
                 if link.kind == P:
@@ -75,6 +50,10 @@ class Decomposition:
         self.drives: deque[int] = deque()
         self.near: deque[int] = deque(range(n))
         self.relations: list[Relation] = list(system.relations)
+        self.number = {link.name: i for i, link in enumerate(parts.links)}
+        layout = system.layout
+        bounds = zip(layout.vector_q.tolist(), system.limits[layout.vector_v].tolist(), strict=True)
+        self.limits: dict[int, list[float]] = {NOWHERE: [-math.inf, math.inf], **dict(bounds)}
         if parts.misfit > 0.0:
             self._expect(parts.misfit, {})
         for part in range(n):
@@ -88,10 +67,19 @@ class Decomposition:
             pass
         return [c for c in self.members if c != GROUND]
 
+    def freedom(self) -> int:
+        """Degrees of freedom of the clusters against each other, by counting (Gruebler, 1883)."""
+        count = 3 * (len(self.members) - 1)
+        for _, ends in self.parts.hinges:
+            count -= 2 * (len({self.cluster[e.part] for e in ends}) - 1)
+        for link in self.parts.links:
+            count -= 2 * (link.kind == P and self.cluster[link.a] != self.cluster[link.b])
+        return count - len(self.relations)
+
     # ---- what is known
 
     def _learn(self, slot: int) -> None:
-        if slot not in self.known:
+        if slot not in self.known and slot != NOWHERE:
             self.known.add(slot)
             self.drives += self.by_slot.get(slot, [])
 
@@ -160,15 +148,14 @@ class Decomposition:
     def _read(self, link: Link) -> None:
         code, size = self.code, self.parts.size
         check = link.slot in self.known
-        ints = [code.register(link.a), code.register(link.b), code.coordinate(link.slot), code.target(link.slot), check]
+        ints = [code.register(link.a), code.register(link.b), K.SPARE, K.SPARE + 1, False]
+        if link.slot != NOWHERE:
+            ints[2:] = code.coordinate(link.slot), code.target(link.slot), check
         m, o = link.multiplier, link.offset
         if link.kind == R:
             between = times((link.F[0], -link.F[1], 0.0, 0.0), (link.M[0], link.M[1], 0.0, 0.0))
-            index = self.system.layout.vector_q.tolist().index(link.slot)
-            iv = int(self.system.layout.vector_v[index])
-            low, high = self.system.lower[iv], self.system.upper[iv]
-            numbers = [*between[:2], 1.0 / m, -o / m, 2.0 * math.pi / abs(m), low, high, *link.F[2:], *link.M[2:]]
-            code.say(K.READ_TURN, ints, [*numbers, abs(m) * size])
+            numbers = [*between[:2], 1.0 / m, -o / m, 2.0 * math.pi / abs(m), *self.limits[link.slot]]
+            code.say(K.READ_TURN, ints, [*numbers, *link.F[2:], *link.M[2:], abs(m) * size])
         else:
             a, b = link.rails(True)
             code.say(K.READ_SLIDE, ints, [*a.rail, *b.rail, 1.0 / m, -o / m, abs(m), size])
@@ -198,13 +185,17 @@ class Decomposition:
             moved += members
         self.members[base] += moved
         self._meet(moved)
-        self.near += [self.cluster[p] for part in moved for p in self._touched(part)]
+        self.near += [base, *(self.cluster[p] for part in moved for p in self._touched(part))]
 
     def _touched(self, part: int) -> Iterator[int]:
         """Parts joined to a part."""
-        for kind, k in self.incident[part]:
-            ends = [e.part for e in self.parts.hinges[k][1]] if kind == R else self._sides(k)
-            yield from ends
+        for edge in self.incident[part]:
+            yield from self._at(edge)
+
+    def _at(self, edge: Edge) -> list[int]:
+        """Parts that an edge joins."""
+        kind, k = edge
+        return [e.part for e in self.parts.hinges[k][1]] if kind == R else self._sides(k)
 
     def _sides(self, link: int) -> list[int]:
         return [self.parts.links[link].a, self.parts.links[link].b]
@@ -214,8 +205,7 @@ class Decomposition:
         out: dict[int, list[Edge]] = {}
         for part in self.members[cluster]:
             for edge in self.incident[part]:
-                kind, k = edge
-                for p in [e.part for e in self.parts.hinges[k][1]] if kind == R else self._sides(k):
+                for p in self._at(edge):
                     there = self.cluster[p]
                     if there != cluster and edge not in out.setdefault(there, []):
                         out[there].append(edge)
@@ -246,8 +236,10 @@ class Decomposition:
                 continue
             edges = self._edges(here)
             others = sorted(c for c in edges if c != GROUND)
-            if any(self._twice(*self._by_size(here, c), edges[c]) for c in others):
-                return True
+            for there in others:
+                base, other = self._by_size(here, there)
+                if self._twice(base, other, edges[there]):
+                    return True
             for k, a in enumerate(others):
                 known = self._edges(a)
                 for b in others[k + 1 :]:
@@ -301,7 +293,8 @@ class Decomposition:
         self.code.pins(K.CIRCLES, [a, c, a1, b1, b2, c2], [sign, *outs])
         A, B, C = self._names(base, first, second, ring)
         meaning = f"+ where {B} lies to the left of the way from {A} to {C}"
-        self._record(base, first, second, ring, meaning, (a, c, b1), False)
+        ends = self._seen(ring[0], a), self._seen(ring[2], c), self._seen(ring[1], b1)
+        self._record(base, first, second, ring, meaning, ends, False)
         self._join(base, {first: outs[0], second: outs[1]})
 
     def _line_circle(self, base: int, first: int, second: int, ring: tuple[Edge, ...]) -> None:
@@ -311,14 +304,19 @@ class Decomposition:
         still = base if base in clusters else self.cluster[link.a]
         slider = next(c for c in clusters if c != still)
         other = next(c for c in (base, first, second) if c not in clusters)
-        between = {frozenset(pair): e for pair, e in zip(((base, first), (first, second), (second, base)), ring, strict=True)}
-        b1, b2 = self._pins(between[frozenset((slider, other))], slider, other)
-        a, a2 = self._pins(between[frozenset((still, other))], still, other)
+        pairs = (base, first), (first, second), (second, base)
+        between = {frozenset(pair): e for pair, e in zip(pairs, ring, strict=True)}
+        moving, fixed = between[frozenset((slider, other))], between[frozenset((still, other))]
+        b1, b2 = self._pins(moving, slider, other)
+        a, a2 = self._pins(fixed, still, other)
         rails = self._rails(rail, still)
         sign, outs, rebase = self.code.sign(), *self._outs(base, still, slider, other)
         self.code.pins(K.LINE_CIRCLE, [*rails, b1, b2, a2, a], [sign, *outs.values()], 2)
         meaning = f"+ where {link.name} slides farther than where its two roots meet"
-        self._record(base, first, second, ring, meaning, (a, rails[0], b1), True)
+        pins = self._seen(fixed, a), self._seen(moving, b1)
+        if self.cluster[link.a] != still:
+            pins = pins[::-1]
+        self._record(base, first, second, ring, meaning, (pins[0], link.rails(True)[0], pins[1]), True)
         self._finish(base, outs, rebase)
 
     def _lines(self, base: int, first: int, second: int, ring: tuple[Edge, ...]) -> bool:
@@ -340,7 +338,8 @@ class Decomposition:
         """Registers for the poses of y and z seen from `still`; where the base is not that, what to turn round."""
         if still == base:
             return {y: self._out(y, 0), z: self._out(z, 1)}, None
-        return {c: self.code.register(self.code.n_parts + k) for k, c in enumerate((y, z))}, (still, y if z == base else z)
+        spare = {c: self.code.register(self.code.n_parts + k) for k, c in enumerate((y, z))}
+        return spare, (still, y if z == base else z)
 
     def _finish(self, base: int, outs: dict[int, int], rebase: tuple[int, int] | None) -> None:
         if rebase is not None:
@@ -358,7 +357,7 @@ class Decomposition:
         kind = "".join("RP"[e[0] == P] for e in ring)
         number = None if sign is None else self.code.signs - 1
         names = self._names(base, first, second, ring)
-        root = self.parts.reps[self.members[base][0]]
+        root = next((self.parts.reps[p] for p in self.members[base] if self.parts.reps[p] != NOWHERE), 0)
         self.dyads.append(Dyad(kind, root, bodies, names, number, meaning, ends, along))  # type: ignore[arg-type]
 
     def _names(self, base: int, first: int, second: int, ring: tuple[Edge, ...]) -> tuple[str, str, str]:
@@ -369,7 +368,7 @@ class Decomposition:
                 names.append(self.parts.links[k].name)
                 continue
             here = self.parts.hinges[k][0]
-            direct = [i.name for i in self.parts.links if i.name in here and {self.cluster[i.a], self.cluster[i.b]} == pair]
+            direct = [n for n in here if {self.cluster[p] for p in self._sides(self.number[n])} == pair]
             names.append((direct or list(here))[0])
         return names[0], names[1], names[2]
 
@@ -378,6 +377,11 @@ class Decomposition:
         ends = self.parts.hinges[edge[1]][1]
         a, b = (next(e for e in ends if self.cluster[e.part] == c) for c in (one, two))
         return a, b
+
+    def _seen(self, edge: Edge, end: End) -> End:
+        """The end of a hinge, or another one of it where that is not on a body."""
+        ends = (end, *self.parts.hinges[edge[1]][1])
+        return next(e for e in ends if self.parts.reps[e.part] != NOWHERE)
 
     def _rails(self, edge: Edge, base: int) -> tuple[End, End]:
         """Rails of a prismatic joint on the base and on what slides."""

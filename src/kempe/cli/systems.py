@@ -1,99 +1,42 @@
-"""The command line: each command is a few lines over the library.
-
-Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that are no
-numbers); 2 the question could not be asked (wrong usage, unknown name, a file that cannot be read).
-"""
+"""Commands that describe systems and solve open chains; each is a few lines over the library."""
 
 from __future__ import annotations
 
-import io
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from kempe import __version__
+from kempe.cli.app import (
+    Base,
+    Deg,
+    Dirs,
+    File,
+    Frame,
+    FrameOrAll,
+    Json,
+    Out,
+    PositionOnly,
+    Posture,
+    Rng,
+    Root,
+    Seed,
+    Target,
+    Tolerance,
+    Values,
+    Xacro,
+    app,
+    load,
+    option,
+    progress,
+    reading,
+    told,
+)
 from kempe.errors import InputError
-from kempe.views.terminal import COMPLETE, INCOMPLETE, Commands, guarded, print_json, show
-
-if TYPE_CHECKING:
-    from kempe.model.system import System
-
-app = typer.Typer(
-    cls=Commands, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
-    context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="FILE is a URDF or TOML file, or the name of a shipped model. "
-    "Exit codes: 0 complete, 1 no solution or problems found, 2 wrong usage or unreadable file.",
-)  # fmt: skip
-
-
-def _option(flag: str, help: str, metavar: str | None = None, panel: str | None = None) -> Any:
-    return typer.Option(flag, help=help, metavar=metavar, rich_help_panel=panel)
-
-
-_READ = "How FILE is read"
-File = Annotated[str, typer.Argument(metavar="FILE", help="URDF or TOML file, or a shipped model's name.")]
-Json = Annotated[bool, _option("--json", "Print JSON.")]
-Deg = Annotated[bool, _option("--deg", "Angles are degrees, read and printed; lengths stay metres.")]
-Out = Annotated[Path | None, _option("--out", "Write the results to a .csv or .npy file.", "FILE")]
-Base = Annotated[str | None, _option("--base", "'free': the root link moves freely (URDF).", "free", _READ)]
-Root = Annotated[str | None, _option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)]
-Dirs = Annotated[
-    list[Path] | None, _option("--package-dir", "Folder for package://; can be repeated.", "FOLDER", _READ)
-]
-Xacro = Annotated[bool, _option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)]
-
-FrameOrAll = Annotated[str | None, _option("--frame", "Body or frame; all bodies if not given.", "NAME")]
-Values = Annotated[
-    str | None,
-    _option("--q", "a,b,c or name=value,... or a .csv or .npy file, one configuration a row.", "VALUES"),
-]
-Posture = Annotated[
-    str | None,
-    _option("--posture", "A posture of FILE, 'neutral' or 'mid'; --q name=value changes it.", "NAME"),
-]
-Frame = Annotated[str, _option("--frame", "Body or frame that shall reach the target.", "NAME")]
-Target = Annotated[
-    str, _option("--target", "x,y,z,roll,pitch,yaw (fixed axes) or x,y,z; or a .csv or .npy file.", "VALUES")
-]
-PositionOnly = Annotated[bool, _option("--position-only", "Leave the orientation free.")]
-Seed = Annotated[str | None, _option("--seed", "Configuration to start from, as --q of fk.", "VALUES")]
-Rng = Annotated[int, _option("--rng", "Number that fixes the random starts.", "N")]
-Tolerance = Annotated[str, _option("--tolerance", "Largest errors accepted, metres and radians.", "M[,RAD]")]
-
-
-# ---- what all commands share
-
-
-def _options(base: str | None, root: str | None, package_dir: list[Path] | None, xacro: bool) -> dict[str, Any]:
-    """The reader's options, without those that were not given."""
-    given = {"base": base, "root": root, "package_dirs": package_dir, "xacro": xacro}
-    return {k: v for k, v in given.items() if v}
-
-
-def _load(file: str, *options: Any) -> System:
-    import kempe
-
-    return kempe.load(file, **_options(*options))
-
+from kempe.views.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
 
 # ---- describe
-
-
-@app.callback(invoke_without_command=True)
-def main_options(
-    context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
-) -> None:
-    """Where every body of a mechanism is, and which configurations reach a pose."""
-    if version:
-        print(f"kempe {__version__}")
-    elif context.invoked_subcommand is None:
-        print(context.get_help())
-    else:
-        return
-    raise typer.Exit(COMPLETE)
 
 
 @app.command()
@@ -106,7 +49,7 @@ def info(
 
     Example: kempe info panda.urdf
     """
-    system = _load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro)
     from kempe.views import facts, report
 
     if json:
@@ -130,7 +73,7 @@ def check(
 
     results: list[dict[str, Any]] = []
     for file in files:
-        problems, notes = check_(file, **_options(base, root, package_dir, xacro))
+        problems, notes = check_(file, **reading(base, root, package_dir, xacro))
         results.append(
             {
                 "file": file,
@@ -163,7 +106,7 @@ def convert(
     from kempe.description.toml_writer import write_toml
     from kempe.description.urdf_writer import write_urdf
 
-    mechanism = kempe.read(file, **_options(base, root, package_dir, xacro))
+    mechanism = kempe.read(file, **reading(base, root, package_dir, xacro))
     mechanism.build()
     writers = {".toml": write_toml, ".urdf": write_urdf}
     if out.suffix.lower() not in writers:
@@ -189,7 +132,7 @@ def fk(
 
     Example: kempe fk panda.urdf --frame panda_hand_tcp --q 0,-45,0,-135,0,90,45,0.04 --deg
     """
-    system = _load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro)
     from kempe.views import facts, report, rows
 
     if frame is not None:
@@ -199,7 +142,7 @@ def fk(
     X = system.fk(values, frame)
     if out is not None:
         rows.write_poses(out, X, frame is None, deg)
-        _told(out, json)
+        told(out, json)
     elif json:
         print_json(facts.poses_facts(system, frame, X, deg))
     else:
@@ -221,7 +164,7 @@ def ik(
 
     Example: kempe ik panda.urdf --frame panda_hand_tcp --target 0.4,0.1,0.5,180,0,0 --deg
     """
-    system = _load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro)
     from kempe.views import facts, report, rows
 
     system.frame_name(frame)  # a wrong name is told before kernels are compiled
@@ -243,7 +186,7 @@ def ik(
     else:
         show(report.solution(system, answer, deg) if out is None else report.outcome(answer))
         if out is not None:
-            _told(out, json)
+            told(out, json)
     if not answer:
         raise typer.Exit(INCOMPLETE)
 
@@ -277,10 +220,10 @@ def library(
 @app.command()
 @guarded
 def bench(
-    only: Annotated[list[str] | None, _option("--only", "A section to run; can be repeated.", "SECTION")] = None,
-    peer: Annotated[list[str] | None, _option("--peer", "A library to compare with; can be repeated.", "NAME")] = None,
+    only: Annotated[list[str] | None, option("--only", "A section to run; can be repeated.", "SECTION")] = None,
+    peer: Annotated[list[str] | None, option("--peer", "A library to compare with; can be repeated.", "NAME")] = None,
     out: Annotated[
-        Path | None, _option("--out", "Write the tables to a Markdown file, section by section.", "FILE")
+        Path | None, option("--out", "Write the tables to a Markdown file, section by section.", "FILE")
     ] = None,
     json: Json = False,
 ) -> None:
@@ -291,7 +234,7 @@ def bench(
     from kempe.views import benchmark, report
 
     tables: list[benchmark.Table] = []
-    for table in benchmark.benchmark(only, peer, _progress):
+    for table in benchmark.benchmark(only, peer, progress):
         tables.append(table)
         if out is not None:
             out.write_text(benchmark.page(tables, peer), encoding="utf-8")
@@ -314,17 +257,3 @@ def warmup(json: Json = False) -> None:
         print(f"all kernels are ready ({seconds:.1f} s)")
 
 
-def _progress(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
-
-
-def _told(out: Path, json: bool) -> None:
-    print_json({"written": str(out)}) if json else print(f"written to {out}")
-
-
-def main() -> None:
-    """Entry point of the command `kempe`."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
-    app(prog_name="kempe")

@@ -1,0 +1,298 @@
+"""Branches of the solution set through a configuration, found by looking at spheres around it.
+
+Near a point an analytic set is a cone over its intersection with a small sphere (Milnor, 1968, section 2), so the
+points at distance h, for several h, show all branches: cusps, too, and those that tangent cones do not tell apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kempe.analysis import reduction
+from kempe.analysis.equations import Equations
+from kempe.analysis.reduction import Split
+from kempe.spatial import Array
+
+RADII = (0.06, 0.02, 0.006)
+"""Radii of the spheres, in radians and characteristic lengths."""
+FAR = 0.3
+"""Radius at which branches that touch should have parted."""
+CLOSED = 1e-11
+"""Residual below which a point belongs to the solution set."""
+SAME_POINT = 1e-3
+"""Points nearer than this part of the radius are one."""
+ALONG, TURNED = 0.5, 0.15
+"""Way along the sphere, as a part of its radius, and the turn of the tangent space over it that shows a cone."""
+FELL_BACK = 0.1
+"""A start that ends nearer to the configuration than this part of the radius found no motion."""
+BATCH, MOST_STARTS, MOST_KEPT = 32, 480, 12
+"""Starts at a time and in all, and points kept of a family."""
+SAME_PLANE = 0.2
+"""Tangent spaces nearer to each other (root sum square of sines) belong to one branch."""
+STEP = 0.2
+"""Steps from a point of a branch, to see which directions it has, as a part of the radius."""
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """One branch of the solution set through a configuration.
+
+    `tangent` (nv, dim): velocities (rad/s, m/s) that span it, each of unit size with lengths over the characteristic
+    length. For curves it is the limit at the configuration, else that at `q` (nq,), a point of the branch nearby.
+    `ends` says for a curve how many half-branches make it up: 2, with `cusp` where both leave to the same side.
+    """
+
+    dim: int
+    tangent: Array
+    q: Array
+    ends: int = 0
+    cusp: bool = False
+    multiple: bool = False
+    """Whether the equations touch it: their Jacobian has a larger kernel than the branch has dimensions (shaky)."""
+    cone: bool = False
+    """Whether the tangent spaces around the configuration have no limit: it is the tip of a cone, or of several."""
+
+
+@dataclass(eq=False)
+class Spot:
+    """A point near the configuration: its offsets at the radii (3, nv) and what is known of the branch there."""
+
+    offsets: Array
+    split: Split
+    dim: int | None = None
+    tangent: Array | None = None
+
+
+@dataclass(eq=False)
+class Family:
+    """Points on the largest sphere with nearly the same kernel; where that is a line, points that are one."""
+
+    spots: list[Spot]
+    cone: bool = False
+    hits: int = 1
+
+    def holds(self, spot: Spot) -> bool:
+        """Whether a point is of this family."""
+        first = self.spots[0]
+        if first.split.delta != spot.split.delta:
+            return False
+        if first.split.delta == 1:
+            return _same(first.offsets[0], spot.offsets[0])
+        return apart(first.split.kernel, spot.split.kernel) < SAME_PLANE
+
+    def add(self, spot: Spot) -> None:
+        """Count a point, and keep it if it is new and few are there."""
+        self.hits += 1
+        if len(self.spots) < MOST_KEPT and not any(_same(s.offsets[0], spot.offsets[0]) for s in self.spots):
+            self.spots.append(spot)
+
+
+def _same(x: Array, y: Array) -> bool:
+    d = x - y
+    return float(d @ d) < (SAME_POINT * RADII[0]) ** 2
+
+
+def on_sphere(equations: Equations, q: Array, directions: Array, radius: float) -> tuple[Array, np.ndarray]:
+    """Offsets (n, nv) of points of the solution set at a distance from q, sought in directions (n, nv); which are good.
+
+    First they are sought anywhere near: the equation of the sphere would lead many into a local minimum.
+    """
+    near, _, _ = equations.project(equations.move(q, radius * directions), q)
+    x = equations.offset(q, near)
+    distance = np.linalg.norm(x, axis=1, keepdims=True)
+    back = distance[:, 0] < FELL_BACK * radius
+    x = np.where(back[:, None], directions, x / np.maximum(distance, 1e-300))
+    points, residual, distance = equations.project(equations.move(q, radius * x), q, radius)
+    good = ~back & (residual < CLOSED) & (np.abs(distance - radius) < 1e-4 * radius)
+    return equations.offset(q, points), good
+
+
+def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[list[Family], bool]:
+    """Families of points on the largest sphere that can be followed to the smallest; whether all were hit twice.
+
+    The part of the branches, by how often random starts lead to them, that was never hit is about the number of
+    families hit once over the number of starts (Good, 1953): so the search ends when there is none.
+    """
+    families: list[Family] = []
+    starts = 0
+    while starts < MOST_STARTS:
+        d = reduction.unit_directions(rng, BATCH, at.delta) @ at.kernel.T
+        starts += len(d)
+        _sort_in(equations, at, families, _spots(equations, at, d))
+        if starts >= 2 * BATCH and all(f.hits > 1 for f in families):
+            break
+    complete = all(f.hits > 1 for f in families)
+    across = [-s.offsets[0] / RADII[0] for f in families for s in f.spots]
+    if across:
+        _sort_in(equations, at, families, _spots(equations, at, np.array(across)))
+    followed = {id(s) for s in _shrink(equations, at, [s for f in families for s in f.spots])}
+    for family in families:
+        family.spots = [s for s in family.spots if id(s) in followed]
+    return [f for f in families if f.spots], complete
+
+
+def _spots(equations: Equations, at: Split, directions: Array) -> list[Spot]:
+    """Points on the largest sphere sought in directions (n, nv)."""
+    x, good = on_sphere(equations, at.q, directions, RADII[0])
+    x = x[good]
+    if not len(x):
+        return []
+    q = equations.move(at.q, x)
+    J = equations.linearise(q)[1]
+    return [Spot(x[None, i], reduction.split_matrix(q[i], J[i])) for i in range(len(x))]
+
+
+def _sort_in(equations: Equations, at: Split, families: list[Family], spots: list[Spot]) -> None:
+    """Add points to the family that holds them, or make one; all points of cones of one dimension are a family."""
+    for spot in spots:
+        held = next((f for f in families if not f.cone and f.holds(spot)), None)
+        if held is None and spot.split.delta > 1 and _turns(equations, at, spot):
+            held = next((f for f in families if f.cone and f.spots[0].split.delta == spot.split.delta), None)
+            if held is None:
+                families.append(Family([spot], cone=True))
+                continue
+        if held is None:
+            families.append(Family([spot]))
+        else:
+            held.add(spot)
+
+
+def _turns(equations: Equations, at: Split, spot: Spot) -> bool:
+    """Whether the tangent space turns on the way along the sphere: on a branch with a tangent space it does not."""
+    x, K = spot.offsets[0] / RADII[0], spot.split.kernel
+    along = K @ reduction.axes(np.random.default_rng(0), K.shape[1]).T
+    along -= x[:, None] * (x @ along)
+    d = x + ALONG * along.T / np.maximum(np.linalg.norm(along, axis=0), 1e-3)[:, None]
+    y, good = on_sphere(equations, at.q, d / np.linalg.norm(d, axis=1, keepdims=True), RADII[0])
+    J = equations.linearise(equations.move(at.q, y[good]))[1] if good.any() else []
+    kernels = [reduction.split_matrix(at.q, j).kernel for j in J]
+    return any(apart(K, k) > TURNED for k in kernels if k.shape == K.shape)
+
+
+def _shrink(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
+    """The points that can be followed to the smaller spheres, with their offsets there."""
+    for before, radius in zip(RADII, RADII[1:], strict=False):
+        if not spots:
+            break
+        d = np.array([s.offsets[-1] for s in spots]) / before
+        x, good = on_sphere(equations, at.q, d, radius)
+        good &= np.linalg.norm(x / radius - d, axis=1) < 0.5
+        for i, spot in enumerate(spots):
+            spot.offsets = np.concatenate([spot.offsets, x[None, i]])
+        spots = [s for s, ok in zip(spots, good, strict=True) if ok]
+    return spots
+
+
+def apart(a: Array, b: Array) -> float:
+    """Root sum square of the sines of the principal angles between subspaces with orthonormal bases (nv, k)."""
+    if a.shape != b.shape:
+        return np.inf
+    d = (a - b @ (b.T @ a)).ravel()
+    return float(np.sqrt(d @ d))
+
+
+def measure(equations: Equations, spot: Spot, order: int, rng: np.random.Generator) -> bool:
+    """Find dimension and tangent space of the solution set at a point of a branch; whether two ways of it agree."""
+    at = spot.split
+    spot.dim, spot.tangent = at.delta, at.kernel
+    if at.corank == 0 or at.delta == 0:
+        return True
+    k = reduction.obstruction(equations, at, order, rng).order
+    if k is None:
+        return True
+    spot.dim, spot.tangent = survivors(equations, at.q, at.kernel, STEP * RADII[0], rng)
+    return k > 1 and reduction.lineality(equations, at, k, rng).shape[1] == spot.dim
+
+
+def survivors(
+    equations: Equations, q: Array, basis: Array, radius: float, rng: np.random.Generator
+) -> tuple[int, Array]:
+    """How many dimensions the points of the solution set at a distance from q span, sought along `basis` (nv, k)."""
+    x, good = on_sphere(equations, q, reduction.axes(rng, basis.shape[1]) @ basis.T, radius)
+    return span(x[good] / radius)
+
+
+def span(x: Array) -> tuple[int, Array]:
+    """Number of dimensions that vectors (n, nv) of about unit length span, and a basis (nv, dim) of their span."""
+    if not len(x):
+        return 0, np.zeros((x.shape[1], 0))
+    _, sigma, Vt = np.linalg.svd(x, full_matrices=False)
+    dim = int(np.sum(sigma > max(0.1 * sigma[0], 0.1)))
+    return dim, Vt[:dim].T
+
+
+def dimensions(equations: Equations, families: list[Family], order: int, rng: np.random.Generator) -> bool:
+    """Set dimension and tangent space of all points; whether ways and points of a family agree."""
+    sound = True
+    for family in families:
+        spots = family.spots
+        for spot in spots:
+            if spot.split.corank == 0:
+                spot.dim, spot.tangent = spot.split.delta, spot.split.kernel
+        rest = [s for s in spots if s.dim is None]
+        for spot in rest[:2]:
+            sound &= measure(equations, spot, order, rng)
+        for spot in rest[2:]:
+            spot.dim = rest[0].dim
+            spot.tangent = spot.split.kernel if spot.dim == spot.split.delta else rest[0].tangent
+        sound &= len({s.dim for s in spots}) == 1
+    return sound
+
+
+def stays_multiple(equations: Equations, at: Split, families: list[Family]) -> bool:
+    """Whether branches that are shaky near the configuration are so farther out.
+
+    Two branches that touch closely look like one with multiplicity on small spheres; farther out they part.
+    """
+    shaky = [f.spots[0] for f in families if (f.spots[0].dim or 0) < f.spots[0].split.delta and f.spots[0].dim]
+    if not shaky:
+        return True
+    x, good = on_sphere(equations, at.q, np.array([s.offsets[0] for s in shaky]) / RADII[0], FAR)
+    J = equations.linearise(equations.move(at.q, x))[1]
+    deltas = [reduction.split_matrix(at.q, j).delta for j in J]
+    return all(d >= s.split.delta for s, d, ok in zip(shaky, deltas, good, strict=True) if ok)
+
+
+def collect(equations: Equations, families: list[Family]) -> tuple[list[Branch], bool]:
+    """The branches that the points belong to, and whether the curves among them come in pairs of half-branches."""
+    out: list[Branch] = []
+    for family in sorted(families, key=lambda f: -(f.spots[0].dim or 0)):
+        spot = family.spots[0]
+        T = spot.tangent
+        if T is None or T.shape[1] < 2:
+            continue
+        if family.cone or not any(b.dim == spot.dim and apart(b.tangent, T) < SAME_PLANE for b in out):
+            shaky = spot.split.delta > T.shape[1]
+            out.append(Branch(T.shape[1], T, spot.split.q, multiple=shaky, cone=family.cone))
+    curves, paired = _pair([s for f in families for s in f.spots if s.dim == 1])
+    return [replace(b, tangent=b.tangent * equations.scale[:, None]) for b in out + curves], paired
+
+
+def _pair(halves: list[Spot]) -> tuple[list[Branch], bool]:
+    """Curves through the configuration from their half-branches, joined so that direction and bend continue."""
+    h = np.array(RADII)
+    rays = []
+    for s in halves:
+        u = s.offsets / h[:, None]
+        t = u[2] - (u[1] - u[2]) * h[2] / (h[1] - h[2])
+        rays.append((t / np.linalg.norm(t), (u[1] - u[2]) / (h[1] - h[2]), s))
+    out, left = [], list(range(len(rays)))
+
+    def cost(i: int, j: int, sign: float) -> float:
+        return float(np.linalg.norm(rays[i][0] + sign * rays[j][0]) + h[1] * np.linalg.norm(rays[i][1] - rays[j][1]))
+
+    for sign in (1.0, -1.0):  # first those that go through, then cusps
+        pairs = sorted((cost(i, j, sign), i, j) for i in left for j in left if i < j)
+        for c, i, j in pairs:
+            if c < 0.3 and i in left and j in left:
+                left = [k for k in left if k not in (i, j)]
+                out.append(_curve(rays[i], 2, sign < 0.0))
+    out += [_curve(rays[i], 1, False) for i in left]
+    return out, not left
+
+
+def _curve(ray: tuple[Array, Array, Spot], ends: int, cusp: bool) -> Branch:
+    t, _, spot = ray
+    return Branch(1, t[:, None], spot.split.q, ends, cusp, spot.split.delta > 1)

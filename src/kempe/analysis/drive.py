@@ -1,0 +1,256 @@
+"""Inputs that follow given time courses: the mechanism moves along, never jumping to another branch.
+
+Between two samples the inputs move on a straight line, and the configuration is continued along it as a curve in
+configurations and length of that line. So a change point is passed straight on at any number of samples, and where
+the inputs ask for more than the mechanism can do the curve turns back: a toggle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.analysis.continuation import Closure
+from kempe.analysis.course import Course, State, Stuck
+from kempe.analysis.events import Limits
+from kempe.analysis.motion import LONGEST, Progress, angle_or_slide, begin, periods, start_of
+from kempe.analysis.path import Event
+from kempe.errors import InputError, UnknownNameError
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+CONTINUOUS = 1e-5
+"""Distance between the pose that was held and the one from which it goes on, above which that is a jump."""
+BETWEEN = 0.2
+"""Change of an input between two samples above which a function is asked for values in between."""
+MOST_PARTS = 200
+"""Values in between two samples that a function is asked for at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Toggle:
+    """Samples `first` to `last`, whose inputs cannot be reached: `q` (nq,) is held there, for this `reason`."""
+
+    first: int
+    last: int
+    q: Array
+    inputs: dict[str, float]
+    reason: str
+
+    def __str__(self) -> str:
+        at = ", ".join(f"{k!r} = {v:.9g}" for k, v in self.inputs.items())
+        return f"samples {self.first} to {self.last}: held at {at}: {self.reason}"
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """The motion of a mechanism whose inputs were prescribed.
+
+    `q` (n, nq) are closed configurations, one for each sample of `times` (n,); `inputs` the values asked for. Where
+    `held` (n,) the inputs cannot be reached and the last pose stays: see `toggles`. `jumps` are (index, distance) of
+    samples at which the motion is not continuous: it went on from elsewhere than it was held.
+    `singular_points` are the change points passed, straight on.
+    """
+
+    system: System
+    q: Array
+    times: Array
+    inputs: dict[str, Array]
+    held: Array
+    toggles: tuple[Toggle, ...]
+    jumps: tuple[tuple[int, float], ...]
+    singular_points: tuple[Event, ...]
+    success: bool
+    interrupted: bool
+    reason: str = field(default="", repr=False)
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __bool__(self) -> bool:
+        return self.success
+
+    def curve(self, frame: FrameLike, poses: bool = False) -> Array:
+        """Positions (n, 3) of a frame at the samples, or its poses (n, 4, 4)."""
+        X = self.system.fk(self.q, frame)
+        return X if poses else X[:, :3, 3].copy()
+
+    def values(self, coordinate: str) -> Array:
+        """Values (n,) of one coordinate at the samples."""
+        names = self.system.coordinate_names
+        if coordinate not in names:
+            raise UnknownNameError("coordinate", coordinate, names, self.system.name)
+        return self.q[:, names.index(coordinate)].copy()
+
+    def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
+        """Names and columns (n, k) for a file: time, all coordinates, whether held, x, y (and z) of frames."""
+        names, columns = ["time", *self.system.coordinate_names], [self.times[:, None], self.q]
+        for frame in frames:
+            axes = "xyz"[: self.system.dim]
+            names += [f"{self.system.frame_name(frame)}.{axis}" for axis in axes]
+            columns.append(self.curve(frame)[:, : len(axes)])
+        return [*names, "held"], np.hstack([*columns, self.held[:, None].astype(float)])
+
+    @property
+    def status(self) -> str:
+        """The sentence that says how it went."""
+        if self.reason:
+            return self.reason
+        text = f"{len(self)} samples, {len(self.singular_points)} change points passed"
+        if self.toggles:
+            text += f"; at {int(self.held.sum())} samples the inputs cannot be reached and the last pose is held"
+        if self.jumps:
+            text += f"; it jumps at samples {', '.join(str(k) for k, _ in self.jumps)}"
+        return text + (" (interrupted: this is the part that was done)" if self.interrupted else "")
+
+    def __str__(self) -> str:
+        lines = [f"{self.system.name}: {self.status}"]
+        lines += [f"  {toggle}" for toggle in self.toggles]
+        lines += [f"  sample {k}: it goes on {size:.6g} away from where it was held" for k, size in self.jumps]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return "".join(f"<p>{escape(line)}</p>" for line in str(self).splitlines())
+
+
+def drive(
+    system: System, inputs: Mapping[str, ArrayLike | Callable[[float], float]], times: ArrayLike | None = None,
+    start: ArrayLike | Mapping[str, float] | str | None = None, *, hold: Mapping[str, float] | None = None,
+    toward: Mapping[str, float] | None = None, limits: bool = True, step: float | None = None,
+    progress: Progress | None = None,
+) -> Drive:  # fmt: skip
+    """The motion that follows prescribed inputs, as a `Drive`: continuous, on the branch of `start`.
+
+    `inputs` gives for each driven coordinate its values (n,) in radians or metres, one number, or a function of time,
+    which needs `times` (n,). Samples may be coarse: in between the motion is continued in steps of at most `step`
+    of arc length. `start` is as in `trace` (default: the posture "closed", or what the first inputs give). It goes
+    straight on through change points. `toward` gives rates by coordinate name that choose the branch if the start is
+    a change point; otherwise the branch that moves least. Where the inputs ask for what the mechanism cannot do, or
+    for what is beyond a limit, the last pose is held until they come back. `progress(sample, total)` is called
+    now and then.
+
+    Errors: `UnsupportedError` where the inputs leave freedoms or fight each other; `UnknownNameError`; `InputError`.
+    """
+    names = list(inputs)
+    index = [angle_or_slide(system, n) for n in names]
+    if hold and set(hold) & set(names):
+        raise InputError(f"{sorted(set(hold) & set(names))} are both driven and held; a coordinate is one of them")
+    clock, samples = _samples(inputs, times)
+    longest = LONGEST if step is None else float(step)
+    if not 1e-6 <= longest <= 1.0:
+        raise InputError(f"step is {step!r}; it must be between 1e-6 and 1, in radians and characteristic lengths")
+    first = dict(zip(names, samples(0, 1)[-1].tolist(), strict=True))
+    closure, q = _begin(system, start, dict(hold or {}), first, index)
+    if q is None:
+        near = start_of(system, start, dict(hold or {}))
+        asked = {n: np.array([v]) for n, v in first.items()}
+        none = np.ones(1, dtype=bool)
+        said = "the loops do not close near the start"
+        return Drive(system, near[None], clock[:1], asked, none, (), (), (), False, False, said)
+    wish = np.zeros(closure.n)
+    for name, rate in (toward or {}).items():
+        wish[angle_or_slide(system, name)] = rate
+    course = Course(closure, index, longest, Limits(closure) if limits else None, wish / closure.unit)
+    return _run(course, q, names, clock, samples, progress)
+
+
+def _samples(
+    inputs: Mapping[str, Any], times: ArrayLike | None
+) -> tuple[Array, Callable[[int, int], list[Array]]]:  # fmt: skip
+    """The times (n,), and a function (k, parts) that gives the inputs on the way from sample k - 1 to sample k."""
+    if not inputs:
+        raise InputError("there are no inputs; give values by coordinate name")
+    functions = [n for n, f in inputs.items() if callable(f)]
+    arrays = {n: np.asarray(v, dtype=float) for n, v in inputs.items() if not callable(v)}
+    sizes = {a.shape[0] for a in arrays.values() if a.ndim == 1}
+    if times is not None:
+        clock = np.asarray(times, dtype=float)
+    elif functions and not sizes:
+        raise InputError(f"inputs {', '.join(map(repr, functions))} are functions of time; give the times")
+    else:
+        clock = np.arange(float(max(sizes, default=1)))
+    bad = [n for n, a in arrays.items() if a.ndim > 1 or (a.ndim == 1 and a.shape != clock.shape)]
+    if clock.ndim != 1 or not len(clock) or bad:
+        raise InputError(f"times and inputs must be one number or {clock.shape} numbers; {', '.join(bad)} differ")
+    full = {n: np.broadcast_to(a, clock.shape) for n, a in arrays.items()}
+    if not all(np.isfinite(a).all() for a in (clock, *full.values())):
+        raise InputError("times or inputs hold a NaN or an infinity")
+
+    def value(name: str, before: int, k: int, f: float) -> float:
+        if name in functions:
+            return float(inputs[name]((1.0 - f) * clock[before] + f * clock[k]))
+        return float((1.0 - f) * full[name][before] + f * full[name][k])
+
+    def at(k: int, parts: int) -> list[Array]:
+        before = max(k - 1, 0)
+        return [np.array([value(n, before, k, float(f)) for n in inputs])
+                for f in np.linspace(0.0, 1.0, parts + 1)[1:]]  # fmt: skip
+
+    return clock, at
+
+
+def _begin(
+    system: System, start: Any, hold: dict[str, float], first: dict[str, float], index: Sequence[int]
+) -> tuple[Closure, Array | None]:  # fmt: skip
+    """The equations, and a closed configuration to begin with."""
+    if start is None and "closed" not in system.posture_names:
+        start = first
+    closure, q = begin(system, start, hold)
+    if q is None:
+        return closure, None
+    u = q[closure.place[list(index)]]
+    period = periods(system)[list(index)]
+    gap = np.array(list(first.values())) - u
+    turns = np.divide(gap, period, out=np.zeros_like(gap), where=period > 0.0)
+    q[closure.place[list(index)]] += np.round(turns) * period
+    return closure, q
+
+
+def _run(
+    course: Course, q: Array, names: list[str], clock: Array, samples: Callable[[int, int], list[Array]],
+    progress: Progress | None,
+) -> Drive:  # fmt: skip
+    """The motion through all samples."""
+    state = State(q, q[course.closure.place[course.index]])
+    asked, poses, held = [], [], []
+    toggles: list[Toggle] = []
+    jumps: list[tuple[int, float]] = []
+    stuck: Stuck | None = None
+    last, interrupted = state.u, False
+    try:
+        for k in range(len(clock)):
+            end = samples(k, 1)[-1]
+            parts = int(np.ceil(np.abs((end - last) / course.unit).max() / BETWEEN)) if k else 1
+            for u in samples(k, min(max(parts, 1), MOST_PARTS)):
+                state, stuck, gap = course.follow(state, stuck, last, u, k)
+                last = u
+                if gap > CONTINUOUS:
+                    jumps.append((k, gap))
+            asked.append(end)
+            poses.append(state.q if stuck is None else stuck.q)
+            held.append(stuck is not None and not stuck.reached)
+            if stuck is not None and not stuck.reached:
+                if toggles and toggles[-1].last == k - 1 and toggles[-1].q is stuck.q:
+                    toggles[-1] = replace(toggles[-1], last=k)
+                else:
+                    at = dict(zip(names, stuck.u.tolist(), strict=True))
+                    toggles.append(Toggle(k, k, stuck.q, at, stuck.reason))
+            if progress is not None and k % 16 == 0:
+                progress(k + 1, len(clock))
+    except KeyboardInterrupt:
+        interrupted = True
+    n = len(poses)
+    values = np.array(asked[:n]).reshape(n, len(names))
+    return Drive(
+        course.closure.system, np.array(poses).reshape(n, -1), clock[:n],
+        {name: values[:, j] for j, name in enumerate(names)}, np.array(held, dtype=bool), tuple(toggles),
+        tuple(jumps), tuple(course.singular), not (interrupted or any(held) or jumps), interrupted,
+    )  # fmt: skip

@@ -1,0 +1,157 @@
+"""All constraint equations of a system as one smooth, scale-free map: values, Jacobians, Taylor series, projection.
+
+Unknowns are all velocity coordinates, those of cut joints included, lengths divided by the characteristic length.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.kernels.layout import HEADER, KIND, N_OUT, N_ROWS, ROW_INTS, TURN, V_INDEX
+from kempe.kernels.loop_layout import LINEAR
+from kempe.kinematics.configuration import as_q
+from kempe.model.loops import loops_of
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+BALL_REST = -(10**9)
+"""Mark of the second and third velocity coordinate of a ball."""
+
+ITERATIONS = 60
+LONGEST = 0.2
+"""Longest step of a projection, in scaled coordinates: it is to find what is near."""
+
+
+class Equations:
+    """The packed equations of a system: m of them in nv scaled unknowns."""
+
+    def __init__(self, system: System):
+        self.system = system
+        self._loops = loops_of(system, frozenset(system.closures))
+        self.names = self._loops.names
+        self.m, self.nv, self.nq = len(self.names), system.nv, system.nq
+        self.length = self._loops.length
+        self.ints, self.floats = self._loops.ints, self._loops.floats
+        turning = np.array(system.coordinates.turning)
+        for iv in system.layout.quaternion_v:
+            turning[iv : iv + 3] = True
+        self.turning = turning | np.isin(np.arange(self.nv), self._screws())
+        self.scale = np.where(self.turning, 1.0, self.length)
+        self.ties, self.numbers = self._pack()
+        self.places = np.full(self.nv, BALL_REST, dtype=np.int64)
+        self.places[system.layout.vector_v] = system.layout.vector_q
+        for iq, iv in zip(system.layout.quaternion_q, system.layout.quaternion_v, strict=True):
+            self.places[iv] = -1 - iq
+
+    def _screws(self) -> list[int]:
+        """Velocity coordinates of screws: they turn and slide, and are angles."""
+        rows = self.ints[HEADER : HEADER + ROW_INTS * int(self.ints[N_ROWS])].reshape(-1, ROW_INTS)
+        return rows[rows[:, KIND] == TURN, V_INDEX].tolist()
+
+    def _pack(self) -> tuple[np.ndarray, Array]:
+        """The arrays `ties` and `numbers` of `kempe.kernels.jet`."""
+        heads, entries, factors, numbers, row = [], [], [], [1.0 / self.length], 0
+        first = self.system.coordinates.first
+        for tie in self._loops.ties:
+            count, size, number = 0, len(tie.rows), tie.number
+            start = len(entries)
+            if tie.relation is not None:
+                unit = 1.0 / self.scale[first[tie.relation.of][1]]
+                number *= unit
+                terms = {tie.relation.of: unit}
+                for name, m in tie.relation.sources.items():
+                    terms[name] = terms.get(name, 0.0) - m * unit
+                for name, factor in terms.items():
+                    entries.append(first[name])
+                    factors.append(factor)
+                count = len(terms)
+            heads.append([tie.mask, LINEAR if tie.relation is not None else tie.turns, size, row, count, start])
+            numbers.append(number)
+            row += size
+        flat = [x for group in (heads, entries) for item in group for x in item]
+        return np.array([len(heads), *flat], dtype=np.int64), np.array([*numbers, *factors], dtype=float)
+
+    def linearise(self, q: Any) -> tuple[Array, Array]:
+        """Values (N, m) and Jacobian (N, m, nv), to scaled coordinates, at q (N, nq)."""
+        from kempe.kernels.project import linearise
+
+        q = np.ascontiguousarray(as_q(self.system, q)).reshape(-1, self.nq)
+        value, J = np.empty((len(q), self.m)), np.empty((len(q), self.m, self.nv))
+        linearise(self.ints, self.floats, self.ties, self.numbers, q, value, J)
+        return value, J * self.scale
+
+    def project(
+        self, q: Array, centers: Array, radius: Array | float = 0.0, iterations: int = ITERATIONS
+    ) -> tuple[Array, Array, Array]:
+        """Points (N, nq) of the solution set near q, their residuals (N,) and distances (N,) from `centers`.
+
+        Where `radius` > 0 the points are sought at that distance.
+        """
+        from kempe.kernels.project import project
+
+        out = np.array(q, dtype=float, order="C").reshape(-1, self.nq)
+        centers = np.ascontiguousarray(np.broadcast_to(centers, out.shape), dtype=float)
+        radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(out)))
+        info = np.zeros((len(out), 3))
+        project(self.ints, self.floats, self.ties, self.numbers, self.places, self.scale, centers, out, radii,
+                iterations, LONGEST, info)  # fmt: skip
+        return out, info[:, 0], info[:, 1]
+
+    def move(self, q: Array, x: Array) -> Array:
+        """Configurations reached from q by scaled tangent vectors x (..., nv)."""
+        return self.system.layout.integrate(q, np.asarray(x) * self.scale)
+
+    def offset(self, q0: Array, q: Array) -> Array:
+        """Scaled tangent vectors (..., nv) from q0 to q."""
+        return self.system.layout.difference(q0, q) / self.scale
+
+    def series(self, q: Array, n: int, order: int) -> Series:
+        """Taylor series along n curves that begin at q (nq,) or at n configurations (n, nq)."""
+        return Series(self, np.array(np.broadcast_to(q, (n, self.nq)), dtype=float), order)
+
+    @cached_property
+    def sizes(self) -> tuple[int, int]:
+        """Numbers of rows and of outputs, one at least for the arrays of kernels."""
+        return max(int(self.ints[N_ROWS]), 1), max(int(self.ints[N_OUT]), 1)
+
+
+class Series:
+    """Taylor series of equations and frames along curves q0 (+) v(t), computed order by order."""
+
+    def __init__(self, equations: Equations, q: Array, order: int):
+        from kempe.kernels.jet import POSE_SIZE, scratch_width
+
+        self.equations, self.order = equations, order
+        n, (rows, outputs), depth = len(q), equations.sizes, order + 1
+        self._q = np.ascontiguousarray(q)
+        self._poses = np.zeros((n, rows, depth, POSE_SIZE))
+        self._extra = np.zeros((n, rows, depth, scratch_width(order)))
+        self._frames = np.zeros((n, outputs, depth, 12))
+        self._v = np.zeros((n, depth, equations.nv))
+        self.values = np.zeros((n, depth, equations.m))
+        """Series (n, order + 1, m) of the equations."""
+
+    def set(self, k: int, x: Array) -> None:
+        """Set order k of the curves to the scaled tangent vectors x (n, nv)."""
+        self._v[:, k] = x * self.equations.scale
+
+    def compute(self, first: int, last: int) -> Array:
+        """Values (n, m) of the equations of order `last`, once orders first ... last are computed anew."""
+        from kempe.kernels.jet import jets
+
+        e = self.equations
+        jets(e.ints, e.floats, e.ties, e.numbers, self._q, self._v, first, last, self._poses, self._extra,
+             self._frames, self.values)  # fmt: skip
+        return self.values[:, last]
+
+    @property
+    def frames(self) -> Array:
+        """Series (n, 2 * number of ties, order + 1, 3, 4) of the frames that are tied."""
+        f = self._frames
+        R, p = f[..., :9].reshape(*f.shape[:-1], 3, 3), f[..., 9:, None]
+        return np.concatenate([R, p], axis=-1)

@@ -1,0 +1,239 @@
+"""What happens along a curve: steps through crossings, limits, the way back to the start, extremes, singular points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kempe.analysis.continuation import (
+    BEND,
+    IDEAL_BEND,
+    Closure,
+    Node,
+    bend,
+    flipped,
+    inside,
+    step,
+)
+from kempe.analysis.crossings import AHEAD, crossing, locate, singular_node
+from kempe.spatial import Array
+
+LEAST_STEP = 1e-6
+"""Steps below this are given up: the curve has a cusp or an end there."""
+AWKWARD = 1e-5
+"""Relative singular value below which a step had better land elsewhere: rounding is blown up there."""
+TOUCH = 1e-12
+"""Radians or metres beyond a limit that are rounding."""
+RESTING = 1e-9
+"""Rates below this count as zero."""
+HOME = 1e-7
+"""Distance from the start at which a curve has returned to it, if it also arrives in the same direction."""
+HOME_CROSSING = 1e-4
+"""The same where the start is a crossing: points beside it are known less well."""
+ARRIVED = 0.999
+"""Cosine between the directions of departure and arrival."""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Why a walk ends: a sentence."""
+
+    reason: str
+
+
+def walk(equations: Closure, a: Node, longest: float) -> Iterator[Node | Stop]:
+    """Nodes of the curve after `a`, crossings among them, then perhaps a `Stop`; straight on through crossings."""
+    h = 0.25 * longest
+    while True:
+        b = step(equations, a, h)
+        if b is not None and b.sigma < AWKWARD:
+            b = step(equations, a, 1.3 * h) or b
+        found = checked(equations, a, b)
+        if found is None:
+            h *= 0.5
+            if h < LEAST_STEP:
+                yield Stop("a point where the curve is not smooth")
+                return
+            continue
+        yield from found
+        h = next_step(h, longest, a, found[-1])
+        a = found[-1]
+
+
+def checked(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
+    """A step from `a` to `b` with the crossing in between, if any; None where it may have changed the branch."""
+    if b is None:
+        return None
+    turned = flipped(a, b)
+    if not turned:
+        return None if turned is None else [b]
+    middle = crossing(equations, a, b)
+    return None if middle is None else [middle, b]
+
+
+def next_step(h: float, longest: float, a: Node, b: Node) -> float:
+    """The next step length, from how much the tangent turned in the last one."""
+    return min(longest, h * min(1.5, max(0.5, IDEAL_BEND / max(bend(a, b), 1e-9))))
+
+
+def root(
+    equations: Closure, a: Node, b: Node, function: Callable[[Node], float], low: float = 0.0, high: float | None = None
+) -> Node | None:
+    """The node between two neighbours where `function` of it, of different signs at both ends, is zero."""
+    from scipy.optimize import brentq
+
+    end = float(a.t @ equations.between(a.x, b.x)) if high is None else high
+    found: dict[float, Node] = {}
+
+    def at(distance: float) -> float:
+        here = inside(equations, a, b, distance)
+        if here is None:
+            return 0.0  # rounding only: a point between two neighbours always exists
+        found[distance] = here
+        return function(here)
+
+    if not at(low) * at(end) < 0.0:
+        return min(found.values(), key=lambda n: abs(function(n)), default=None)
+    distance = float(brentq(at, low, end, xtol=1e-15, rtol=1e-15, maxiter=100))  # type: ignore[arg-type]
+    return found.get(distance) or inside(equations, a, b, distance)
+
+
+class Limits:
+    """The limits of the angles and slides of a system, as ends of a walk."""
+
+    def __init__(self, equations: Closure):
+        system = equations.system
+        self.equations = equations
+        limits, place = system.limits, equations.place
+        self.all = [(i, int(place[i]), float(limits[i, side]), sign)
+                    for i in range(system.nv) if place[i] >= 0 and i not in equations.held
+                    for side, sign in ((0, -1.0), (1, 1.0)) if np.isfinite(limits[i, side])]  # fmt: skip
+
+    def outside(self, x: Array) -> str:
+        """Name of a coordinate that is outside its limits at `x`, or an empty string."""
+        for i, iq, bound, sign in self.all:
+            if sign * (x[iq] - bound) > 1e-9 * (1.0 + abs(bound)):
+                return self.equations.system.velocity_names[i]
+        return ""
+
+    def hit(self, equations: Closure, a: Node, b: Node) -> tuple[Node, str] | None:
+        """The first node between two neighbours at which a limit is reached, and which: None if there is none."""
+        best: tuple[float, Node, str] | None = None
+        h = float(a.t @ equations.between(a.x, b.x))
+        for i, iq, bound, sign in self.all:
+            rate, later = sign * a.t[i], sign * b.t[i]
+            far = sign * (b.x[iq] - bound)
+            peak = far if rate * later >= 0.0 or rate < 0.0 else np.inf
+            if peak == np.inf:  # it turns in between: the chord bends by at most this much
+                peak = max(far, sign * (a.x[iq] - bound)) + h * self.equations.unit[i] * rate
+            if peak <= TOUCH:
+                continue
+            reached = self._reached(equations, a, b, i, iq, bound, sign)
+            if reached is not None:
+                distance = float(a.t @ equations.between(a.x, reached.x))
+                if best is None or distance < best[0]:
+                    best = (distance, reached, self._name(i, bound, sign))
+        return None if best is None else best[1:]
+
+    def _name(self, i: int, bound: float, sign: float) -> str:
+        name = self.equations.system.velocity_names[i]
+        return f"the {'upper' if sign > 0 else 'lower'} limit {bound:.9g} of {name!r}"
+
+    @staticmethod
+    def _reached(
+        equations: Closure, a: Node, b: Node, i: int, iq: int, bound: float, sign: float
+    ) -> Node | None:  # fmt: skip
+        def over(n: Node) -> float:
+            return sign * (n.x[iq] - bound)
+
+        if over(a) > -TOUCH:
+            return a if sign * a.t[i] > RESTING else None
+        last = b
+        if over(b) <= TOUCH:
+            turn = root(equations, a, b, lambda n: float(n.t[i]))
+            if turn is None or over(turn) <= TOUCH:
+                return None
+            last = turn
+        high = float(a.t @ equations.between(a.x, last.x))
+        return root(equations, a, b, over, 0.0, high)
+
+
+def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> Node | None:
+    """The start again, whole turns away, if the curve returns to it between two neighbours in the same direction.
+
+    `periods` (nv,) are 0 for coordinates that do not come back by turning on.
+    """
+    shift = periods * np.round(_ratio(equations.between(b.x, start.x) * equations.unit, periods))
+    there = equations.system.layout.integrate(start.x, -shift)
+    if np.linalg.norm(equations.between(b.x, there)) < HOME:
+        return replace(start, x=there) if start.t @ b.t > ARRIVED else None
+    z, chord = equations.between(a.x, there), equations.between(a.x, b.x)
+    along = float(a.t @ z)
+    if not 1e-9 < along <= float(a.t @ chord) or np.linalg.norm(z) > 2.0 * np.linalg.norm(chord):
+        return None
+    here = inside(equations, a, b, along)
+    if here is None or start.t @ here.t < ARRIVED:
+        return None
+    gap = float(np.linalg.norm(equations.between(here.x, there)))
+    return replace(start, x=there) if gap < (HOME if start.lines is None else HOME_CROSSING) else None
+
+
+def _ratio(x: Array, periods: Array) -> Array:
+    return np.divide(x, periods, out=np.zeros_like(x), where=periods > 0.0)
+
+
+def extremes(equations: Closure, nodes: list[Node], closed: bool, indices: list[int]) -> list[tuple[int, Node, int]]:
+    """Where velocities of coordinates change their sign: (position in `nodes` after which, the node, coordinate)."""
+    out = []
+    rates = np.array([n.t for n in nodes])
+    count = len(nodes)
+    for i in indices:
+        if np.abs(rates[:, i]).max() < 1e-7:
+            continue  # it rests
+        moving = [k for k in range(count) if abs(rates[k, i]) > RESTING]
+        pairs = list(zip(moving, moving[1:], strict=False))
+        if closed and moving[0] > 0 and moving[-1] == count - 1 - moving[0]:
+            pairs.append((moving[-1], moving[0]))
+        for k, m in pairs:
+            if rates[k, i] * rates[m, i] > 0.0:
+                continue
+            if m == k + 1:
+                turn = root(equations, nodes[k], nodes[m], lambda n, i=i: float(n.t[i]))
+            elif m == k + 2 or m < k:
+                turn = nodes[(k + 1) % count]  # it rests exactly at a node
+            else:
+                continue  # it rests for a while
+            if turn is not None:
+                out.append((k, turn, i))
+    return out
+
+
+def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
+    """The nodes, and between them those singular points that no determinant shows: where two things vanish at once."""
+    out = [nodes[0]]
+    for k in range(1, len(nodes) - 1):
+        a, m, b = nodes[k - 1 : k + 2]
+        if not (m.sigma <= a.sigma and m.sigma <= b.sigma) or any(n.lines is not None for n in (a, m, b)):
+            out.append(m)
+            continue
+        before, after = equations.between(a.x, m.x), equations.between(m.x, b.x)
+        h = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
+        found = None
+        if m.sigma < 2.0 * max(a.sigma - m.sigma, b.sigma - m.sigma):
+            x = next((x for n in (2, 3, 4) if n <= equations.n
+                      and (x := locate(equations, m.x, n, 2.0 * h)) is not None), None)  # fmt: skip
+            found = None if x is None else singular_node(equations, x, m.t)
+        if found is None:
+            out.append(m)
+            continue
+        y = equations.between(m.x, found.x)
+        size, along = float(np.linalg.norm(y)), float(y @ m.t)
+        if size < 1e-6:
+            out.append(found)
+        elif abs(along) < AHEAD * size or size > 1.5 * h or bend(m, found) > BEND:
+            out.append(m)
+        else:
+            out += [m, found] if along > 0.0 else [found, m]
+    return out + nodes[-1:] if len(nodes) > 1 else out

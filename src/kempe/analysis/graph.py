@@ -1,0 +1,276 @@
+"""The graph of a system as mobility sees it: joints and constraints as edges, loops, and clusters of loops.
+
+Nothing here depends on the configuration. A cluster is a set of loops and relations that share velocities, directly
+or through others: its rank, its redundancy and its freedoms are its own affair.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kempe.description.parts import Constraint, Joint
+from kempe.joints import P, Primitive, Q
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+CONSTRAINT_ROWS = {"distance": {2: 1, 3: 1}, "point_on_line": {2: 1, 3: 2}, "point_on_plane": {2: 1, 3: 1}}
+"""Freedoms that a declared constraint takes away, by kind and dimension."""
+
+
+class Column(NamedTuple):
+    """One velocity of a joint: its name, its index among the system's (-1: held), multiplier, whether it slides."""
+
+    name: str
+    index: int
+    multiplier: float
+    slides: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """A joint or declared constraint of the graph: its bodies by number, frames on them, and its own velocities.
+
+    `columns` are its velocities, all of them, those that follow others or are held too.
+    """
+
+    name: str
+    of: Joint | Constraint
+    parent: int
+    child: int
+    X_PF: Array
+    X_CM: Array
+    particle: bool
+    primitives: tuple[Primitive, ...] = ()
+    values: tuple[tuple[int, float, float], ...] = ()
+    """For each coordinate of the joint its index in q (-1: none), multiplier and offset."""
+    columns: tuple[Column, ...] = ()
+    drives: tuple[int, ...] = ()
+    """For each primitive the column that moves it (a quaternion: the first of three)."""
+
+    @property
+    def joint(self) -> bool:
+        """Whether it is a joint, not a declared constraint."""
+        return isinstance(self.of, Joint)
+
+    @property
+    def actuated(self) -> bool:
+        """Whether a motor drives it."""
+        return isinstance(self.of, Joint) and self.of.actuated is True
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """One closed loop: the edge that closes it, and all its edges with the sign in which it passes them."""
+
+    edge: int
+    path: tuple[tuple[int, float], ...]
+    rows: int
+
+
+@dataclass(frozen=True, eq=False)
+class Cluster:
+    """Loops and relations that share velocities, directly or through others: `velocities` are their columns."""
+
+    loops: tuple[int, ...]
+    relations: tuple[int, ...]
+    velocities: np.ndarray
+    edges: tuple[int, ...]
+    signs: Array = field(repr=False)
+    """(loops, edges): +1, -1 or 0, how each loop passes each edge."""
+    moving: np.ndarray = field(repr=False)
+    """Of all velocities of the edges, one edge after the other, those that are not held (mask)."""
+    owner: np.ndarray = field(repr=False)
+    """For each of the moving ones its edge (index into `edges`),"""
+    local: np.ndarray = field(repr=False)
+    """the velocity of the system that it follows (index into `velocities`),"""
+    factor: Array = field(repr=False)
+    """its multiplier,"""
+    sliding: np.ndarray = field(repr=False)
+    """and whether it slides."""
+
+    @cached_property
+    def shared(self) -> bool:
+        """Whether several velocities of joints follow one of the system."""
+        return len(np.unique(self.local)) < len(self.local)
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """What does not depend on the configuration: edges, loops, clusters."""
+
+    edges: tuple[Edge, ...]
+    loops: tuple[Loop, ...]
+    clusters: tuple[Cluster, ...]
+    parent: np.ndarray
+    child: np.ndarray
+    X_PF: Array
+    X_CM: Array
+
+    slides: np.ndarray
+    """Which velocities (nv,) of the system are slides; screws count as turns."""
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """Number of each edge by name."""
+        return {e.name: i for i, e in enumerate(self.edges)}
+
+    @property
+    def rows(self) -> int:
+        """Number of equations of all loops and relations."""
+        return sum(loop.rows for loop in self.loops) + sum(len(c.relations) for c in self.clusters)
+
+
+def structure(system: System) -> Structure:
+    """Edges, loops and clusters of a system, found once."""
+    found = system._queries.get("analysis structure")
+    if found is None:
+        found = system._queries["analysis structure"] = _structure(system)
+    return found
+
+
+def _structure(system: System) -> Structure:
+    edges = _edges(system)
+    loops = _loops(system, edges)
+    clusters = _clusters(system, edges, loops)
+    stack = np.array([(e.X_PF, e.X_CM) for e in edges]).reshape(-1, 2, 4, 4)
+    ends = np.array([(e.parent, e.child) for e in edges], dtype=np.int64).reshape(-1, 2)
+    slides = np.zeros(system.nv, dtype=bool)
+    for name, iv, _, slide in (c for e in edges for c in e.columns):
+        if iv >= 0 and name == system.velocity_names[iv]:
+            slides[iv] = slide
+    return Structure(
+        tuple(edges), tuple(loops), clusters, ends[:, 0], ends[:, 1], stack[:, 0], stack[:, 1], slides
+    )  # fmt: skip
+
+
+def _edges(system: System) -> list[Edge]:
+    m, dim = system.mechanism, system.dim
+    number = {b: i for i, b in enumerate(system.body_names)}
+    in_q = {n: i for i, n in enumerate(system.coordinate_names)}
+    in_v = {n: i for i, n in enumerate(system.velocity_names)}
+    followers = system.couplings
+    out = []
+    for joint in m.joints.values():
+        particle = m.bodies[joint.child].particle
+        names, primitives = joint.type.layout(dim, particle)
+        values, columns = [], []
+        for name in names:
+            f = followers.get(_full(joint.name, name))
+            if f is None:
+                values.append((in_q[_full(joint.name, name)], 1.0, 0.0))
+            else:
+                values.append((in_q[f.source] if f.source else -1, f.multiplier, f.offset))
+        velocities = joint.type.velocities(dim, particle)
+        drives = tuple(velocities.index("wx" if p.kind == Q else names[p.coordinate]) for p in primitives)
+        turning = {k + n for k, p in zip(drives, primitives, strict=True) if p.kind != P
+                   for n in range(3 if p.kind == Q else 1)}  # fmt: skip
+        for k, name in enumerate(velocities):
+            full, slides = _full(joint.name, name), k not in turning
+            f = followers.get(full)
+            if full in in_v:
+                columns.append(Column(full, in_v[full], 1.0, slides))
+            elif f is not None and f.source is not None:
+                columns.append(Column(full, in_v[f.source], f.multiplier, slides))
+            else:
+                columns.append(Column(full, -1, 0.0, slides))
+        X_PF, X_CM = joint.X_PF.evaluate(m.parameters), joint.X_CM.evaluate(m.parameters)
+        out.append(Edge(joint.name, joint, number[joint.parent], number[joint.child], X_PF, X_CM, particle,
+                        primitives, tuple(values), tuple(columns), drives))  # fmt: skip
+    for c in m.constraints.values():
+        X_PF, X_CM = c.X_PF.evaluate(m.parameters), c.X_CM.evaluate(m.parameters)
+        out.append(Edge(c.name, c, number[c.parent], number[c.child], X_PF, X_CM, False))
+    return out
+
+
+def _full(joint: str, coordinate: str) -> str:
+    return f"{joint}.{coordinate}" if coordinate else joint
+
+
+def _loops(system: System, edges: list[Edge]) -> list[Loop]:
+    index = {e.name: i for i, e in enumerate(edges)}
+    up = [-1, *(index[n] for n in system.parent_joints)]
+    parent = (-1, *system.parent)
+    depth = [0] * len(parent)
+    for body in _tree_order(parent):
+        depth[body] = depth[parent[body]] + 1 if body else 0
+    out = []
+    closing = [index[n] for n in system.closures] + [i for i, e in enumerate(edges) if not e.joint]
+    for k in closing:
+        a, b = edges[k].parent, edges[k].child
+        from_b, to_a = [], []
+        while a != b:  # back along the tree from the child to the parent
+            if depth[b] >= depth[a]:
+                from_b.append((up[b], 1.0 if edges[up[b]].parent == b else -1.0))
+                b = parent[b]
+            else:
+                to_a.append((up[a], 1.0 if edges[up[a]].child == a else -1.0))
+                a = parent[a]
+        path = (*reversed(to_a), (k, 1.0), *from_b)  # from the joint nearest to the ground, around and back
+        out.append(Loop(k, path, rows_of(edges[k], system.dim)))
+    return out
+
+
+def _tree_order(parent: tuple[int, ...]) -> list[int]:
+    children: dict[int, list[int]] = {}
+    for body, above in enumerate(parent):
+        children.setdefault(above, []).append(body)
+    order = [0]
+    for body in order:
+        order += children.get(body, [])
+    return order
+
+
+def rows_of(edge: Edge, dim: int) -> int:
+    """Number of equations with which an edge closes a loop, its own velocities among the unknowns."""
+    if isinstance(edge.of, Constraint):
+        return CONSTRAINT_ROWS[edge.of.kind][dim]
+    return dim if edge.particle else (6 if dim == 3 else 3)
+
+
+def _clusters(system: System, edges: list[Edge], loops: list[Loop]) -> tuple[Cluster, ...]:
+    in_v = {n: i for i, n in enumerate(system.velocity_names)}
+    supports = [sorted({c.index for i, _ in loop.path for c in edges[i].columns if c.index >= 0}) for loop in loops]
+    supports += [sorted({in_v[r.of], *(in_v[s] for s in r.sources)}) for r in system.relations]
+    root = list(range(system.nv + len(supports)))
+
+    def find(i: int) -> int:
+        while root[i] != i:
+            root[i] = i = root[root[i]]
+        return i
+
+    for k, support in enumerate(supports):
+        for i in support:
+            root[find(i)] = find(system.nv + k)
+    groups: dict[int, list[int]] = {}
+    for k in range(len(supports)):
+        groups.setdefault(find(system.nv + k), []).append(k)
+    out = []
+    for members in groups.values():
+        own = [k for k in members if k < len(loops)]
+        velocities = sorted({i for k in members for i in supports[k]})
+        inside = sorted({i for k in own for i, _ in loops[k].path})
+        place = {i: n for n, i in enumerate(inside)}
+        signs = np.zeros((len(own), len(inside)))
+        for n, k in enumerate(own):
+            for i, sign in loops[k].path:
+                signs[n, place[i]] = sign
+        relations = tuple(k - len(loops) for k in members if k >= len(loops))
+        columns = [(n, c) for n, i in enumerate(inside) for c in edges[i].columns]
+        moving = np.array([c.index >= 0 for _, c in columns], dtype=bool)
+        at = {v: n for n, v in enumerate(velocities)}
+        out.append(
+            Cluster(
+                tuple(own), relations, np.array(velocities, dtype=np.int64), tuple(inside), signs, moving,
+                np.array([n for n, c in columns if c.index >= 0], dtype=np.int64),
+                np.array([at[c.index] for _, c in columns if c.index >= 0], dtype=np.int64),
+                np.array([c.multiplier for _, c in columns if c.index >= 0]),
+                np.array([c.slides for _, c in columns if c.index >= 0], dtype=bool),
+            )
+        )  # fmt: skip
+    return tuple(out)

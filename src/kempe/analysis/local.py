@@ -1,0 +1,232 @@
+"""The true local dimension of a mechanism: of its solution set at a closed configuration, branch by branch.
+
+The rank of the constraint Jacobian gives an upper bound only. Where equations are dependent, the reduction of Lyapunov
+and Schmidt tells by Taylor coefficients whether kernel vectors are velocities of motions; where not all are, the
+branches are found on small spheres, and what they are is measured at their own points. Kicking the mechanism and
+letting it snap back is a second method that shares nothing with the first but equations and projection. Limits of
+joints are not looked at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.analysis import branches as follow
+from kempe.analysis import reduction
+from kempe.analysis.branches import Branch
+from kempe.analysis.equations import Equations
+from kempe.analysis.reduction import Split
+from kempe.errors import InputError
+from kempe.kinematics.configuration import as_q
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+OPEN = 1e-6
+"""Residual above which a configuration is not closed."""
+KICK = 0.1
+"""Size of the kicks away from the configuration, in radians and characteristic lengths."""
+SMALL_KICKS = (0.008, 0.003)
+"""Sizes of the kicks around a point that was reached."""
+STAYS = 0.3
+"""Part of the kick that remains, where it was along a motion; the rest has collapsed."""
+CLEAR_GAP = 1e3
+"""Ratio of singular values, on both sides of the rank tolerance, from which the rank is beyond doubt."""
+
+
+@dataclass(frozen=True, eq=False)
+class LocalDimension:
+    """How many degrees of freedom a mechanism truly has at a configuration, and by which test that was found.
+
+    `dim` is the largest dimension of a branch of the solution set through the configuration, `rank_dim` the nullity of
+    the Jacobian, an upper bound; `smooth` says that the set is a manifold of dimension `rank_dim` there.
+    `obstruction_order` is the first order at which a kernel vector cannot be continued (None: all can, to `order`).
+    `q` is the configuration with its last digits corrected. `sampled` is the dimension by the second method (None: not
+    asked for, or a theorem decides). `certain` is False where the methods disagree or a number is too near its
+    tolerance; `doubts` says which.
+    """
+
+    dim: int
+    rank_dim: int
+    corank: int
+    branches: tuple[Branch, ...]
+    smooth: bool
+    obstruction_order: int | None
+    method: str
+    order: int
+    tolerance: float
+    gap: float
+    sampled: int | None
+    certain: bool
+    doubts: tuple[str, ...] = ()
+    q: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+
+    @property
+    def isolated(self) -> bool:
+        """Whether the configuration is rigid: no motion leads away from it."""
+        return self.dim == 0
+
+    @property
+    def branch_dims(self) -> tuple[int, ...]:
+        """Dimensions of the branches, the largest first."""
+        return tuple(b.dim for b in self.branches)
+
+    def __str__(self) -> str:
+        head = f"true local DoF {self.dim}" + ("" if self.certain else " (uncertain)")
+        text = [f"{head}; rank DoF {self.rank_dim}", self.method]
+        if len(self.branches) > 1 or any(b.dim != self.rank_dim or b.cusp or b.cone for b in self.branches):
+            text.append("branches: " + ", ".join(_describe(b) for b in self.branches))
+        return "; ".join([*text, *self.doubts])
+
+
+def _describe(branch: Branch) -> str:
+    """A branch in words."""
+    kind = "a cusp" if branch.cusp else "an end" if branch.ends == 1 else "a cone" if branch.cone else ""
+    notes = [n for n in (kind, "shaky all along" if branch.multiple else "") if n]
+    return f"dimension {branch.dim}" + (f" ({', '.join(notes)})" if notes else "")
+
+
+def local_dimension(
+    system: System, q: Any, *, order: int = 8, rng: np.random.Generator | int = 0,
+    tolerance: float = reduction.RANK, sampling: bool = True,
+) -> LocalDimension:  # fmt: skip
+    """The true number of degrees of freedom at a closed configuration, with the branches that meet there.
+
+    `q` (nq,) or a dict by coordinate name must be closed; `order` is that of the Taylor coefficients, `tolerance` the
+    part of the largest singular value below which one counts as zero; `sampling=False` leaves out the second method,
+    which is used wherever no theorem decides. Errors: `InputError` for an open configuration.
+
+    >>> import kempe
+    >>> system = kempe.load("parallelogram")
+    >>> flat = local_dimension(system, system.posture("flat"))
+    >>> flat.rank_dim, flat.dim, flat.branch_dims
+    (2, 1, (1, 1))
+    """
+    q = as_q(system, q)
+    if q.ndim != 1:
+        raise InputError(f"q has shape {q.shape}; the local dimension is found at one configuration (nq,)")
+    if not isinstance(order, (int, np.integer)) or not 2 <= order <= 16:
+        raise InputError(f"order is {order!r}; it must be a whole number from 2 to 16")
+    equations, rng = _equations(system), np.random.default_rng(rng)
+    at = reduction.split(equations, _closed(equations, q), tolerance)
+    doubts = [] if at.gap >= CLEAR_GAP else [f"singular values differ by a factor {at.gap:.1g} only across the rank"]
+    if at.corank == 0 or at.delta == 0:
+        why = "the equations are independent: a manifold by the implicit function theorem"
+        if at.delta == 0:
+            why = "the Jacobian has no kernel: rigid, to first order"
+        return _answer(equations, at, order, tolerance, [_whole(equations, at)], True, None, why, doubts, None)
+    found = reduction.obstruction(equations, at, order, rng)
+    k = found.order
+    if found.doubt:
+        doubts.append(f"a Taylor coefficient {found.doubt:.1g} is neither zero nor clearly not")
+    if k is None:
+        found, smooth = [_whole(equations, at)], True
+        why = f"no obstruction to order {order} (below {reduction.ZERO:g}): a manifold, to that order"
+    elif at.delta == 1:
+        found, smooth = [], False
+        why = f"isolated: the only velocity is obstructed at order {k} (shaky of order {k - 1})"
+    else:
+        found, smooth = _branches(equations, at, order, rng, doubts), False
+        why = f"obstruction of order {k}; branches followed on spheres of radius {follow.RADII[0]:g}"
+    sampled = None
+    if sampling:
+        sampled = sampled_dimension(equations, at, rng)
+        truth = max((b.dim for b in found), default=0)
+        if sampled != truth:
+            doubts.append(f"sampling finds dimension {sampled}, following branches {truth}")
+    return _answer(equations, at, order, tolerance, found, smooth, k, why, doubts, sampled)
+
+
+def _equations(system: System) -> Equations:
+    """The packed equations of a system, kept with it."""
+    key = ("smooth equations",)  # no name of a frame
+    found = system._queries.get(key)
+    if found is None:
+        found = system._queries[key] = Equations(system)
+    return found
+
+
+def _closed(equations: Equations, q: Array) -> Array:
+    """The configuration with its last digits corrected. Errors: `InputError` saying what is open by how much."""
+    value = equations.linearise(q)[0][0]
+    if value.size and not np.max(np.abs(value)) < OPEN:
+        name, row = equations.names[int(np.nanargmax(np.abs(np.nan_to_num(value, nan=np.inf))))]
+        raise InputError(
+            f"the configuration is open: {name!r} ({row}) by {np.max(np.abs(value)):.2g} (radians, or typical lengths "
+            "of a link); close it with assemble first"
+        )
+    if value.size and np.linalg.norm(value) > 1e-13:
+        better, residual, _ = equations.project(q, q)
+        q = better[0] if residual[0] < np.linalg.norm(value) else q
+    return q
+
+
+def _whole(equations: Equations, at: Split) -> Branch:
+    """The only branch of a manifold."""
+    return Branch(at.delta, at.kernel * equations.scale[:, None], at.q, 2 if at.delta == 1 else 0)
+
+
+def _branches(
+    equations: Equations, at: Split, order: int, rng: np.random.Generator, doubts: list[str]
+) -> list[Branch]:  # fmt: skip
+    families, complete = follow.find(equations, at, rng)
+    if not complete:
+        doubts.append(f"some branches were hit once only in {follow.MOST_STARTS} starts: there may be more")
+    if not follow.dimensions(equations, families, order, rng):
+        doubts.append("points of one branch differ in dimension")
+    if not follow.stays_multiple(equations, at, families):
+        doubts.append("a branch is shaky near the configuration only: several may nearly coincide")
+    found, paired = follow.collect(equations, families)
+    if not paired:
+        doubts.append("a half-branch without its other half: some were missed")
+    return found
+
+
+def _answer(
+    equations: Equations, at: Split, order: int, tolerance: float, found: list[Branch], smooth: bool,
+    k: int | None, why: str, doubts: list[str], sampled: int | None,
+) -> LocalDimension:  # fmt: skip
+    found = [b for b in found if b.dim]
+    return LocalDimension(
+        max((b.dim for b in found), default=0), at.delta, at.corank, tuple(found), smooth, k, why, order, tolerance,
+        at.gap, sampled, not doubts, tuple(doubts), at.q,
+    )  # fmt: skip
+
+
+def sampled_dimension(equations: Equations, at: Split, rng: np.random.Generator) -> int:
+    """Largest dimension that is seen by kicking along the kernel and projecting back, around points reached by kicks.
+
+    Kicks in directions that are no motion collapse, to about the root of the residual; those along motions stay.
+    """
+    count = 10 + 2 * min(at.delta, 10)
+    kicks = KICK * reduction.unit_directions(rng, count, at.delta) @ at.kernel.T
+    points, residual, distance = equations.project(equations.move(at.q, kicks), at.q)
+    points = points[(residual < follow.CLOSED) & (distance > STAYS * KICK) & (distance < 2.0 * KICK)]
+    if not len(points):
+        return 0
+    _, J = equations.linearise(points)
+    places: list[Split] = []
+    for p, j in zip(points, J, strict=True):
+        here = reduction.split_matrix(p, j)
+        if all(follow.apart(here.kernel, other.kernel) > follow.SAME_PLANE for other in places):
+            places.append(here)
+    return max(_kicked(equations, p, rng) for p in places[:6])
+
+
+def _kicked(equations: Equations, at: Split, rng: np.random.Generator) -> int:
+    """Dimension of the solution set about a point of it: the smaller of what two sizes of kicks see.
+
+    Both can see too much: large ones because the set is bent, small ones because what collapses leaves a rest.
+    """
+    d = reduction.axes(rng, at.delta)
+    seen = []
+    for size in SMALL_KICKS:
+        points, residual, _ = equations.project(equations.move(at.q, size * d @ at.kernel.T), at.q)
+        x = equations.offset(at.q, points[residual < follow.CLOSED]) / size
+        sigma = np.linalg.svd(x, compute_uv=False) / np.sqrt(max(len(x), 1))
+        seen.append(int(np.sum(sigma > STAYS / np.sqrt(max(at.delta, 1)))))
+    return min(seen)

@@ -1,0 +1,242 @@
+"""Mobility: the degrees of freedom of a mechanism by counting, by rank, and truly; what is redundant, idle, driven."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.analysis.control import Control, control, driven
+from kempe.analysis.counting import Counting, LoopCount, counting, loop_counts
+from kempe.analysis.generic import Closed, close, nearby
+from kempe.analysis.graph import Structure, structure
+from kempe.analysis.passive import IdleFreedom, idle_freedoms, may_idle
+from kempe.analysis.rank import Rank, rank_at
+from kempe.analysis.redundancy import Redundancy, redundancy
+from kempe.errors import InputError
+from kempe.kinematics.configuration import as_q
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.analysis.local import LocalDimension
+    from kempe.model.system import System
+
+
+@dataclass(frozen=True)
+class ClusterMobility:
+    """Loops that share joints: the joints, how many loops, the count of these alone, their rank DoF, redundancy.
+
+    `rank_dof` and `redundant` are None where the mechanism is open.
+    """
+
+    joints: tuple[str, ...]
+    loops: tuple[str, ...]
+    gruebler: int
+    rank_dof: int | None
+    redundant: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class Mobility:
+    """Degrees of freedom of a mechanism at a configuration, with the reasoning; ``print`` it.
+
+    `gruebler` is the count; `rank_dof` the nullity of the loop equations at `q`, `generic_rank_dof` its minimum at
+    other configurations around; `dof` the true local number: the dimension of the set of closed configurations at `q`
+    (None where it was not asked for, or the mechanism cannot be closed). `redundant` constraints depend on others at
+    generic configurations, to first order; `redundant_here` at `q`. `idle` freedoms transmit nothing: `useful` are
+    the others. `singular` says that `q` is a singular point of the configuration space, `kind` which.
+    """
+
+    name: str
+    dim: int
+    q: Array
+    closed: bool
+    residual: float
+    given_residual: float
+    why_open: str
+    counting: Counting
+    loops: tuple[LoopCount, ...]
+    clusters: tuple[ClusterMobility, ...]
+    outside: int
+    rank: Rank | None = field(repr=False)
+    generic_rank_dof: int | None
+    local: LocalDimension | None = field(repr=False)
+    dof: int | None
+    redundancy: Redundancy | None
+    idle_freedoms: tuple[IdleFreedom, ...]
+    control: Control | None
+    singular: bool | None
+    kind: str
+
+    @property
+    def gruebler(self) -> int:
+        """The count: freedoms of the bodies less what the joints take away."""
+        return self.counting.gruebler
+
+    @property
+    def gruebler_spatial(self) -> int:
+        """What the mechanism counts to in space; for a planar one each loop has three more equations there."""
+        return self.counting.gruebler_spatial
+
+    @property
+    def rank_dof(self) -> int | None:
+        """Freedoms to first order at `q`: coordinates less the rank of the loop equations."""
+        return None if self.rank is None else self.rank.nullity
+
+    @property
+    def redundant(self) -> int | None:
+        """Number of redundant constraints at generic configurations of this branch."""
+        return None if self.generic_rank_dof is None else self.generic_rank_dof - self.gruebler
+
+    @property
+    def redundant_here(self) -> int | None:
+        """Number of constraints that depend on others, to first order, at `q`."""
+        return None if self.rank is None else self.rank.dependent
+
+    @property
+    def idle(self) -> int:
+        """Number of idle freedoms."""
+        return len(self.idle_freedoms)
+
+    @property
+    def useful(self) -> int | None:
+        """Freedoms that are not idle."""
+        return None if self.dof is None else self.dof - self.idle
+
+    @property
+    def certain(self) -> bool:
+        """Whether no number is too near its tolerance, and the tests agree where there are two."""
+        return self.rank is not None and not self.rank.doubtful and (self.local is None or self.local.certain)
+
+    @property
+    def sentence(self) -> str:
+        """The result in one sentence."""
+        from kempe.analysis.mobility_text import sentence
+
+        return sentence(self)
+
+    def data(self) -> dict[str, Any]:
+        """All numbers and texts as plain Python, ready for JSON."""
+        from kempe.analysis.mobility_text import data
+
+        return data(self)
+
+    def __str__(self) -> str:
+        from kempe.analysis.mobility_text import text
+
+        return text(self)
+
+    def _repr_html_(self) -> str:
+        from kempe.analysis.mobility_text import html
+
+        return html(self)
+
+
+def mobility(
+    system: System, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
+    rng: np.random.Generator | int = 0,
+) -> Mobility:  # fmt: skip
+    """How many degrees of freedom a system has, by counting, by rank and truly, with the reasoning.
+
+    `q` (nq,) or a dict by coordinate name (default: the posture 'closed', else a closed configuration is searched);
+    where it is not exactly closed the nearest closed configuration is taken, and where there is none only the count is
+    given. `actuated` names joints or coordinates whose control is looked at (default: those marked in the file).
+    `local=False` leaves out the true number, where the rank does not prove it, and is faster. `rng` draws the generic
+    configurations. Errors: `InputError`, `UnknownNameError`.
+    """
+    s = structure(system)
+    driven(system, actuated)  # a wrong name is refused before any work
+    at = close(system, _start(system, q))
+    rng = np.random.default_rng(rng)
+    if not at.closed:
+        return _open(system, s, at)
+    rank = rank_at(system, at.q)
+    generic = nearby(system, rank, rng) if rank.dependent or may_idle(system) or driven(system, actuated) else []
+    best = min([rank, *generic], key=lambda r: r.nullity)
+    truth = _local(system, rank, local, rng)
+    idle = idle_freedoms(system, [rank, *generic])
+    dof = truth.dim if truth is not None else rank.nullity if not rank.dependent or not rank.nullity else None
+    singular, kind = _kind(rank, best, truth)
+    return Mobility(
+        system.name, system.dim, at.q, True, at.residual, at.given, "", counting(system),
+        loop_counts(system, rank.screws), _clusters(s, rank), _outside(system, s), rank, best.nullity, truth, dof,
+        redundancy(system, best), idle, control(system, rank, generic, idle, actuated), singular, kind,
+    )  # fmt: skip
+
+
+def _start(system: System, q: Any) -> Array:
+    if q is None:
+        if "closed" in system.posture_names:
+            return system.posture("closed")
+        if not system.closures and not system.relations:
+            return system.mid
+        from kempe.solvers.assembly import assemble
+
+        return assemble(system, limits=False).q
+    given = as_q(system, q)
+    if given.ndim != 1:
+        raise InputError(f"q has shape {given.shape}; mobility is found at one configuration ({system.nq},)")
+    return given
+
+
+def _open(system: System, s: Structure, at: Closed) -> Mobility:
+    return Mobility(
+        system.name, system.dim, at.q, False, at.residual, at.given, at.why, counting(system),
+        loop_counts(system, None), _clusters(s, None), _outside(system, s), None, None, None, None, None, (), None,
+        None, "",
+    )  # fmt: skip
+
+
+def _local(system: System, rank: Rank, wanted: bool, rng: np.random.Generator) -> LocalDimension | None:
+    """The true local dimension, where the rank alone does not prove it."""
+    if not wanted or not rank.dependent or not rank.nullity:
+        return None
+    from kempe.analysis.local import local_dimension
+
+    return local_dimension(system, rank.q, rng=rng)
+
+
+def _clusters(s: Structure, rank: Rank | None) -> tuple[ClusterMobility, ...]:
+    out = []
+    for k, c in enumerate(s.clusters):
+        rows = sum(s.loops[i].rows for i in c.loops) + len(c.relations)
+        r = None if rank is None else rank.clusters[k]
+        out.append(
+            ClusterMobility(
+                tuple(s.edges[i].name for i in c.edges), tuple(s.edges[s.loops[i].edge].name for i in c.loops),
+                len(c.velocities) - rows, None if r is None else r.nullity, None if r is None else r.dependent,
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+def _outside(system: System, s: Structure) -> int:
+    """Freedoms of joints that no loop touches."""
+    return system.nv - sum(len(c.velocities) for c in s.clusters)
+
+
+def _kind(rank: Rank, best: Rank, truth: LocalDimension | None) -> tuple[bool, str]:
+    """Whether the configuration is a singular point of the configuration space, and of which kind, in words."""
+    drop = rank.nullity - best.nullity
+    if truth is None:
+        if not drop:
+            return False, ""
+        return True, f"the rank is lower than at other configurations of the branch (by {drop})"
+    if truth.smooth:
+        return False, ""
+    if len(truth.branches) == 0:
+        return True, "shaky: it can move to first order, but is rigid"
+    dims = ", ".join(str(b.dim) for b in truth.branches)
+    if len(truth.branches) > 1:
+        found = "meet" if truth.certain else "were found"
+        return True, f"bifurcation: {len(truth.branches)} branches {found}, of dimensions {dims}"
+    branch = truth.branches[0]
+    if branch.multiple:
+        return True, "shaky at every configuration of the branch: it can move more to first order than it truly does"
+    if branch.cusp:
+        return True, "cusp: the motion comes to rest here and goes back beside the way it came"
+    if branch.ends == 1:
+        return True, "end of the motion: one half of a branch only leads here"
+    return True, "the rank is lower here, but only one branch passes through"

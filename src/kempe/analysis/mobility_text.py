@@ -1,0 +1,162 @@
+"""A `Mobility` in words: the sentence, the report with its reasoning, HTML and plain data."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from kempe.analysis.mobility import Mobility
+
+SHOWN = 12
+"""Loops, clusters and idle freedoms that are listed one by one."""
+
+
+def sentence(m: Mobility) -> str:
+    """The result in one sentence: what the count says, what is true, and why they differ."""
+    if not m.closed:
+        return (
+            f"Gruebler says {m.gruebler}; the mechanism cannot be closed here (it stays open by {m.residual:.2g}), "
+            "so nothing is said about rank and true freedoms"
+        )
+    if m.dof is None:
+        return f"Gruebler says {m.gruebler}, the rank {m.rank_dof}: the truth is that or less (not tested further)"
+    why = []
+    if m.redundant:
+        why.append(f"{_count(m.redundant, 'constraint')} {'is' if m.redundant == 1 else 'are'} redundant")
+    false = (m.generic_rank_dof or 0) - m.dof
+    if false > 0:
+        seen = "exists" if false == 1 else "exist"
+        why.append(f"{_count(false, 'freedom')} that the rank sees {seen} to first order only")
+    if m.local is not None and len({b.dim for b in m.local.branches}) > 1:
+        why.append(f"branches of dimensions {', '.join(str(d) for d in m.local.branch_dims)} meet here")
+    said = f"the truth is {m.dof}" if m.gruebler != m.dof else "which is the truth"
+    return f"Gruebler says {m.gruebler}, {said}" + (": " + ", ".join(why) if why else "")
+
+
+def how_known(m: Mobility) -> str:
+    """By which test the true number is known, with its tolerance."""
+    if m.rank is None or m.dof is None:
+        return ""
+    if m.local is not None:
+        sure = "" if m.local.certain else "; uncertain: " + ", ".join(m.local.doubts)
+        sampled = "" if m.local.sampled is None else f"; sampling agrees: {m.local.sampled}"
+        if m.local.sampled is not None and m.local.sampled != m.local.dim:
+            sampled = ""
+        return f"{m.local.method}{sampled}{sure}"
+    if not m.loops and not m.rank.clusters:
+        return "no loops: each joint moves as it likes"
+    if not m.rank.dependent:
+        return "all constraints are independent here, so the configurations are a manifold (implicit function theorem)"
+    return "no velocity keeps all loops closed: rigid"
+
+
+def rank_text(m: Mobility) -> str:
+    """The rank with its gap, and whether it is beyond doubt."""
+    r = m.rank
+    if r is None:
+        return ""
+    equations = sum(len(c.jacobian) for c in r.clusters)
+    if not equations:
+        return f"{len(r.units)} coordinates, no equations: {r.nullity}"
+    text = f"{len(r.units)} coordinates - rank {r.rank} of {equations} equations = {_count(r.nullity, 'freedom')}"
+    text += " to first order"
+    gap = "" if r.gap == float("inf") else f" (singular values fall by a factor of {r.gap:.1g} there)"
+    if r.doubtful:
+        gap += f"; doubtful: the smallest that counts is {r.smallest:.1g} of the largest, {r.gap:.1g} times the next"
+    elif r.smallest < 1e-4:
+        gap += f"; close to a singular configuration: the smallest that counts is {r.smallest:.1g} of the largest"
+    if m.generic_rank_dof != m.rank_dof:
+        gap += f"; {m.generic_rank_dof} at other configurations nearby"
+    return text + gap
+
+
+def lines(m: Mobility) -> list[tuple[str, list[str]]]:
+    """The report as (title, lines)."""
+    out = [("count", list(m.counting.steps))]
+    if m.dim == 2 and m.gruebler_spatial != m.gruebler:
+        out[0][1].append(f"Built in space, the same count is {m.gruebler_spatial}.")
+    if m.loops:
+        out.append(("loops", _cut([str(x) for x in m.loops])))
+    if len(m.clusters) > 1:
+        out.append(("groups of loops", _cut([_cluster(c) for c in m.clusters])))
+    if not m.closed:
+        out.append(("open", [m.why_open or f"residual {m.residual:.2g}"]))
+        return out
+    if m.given_residual > 1e-9:
+        out.append(("closed", [f"it was open by {m.given_residual:.2g}; this is the nearest closed configuration"]))
+    out.append(("rank", [rank_text(m)]))
+    if m.dof is not None:
+        useful = f", {m.useful} of them useful" if m.idle else ""
+        out.append(("truth", [f"{_count(m.dof, 'degree')} of freedom{useful}", how_known(m)]))
+    if m.redundancy is not None and m.redundancy.number:
+        out.append(("redundant", [*str(m.redundancy).split("\n")]))
+        if m.dof is not None and (m.generic_rank_dof or 0) > m.dof:
+            out[-1][1].append("to first order only: such a release would set something free")
+    if m.idle:
+        out.append((f"idle: {m.idle}", _cut([str(f) for f in m.idle_freedoms])))
+    if m.singular:
+        out.append(("singular", [m.kind]))
+    if m.control is not None:
+        out.append(("control", str(m.control).split("\n")))
+    return out
+
+
+def text(m: Mobility) -> str:
+    """The whole report."""
+    out = [f"{m.name}: {sentence(m)}"]
+    for title, own in lines(m):
+        for k, line in enumerate(x for x in own if x):
+            out.append(f"  {title if k == 0 else '':<16}{line}")
+    return "\n".join(out)
+
+
+def html(m: Mobility) -> str:
+    """The report as a paragraph and a table."""
+    rows = "".join(
+        f"<tr><th style='text-align:left;vertical-align:top'>{escape(title)}</th>"
+        f"<td style='text-align:left'>{'<br>'.join(escape(x) for x in own if x)}</td></tr>"
+        for title, own in lines(m)
+    )
+    return f"<p><b>{escape(m.name)}</b>: {escape(sentence(m))}</p><table>{rows}</table>"
+
+
+def data(m: Mobility) -> dict[str, Any]:
+    """All numbers and texts as plain Python, ready for JSON."""
+    r, local, c = m.rank, m.local, m.control
+    return {
+        "name": m.name, "dim": m.dim, "sentence": sentence(m), "q": m.q.tolist(), "closed": m.closed,
+        "residual": m.residual, "given_residual": m.given_residual, "dof": m.dof, "useful": m.useful, "idle": m.idle,
+        "gruebler": m.gruebler, "gruebler_spatial": m.gruebler_spatial, "rank_dof": m.rank_dof,
+        "generic_rank_dof": m.generic_rank_dof, "redundant": m.redundant, "redundant_here": m.redundant_here,
+        "singular": m.singular, "kind": m.kind, "certain": m.certain, "how": how_known(m),
+        "gap": None if r is None or r.gap == float("inf") else r.gap, "counting": list(m.counting.steps),
+        "loops": [{"name": x.name, "joints": list(x.joints), "freedoms": x.freedoms, "equations": x.equations,
+                   "count": x.count, "motion": x.motion} for x in m.loops],
+        "clusters": [{"joints": list(x.joints), "loops": list(x.loops), "gruebler": x.gruebler,
+                      "rank_dof": x.rank_dof, "redundant": x.redundant} for x in m.clusters],
+        "branches": None if local is None else [b.dim for b in local.branches],
+        "releases": [] if m.redundancy is None else [
+            {"joint": x.joint, "reactions": list(x.reactions), "pair": x.pair} for x in m.redundancy.releases],
+        "stressed": {} if m.redundancy is None else {k: list(v) for k, v in m.redundancy.stressed},
+        "idle_freedoms": [{"bodies": list(f.bodies), "joints": list(f.joints), "kind": f.kind, "point": list(f.point),
+                           "direction": list(f.direction)} for f in m.idle_freedoms],
+        "control": None if c is None else {
+            "actuated": list(c.actuated), "useful": c.useful, "controlled": c.controlled, "excess": c.excess,
+            "singular": c.singular, "complete": c.complete, "free": [dict(f) for f in c.free]},
+    }  # fmt: skip
+
+
+def _cluster(c: Any) -> str:
+    name = ", ".join(c.joints[:SHOWN]) + (", ..." if len(c.joints) > SHOWN else "")
+    known = "" if c.rank_dof is None else f", by rank {c.rank_dof}"
+    known += f", {c.redundant} redundant" if c.redundant else ""
+    return f"{name}: count {c.gruebler}{known}"
+
+
+def _cut(own: list[str]) -> list[str]:
+    return own if len(own) <= SHOWN else [*own[:SHOWN], f"... and {len(own) - SHOWN} more"]
+
+
+def _count(n: int, one: str) -> str:
+    return f"{n} {one}{'' if n == 1 else 's'}"

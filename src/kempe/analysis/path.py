@@ -1,0 +1,211 @@
+"""`Path`: the answer of `trace`, a curve of configurations with what happens on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.analysis.continuation import Closure, least_squares
+from kempe.errors import InputError, UnknownNameError
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """A special point of a path: the configuration `q` (nq,) at arc length `s`, and what is special.
+
+    `kind` is "fold of the driver" (it turns back here: a dead point), "extreme" (another coordinate turns back),
+    "bifurcation" (several branches meet) or "singular" (the rank drops, no branch leaves). `coordinate` and `value`
+    say what turns back and where, in radians or metres. `directions` (k, nv) are velocities along all branches of a
+    singular point, that of the path first; `nullity` counts the independent first-order motions there.
+    """
+
+    q: Array
+    s: float
+    kind: str
+    coordinate: str = ""
+    value: float = float("nan")
+    nullity: int = 1
+    directions: Array | None = field(default=None, repr=False)
+
+    def __str__(self) -> str:
+        if self.coordinate:
+            return f"s = {self.s:.6g}: {self.kind}, {self.coordinate!r} = {self.value:.9g}"
+        lines = 0 if self.directions is None else len(self.directions)
+        where = f", {lines} branches" if lines > 1 else ""
+        return f"s = {self.s:.6g}: {self.kind}{where}, {self.nullity} first-order motions"
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The nodes that a path was computed at: configurations, arc lengths, unit tangents, and their equations."""
+
+    equations: Closure
+    q: Array
+    s: Array
+    t: Array
+
+    def at(self, s: float) -> Array:
+        """The configuration (nq,) at arc length `s` inside the track: cubic between nodes, then closed exactly."""
+        if len(self.s) == 1:
+            return self.q[0].copy()
+        k = int(np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2))
+        size = self.s[k + 1] - self.s[k]
+        u = (s - self.s[k]) / size
+        if u <= 0.0 or u >= 1.0:
+            return self.q[k + (u >= 1.0)].copy()
+        e = self.equations
+        y, a, b = e.between(self.q[k], self.q[k + 1]), size * self.t[k], size * self.t[k + 1]
+        x = e.move(self.q[k], u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * y - u * u * (1 - u) * b)
+        across = (1 - u) * self.t[k] + u * self.t[k + 1]
+        for _ in range(3):
+            F, J = e.both(x)
+            x = e.move(x, least_squares(np.vstack([J, across]), np.append(-F, 0.0)))
+        return x
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A curve of closed configurations of a mechanism with one degree of freedom.
+
+    `q` (n, nq) are configurations in their order, in radians and metres; angles are not wrapped. `s` (n,) is the arc
+    length: angles in radians, slides in characteristic lengths (`unit_length`, metres). `closed` tells whether the
+    last point is the first one again (angles without limits up to whole turns), `ends` why it stops at its first and
+    last point. `success` is false where no configuration closes the loops or the work was interrupted. `others` are
+    the branches that `trace(..., switch=True)` found at bifurcations.
+    """
+
+    q: Array
+    s: Array
+    closed: bool
+    ends: tuple[str, str]
+    turning_points: tuple[Event, ...]
+    singular_points: tuple[Event, ...]
+    extremes: tuple[Event, ...]
+    driver: str | None
+    held: tuple[str, ...]
+    frames: tuple[str, ...]
+    success: bool
+    interrupted: bool
+    track: Track = field(repr=False)
+    others: tuple[Path, ...] = ()
+
+    @property
+    def system(self) -> System:
+        """The system that moves."""
+        return self.track.equations.system
+
+    @property
+    def length(self) -> float:
+        """Length of the whole curve."""
+        return float(self.s[-1])
+
+    @property
+    def unit_length(self) -> float:
+        """Metres of a slide that count as one unit of arc length."""
+        from kempe.kinematics.loops import characteristic_length
+
+        return characteristic_length(self.system)
+
+    @property
+    def turns(self) -> dict[str, int]:
+        """For a closed path, whole turns by coordinate: those that do not come back by going back."""
+        if not self.closed:
+            return {}
+        e = self.track.equations
+        change = self.q[-1] - self.q[0]
+        return {name: round(change[e.place[i]] / (2.0 * np.pi)) for i, name in enumerate(self.system.velocity_names)
+                if e.place[i] >= 0 and abs(change[e.place[i]]) > 1.0}  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __bool__(self) -> bool:
+        return self.success
+
+    def at(self, s: ArrayLike) -> Array:
+        """Configurations (..., nq) at arc lengths `s` (...), closed exactly; a closed path goes on around.
+
+        Errors: `InputError` for arc lengths beyond the ends of a path that is not closed.
+        """
+        s = np.asarray(s, dtype=float)
+        if not np.isfinite(s).all():
+            raise InputError("s holds a NaN or an infinity; arc lengths are finite numbers")
+        length = self.length
+        slack = 1e-9 * (1.0 + length)
+        if not self.closed and (s.min(initial=0.0) < -slack or s.max(initial=0.0) > length + slack):
+            raise InputError(f"s is outside the path, which runs from 0 to {length:.9g}")
+        out = np.empty((s.size, self.system.nq))
+        change = self.track.q[-1] - self.track.q[0]
+        change[self.system.layout.quaternion_q[:, None] + np.arange(4)] = 0.0
+        for k, value in enumerate(s.ravel()):
+            rounds = np.floor(value / length) if self.closed and not 0.0 <= value <= length else 0.0
+            out[k] = self.track.at(float(np.clip(value - rounds * length, 0.0, length))) + rounds * change
+        return out.reshape(*s.shape, -1)
+
+    def resample(self, n: int) -> Path:
+        """The same path with `n` points at equal distances of arc length, its ends included."""
+        if not isinstance(n, (int, np.integer)) or n < 2:
+            raise InputError(f"n is {n!r}; it must be a whole number of at least 2")
+        s = np.linspace(0.0, self.length, int(n))
+        return replace(self, q=np.array([self.track.at(float(x)) for x in s]), s=s)
+
+    def curve(self, frame: FrameLike, poses: bool = False) -> Array:
+        """Positions (n, 3) of a frame along the path, or its poses (n, 4, 4)."""
+        X = self.system.fk(self.q, frame)
+        return X if poses else X[:, :3, 3].copy()
+
+    def values(self, coordinate: str) -> Array:
+        """Values (n,) of one coordinate along the path."""
+        names = self.system.coordinate_names
+        if coordinate not in names:
+            raise UnknownNameError("coordinate", coordinate, names, self.system.name)
+        return self.q[:, names.index(coordinate)].copy()
+
+    def table(self, frames: Iterable[FrameLike] | None = None) -> tuple[list[str], Array]:
+        """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default: `self.frames`)."""
+        names, columns = ["s", *self.system.coordinate_names], [self.s[:, None], self.q]
+        for frame in self.frames if frames is None else frames:
+            name = self.system.frame_name(frame)
+            axes = "xyz"[: self.system.dim]
+            names += [f"{name}.{axis}" for axis in axes]
+            columns.append(self.curve(frame)[:, : len(axes)])
+        return names, np.hstack(columns)
+
+    @property
+    def status(self) -> str:
+        """The sentence that says what was found."""
+        if not self.success and not self.interrupted:
+            return self.ends[1]
+        what = "closed curve" if self.closed else "curve"
+        text = f"{what} of length {self.length:.6g} through {len(self)} points"
+        turning = [f"{abs(k)} turn{'s' * (abs(k) != 1)} of {name!r}" for name, k in self.turns.items()]
+        text += f", {', '.join(turning[:4])}{', ...' * (len(turning) > 4)}" if turning else ""
+        if not self.closed:
+            text += f"; it ends at {self.ends[0]} and at {self.ends[1]}"
+        return text + (" (interrupted: this is the part that was done)" if self.interrupted else "")
+
+    def __str__(self) -> str:
+        lines = [f"{self.system.name}: {self.status}"]
+        lines += [f"  {event}" for event in (*self.turning_points, *self.singular_points)]
+        lines += [f"  another branch: {path.status}" for path in self.others]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        names = self.system.coordinate_names
+        low, high = self.q.min(axis=0), self.q.max(axis=0)
+        rows = "".join(
+            f"<tr><td>{escape(n)}</td><td>{a:.6g}</td><td>{b:.6g}</td></tr>"
+            for n, a, b in zip(names, low, high, strict=True)
+        )
+        text = "".join(f"<p>{escape(line)}</p>" for line in str(self).splitlines())
+        return f"{text}<table><tr><th>coordinate</th><th>least</th><th>largest</th></tr>{rows}</table>"

@@ -1,0 +1,176 @@
+"""The rank of all loop equations at one closed configuration, decided by a gap between singular values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.analysis.graph import Cluster, Structure, structure
+from kempe.analysis.screws import Screws, screws
+from kempe.description.parts import Constraint
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+NOTHING = 1e-6
+"""Singular values below this part of the largest count as zero: a point found to 1e-14 of a singular one, where
+equations are quadratic, is 1e-7 away from it."""
+SOMETHING = 1e-4
+"""Singular values above this part of the largest count as not zero; between the two the widest gap decides."""
+CLEAR_GAP = 1e3
+"""Ratio of the last singular value that counts to the first that does not, below which the rank is doubtful."""
+FLOOR = 1e-15
+"""Singular values below this part of the largest are rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClusterRank:
+    """Rank of one cluster: singular values (descending), rank, gap; self-stress and kernel are its null spaces."""
+
+    cluster: Cluster
+    jacobian: Array = field(repr=False)
+    values: Array
+    rank: int
+    gap: float
+    stresses: Array = field(repr=False)
+    """Left null space (equations, k): the wrenches that can run around the loops with no load."""
+    kernel: Array = field(repr=False)
+    """Null space (velocities of the cluster, k), slides in units of the mechanism's size."""
+
+    @property
+    def nullity(self) -> int:
+        """Freedoms to first order."""
+        return len(self.cluster.velocities) - self.rank
+
+    @property
+    def dependent(self) -> int:
+        """Equations that depend on others."""
+        return len(self.jacobian) - self.rank
+
+
+@dataclass(frozen=True, eq=False)
+class Rank:
+    """Rank of the loop equations of a whole system at the closed configuration `q` (nq,)."""
+
+    q: Array
+    clusters: tuple[ClusterRank, ...]
+    screws: Screws = field(repr=False)
+    units: Array = field(repr=False)
+    """Units (nv,) of the scaled velocities: the size of the mechanism for slides, 1 for turns."""
+
+    @cached_property
+    def rank(self) -> int:
+        """Number of independent equations."""
+        return sum(c.rank for c in self.clusters)
+
+    @cached_property
+    def nullity(self) -> int:
+        """Freedoms to first order: velocities that keep all loops closed."""
+        return len(self.units) - self.rank
+
+    @cached_property
+    def dependent(self) -> int:
+        """Equations that depend on others to first order."""
+        return sum(c.dependent for c in self.clusters)
+
+    @property
+    def gap(self) -> float:
+        """Smallest ratio, over the clusters, of the last singular value that counts to the first that does not."""
+        return min((c.gap for c in self.clusters), default=np.inf)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether some gap is too small, or a singular value too near to zero, to be sure of the rank."""
+        return self.gap < CLEAR_GAP or self.smallest < 10.0 * NOTHING
+
+    @property
+    def smallest(self) -> float:
+        """Smallest singular value that counts, as a part of the largest of its cluster; 1 where there is none."""
+        found = [c.values[c.rank - 1] / c.values[0] for c in self.clusters if c.rank]
+        return float(min(found, default=1.0))
+
+    @cached_property
+    def kernel(self) -> Array:
+        """Orthonormal basis (nv, nullity) of the scaled velocities that keep all loops closed."""
+        nv = len(self.units)
+        out = np.zeros((nv, self.nullity))
+        free = np.ones(nv, dtype=bool)
+        k = 0
+        for c in self.clusters:
+            free[c.cluster.velocities] = False
+            out[c.cluster.velocities, k : k + c.nullity] = c.kernel
+            k += c.nullity
+        out[np.flatnonzero(free), np.arange(k, self.nullity)] = 1.0
+        return out
+
+
+def decide(values: Array, columns: int) -> tuple[int, float]:
+    """Rank and gap of a matrix with these singular values (descending) and this number of columns."""
+    if not len(values) or values[0] <= 0.0:
+        return 0, np.inf
+    s = np.append(values / values[0], 0.0 if len(values) < columns else [])
+    allowed = [r for r in range(1, len(s) + 1) if s[r - 1] > NOTHING and (r == len(s) or s[r] < SOMETHING)]
+    gaps = [s[r - 1] / max(s[r], FLOOR) if r < len(s) else s[r - 1] / FLOOR for r in allowed]
+    best = int(np.argmax(gaps))
+    return allowed[best], float(gaps[best])
+
+
+def rank_at(system: System, q: Array) -> Rank:
+    """The rank of the loop equations at a closed configuration `q` (nq,)."""
+    s, at = structure(system), screws(system, q)
+    units = np.where(s.slides, at.length, 1.0)
+    return Rank(q, tuple(_cluster(system, s, at, c, units) for c in s.clusters), at, units)
+
+
+def _cluster(system: System, s: Structure, at: Screws, c: Cluster, units: Array) -> ClusterRank:
+    J = _jacobian(system, s, at, c, units)
+    if not J.size:
+        n = J.shape[1]
+        return ClusterRank(c, J, np.zeros(0), 0, np.inf, np.eye(len(J)), np.eye(n))
+    U, values, Vt = np.linalg.svd(J)
+    r, gap = decide(values, J.shape[1])
+    return ClusterRank(c, J, values, r, gap, U[:, r:], Vt[r:].T)
+
+
+def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array) -> Array:
+    """Loop equations (rows, velocities of the cluster), scaled."""
+    n = len(c.velocities)
+    around = np.zeros((len(c.loops), 6, n))
+    if c.loops and len(c.local):
+        twists = np.concatenate([at.twists[i] for i in c.edges], axis=1)[:, c.moving]
+        own = np.where(c.sliding, at.length, 1.0)
+        twists = twists * (c.factor * units[c.velocities[c.local]] / own)
+        each = c.signs[:, None, c.owner] * twists
+        if c.shared:
+            for k, local in enumerate(c.local):
+                around[:, :, local] += each[:, :, k]
+        else:
+            around[:, :, c.local] = each
+    blocks = [rows_of_loop(system, s, at, k) @ A for k, A in zip(c.loops, around, strict=True)]
+    local = {int(v): i for i, v in enumerate(c.velocities)}
+    for k in c.relations:
+        relation = system.relations[k]
+        row = np.zeros((1, n))
+        for name, m in ((relation.of, -1.0), *relation.sources.items()):
+            v = system.velocity_names.index(name)
+            row[0, local[v]] += m * units[v]
+        blocks.append(row / np.abs(row).max())
+    return np.concatenate(blocks) if blocks else np.zeros((0, n))
+
+
+_SPACE, _PLANE = np.eye(6), np.eye(6)[[0, 1, 5]]
+
+
+def rows_of_loop(system: System, s: Structure, at: Screws, loop: int) -> Array:
+    """Rows (k, 6) that the edge that closes a loop takes from the twist around it; their transpose gives wrenches."""
+    i = s.loops[loop].edge
+    edge = s.edges[i]
+    if isinstance(edge.of, Constraint):
+        return at.wrench_rows(i, edge.of, system.dim)
+    if edge.particle:
+        return at.point_rows(i, system.dim)
+    return _SPACE if system.dim == 3 else _PLANE

@@ -1,0 +1,123 @@
+"""The joints of a system as screws at one configuration.
+
+All twists are [v; w] of the child relative to the parent, in axes of the ground, at one reference point in the middle
+of the mechanism, with lengths in units of its size: so ranks and self-stresses depend neither on the cut nor on units.
+A closed loop says that the twists around it add up to zero (Davies, 1981); what multiplies that equation is the
+wrench that runs around the loop, and the wrench in a joint is the sum of those of the loops through it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe import spatial
+from kempe.analysis.graph import Edge, structure
+from kempe.description.parts import Constraint
+from kempe.joints import P, Q
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+
+@dataclass(frozen=True, eq=False)
+class Screws:
+    """The screws of all edges at one configuration, where it is closed.
+
+    `twists[i]` (6, columns of edge i), scaled as the module says; `F`, `M` (n, 4, 4) are the frames in the ground.
+    """
+
+    twists: tuple[Array, ...]
+    F: Array
+    M: Array
+    center: Array
+    length: float
+    cross: dict[int, Array] = field(repr=False)
+    """Rotation after the first turn of the joints whose constraint directions it carries (universal joints)."""
+
+    def wrench_rows(self, edge: int, of: Constraint, dim: int) -> Array:
+        """Rows (k, 6) that a declared constraint takes from the relative twist of its bodies."""
+        p = self.M[edge, :3, 3]
+        R = self.F[edge, :3, :3]
+        if of.kind == "distance":
+            d = p - self.F[edge, :3, 3]
+            size = np.linalg.norm(d)
+            directions = d[None] / (size if size > 0.0 else 1.0)
+        elif of.kind == "point_on_plane":
+            directions = R[:, 2][None]
+        elif dim == 2:
+            directions = np.cross([0.0, 0.0, 1.0], R[:, 2])[None]
+        else:
+            directions = R[:, :2].T
+        return np.hstack([directions, np.cross((p - self.center) / self.length, directions)])
+
+    def point_rows(self, edge: int, dim: int) -> Array:
+        """Rows (dim, 6) that take from a twist the velocity of the origin of frame M."""
+        r = (self.M[edge, :3, 3] - self.center) / self.length
+        return np.hstack([np.eye(3), -spatial.skew(r)])[:dim]
+
+
+def screws(system: System, q: Array) -> Screws:
+    """The screws of all joints at a closed configuration `q` (nq,)."""
+    s = structure(system)
+    bodies = system.fk(q)
+    F, M = bodies[s.parent] @ s.X_PF, bodies[s.child] @ s.X_CM
+    points = M[:, :3, 3]
+    center = points.mean(axis=0) if len(points) else np.zeros(3)
+    spread = float(np.sqrt(np.mean(np.sum((points - center) ** 2, axis=-1)))) if len(points) else 0.0
+    length = spread if spread > 0.0 else 1.0
+    twists: list[Array] = []
+    cross: dict[int, Array] = {}
+    values = q.tolist()
+    for i, edge in enumerate(s.edges):
+        if not edge.joint:
+            twists.append(np.zeros((6, 0)))
+        elif len(edge.primitives) == 1 and edge.primitives[0].kind != Q:
+            axis = F[i, :3, "xyz".index(edge.primitives[0].axis)] * edge.primitives[0].multiplier
+            twists.append(_column(edge.primitives[0].kind, axis, (F[i, :3, 3] - center) / length)[:, None])
+        else:
+            twists.append(_walk(edge, F[i], M[i], values, center, length, cross, i))
+    return Screws(tuple(twists), F, M, center, length, cross)
+
+
+def _column(kind: int, axis: Array, r: Array) -> Array:
+    """Scaled twist of a turn about, or a slide along, an axis through r."""
+    out = np.zeros(6)
+    if kind == P:
+        out[:3] = axis
+    else:
+        x, y, z = axis.tolist()
+        a, b, c = r.tolist()
+        out[:] = b * z - c * y, c * x - a * z, a * y - b * x, x, y, z
+    return out
+
+
+def _walk(
+    edge: Edge, F: Array, M: Array, q: list[float], center: Array, length: float, cross: dict[int, Array], i: int
+) -> Array:  # fmt: skip
+    """Twists (6, columns) of a joint with several primitives, walked from F."""
+    X = F.copy()
+    out = np.zeros((6, len(edge.columns)))
+    last = len(edge.primitives) - 1
+    for k, (p, column) in enumerate(zip(edge.primitives, edge.drives, strict=True)):
+        r = (X[:3, 3] - center) / length
+        if p.kind == Q:
+            out[:3, column : column + 3] = spatial.skew(r) @ M[:3, :3]
+            out[3:, column : column + 3] = M[:3, :3]
+            continue
+        axis = X[:3, "xyz".index(p.axis)].copy()
+        unit = p.multiplier / length if p.kind == P and not edge.columns[column].slides else p.multiplier
+        out[:, column] += _column(p.kind, axis * unit, r)
+        if k < last:
+            index, factor, offset = edge.values[p.coordinate]
+            value = p.multiplier * ((factor * q[index] if index >= 0 else 0.0) + offset)
+            if p.kind == P:
+                X[:3, 3] += value * axis
+            else:
+                X[:3, :3] = X[:3, :3] @ (spatial.rot_x, spatial.rot_y, spatial.rot_z)["xyz".index(p.axis)](value)
+                if k == 0:
+                    cross[i] = X[:3, :3].copy()
+    return out

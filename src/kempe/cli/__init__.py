@@ -1,0 +1,24 @@
+"""The command line: each command is a few lines over the library.
+
+Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that are no
+numbers); 2 the question could not be asked (wrong usage, unknown name, a file that cannot be read).
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+
+from kempe.cli import systems  # isort: skip, the commands are listed in this order
+from kempe.cli import loops  # isort: skip
+from kempe.cli.app import app
+
+__all__ = ["app", "loops", "main", "systems"]
+
+
+def main() -> None:
+    """Entry point of the command `kempe`."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    app(prog_name="kempe")

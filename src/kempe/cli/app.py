@@ -1,0 +1,103 @@
+"""What all commands share: the application, their options, how files are read.
+
+Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that are no
+numbers); 2 the question could not be asked (wrong usage, unknown name, a file that cannot be read).
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from kempe import __version__
+from kempe.views.terminal import COMPLETE, Commands, print_json
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+app = typer.Typer(
+    cls=Commands, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="FILE is a URDF or TOML file, or the name of a shipped model. "
+    "Exit codes: 0 complete, 1 no solution or problems found, 2 wrong usage or unreadable file.",
+)  # fmt: skip
+
+
+def option(flags: str, help: str, metavar: str | None = None, panel: str | None = None) -> Any:
+    """An option of a command."""
+    return typer.Option(*flags.split(","), help=help, metavar=metavar, rich_help_panel=panel)
+
+
+_READ = "How FILE is read"
+File = Annotated[str, typer.Argument(metavar="FILE", help="URDF or TOML file, or a shipped model's name.")]
+Json = Annotated[bool, option("--json", "Print JSON.")]
+Deg = Annotated[bool, option("--deg", "Angles are degrees, read and printed; lengths stay metres.")]
+Out = Annotated[Path | None, option("--out", "Write the results to a .csv or .npy file.", "FILE")]
+Base = Annotated[str | None, option("--base", "'free': the root link moves freely (URDF).", "free", _READ)]
+Root = Annotated[str | None, option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)]
+Dirs = Annotated[
+    list[Path] | None, option("--package-dir", "Folder for package://; can be repeated.", "FOLDER", _READ)
+]
+Xacro = Annotated[bool, option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)]
+
+FrameOrAll = Annotated[str | None, option("--frame", "Body or frame; all bodies if not given.", "NAME")]
+Values = Annotated[
+    str | None,
+    option("--q", "a,b,c or name=value,... or a .csv or .npy file, one configuration a row.", "VALUES"),
+]
+Posture = Annotated[
+    str | None,
+    option("--posture", "A posture of FILE, 'neutral' or 'mid'; --q name=value changes it.", "NAME"),
+]
+Frame = Annotated[str, option("--frame", "Body or frame that shall reach the target.", "NAME")]
+Target = Annotated[
+    str, option("--target", "x,y,z,roll,pitch,yaw (fixed axes) or x,y,z; or a .csv or .npy file.", "VALUES")
+]
+PositionOnly = Annotated[bool, option("--position-only", "Leave the orientation free.")]
+Seed = Annotated[str | None, option("--seed", "Configuration to start from, as --q of fk.", "VALUES")]
+Rng = Annotated[int, option("--rng", "Number that fixes the random starts.", "N")]
+Tolerance = Annotated[str, option("--tolerance", "Largest errors accepted, metres and radians.", "M[,RAD]")]
+
+
+# ---- what all commands share
+
+
+def reading(base: str | None, root: str | None, package_dir: list[Path] | None, xacro: bool) -> dict[str, Any]:
+    """The reader's options, without those that were not given."""
+    given = {"base": base, "root": root, "package_dirs": package_dir, "xacro": xacro}
+    return {k: v for k, v in given.items() if v}
+
+
+def load(file: str, *options: Any) -> System:
+    """The system of a file, read with the reader's options."""
+    import kempe
+
+    return kempe.load(file, **reading(*options))
+
+
+@app.callback(invoke_without_command=True)
+def main_options(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """Where every body of a mechanism is, and which configurations reach a pose."""
+    if version:
+        print(f"kempe {__version__}")
+    elif context.invoked_subcommand is None:
+        print(context.get_help())
+    else:
+        return
+    raise typer.Exit(COMPLETE)
+
+
+def progress(text: str) -> None:
+    """Say on standard error how far the work is."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def told(out: Path, json: bool) -> None:
+    """Say which file was written."""
+    print_json({"written": str(out)}) if json else print(f"written to {out}")

@@ -1,0 +1,191 @@
+"""The verbs of `System`: the map of the library. Each method is one line that calls a function of a later layer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.description.parts import Body, Frame
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kempe.analysis.drive import Drive
+    from kempe.analysis.mobility import Mobility
+    from kempe.analysis.path import Path
+    from kempe.analysis.transmission import LoopJacobian
+    from kempe.kinematics.configuration import ConfigurationSpace
+    from kempe.kinematics.forward import Query
+    from kempe.kinematics.zoo import Constraint
+    from kempe.solvers.assembly import Assembler, Assembly
+    from kempe.solvers.charts import Chart
+    from kempe.solvers.modes import Modes
+    from kempe.solvers.solution import Solution
+
+FrameLike = Body | Frame | str
+
+
+class Verbs:
+    """What one can ask a system; the arguments are explained where each function is."""
+
+    _queries: dict[object, Any]
+
+    # ---- the space of configurations
+
+    @property
+    def configuration_space(self) -> ConfigurationSpace:
+        """What set `q` ranges over: its dimension and shape, such as T^2 x R."""
+        from kempe.kinematics.configuration import configuration_space
+
+        return configuration_space(self)
+
+    def integrate(self, q: Any, v: ArrayLike) -> Array:
+        """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv)."""
+        from kempe.kinematics.configuration import integrate
+
+        return integrate(self, q, v)
+
+    def difference(self, q0: Any, q1: Any) -> Array:
+        """Tangent vector (..., nv) from `q0` to `q1`: ``integrate(q0, difference(q0, q1)) == q1``."""
+        from kempe.kinematics.configuration import difference
+
+        return difference(self, q0, q1)
+
+    def interpolate(self, q0: Any, q1: Any, t: ArrayLike) -> Array:
+        """Configuration (..., nq) at the fraction `t` (...) of the straight way from `q0` to `q1`."""
+        from kempe.kinematics.configuration import interpolate
+
+        return interpolate(self, q0, q1, t)
+
+    def distance(self, q0: Any, q1: Any) -> Array:
+        """Length (...) of the shortest way from `q0` to `q1`; unlimited joints turn the short way."""
+        from kempe.kinematics.configuration import distance
+
+        return distance(self, q0, q1)
+
+    # ---- where everything is
+
+    def fk(
+        self, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
+        threads: int | None = None,
+    ) -> Array:  # fmt: skip
+        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None)."""
+        query = self._queries.get(frame) if frame.__class__ is str else None
+        if query is not None and q.__class__ is np.ndarray:  # the import below alone would double the time
+            return query(q, out, threads)
+        from kempe.kinematics.forward import fk
+
+        return fk(self, q, frame, out, threads)
+
+    def jacobian(self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None) -> Array:
+        """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see `kempe.kinematics.forward.jacobian`."""
+        query = self._queries.get(frame) if frame.__class__ is str else None
+        if query is not None and q.__class__ is np.ndarray:
+            return query.jacobian(q, in_frame, None, threads)
+        from kempe.kinematics.forward import jacobian
+
+        return jacobian(self, q, frame, in_frame, threads)
+
+    def query(self, frame: FrameLike) -> Query:
+        """The forward model of one frame with everything looked up: ``f(q, out=None)`` and ``f.jacobian(q)``."""
+        from kempe.kinematics.forward import query
+
+        return query(self, frame)
+
+    def symbolic_fk(self, frame: FrameLike, **options: Any) -> Any:
+        """The forward model in symbols (sympy Matrix 4x4); see `kempe.kinematics.symbolic.symbolic_fk`."""
+        from kempe.kinematics.symbolic import symbolic_fk
+
+        return symbolic_fk(self, frame, **options)
+
+    def closure_error(self, q: Any) -> Array:
+        """How far each loop is open (..., len(closures), 6): the twist [m; rad] missing in each left-out joint."""
+        from kempe.kinematics.constraints import closure_error
+
+        return closure_error(self, q)
+
+    def ik(self, target: ArrayLike, frame: FrameLike, **options: Any) -> Solution:
+        """A configuration in which the frame reaches the target pose; see `kempe.solvers.inverse.ik`."""
+        from kempe.solvers.inverse import ik
+
+        return ik(self, target, frame, **options)
+
+    # ---- closed loops
+
+    def assemble(self, known: Mapping[str, Any] | None = None, near: Any = None, **options: Any) -> Assembly:
+        """A configuration that closes all loops, with the `known` given; see `kempe.solvers.assembly.assemble`."""
+        from kempe.solvers.assembly import assemble
+
+        return assemble(self, known, near, **options)
+
+    def assembler(self, known: Iterable[str] = ()) -> Assembler:
+        """The bound form of `assemble`: names looked up once; see `kempe.solvers.assembly.Assembler`."""
+        from kempe.solvers.assembly import assembler
+
+        return assembler(self, known)
+
+    def assembly_modes(self, known: Mapping[str, Any] | None = None, near: Any = None, **options: Any) -> Modes:
+        """All configurations found that close the loops with the `known` given; see `kempe.solvers.modes`."""
+        from kempe.solvers.modes import assembly_modes
+
+        return assembly_modes(self, known, near, **options)
+
+    def independent(self, q: Any = None, prefer: Iterable[str] = ()) -> Chart:
+        """Which coordinates can be set at a closed q, so that the others follow; see `kempe.solvers.charts`."""
+        from kempe.solvers.charts import independent
+
+        return independent(self, q, prefer)
+
+    def constraints(self) -> list[Constraint]:
+        """The constraints of the system: closures, declared ones, relations; see `kempe.kinematics.zoo`."""
+        from kempe.kinematics.zoo import of_system
+
+        return of_system(self)
+
+    def to_maximal(self, q: Any) -> Array:
+        """Poses (..., n_b, 4, 4) of all bodies but the ground, the maximal coordinates."""
+        from kempe.kinematics.maximal import to_maximal
+
+        return to_maximal(self, q)
+
+    def from_maximal(self, poses: ArrayLike, near: Any = None, **options: Any) -> Array:
+        """Configuration (..., nq) from the poses (..., n_b, 4, 4) of all bodies; see `kempe.kinematics.maximal`."""
+        from kempe.kinematics.maximal import from_maximal
+
+        return from_maximal(self, poses, near, **options)
+
+    # ---- degrees of freedom and motion
+
+    def mobility(self, q: Any = None, actuated: Iterable[str] | None = None, **options: Any) -> Mobility:
+        """Degrees of freedom by counting, by rank and truly, with the reasoning; see `kempe.analysis.mobility`."""
+        from kempe.analysis.mobility import mobility
+
+        return mobility(self, q, actuated, **options)
+
+    def trace(self, driver: str | None = None, start: Any = None, **options: Any) -> Path:
+        """The whole branch of a mechanism with one freedom, as a `Path`; see `kempe.analysis.motion.trace`."""
+        from kempe.analysis.motion import trace
+
+        return trace(self, driver, start, **options)
+
+    def drive(self, inputs: Mapping[str, Any], times: Any = None, start: Any = None, **options: Any) -> Drive:
+        """The continuous motion that follows prescribed inputs; see `kempe.analysis.drive.drive`."""
+        from kempe.analysis.drive import drive
+
+        return drive(self, inputs, times, start, **options)
+
+    def loop_jacobian(self, q: Any, inputs: Sequence[str], outputs: Sequence[str], **options: Any) -> LoopJacobian:
+        """Velocities of joints or frames by those of inputs, through the loops; see `kempe.analysis.transmission`."""
+        from kempe.analysis.transmission import loop_jacobian
+
+        return loop_jacobian(self, q, inputs, outputs, **options)
+
+    def plot(self, q: Any = None, **options: Any) -> Axes:
+        """Matplotlib axes with a drawing of the system; see `kempe.views.plots.plot`."""
+        from kempe.views.plots import plot
+
+        return plot(self, q, **options)

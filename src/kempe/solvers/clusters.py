@@ -1,0 +1,113 @@
+"""Which configurations are one and the same: angles modulo full turns, lengths in characteristic lengths."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.joints import R
+from kempe.kinematics.forward import fk
+from kempe.model.coordinates import coordinate_names
+from kempe.model.loops import characteristic_length
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+INSIDE = 1e-9
+"""How far a coordinate may be outside its limits: rounding."""
+
+
+class Metric:
+    """Distances between configurations of a system.
+
+    `scale` (nv,) are the metres, or radians, that count as one. `periodic` (nv,) are the angles for which a full turn
+    leaves every body where it is; limits do not matter.
+    """
+
+    def __init__(self, system: System):
+        self.system, self.length = system, characteristic_length(system)
+        self.scale = np.where(system.coordinates.turning, 1.0, self.length)
+        self.scale[(system.layout.quaternion_v[:, None] + np.arange(3)).ravel()] = 1.0
+        self.periodic = _periodic(system)
+
+    def distances(self, q: Array, to: Array) -> Array:
+        """Largest difference (...) in any coordinate, in radians and characteristic lengths."""
+        v = self.system.layout.difference(to, q)
+        v[..., self.periodic] -= 2.0 * math.pi * np.round(v[..., self.periodic] / (2.0 * math.pi))
+        return np.abs(v / self.scale).max(axis=-1, initial=0.0)
+
+    def representatives(self, q: Array, near: Array | None) -> Array:
+        """The configurations (n, nq), each angle turned to be nearest to `near`, or to zero, and inside its limits."""
+        system, turn = self.system, 2.0 * math.pi
+        low, high = np.maximum(system.lower, -1e300), np.minimum(system.upper, 1e300)
+        q = np.array(q)
+        for iq, iv in zip(system.layout.vector_q.tolist(), system.layout.vector_v.tolist(), strict=True):
+            if not self.periodic[iv]:
+                continue
+            target = 0.0 if near is None else near[iq]
+            x = q[:, iq] + turn * np.round((target - q[:, iq]) / turn)
+            down = np.where(x > high[iv], x - turn * np.ceil((x - high[iv]) / turn), x)
+            up = np.where(down < low[iv], down + turn * np.ceil((low[iv] - down) / turn), down)
+            q[:, iq] = np.where(up > high[iv] + INSIDE, x, up)
+        return q
+
+
+def _periodic(system: System) -> np.ndarray:
+    """Which velocity coordinates (nv,) are angles whose followers, too, return after a full turn."""
+    turning = system.coordinates.turning.copy()
+    number = {name: i for i, name in enumerate(system.velocity_names)}
+    mechanism, followers = system.mechanism, system.couplings
+    for joint in mechanism.joints.values():
+        names = coordinate_names(mechanism, joint)
+        for p in joint.type.layout(system.dim, mechanism.bodies[joint.child].particle)[1]:
+            follower = followers.get(names[p.coordinate])
+            if follower is not None and follower.source is not None:
+                turning[number[follower.source]] &= p.kind == R and float(follower.multiplier).is_integer()
+    for relation in system.relations:
+        for name in (relation.of, *relation.sources):
+            turning[number[name]] = False
+    return turning
+
+
+class Clusters:
+    """Configurations, those that are one together: `q` (k, nq) the first of each, `hits` (k,) how many there were.
+
+    `members` are their numbers in the order in which they came. With `frame`, configurations that put this frame at
+    one pose are one.
+    """
+
+    def __init__(self, system: System, frame: str | None = None):
+        self.system, self.frame, self.metric = system, frame, Metric(system)
+        self.q = np.empty((0, system.nq))
+        self.poses = np.empty((0, 4, 4))
+        self.tolerance = np.empty(0)
+        self.members: list[list[int]] = []
+        self.count = 0
+
+    @property
+    def hits(self) -> np.ndarray:
+        """Number (k,) of configurations in each cluster."""
+        return np.array([len(m) for m in self.members], dtype=np.int64)
+
+    def add(self, q: Array, tolerance: Array) -> None:
+        """Sort in configurations (n, nq), each with the distance (n,) below which it is the same as another."""
+        X = None if self.frame is None else fk(self.system, q, self.frame)
+        for k in range(len(q)):
+            if X is None:
+                apart = self.metric.distances(q[k], self.q)
+            else:
+                error = self.poses[:, :3] - X[k, :3]
+                error[..., 3] /= self.metric.length
+                apart = np.linalg.norm(error, axis=(1, 2))
+            same = apart <= np.maximum(self.tolerance, tolerance[k])
+            if same.any():
+                self.members[int(np.argmin(np.where(same, apart, np.inf)))].append(self.count)
+            else:
+                self.members.append([self.count])
+                self.q = np.concatenate([self.q, q[k : k + 1]])
+                self.poses = self.poses if X is None else np.concatenate([self.poses, X[k : k + 1]])
+                self.tolerance = np.append(self.tolerance, tolerance[k])
+            self.count += 1

@@ -1,0 +1,303 @@
+"""All assembly modes: the configurations that close a mechanism for given inputs, and how surely these are all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.errors import InputError
+from kempe.kinematics.configuration import as_q
+from kempe.solvers.clusters import INSIDE, Clusters, Metric
+from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
+from kempe.solvers.inverse import _count, _seed_number
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+STARTS = 4096
+"""Starts of a search, at most."""
+ROUND = 128
+"""Starts in one batch; after each it is asked whether the search may end."""
+SEEN_OFTEN = 6
+"""The search ends when each mode has been found this many times."""
+SAME = 1e-6
+"""Configurations nearer than this, in radians and characteristic lengths, are one: double roots merge at 1e-8."""
+KICK, STAYED = 1e-2, 1e-3
+"""A step along a freedom that seems left, and how much of it must remain when the loops are closed again."""
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Configurations `q` (k, nq) that close the mechanism for the `known` inputs, each once.
+
+    `complete` says that there are no others, proven by structure. `branches` names them where the mechanism is made of
+    dyads ('+-', see `Plan.describe`; 0 where two branches meet), else they are ''. `multiplicity` (k,) counts merged
+    roots, or, in a search, how many starts found it. `freedoms` (k,) says how many freedoms are left at each with the
+    inputs held: where it is not 0, the configuration is one example of infinitely many. `inside` (k,) says which
+    respect the limits; `outside` counts what was dropped because it does not. Of a search, `coverage` is the estimated
+    share, by frequency, of what it can find (Good, Biometrika 40, 1953), and `expected` the estimated number of modes
+    (Chao, Scand. J. Statist. 11, 1984); both are None where there is a proof.
+    """
+
+    q: Array
+    complete: bool
+    status: str
+    branches: tuple[str, ...]
+    multiplicity: np.ndarray
+    freedoms: np.ndarray
+    inside: np.ndarray
+    outside: int
+    system: System = field(repr=False)
+    known: dict[str, Any] = field(repr=False)
+    coverage: float | None = None
+    expected: float | None = None
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __bool__(self) -> bool:
+        return len(self.q) > 0
+
+    def __iter__(self):
+        return iter(self.q)
+
+    def __getitem__(self, k: Any) -> Array:
+        return self.q[k]
+
+    def _table(self) -> tuple[list[str], list[list[str]]]:
+        """Heads and rows of what is shown: the coordinates that are not known."""
+        names = [n for n in self.system.coordinate_names if n not in self.known]
+        at = [self.system.coordinate_names.index(n) for n in names]
+        rows = [[self.branches[k] or str(k + 1), *(f"{x:.9g}" for x in q[at])] for k, q in enumerate(self.q)]
+        return ["", *names], rows
+
+    def __str__(self) -> str:
+        count = f"{len(self)} configuration{'' if len(self) == 1 else 's'} of {self.system.name}"
+        lines = [f"{count}; {self.status}"]
+        heads, rows = self._table()
+        for row in rows:
+            lines.append(f"  {row[0]:>3s}  " + ", ".join(f"{n} = {x}" for n, x in zip(heads[1:], row[1:], strict=True)))
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        heads, rows = self._table()
+        top = "".join(f"<th>{escape(h)}</th>" for h in heads)
+        body = "".join("<tr>" + "".join(f"<td>{escape(x)}</td>" for x in row) + "</tr>" for row in rows)
+        return f"<p>{len(self)} configurations; {escape(self.status)}</p><table><tr>{top}</tr>{body}</table>"
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is asked for, as each solver gets it."""
+
+    system: System
+    known: dict[str, Any]
+    near: Array | None
+    limits: bool
+    frame: str | None
+    rng: int
+    starts: int
+
+
+def assembly_modes(
+    system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, limits: bool = True,
+    frame: FrameLike | None = None, rng: Any = 0, starts: int = STARTS,
+) -> Modes:  # fmt: skip
+    """All configurations found that close the mechanism with the `known` coordinates (or frames) held.
+
+    Planar mechanisms made of dyads are solved in closed form: then `complete` is True. Others are assembled from up to
+    `starts` random starts, drawn from `rng`, with an estimate of how many configurations were missed. `near` (nq,)
+    sorts the answer, the nearest first, and chooses the representatives of angles (else they are near zero). With
+    `limits` what is outside the joint limits is dropped, else it is flagged by `inside`. With `frame`, configurations
+    that put this frame at one pose count as one: legs that can be turned over would multiply the modes of a platform.
+    Errors: `UnknownNameError`, `InputError` for values that are not single numbers.
+    """
+    given = {} if known is None else known
+    if not isinstance(given, Mapping):
+        raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
+    base = None if near is None else as_q(system, near)
+    if base is not None and (base.ndim != 1 or not np.isfinite(base).all()):
+        raise InputError(f"near must be one configuration ({system.nq},) of finite numbers")
+    name = None if frame is None else system.frame_name(frame)
+    question = Question(system, dict(given), base, bool(limits), name, _seed_number(rng), _count(starts))
+    for solver in SOLVERS:
+        modes = solver(question)
+        if modes is not None:
+            return modes
+    raise AssertionError("the last solver takes every question")
+
+
+# ---- by structure
+
+
+def by_dyads(question: Question) -> Modes | None:
+    """The answer in closed form, or None where the mechanism is not made of dyads."""
+    system = question.system
+    if system.dim != 2 or any(k in system.frame_names and k not in system.coordinate_names for k in question.known):
+        return None
+    values = source_values(system, question.known)
+    for name, x in values.items():
+        if x.ndim or not np.isfinite(x):
+            raise InputError(f"known coordinate {name!r} must be one finite number")
+    plan = closed_form(system, tuple(values))
+    if isinstance(plan, Incomplete) or plan.signs > MOST_SIGNS:
+        return None
+    signs = plan.branches()
+    numbers = np.array([[float(x) for x in values.values()]] * len(signs)).reshape(len(signs), len(values))
+    closed = plan.close(numbers, signs, question.near)
+    names = ["".join("+" if s > 0 else "-" for s in row) for row in signs]
+    ok = np.flatnonzero(closed.ok)
+    clusters = Clusters(system, question.frame)
+    clusters.add(closed.q[ok], np.full(len(ok), SAME))
+    groups = [ok[members] for members in clusters.members]
+    free = np.array([int(closed.undetermined[g].max()) for g in groups], dtype=np.int64)
+    status = f"complete: every dyad in closed form, {len(ok)} of {len(signs)} branches close"
+    if not len(ok):
+        status = f"complete: none of the {len(signs)} branches closes; the best is open by {closed.gap.min():.3g} m"
+    if any(len(g) > 1 for g in groups):
+        status += f", {_count_of(sum(len(g) > 1 for g in groups), 'multiple root')}"
+    if free.any():
+        status = (
+            f"not finite: {int((free > 0).sum())} of {_count_of(len(groups), 'configuration')} can move with these "
+            "inputs held (coinciding centres or parallel slides leave a dyad undetermined)"
+        )
+    sizes = np.array([len(g) for g in groups], dtype=np.int64)
+    branches = [_merged([names[i] for i in g]) for g in groups]
+    return _answer(question, closed.q[[g[0] for g in groups]], status, branches, sizes, free, not free.any())
+
+
+def _count_of(n: int, what: str) -> str:
+    return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def _merged(names: list[str]) -> str:
+    """The name of branches that meet: their common signs, 0 for the others."""
+    return "".join(c[0] if len(set(c)) == 1 else "0" for c in zip(*names, strict=True))
+
+
+# ---- by many starts
+
+
+def by_starts(question: Question) -> Modes:
+    """The answer of many starts: never proven complete."""
+    from kempe.solvers.assembly import assembler, home_of, scatter  # its kernels are not needed before
+
+    system = question.system
+    bound = assembler(system, question.known)
+    rng = np.random.default_rng(question.rng)
+    clusters, tried = Clusters(system, question.frame), 0
+    hits = free = np.zeros(0, dtype=np.int64)
+    while tried < question.starts:
+        n = min(ROUND, question.starts - tried)
+        start = scatter(system, n, rng)
+        if tried == 0:
+            start[0] = home_of(system) if question.near is None else question.near
+        answer = bound(question.known, start, nearest=False, limits=False, starts=1)
+        if np.shape(answer.success) != (n,):
+            raise InputError("known coordinates must be single numbers, known frames single places")
+        good = np.asarray(answer.success)
+        found = clusters.metric.representatives(np.asarray(answer.q)[good], question.near)
+        clusters.add(found, np.maximum(SAME, 10.0 * np.sqrt(np.asarray(answer.residual)[good])))
+        tried += n
+        free = np.concatenate([free, _freedoms(question, clusters.metric, clusters.q[len(free) :])])
+        hits = clusters.hits[free == 0]
+        if len(free) and np.all(hits >= SEEN_OFTEN):
+            break
+    q, closed = clusters.q, int(clusters.hits.sum())
+    isolated, families = np.flatnonzero(free == 0), np.flatnonzero(free > 0)
+    guess = estimates(hits)
+    status = (
+        f"not proven complete: {len(isolated)} found from {tried} starts, of which {closed} closed; estimated "
+        f"coverage {100.0 * guess[0]:.3g} %, about {guess[1]:.3g} in all"
+    )
+    if not closed:
+        status = f"none found: of {tried} starts none closed"
+    if len(families):
+        besides = f"besides {_count_of(len(isolated), 'isolated configuration')}, " if len(isolated) else ""
+        left = "1 freedom" if free.max() == 1 else f"up to {free.max()} freedoms"
+        status = f"not finite: {besides}there are some with {left} left, of which one is shown; give more inputs"
+        near = home_of(system) if question.near is None else question.near
+        families = families[[int(np.argmin(clusters.metric.distances(q[families], near)))]]
+    keep = np.concatenate([isolated, families])
+    return _answer(question, q[keep], status, [""] * len(keep), clusters.hits[keep], free[keep], False, guess)
+
+
+def estimates(hits: np.ndarray) -> tuple[float, float]:
+    """Coverage and number of modes, estimated from how often (k,) each was found.
+
+    With f1 modes found once, f2 twice, n hits: coverage 1 - f1 / n (Good, 1953, after Turing), and at least
+    k + f1 (f1 - 1) / (2 (f2 + 1)) modes (Chao, 1984, bias-corrected). Modes with tiny basins of attraction escape both.
+    """
+    n, once, twice = int(np.sum(hits)), int(np.sum(hits == 1)), int(np.sum(hits == 2))
+    if not n:
+        return 0.0, 0.0
+    return 1.0 - once / n, len(hits) + once * (once - 1) / (2.0 * (twice + 1))
+
+
+def _freedoms(question: Question, metric: Metric, q: Array) -> np.ndarray:
+    """Freedoms (k,) that are left at configurations: nullities of the Jacobian, where a step along one can be closed.
+
+    Where frames are known, which the Jacobian does not hold, steps go in random directions, and 1 stands for any.
+    """
+    from kempe.kinematics.loops import evaluate  # its kernels are not needed before
+    from kempe.solvers.assembly import RANK_TOLERANCE, assembler
+
+    system, bound = question.system, assembler(question.system, question.known)
+    free = [i for i, n in enumerate(system.velocity_names) if n not in bound.held]
+    out = np.zeros(len(q), dtype=np.int64)
+    owner, kicks = [], []
+    J = evaluate(system, q, True, True)[1][..., free]
+    values = np.linalg.svd(J, compute_uv=False)
+    ranks = (values > RANK_TOLERANCE * np.maximum(1.0, values.max(axis=-1, initial=0.0))[:, None]).sum(axis=-1)
+    for k in range(len(q)):
+        if bound.frames:
+            kernel = np.random.default_rng(0).normal(size=(2, len(free)))
+        elif ranks[k] == len(free):
+            continue
+        else:
+            kernel = np.linalg.svd(J[k])[2][ranks[k] :]
+        owner += [k] * (2 * len(kernel))
+        kicks += [*kernel, *-kernel]
+    if not kicks:
+        return out
+    v = np.zeros((len(kicks), system.nv))
+    v[:, free] = KICK * np.array(kicks)
+    answer = bound(question.known, system.integrate(q[owner], v * metric.scale), limits=False, starts=1)
+    moved = np.asarray(answer.success) & (metric.distances(np.asarray(answer.q), q[owner]) > STAYED)
+    for k in set(np.array(owner)[moved].tolist()):
+        out[k] = 1 if bound.frames else owner.count(k) // 2
+    return out
+
+
+# ---- what both need
+
+
+def _answer(
+    question: Question, q: Array, status: str, branches: list[str], multiplicity: np.ndarray, freedoms: np.ndarray,
+    complete: bool, guess: tuple[float | None, float | None] = (None, None),
+) -> Modes:  # fmt: skip
+    """The modes, sorted, with what is outside the limits dropped or flagged."""
+    system = question.system
+    v = q[:, system.layout.vector_q]
+    low, high = (x[system.layout.vector_v] for x in (system.lower, system.upper))
+    inside = np.all((v >= low - INSIDE) & (v <= high + INSIDE), axis=-1)
+    keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
+    if question.near is not None:
+        keep = keep[np.argsort(Metric(system).distances(q[keep], question.near), kind="stable")]
+    outside = len(q) - int(inside.sum())
+    if outside:
+        status += f"; {outside} {'are' if outside > 1 else 'is'} outside the limits"
+    return Modes(
+        q[keep], complete, status, tuple(branches[i] for i in keep), multiplicity[keep], freedoms[keep], inside[keep],
+        outside if question.limits else 0, system, question.known, *guess,
+    )  # fmt: skip
+
+
+SOLVERS: list[Callable[[Question], Modes | None]] = [by_dyads, by_starts]
+"""Tried in this order; a solver that does not fit the question answers None. The last one takes all."""

@@ -1,0 +1,82 @@
+"""Where to write labels so that they cover nothing: candidate places around a point, the least covered one wins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from matplotlib.textpath import TextPath
+
+from kempe.spatial import Array
+
+ANGLES = np.deg2rad([45, 135, -45, -135, 90, 0, 180, -90, 22.5, 67.5, 112.5, 157.5, -22.5, -67.5, -112.5, -157.5])
+RINGS = (1.0, 1.6, 2.4, 3.5)
+"""Distances from the point that are tried, in clearances."""
+
+
+@lru_cache(maxsize=4096)
+def extent(text: str, points: float) -> tuple[float, float]:
+    """Width and height of a text in points (1/72 inch) at a font size, the same for all texts of one line."""
+    box = TextPath((0.0, 0.0), text, size=points).get_extents()
+    return max(float(box.width), 0.4 * points) + 0.15 * points, 0.95 * points
+
+
+@dataclass
+class Obstacles:
+    """What is on the sheet already: segments with a radius and a weight, and boxes of labels."""
+
+    segments: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
+    boxes: list[tuple[float, float, float, float]] = field(default_factory=list)
+    bounds: tuple[Array, Array] | None = None
+    """Lower left and upper right corner (2,) of the sheet, which labels should not leave."""
+
+    def segment(self, a: Array, b: Array, radius: float, weight: float = 1.0) -> None:
+        """Keep free of a capsule from a (2,) to b (2,)."""
+        self.segments.append((float(a[0]), float(a[1]), float(b[0]), float(b[1]), radius, weight))
+
+    def line(self, points: Array, radius: float, weight: float = 1.0, pieces: int = 120) -> None:
+        """Keep free of a polyline (n, 2), thinned to some `pieces`."""
+        points = points[np.isfinite(points).all(axis=1)]
+        points = points[:: max(1, len(points) // pieces)]
+        for a, b in zip(points[:-1], points[1:], strict=True):
+            self.segment(a, b, radius, weight)
+
+    def covered(self, points: Array) -> Array:
+        """For points (..., 2), the weight (...) of the heaviest segment that covers each."""
+        if not self.segments:
+            return np.zeros(points.shape[:-1])
+        s = np.array(self.segments)
+        a, d = s[:, 0:2], s[:, 2:4] - s[:, 0:2]
+        length2 = np.maximum((d * d).sum(axis=1), 1e-300)
+        rel = points[..., None, :] - a
+        t = np.clip((rel * d).sum(axis=-1) / length2, 0.0, 1.0)
+        gap = np.linalg.norm(rel - t[..., None] * d, axis=-1)
+        return (np.where(gap < s[:, 4], s[:, 5], 0.0)).max(axis=-1)
+
+    def place(self, p: Array, size: tuple[float, float], clearance: float, outward: Array) -> Array:
+        """Centre (2,) for a box of a size (width, height) near p (2,), which is then an obstacle itself.
+
+        `outward` (2,) is the direction that is taken where all are equally free.
+        """
+        rings = np.repeat(RINGS, len(ANGLES))
+        direction = np.tile(np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1), (len(RINGS), 1))
+        half = 0.5 * np.array(size)
+        reach = clearance * rings + np.minimum(
+            half[0] / np.maximum(np.abs(direction[:, 0]), 1e-9), half[1] / np.maximum(np.abs(direction[:, 1]), 1e-9)
+        )
+        centres = p + direction * reach[:, None]
+        grid = np.stack(np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 4)), axis=-1).reshape(-1, 2) * half
+        cost = self.covered(centres[:, None, :] + grid).sum(axis=1)
+        for x0, y0, x1, y1 in self.boxes:
+            across = np.minimum(centres[:, 0] + half[0], x1) - np.maximum(centres[:, 0] - half[0], x0)
+            along = np.minimum(centres[:, 1] + half[1], y1) - np.maximum(centres[:, 1] - half[1], y0)
+            part = np.clip(across, 0, None) * np.clip(along, 0, None) / (4 * half[0] * half[1])
+            cost = cost + 60.0 * part + 15.0 * (part > 0.0)
+        if self.bounds is not None:
+            out = np.maximum(self.bounds[0] - (centres - half), 0.0) + np.maximum(centres + half - self.bounds[1], 0.0)
+            cost = cost + 60.0 * (out / (2 * half)).sum(axis=1)
+        cost = cost + 1.2 * (rings - 1.0) - 0.35 * direction @ outward - 0.05 * direction[:, 1]
+        best = centres[int(np.argmin(cost))]
+        self.boxes.append((best[0] - half[0], best[1] - half[1], best[0] + half[0], best[1] + half[1]))
+        return best

@@ -1,0 +1,134 @@
+"""The page around a planar drawing: its limits, curves, labels, axes in metres or a scale bar."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from kempe.spatial import Array
+from kempe.views.drawing import labels, shapes, style
+from kempe.views.drawing.planar import Sheet
+from kempe.views.drawing.style import FAINT, FONT, INK, PAPER
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+WIDTH, HEIGHT = (3.2, 7.0), (2.4, 6.6)
+"""Least and largest size of a drawing in inches."""
+
+
+def new_figure(width: float = 6.4, height: float = 4.8) -> Figure:
+    """An empty figure that no window and no global state knows of; sizes in inches."""
+    figure = Figure(figsize=(width, height), facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def curve(sheet: Sheet, name: str, points: Array, here: Array | None, number: int) -> None:
+    """Draw the coupler curve (n, 2) of a frame, and a marker where the frame is now."""
+    colour = style.curve_colour(number)
+    sheet.line(points, f"curve:{name}", style.CURVE, color=colour, lw=1.9, solid_joinstyle="round",
+               solid_capstyle="round", label=name)  # fmt: skip
+    sheet.obstacles.line(points, 0.5 * sheet.r, 0.8)
+    if here is not None:
+        sheet.ax.plot([here[0]], [here[1]], gid=f"here:{name}", zorder=style.POINTS + 0.5, marker="o", ms=6.5,
+                      color=colour, mec=PAPER, mew=1.2)  # fmt: skip
+
+
+def limits(sheet: Sheet, room: float = 4.0) -> tuple[Array, Array]:
+    """Lower left and upper right corner of all that is drawn, with room of some pin radii for the labels."""
+    p = np.concatenate([x for x in sheet.extent if len(x)]) if sheet.extent else np.zeros((1, 2))
+    lower, upper = p.min(axis=0) - room * sheet.r, p.max(axis=0) + room * sheet.r
+    return lower, upper
+
+
+def figure_for(span: Array, with_axes: bool) -> Axes:
+    """Axes in a new figure whose shape suits a drawing of a span (2,) in metres."""
+    width = WIDTH[1] - 0.7 * with_axes
+    height = width * span[1] / span[0]
+    if height > HEIGHT[1]:
+        width, height = width * HEIGHT[1] / height, HEIGHT[1]
+    width, height = max(width, WIDTH[0]), max(height, HEIGHT[0])
+    left, bottom = (0.62, 0.5) if with_axes else (0.05, 0.32)
+    right, top = 0.12, 0.12
+    w, h = width + left + right, height + bottom + top
+    rect: Any = (left / w, bottom / h, width / w, height / h)
+    return new_figure(w, h).add_axes(rect)
+
+
+def finish(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> None:
+    """Set limits and equal aspect, place the labels, add axes in metres or a scale bar."""
+    ax = sheet.ax
+    ax.set_aspect("equal", adjustable="box")
+    ax.set_xlim(lower[0], upper[0])
+    ax.set_ylim(lower[1], upper[1])
+    ax.apply_aspect()
+    metres_a_point = _metres_a_point(ax)
+    middle = 0.5 * (lower + upper)
+    sheet.obstacles.bounds = lower, upper
+    for text, p, clearance, look in sheet.labels:
+        size = look.get("size", FONT)
+        width, height = labels.extent(text, size)
+        outward = (p - middle) / max(float(np.linalg.norm(upper - lower)), 1e-300)
+        box = (width * metres_a_point, height * metres_a_point)
+        place = sheet.obstacles.place(p, box, clearance + 2.0 * metres_a_point, outward)
+        ax.text(place[0], place[1], text, ha="center", va="center", zorder=style.TEXT, **{"size": FONT, **look})
+    if with_axes:
+        light_axes(ax)
+        ax.set_xlabel("x [m]", size=FONT, color=INK)
+        ax.set_ylabel("y [m]", size=FONT, color=INK)
+    else:
+        ax.set_axis_off()
+        _scale_bar(sheet)
+
+
+def _metres_a_point(ax: Axes) -> float:
+    """Metres in one point (1/72 inch) of the paper."""
+    (x0, _), (x1, _) = ax.transData.transform([(0.0, 0.0), (1.0, 0.0)])
+    return ax.figure.dpi / 72.0 / max(x1 - x0, 1e-300)
+
+
+def light_axes(ax: Axes) -> None:
+    """Left and bottom axis in grey, no box."""
+    for side, spine in ax.spines.items():
+        spine.set_visible(side in ("left", "bottom"))
+        spine.set_color(FAINT)
+    ax.tick_params(color=FAINT, labelcolor=style.GROUND, labelsize=FONT - 1, length=3)
+
+
+def nice(length: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is not above a length."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return next(k * power for k in (5.0, 2.0, 1.0) if k * power <= length * (1 + 1e-12) or k == 1.0)
+
+
+def length_text(length: float) -> str:
+    """A length with the unit that makes it short to read."""
+    if length >= 0.1:
+        return f"{length:g} m"
+    return f"{1e3 * length:g} mm" if length >= 1e-4 else f"{1e6 * length:g} µm"
+
+
+def _scale_bar(sheet: Sheet) -> None:
+    """A bar of a round length below the drawing, at its left end; in axes coordinates vertically."""
+    ax: Any = sheet.ax
+    x0, x1 = ax.get_xlim()
+    length = nice(0.22 * (x1 - x0))
+    start, transform = x0 + 0.02 * (x1 - x0), ax.get_xaxis_transform()
+    tick = 0.05 / max(ax.get_position().height * ax.figure.get_figheight(), 1e-9)
+    y = -1.6 * tick
+    look = {"color": INK, "lw": 1.2, "transform": transform, "clip_on": False, "gid": "scale"}
+    ax.plot([start, start, start, start + length, start + length, start + length],
+            [y - tick, y + tick, y, y, y + tick, y - tick], **look)  # fmt: skip
+    ax.text(start + length, y, f"  {length_text(length)}", transform=transform, ha="left", va="center",
+            size=FONT - 1, color=INK, clip_on=False, gid="scale:text")  # fmt: skip
+
+
+def mark_all(sheet: Sheet, points: Array, gid: str) -> None:
+    """Mark singular points (k, 2) of a curve by small rings."""
+    for k, p in enumerate(points):
+        sheet.patch(shapes.circle(p, 0.8 * sheet.r), f"{gid}:{k}", style.ARROWS, fc="none", ec=style.OPEN, lw=1.2)

@@ -1,0 +1,354 @@
+"""Planar systems as a textbook's kinematic diagram, on matplotlib axes.
+
+Every artist has a `gid` that says what it is ("joint:A", "ground:A", "link:crank", ...), which is its id in SVG.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.patches import PathPatch
+
+from kempe.spatial import Array
+from kempe.views.drawing import shapes, style
+from kempe.views.drawing.labels import Obstacles
+from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, distinct, travel
+from kempe.views.drawing.style import BAR, BLOCK, DRIVER, GROUND, INK, OPEN, PAPER, WRONG
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.path import Path
+
+PIN_OF_SIZE, PIN_OF_LINK, PIN_LEAST = 0.020, 0.15, 0.008
+"""Radius of a pin: as part of the whole drawing, at most as part of a short link, at least of the drawing."""
+
+
+@dataclass
+class Sheet:
+    """A drawing in progress: the axes, the scene, the radius `r` of a pin in metres, what is covered already."""
+
+    ax: Axes
+    scene: Scene
+    r: float
+    configurations: Array | None = None
+    obstacles: Obstacles = field(default_factory=Obstacles)
+    extent: list[Array] = field(default_factory=list)
+    labels: list[tuple[str, Array, float, dict[str, Any]]] = field(default_factory=list)
+    """Text, point, clearance and text properties: they are placed when everything else is drawn."""
+
+    def patch(self, path: Path, gid: str, layer: float, **how: Any) -> None:
+        """Draw an outline."""
+        self.extent.append(np.asarray(path.vertices))
+        self.ax.add_patch(PathPatch(path, gid=gid, zorder=layer, **{"lw": 0.9, "joinstyle": "round", **how}))
+
+    def line(self, points: Array, gid: str, layer: float, **how: Any) -> None:
+        """Draw a polyline (n, 2)."""
+        finite = points[np.isfinite(points).all(axis=1)]
+        self.extent.append(finite)
+        self.ax.plot(points[:, 0], points[:, 1], gid=gid, zorder=layer, **{"color": INK, **how})
+
+
+def pin_radius(scene: Scene) -> float:
+    """Radius [m] of a pin that suits the size of the drawing and its short links."""
+    lengths = scene.lengths
+    short = float(np.quantile(lengths, 0.2)) if len(lengths) else scene.size
+    return max(min(PIN_OF_SIZE * scene.size, PIN_OF_LINK * short), PIN_LEAST * scene.size)
+
+
+def flat(X: Array) -> Array:
+    """Position (2,) of a pose, or of each point (..., 3), in the plane."""
+    return X[:2, 3] if X.shape == (4, 4) else X[..., :2]
+
+
+def draw(sheet: Sheet, labels: bool = True) -> None:
+    """Draw the scene: links, rails, blocks, ground symbols, pins, frames, drivers; labels are only collected."""
+    scene = sheet.scene
+    for joint in scene.joints:
+        if joint.kind == "prismatic":
+            _prismatic(sheet, joint)
+        elif joint.kind == "translation":
+            cross = np.array([[1.0, 0.0], [0.0, 1.0]]) * 2.6 * sheet.r
+            c = flat(joint.M)
+            sheet.patch(shapes.strokes([(c - d, c + d) for d in cross]), f"joint:{joint.name}", style.PINS, ec=INK)
+    for link in scene.links[1:]:
+        _link(sheet, link)
+    _rods(sheet)
+    pins = _pins(sheet)
+    for link in scene.links:
+        _frames(sheet, link, labels)
+    for joint in scene.joints:
+        _open(sheet, joint)
+    for joint in scene.joints:
+        if joint.driven:
+            _driver(sheet, joint)
+    if labels:
+        _joint_labels(sheet, pins)
+
+
+def ghost(sheet: Sheet, scene: Scene, number: int) -> None:
+    """Draw the links of an earlier position, faintly."""
+    for link in scene.links[1:]:
+        p = flat(scene.points(link))
+        if len(p) > 1:
+            colour = style.link_colour(link.number)
+            fill = 0.13 if len(shapes.hull(p)) == 2 else 0.05
+            look = {"fc": (colour, fill), "ec": (colour, 0.25), "lw": 0.5}
+            sheet.patch(shapes.rounded(p, 0.5 * BAR * sheet.r), f"ghost{number}:{link.name}", style.GHOSTS, **look)
+
+
+# ---- links
+
+
+def _link(sheet: Sheet, link: SeenLink) -> None:
+    scene, r = sheet.scene, sheet.r
+    p, colour, gid = flat(scene.points(link)), style.link_colour(link.number), f"link:{link.name}"
+    if link.particle:
+        X = next(iter(link.bodies.values()))
+        sheet.patch(shapes.circle(flat(X), 1.1 * r), gid, style.POINTS, fc=colour, ec=INK)
+        return
+    if len(p) == 1 and len(link.joints) == 1:  # nothing but its joint: its own origin is the other end
+        p = distinct(np.concatenate([p, [flat(next(iter(link.bodies.values())))]]))
+    if len(p) < 2:
+        if any(scene.joints[j].kind == "prismatic" for j in link.joints) or any(
+            links[0] == link.number for _, links, _, _ in scene.lines
+        ):
+            return  # the block or the slot is all of it
+        _cross(sheet, next(iter(link.bodies.values())), gid, colour)
+        return
+    corners = shapes.hull(p)
+    dark = style.mix(colour, INK, 0.45)
+    if len(corners) > 2:
+        sheet.patch(shapes.rounded(p, BAR * r), gid, style.POLYGONS, fc=(colour, 0.28), ec=dark, lw=1.1)
+        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            sheet.obstacles.segment(a, b, 1.1 * r, 0.8)
+        middle = p.mean(axis=0)
+        for a in corners:
+            sheet.obstacles.segment(a, middle, 1.5 * r, 0.25)
+    else:
+        sheet.patch(shapes.rounded(p, BAR * r), gid, style.BARS, fc=style.mix(colour, PAPER, 0.25), ec=dark)
+        sheet.obstacles.segment(corners[0], corners[1], 1.0 * r)
+
+
+def _cross(sheet: Sheet, X: Array, gid: str, colour: str) -> None:
+    """A body without extent: its axes x and y."""
+    c, arms = flat(X), X[:2, :2].T * 3.2 * sheet.r
+    for name, arm, part in (("x", arms[0], 0.0), ("y", arms[1], 0.45)):
+        line = np.array([c, c + arm])
+        sheet.line(line, f"{gid}:{name}", style.POINTS, color=style.mix(colour, PAPER, part), lw=1.6)
+        sheet.patch(shapes.arrow_head(c + 1.35 * arm, arm, 1.3 * sheet.r), f"{gid}:{name}", style.POINTS,
+                    fc=style.mix(colour, PAPER, part), ec="none")  # fmt: skip
+        sheet.obstacles.segment(c, c + 1.35 * arm, 0.8 * sheet.r)
+    sheet.patch(shapes.circle(c, 0.5 * sheet.r), gid, style.POINTS, fc=colour, ec="none")
+
+
+def _rods(sheet: Sheet) -> None:
+    """Rods between two points, and the pins that run in slots."""
+    r = sheet.r
+    for name, _, ends, wrong in sheet.scene.rods:
+        p, colour = flat(ends), OPEN if abs(wrong) > WRONG * sheet.scene.size else INK
+        sheet.patch(shapes.rounded(p, 0.4 * BAR * r), f"rod:{name}", style.BARS, fc=style.FAINT, ec=colour)
+        sheet.obstacles.segment(p[0], p[1], r)
+        sheet.labels.append((name, p.mean(axis=0), 1.2 * r, {"gid": f"label:{name}", "color": INK}))
+        for end in p:
+            sheet.patch(shapes.circle(end, 0.7 * r), f"rod:{name}:end", style.PINS, fc=PAPER, ec=INK, lw=1.2)
+    for name, links, A, point in sheet.scene.lines:
+        along, c = A[:2, 2], flat(point)
+        at = float(along @ (c - flat(A)))
+        ends = flat(A) + np.outer([min(0.0, at - 5 * r), max(0.0, at + 5 * r)], along)
+        colour = style.link_colour(links[0])
+        sheet.patch(shapes.rounded(ends, 1.25 * r), f"line:{name}", style.POLYGONS, fc=style.mix(colour, PAPER, 0.45),
+                    ec=style.mix(colour, INK, 0.45))  # fmt: skip
+        slot = flat(A) + np.outer([at - 4 * r, at + 4 * r], along)
+        sheet.patch(shapes.rounded(slot, 0.6 * r), f"slot:{name}", style.RAILS, fc=PAPER, ec=colour)
+        sheet.patch(shapes.circle(c, 0.6 * r), f"line:{name}:point", style.PINS, fc=PAPER, ec=INK, lw=1.2)
+        sheet.obstacles.segment(ends[0], ends[1], 1.3 * r)
+        sheet.labels.append((name, c, 1.2 * r, {"gid": f"label:{name}", "color": INK}))
+
+
+# ---- joints
+
+
+def _pins(sheet: Sheet) -> list[tuple[Array, list[SeenJoint]]]:
+    """Draw the revolute joints and ground symbols; returns the joints that share each point."""
+    scene, r = sheet.scene, sheet.r
+    groups: list[tuple[Array, list[SeenJoint]]] = []
+    for joint in scene.joints:
+        c = flat(scene.seat(joint, r))
+        group = next((g for g in groups if np.linalg.norm(g[0] - c) < 0.3 * r), None)
+        if group is None:
+            groups.append((c, [joint]))
+        else:
+            group[1].append(joint)
+    for _, joints in groups:
+        grounded = [j for j in joints if j.kind == "revolute" and 0 in (j.parent, j.child)]
+        if grounded:
+            base = flat(grounded[0].on(0))
+            _ground(sheet, base, _down(sheet, base), grounded[0].name)
+    for c, joints in groups:
+        turning = [j for j in joints if j.kind == "revolute"]
+        for joint in turning:
+            sheet.patch(shapes.circle(flat(joint.M), r), f"joint:{joint.name}", style.PINS, fc=PAPER, ec=INK, lw=1.5)
+        if turning:
+            sheet.obstacles.segment(c, c, 1.3 * r, 2.0)
+    return groups
+
+
+def _down(sheet: Sheet, p: Array) -> Array:
+    """Direction (2,) of the ground symbol at p: down, unless a link lies there and another side is free."""
+    best, least = np.array([0.0, -1.0]), np.inf
+    for down, dislike in (((0.0, -1.0), 0.0), ((0.0, 1.0), 0.35), ((-1.0, 0.0), 0.45), ((1.0, 0.0), 0.45)):
+        d = np.array(down)
+        along = np.array([-d[1], d[0]])
+        where = p + np.outer(np.linspace(1.5, style.GROUND_HEIGHT + style.HATCH, 6), d) * sheet.r
+        where = where[:, None] + np.outer(np.linspace(-1.2, 1.2, 5), along) * sheet.r
+        cost = float((sheet.obstacles.covered(where) > 0.5).mean()) + dislike
+        if cost < least:
+            best, least = d, cost
+    return best
+
+
+def _ground(sheet: Sheet, p: Array, down: Array, name: str) -> None:
+    triangle, base = shapes.ground(p, down, sheet.r)
+    fill = style.mix(GROUND, PAPER, 0.75)
+    sheet.patch(triangle, f"ground:{name}", style.RAILS, fc=fill, ec=GROUND, lw=1.1)
+    sheet.patch(base, f"hatch:{name}", style.RAILS, fc="none", ec=GROUND, lw=1.0)
+    sheet.obstacles.segment(p, p + style.GROUND_HEIGHT * sheet.r * down, 1.3 * sheet.r)
+    along = style.GROUND_HALF * sheet.r * np.array([-down[1], down[0]])
+    foot = p + (style.GROUND_HEIGHT + 0.5 * style.HATCH) * sheet.r * down
+    sheet.obstacles.segment(foot - along, foot + along, sheet.r)
+
+
+def _prismatic(sheet: Sheet, joint: SeenJoint) -> None:
+    scene, r = sheet.scene, sheet.r
+    if scene.telescopic(joint, r):
+        _telescope(sheet, joint)
+        return
+    ends = joint.parent, joint.child
+    rail = 0 if 0 in ends else max(ends, key=lambda k: (scene.reach(joint, k), k == joint.parent))
+    block = joint.child if rail == joint.parent else joint.parent
+    c, along = flat(joint.on(block)), joint.axis[:2]
+    lo, hi = travel(scene, joint, sheet.configurations)
+    now = float(along @ (flat(joint.M) - flat(joint.F)))
+    if block == joint.parent:
+        along, lo, hi, now = -along, lo, hi, now
+    a, b = c + (lo - now - 4.2 * r) * along, c + (hi - now + 4.2 * r) * along
+    if rail == 0:
+        _ground_rail(sheet, joint, a, b)
+    else:
+        own = flat(joint.on(rail))
+        ends = np.array([a, b, own])[np.argsort([along @ (x - c) for x in (a, b, own)])][[0, 2]]
+        if not scene.links[rail].particle and float(along @ (own - c)) < 0:
+            ends = np.array([own, b])
+        colour = style.link_colour(rail)
+        sheet.patch(shapes.rounded(ends, 0.5 * BAR * r), f"rail:{joint.name}", style.BARS,
+                    fc=style.mix(colour, PAPER, 0.25), ec=style.mix(colour, INK, 0.45))  # fmt: skip
+        sheet.obstacles.segment(ends[0], ends[1], r)
+    colour = style.link_colour(block)
+    sheet.patch(shapes.box(c, along, BLOCK[0] * r, BLOCK[1] * r), f"block:{joint.name}", style.BLOCKS,
+                fc=style.mix(colour, PAPER, 0.55), ec=style.mix(colour, INK, 0.45), lw=1.2)  # fmt: skip
+    sheet.obstacles.segment(c - BLOCK[0] * r * along, c + BLOCK[0] * r * along, 1.8 * r, 1.5)
+
+
+def _ground_rail(sheet: Sheet, joint: SeenJoint, a: Array, b: Array) -> None:
+    """The rail from a to b, moved to the side of the block that is down, or away from the mechanism."""
+    along = (b - a) / np.linalg.norm(b - a)
+    side = np.array([-along[1], along[0]])
+    if abs(side[1]) > 0.3:
+        down = side if side[1] < 0 else -side
+    else:
+        points = np.concatenate([flat(sheet.scene.points(link)) for link in sheet.scene.links])
+        down = side if side @ (points.mean(axis=0) - a) < 0 else -side
+    shift = BLOCK[1] * sheet.r * down
+    sheet.patch(shapes.hatched(a + shift, b + shift, down, sheet.r), f"rail:{joint.name}", style.RAILS,
+                fc="none", ec=GROUND, lw=1.1)  # fmt: skip
+    sheet.obstacles.segment(a + 1.3 * shift, b + 1.3 * shift, sheet.r)
+
+
+def _telescope(sheet: Sheet, joint: SeenJoint) -> None:
+    """A cylinder on the parent, a rod of the child that goes into it."""
+    r, p, m = sheet.r, flat(joint.F), flat(joint.M)
+    along = m - p
+    for (a, b, half), link, part in (
+        ((0.12, 0.58, 1.35), joint.parent, "cylinder"), ((0.5, 1.0, 0.45), joint.child, "rod"),
+        ((0.0, 0.12, 0.7), joint.parent, "neck"),
+    ):  # fmt: skip
+        colour = style.link_colour(link)
+        ends = np.array([p + a * along, p + b * along])
+        unit = along / np.linalg.norm(along)
+        outline = shapes.box(ends.mean(axis=0), unit, float(np.linalg.norm(ends[1] - ends[0])) / 2, half * r)
+        layer = style.BLOCKS if part == "cylinder" else style.BARS
+        sheet.patch(outline, f"{part}:{joint.name}", layer, fc=style.mix(colour, PAPER, 0.35),
+                    ec=style.mix(colour, INK, 0.45))  # fmt: skip
+        sheet.obstacles.segment(ends[0], ends[1], half * r)
+
+
+def _open(sheet: Sheet, joint: SeenJoint) -> None:
+    """A dashed line where a joint does not hold together at this configuration."""
+    a, b = flat(joint.F), flat(joint.M)
+    if joint.kind == "prismatic":
+        b = b - joint.axis[:2] * float(joint.axis[:2] @ (b - a))
+    elif joint.kind != "revolute":
+        return
+    if np.linalg.norm(b - a) > WRONG * sheet.scene.size:
+        sheet.line(np.array([a, b]), f"open:{joint.name}", style.ARROWS, color=OPEN, lw=1.3, ls=(0, (3, 2)))
+        sheet.patch(shapes.circle(a, 0.6 * sheet.r), f"open:{joint.name}:end", style.PINS, fc=PAPER, ec=OPEN, lw=1.2)
+
+
+def _driver(sheet: Sheet, joint: SeenJoint) -> None:
+    """A curved arrow round a driven pin, a straight one beside a driven slider."""
+    r, c = sheet.r, flat(joint.M)
+    gid = f"driver:{joint.name}"
+    look = {"fc": DRIVER, "ec": "none"}
+    if joint.kind == "prismatic":
+        along = joint.axis[:2]
+        c = flat(sheet.scene.seat(joint, r))
+        side = np.array([-along[1], along[0]])
+        side = side if side[1] > 0 else -side
+        start = c + 2.6 * r * side - 2.2 * r * along
+        sheet.line(np.array([start, start + 3.4 * r * along]), gid, style.ARROWS, color=DRIVER, lw=1.7)
+        sheet.patch(shapes.arrow_head(start + 4.6 * r * along, along, 1.5 * r), f"{gid}:head", style.ARROWS, **look)
+        sheet.obstacles.segment(start, start + 4.6 * r * along, 0.8 * r)
+        return
+    radius, sweep = 3.0 * r, np.deg2rad(110.0)
+    costs = []
+    for start in np.deg2rad(np.arange(0.0, 360.0, 15.0)):
+        angles = np.linspace(start, start + sweep, 12)
+        line = c + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        up = 0.15 * np.sin(start + sweep / 2)
+        costs.append((float(sheet.obstacles.covered(line).mean()) - up, start))
+    start = min(costs)[1]
+    line, head = shapes.arc(c, radius, start, start + sweep, 1.5 * r)
+    sheet.line(line, gid, style.ARROWS, color=DRIVER, lw=1.7, solid_capstyle="butt")
+    sheet.patch(head, f"{gid}:head", style.ARROWS, **look)
+    sheet.obstacles.line(line, 0.8 * r)
+
+
+# ---- frames and labels
+
+
+def _frames(sheet: Sheet, link: SeenLink, labels: bool) -> None:
+    centres = [flat(j.M) for j in sheet.scene.joints]
+    for name, X in link.frames.items():
+        c, gid = flat(X), f"frame:{name}"
+        if link.ground:
+            d = 0.8 * sheet.r * np.array([[1.0, 1.0], [1.0, -1.0]])
+            sheet.patch(shapes.strokes([(c - e, c + e) for e in d]), gid, style.POINTS, ec=GROUND, lw=1.2)
+        elif any(np.linalg.norm(c - p) < 0.3 * sheet.r for p in centres):
+            sheet.patch(shapes.circle(c, 0.35 * sheet.r), gid, style.POINTS, fc=INK, ec="none")
+        else:
+            sheet.patch(shapes.circle(c, 0.55 * sheet.r), gid, style.POINTS, fc=INK, ec=PAPER, lw=0.8)
+        sheet.obstacles.segment(c, c, 0.8 * sheet.r, 2.0)
+        if labels:
+            look = {"gid": f"label:{name}", "style": "italic", "color": style.mix(INK, PAPER, 0.3)}
+            sheet.labels.append((name, c, 0.9 * sheet.r, {**look, "size": style.FONT - 1}))
+
+
+def _joint_labels(sheet: Sheet, groups: list[tuple[Array, list[SeenJoint]]]) -> None:
+    for c, joints in groups:
+        names = ", ".join(j.name for j in joints)
+        slides = any(j.kind == "prismatic" for j in joints)
+        clearance = (1.9 if slides else 1.25) * sheet.r
+        look = {"gid": f"label:{names}", "color": INK}
+        sheet.labels.insert(0, (names, c, clearance, look))

@@ -1,0 +1,211 @@
+"""What is seen of a system at one configuration: links, joints, frames and rods in the ground frame; no matplotlib."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.description.values import evaluate
+from kempe.kinematics.constraints import coordinate_value
+from kempe.kinematics.forward import fk
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+
+@dataclass(frozen=True)
+class SeenJoint:
+    """A joint that can move: its frames F (4, 4) on link `parent` and M (4, 4) on link `child`."""
+
+    name: str
+    kind: str
+    parent: int
+    child: int
+    F: Array
+    M: Array
+    driven: bool = False
+    limits: tuple[float, float] = (-np.inf, np.inf)
+
+    def on(self, link: int) -> Array:
+        """Pose (4, 4) of the joint's frame on one of its two links."""
+        return self.F if link == self.parent else self.M
+
+    @property
+    def centre(self) -> Array:
+        """Origin (3,) of frame M."""
+        return self.M[:3, 3]
+
+    @property
+    def axis(self) -> Array:
+        """Axis z (3,) of frame F."""
+        return self.F[:3, 2]
+
+
+@dataclass(frozen=True)
+class SeenLink:
+    """Bodies that fixed joints make one: poses (4, 4) by body name, frames likewise, and numbers of its joints."""
+
+    number: int
+    name: str
+    bodies: dict[str, Array]
+    frames: dict[str, Array] = field(default_factory=dict)
+    joints: tuple[int, ...] = ()
+    particle: bool = False
+
+    @property
+    def ground(self) -> bool:
+        """Whether it does not move."""
+        return self.number == 0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All that there is to draw; link 0 is the ground.
+
+    `rods` are distance constraints: name, links, ends (2, 3), what the ends are too far apart [m]. `lines` are points
+    on lines and planes: name, links, pose (4, 4) of the line's or plane's frame, position of the point.
+    """
+
+    system: System
+    q: Array
+    links: tuple[SeenLink, ...]
+    joints: tuple[SeenJoint, ...]
+    rods: tuple[tuple[str, tuple[int, int], Array, float], ...] = ()
+    lines: tuple[tuple[str, tuple[int, int], Array, Array], ...] = ()
+
+    def points(self, link: SeenLink) -> Array:
+        """Distinct joint centres, ends of rods and frames (k, 3) of a link, in that order."""
+        found = [self.joints[j].on(link.number)[:3, 3] for j in link.joints]
+        found += [ends[k] for _, links, ends, _ in self.rods for k in (0, 1) if links[k] == link.number]
+        found += [p for _, links, _, p in self.lines if links[1] == link.number]
+        found += [X[:3, 3] for X in link.frames.values()]
+        return distinct(np.array(found).reshape(-1, 3))
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the box around all joint centres and frames [m]; 1 where there is but one point."""
+        p = np.concatenate([self.points(link) for link in self.links])
+        span = float(np.linalg.norm(np.ptp(p, axis=0))) if len(p) else 0.0
+        return span if np.isfinite(span) and span > 1e-9 else 1.0
+
+    @property
+    def lengths(self) -> Array:
+        """Distances of all pairs of points on the same moving link [m], without zeros."""
+        out = [0.0]
+        for link in self.links[1:]:
+            p = self.points(link)
+            out += [float(np.linalg.norm(a - b)) for i, a in enumerate(p) for b in p[:i]]
+        lengths = np.array(out)
+        return lengths[lengths > 1e-9 * self.size]
+
+
+    def reach(self, joint: SeenJoint, link: int) -> float:
+        """How far the points of a link are from a joint on it, at most [m]."""
+        p = self.points(self.links[link])
+        return float(np.max(np.linalg.norm(p - joint.on(link)[:3, 3], axis=1), initial=0.0))
+
+    def telescopic(self, joint: SeenJoint, r: float) -> bool:
+        """Whether a prismatic joint between moving links is drawn as cylinder and rod, not as a block on a rail.
+
+        `r` is the radius of a pin [m]. Kinematically they are one: a motor, or links that go on at both ends, decide.
+        """
+        if joint.kind != "prismatic" or 0 in (joint.parent, joint.child):
+            return False
+        both = min(self.reach(joint, joint.parent), self.reach(joint, joint.child)) > 6 * r
+        return (joint.driven or both) and float(np.linalg.norm(joint.centre - joint.F[:3, 3])) > 6 * r
+
+    def seat(self, joint: SeenJoint, r: float) -> Array:
+        """Point (3,) where the symbol of a joint sits: the origin of M, or the middle of its cylinder."""
+        return 0.64 * joint.F[:3, 3] + 0.36 * joint.centre if self.telescopic(joint, r) else joint.centre
+
+
+def distinct(points: Array, near: float = 1e-7) -> Array:
+    """The points (k, d) without repetitions, in their order; `near` is relative to their extent."""
+    scale = near * max(float(np.ptp(points, axis=0).max()) if len(points) else 0.0, 1e-9)
+    out: list[Array] = []
+    for p in points:
+        if all(np.linalg.norm(p - o) > scale for o in out):
+            out.append(p)
+    return np.array(out).reshape(-1, points.shape[1])
+
+
+def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
+    """The scene of a system at one configuration (nq,). `drivers` names joints to mark beside the actuated ones."""
+    mechanism = system.mechanism
+    poses = dict(zip(system.body_names, fk(system, q), strict=True))
+    number = _links(system)
+    joints: list[SeenJoint] = []
+    mine: dict[int, list[int]] = {}
+    for joint in mechanism.joints.values():
+        if not joint.type.dof(system.dim, mechanism.bodies[joint.child].particle):
+            continue
+        X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
+        ends = number[joint.parent], number[joint.child]
+        for end in ends:
+            mine.setdefault(end, []).append(len(joints))
+        driven = bool(joint.actuated) or joint.name in drivers
+        limits = next(iter(joint.limits.values()), (-np.inf, np.inf))
+        joints.append(
+            SeenJoint(
+                joint.name, joint.type.type_name, *ends, poses[joint.parent] @ X_PF, poses[joint.child] @ X_CM,
+                driven, limits,
+            )
+        )  # fmt: skip
+    links = []
+    for k in range(max(number.values()) + 1):
+        bodies = {b: poses[b] for b in system.body_names if number[b] == k}
+        frames = {f.name: poses[f.body] @ f.X_BF.evaluate(mechanism.parameters)
+                  for f in mechanism.frames.values() if f.body in bodies}  # fmt: skip
+        particle = all(mechanism.bodies[b].particle for b in bodies)
+        links.append(SeenLink(k, next(iter(bodies)), bodies, frames, tuple(mine.get(k, ())), particle))
+    return Scene(system, q, tuple(links), tuple(joints), *_constraints(system, poses, number))
+
+
+def _links(system: System) -> dict[str, int]:
+    """Number of the link of each body: bodies joined by joints without freedom are one."""
+    mechanism = system.mechanism
+    root = {b: b for b in system.body_names}
+
+    def find(body: str) -> str:
+        while root[body] != body:
+            body = root[body]
+        return body
+
+    order = {b: i for i, b in enumerate(system.body_names)}
+    for joint in mechanism.joints.values():
+        if not joint.type.dof(system.dim, mechanism.bodies[joint.child].particle):
+            a, b = sorted((find(joint.parent), find(joint.child)), key=order.__getitem__)
+            root[b] = a
+    heads = [b for b in system.body_names if root[b] == b]
+    return {b: heads.index(find(b)) for b in system.body_names}
+
+
+def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]) -> tuple[Any, Any]:
+    """Rods and lines of the constraints that are no joints, where the mechanism has any."""
+    mechanism = system.mechanism
+    rods, lines = [], []
+    for c in mechanism.constraints.values():
+        A = poses[c.parent] @ c.X_PF.evaluate(mechanism.parameters)
+        B = poses[c.child] @ c.X_CM.evaluate(mechanism.parameters)
+        ends = number[c.parent], number[c.child]
+        if c.kind == "distance":
+            p = np.stack([A[:3, 3], B[:3, 3]])
+            length = float(evaluate(c.length, mechanism.parameters)) if c.length is not None else 0.0
+            rods.append((c.name, ends, p, float(np.linalg.norm(p[1] - p[0])) - length))
+        else:
+            lines.append((c.name, ends, A, B[:3, 3]))
+    return tuple(rods), tuple(lines)
+
+
+def travel(scene: Scene, joint: SeenJoint, configurations: Array | None) -> tuple[float, float]:
+    """Smallest and largest slide [m] of a prismatic joint: now, over configurations (n, nq), and within its limits."""
+    system = scene.system
+    values = [float(coordinate_value(system, scene.q, joint.name))]
+    if configurations is not None:
+        along = np.asarray(coordinate_value(system, configurations, joint.name))
+        values += [float(x) for x in along[np.isfinite(along)]]
+    values += [x for x in joint.limits if np.isfinite(x)] if np.isfinite(joint.limits).all() else []
+    return min(values), max(values)

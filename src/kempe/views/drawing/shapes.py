@@ -1,0 +1,111 @@
+"""Outlines of the planar symbols as matplotlib paths, in metres: links, ground, rails, blocks, arrows."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.path import Path
+
+from kempe.spatial import Array
+from kempe.views.drawing.style import GROUND_HALF, GROUND_HEIGHT, HATCH
+
+
+def hull(points: Array) -> Array:
+    """Corners (k, 2) of the convex hull of points (n, 2), counterclockwise (Andrew's monotone chain, 1979)."""
+    if len(points) < 3:
+        return points
+    flat = 1e-12 * max(float(np.ptp(points, axis=0).max()), 1e-300) ** 2
+    ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
+
+    def half(sequence: Array) -> list[Array]:
+        out: list[Array] = []
+        for p in sequence:
+            while len(out) > 1 and cross(out[-1] - out[-2], p - out[-2]) <= flat:
+                out.pop()
+            out.append(p)
+        return out[:-1]
+
+    return np.array(half(ordered) + half(ordered[::-1]))
+
+
+def cross(a: Array, b: Array) -> float:
+    """The z component of the cross product of two vectors (2,)."""
+    return float(a[0] * b[1] - a[1] * b[0])
+
+
+def rounded(points: Array, radius: float) -> Path:
+    """Outline of all that is within `radius` of the convex hull of points (n, 2): a disc, a bar, a rounded polygon."""
+    corners = hull(points)
+    if len(corners) == 1:
+        return circle(corners[0], radius)
+    sides = np.roll(corners, -1, axis=0) - corners
+    normals = np.rad2deg(np.arctan2(sides[:, 1], sides[:, 0])) - 90.0
+    vertices, codes = [], []
+    for k, corner in enumerate(corners):
+        start, stop = normals[k - 1], normals[k]
+        stop = start + (stop - start) % 360.0
+        arc = Path.arc(start, stop if stop > start + 1e-6 else start + 1e-6)
+        unit = np.asarray(arc.vertices)
+        vertices.append(corner + radius * unit)
+        codes += [Path.LINETO if vertices[1:] else Path.MOVETO, *[Path.CURVE4] * (len(unit) - 1)]
+    vertices.append(vertices[0][:1])
+    return Path(np.concatenate(vertices), [*codes, Path.CLOSEPOLY])
+
+
+def circle(centre: Array, radius: float) -> Path:
+    """Outline of a circle."""
+    unit = Path.unit_circle()
+    return Path(np.asarray(centre) + radius * np.asarray(unit.vertices), unit.codes)
+
+
+def polygon(points: Array) -> Path:
+    """Outline of a polygon with the corners (n, 2)."""
+    return Path(np.concatenate([points, points[:1]]), [Path.MOVETO, *[Path.LINETO] * (len(points) - 1), Path.CLOSEPOLY])
+
+
+def strokes(lines: list[tuple[Array, Array]]) -> Path:
+    """Separate straight lines, as one path."""
+    codes = [Path.MOVETO, Path.LINETO] * len(lines)
+    return Path(np.array([p for line in lines for p in line]).reshape(-1, 2), codes)
+
+
+def hatched(a: Array, b: Array, down: Array, r: float) -> Path:
+    """The line from a to b with the strokes of the ground on its side `down` (unit vector)."""
+    length = float(np.linalg.norm(b - a))
+    along = (b - a) / max(length, 1e-300)
+    count = max(2, round(length / (HATCH * r)))
+    foot = a + along * (np.arange(count) + 0.75)[:, None] * (length / count)
+    slant = (down - along) * (HATCH * 0.85 * r)
+    return strokes([(a, b), *[(p, p + slant) for p in foot]])
+
+
+def ground(p: Array, down: Array, r: float) -> tuple[Path, Path]:
+    """Triangle under a pivot at p, and its hatched base line; `down` (2,) is a unit vector."""
+    along = np.array([-down[1], down[0]])
+    base = p + GROUND_HEIGHT * r * down
+    corners = np.array([p, base - 1.55 * r * along, base + 1.55 * r * along])
+    side = along if along[0] >= 0.0 else -along
+    return polygon(corners), hatched(base - GROUND_HALF * r * side, base + GROUND_HALF * r * side, down, r)
+
+
+def box(centre: Array, along: Array, half_length: float, half_height: float) -> Path:
+    """Outline of a rectangle about a centre, its length in the direction `along` (unit vector)."""
+    up = np.array([-along[1], along[0]])
+    x, y = half_length * along, half_height * up
+    return polygon(np.array([centre - x - y, centre + x - y, centre + x + y, centre - x + y]))
+
+
+def arc(centre: Array, radius: float, start: float, stop: float, head: float) -> tuple[Array, Path]:
+    """Points (n, 2) of a circular arc between two angles [rad], and the arrow head at its end."""
+    back = np.sign(stop - start) * 0.8 * head / radius
+    angles = np.linspace(start, stop - back, 40)
+    line = centre + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    tip = centre + radius * np.array([np.cos(stop), np.sin(stop)])
+    return line, arrow_head(tip, tip - line[-1], head)
+
+
+def arrow_head(tip: Array, direction: Array, head: float) -> Path:
+    """A slim triangle of length `head` whose tip points in a direction (2,)."""
+    along = direction / max(float(np.linalg.norm(direction)), 1e-300)
+    side = np.array([-along[1], along[0]])
+    base = tip - head * along
+    return polygon(np.array([tip, base + 0.42 * head * side, base - 0.42 * head * side]))

@@ -1,0 +1,127 @@
+"""Small solids of flat faces, shaded by their normals, for drawings in space: tubes, balls, boxes, plates, cones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from kempe import spatial
+from kempe.spatial import Array
+
+LIGHT = np.array([0.35, -0.55, 0.76])
+"""Direction of the light; faces turned away from it keep `SHADE` of their colour."""
+SHADE = 0.66
+SIDES = 12
+"""Faces around a tube."""
+
+
+@dataclass
+class Solids:
+    """Faces (k, 3) with colours and, by name, the numbers of those that belong to it."""
+
+    faces: list[Array] = field(default_factory=list)
+    colours: list[tuple[float, float, float, float]] = field(default_factory=list)
+    edges: list[tuple[float, float, float, float]] = field(default_factory=list)
+    named: dict[str, list[int]] = field(default_factory=dict)
+
+    def face(self, name: str, corners: Array, normal: Array, colour: str, alpha: float = 1.0, edge: str = "") -> None:
+        """Add a flat convex face with its outward normal; `edge` is the colour of its outline, none if empty.
+
+        Faces are kept as quadrangles: matplotlib pads others with memory that it never wrote.
+        """
+        light = abs(float(normal @ LIGHT)) if alpha < 1.0 else max(float(normal @ LIGHT), 0.0)
+        red, green, blue = (x * (SHADE + (1.0 - SHADE) * light) for x in rgb(colour))
+        if len(corners) == 3:
+            corners = corners[[0, 1, 2, 2]]
+        for k in range(1, len(corners) - 2, 2):
+            self.named.setdefault(name, []).append(len(self.faces))
+            self.faces.append(corners[[0, k, k + 1, k + 2]])
+            self.colours.append((red, green, blue, alpha))
+            line = rgb(edge) if edge and len(corners) == 4 else (red, green, blue)
+            self.edges.append((*line, 1.0 if alpha == 1.0 else 0.8 if edge else 0.0))
+        if len(corners) > 4 and len(corners) % 2:  # the last triangle of the fan
+            self.face(name, corners[[0, -2, -1]], normal, colour, alpha)
+
+    def tube(
+        self, name: str, a: Array, b: Array, radius: float, colour: str, pieces: int = 0, caps: bool = True,
+        edge: str = "", sides: int = SIDES, end_radius: float | None = None,
+    ) -> None:  # fmt: skip
+        """A tube from a to b (3,), cut into `pieces` (default by its slimness); a cone with `end_radius`."""
+        length = float(np.linalg.norm(b - a))
+        if length < 1e-12:
+            return
+        X = spatial.align_z((b - a) / length)
+        angles = np.arange(sides) * (2 * np.pi / sides)
+        round_ = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ X[:, :2].T
+        pieces = pieces or int(np.clip(length / (6 * radius), 1, 16))
+        radii = np.linspace(radius, radius if end_radius is None else end_radius, pieces + 1)
+        rings = [a + (b - a) * t + r * round_ for t, r in zip(np.linspace(0, 1, pieces + 1), radii, strict=True)]
+        middle = np.roll(round_, -1, axis=0) + round_
+        middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+        for low, high in zip(rings[:-1], rings[1:], strict=True):
+            for k in range(sides):
+                n = (k + 1) % sides
+                self.face(name, np.array([low[k], low[n], high[n], high[k]]), middle[k], colour)
+        if caps:
+            for ring, sign in ((rings[0], -1.0), (rings[-1], 1.0)):
+                self.face(name, ring, sign * X[:, 2], colour)
+            if edge:
+                ring = 0.14 * radius * X[:, 2]
+                self.tube(name, a, a + ring, 1.02 * radius, edge, 1, caps=False)
+                self.tube(name, b - ring, b, 1.02 * radius, edge, 1, caps=False)
+
+    def ball(self, name: str, centre: Array, radius: float, colour: str) -> None:
+        """A sphere of 8 by 12 faces."""
+        lat = np.linspace(-np.pi / 2, np.pi / 2, 9)
+        lon = np.arange(13) * (2 * np.pi / 12)
+        p = np.stack([np.outer(np.cos(lat), np.cos(lon)), np.outer(np.cos(lat), np.sin(lon)),
+                      np.outer(np.sin(lat), np.ones(13))], axis=-1)  # fmt: skip
+        for i in range(8):
+            for j in range(12):
+                corners = np.array([p[i, j], p[i, j + 1], p[i + 1, j + 1], p[i + 1, j]])
+                normal = corners.mean(axis=0)
+                self.face(name, centre + radius * corners, normal / np.linalg.norm(normal), colour)
+
+    def box(self, name: str, X: Array, half: Array, colour: str, edge: str = "") -> None:
+        """A box about the origin of the pose X (4, 4), with half-lengths (3,) along its axes."""
+        for axis in range(3):
+            for sign in (-1.0, 1.0):
+                u, v = (axis + 1) % 3, (axis + 2) % 3
+                corners = np.zeros((4, 3))
+                corners[:, axis] = sign
+                corners[:, u], corners[:, v] = (-1, 1, 1, -1), (-1, -1, 1, 1)
+                self.face(name, X[:3, 3] + (corners * half) @ X[:3, :3].T, sign * X[:3, axis], colour, edge=edge)
+
+    def plate(self, name: str, corners: Array, colour: str, alpha: float, edge: str = "") -> None:
+        """A flat polygon without thickness, corners (n, 3) in order."""
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        self.face(name, corners, normal / max(float(np.linalg.norm(normal)), 1e-300), colour, alpha, edge)
+
+    def arrow(self, name: str, line: Array, radius: float, colour: str) -> None:
+        """A bent arrow along points (n, 3), its head at the last."""
+        for a, b in zip(line[:-2], line[1:-1], strict=True):
+            self.tube(name, a, b, radius, colour, pieces=1, caps=False, sides=6)
+        tip = line[-1] - line[-2]
+        tip = tip / max(float(np.linalg.norm(tip)), 1e-300)
+        self.tube(name, line[-2], line[-2] + 6.0 * radius * tip, 2.6 * radius, colour, pieces=1, sides=8,
+                  end_radius=0.0)  # fmt: skip
+
+
+def rgb(colour: str) -> tuple[float, float, float]:
+    """Red, green and blue from 0 to 1 of '#rrggbb'."""
+    red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+    return red, green, blue
+
+
+def flat_hull(points: Array, tolerance: float) -> list[int] | None:
+    """Numbers (k,) of the points (n, 3) on their convex hull, in order round it; None if they lie in no plane."""
+    middle = points.mean(axis=0)
+    _, size, axes = np.linalg.svd(points - middle, full_matrices=False)
+    if len(points) < 3 or size[1] < tolerance or (len(size) > 2 and size[2] > tolerance):
+        return None
+    from kempe.views.drawing.shapes import hull
+
+    p = (points - middle) @ axes[:2].T
+    corners = hull(p)
+    return [int(np.argmin(np.linalg.norm(p - c, axis=1))) for c in corners]

@@ -1,0 +1,203 @@
+"""Systems in space, on matplotlib's axes in three dimensions: links as tubes and plates, joints as oriented symbols.
+
+All solids are one collection of faces, so that matplotlib sorts them by depth together.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.errors import InputError
+from kempe.spatial import Array
+from kempe.views.drawing import page, style, symbols
+from kempe.views.drawing.labels import Obstacles, extent
+from kempe.views.drawing.scene import Scene
+from kempe.views.drawing.solids import Solids
+from kempe.views.drawing.style import FAINT, FONT, INK
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+VIEWS = [(float(elev), float(azim)) for elev in (22, 32) for azim in range(-75, -14, 12)]
+"""Elevations and azimuths [degrees] among which the one is taken that keeps the points furthest apart."""
+
+
+def picture(
+    scene: Scene, configurations: Array | None, curves: dict[str, Array], here: dict[str, Array],
+    before: list[Scene], labels: bool, ax: Any,
+) -> Axes:  # fmt: skip
+    """Axes in space with the scene, the curves (n, 3) by frame, and earlier positions as faint lines."""
+    own = ax is None
+    if own:
+        ax = page.new_figure().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
+    elif not hasattr(ax, "get_zlim"):
+        raise InputError("ax is flat; a system in space needs axes with projection='3d'")
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    ax.computed_zorder = False
+    solids = Solids()
+    radius = symbols.radius(scene)
+    skeleton = symbols.build(solids, scene, radius, configurations)
+    faces = Poly3DCollection(solids.faces, facecolors=solids.colours, edgecolors=solids.edges, linewidths=0.35,
+                             zorder=style.BARS, gid="solids")  # fmt: skip
+    ax.add_collection3d(faces, autolim=False)
+    for k, old in enumerate(before):
+        for link, line in symbols.lines(old):
+            ax.plot(*line.T, color=style.link_colour(link.number), alpha=0.22, lw=1.6, zorder=style.GHOSTS,
+                    gid=f"ghost{k}:{link.name}")  # fmt: skip
+    for k, (name, points) in enumerate(curves.items()):
+        colour = style.curve_colour(k)
+        ax.plot(*points.T, color=colour, lw=1.9, zorder=style.ARROWS, gid=f"curve:{name}", label=name)
+        p = here[name]
+        ax.plot([p[0]], [p[1]], [p[2]], "o", color=colour, ms=6, mec="white", mew=1.0, zorder=style.ARROWS,
+                gid=f"here:{name}")  # fmt: skip
+    all_points = [*solids.faces, *(c[np.isfinite(c).all(axis=1)] for c in curves.values())]
+    all_points += [line for old in before for _, line in symbols.lines(old)]
+    all_points += [scene.points(link) for link in scene.links]
+    if not any(len(p) for p in all_points):  # nothing moves and nothing is named
+        all_points.append(np.zeros((1, 3)))
+    elev, azim = _view(scene)
+    _frame(ax, np.concatenate(all_points), elev, azim)
+    if own:
+        _fit(ax)
+    if labels:
+        _labels(ax, scene, skeleton, radius, camera(elev, azim), own)
+    return ax
+
+
+def camera(elev: float, azim: float) -> Array:
+    """Rows right, up and towards the eye (3, 3) of a view; angles in degrees."""
+    e, a = np.deg2rad(elev), np.deg2rad(azim)
+    return np.array([
+        [-np.sin(a), np.cos(a), 0.0],
+        [-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)],
+        [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)],
+    ])  # fmt: skip
+
+
+def _view(scene: Scene) -> tuple[float, float]:
+    """The view in which joint centres and frames lie furthest apart (least sum of inverse distances)."""
+    p = np.concatenate([scene.points(link) for link in scene.links])
+    i, j = np.triu_indices(len(p), 1)
+    apart = np.linalg.norm(p[i] - p[j], axis=1) > 1e-6 * scene.size
+    d = (p[i] - p[j])[apart]
+    if not len(d):
+        return VIEWS[2]
+    costs = []
+    for elev, azim in VIEWS:
+        seen = np.linalg.norm(d @ camera(elev, azim)[:2].T, axis=1)
+        costs.append(float(np.sum(1.0 / (seen + 0.02 * scene.size))))
+    best = min(costs)
+    return next(v for v, c in zip(VIEWS, costs, strict=True) if c <= 1.0000001 * best)
+
+
+def _frame(ax: Any, points: Array, elev: float, azim: float) -> None:
+    """Limits with equal scales, light axes in metres, the view."""
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    room = 0.03 * float((upper - lower).max()) or 0.5  # a lone point has no extent
+    lower, upper = lower - room, upper + room
+    thin = 0.3 * float((upper - lower).max())
+    grow = np.maximum(thin - (upper - lower), 0.0) / 2
+    lower, upper = lower - grow, upper + grow
+    for axis, name, a, b in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", lower, upper, strict=True):
+        getattr(ax, f"set_{name}lim")(a, b)
+        axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
+        axis.line.set_color(FAINT)
+        axis._axinfo["grid"].update(color="#e3e7ea", linewidth=0.6)
+        axis._axinfo["tick"].update(inward_factor=0.0, outward_factor=0.15)
+        axis.set_tick_params(labelsize=FONT - 2, labelcolor=style.GROUND, color=FAINT, pad=-2)
+        small = (b - a) < 0.45 * float((upper - lower).max())
+        axis.set_major_locator(_locator(2 if small else 5))
+        axis.set_label_text(f"{name} [m]", size=FONT - 1, color=style.GROUND)
+        axis.labelpad = -4 if small else 0
+    ax.set_proj_type("ortho")
+    ax.set_box_aspect(upper - lower, zoom=1.0)
+    ax.view_init(elev=elev, azim=azim)
+
+
+def _fit(ax: Any) -> None:
+    """Let the box fill the figure, and the figure be no larger than the box with its axes needs."""
+    figure, side, room = ax.figure, 7.0, (0.75, 0.55)
+    figure.set_size_inches(side, side)
+    seen = _on_axes(ax, _corners(ax))
+    span = np.ptp(seen, axis=0)
+    zoom = float(min((side - 2 * r) / side / x for r, x in zip(room, span, strict=True)))
+    ax.set_box_aspect([np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim()), np.ptp(ax.get_zlim())], zoom=zoom)
+    seen = _on_axes(ax, _corners(ax))
+    lower, upper = seen.min(axis=0) * side - room, seen.max(axis=0) * side + room
+    size = np.maximum(upper - lower, (3.2, 2.4))
+    corner = 0.5 * (size - lower - upper)
+    figure.set_size_inches(*size)
+    ax.set_position((corner[0] / size[0], corner[1] / size[1], side / size[0], side / size[1]))
+
+
+def _corners(ax: Any) -> Array:
+    limits = ax.get_xlim(), ax.get_ylim(), ax.get_zlim()
+    return np.stack(np.meshgrid(*limits), axis=-1).reshape(-1, 3)
+
+
+def _on_axes(ax: Any, points: Array) -> Array:
+    """Points (n, 3) in coordinates of the axes' rectangle (n, 2)."""
+    from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+    ax.apply_aspect()
+    x, y, _ = proj_transform(points[:, 0], points[:, 1], points[:, 2], ax.get_proj())
+    return ax.transAxes.inverted().transform(ax.transData.transform(np.stack([x, y], axis=-1)))
+
+
+def _locator(count: int) -> Any:
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(count, steps=[1, 2, 5, 10])
+
+
+def _labels(ax: Any, scene: Scene, skeleton: list[Array], radius: float, eye: Array, own: bool) -> None:
+    """Names of joints and frames, placed in the plane of the picture."""
+    from matplotlib.patheffects import withStroke
+
+    obstacles = Obstacles()
+    for line in skeleton:
+        obstacles.line(line @ eye[:2].T, 1.2 * radius, 0.8)
+    for joint in scene.joints:
+        c = eye[:2] @ joint.centre
+        obstacles.segment(c, c, 2.0 * radius, 1.0)
+        if scene.telescopic(joint, radius):
+            low, high = (joint.F[:3, 3] + t * (joint.centre - joint.F[:3, 3]) for t in (0.16, 0.56))
+            obstacles.segment(eye[:2] @ low, eye[:2] @ high, 2.0 * radius, 1.0)
+        if 0 in (joint.parent, joint.child):
+            obstacles.segment(c, c - eye[:2, 2] * 3.0 * radius, 2.2 * radius, 0.9)
+    metres_a_point = _metres_a_point(ax, eye)
+    half = 0.5 * metres_a_point * 72.0 * (ax.figure.get_size_inches() - 0.1)
+    centre = eye[:2] @ _corners(ax).mean(axis=0)
+    obstacles.bounds = (centre - half, centre + half) if own else None
+    groups: list[tuple[Array, list[str], dict[str, Any]]] = []
+    for joint in scene.joints:
+        seat = scene.seat(joint, radius)
+        near = next((g for g in groups if np.linalg.norm(eye[:2] @ (g[0] - seat)) < 1.2 * radius), None)
+        if near is None:
+            groups.append((seat, [joint.name], {"color": INK, "size": FONT}))
+        else:
+            near[1].append(joint.name)
+    grey = {"color": style.mix(INK, style.PAPER, 0.3), "style": "italic", "size": FONT - 1}
+    groups += [(X[:3, 3], [name], grey) for link in scene.links for name, X in link.frames.items()]
+    middle = np.mean([g[0] for g in groups], axis=0) if groups else np.zeros(3)
+    halo = [withStroke(linewidth=2.2, foreground=style.PAPER)]
+    for p, names, look in groups:
+        text = ", ".join(names)
+        width, height = (metres_a_point * x for x in extent(text, look["size"]))
+        c = eye[:2] @ p
+        outward = eye[:2] @ (p - middle) / scene.size
+        place = obstacles.place(c, (width, height), 2.1 * radius, outward)
+        where = p + eye[:2].T @ (place - c)
+        ax.text(*where, text, ha="center", va="center", zorder=style.TEXT, gid=f"label:{text}",
+                path_effects=halo, **look)  # fmt: skip
+
+
+def _metres_a_point(ax: Any, eye: Array) -> float:
+    """Metres in one point (1/72 inch) of the paper, in the plane of the picture."""
+    centre = np.array([np.mean(ax.get_xlim()), np.mean(ax.get_ylim()), np.mean(ax.get_zlim())])
+    step = float(np.ptp(ax.get_xlim()))
+    a, b = ax.transAxes.transform(_on_axes(ax, np.array([centre, centre + step * eye[0]])))
+    return step / max(float(np.linalg.norm(b - a)) * 72.0 / ax.figure.dpi, 1e-300)

@@ -1,0 +1,50 @@
+"""Colours, sizes and layers of the drawings, in one place. Lengths are in pin radii unless they say otherwise."""
+
+from __future__ import annotations
+
+INK = "#22303c"
+GROUND = "#59646e"
+PAPER = "#ffffff"
+FAINT = "#b8c0c7"
+DRIVER = "#c2410c"
+OPEN = "#d11149"
+"""Loops that are not closed."""
+WRONG = 1e-6
+"""Part of the size of the drawing beyond which joints and rods count as not closed."""
+
+LINKS = (
+    "#4c78a8", "#dd8452", "#5aa469", "#b5648f", "#8172b3", "#c4a13a", "#4aa3b0", "#a3715c", "#7d8ca3", "#cc6677",
+    "#6b9a2f", "#9a7fd1",
+)  # fmt: skip
+CURVES = ("#c1272d", "#1b6fb5", "#2c8c45", "#8e44ad", "#d9820a", "#0f8b8d")
+
+FONT = 9.0
+"""Size of labels in points."""
+
+GHOSTS, POLYGONS, RAILS, BARS, BLOCKS, CURVE, PINS, POINTS, ARROWS, TEXT = range(1, 11)
+"""Layers from back to front."""
+
+BAR = 0.68
+"""Half-width of a bar."""
+BLOCK = (2.5, 1.45)
+"""Half-length and half-height of a sliding block."""
+GROUND_HEIGHT, GROUND_HALF = 2.7, 2.3
+"""Height of the triangle under a ground pivot, half-length of its hatched base line."""
+HATCH = 0.95
+"""Distance of the strokes of a hatching, and their depth."""
+
+
+def link_colour(number: int) -> str:
+    """Colour of the link of this number; the ground is number 0."""
+    return GROUND if number == 0 else LINKS[(number - 1) % len(LINKS)]
+
+
+def curve_colour(number: int) -> str:
+    """Colour of the curve of this number, counted from 0."""
+    return CURVES[number % len(CURVES)]
+
+
+def mix(colour: str, other: str, part: float) -> str:
+    """The colour with a `part` (0 to 1) of the other mixed in, as '#rrggbb'."""
+    a, b = (tuple(int(c[i : i + 2], 16) for i in (1, 3, 5)) for c in (colour, other))
+    return "#" + "".join(f"{round(x + (y - x) * part):02x}" for x, y in zip(a, b, strict=True))

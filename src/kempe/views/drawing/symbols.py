@@ -1,0 +1,331 @@
+"""Solids for the parts of a system in space: links, ground marks, and one oriented symbol for each joint type."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from kempe.spatial import Array
+from kempe.views.drawing import style
+from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, distinct, travel
+from kempe.views.drawing.solids import Solids, flat_hull
+from kempe.views.drawing.style import DRIVER, GROUND, INK, OPEN, WRONG
+
+OF_SIZE, OF_LINK, LEAST = 0.02, 0.13, 0.0125
+"""Radius of a hinge: as part of the whole drawing, at most as part of a short link, at least of the drawing."""
+DETOUR = 1.76
+"""How much longer the way along two axes and their common normal may be than the straight one: sqrt(3) and a bit."""
+LINK = 0.5
+"""Radius of a link's tube in radii of a hinge."""
+JOINT = "#dfe4e8"
+AXES = ("#c0392b", "#2e8b57", "#2b5fb3")
+TURNING = ("revolute", "cylindrical", "helical")
+
+
+def radius(scene: Scene) -> float:
+    """Radius [m] of a hinge that suits the size of the drawing and its shorter links."""
+    lengths = scene.lengths
+    short = float(np.quantile(lengths, 0.35)) if len(lengths) else scene.size
+    return max(min(OF_SIZE * scene.size, OF_LINK * short), LEAST * scene.size)
+
+
+def build(solids: Solids, scene: Scene, r: float, configurations: Array | None) -> list[Array]:
+    """Add everything that the scene shows; returns the polylines (n, 3) that its links follow."""
+    skeleton: list[Array] = []
+    _ground(solids, scene, r, skeleton)
+    for link in scene.links[1:]:
+        _link(solids, scene, link, r, skeleton)
+    for joint in scene.joints:
+        colour = style.mix(DRIVER, style.PAPER, 0.45) if joint.driven else JOINT
+        SYMBOLS[joint.kind](solids, scene, joint, r, colour, configurations)
+        if joint.driven and joint.kind in TURNING:
+            _turning_arrow(solids, joint, r)
+        _open(solids, joint, r)
+    for name, _, ends, wrong in scene.rods:
+        colour = OPEN if abs(wrong) > WRONG * scene.size else style.FAINT
+        solids.tube(f"rod:{name}", ends[0], ends[1], 0.35 * r, colour)
+        for end in ends:
+            solids.ball(f"rod:{name}", end, 0.8 * r, JOINT)
+        skeleton.append(ends)
+    for name, _, A, point in scene.lines:
+        along = A[:3, 2] * 6 * r
+        solids.tube(f"line:{name}", point - along, point + along, 0.2 * r, GROUND)
+        solids.ball(f"line:{name}", point, 0.8 * r, JOINT)
+    return skeleton
+
+
+# ---- links
+
+
+def lines(scene: Scene) -> Iterator[tuple[SeenLink, Array]]:
+    """For each moving link the polylines (n, 3) that it is drawn along."""
+    for link in scene.links[1:]:
+        for line in _lines(scene, link):
+            yield link, line
+
+
+def _lines(scene: Scene, link: SeenLink) -> list[Array]:
+    joints = [scene.joints[j] for j in link.joints]
+    centres = distinct(np.array([j.on(link.number)[:3, 3] for j in joints]
+                                + [e[k] for _, n, e, _ in scene.rods for k in (0, 1) if n[k] == link.number]
+                                + [p for _, n, _, p in scene.lines if n[1] == link.number]).reshape(-1, 3))  # fmt: skip
+    ends = [X[:3, 3] for X in link.frames.values()]
+    out: list[Array] = []
+    if len(joints) == 2 and len(centres) <= 2:
+        first, last = joints
+        turns = first.kind in TURNING, last.kind in TURNING
+        out.append(_along_axes(first.on(link.number), last.on(link.number), *turns))
+        hub = centres
+    elif len(centres) > 2:
+        rim = flat_hull(centres, 0.02 * scene.size)
+        middle = centres.mean(axis=0)
+        if rim is None:
+            out += [np.array([middle, c]) for c in centres]
+        else:
+            out.append(centres[[*rim, rim[0]]])
+            out += [np.array([middle, c]) for k, c in enumerate(centres) if k not in rim]
+        hub = centres if rim is None else np.concatenate([centres, [middle]])
+    else:
+        hub = centres
+        if len(centres) == 2:
+            out.append(centres)
+        if not ends and len(centres):
+            ends = [next(iter(link.bodies.values()))[:3, 3]]
+    for p in ends:
+        near = hub[int(np.argmin(np.linalg.norm(hub - p, axis=1)))] if len(hub) else p
+        if len(centres) > 2 and rim is not None:
+            near = hub[-1]
+        out.append(np.array([near, p]))
+    least = 1e-9 * scene.size
+    return [line for line in out if float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) > least]
+
+
+def _along_axes(A: Array, B: Array, use_a: bool, use_b: bool) -> Array:
+    """Polyline from one joint to the next along their axes and the common normal (Denavit, Hartenberg, 1955).
+
+    Straight where a joint has no axis, where axes are parallel, and where the way would be a detour.
+    """
+    a, b = A[:3, 3], B[:3, 3]
+    d, u, v = b - a, A[:3, 2], B[:3, 2]
+    straight = np.array([a, b])
+    if not (use_a or use_b):
+        return straight
+    c = float(u @ v) if use_a and use_b else 0.0
+    sine2 = 1.0 - c * c
+    if sine2 < 1e-6:  # parallel: along the first axis, then across
+        foot = a + u * float(u @ d)
+        line = np.array([a, foot, b])
+    else:
+        s = (float(u @ d) - c * float(v @ d)) / sine2 if use_a else 0.0
+        t = (c * float(u @ d) - float(v @ d)) / sine2 if use_b else 0.0
+        line = np.array([a, a + s * u, b + t * v, b])
+    length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+    return line if length <= DETOUR * float(np.linalg.norm(d)) else straight
+
+
+def _link(solids: Solids, scene: Scene, link: SeenLink, r: float, skeleton: list[Array]) -> None:
+    colour, name = style.link_colour(link.number), f"link:{link.name}"
+    drawn = _lines(scene, link)
+    for line in drawn:
+        _pipe(solids, name, line, LINK * r, style.mix(colour, style.PAPER, 0.15))
+        if len(line) > 3 and np.allclose(line[0], line[-1]):
+            solids.plate(name, line[:-1], colour, 0.22)
+    skeleton += drawn
+    if link.particle:
+        solids.ball(name, next(iter(link.bodies.values()))[:3, 3], 1.3 * r, colour)
+        return
+    triads = [(f"frame:{frame}", X) for frame, X in link.frames.items()]
+    if not triads and len(link.joints) == 1:
+        triads.append((name, next(iter(link.bodies.values()))))
+    for title, X in triads:
+        _triad(solids, title, X, r)
+        skeleton += [np.stack([X[:3, 3], X[:3, 3] + 4.5 * r * X[:3, axis]]) for axis in range(3)]
+
+
+def _pipe(solids: Solids, name: str, line: Array, thick: float, colour: str) -> None:
+    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    for a, b, step in zip(line[:-1], line[1:], steps, strict=True):
+        if step > 1e-12:
+            solids.tube(name, a, b, thick, colour)
+    for p, before, after in zip(line[1:-1], steps[:-1], steps[1:], strict=True):
+        if min(before, after) > 1e-12:
+            solids.ball(name, p, thick, colour)
+
+
+def _triad(solids: Solids, name: str, X: Array, r: float) -> None:
+    for axis, colour in enumerate(AXES):
+        tip = X[:3, 3] + 3.6 * r * X[:3, axis]
+        solids.tube(name, X[:3, 3], tip, 0.17 * r, colour, pieces=2, sides=6)
+        solids.tube(name, tip, tip + 1.1 * r * X[:3, axis], 0.42 * r, colour, pieces=1, sides=8, end_radius=0.0)
+
+
+# ---- ground
+
+
+def _ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -> None:
+    link = scene.links[0]
+    joints = [scene.joints[j] for j in link.joints if scene.joints[j].kind not in ("free", "planar", "translation")]
+    origin = next(iter(link.bodies.values()))[:3, 3]
+    centres = distinct(np.array([j.on(0)[:3, 3] for j in joints]).reshape(-1, 3))
+    if len(centres) == 1:
+        gap = float(np.linalg.norm(centres[0] - origin))
+        if 4 * r < gap < 2 * scene.size:
+            _pipe(solids, "ground", np.array([origin, centres[0]]), 0.9 * r, style.mix(GROUND, style.PAPER, 0.35))
+            skeleton.append(np.array([origin, centres[0]]))
+            centres = np.array([origin])
+    elif len(centres) == 2:
+        _pipe(solids, "ground", centres, 0.4 * r, style.mix(GROUND, style.PAPER, 0.35))
+        skeleton.append(centres)
+    elif len(centres) > 2:
+        rim = flat_hull(centres, 0.02 * scene.size)
+        if rim is not None:
+            solids.plate("ground", centres[rim], GROUND, 0.12)
+            _pipe(solids, "ground", centres[[*rim, rim[0]]], 0.2 * r, style.mix(GROUND, style.PAPER, 0.4))
+            skeleton.append(centres[[*rim, rim[0]]])
+    for frame, X in link.frames.items():
+        _triad(solids, f"frame:{frame}", X, r)
+    for k, c in enumerate(centres):
+        _mark(solids, f"ground:{k}", c, r)
+
+
+def _mark(solids: Solids, name: str, p: Array, r: float) -> None:
+    """A pyramid on a hatched plate, below p."""
+    base = p - np.array([0.0, 0.0, 3.0 * r])
+    square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    foot, fill = base + 1.5 * r * square, style.mix(GROUND, style.PAPER, 0.55)
+    for k in range(4):
+        corners = np.array([p, foot[k], foot[(k + 1) % 4]])
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        solids.face(name, corners, normal / np.linalg.norm(normal), fill, edge=GROUND)
+    solids.plate(name, base + 2.4 * r * square, style.mix(GROUND, style.PAPER, 0.2), 0.45, GROUND)
+
+
+# ---- joints
+
+
+def _revolute(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+    solids.tube(f"joint:{j.name}", j.centre - 1.7 * r * j.axis, j.centre + 1.7 * r * j.axis, r, colour, 1, edge=INK)
+
+
+def _rail(scene: Scene, j: SeenJoint, r: float, configurations: Array | None) -> tuple[Array, Array]:
+    """Ends of the rail of a joint that slides along z of F: from F to M, or along its travel on the ground."""
+    origin, axis = j.F[:3, 3], j.axis
+    now = float(axis @ (j.centre - origin))
+    if 0 not in (j.parent, j.child) or j.kind != "prismatic":
+        lo, hi = min(now, 0.0), max(now, 0.0)
+    else:
+        lo, hi = travel(scene, j, configurations)
+        lo, hi = min(lo, now), max(hi, now)
+    c = j.centre - now * axis
+    return c + (lo - 3.5 * r) * axis, c + (hi + 3.5 * r) * axis
+
+
+def _split_rail(solids: Solids, j: SeenJoint, a: Array, b: Array, half: float, thick: float, colour: str) -> None:
+    """The rail from a to b without what is inside the symbol, which sorting by depth would show through it."""
+    for end, sign in ((a, -1.0), (b, 1.0)):
+        solids.tube(f"rail:{j.name}", j.centre + sign * half * j.axis, end, thick, colour)
+
+
+def _prismatic(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+    X = j.M.copy()
+    if scene.telescopic(j, r):
+        along = j.centre - j.F[:3, 3]
+        low, high = j.F[:3, 3] + 0.16 * along, j.F[:3, 3] + 0.56 * along
+        X[:3, 3] = scene.seat(j, r)
+        own = style.mix(style.link_colour(j.child), style.PAPER, 0.35)
+        base = style.mix(style.link_colour(j.parent), style.PAPER, 0.15)
+        solids.tube(f"rod:{j.name}", j.F[:3, 3], low, LINK * r, base)
+        solids.tube(f"rod:{j.name}", high, j.centre, 0.8 * LINK * r, own)
+        half = np.array([1.1 * r, 1.1 * r, 0.2 * float(np.linalg.norm(along))])
+        solids.box(f"joint:{j.name}", X, half, colour, INK)
+        return
+    a, b = _rail(scene, j, r, configurations)
+    on_ground = 0 in (j.parent, j.child)
+    rail = GROUND if on_ground else style.link_colour(j.parent)
+    _split_rail(solids, j, a, b, 2.0 * r, 0.4 * r, style.mix(rail, style.PAPER, 0.2))
+    solids.box(f"joint:{j.name}", X, np.array([1.3 * r, 1.3 * r, 2.0 * r]), colour, INK)
+
+
+def _cylindrical(
+    solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
+) -> None:
+    a, b = _rail(scene, j, r, configurations)
+    rail = GROUND if 0 in (j.parent, j.child) else style.link_colour(j.parent)
+    _split_rail(solids, j, a, b, 2.2 * r, 0.45 * r, style.mix(rail, style.PAPER, 0.2))
+    solids.tube(f"joint:{j.name}", j.centre - 2.2 * r * j.axis, j.centre + 2.2 * r * j.axis, r, colour, 1, edge=INK)
+
+
+def _helical(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+    _cylindrical(solids, scene, j, r, colour, configurations)
+    turns = np.linspace(0.0, 6 * np.pi, 37)
+    along = np.linspace(-2.0, 2.0, 37) * r
+    x, y = j.F[:3, 0], j.F[:3, 1]
+    helix = j.centre + 1.05 * r * (np.cos(turns)[:, None] * x + np.sin(turns)[:, None] * y) + along[:, None] * j.axis
+    for p, q in zip(helix[:-1], helix[1:], strict=True):
+        solids.tube(f"joint:{j.name}", p, q, 0.14 * r, INK, 1, caps=False, sides=5)
+
+
+def _spherical(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+    solids.ball(f"joint:{j.name}", j.centre, 1.35 * r, colour)
+
+
+def _universal(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+    """A cross: one arm along x of F, the other along y of M."""
+    for arm, fork in ((j.F[:3, 0], j.parent), (j.M[:3, 1], j.child)):
+        a, b = j.centre - 1.8 * r * arm, j.centre + 1.8 * r * arm
+        solids.tube(f"joint:{j.name}", a, b, 0.5 * r, colour, 2, edge=INK)
+        tint = style.mix(style.link_colour(fork), INK, 0.1)
+        for end, sign in ((a, -1.0), (b, 1.0)):
+            solids.tube(f"joint:{j.name}", end, end + 0.35 * sign * r * arm, 0.62 * r, tint, 1, edge=INK)
+    solids.ball(f"joint:{j.name}", j.centre, 0.7 * r, colour)
+
+
+def _planar(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+    X = j.F.copy()
+    solids.plate(f"joint:{j.name}:table", _square(X, 8.0 * r), GROUND, 0.15, GROUND)
+    solids.box(f"joint:{j.name}", j.M, np.array([1.8, 1.8, 0.6]) * r, colour, INK)
+
+
+def _square(X: Array, half: float) -> Array:
+    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * half
+    return X[:3, 3] + corners @ X[:3, :3].T
+
+
+def _translation(
+    solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
+) -> None:
+    solids.box(f"joint:{j.name}", j.M, np.full(3, 1.2 * r), colour, INK)
+    for axis in range(3):
+        arm = 2.6 * r * j.F[:3, axis]
+        solids.tube(f"joint:{j.name}", j.centre - arm, j.centre + arm, 0.25 * r, GROUND, 2)
+
+
+def _nothing(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+    """A free joint holds nothing: there is nothing to draw."""
+
+
+SYMBOLS: dict[str, Callable[[Solids, Scene, SeenJoint, float, str, Array | None], None]] = {
+    "revolute": _revolute, "prismatic": _prismatic, "cylindrical": _cylindrical, "helical": _helical,
+    "spherical": _spherical, "universal": _universal, "planar": _planar, "translation": _translation,
+    "free": _nothing,
+}  # fmt: skip
+"""One symbol for each joint type that moves."""
+
+
+def _turning_arrow(solids: Solids, j: SeenJoint, r: float) -> None:
+    x, y = j.F[:3, 0], j.F[:3, 1]
+    angles = np.linspace(0.0, np.deg2rad(235.0), 22)
+    circle = np.cos(angles)[:, None] * x + np.sin(angles)[:, None] * y
+    solids.arrow(f"driver:{j.name}", j.centre + 2.2 * r * circle, 0.2 * r, DRIVER)
+
+
+def _open(solids: Solids, j: SeenJoint, r: float) -> None:
+    """A red line where a joint does not hold together at this configuration."""
+    gap = j.centre - j.F[:3, 3]
+    if j.kind in ("prismatic", "cylindrical", "helical"):
+        gap = gap - j.axis * float(j.axis @ gap)
+    elif j.kind in ("planar", "translation", "free"):
+        return
+    if np.linalg.norm(gap) > 0.02 * r:
+        solids.tube(f"open:{j.name}", j.centre - gap, j.centre, 0.25 * r, OPEN)

@@ -1,0 +1,189 @@
+"""Prescribed inputs: no branch is ever left, change points are passed straight on, toggles hold."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from motion_linkages import TURN, circles, four_bar, ladder, linkage, same_angle, slider_crank
+
+from kempe.analysis.drive import drive
+from kempe.errors import InputError, UnsupportedError
+from kempe.kinematics.loops import residual
+
+STEPS = [5, 7, 36, 50, 101, 360, 997, 1000]
+
+
+def crossed(a: float, d: float, A: float) -> np.ndarray:
+    """The antiparallelogram with cranks a and links d at crank angle A: B, D, C by the mirror image of C."""
+    B = a * np.array([math.cos(A), math.sin(A)])
+    C = circles(B, d, [d, 0.0], a, -1.0 if math.sin(A) > 0 else 1.0)
+    b, D = math.atan2(*(C - B)[::-1]), math.atan2(*(C - [d, 0.0])[::-1])
+    return np.array([A, b - A, D, D - b])
+
+
+def parallel_error(q):
+    return same_angle(q[:, 0], q[:, 2])
+
+
+def crossed_error(q):
+    """tan(D/2) = (d + a)/(d - a) * -tan(A/2) for links 1 and 2, without poles."""
+    A, D = q[:, 0] / 2, q[:, 2] / 2
+    return float(np.abs(np.sin(D) * np.cos(A) * 1.0 + 3.0 * np.sin(A) * np.cos(D)).max())
+
+
+def kite_error(q):
+    """The pin C is the mirror image of the pivot A about the line from D to B (links 1, 1, 2, 2)."""
+    A, D = q[:, 0], q[:, 2]
+    return same_angle(D, 2 * np.arctan2(np.sin(A), np.cos(A) - 2.0) - math.pi)
+
+
+def slider_error(q):
+    return float(np.abs(q[:, 3] - 2 * np.cos(q[:, 0])).max())
+
+
+def ladder_error(q):
+    return max(same_angle(q[:, 0], q[:, 2 * k]) for k in (1, 2))
+
+
+AT_CHANGE_POINTS = [(x, n) for x in (0.0, -math.pi / 2) for n in (5, 36, 360)]
+
+
+@pytest.mark.parametrize(("first", "n"), [*((0.8, n) for n in STEPS), *AT_CHANGE_POINTS])
+def test_no_flip_through_change_points_at_any_number_of_steps(first, n):
+    inputs = np.linspace(first, first + TURN, n + 1)
+    cases = [
+        (four_bar(1, 2, 1, 2), "A", [first, -first, first, -first], parallel_error),
+        (ladder(3), "A1", [first, -first, first, -first, first, -first], ladder_error),
+        (slider_crank(1, 1), "A", [first, -2 * first, first, 2 * math.cos(first)], slider_error),
+    ]
+    if first == 0.8:
+        cases.append((four_bar(1, 2, 1, 2), "A", crossed(1, 2, first), crossed_error))
+        D = 2 * math.atan2(math.sin(first), math.cos(first) - 2.0) - math.pi
+        cases.append((four_bar(1, 1, 2, 2), "A", [first, -1.0, D, 0.0], kite_error))
+    for system, name, start, error in cases:
+        toward = {"S": 1.0} if "S" in system.coordinate_names else {}  # else the branch at rest, if it starts there
+        motion = drive(system, {name: inputs}, start=start, toward=toward)
+        assert motion.success and not motion.held.any() and len(motion) == n + 1, (system.name, str(motion))
+        assert error(motion.q) < 1e-9, system.name
+        assert np.abs(motion.values(name) - inputs).max() < 1e-12
+        assert np.abs(residual(system, motion.q)).max() < 1e-11
+        assert len(motion.singular_points) >= 2
+
+
+def test_a_full_turn_back_and_forth_retraces():
+    inputs = np.concatenate([np.linspace(0.8, 7.0, 41), np.linspace(7.0, -3.0, 67)[1:], np.linspace(-3.0, 0.8, 11)[1:]])
+    motion = drive(four_bar(1, 2, 1, 2), {"A": inputs}, start=crossed(1, 2, 0.8))
+    assert motion.success and crossed_error(motion.q) < 1e-9
+    np.testing.assert_allclose(motion.q[-1], motion.q[0], atol=1e-10)
+
+
+def test_at_a_toggle_the_last_pose_is_held_and_it_goes_on_when_the_input_comes_back():
+    a, b, c, d = 2.0, 1.5, 2.2, 3.0
+    limit = math.acos((a * a + d * d - (b + c) ** 2) / (2 * a * d))
+    inputs = np.concatenate([np.linspace(0.5, 2.5, 40), np.linspace(2.5, 0.5, 40)])
+    motion = drive(four_bar(a, b, c, d), {"A": inputs}, start={"A": 0.5})
+    assert not motion.success and not motion.jumps and "held" in motion.status
+    np.testing.assert_array_equal(motion.held, inputs > limit)
+    (toggle,) = motion.toggles
+    assert inputs[toggle.first - 1] < limit < inputs[toggle.first]
+    assert inputs[toggle.last + 1] < limit < inputs[toggle.last]
+    assert toggle.inputs["A"] == pytest.approx(limit, abs=1e-12)
+    np.testing.assert_array_equal(motion.q[motion.held], np.tile(toggle.q, (motion.held.sum(), 1)))
+    np.testing.assert_allclose(motion.q[::-1][~motion.held], motion.q[~motion.held], atol=1e-9)  # the same way back
+    assert abs(math.remainder(motion.system.q_dict(toggle.q)["C"], math.pi)) < 1e-6  # coupler and rocker in line
+
+
+def test_the_toggle_itself_is_reached():
+    a, b, c, d = 2.0, 1.5, 2.2, 3.0
+    limit = math.acos((a * a + d * d - (b + c) ** 2) / (2 * a * d))
+    inputs = [0.5, limit - 1e-6, limit, limit - 1e-6, 0.5]
+    motion = drive(four_bar(a, b, c, d), {"A": inputs}, start={"A": 0.5})
+    assert motion.success
+    np.testing.assert_allclose(motion.values("A"), inputs, atol=1e-11)
+    np.testing.assert_allclose(motion.q[4], motion.q[0], atol=1e-10)
+    np.testing.assert_allclose(motion.q[3], motion.q[1], atol=1e-8)
+
+
+def test_a_limit_holds_like_a_toggle():
+    system = slider_crank(1, 2, 0.0, limits=(1.5, 3.0))
+    motion = drive(system, {"A": np.linspace(0.5, TURN + 0.5, 60)}, start={"A": 0.5})
+    assert motion.held.any() and "beyond the lower limit 1.5 of 'S'" in str(motion)
+    S = 1 * np.cos(motion.inputs["A"]) + np.sqrt(4 - np.sin(motion.inputs["A"]) ** 2)
+    free = ~motion.held
+    np.testing.assert_allclose(motion.values("S")[free], S[free], atol=1e-12)
+    np.testing.assert_allclose(motion.values("S")[motion.held], 1.5, atol=1e-12)
+
+
+def five_bar():
+    points = {"A": (0.0, 0.0), "B": (-0.5, 1.0), "C": (0.9, 1.8), "D": (2.2, 1.1), "E": (2.0, 0.0)}
+    system = linkage("five-bar", points, {
+        "ground": ("A", "E"), "a": ("A", "B"), "b": ("B", "C"), "c": ("C", "D"), "d": ("D", "E"),
+    })  # fmt: skip
+    return system, {k: np.array(v) for k, v in points.items()}
+
+
+def turned(p, about, by):
+    c, s = np.cos(by), np.sin(by)
+    v = p - about
+    return about + np.stack([c * v[0] - s * v[1], s * v[0] + c * v[1]], axis=-1)
+
+
+def test_two_inputs_as_functions_of_time():
+    system, p = five_bar()
+    times = np.linspace(0.0, 3.0, 50)
+    courses = {"A": lambda t: 0.15 * math.sin(2 * t), "E": lambda t: 0.12 * math.sin(3 * t)}
+    motion = drive(system, courses, times, start=np.zeros(5))
+    assert motion.success
+    A, E = (np.array([courses[n](t) for t in times]) for n in "AE")
+    B, D = turned(p["B"], p["A"], A), turned(p["D"], p["E"], E)
+    rods = [np.linalg.norm(p["C"] - p[k]) for k in "BD"]
+    C = circles(B, rods[0], D, rods[1], 1.0)
+    np.testing.assert_allclose(motion.curve("C*")[:, :2], C, atol=1e-12)
+    names, table = motion.table(["C*"])
+    assert names[0] == "time" and names[-1] == "held" and table.shape == (50, 1 + 5 + 2 + 1)
+
+
+def test_going_on_from_elsewhere_than_held_is_reported_as_a_jump():
+    """Two inputs leave the possible region at one place and come back at another."""
+    system, p = five_bar()
+    # the pins B and D are pulled too far apart, then both are brought to another place, within reach
+    inputs = {"A": [0.0, 2.0, 2.0, -0.8], "E": [0.0, -1.5, 0.4, 0.4]}
+    motion = drive(system, {k: np.array(v) for k, v in inputs.items()}, start=np.zeros(5))
+    ends = zip(*inputs.values(), strict=True)
+    far = [np.linalg.norm(turned(p["B"], p["A"], a) - turned(p["D"], p["E"], e)) for a, e in ends]
+    reach = sum(np.linalg.norm(p["C"] - p[k]) for k in "BD")
+    np.testing.assert_array_equal(motion.held, np.array(far) > reach)
+    assert motion.held[1] and not motion.held[-1]
+    assert motion.jumps and motion.jumps[0][0] == int(np.flatnonzero(motion.held)[-1]) + 1 and "jumps" in motion.status
+    assert np.abs(residual(system, motion.q)).max() < 1e-12
+
+
+def test_inputs_must_fit_the_freedoms():
+    system, _ = five_bar()
+    with pytest.raises(UnsupportedError, match="'A' held still"):
+        drive(system, {"A": [0.0, 0.1]}, start=np.zeros(5))
+    with pytest.raises(UnsupportedError, match="fewer freedoms than inputs"):
+        drive(four_bar(1, 2.5, 2, 3), {"A": [0.5, 0.6], "D": [1.7, 1.9]}, start={"A": 0.5})
+    with pytest.raises(InputError, match="times"):
+        drive(system, {"A": math.sin, "E": 0.0})
+    with pytest.raises(InputError, match="differ"):
+        drive(system, {"A": [0.0, 1.0], "E": [0.0, 1.0, 2.0]})
+    with pytest.raises(InputError, match="NaN"):
+        drive(system, {"A": [0.0, float("nan")], "E": 0.0})
+
+
+def test_whole_turns_of_the_start_follow_the_inputs():
+    motion = drive(four_bar(1, 2.5, 2, 3), {"A": [20.0, 20.1]}, start={"A": 0.5})
+    assert motion.success
+    np.testing.assert_allclose(motion.values("A"), [20.0, 20.1], atol=1e-12)
+
+
+def test_an_interrupt_returns_what_was_done():
+    def stop(k, n):
+        if k > 20:
+            raise KeyboardInterrupt
+
+    motion = drive(four_bar(1, 2.5, 2, 3), {"A": np.linspace(0.5, 3, 60)}, start={"A": 0.5}, progress=stop)
+    assert motion.interrupted and not motion and 20 < len(motion) < 60 and len(motion.inputs["A"]) == len(motion)

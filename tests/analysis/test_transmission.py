@@ -1,0 +1,208 @@
+"""Velocities and forces through closed loops, against differences along the branch and textbook formulas."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from motion_linkages import bennett, four_bar, jansen, linkage, slider_crank
+
+from kempe import Mechanism, spatial
+from kempe.analysis.drive import drive
+from kempe.analysis.motion import trace
+from kempe.analysis.transmission import (
+    dead_points,
+    loop_jacobian,
+    mechanical_advantage,
+    pressure_angle,
+    transmission_angle,
+)
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
+
+
+def five_bar():
+    points = {"A": (0.0, 0.0), "B": (-0.5, 1.0), "C": (0.9, 1.8), "D": (2.2, 1.1), "E": (2.0, 0.0)}
+    return linkage("five-bar", points, {
+        "ground": ("A", "E"), "a": ("A", "B"), "b": ("B", "C"), "c": ("C", "D"), "d": ("D", "E"),
+    })  # fmt: skip
+
+
+def four_bar_on_branch(n=25):
+    path = trace(four_bar(1, 2.5, 2, 3, tracer=(1.0, 0.7)), "A", {"A": 0.5})
+    return path.system, path.resample(n).q
+
+
+def differences(system, q, inputs, frame, h=1e-4):
+    """Twist of a frame by each input, by central differences of neighbours on the branch."""
+    columns = []
+    for name in inputs:
+        values = system.q_dict(q)
+        ends = []
+        for sign in (1.0, -1.0):
+            course = {n: np.array([values[n], values[n] + sign * h * (n == name)]) for n in inputs}
+            motion = drive(system, course, start=q, limits=False)
+            assert motion.success
+            ends.append(system.fk(motion.q[-1], frame))
+        v = (ends[0][:3, 3] - ends[1][:3, 3]) / (2 * h)
+        w = spatial.log_so3(ends[0][:3, :3] @ ends[1][:3, :3].T) / (2 * h)
+        columns.append(np.concatenate([v, w]))
+    return np.stack(columns, axis=1)
+
+
+def test_four_bar_rates_are_freudensteins():
+    """Rocker rate = a sin(coupler - crank) / (c sin(coupler - rocker)) (Freudenstein, 1955)."""
+    system, q = four_bar_on_branch()
+    J = loop_jacobian(system, q, ["A"], ["D", "B"])
+    assert J.success.all() and J.matrix.shape == (25, 2, 1) and J.rows == ("D", "B")
+    crank, rocker, coupler = q[:, 0], q[:, 2], q[:, 0] + q[:, 1]
+    exact = 1.0 * np.sin(coupler - crank) / (2.0 * np.sin(coupler - rocker))
+    np.testing.assert_allclose(J.matrix[:, 0, 0], exact, rtol=1e-12, atol=1e-13)
+    own = -1.0 * np.sin(crank - rocker) / (2.5 * np.sin(coupler - rocker)) - 1.0  # of B, which counts from the crank
+    np.testing.assert_allclose(J.matrix[:, 1, 0], own, rtol=1e-12, atol=1e-13)
+
+
+def test_frames_by_differences_along_the_branch():
+    system, q = four_bar_on_branch(7)
+    for x in q:
+        J = loop_jacobian(system, x, ["A"], ["P"])
+        assert J.rows == ("P.vx", "P.vy", "P.vz", "P.wx", "P.wy", "P.wz")
+        np.testing.assert_allclose(J.matrix, differences(system, x, ["A"], "P"), atol=2e-7)
+
+
+def test_two_inputs_and_a_long_linkage_by_differences():
+    system = five_bar()
+    J = loop_jacobian(system, np.zeros(5), ["A", "E"], ["C*", "C"])
+    np.testing.assert_allclose(J.matrix[:6], differences(system, np.zeros(5), ["A", "E"], "C*"), atol=1e-7)
+    assert J.matrix.shape == (7, 2)
+    leg = jansen()
+    x = trace(leg, "O", np.zeros(leg.nq)).at(2.0)
+    J = loop_jacobian(leg, x, ["O"], ["F*"])
+    np.testing.assert_allclose(J.matrix, differences(leg, x, ["O"], "F*"), atol=1e-5)  # lengths are about 50
+
+
+def test_space_and_quaternions_by_differences():
+    m = Mechanism("RUSR")
+    crank, rod, rocker = m.body("crank"), m.body("rod"), m.body("rocker")
+    m.revolute("A", m.ground, crank)
+    m.revolute("D", m.ground, rocker, at=(2, 0, 0.5), rpy=(0.5, 1.2, 0))
+    m.universal("B", crank, rod, at=(0.5, 0, 0))
+    m.spherical("C", rod, rocker, at=(2, 0, 0), child_at=(1, 0, 0), cut=True)
+    system = m.build()
+    path = trace(system, "D", {"A": 0.3})
+    x = path.q[np.argmax(np.abs(np.gradient(path.values("D"), path.s)))]  # far from the dead points of D
+    J = loop_jacobian(system, x, ["D"], ["rod", "A"])
+    np.testing.assert_allclose(J.matrix[:6], differences(system, x, ["D"], "rod"), atol=1e-6)
+    # an idle spin of the rod does not matter to what does not spin
+    m = Mechanism("RSSR")
+    crank, rod, rocker = m.body("crank"), m.body("rod"), m.body("rocker")
+    m.revolute("A", m.ground, crank)
+    m.revolute("D", m.ground, rocker, at=(2, 0, 0.5), rpy=(0.5, 1.2, 0))
+    m.spherical("B", crank, rod, at=(0.5, 0, 0))
+    m.spherical("C", rod, rocker, at=(2, 0, 0), child_at=(1, 0, 0), cut=True)
+    idle = m.build()
+    assembled = idle.q({"A": system.q_dict(x)["A"], "D": system.q_dict(x)["D"]})
+    from kempe.analysis.continuation import Closure, close
+
+    y = close(Closure(idle, [0, 1], assembled), assembled)
+    spinning = loop_jacobian(idle, y, ["D"], ["A", "rocker"])
+    assert spinning.success and spinning.nullity == 2
+    assert spinning.matrix[0, 0] == pytest.approx(J.matrix[6, 0], rel=1e-9)
+    loose = loop_jacobian(idle, y, ["D"], ["rod"])
+    assert not loose and "not determined" in loose.status and np.isnan(loose.matrix).all()
+
+
+def test_bennett_rates():
+    alpha, beta = math.radians(40), math.radians(70)
+    system = bennett(1.0, math.sin(beta) / math.sin(alpha), alpha, beta)
+    K = math.sin((beta + alpha) / 2) / math.sin((beta - alpha) / 2)
+    for t in (0.3, 1.0, 2.5):
+        second = 2 * math.atan(K / math.tan(t / 2))
+        J = loop_jacobian(system, [t, second, -t, -second], ["T1"], ["T2", "T3", "T4"])
+        rate = -math.sin(second) / math.sin(t)  # derivative of tan(T1/2) tan(T2/2) = K
+        np.testing.assert_allclose(J.matrix[:, 0], [rate, -1.0, -rate], rtol=1e-9)
+
+
+def test_dead_points_and_change_points_are_refused_with_their_rank():
+    a, b, c, d = 2.0, 1.5, 2.2, 3.0
+    system = four_bar(a, b, c, d)
+    path = trace(system, "D", {"A": 0.8})
+    found = dead_points(path, "A")
+    assert len(found) == 2 and dead_points(path, "D") == path.turning_points
+    for e in found:
+        J = loop_jacobian(system, e.q, ["A"], ["D"])
+        assert not J and "dead point" in J.status and (J.rank, J.nullity) == (0, 1) and J.margin < 1e-8
+        assert loop_jacobian(system, e.q, ["D"], ["A"]).matrix == pytest.approx(0.0, abs=1e-8)
+    flat = loop_jacobian(four_bar(1, 2, 1, 2), np.zeros(4), ["A"], ["D"])
+    assert not flat and "not determined" in flat.status and (flat.rank, flat.nullity) == (1, 2)
+    both = loop_jacobian(system, path.q[3], ["A", "D"], ["B"])
+    assert not both and (both.rank, both.nullity) == (1, 1) and "of 2 inputs" in both.status
+
+
+def test_units_of_slides():
+    r, rod = 0.02, 0.05
+    system = slider_crank(r, rod)
+    path = trace(system, "A", [0.7, -1.0, 0.0, 0.06])
+    q = path.resample(40).q
+    A = q[:, 0]
+    exact = -r * np.sin(A) - r * r * np.sin(A) * np.cos(A) / np.sqrt(rod**2 - (r * np.sin(A)) ** 2)
+    np.testing.assert_allclose(loop_jacobian(system, q, ["A"], ["S"]).matrix[:, 0, 0], exact, atol=1e-14)
+    np.testing.assert_allclose(loop_jacobian(system, q[:5], ["S"], ["A"]).matrix[:, 0, 0], 1 / exact[:5], rtol=1e-10)
+    np.testing.assert_allclose(mechanical_advantage(system, q, "A", "S"), 1.0 / exact, rtol=1e-9)
+    pull = mechanical_advantage(system, q, "A", "slider", direction=(1, 0, 0))
+    np.testing.assert_allclose(pull, 1.0 / exact, rtol=1e-9)
+
+
+def test_mechanical_advantage_at_a_toggle_is_infinite_and_at_a_dead_point_zero():
+    system = slider_crank(1.0, 2.0)
+    straight = system.q({"S": 3.0})
+    assert mechanical_advantage(system, straight, "A", "S") == math.inf
+    assert mechanical_advantage(system, straight, "S", "A") == pytest.approx(0.0, abs=1e-12)
+    assert math.isnan(mechanical_advantage(five_bar(), np.zeros(5), "A", "C"))
+    held = mechanical_advantage(five_bar(), np.zeros(5), "A", "C", still=["E"])
+    J = loop_jacobian(five_bar(), np.zeros(5), ["A", "E"], ["C"])
+    assert held == pytest.approx(1.0 / J.matrix[0, 0], rel=1e-12)
+
+
+def test_transmission_angle_of_a_four_bar_by_the_law_of_cosines():
+    a, b, c, d = 1.0, 2.5, 2.0, 3.0
+    system, q = four_bar_on_branch()
+    cosine = (b * b + c * c - a * a - d * d + 2 * a * d * np.cos(q[:, 0])) / (2 * b * c)
+    exact = np.arccos(np.abs(cosine))
+    np.testing.assert_allclose(transmission_angle(system, q, "C"), exact, atol=1e-12)
+    np.testing.assert_allclose(pressure_angle(system, q, "C", coupler="B", output="D"), math.pi / 2 - exact, atol=1e-12)
+    # the crank as output
+    B = a * np.stack([np.cos(q[:, 0]), np.sin(q[:, 0])], axis=-1)
+    u = np.stack([np.cos(q[:, 0] + q[:, 1]), np.sin(q[:, 0] + q[:, 1])], axis=-1)
+    other = np.arccos(np.abs(np.sum(u * B, axis=-1) / a))
+    np.testing.assert_allclose(transmission_angle(system, q, "B"), other, atol=1e-12)
+
+
+def test_transmission_angle_of_a_slider():
+    r, rod, offset = 1.0, 2.3, 0.4
+    system = slider_crank(r, rod, offset)
+    q = trace(system, "A", [0.6, -1.0, 0.0, 3.0]).resample(30).q
+    tilt = np.abs(np.arcsin((r * np.sin(q[:, 0]) - offset) / rod))  # of the rod from the slide
+    np.testing.assert_allclose(pressure_angle(system, q, "C"), tilt, atol=1e-12)
+    np.testing.assert_allclose(transmission_angle(system, q, "C"), math.pi / 2 - tilt, atol=1e-12)
+
+
+def test_names_and_open_loops():
+    system, q = four_bar_on_branch(3)
+    with pytest.raises(InputError, match="open by"):
+        loop_jacobian(system, q[0] + 0.01, ["A"], ["D"])
+    with pytest.raises(UnknownNameError, match="coordinate or frame 'Q'"):
+        loop_jacobian(system, q[0], ["A"], ["Q"])
+    with pytest.raises(InputError, match="direction"):
+        mechanical_advantage(system, q[0], "A", "P")
+    with pytest.raises(UnsupportedError, match="bodies with a joint to the ground"):
+        pressure_angle(five_bar(), np.zeros(5), "C")
+    with pytest.raises(InputError, match="no joint of the coupler"):
+        pressure_angle(system, q[0], "C", coupler="A")
+    twin = Mechanism("twin", dim=2)
+    twin.revolute("x", twin.ground, twin.body("x"))
+    with pytest.raises(InputError, match="'joint:x' or 'frame:x'"):
+        loop_jacobian(twin.build(), [0.1], ["x"], ["x"])
+    J = loop_jacobian(twin.build(), [0.1], ["x"], ["joint:x", "frame:x"])
+    np.testing.assert_allclose(J.matrix[:, 0], [1, 0, 0, 0, 0, 0, 1], atol=1e-15)
+    assert "determine" in str(J) and "<pre>" in J._repr_html_()

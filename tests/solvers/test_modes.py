@@ -1,0 +1,304 @@
+"""Assembly modes: published counts, independent roots, merging, limits, sets that are not finite, honesty."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from dyad_chains import random_chain
+from hypothesis import given
+from hypothesis import strategies as st
+
+import kempe
+from kempe import Mechanism, System
+from kempe.errors import InputError, UnknownNameError
+from kempe.solvers.dyads import closed_form
+from kempe.solvers.modes import SOLVERS, Modes, assembly_modes, by_dyads, by_starts, estimates
+
+
+def inputs(system: System, *names: str) -> dict[str, float]:
+    """Values of these coordinates in the posture `closed`."""
+    q = system.q_dict(system.posture("closed"))
+    return {n: q[n] for n in names}
+
+
+def assert_closed(modes: Modes, known: dict[str, float]) -> None:
+    names = modes.system.coordinate_names
+    assert np.abs(modes.system.closure_error(modes.q)).max(initial=0.0) < 1e-12
+    for name, x in known.items():
+        assert np.all(modes.q[:, names.index(name)] == x)
+
+
+# ---- by structure
+
+
+@pytest.mark.parametrize(
+    "name, known, count",
+    [("four_bar", ["A"], 2), ("slider_crank", ["A"], 2), ("five_bar", ["A", "D"], 2), ("jansen", ["O"], 8)],
+)
+def test_published_counts(name, known, count):
+    system = kempe.load(name)
+    modes = assembly_modes(system, inputs(system, *known))
+    assert len(modes) == count and modes.complete and modes.coverage is None
+    assert modes.status.startswith("complete: every dyad in closed form")
+    assert len(set(modes.branches)) == count and np.all(modes.multiplicity == 1) and not modes.freedoms.any()
+    assert_closed(modes, inputs(system, *known))
+
+
+@pytest.mark.parametrize("name, known", [("four_bar", "A"), ("slider_crank", "A"), ("klann", None), ("jansen", "O")])
+def test_structure_and_search_agree(name, known):
+    """The same set by closed forms and by random starts, which share no code."""
+    system = kempe.load(name)
+    known = known or next(j.name for j in system.joints.values() if j.actuated)
+    given_ = inputs(system, known)
+    modes = assembly_modes(system, given_)
+    found = SOLVERS[-1](question_of(system, given_))
+    assert len(found) == len(modes)
+    for q in modes.q:
+        assert np.abs(np.exp(1j * found.q) - np.exp(1j * q)).max(axis=-1).min() < 1e-8
+
+
+def question_of(system: System, known: dict[str, float], starts: int = 512):
+    from kempe.solvers.modes import Question
+
+    return Question(system, known, None, True, None, 0, starts)
+
+
+@given(st.integers(0, 2**32))
+def test_every_closed_branch_of_a_random_chain_is_there_once(seed):
+    chain = random_chain(seed, most=3)
+    system = chain.system()
+    known = {k: chain.values[k] for k in chain.known}
+    modes = assembly_modes(system, known, near=system.q(chain.values))
+    plan = closed_form(system, tuple(known))
+    assert plan and modes.multiplicity.sum() == plan.all([*known.values()])[1].sum()
+    assert np.abs(modes.q[0] - system.q(chain.values)).max() < 1e-7, "sorted, the nearest first"
+    signs = "".join("+" if s > 0 else "-" for s in plan.branch_of(system.q(chain.values)))
+    assert modes.branches[0] == signs
+
+
+def test_peaucellier_moves_where_its_rhombus_is_folded():
+    """With A = B the rhombus is folded: C is the centre of D's circle. Four of the eight branches are like that."""
+    system = kempe.load("peaucellier")
+    modes = assembly_modes(system, inputs(system, "Q"))
+    assert len(modes) == 8 and not modes.complete and modes.status.startswith("not finite: 4 of 8")
+    A, B = (system.fk(modes.q, b)[:, :2] @ [3.0, 0, 0, 1] for b in ("arm_a", "arm_b"))
+    folded = np.linalg.norm(A - B, axis=-1) < 1e-9
+    assert np.array_equal(modes.freedoms > 0, folded) and folded.sum() == 4
+
+
+def test_a_double_root_is_one_with_multiplicity_two():
+    """Slider-crank with equal links and no offset, crank upright: both roots at the pivot."""
+    m = Mechanism("tangent", dim=2)
+    crank, rod, piston = m.body("crank"), m.body("rod"), m.body("piston")
+    m.revolute("A", m.ground, crank)
+    m.revolute("B", crank, rod, at=(1, 0))
+    m.revolute("C", rod, piston, at=(1, 0))
+    m.prismatic("S", m.ground, piston, axis=(1, 0))
+    modes = assembly_modes(m.build(), {"A": math.pi / 2})
+    assert len(modes) == 1 and modes.multiplicity.tolist() == [2] and modes.branches == ("0",)
+    assert modes.complete and "1 multiple root" in modes.status
+    assert abs(modes.q[0, 3]) < 1e-7
+
+
+def test_none_closes():
+    m = Mechanism("open", dim=2)
+    a, b, c = m.body("a"), m.body("b"), m.body("c")
+    m.revolute("A", m.ground, a)
+    m.revolute("B", a, b, at=(1, 0))
+    m.revolute("C", b, c, at=(1, 0), child_at=(0.5, 0))
+    m.revolute("D", m.ground, c, at=(1.0, 0))
+    modes = assembly_modes(m.build(), {"A": math.pi})
+    assert not modes and len(modes) == 0 and modes.complete
+    assert "none of the 2 branches closes; the best is open by 0.5 m" in modes.status
+
+
+def test_limits_drop_or_flag():
+    system = kempe.load("four_bar")
+    m = system.mechanism
+    m.joints["C"].limits[""] = (0.0, 3.0)
+    limited, known = m.build(), inputs(system, "A")
+    modes = assembly_modes(limited, known)
+    assert len(modes) == 1 and modes.outside == 1 and modes.branches == ("+",)
+    assert "1 is outside the limits" in modes.status
+    flagged = assembly_modes(limited, known, limits=False)
+    assert len(flagged) == 2 and flagged.inside.tolist() == [True, False] and flagged.outside == 0
+
+
+def test_sorted_by_nearness():
+    system = kempe.load("four_bar")
+    known = inputs(system, "A")
+    plain = assembly_modes(system, known)
+    for q in plain.q:
+        modes = assembly_modes(system, known, near=q + 0.05)
+        assert np.abs(modes.q[0] - q).max() < 1e-12
+    turned = assembly_modes(system, known, near=plain.q[1] + [0, 4 * math.pi, 0, -2 * math.pi])
+    assert np.abs(turned.q[0] - plain.q[1] - [0, 4 * math.pi, 0, -2 * math.pi]).max() < 1e-12
+
+
+def test_followers_can_be_given():
+    m = kempe.load("four_bar").mechanism
+    motor = m.body("motor")
+    m.revolute("M", m.ground, motor, at=(-1, 0))
+    m.gear("M", "A", -2.0, 0.1)
+    system = m.build()
+    modes = assembly_modes(system, {"M": -2.0 * 0.7 + 0.1})
+    assert len(modes) == 2 and np.abs(modes.q[:, 0] - 0.7).max() < 1e-15
+
+
+# ---- by many starts
+
+
+def three_rpr(base, platform) -> System:
+    m = Mechanism("3-RPR", dim=2)
+    body = m.body("platform")
+    for i, (a, b) in enumerate(zip(base, platform, strict=True), 1):
+        cylinder, rod = m.body(f"cylinder{i}"), m.body(f"rod{i}")
+        m.revolute(f"A{i}", m.ground, cylinder, at=a)
+        m.prismatic(f"S{i}", cylinder, rod, axis=(1, 0))
+        m.revolute(f"B{i}", rod, body, child_at=b)
+    return m.build()
+
+
+def platform_angles(base, platform, lengths) -> np.ndarray:
+    """Orientations of a 3-RPR platform, from its sextic (Hunt, 1983): real ones are roots of modulus 1.
+
+    For a given orientation two differences of the leg equations are linear in the position; put into the first they
+    leave a Laurent polynomial in exp(i angle), whose coefficients come from samples on the circle.
+    """
+    n = 32
+    z = np.exp(2j * np.pi * np.arange(n) / n)
+    w = [np.stack([z.real * b[0] - z.imag * b[1] - a[0], z.imag * b[0] + z.real * b[1] - a[1]])
+         for a, b in zip(base, platform, strict=True)]  # fmt: skip
+    rows = [2 * (w[i] - w[0]) for i in (1, 2)]
+    right = [lengths[i] ** 2 - lengths[0] ** 2 - (w[i] ** 2).sum(0) + (w[0] ** 2).sum(0) for i in (1, 2)]
+    det = rows[0][0] * rows[1][1] - rows[0][1] * rows[1][0]
+    x, y = right[0] * rows[1][1] - right[1] * rows[0][1], rows[0][0] * right[1] - rows[1][0] * right[0]
+    f = (x + w[0][0] * det) ** 2 + (y + w[0][1] * det) ** 2 - (lengths[0] * det) ** 2
+    c = np.fft.fftshift(np.fft.fft(f) / n)
+    c = c[np.abs(c) > 1e-11 * np.abs(c).max()]
+    roots = np.roots(c[::-1])
+    assert len(roots) == 6
+    return np.sort(np.angle(roots[np.abs(np.abs(roots) - 1) < 1e-7]))
+
+
+@pytest.mark.parametrize(
+    "base, platform, lengths, count",
+    [
+        ([(0, 0), (2.56, 0), (1.45, 1.14)], [(0, 0), (1.1, 0), (-0.41, 1.69)], (1.64, 0.99, 1.66), 6),
+        ([(0, 0), (2.83, 0), (1.15, -0.51)], [(0, 0), (2.28, 0), (-1.13, 1.32)], (2.14, 2.21, 2.55), 4),
+        ([(0, 0), (1.25, 0), (2.46, 0.93)], [(0, 0), (1.52, 0), (-1.88, 0.83)], (1.44, 0.73, 2.15), 2),
+    ],
+)
+def test_three_rpr_has_up_to_six_modes(base, platform, lengths, count):
+    system = three_rpr(base, platform)
+    known = {f"S{i + 1}": x for i, x in enumerate(lengths)}
+    assert not closed_form(system, tuple(known))
+    expected = platform_angles(base, platform, lengths)
+    assert len(expected) == count
+    modes = assembly_modes(system, known)
+    assert len(modes) == count and not modes.complete and "not proven complete" in modes.status
+    assert modes.coverage == 1.0 and modes.expected == count
+    assert_closed(modes, known)
+    X = system.fk(modes.q, "platform")
+    assert np.abs(np.sort(np.arctan2(X[:, 1, 0], X[:, 0, 0])) - expected).max() < 1e-7
+    assert np.array_equal(assembly_modes(system, known).q, modes.q), "the same arguments give the same answer"
+
+
+@pytest.mark.slow
+def test_dietmaier_has_forty_modes():
+    """Dietmaier, 1998: a Stewart-Gough platform all of whose forty assembly modes are real."""
+    system = kempe.load("stewart_dietmaier")
+    known = inputs(system, *(f"leg{i}" for i in range(1, 7)))
+    modes = assembly_modes(system, known, frame="platform", limits=False)
+    assert len(modes) == 40 and not modes.complete
+    assert_closed(modes, known)
+    assert abs(modes.expected - 40) < 1e-9
+
+
+def test_a_frame_counts_poses():
+    """The legs of a Stewart platform turned over on their universal joints do not count with `frame`."""
+    system = kempe.load("stewart")
+    known = inputs(system, *(f"leg{i}" for i in range(1, 7)))
+    few = assembly_modes(system, known, frame="platform", limits=False, starts=1024)
+    X = system.fk(few.q, "platform")[:, :3]
+    apart = np.abs(X[:, None] - X[None]).max(axis=(2, 3)) + np.eye(len(X))
+    assert 1 <= len(few) <= 40 and apart.min() > 1e-6
+    many = assembly_modes(system, known, limits=False, starts=256)
+    assert len(many) > len(few)
+
+
+def test_what_moves_is_not_called_finite():
+    """Bennett with nothing known, and the lecture's four links with one input of two."""
+    modes = assembly_modes(kempe.load("bennett"))
+    assert modes.status.startswith("not finite") and modes.freedoms.tolist() == [1] and not modes.complete
+    assert len(assembly_modes(kempe.load("bennett"), {"q1": 1.0})) == 1
+    links = kempe.load("four_links")
+    modes = assembly_modes(links, inputs(links, links.coordinate_names[0]))
+    assert modes.status.startswith("not finite") and modes.freedoms.tolist() == [1]
+
+
+def test_shaky_is_not_called_moving():
+    """Rank says that one freedom is left in the straight three-bar chain; it cannot be followed."""
+    m = Mechanism("shaky", dim=2)
+    a, b = m.body("a"), m.body("b")
+    m.revolute("A", m.ground, a)
+    m.revolute("B", a, b, at=(1, 0))
+    m.revolute("C", b, m.ground, at=(1, 0), child_at=(2, 0))
+    question = question_of(m.build(), {})
+    modes = by_starts(question)
+    assert not modes.freedoms.any() and len(modes) == 1
+    assert by_dyads(question) is not None and len(by_dyads(question)) == 1
+
+
+def test_none_found():
+    system = three_rpr([(0, 0), (9, 0), (4, 9)], [(0, 0), (1, 0), (0, 1)])
+    modes = assembly_modes(system, {"S1": 1.0, "S2": 1.0, "S3": 1.0}, starts=64)
+    assert not modes and modes.status == "none found: of 64 starts none closed" and not modes.complete
+
+
+def test_a_frame_can_be_known():
+    """The end of a two-link arm at a place: elbow up and elbow down."""
+    arm = kempe.load("two_link")
+    frame = [f for f in arm.frame_names if f not in arm.body_names][0]
+    q = np.array([0.4, 0.9])
+    target = arm.fk(q, frame)[:3, 3]
+    modes = assembly_modes(arm, {frame: target})
+    assert len(modes) == 2
+    assert np.abs(arm.fk(modes.q, frame)[:, :3, 3] - target).max() < 1e-9
+
+
+def test_estimates():
+    """Good-Turing and Chao1 by hand: one mode seen once, one twice, one five times."""
+    coverage, expected = estimates(np.array([1, 1, 2, 5]))
+    assert coverage == 1 - 2 / 9 and expected == 4 + 2 * 1 / (2 * 2)
+    assert estimates(np.array([], dtype=int)) == (0.0, 0.0)
+
+
+# ---- the interface
+
+
+def test_text_and_table():
+    system = kempe.load("four_bar")
+    modes = assembly_modes(system, inputs(system, "A"))
+    assert str(modes).startswith("2 configurations of four_bar; complete") and "D = 1.57079633" in str(modes)
+    assert "<th>B</th>" in modes._repr_html_() and "A =" not in str(modes)
+    assert [q.shape for q in modes] == [(4,), (4,)] and np.array_equal(modes[1], modes.q[1])
+
+
+def test_refused_arguments():
+    system = kempe.load("four_bar")
+    with pytest.raises(UnknownNameError):
+        assembly_modes(system, {"Z": 1.0})
+    for call in (
+        lambda: assembly_modes(system, {"A": math.nan}),
+        lambda: assembly_modes(system, {"A": [1.0, 2.0]}),
+        lambda: assembly_modes(system, {"A": "x"}),
+        lambda: assembly_modes(system, [1.0]),  # type: ignore[arg-type]
+        lambda: assembly_modes(system, {"A": 1.0}, near=np.zeros((2, 4))),
+        lambda: assembly_modes(system, {"A": 1.0}, starts=0),
+        lambda: assembly_modes(kempe.load("three_rpr"), {"S1": [0.3, 0.4], "S2": 0.3, "S3": 0.3}),
+    ):
+        with pytest.raises(InputError):
+            call()

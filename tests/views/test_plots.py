@@ -1,0 +1,556 @@
+"""Pictures: that the artists are where the geometry says. Positions come from closed forms or from `fk`, not from pixels."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import Mechanism, library
+from kempe.errors import InputError, UnknownNameError
+
+pytest.importorskip("matplotlib")
+from kempe.views import plots
+from kempe.views.drawing import labels, page, shapes, symbols
+from kempe.views.drawing.scene import look
+from kempe.views.drawing.solids import Solids, flat_hull
+
+PLANAR = ["four_bar", "four_links", "parallelogram", "jansen", "peaucellier", "stephenson_six_bar", "slider_crank",
+          "three_rpr", "scissor", "two_link"]  # fmt: skip
+SPATIAL = ["stewart", "delta_uu", "bennett", "sarrus", "puma560", "panda", "stanford", "seven_bodies_loop"]
+
+
+def start(system):
+    return system.posture("closed") if "closed" in system.posture_names else system.mid
+
+
+def centres(system, q) -> dict[str, np.ndarray]:
+    """Origin (3,) of frame M of every joint that moves, by way of `fk` of its child alone."""
+    out = {}
+    for name, joint in system.joints.items():
+        if joint.type.dof(system.dim):
+            X = system.fk(q, joint.child) @ joint.X_CM.evaluate(system.parameters)
+            out[name] = X[:3, 3]
+    return out
+
+
+def artists(ax) -> dict[str, list]:
+    found: dict[str, list] = {}
+    for artist in ax.get_children():
+        if artist.get_gid():
+            found.setdefault(artist.get_gid(), []).append(artist)
+    return found
+
+
+def middle(patch) -> np.ndarray:
+    """Middle of the box around an outline."""
+    extents = patch.get_path().get_extents()
+    return np.array([0.5 * (extents.x0 + extents.x1), 0.5 * (extents.y0 + extents.y1)])
+
+
+@dataclass
+class Motion:
+    """An answer as `trace` gives it, as far as pictures read it."""
+
+    system: kempe.System
+    q: np.ndarray
+    s: np.ndarray
+    driver: str | None = None
+    singular_points: tuple = field(default_factory=tuple)
+    turning_points: tuple = field(default_factory=tuple)
+
+
+def parallelogram(n: int = 40) -> tuple[kempe.System, np.ndarray]:
+    """A parallelogram with all frames parallel at q = 0, the flat pose; the crank at angle a gives q = (a, -a, a, a)."""
+    m = Mechanism("bars", dim=2)
+    crank, coupler, rocker = (m.body(b) for b in ("crank", "coupler", "rocker"))
+    m.revolute("A", m.ground, crank, actuated=True)
+    m.revolute("B", crank, coupler, at=(0.2, 0))
+    m.revolute("C", coupler, rocker, at=(0.4, 0), child_at=(0.2, 0), cut=True)
+    m.revolute("D", m.ground, rocker, at=(0.4, 0))
+    m.frame("P", coupler, at=(0.3, 0.1))
+    system = m.build()
+    a = np.linspace(0.0, 2 * np.pi, n)
+    q = np.zeros((n, system.nq))
+    for name, sign in (("A", 1), ("B", -1), ("C", 1), ("D", 1)):
+        q[:, system.coordinate_names.index(name)] = sign * a
+    return system, q
+
+
+# ---- the plane
+
+
+@pytest.mark.parametrize("name", PLANAR)
+def test_a_circle_at_every_revolute_joint(name):
+    system = kempe.load(name)
+    found = artists(plots.plot(system))
+    for joint, p in centres(system, start(system)).items():
+        if system.joints[joint].type.type_name == "revolute":
+            (patch,) = found[f"joint:{joint}"]
+            assert np.allclose(middle(patch), p[:2], atol=1e-9), joint
+            assert patch.get_facecolor()[:3] == (1, 1, 1), "white"
+
+
+def test_the_four_bar_stands_where_its_file_says():
+    """Crank and rocker upright, the coupler from (0, 0.1) to (0.4, 0.4): independent of `fk`."""
+    found = artists(plots.plot(kempe.load("four_bar")))
+    for joint, p in {"A": (0, 0), "B": (0, 0.1), "C": (0.4, 0.4), "D": (0.4, 0)}.items():
+        assert np.allclose(middle(found[f"joint:{joint}"][0]), p, atol=1e-12)
+    X = kempe.load("four_bar").fk(kempe.load("four_bar").posture("closed"), "coupler_point")
+    assert np.allclose(middle(found["frame:coupler_point"][0]), X[:2, 3], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", PLANAR)
+def test_ground_symbols_at_ground_pivots_only(name):
+    system = kempe.load(name)
+    found = artists(plots.plot(system))
+    at = centres(system, start(system))
+    ground = system.body_names[0]
+    pivots = {n: at[n][:2] for n, j in system.joints.items()
+              if j.type.type_name == "revolute" and ground in (j.parent, j.child)}  # fmt: skip
+    drawn = [a[0].get_path().vertices[0] for gid, a in found.items() if gid.startswith("ground:")]
+    assert {tuple(np.round(p, 9)) for p in drawn} == {tuple(np.round(p, 9)) for p in pivots.values()}
+    assert len([g for g in found if g.startswith("hatch:")]) == len(drawn)
+
+
+@pytest.mark.parametrize("name", PLANAR)
+def test_links_cover_their_joints_and_frames(name):
+    """The outline of a link is its convex hull widened by the half-width of a bar: it holds every point of it."""
+    system = kempe.load(name)
+    q = start(system)
+    found = artists(plots.plot(system))
+    scene = look(system, q)
+    for link in scene.links[1:]:
+        points = scene.points(link)[:, :2]
+        if len(points) > 1:
+            (patch,) = found[f"link:{link.name}"]
+            path = patch.get_path()
+            assert path.contains_points(points).all(), link.name
+            far = points.mean(axis=0) + 3.0 * (points - points.mean(axis=0))
+            assert not path.contains_points(far[np.ptp(far - points, axis=1) > 0]).all()
+
+
+def test_rounded_outlines_have_the_area_of_hull_and_rim():
+    """Area of a convex set widened by r: area + r perimeter + pi r^2 (Steiner)."""
+
+    def area(path):
+        p = path.to_polygons(closed_only=True)[0] if not path.should_simplify else path.to_polygons()[0]
+        x, y = p[:, 0], p[:, 1]
+        return 0.5 * abs(float(x[:-1] @ y[1:] - x[1:] @ y[:-1]))
+
+    def fine(path):
+        return path.interpolated(1) if path.codes is None else path.cleaned(curves=False)
+
+    for points, size, round_ in (([(0, 0), (4, 3)], 0.0, 10.0), ([(0, 0), (4, 0), (4, 3), (2, 1)], 6.0, 12.0)):
+        r = 0.5
+        path = shapes.rounded(np.array(points, dtype=float), r)
+        assert area(fine(path)) == pytest.approx(size + r * round_ + np.pi * r * r, rel=2e-3)
+    assert area(fine(shapes.rounded(np.array([[1.0, 2.0]]), 2.0))) == pytest.approx(4 * np.pi, rel=2e-3)
+
+
+def test_the_hull_drops_what_lies_inside_and_on_sides():
+    points = np.array([[0, 0], [2, 0], [1, 0], [2, 2], [0, 2], [1, 1], [0, 1]], dtype=float)
+    assert shapes.hull(points).tolist() == [[0, 0], [2, 0], [2, 2], [0, 2]]
+
+
+def test_a_slider_is_a_block_on_a_hatched_rail():
+    system = kempe.load("slider_crank")
+    q = start(system)
+    found = artists(plots.plot(system))
+    (name,) = [n for n, j in system.joints.items() if j.type.type_name == "prismatic"]
+    block, rail = found[f"block:{name}"][0], found[f"rail:{name}"][0]
+    joint = system.joints[name]
+    axis = (system.fk(q, joint.parent) @ joint.X_PF.evaluate(system.parameters))[:2, 2]
+    centre = centres(system, q)[name][:2]
+    assert np.allclose(block.get_path().vertices[:4].mean(axis=0), centre, atol=1e-12)
+    ends = rail.get_path().vertices[:2]
+    assert abs(shapes.cross(ends[1] - ends[0], axis)) < 1e-12, "the rail runs along the axis"
+    assert len(rail.get_path().vertices) > 8, "hatching"
+    side = block.get_path().vertices
+    assert np.min(np.abs((side - ends[0]) @ np.array([-axis[1], axis[0]]))) < 1e-12, "the block stands on the rail"
+
+
+def test_the_rail_reaches_as_far_as_the_path_and_the_limits():
+    m = Mechanism("slide", dim=2)
+    m.prismatic("x", m.ground, m.body("b"), axis=[1, 0])
+    system = m.build()
+    path = np.linspace(-1.0, 2.0, 7)[:, None]
+    ends = artists(plots.plot(system, path=path))["rail:x"][0].get_path().vertices[:2]
+    assert ends[:, 0].min() < -1.0 and ends[:, 0].max() > 2.0
+    m = Mechanism("slide", dim=2)
+    m.prismatic("x", m.ground, m.body("b"), axis=[0, 1], limits=(-0.4, 0.3))
+    ends = artists(plots.plot(m.build()))["rail:x"][0].get_path().vertices[:2]
+    assert ends[:, 1].min() < -0.4 and ends[:, 1].max() > 0.3
+
+
+def test_driven_legs_are_cylinder_and_rod():
+    system = kempe.load("three_rpr")
+    found = artists(plots.plot(system))
+    at = centres(system, start(system))
+    legs = [n for n, j in system.joints.items() if j.type.type_name == "prismatic"]
+    assert len(legs) == 3
+    for leg in legs:
+        assert found[f"cylinder:{leg}"] and found[f"driver:{leg}"]
+        rod = found[f"rod:{leg}"][0].get_path().vertices[:4]
+        far = 0.5 * (rod[1] + rod[2])
+        assert np.allclose(far, at[leg][:2], atol=1e-12), "the rod ends where M is"
+
+
+def test_drivers_are_marked():
+    system = kempe.load("four_bar")
+    plain = {g for g in artists(plots.plot(system)) if g.startswith("driver:")}
+    actuated = {f"driver:{n}" for n, j in system.joints.items() if j.actuated}
+    assert {g for g in plain if not g.endswith(":head")} == actuated
+    q = start(system)[None]
+    found = artists(plots.plot(system, path=Motion(system, q, np.zeros(1), driver="D")))
+    assert "driver:D" in found
+    arc = found["driver:D"][0].get_xydata()
+    radius = np.linalg.norm(arc - (0.4, 0.0), axis=1)
+    assert np.allclose(radius, radius[0]) and radius[0] > 0, "an arc round the joint"
+
+
+def test_open_loops_are_shown():
+    system = kempe.load("four_bar")
+    q = start(system)
+    assert "open:C" not in artists(plots.plot(system))
+    q[system.coordinate_names.index("A")] += 0.2
+    line = artists(plots.plot(system, q))["open:C"][0].get_xydata()
+    crank = system.fk(q, "coupler") @ system.joints["C"].X_PF.evaluate(system.parameters)
+    assert np.allclose(line, [crank[:2, 3], (0.4, 0.4)], atol=1e-12)
+
+
+def test_rods_and_slots_of_constraints():
+    m = Mechanism("rods", dim=2)
+    crank, rocker = m.body("crank"), m.body("rocker")
+    m.revolute("A", m.ground, crank)
+    m.revolute("D", m.ground, rocker, at=(0.4, 0))
+    m.distance("rod", crank, rocker, at=(0.1, 0), child_at=(0, 0.4), length=0.5)
+    m.point_on_line("slot", rocker, crank, child_at=(0.1, 0.2), axis=[1, 2])
+    system = m.build()
+    found = artists(plots.plot(system, [0.0, 0.0]))
+    ends = sorted(tuple(np.round(middle(a), 9)) for a in found["rod:rod:end"])
+    assert ends == [(0.1, 0.0), (0.4, 0.4)]
+    assert np.allclose(middle(found["line:slot:point"][0]), (0.1, 0.2))
+    wrong = artists(plots.plot(system, [0.5, 0.0]))["rod:rod"][0].get_edgecolor()
+    assert wrong != found["rod:rod"][0].get_edgecolor(), "a rod of the wrong length"
+
+
+def test_curves_are_fk_over_the_path():
+    system, q = parallelogram()
+    ax = plots.plot(system, path=q, ghosts=3)
+    found = artists(ax)
+    a = np.linspace(0.0, 2 * np.pi, len(q))
+    circle = np.stack([0.3 + 0.2 * np.cos(a), 0.1 + 0.2 * np.sin(a)], axis=1)
+    assert np.allclose(found["curve:P"][0].get_xydata(), circle, atol=1e-12), "the coupler only translates"
+    assert np.allclose(found["here:P"][0].get_xydata(), [(0.5, 0.1)], atol=1e-12), "the pose nearest to mid"
+    assert len({g.split(":")[0] for g in found if g.startswith("ghost")}) == 3
+    here = artists(plots.plot(system, q[10], path=q, frames=["crank", "P"]))
+    assert np.allclose(here["here:P"][0].get_xydata(), circle[10:11], atol=1e-12)
+    assert np.allclose(here["curve:crank"][0].get_xydata(), 0.0)
+    named = artists(plots.plot(system, path=SimpleNamespace(q=q, frames=("rocker",))))
+    assert "curve:rocker" in named and "curve:P" not in named
+
+
+def test_gaps_in_a_path_stay_gaps():
+    system, q = parallelogram(12)
+    q[5] = np.nan
+    curve = artists(plots.plot(system, path=q))["curve:P"][0].get_xydata()
+    assert np.isnan(curve[5]).all() and np.isfinite(np.delete(curve, 5, axis=0)).all()
+
+
+def test_all_is_inside_the_limits():
+    system, q = parallelogram()
+    for ax in (plots.plot(system), plots.plot(system, path=q, ghosts=4)):
+        assert ax.get_aspect() == 1.0
+        (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
+        for patch in ax.patches:
+            if patch.get_gid():
+                box = patch.get_path().get_extents()
+                assert x0 <= box.x0 and box.x1 <= x1 and y0 <= box.y0 and box.y1 <= y1, patch.get_gid()
+
+
+@pytest.mark.parametrize("name", ["jansen", "peaucellier", "stephenson_six_bar", "three_rpr", "four_bar"])
+def test_labels_cover_neither_each_other_nor_pins(name):
+    """Measured in pixels by the renderer, not by the boxes that the placing worked with."""
+    ax = plots.plot(kempe.load(name))
+    renderer = ax.figure.canvas.get_renderer()
+    ax.figure.canvas.draw()
+    found = artists(ax)
+    boxes = {g: a[0].get_window_extent(renderer) for g, a in found.items() if g.startswith("label:")}
+    assert len(boxes) > 3
+    for g, box in boxes.items():
+        for other, second in boxes.items():
+            assert g == other or not box.overlaps(second), (g, other)
+        for gid, (patch, *_) in found.items():
+            if gid.startswith("joint:"):
+                x, y = ax.transData.transform(middle(patch))
+                assert not (box.x0 < x < box.x1 and box.y0 < y < box.y1), (g, gid)
+
+
+def test_labels_can_be_left_out():
+    assert not any(g.startswith("label:") for g in artists(plots.plot(kempe.load("four_bar"), labels=False)))
+    assert not any(g.startswith("label:") for g in artists(plots.plot(kempe.load("bennett"), labels=False)))
+
+
+def test_a_label_goes_where_nothing_is():
+    obstacles = labels.Obstacles()
+    obstacles.segment(np.array([-5.0, 0.0]), np.array([5.0, 0.0]), 0.5)
+    obstacles.segment(np.array([0.0, 0.0]), np.array([0.0, 5.0]), 0.5)
+    first = obstacles.place(np.zeros(2), (1.0, 0.6), 0.8, np.array([1.0, 0.0]))
+    assert abs(first[1]) > 0.5 + 0.3 - 1e-9
+    second = obstacles.place(np.zeros(2), (1.0, 0.6), 0.8, np.array([1.0, 0.0]))
+    assert abs(first[0] - second[0]) >= 1.0 - 1e-9 or abs(first[1] - second[1]) >= 0.6 - 1e-9
+
+
+def test_the_scale_bar_has_its_length():
+    ax = plots.plot(kempe.load("four_bar"))
+    found = artists(ax)
+    x = found["scale"][0].get_xdata()
+    number, unit = found["scale:text"][0].get_text().split()
+    assert x.max() - x.min() == pytest.approx(float(number) * {"m": 1.0, "mm": 1e-3}[unit])
+
+
+@pytest.mark.parametrize(("length", "rounded"), [(0.7, 0.5), (0.2, 0.2), (0.19, 0.1), (1.0, 1.0), (4e-5, 2e-5), (99, 50)])
+def test_nice_lengths(length, rounded):
+    assert page.nice(length) == pytest.approx(rounded)
+
+
+# ---- space
+
+
+def solids_of(system, q) -> tuple[Solids, float]:
+    scene, solids = look(system, q), Solids()
+    r = symbols.radius(scene)
+    symbols.build(solids, scene, r, None)
+    return solids, r
+
+
+def vertices(solids: Solids, name: str) -> np.ndarray:
+    return np.concatenate([solids.faces[k] for k in solids.named[name]])
+
+
+@pytest.mark.parametrize("name", SPATIAL)
+def test_a_symbol_at_every_joint_along_its_axis(name):
+    system = kempe.load(name)
+    q = start(system)
+    solids, r = solids_of(system, q)
+    scene = look(system, q)
+    for joint in scene.joints:
+        p = vertices(solids, f"joint:{joint.name}")
+        box = 0.5 * (p.min(axis=0) + p.max(axis=0))
+        if joint.kind == "prismatic":
+            on_axis = box - joint.F[:3, 3]
+            assert np.linalg.norm(np.cross(on_axis, joint.axis)) < 1e-9, "somewhere on its axis"
+            continue
+        assert np.allclose(box, centres(system, q)[joint.name], atol=0.02 * r), joint.name
+        if joint.kind == "revolute":
+            along = (p - joint.centre) @ joint.axis
+            across = np.linalg.norm(p - joint.centre - along[:, None] * joint.axis, axis=1)
+            assert along.max() == pytest.approx(1.7 * r) and across.max() <= 1.03 * r
+
+
+@pytest.mark.parametrize("name", SPATIAL)
+def test_all_solids_are_in_the_picture_with_equal_scales(name):
+    system = kempe.load(name)
+    q = start(system)
+    ax = plots.plot(system)
+    solids, _ = solids_of(system, q)
+    (collection,) = artists(ax)["solids"]
+    assert len(collection.get_facecolor()) in (0, len(solids.faces)) and len(solids.faces) > 50
+    p = np.concatenate(solids.faces)
+    limits = np.array([ax.get_xlim(), ax.get_ylim(), ax.get_zlim()])
+    assert (p.min(axis=0) >= limits[:, 0]).all() and (p.max(axis=0) <= limits[:, 1]).all()
+    aspect = np.asarray(ax._box_aspect)
+    assert np.allclose(aspect / aspect[0], np.ptp(limits, axis=1) / np.ptp(limits[0])), "one metre is one metre"
+    ax.figure.canvas.draw()
+
+
+@pytest.mark.parametrize("name", SPATIAL)
+def test_tubes_join_the_joints_of_a_link(name):
+    """Each joint centre and frame of a link is on one of the lines that the link is drawn along."""
+    scene = look(kempe.load(name), start(kempe.load(name)))
+    drawn: dict[int, list[np.ndarray]] = {}
+    for link, line in symbols.lines(scene):
+        drawn.setdefault(link.number, []).append(line)
+    for link in scene.links[1:]:
+        points = scene.points(link)
+        if len(points) > 1:
+            corners = np.concatenate(drawn[link.number])
+            gaps = np.linalg.norm(points[:, None] - corners, axis=-1).min(axis=1)
+            assert gaps.max() < 1e-9, link.name
+
+
+def test_links_follow_axes_and_common_normals():
+    """A link from (0,0,0) about z to (1,0,1) about y: up the first axis, then along the common normal."""
+    A, B = np.eye(4), np.eye(4)
+    B[:3, :3] = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    B[:3, 3] = 1, 0, 1
+    line = symbols._along_axes(A, B, True, True)
+    assert any(np.allclose(p, (0, 0, 1)) for p in line) and len(line) >= 3
+    assert len(symbols._along_axes(A, B, False, False)) == 2, "straight between ball joints"
+
+
+def test_ground_marks_hang_below_ground_joints():
+    system = kempe.load("bennett")
+    q = start(system)
+    solids, _ = solids_of(system, q)
+    ground = system.body_names[0]
+    joints = [n for n, j in system.joints.items() if ground in (j.parent, j.child)]
+    tips = [vertices(solids, n)[0] for n in solids.named if n.startswith("ground:")]
+    at = centres(system, q)
+    assert {tuple(np.round(t, 9)) for t in tips} == {tuple(np.round(at[j], 9)) for j in joints}
+    assert all(vertices(solids, n)[:, 2].min() < t[2] for n, t in zip(["ground:0", "ground:1"], tips, strict=True))
+
+
+def test_curves_in_space_are_fk_over_the_path():
+    system = kempe.load("puma560")
+    q = np.linspace(system.mid, system.mid + 0.5, 9)
+    name = next(iter(system.frames))
+    found = artists(plots.plot(system, path=q, frames=name, ghosts=2))
+    curve = np.array(found[f"curve:{name}"][0].get_data_3d()).T
+    assert np.allclose(curve, system.fk(q, name)[:, :3, 3], atol=1e-12)
+    here = np.array(found[f"here:{name}"][0].get_data_3d()).T
+    assert np.allclose(here, system.fk(q[:1], name)[:, :3, 3], atol=1e-12), "mid is on the path"
+    assert len({g.split(":")[0] for g in found if g.startswith("ghost")}) == 2
+
+
+def test_every_joint_type_has_a_symbol():
+    from kempe.joints import TYPES
+
+    assert set(symbols.SYMBOLS) == set(TYPES) - {"fixed"}
+
+
+def test_tubes_and_balls_have_their_sizes():
+    solids = Solids()
+    a, b = np.array([1.0, 2.0, 3.0]), np.array([2.0, 0.0, 5.0])
+    solids.tube("t", a, b, 0.25, "#808080")
+    u = (b - a) / 3.0
+    p = vertices(solids, "t") - a
+    along = p @ u
+    assert along.min() == pytest.approx(0.0, abs=1e-12) and along.max() == pytest.approx(3.0)
+    assert np.linalg.norm(p - along[:, None] * u, axis=1).max() == pytest.approx(0.25)
+    solids.ball("b", a, 0.5, "#808080")
+    assert np.allclose(np.linalg.norm(vertices(solids, "b") - a, axis=1), 0.5)
+    assert all(len(f) == 4 for f in solids.faces)
+
+
+def test_flat_hulls():
+    square = np.array([[0, 0, 1], [1, 0, 1], [0.5, 0.5, 1], [1, 1, 1], [0, 1, 1]], dtype=float)
+    assert sorted(flat_hull(square, 1e-6) or ()) == [0, 1, 3, 4]
+    square[2, 2] = 2.0
+    assert flat_hull(square, 1e-6) is None
+    assert flat_hull(np.outer(np.arange(4.0), [1, 2, 3]), 1e-6) is None
+
+
+# ---- everything
+
+
+@pytest.mark.parametrize("name", ["ball", "car", "joint_fixed", "joint_free", "joint_helical", "joint_planar"])
+def test_odd_systems_can_be_drawn(name, tmp_path):
+    plots.plot(kempe.load(name)).figure.savefig(tmp_path / "a.png", dpi=30)
+    assert (tmp_path / "a.png").stat().st_size > 500
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(library.names()))
+def test_every_model_can_be_drawn(name, tmp_path):
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plots.plot(kempe.load(name)).figure.savefig(tmp_path / "a.png", dpi=30)
+
+
+def test_vector_output_names_its_parts(tmp_path):
+    plots.plot(kempe.load("four_bar")).figure.savefig(tmp_path / "a.svg")
+    text = (tmp_path / "a.svg").read_text()
+    assert 'id="joint:A"' in text and 'id="ground:D"' in text
+    plots.plot(kempe.load("bennett")).figure.savefig(tmp_path / "a.pdf")
+    assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_axes_of_the_caller_are_used():
+    figure = page.new_figure()
+    left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2, projection="3d")
+    assert plots.plot(kempe.load("four_bar"), ax=left) is left and "joint:A" in artists(left)
+    assert plots.plot(kempe.load("bennett"), ax=right) is right and "solids" in artists(right)
+    figure.canvas.draw()
+    with pytest.raises(InputError, match="planar system"):
+        plots.plot(kempe.load("four_bar"), ax=right)
+    with pytest.raises(InputError, match="projection='3d'"):
+        plots.plot(kempe.load("bennett"), ax=left)
+
+
+def test_wrong_calls_say_what_is_allowed():
+    system, q = parallelogram(5)
+    with pytest.raises(UnknownNameError, match="'P'"):
+        plots.plot(system, path=q, frames=["p"])
+    with pytest.raises(InputError, match="one configuration"):
+        plots.plot(system, q)
+    with pytest.raises(InputError, match=r"must be \(n, 4\)"):
+        plots.plot(system, path=q[0])
+    with pytest.raises(InputError, match="not all of it NaN"):
+        plots.plot(system, path=np.full((3, 4), np.nan))
+    with pytest.raises(InputError, match="finite"):
+        plots.plot(system, [0, np.nan, 0, 0])
+    with pytest.raises(InputError, match="ghosts"):
+        plots.plot(system, path=q, ghosts=-1)
+    with pytest.raises(InputError, match="needs 4"):
+        plots.plot(system, [0.0])
+
+
+# ---- coordinates over arc length
+
+
+def test_coordinates_over_arc_length():
+    system = kempe.load("slider_crank")
+    q = np.linspace(start(system), start(system) + 1.0, 6)
+    s = np.linspace(0.0, 3.0, 6)
+    event = SimpleNamespace(s=1.2, q=q[2])
+    found = artists(ax := plots.plot_path(Motion(system, q, s, None, (event,), (SimpleNamespace(s=0.3, q=q[0]),))))
+    for i, name in enumerate(system.coordinate_names):
+        assert np.array_equal(found[f"coordinate:{name}"][0].get_xydata(), np.stack([s, q[:, i]], axis=1))
+    assert np.allclose(found["singular:0"][0].get_xdata(), 1.2) and np.allclose(found["turning:0"][0].get_xdata(), 0.3)
+    assert np.allclose(found["singular:0:values"][0].get_ydata(), q[2])
+    assert ax.get_ylabel() == "angles [rad], slides [m]"
+    one = artists(plots.plot_path(Motion(system, q, s), names=["A"]))
+    assert [g for g in one if g.startswith("coordinate:")] == ["coordinate:A"]
+
+
+def test_wrong_paths_are_refused():
+    system, q = parallelogram(5)
+    with pytest.raises(UnknownNameError, match="coordinate 'X'"):
+        plots.plot_path(Motion(system, q, np.arange(5.0)), names=["X"])
+    with pytest.raises(InputError, match="shape"):
+        plots.plot_path(Motion(system, q, np.arange(4.0)))
+    with pytest.raises(InputError, match="system"):
+        plots.plot_path(SimpleNamespace(q=q, s=np.arange(5.0)))
+
+
+# ---- no display, no global state, no hard dependency
+
+
+def run(code: str) -> str:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_no_global_state_is_touched():
+    code = (
+        "import sys, matplotlib\nbefore = dict(matplotlib.rcParams)\nimport kempe\nfrom kempe.views.plots import plot\n"
+        "plot(kempe.load('four_bar')), plot(kempe.load('bennett'))\n"
+        "print('matplotlib.pyplot' in sys.modules, dict(matplotlib.rcParams) == before)"
+    )
+    assert run(code) == "False True"
+
+
+def test_without_matplotlib_the_error_names_the_extra():
+    code = (
+        "import sys\nsys.modules['matplotlib'] = None\nimport kempe\n"
+        "try:\n    import kempe.views.plots\nexcept kempe.errors.MissingExtraError as e:\n    print(e.package, e.extra)"
+    )
+    assert run(code) == "matplotlib view"
