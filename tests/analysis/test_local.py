@@ -327,9 +327,9 @@ def test_an_overconstrained_loop_away_from_its_library_posture(name):
     first = local_dimension(system, system.posture("closed"))
     at = reduction.split(Equations(system), first.q)
     equations = Equations(system)
-    q, residual, distance = equations.project(equations.move(first.q, 0.3 * at.kernel[:, 0]), first.q)
-    assert residual[0] < 1e-12 and distance[0] > 0.2
-    assert key(local_dimension(system, q[0])) == key(first) == (1, 1, None, [1], True)
+    found = equations.project(equations.move(first.q, 0.3 * at.kernel[:, 0]), first.q)
+    assert found.residual[0] < 1e-12 and found.distance[0] > 0.2
+    assert key(local_dimension(system, found.q[0])) == key(first) == (1, 1, None, [1], True)
 
 
 def test_both_methods_are_independent_of_the_seed():
@@ -402,7 +402,7 @@ def test_last_digits_are_corrected():
     system, q = chain([1.0, 1.0, 1.0, 2 * cos(a) + cos(b)], [a, -b, -a], name="")
     assert abs(sin(a) - sin(b) - sin(a)) > 0.1  # not closed: a guess
     equations = Equations(system)
-    closed = equations.project(q, q)[0][0]
+    closed = equations.project(q, q).q[0]
     rough = closed + 1e-8 * np.array([1.0, -1.0, 1.0, 1.0])
     found = local_dimension(system, rough)
     assert np.abs(equations.linearise(found.q)[0]).max() < 1e-14 and found.dim == 1

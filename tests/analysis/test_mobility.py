@@ -13,7 +13,9 @@ from mechanisms_spatial import SPATIAL, Spatial, joint_constraints
 
 import kempe
 from kempe import Mechanism, System
+from kempe.analysis.generic import nearby
 from kempe.analysis.mobility import Mobility, mobility
+from kempe.analysis.rank import rank_at
 from kempe.description.placement import Placement
 from kempe.errors import InputError, UnknownNameError
 from kempe.joints import Universal
@@ -190,7 +192,7 @@ def test_rods_spin_about_the_line_through_their_ends():
     assert m.idle == 6 and m.useful == 3
     assert len({f.bodies for f in m.idle_freedoms}) == 6 and all(len(f.bodies) == 1 for f in m.idle_freedoms)
     for f in m.idle_freedoms:
-        assert f.kind == "spins" and f.joined
+        assert f.joined and str(f).endswith(f"spins about the line through {f.joints[0]} and {f.joints[1]}")
         moved = system.fk(system.integrate(m.q, 1e-6 * f.velocity)) - system.fk(m.q)
         still = [b for b in range(len(moved)) if np.abs(moved[b]).max() < 1e-11]
         assert len(still) == len(moved) - 1  # only the rod moves, and keeps the loops closed
@@ -204,6 +206,42 @@ def test_a_door_on_two_hinges_is_not_idle():
     m.revolute("high", m.ground, door, at=(0, 0, 2), child_at=(0, 0, 2))
     report = mobility(m.build())
     assert (report.gruebler, report.dof, report.idle, report.redundant) == (-4, 1, 0, 5)
+
+
+def test_a_shaft_in_its_bearings_is_not_idle_but_a_piston_on_a_ball_is():
+    m = Mechanism("shaft")
+    m.revolute("fixed", m.ground, m.body("shaft"))
+    m.cylindrical("floating", m.ground, "shaft", at=(0, 0, 1), child_at=(0, 0, 1))
+    report = mobility(m.build())
+    assert (report.dof, report.idle) == (1, 0)
+    m = Mechanism("engine")
+    m.revolute("A", m.ground, m.body("crank"))
+    m.spherical("big end", "crank", m.body("rod"), at=(0, 1, 0))
+    m.spherical("small end", "rod", m.body("piston"), at=(3, -1, 0))
+    m.cylindrical("bore", m.ground, "piston", axis=(1, 0, 0), at=(3, 0, 0))
+    report = mobility(m.build())
+    # 3 x 6 - 5 - 3 - 3 - 4; the rod spins, the piston spins, the engine runs
+    assert (report.gruebler, report.dof, report.idle, report.useful) == (3, 3, 2, 1)
+    assert sorted(f.bodies for f in report.idle_freedoms) == [("piston",), ("rod",)]
+
+
+def test_a_spin_in_one_position_only_is_not_idle():
+    """The leg turns alone where its ball is on the axis of its hinge, but nowhere near."""
+    m = Mechanism("polar leg")
+    m.revolute("R", m.ground, m.body("arm"))
+    m.prismatic("P", "arm", m.body("slide"), axis=(1, 0, 0))
+    m.planar("table", m.ground, m.body("plate"))
+    m.spherical("S", "slide", "plate")
+    system = m.build()
+    at = system.q({"P": 0.0})
+    assert mobility(system, at).idle == 0
+    report = mobility(system, system.assemble({"P": 0.4}, near=at).q)
+    assert (report.gruebler, report.dof, report.idle, report.redundant) == (2, 3, 0, 1)
+
+
+def test_a_rigid_structure_has_no_generic_neighbours():
+    system = kempe.load("shaky_3r")
+    assert nearby(system, rank_at(system, mobility(system).q), np.random.default_rng(0)) == []
 
 
 def test_a_driven_rod_is_not_idle():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -286,15 +287,23 @@ def test_one_to_one_slider_crank_has_the_resting_slider_as_its_other_branch():
     assert [math.cos(e.q[0]) for e in moving.singular_points] == pytest.approx([0, 0], abs=1e-9)
 
 
-def test_nearly_a_parallelogram_turns_the_corner():
-    """Branches that nearly meet do not cross: the coupler goes over from parallel to crossed."""
-    system = four_bar(1.0, 2.0 - 1e-4, 1.0, 2.0)
-    path = trace(system, "A", [0.8, -0.8, 0.8, -0.8])
+@pytest.mark.parametrize("gap", [1e-4, 1e-6, 1e-8, 1e-10])
+def test_nearly_a_parallelogram_turns_the_corner(gap):
+    """Branches that nearly meet do not cross: the coupler goes over from parallel to crossed and back."""
+    path = trace(four_bar(1.0, 2.0 - gap, 1.0, 2.0), "A", [0.8, -0.8, 0.8, -0.8])
     assert path.closed and not path.singular_points
     A, D = path.values("A"), path.values("D")
     assert same_angle(A, D) > 1.0
+    parallel, crossed = branches(four_bar(1, 2, 1, 2), "A", {"A": 0.8, "B": -0.8, "D": 0.8})
+    # the corners cut off a length of order sqrt(gap); staying on one branch would miss 12
+    assert path.length == pytest.approx(parallel.length + crossed.length, abs=20 * math.sqrt(gap) + 1e-5)
     B, C = pins(1.0, 2.0, A, D, 1.0)
-    assert np.abs(np.linalg.norm(B - C, axis=1) - (2.0 - 1e-4)).max() < 1e-12
+    assert np.abs(np.linalg.norm(B - C, axis=1) - (2.0 - gap)).max() < 1e-12
+
+
+def test_lengths_that_differ_by_rounding_cross():
+    path = trace(four_bar(1.0, 2.0 - 1e-12, 1.0, 2.0), "A", [0.8, -0.8, 0.8, -0.8])
+    assert [e.kind for e in path.singular_points] == ["bifurcation", "bifurcation"]
 
 
 # ---- limits, other freedoms, ends
@@ -359,6 +368,26 @@ def test_a_rigid_frame_cannot_move():
                     {"ground": ("A", "B"), "a": ("A", "C"), "b": ("B", "C")})  # fmt: skip
     path = trace(rigid, start=np.zeros(3))
     assert len(path) == 1 and path.success and "cannot move" in path.ends[0]
+
+
+def test_a_shaky_structure_and_a_permanently_shaky_mechanism_are_not_walked():
+    flat = {"A": (0.0, 0.0), "B": (1.0, 0.0), "C": (2.5, 0.0)}
+    links = {"ground": ("A", "C"), "a": ("A", "B"), "b": ("B", "C")}
+    path = trace(linkage("flat triangle", flat, links), start=np.zeros(3))
+    assert len(path) == 1 and "shaky" in path.status
+    m = linkage("flat triangle", flat, links).mechanism
+    m.revolute("P", m.ground, m.body("pendulum"), at=(0, 3))
+    with pytest.raises(UnsupportedError, match="to first order .* has 2 freedoms"):
+        trace(m.build(), "P", np.zeros(4))
+
+
+def test_paths_are_picklable_and_frozen():
+    path = trace(four_bar(1, 2.5, 2, 3), "A", {"A": 0.5})
+    again = pickle.loads(pickle.dumps(path))
+    np.testing.assert_array_equal(again.q, path.q)
+    np.testing.assert_array_equal(again.at(1.0), path.at(1.0))
+    with pytest.raises(AttributeError):
+        path.closed = False  # type: ignore[misc]
 
 
 def test_an_interrupt_returns_what_was_done():

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from kempe.kernels.jet import POSE_SIZE, jets, scratch_width
 from kempe.kernels.layout import BALL, SLIDE, TURN
 from kempe.kernels.loop_layout import ALIGN, ANGLE, CROSS, DISTANCE, FULL, LINEAR, NO_TURN
-from kempe.kernels.project import linearise, project
+from kempe.kernels.project import project
 
 ORDER = 8
 RADIUS, POINTS = 0.15, 48
@@ -181,8 +181,7 @@ def test_values_and_jacobian_are_orders_0_and_1(seed):
             row, _, X = table.outputs[2 * k + i]
             table.outputs[2 * k + i] = (row, flag, X)
     ties, packed, m = ties_of(held, numbers, 0.7, relation)
-    value, J = np.empty((1, m)), np.empty((1, m, table.nv))
-    linearise(*table.pack(), ties, packed, q, value, J)
+    _, _, value, J = projected(table, ties, packed, m, places_of(table), q, q, 0.0, 0)
     v = np.zeros((table.nv, 2, table.nv))
     v[:, 1] = np.eye(table.nv)
     out = run(table, ties, packed, m, np.repeat(q, table.nv, axis=0), v, [(0, 1)])[1]
@@ -190,6 +189,24 @@ def test_values_and_jacobian_are_orders_0_and_1(seed):
     plain = complex_poses(table, q[0], np.zeros(table.nv)).real
     assert np.allclose(value[0], equations(plain, held, numbers, 0.7, q[0], np.zeros(table.nv), relation), atol=1e-13)
     assert np.allclose(out[:, 1].T, J[0], atol=1e-12)
+
+
+def places_of(table):
+    """Where velocity coordinates sit in q, as `project` wants it."""
+    places = np.full(table.nv, -(10**9), dtype=np.int64)
+    for r in table.rows:
+        places[r.iv] = -1 - r.iq if r.kind == BALL else r.iq
+    places[-1] = table.nq - 1
+    return places
+
+
+def projected(table, ties, numbers, m, places, start, centers, radius, iterations):
+    """Points, their residual, distance and iterations, the equations and their Jacobian there."""
+    n, out = len(start), start.copy()
+    info, value, J = np.zeros((n, 3)), np.zeros((n, m)), np.zeros((n, m, table.nv))
+    project(*table.pack(), ties, numbers, places, np.ones(table.nv), centers, out, np.full(n, radius), iterations, 0.2,
+            info, value, J)  # fmt: skip
+    return out, info, value, J
 
 
 def closed_pair(seed):
@@ -202,13 +219,9 @@ def closed_pair(seed):
     X = random_pose(rng)
     table.outputs = [(last[0], False, X), (last[1], False, np.linalg.inv(poses_[last[1]]) @ poses_[last[0]] @ X)]
     ties, numbers, m = ties_of([(7, FULL)], [0.0], 1.0)
-    places = np.full(table.nv, -(10**9), dtype=np.int64)
-    for r in table.rows:
-        places[r.iv] = -1 - r.iq if r.kind == BALL else r.iq
-    places[-1] = table.nq - 1
     for iq, _ in table.quaternions:
         q[0, iq : iq + 4] /= np.linalg.norm(q[0, iq : iq + 4])
-    return table, ties, numbers, m, places, q, rng
+    return table, ties, numbers, m, places_of(table), q, rng
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.05])
@@ -218,11 +231,9 @@ def test_projection_closes_and_keeps_the_distance(seed, radius):
     n = 4
     v = rng.normal(size=(n, table.nv)) * 0.02
     start = np.array([table.moved(q[0], x) for x in v])
-    out, info, scale = start.copy(), np.zeros((n, 3)), np.ones(table.nv)
-    centers = np.repeat(q, n, axis=0)
-    project(*table.pack(), ties, numbers, places, scale, centers, out, np.full(n, radius), 60, 0.2, info)
-    value, J = np.empty((n, m)), np.empty((n, m, table.nv))
-    linearise(*table.pack(), ties, numbers, out, value, J)
+    out, info, value, J = projected(table, ties, numbers, m, places, start, np.repeat(q, n, axis=0), radius, 60)
+    _, _, again, J_again = projected(table, ties, numbers, m, places, out, out, 0.0, 0)
+    assert np.array_equal(value, again) and np.array_equal(J, J_again)
     assert np.abs(value).max() < 1e-12 and info[:, 0].max() < 1e-12
     distance = [apart(table, q[0], x, places) for x in out]
     assert np.allclose(distance, info[:, 1], atol=1e-12)

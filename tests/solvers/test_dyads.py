@@ -420,10 +420,11 @@ def test_a_distance_is_a_rod():
     system = m.build()
     plan, whole = plan_of(system, "A"), plan_of(four_bar(1.0, 3.0, 2.5, 3.5), "A")
     angles = np.linspace(-3, 3, 41)[:, None]
-    for sign in "+-":
+    assert "rod (rocker) lies to the left of the way from D to rod (crank)" in plan.describe()
+    for sign, same in ("+-", "-+"):  # the four-bar's sign is for the way from B to D
         q, ok, _ = plan.solve(angles, sign)
         assert ok.all() and np.abs(loops.residual(system, q)).max() < 1e-12
-        assert np.abs(q - whole.solve(angles, sign)[0][:, [0, 3]]).max() < 1e-12
+        assert np.abs(q - whole.solve(angles, same)[0][:, [0, 3]]).max() < 1e-12
         assert np.all(plan.branch_of(q) == (1 if sign == "+" else -1))
     short = plan_of(system.with_parameters(l=1.0), "A").solve([math.pi])
     assert not short[1] and abs(short[2] - 1.0) < 1e-12

@@ -62,7 +62,7 @@ def test_structure_and_search_agree(name, known):
 def question_of(system: System, known: dict[str, float], starts: int = 512):
     from kempe.solvers.modes import Question
 
-    return Question(system, known, None, True, None, 0, starts)
+    return Question(system, known, None, True, None, np.random.default_rng(0), starts)
 
 
 @given(st.integers(0, 2**32))
@@ -298,6 +298,7 @@ def test_refused_arguments():
         lambda: assembly_modes(system, [1.0]),  # type: ignore[arg-type]
         lambda: assembly_modes(system, {"A": 1.0}, near=np.zeros((2, 4))),
         lambda: assembly_modes(system, {"A": 1.0}, starts=0),
+        lambda: assembly_modes(system, {"A": 1.0}, rng="x"),  # type: ignore[arg-type]
         lambda: assembly_modes(kempe.load("three_rpr"), {"S1": [0.3, 0.4], "S2": 0.3, "S3": 0.3}),
     ):
         with pytest.raises(InputError):

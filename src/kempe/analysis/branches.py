@@ -7,6 +7,7 @@ points at distance h, for several h, show all branches: cusps, too, and those th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,8 @@ SAME_POINT = 1e-3
 """Points nearer than this part of the radius are one."""
 ALONG, TURNED = 0.5, 0.15
 """Way along the sphere, as a part of its radius, and the turn of the tangent space over it that shows a cone."""
+NEAR_ITERATIONS = 12
+"""Iterations towards the solution set before its points on a sphere are sought: they need not arrive."""
 FELL_BACK = 0.1
 """A start that ends nearer to the configuration than this part of the radius found no motion."""
 BATCH, MOST_STARTS, MOST_KEPT = 32, 480, 12
@@ -94,19 +97,26 @@ def _same(x: Array, y: Array) -> bool:
     return float(d @ d) < (SAME_POINT * RADII[0]) ** 2
 
 
-def on_sphere(equations: Equations, q: Array, directions: Array, radius: float) -> tuple[Array, np.ndarray]:
-    """Offsets (n, nv) of points of the solution set at a distance from q, sought in directions (n, nv); which are good.
+class Ring(NamedTuple):
+    """Points (n, nq) on a sphere with their offsets (n, nv) from its center, Jacobians, and whether they are good."""
+
+    q: Array
+    offsets: Array
+    jacobian: Array
+    good: np.ndarray
+
+
+def on_sphere(equations: Equations, q: Array, directions: Array, radius: float) -> Ring:
+    """Points of the solution set at a distance from q, sought in directions (n, nv).
 
     First they are sought anywhere near: the equation of the sphere would lead many into a local minimum.
     """
-    near, _, _ = equations.project(equations.move(q, radius * directions), q)
-    x = equations.offset(q, near)
-    distance = np.linalg.norm(x, axis=1, keepdims=True)
-    back = distance[:, 0] < FELL_BACK * radius
-    x = np.where(back[:, None], directions, x / np.maximum(distance, 1e-300))
-    points, residual, distance = equations.project(equations.move(q, radius * x), q, radius)
-    good = ~back & (residual < CLOSED) & (np.abs(distance - radius) < 1e-4 * radius)
-    return equations.offset(q, points), good
+    near = equations.project(equations.move(q, radius * directions), q, iterations=NEAR_ITERATIONS)
+    back = near.distance < FELL_BACK * radius
+    x = np.where(back[:, None], directions, equations.offset(q, near.q) / np.maximum(near.distance, 1e-300)[:, None])
+    at = equations.project(equations.move(q, radius * x), q, radius)
+    good = ~back & (at.residual < CLOSED) & (np.abs(at.distance - radius) < 1e-4 * radius)
+    return Ring(at.q, equations.offset(q, at.q), at.jacobian, good)
 
 
 def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[list[Family], bool]:
@@ -135,13 +145,9 @@ def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[lis
 
 def _spots(equations: Equations, at: Split, directions: Array) -> list[Spot]:
     """Points on the largest sphere sought in directions (n, nv)."""
-    x, good = on_sphere(equations, at.q, directions, RADII[0])
-    x = x[good]
-    if not len(x):
-        return []
-    q = equations.move(at.q, x)
-    J = equations.linearise(q)[1]
-    return [Spot(x[None, i], reduction.split_matrix(q[i], J[i])) for i in range(len(x))]
+    ring = on_sphere(equations, at.q, directions, RADII[0])
+    found = np.flatnonzero(ring.good)
+    return [Spot(ring.offsets[None, i], reduction.split_matrix(ring.q[i], ring.jacobian[i])) for i in found]
 
 
 def _sort_in(equations: Equations, at: Split, families: list[Family], spots: list[Spot]) -> None:
@@ -165,9 +171,8 @@ def _turns(equations: Equations, at: Split, spot: Spot) -> bool:
     along = K @ reduction.axes(np.random.default_rng(0), K.shape[1]).T
     along -= x[:, None] * (x @ along)
     d = x + ALONG * along.T / np.maximum(np.linalg.norm(along, axis=0), 1e-3)[:, None]
-    y, good = on_sphere(equations, at.q, d / np.linalg.norm(d, axis=1, keepdims=True), RADII[0])
-    J = equations.linearise(equations.move(at.q, y[good]))[1] if good.any() else []
-    kernels = [reduction.split_matrix(at.q, j).kernel for j in J]
+    ring = on_sphere(equations, at.q, d / np.linalg.norm(d, axis=1, keepdims=True), RADII[0])
+    kernels = [reduction.split_matrix(at.q, J).kernel for J in ring.jacobian[ring.good]]
     return any(apart(K, k) > TURNED for k in kernels if k.shape == K.shape)
 
 
@@ -177,10 +182,10 @@ def _shrink(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
         if not spots:
             break
         d = np.array([s.offsets[-1] for s in spots]) / before
-        x, good = on_sphere(equations, at.q, d, radius)
-        good &= np.linalg.norm(x / radius - d, axis=1) < 0.5
+        ring = on_sphere(equations, at.q, d, radius)
+        good = ring.good & (np.linalg.norm(ring.offsets / radius - d, axis=1) < 0.5)
         for i, spot in enumerate(spots):
-            spot.offsets = np.concatenate([spot.offsets, x[None, i]])
+            spot.offsets = np.concatenate([spot.offsets, ring.offsets[None, i]])
         spots = [s for s, ok in zip(spots, good, strict=True) if ok]
     return spots
 
@@ -210,8 +215,8 @@ def survivors(
     equations: Equations, q: Array, basis: Array, radius: float, rng: np.random.Generator
 ) -> tuple[int, Array]:
     """How many dimensions the points of the solution set at a distance from q span, sought along `basis` (nv, k)."""
-    x, good = on_sphere(equations, q, reduction.axes(rng, basis.shape[1]) @ basis.T, radius)
-    return span(x[good] / radius)
+    ring = on_sphere(equations, q, reduction.axes(rng, basis.shape[1]) @ basis.T, radius)
+    return span(ring.offsets[ring.good] / radius)
 
 
 def span(x: Array) -> tuple[int, Array]:
@@ -249,10 +254,9 @@ def stays_multiple(equations: Equations, at: Split, families: list[Family]) -> b
     shaky = [f.spots[0] for f in families if (f.spots[0].dim or 0) < f.spots[0].split.delta and f.spots[0].dim]
     if not shaky:
         return True
-    x, good = on_sphere(equations, at.q, np.array([s.offsets[0] for s in shaky]) / RADII[0], FAR)
-    J = equations.linearise(equations.move(at.q, x))[1]
-    deltas = [reduction.split_matrix(at.q, j).delta for j in J]
-    return all(d >= s.split.delta for s, d, ok in zip(shaky, deltas, good, strict=True) if ok)
+    ring = on_sphere(equations, at.q, np.array([s.offsets[0] for s in shaky]) / RADII[0], FAR)
+    deltas = [reduction.split_matrix(at.q, J).delta for J in ring.jacobian]
+    return all(d >= s.split.delta for s, d, ok in zip(shaky, deltas, ring.good, strict=True) if ok)
 
 
 def collect(equations: Equations, families: list[Family]) -> tuple[list[Branch], bool]:

@@ -138,6 +138,17 @@ def drive(
     now and then.
 
     Errors: `UnsupportedError` where the inputs leave freedoms or fight each other; `UnknownNameError`; `InputError`.
+
+    >>> from kempe import Mechanism
+    >>> m = Mechanism("parallelogram", dim=2)
+    >>> left, bar, right = m.body("left"), m.body("bar"), m.body("right")
+    >>> _ = m.revolute("A", m.ground, left)
+    >>> _ = m.revolute("B", left, bar, at=(1, 0))
+    >>> _ = m.revolute("C", bar, right, at=(3, 0), child_at=(1, 0))
+    >>> _ = m.revolute("D", m.ground, right, at=(3, 0))
+    >>> motion = drive(m.build(), {"A": [0.0, 2.0, 4.0, 6.0]})
+    >>> motion.values("D").round(9).tolist(), len(motion.singular_points)
+    ([0.0, 2.0, 4.0, 6.0], 1)
     """
     names = list(inputs)
     index = [angle_or_slide(system, n) for n in names]
@@ -229,7 +240,8 @@ def _run(
         for k in range(len(clock)):
             end = samples(k, 1)[-1]
             parts = int(np.ceil(np.abs((end - last) / course.unit).max() / BETWEEN)) if k else 1
-            for u in samples(k, min(max(parts, 1), MOST_PARTS)):
+            single = len(names) == 1 or stuck is None  # a way back in several inputs is looked for once a sample
+            for u in samples(k, min(max(parts, 1), MOST_PARTS) if single else 1):
                 state, stuck, gap = course.follow(state, stuck, last, u, k)
                 last = u
                 if gap > CONTINUOUS:

@@ -6,7 +6,7 @@ Unknowns are all velocity coordinates, those of cut joints included, lengths div
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,19 @@ BALL_REST = -(10**9)
 ITERATIONS = 60
 LONGEST = 0.2
 """Longest step of a projection, in scaled coordinates: it is to find what is near."""
+
+
+class Landing(NamedTuple):
+    """Where projections ended: points (N, nq), norms of the residual and distances from the centers (N,).
+
+    With the values (N, m) of the equations there and their Jacobian (N, m, nv) to scaled coordinates.
+    """
+
+    q: Array
+    residual: Array
+    distance: Array
+    value: Array
+    jacobian: Array
 
 
 class Equations:
@@ -78,29 +91,29 @@ class Equations:
 
     def linearise(self, q: Any) -> tuple[Array, Array]:
         """Values (N, m) and Jacobian (N, m, nv), to scaled coordinates, at q (N, nq)."""
-        from kempe.kernels.project import linearise
-
-        q = np.ascontiguousarray(as_q(self.system, q)).reshape(-1, self.nq)
-        value, J = np.empty((len(q), self.m)), np.empty((len(q), self.m, self.nv))
-        linearise(self.ints, self.floats, self.ties, self.numbers, q, value, J)
-        return value, J * self.scale
+        q = np.array(as_q(self.system, q)).reshape(-1, self.nq)
+        landing = self._project(q, q, 0.0, 0)
+        return landing.value, landing.jacobian
 
     def project(
         self, q: Array, centers: Array, radius: Array | float = 0.0, iterations: int = ITERATIONS
-    ) -> tuple[Array, Array, Array]:
-        """Points (N, nq) of the solution set near q, their residuals (N,) and distances (N,) from `centers`.
+    ) -> Landing:
+        """Points of the solution set near q (N, nq).
 
-        Where `radius` > 0 the points are sought at that distance.
+        Where `radius` > 0 the points are sought at that distance from `centers` (N, nq) or (nq,).
         """
+        return self._project(np.array(q, dtype=float, order="C").reshape(-1, self.nq), centers, radius, iterations)
+
+    def _project(self, q: Array, centers: Array, radius: Array | float, iterations: int) -> Landing:
+        """The same, overwriting q."""
         from kempe.kernels.project import project
 
-        out = np.array(q, dtype=float, order="C").reshape(-1, self.nq)
-        centers = np.ascontiguousarray(np.broadcast_to(centers, out.shape), dtype=float)
-        radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(out)))
-        info = np.zeros((len(out), 3))
-        project(self.ints, self.floats, self.ties, self.numbers, self.places, self.scale, centers, out, radii,
-                iterations, LONGEST, info)  # fmt: skip
-        return out, info[:, 0], info[:, 1]
+        centers = np.ascontiguousarray(np.broadcast_to(centers, q.shape), dtype=float)
+        radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(q)))
+        info, value, J = np.zeros((len(q), 3)), np.zeros((len(q), self.m)), np.zeros((len(q), self.m, self.nv))
+        project(self.ints, self.floats, self.ties, self.numbers, self.places, self.scale, centers, q, radii, iterations,
+                LONGEST, info, value, J)  # fmt: skip
+        return Landing(q, info[:, 0], info[:, 1], value, J * self.scale)
 
     def move(self, q: Array, x: Array) -> Array:
         """Configurations reached from q by scaled tangent vectors x (..., nv)."""

@@ -160,8 +160,8 @@ def _closed(equations: Equations, q: Array) -> Array:
             "of a link); close it with assemble first"
         )
     if value.size and np.linalg.norm(value) > 1e-13:
-        better, residual, _ = equations.project(q, q)
-        q = better[0] if residual[0] < np.linalg.norm(value) else q
+        better = equations.project(q, q)
+        q = better.q[0] if better.residual[0] < np.linalg.norm(value) else q
     return q
 
 
@@ -204,14 +204,13 @@ def sampled_dimension(equations: Equations, at: Split, rng: np.random.Generator)
     """
     count = 10 + 2 * min(at.delta, 10)
     kicks = KICK * reduction.unit_directions(rng, count, at.delta) @ at.kernel.T
-    points, residual, distance = equations.project(equations.move(at.q, kicks), at.q)
-    points = points[(residual < follow.CLOSED) & (distance > STAYS * KICK) & (distance < 2.0 * KICK)]
-    if not len(points):
+    found = equations.project(equations.move(at.q, kicks), at.q)
+    good = (found.residual < follow.CLOSED) & (found.distance > STAYS * KICK) & (found.distance < 2.0 * KICK)
+    if not good.any():
         return 0
-    _, J = equations.linearise(points)
     places: list[Split] = []
-    for p, j in zip(points, J, strict=True):
-        here = reduction.split_matrix(p, j)
+    for p, J in zip(found.q[good], found.jacobian[good], strict=True):
+        here = reduction.split_matrix(p, J)
         if all(follow.apart(here.kernel, other.kernel) > follow.SAME_PLANE for other in places):
             places.append(here)
     return max(_kicked(equations, p, rng) for p in places[:6])
@@ -225,8 +224,8 @@ def _kicked(equations: Equations, at: Split, rng: np.random.Generator) -> int:
     d = reduction.axes(rng, at.delta)
     seen = []
     for size in SMALL_KICKS:
-        points, residual, _ = equations.project(equations.move(at.q, size * d @ at.kernel.T), at.q)
-        x = equations.offset(at.q, points[residual < follow.CLOSED]) / size
+        found = equations.project(equations.move(at.q, size * d @ at.kernel.T), at.q)
+        x = equations.offset(at.q, found.q[found.residual < follow.CLOSED]) / size
         sigma = np.linalg.svd(x, compute_uv=False) / np.sqrt(max(len(x), 1))
         seen.append(int(np.sum(sigma > STAYS / np.sqrt(max(at.delta, 1)))))
     return min(seen)

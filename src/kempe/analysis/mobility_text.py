@@ -139,7 +139,7 @@ def data(m: Mobility) -> dict[str, Any]:
         "releases": [] if m.redundancy is None else [
             {"joint": x.joint, "reactions": list(x.reactions), "pair": x.pair} for x in m.redundancy.releases],
         "stressed": {} if m.redundancy is None else {k: list(v) for k, v in m.redundancy.stressed},
-        "idle_freedoms": [{"bodies": list(f.bodies), "joints": list(f.joints), "kind": f.kind, "point": list(f.point),
+        "idle_freedoms": [{"bodies": list(f.bodies), "joints": list(f.joints), "point": list(f.point),
                            "direction": list(f.direction)} for f in m.idle_freedoms],
         "control": None if c is None else {
             "actuated": list(c.actuated), "useful": c.useful, "controlled": c.controlled, "excess": c.excess,

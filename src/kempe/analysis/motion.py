@@ -69,6 +69,17 @@ def trace(
     an interrupt from the keyboard returns what was done. `frames` are those that tables of the path show.
 
     Errors: `UnsupportedError` where more than one freedom remains, naming it; `UnknownNameError`; `InputError`.
+
+    >>> from kempe import Mechanism
+    >>> m = Mechanism("slider-crank", dim=2)
+    >>> crank, rod, slider = m.body("crank"), m.body("rod"), m.body("slider")
+    >>> _ = m.revolute("A", m.ground, crank)
+    >>> _ = m.revolute("B", crank, rod, at=(1, 0))
+    >>> _ = m.revolute("C", rod, slider, at=(2, 0))
+    >>> _ = m.prismatic("S", m.ground, slider, axis=(1, 0))
+    >>> path = trace(m.build(), "S", {"A": 0.5})
+    >>> path.closed, [round(e.value, 9) for e in path.turning_points]
+    (True, [3.0, 1.0])
     """
     options = _options(system, driver, both, step, limits, max_points, frames, progress)
     held = dict(hold or {})
@@ -233,7 +244,8 @@ def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     many = len(kernel) - (not drivers)
     return (
         f"to first order {system.name} has {count} freedoms here, more than are driven; {what}; "
-        f"hold {'one' if many == 1 else str(many)} of them (hold={{name: value}}) or lock it"
+        f"hold {'one' if many == 1 else str(many)} of them (hold={{name: value}}) or lock it; "
+        "a singular point where branches of several freedoms meet is no place to start"
     )
 
 

@@ -1,8 +1,9 @@
-"""Idle freedoms: bodies between two joints that can move while everything else rests, such as a rod that spins.
+"""Idle freedoms: bodies between two joints that can spin while everything else rests, such as a rod between two balls.
 
-Two joints of a loop are *in series* if cutting both parts the bodies. If their motions have a screw in common, what
-is between them can move about it alone. That is idle, since it transmits nothing, unless it is what the joints are
-for (two hinges of a door), or driven.
+Two joints of a loop are *in series* if cutting both parts the bodies. If both can turn about one and the same axis,
+what is between them can spin alone. That is idle, since it transmits nothing, unless it is what the joints are for:
+two hinges, or both of them between the same two bodies (a shaft in its bearings), or driven. Slides are not looked
+at: a block that slides alone is as a rule a slider that is meant to.
 """
 
 from __future__ import annotations
@@ -18,26 +19,26 @@ from kempe.analysis.graph import Cluster, Edge, Structure, structure
 from kempe.analysis.rank import Rank
 from kempe.analysis.screws import Screws
 from kempe.description.parts import Joint
-from kempe.joints import Free
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
 ALONE = 1e-6
-"""Sine of the angle between the motions of two joints below which they have a screw in common."""
+"""Sine of the angle between the motions of two joints below which they have an axis in common."""
+TURNING = {"revolute", "universal", "spherical", "cylindrical"}
+"""Joint types in which something can spin and stay where it is."""
 
 
 @dataclass(frozen=True)
 class IdleFreedom:
-    """A motion of some bodies, as one, between two joints, all else at rest.
+    """A spin of some bodies, as one, between two joints, all else at rest.
 
-    `kind` is "spins", "slides" or "screws"; its axis goes through `point` [m] along `direction`, in the ground's frame.
+    Its axis goes through `point` [m] along `direction`, in the ground's frame at the configuration that was looked at.
     """
 
     bodies: tuple[str, ...]
     joints: tuple[str, str]
-    kind: str
     point: tuple[float, ...]
     direction: tuple[float, ...]
     joined: bool
@@ -47,13 +48,8 @@ class IdleFreedom:
 
     def __str__(self) -> str:
         who = " and ".join(self.bodies)
-        if len(self.bodies) > 1:
-            verb = {"spins": "spin", "slides": "slide", "screws": "screw"}[self.kind] + " together"
-        else:
-            verb = self.kind
+        verb = "spin together" if len(self.bodies) > 1 else "spins"
         direction = ", ".join(f"{x:.4g}" for x in self.direction)
-        if self.kind == "slides":
-            return f"{who} {verb} between {self.joints[0]} and {self.joints[1]}, along ({direction})"
         if self.joined:
             return f"{who} {verb} about the line through {self.joints[0]} and {self.joints[1]}"
         point = ", ".join(f"{x:.4g}" for x in self.point)
@@ -119,16 +115,24 @@ def _find_pairs(system: System, s: Structure, c: Cluster) -> list[_Pair]:
             a, b = s.edges[i], s.edges[k]
             if not (_passive(a) and _passive(b)):
                 continue
-            own = tuple(tuple(n for n, col in enumerate(e.columns) if col.index >= 0 and uses[col.index] == 1)
-                        for e in (a, b))  # fmt: skip
+            if _same_bodies(s, i, k):
+                continue
+            own = [tuple(n for n, col in enumerate(e.columns)
+                         if col.index >= 0 and uses[col.index] == 1 and not col.slides) for e in (a, b)]  # fmt: skip
             if all(own) and max(len(a.columns), len(b.columns)) > 1:
                 out.append(_Pair((i, k), (si, sk), (own[0], own[1])))
     return out
 
 
 def _passive(edge: Edge) -> bool:
-    """Whether it is a joint that holds something and is not driven."""
-    return isinstance(edge.of, Joint) and not isinstance(edge.of.type, Free) and not edge.actuated
+    """Whether it is a joint that something can spin in, and not driven."""
+    return isinstance(edge.of, Joint) and edge.of.type.type_name in TURNING and not edge.actuated
+
+
+def _same_bodies(s: Structure, i: int, k: int) -> bool:
+    """Whether two joints connect the same two bodies: what spins is then a shaft in its bearings."""
+    a, b = s.edges[i], s.edges[k]
+    return {a.parent, a.child} == {b.parent, b.child}
 
 
 def _at_all(pairs: Sequence[_Pair], ranks: Sequence[Rank]) -> list[tuple[_Pair, Array]]:
@@ -198,16 +202,12 @@ def _freedom(
     at = rank.screws
     v, w = twist[:3], twist[3:]
     size = np.linalg.norm(w)
-    if size < ALONE * np.linalg.norm(twist):
-        kind, direction, point = "slides", v / np.linalg.norm(v), at.M[pair.edges[0], :3, 3]
-    else:
-        direction = w / size
-        point = at.center + at.length * np.cross(w, v) / size**2
-        point = point + direction * (direction @ (at.M[pair.edges[0], :3, 3] - point))
-        kind = "spins" if abs(v @ w) < ALONE * size * np.linalg.norm(twist) else "screws"
+    direction = w / size
+    point = at.center + at.length * np.cross(w, v) / size**2
+    point = point + direction * (direction @ (at.M[pair.edges[0], :3, 3] - point))
     direction = direction * np.sign(direction[np.argmax(np.abs(direction) > ALONE)])
     names = (s.edges[pair.edges[0]].name, s.edges[pair.edges[1]].name)
     numbers = [tuple((np.round(x, 12) + 0.0).tolist()) for x in (point, direction)]
     ends = (at.M[list(pair.edges), :3, 3] - point) / at.length
-    joined = kind == "spins" and bool(np.abs(np.cross(ends, direction)).max() < ALONE < np.ptp(ends @ direction))
-    return IdleFreedom(bodies, names, kind, numbers[0], numbers[1], joined, velocity * rank.units)
+    joined = bool(np.abs(np.cross(ends, direction)).max() < ALONE < np.ptp(ends @ direction))
+    return IdleFreedom(bodies, names, numbers[0], numbers[1], joined, velocity * rank.units)

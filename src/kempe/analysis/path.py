@@ -182,7 +182,7 @@ class Path:
     @property
     def status(self) -> str:
         """The sentence that says what was found."""
-        if not self.success and not self.interrupted:
+        if len(self) == 1 and not self.interrupted:
             return self.ends[1]
         what = "closed curve" if self.closed else "curve"
         text = f"{what} of length {self.length:.6g} through {len(self)} points"

@@ -21,7 +21,7 @@ ZERO = 1e-9
 """Taylor coefficients below this count as zero; curves are scaled so that their own coefficients are at most one."""
 NOT_ZERO = 1e-6
 """Taylor coefficients above this count as not zero; between the two nothing is certain."""
-DISTURBANCE, ROUNDING = 1e-8, 1e-11
+DISTURBANCE, ROUNDING = 1e-8, 1e-10
 """Size of the disturbance that shows how errors grow, and of the errors themselves, with a margin."""
 
 

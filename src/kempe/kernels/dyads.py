@@ -35,8 +35,9 @@ def turn(v, ints, i, floats, f):
     theta = floats[f] * vector(v, ints[i + 3])
     s, c = sincos(theta)
     if rarely(not all_between(-REACH, theta, REACH)):
-        sincos_each(v, theta)
-        s, c = vector(v, K.SPARE), vector(v, K.SPARE + 1)
+        sincos_each(v, theta)  # lanes within reach keep theirs: none depends on the others
+        far = abs(theta)
+        s, c = where(far > REACH, vector(v, K.SPARE), s), where(far > REACH, vector(v, K.SPARE + 1), c)
     a = times(pose(v, ints[i + 2]), constant(floats, f + 1))
     a = a[0] * c - a[1] * s, a[1] * c + a[0] * s, a[2], a[3]
     put_pose(v, ints[i + 1], times(a, constant(floats, f + 5)))

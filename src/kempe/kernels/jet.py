@@ -287,12 +287,11 @@ def violation_order(ties, numbers, q, start, v, b, k, frames, out):
                         total += frames[b, a, j, 3 * c + i] * d
                 out[b, k, row] = total * per_length
                 row += 1
-        if turns == FULL:
-            out[b, k, row] = 0.5 * (between(frames, b, a, k, 2, 1) - between(frames, b, a, k, 1, 2))
-            out[b, k, row + 1] = 0.5 * (between(frames, b, a, k, 0, 2) - between(frames, b, a, k, 2, 0))
-            row += 2
         if turns == FULL or turns == ANGLE:
-            out[b, k, row] = 0.5 * (between(frames, b, a, k, 1, 0) - between(frames, b, a, k, 0, 1))
+            for i in range(0 if turns == FULL else 2, 3):
+                g, h = (i + 1) % 3, (i + 2) % 3
+                out[b, k, row] = 0.5 * (between(frames, b, a, k, h, g) - between(frames, b, a, k, g, h))
+                row += 1
         if turns == ALIGN:
             out[b, k, row] = -between(frames, b, a, k, 1, 2)
             out[b, k, row + 1] = between(frames, b, a, k, 0, 2)

@@ -1,8 +1,8 @@
 """Equations of ties with their Jacobian, and the projection of configurations onto their solution set.
 
 Equations and packed arrays are those of `jet`; Jacobian columns of rows follow from the axes of the rows (geometric
-Jacobian), so one configuration costs one sweep. Only what moves B against A counts: of a particle, ties hold neither its
-orientation nor anything in its axes.
+Jacobian), so one configuration costs one sweep. Only what moves B against A counts: of a particle, ties hold neither
+its orientation nor anything in its axes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ from kempe.kernels.layout import (
     MULTIPLIER,
     N_OUT,
     N_ROWS,
-    NV,
     OUTPUT_INTS,
     PARENT,
     ROW_FLOATS,
@@ -51,11 +50,16 @@ from kempe.kernels.vectors import keep, raw
 
 DAMPING_LEAST, DAMPING_FIRST, DAMPING_MOST = 1e-14, 1e-4, 1e4
 """Levenberg-Marquardt damping, as a part of the mean square of the Jacobian's columns."""
+ENOUGH2, SHORTEST = 1e-32, 1e-14
+"""Square of the residual, and length of a step, from which more iterations change nothing."""
 
 
 @routine
-def _column(ties, numbers, tie, frames, x, y, z, px, py, pz, J, b, column):
-    """Add what a unit of velocity does to the equations of a tie: B turns by (x, y, z) and moves by (px, py, pz)."""
+def _column(ties, numbers, tie, frames, M, x, y, z, px, py, pz, J, b, column):
+    """Add what a unit of velocity does to the equations of a tie: B turns by (x, y, z) and moves by (px, py, pz).
+
+    M: the nine entries of R_AB.
+    """
     t = 1 + TIE_INTS * tie
     a, mask, turns, row = 2 * tie, ties[t + MASK], ties[t + TURNS], ties[t + FIRST_ROW]
     if turns == DISTANCE:
@@ -75,25 +79,22 @@ def _column(ties, numbers, tie, frames, x, y, z, px, py, pz, J, b, column):
     wx = frames[0, a, 0, 0] * x + frames[0, a, 0, 3] * y + frames[0, a, 0, 6] * z
     wy = frames[0, a, 0, 1] * x + frames[0, a, 0, 4] * y + frames[0, a, 0, 7] * z
     wz = frames[0, a, 0, 2] * x + frames[0, a, 0, 5] * y + frames[0, a, 0, 8] * z
-    m00, m01, m02 = between(frames, 0, a, 0, 0, 0), between(frames, 0, a, 0, 0, 1), between(frames, 0, a, 0, 0, 2)
-    m10, m11, m12 = between(frames, 0, a, 0, 1, 0), between(frames, 0, a, 0, 1, 1), between(frames, 0, a, 0, 1, 2)
-    m20, m21, m22 = between(frames, 0, a, 0, 2, 0), between(frames, 0, a, 0, 2, 1), between(frames, 0, a, 0, 2, 2)
     # dR_AB = [w] R_AB, and [w] X + X^T [w] = [(tr X - X) w]
     if turns == FULL:
-        J[b, row, column] += 0.5 * ((m11 + m22) * wx - m01 * wy - m02 * wz)
-        J[b, row + 1, column] += 0.5 * ((m00 + m22) * wy - m10 * wx - m12 * wz)
+        J[b, row, column] += 0.5 * ((M[4] + M[8]) * wx - M[1] * wy - M[2] * wz)
+        J[b, row + 1, column] += 0.5 * ((M[0] + M[8]) * wy - M[3] * wx - M[5] * wz)
         row += 2
     if turns == FULL or turns == ANGLE:
-        J[b, row, column] += 0.5 * ((m00 + m11) * wz - m20 * wx - m21 * wy)
+        J[b, row, column] += 0.5 * ((M[0] + M[4]) * wz - M[6] * wx - M[7] * wy)
     if turns == ALIGN:
-        J[b, row, column] -= wz * m02 - wx * m22
-        J[b, row + 1, column] += wy * m22 - wz * m12
+        J[b, row, column] -= wz * M[2] - wx * M[8]
+        J[b, row + 1, column] += wy * M[8] - wz * M[5]
     if turns == CROSS:
-        J[b, row, column] += wy * m21 - wz * m11
+        J[b, row, column] += wy * M[7] - wz * M[4]
 
 
 @routine
-def _columns(ints, floats, ties, numbers, tie, poses, frames, row, sign, J, b):
+def _columns(ints, floats, ties, numbers, tie, poses, frames, M, row, sign, J, b):
     """Add the columns of one row of the table, which moves B against A in the direction `sign`."""
     h, f = HEADER + ROW_INTS * row, ROW_FLOATS * row
     kind, iv, multiplier = ints[h + KIND], ints[h + V_INDEX], floats[f + MULTIPLIER]
@@ -108,15 +109,14 @@ def _columns(ints, floats, ties, numbers, tie, poses, frames, row, sign, J, b):
         elif i > 0:
             break
         x, y, z = factor * poses[0, row, 0, at], factor * poses[0, row, 0, at + 3], factor * poses[0, row, 0, at + 6]
+        px, py, pz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
         if kind == SLIDE:
-            _column(ties, numbers, tie, frames, 0.0, 0.0, 0.0, x, y, z, J, b, column)
-        else:
-            px, py, pz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
-            _column(ties, numbers, tie, frames, x, y, z, px, py, pz, J, b, column)
+            px, py, pz, x, y, z = x, y, z, 0.0, 0.0, 0.0
+        _column(ties, numbers, tie, frames, M, x, y, z, px, py, pz, J, b, column)
 
 
 @routine
-def _linearise(ints, floats, ties, numbers, q, start, v, poses, extra, frames, value, J, b):
+def _linearise(ints, floats, ties, numbers, q, start, v, poses, extra, frames, value, M, J, b):
     """Write the equations at q[start:] to value[0, 0] and their Jacobian to J[b]."""
     n, count = ints[N_ROWS], ties[0]
     sweep_order(ints, floats, q, start, v, 0, 0, poses, extra)
@@ -133,27 +133,16 @@ def _linearise(ints, floats, ties, numbers, q, start, v, poses, extra, frames, v
             continue
         h = HEADER + ROW_INTS * n + OUTPUT_INTS * 2 * tie
         left, right = ints[h], ints[h + OUTPUT_INTS]
+        for i in range(9):
+            M[i] = between(frames, 0, 2 * tie, 0, i // 3, i % 3)
         while left != right:  # a parent comes before its child: the common part of both ways is reached together
+            row, sign = (left, -1.0) if left > right else (right, 1.0)
+            _columns(ints, floats, ties, numbers, tie, poses, frames, M, row, sign, J, b)
+            above = ints[HEADER + ROW_INTS * row + PARENT]
             if left > right:
-                _columns(ints, floats, ties, numbers, tie, poses, frames, left, -1.0, J, b)
-                left = ints[HEADER + ROW_INTS * left + PARENT]
+                left = above
             else:
-                _columns(ints, floats, ties, numbers, tie, poses, frames, right, 1.0, J, b)
-                right = ints[HEADER + ROW_INTS * right + PARENT]
-
-
-@kernel(types.void(I1, F1, I1, F1, F2, OUT2, OUT3))
-def linearise(ints, floats, ties, numbers, q, out, J):
-    """Write the equations (N, m) at q (N, nq) and their Jacobian (N, m, nv)."""
-    n = max(ints[N_ROWS], 1)
-    v, value = np.zeros((1, 1, max(ints[NV], 1))), np.zeros((1, 1, max(out.shape[1], 1)))
-    poses, extra = np.zeros((1, n, 1, POSE_SIZE)), np.zeros((1, n, 1, POWERS + 1))
-    frames = np.zeros((1, max(ints[N_OUT], 1), 1, 12))
-    q_, nq = raw(q), q.shape[1]
-    for b in range(q.shape[0]):
-        _linearise(ints, floats, ties, numbers, q_, b * nq, v, poses, extra, frames, value, J, b)
-        for i in range(out.shape[1]):
-            out[b, i] = value[0, 0, i]
+                right = above
 
 
 @routine
@@ -205,18 +194,18 @@ def _move(places, scale, q, start, x, target, at):
 
 
 @routine
-def _normal(J, scale, value, x, radius, distance2, A, g, damping):
+def _normal(J, b, scale, value, x, radius, distance2, A, g, damping):
     """Write J^T J + damping and -J^T residual, the equation of the sphere included where radius > 0."""
     m, n = J.shape[1], J.shape[2]
     for i in range(n):
         s = 0.0
         for r in range(m):
-            s -= J[0, r, i] * value[0, 0, r]
+            s -= J[b, r, i] * value[0, 0, r]
         g[i] = s * scale[i]
         for j in range(i + 1):
             s = 0.0
             for r in range(m):
-                s += J[0, r, i] * J[0, r, j]
+                s += J[b, r, i] * J[b, r, j]
             A[i * n + j] = s * scale[i] * scale[j]
     if radius > 0.0:
         error = 0.5 * (distance2 - radius * radius) / radius
@@ -243,62 +232,63 @@ def _size2(value, m, radius, distance2):
     return total
 
 
-@kernel(types.void(I1, F1, I1, F1, I1, F1, F2, OUT2, F1, types.int64, types.float64, OUT2))
-def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iterations, longest, info):
+@kernel(types.void(I1, F1, I1, F1, I1, F1, F2, OUT2, F1, types.int64, types.float64, OUT2, OUT2, OUT3))
+def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iterations, longest, info, out, J):
     """Move each configuration of q (N, nq), in place, onto the solution set of the equations.
 
     Where radius[i] > 0 the point found is, if one is found, also at that distance from centers[i], in scaled tangent
     coordinates (places and scale as in `_apart`). Damped least squares (Levenberg, 1944; Marquardt, 1963) with steps
     no longer than `longest`. info (N, 3): residual of the equations (norm), distance from the center, iterations.
+    out (N, m): the equations where it ends, J (N, m, nv): their Jacobian; with 0 iterations, those where it is.
     """
-    m, nv, nq = info.shape[1], scale.shape[0], q.shape[1]
-    m = 0
-    for tie in range(ties[0]):
-        m = max(m, ties[1 + TIE_INTS * tie + FIRST_ROW] + ties[1 + TIE_INTS * tie + 2])
-    n = max(ints[N_ROWS], 1)
+    m, nv, nq, n = J.shape[1], J.shape[2], q.shape[1], max(ints[N_ROWS], 1)
     v, value = np.zeros((1, 1, nv + 1)), np.zeros((1, 1, m + 1))
     poses, extra = np.zeros((1, n, 1, POSE_SIZE)), np.zeros((1, n, 1, POWERS + 1))
-    frames, J = np.zeros((1, max(ints[N_OUT], 1), 1, 12)), np.zeros((1, m, nv))
-    A, g, x, trial, least = np.zeros(nv * nv), np.zeros(nv), np.zeros(nv), np.zeros(nq), np.zeros(nv)
+    frames = np.zeros((1, max(ints[N_OUT], 1), 1, 12))
+    A, g, x, trial, step, M = np.zeros(nv * nv), np.zeros(nv), np.zeros(nv), np.zeros(nq), np.zeros(nv), np.zeros(9)
     A_, g_, q_, trial_ = raw(A), raw(g), raw(q), raw(trial)
     for b in range(q.shape[0]):
-        center = centers[b]
-        _linearise(ints, floats, ties, numbers, q_, b * nq, v, poses, extra, frames, value, J, 0)
-        distance2 = _apart(places, scale, center, q_, b * nq, x)
-        size2, damping, count, again = _size2(value, m, radius[b], distance2), DAMPING_FIRST, 0, True
-        while count < iterations and size2 > 1e-32 and damping < DAMPING_MOST:
+        center, damping, count, fresh = centers[b], DAMPING_FIRST, 0, False
+        size2, distance2 = np.inf, 0.0
+        while True:
+            if not fresh:
+                _linearise(ints, floats, ties, numbers, q_, b * nq, v, poses, extra, frames, value, M, J, b)
+                distance2 = _apart(places, scale, center, q_, b * nq, x)
+                size2 = _size2(value, m, radius[b], distance2)
+                fresh = True
+            if count >= iterations or not size2 > ENOUGH2 or damping > DAMPING_MOST:
+                break
             count += 1
-            _normal(J, scale, value, x, radius[b], distance2, A, g, max(damping, DAMPING_LEAST))
+            _normal(J, b, scale, value, x, radius[b], distance2, A, g, max(damping, DAMPING_LEAST))
             if not factor(A_, nv):
                 damping = max(10.0 * damping, DAMPING_LEAST)
                 continue
             back(A_, nv, g_)
-            length2 = 0.0
+            length = 0.0
             for j in range(nv):
-                length2 += g[j] * g[j]
-            cut = min(1.0, longest / math.sqrt(length2 + 1e-300))
+                length += g[j] * g[j]
+            length = math.sqrt(length)
             for j in range(nv):
-                least[j] = cut * g[j]
-            _move(places, scale, q_, b * nq, least, trial_, 0)
-            _linearise(ints, floats, ties, numbers, trial_, 0, v, poses, extra, frames, value, J, 0)
-            new2 = _apart(places, scale, center, trial_, 0, x)
-            new_size2 = _size2(value, m, radius[b], new2)
-            if new_size2 < size2:
+                step[j] = g[j] * min(1.0, longest / (length + 1e-300))
+            _move(places, scale, q_, b * nq, step, trial_, 0)
+            _linearise(ints, floats, ties, numbers, trial_, 0, v, poses, extra, frames, value, M, J, b)
+            distance2 = _apart(places, scale, center, trial_, 0, x)
+            new_size2 = _size2(value, m, radius[b], distance2)
+            fresh = new_size2 < size2
+            if fresh:
                 for j in range(nq):
                     q[b, j] = trial[j]
-                again = new_size2 < 0.98 * size2 or damping > DAMPING_LEAST
-                size2, distance2, damping = new_size2, new2, max(0.02 * damping, DAMPING_LEAST)
-                if math.sqrt(length2) < 1e-14 or not again:
-                    break
+                stuck = damping <= DAMPING_LEAST and new_size2 > 0.98 * size2
+                size2, damping = new_size2, max(0.02 * damping, DAMPING_LEAST)
+                if stuck:
+                    count = iterations
             else:
-                if math.sqrt(length2) < 1e-13:
-                    break
                 damping = max(30.0 * damping, 1e-12)
-                _linearise(ints, floats, ties, numbers, q_, b * nq, v, poses, extra, frames, value, J, 0)
-                distance2 = _apart(places, scale, center, q_, b * nq, x)
-        _linearise(ints, floats, ties, numbers, q_, b * nq, v, poses, extra, frames, value, J, 0)
-        info[b, 0] = math.sqrt(_size2(value, m, 0.0, 0.0))
-        info[b, 1], info[b, 2] = math.sqrt(_apart(places, scale, center, q_, b * nq, x)), float(count)
+            if length < SHORTEST:
+                count = iterations
+        for i in range(m):
+            out[b, i] = value[0, 0, i]
+        info[b, 0], info[b, 1], info[b, 2] = math.sqrt(_size2(value, m, 0.0, 0.0)), math.sqrt(distance2), float(count)
     keep(A)
     keep(g)
     keep(trial)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -85,7 +85,7 @@ def must_carry(system: System, known: Iterable[str] = ()) -> frozenset[str]:
     """The joints left out of the tree whose coordinates must be unknowns: screws, known, limited or coupled ones."""
     related = {n for r in system.relations for n in (r.of, *r.sources)} | set(known)
     v_index = {n: i for i, n in enumerate(system.velocity_names)}
-    limited = np.isfinite(system.limits).any(axis=1)
+    limited: np.ndarray = np.isfinite(system.limits).any(axis=1)
     out = set()
     for name in system.closures:
         names = system.coordinates_of_joint(name)
@@ -231,7 +231,8 @@ def _in_order(ties: list[Tie], table: Table) -> list[Tie]:
 
     users: dict[int, list[int]] = {}
     for k, tie in enumerate(ties):
-        for v in {int(table.iv[row]) for _, row in _moving(tie, table)} if tie.relation is None else ():
+        rows = _moving(tie.a[0], tie.b[0], table.parent)  # a relation has none
+        for v in {int(table.iv[row]) for _, row in rows}:
             users.setdefault(v, []).append(k)
     pairs = [(i, j) for use in users.values() for i in use for j in use]
     if not pairs:
@@ -241,14 +242,14 @@ def _in_order(ties: list[Tie], table: Table) -> list[Tie]:
     return [ties[k] for k in reverse_cuthill_mckee(graph, symmetric_mode=True)]
 
 
-def _moving(tie: Tie, table: Any) -> list[tuple[float, int]]:
-    """Rows of the table that move B against A, with the sign of their motion."""
+def _moving(a: int, b: int, parent: np.ndarray) -> list[tuple[float, int]]:
+    """Rows that move row b against row a, with the sign of their motion; -1 is the ground."""
     ways = []
-    for row, _, _ in (tie.a, tie.b):
+    for row in (a, b):
         way = []
         while row >= 0:
             way.append(row)
-            row = int(table.parent[row])
+            row = int(parent[row])
         ways.append(way)
     common = set(ways[0]) & set(ways[1])
     return [(sign, r) for sign, way in zip((-1.0, 1.0), ways, strict=True) for r in way if r not in common]
@@ -320,8 +321,7 @@ class _Plan:
             self.factors.append(factor / norm)
 
     def _moving(self, k: int) -> list[tuple[float, int]]:
-        ends = [(int(self.outputs[2 * k + i, 0]), np.eye(4), False) for i in (0, 1)]
-        return _moving(Tie("", *ends), _Parents(self.rows[:, 1]))
+        return _moving(int(self.outputs[2 * k, 0]), int(self.outputs[2 * k + 1, 0]), self.rows[:, 1])
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
         """The two arrays."""
@@ -374,8 +374,3 @@ class _Plan:
                 out.append((first[k], at))
                 at += t[L.FIRST_ROW] + r - first[k] + 1
         return out, at
-
-
-@dataclass(frozen=True)
-class _Parents:
-    parent: np.ndarray

@@ -1,199 +1,47 @@
-"""`System`: what is computed with. Frozen, hashable by content, picklable, safe to share between threads."""
+"""`System`: what is computed with, and the map of the library: its methods call the functions of later layers."""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping
-from functools import cached_property
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.description.mechanism import BodyLike, Mechanism
-from kempe.description.parts import Frame, Joint
-from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError
-from kempe.joints import Layout
-from kempe.model.coordinates import Coordinates, Relation, coordinate_names, coordinates_of
-from kempe.model.table import Table, lower
-from kempe.model.topology import Topology, spanning_tree
-from kempe.model.verbs import FrameLike, Verbs
+from kempe.description.mechanism import BodyLike
+from kempe.errors import InputError, UnknownNameError
+from kempe.model.compiled import Compiled, FrameLike
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kempe.analysis.drive import Drive
+    from kempe.analysis.mobility import Mobility
+    from kempe.analysis.path import Path as Motion
+    from kempe.analysis.transmission import LoopJacobian
+    from kempe.kinematics.configuration import ConfigurationSpace
     from kempe.kinematics.designs import Designs
+    from kempe.kinematics.forward import Query
+    from kempe.kinematics.zoo import Constraint
+    from kempe.solvers.assembly import Assembler, Assembly
+    from kempe.solvers.charts import Chart
+    from kempe.solvers.modes import Modes
+    from kempe.solvers.solution import Solution
 
 __all__ = ["FrameLike", "System"]
 
 
-class System(Verbs):
+class System(Compiled):
     """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates, primitive table.
 
-    A configuration `q` is an array (..., nq) in the order of `coordinate_names`, in radians and metres; a dict by
-    coordinate name is accepted in its place. Poses are relative to body 0, the ground.
+    Frozen, hashable by content, picklable, safe to share between threads. A configuration `q` is an array (..., nq) in
+    the order of `coordinate_names`, in radians and metres; a dict by coordinate name is accepted in its place. Poses
+    are relative to body 0, the ground. What the methods take is explained at the functions that they name.
     """
 
-    _mechanism: Mechanism
-    _topology: Topology
-    _coordinates: Coordinates
-    _table: Table
-    _queries: dict[object, Any]
-
-    def __init__(self, mechanism: Mechanism, topology: Topology | None = None):
-        own = vars(self)  # attributes cannot be set: the system is frozen
-        own["_mechanism"] = mechanism = mechanism.copy()
-        own["_topology"] = spanning_tree(mechanism) if topology is None else topology
-        own["_coordinates"] = coordinates_of(mechanism)
-        own["_table"] = lower(mechanism, self._topology, self._coordinates, mechanism.parameters)
-        own["_queries"] = {}
-        self._check()
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"{self!r} is frozen: change its mechanism and build another")
-
-    def _check(self) -> None:
-        problem = "placement is not a number with these parameters"
-        for name, (_, X, _p) in self._table.at.items():
-            if not np.isfinite(X).all():
-                raise DescriptionError(Problem(f"its {problem}", f"frame {name!r}"))
-        if not np.isfinite(self._table.placement).all():
-            raise DescriptionError(Problem(f"a {problem}", f"system {self.name!r}"))
-        known = {*self.coordinate_names, *self._coordinates.followers}
-        for name, posture in self._mechanism.postures.items():
-            for key in posture:
-                if key not in known:
-                    unknown = UnknownNameError("coordinate", key, self.coordinate_names, self.name)
-                    raise DescriptionError(Problem(str(unknown), f"posture {name!r}"))
-
-    # ---- what it is
-
-    @property
-    def name(self) -> str:
-        """Name of the system."""
-        return self._mechanism.name
-
-    @property
-    def dim(self) -> int:
-        """2 for a planar system, 3 for one in space."""
-        return self._mechanism.dim
-
-    @property
-    def mechanism(self) -> Mechanism:
-        """A copy of the description, to change and build again."""
-        return self._mechanism.copy()
-
-    @property
-    def body_names(self) -> tuple[str, ...]:
-        """Bodies by number; the ground is number 0."""
-        return self._topology.bodies
-
-    @cached_property
-    def frame_names(self) -> tuple[str, ...]:
-        """Names that `fk` takes: all bodies, then the named frames."""
-        return (*self._topology.bodies, *self._mechanism.frames)
-
-    @property
-    def frames(self) -> dict[str, Frame]:
-        """The named frames."""
-        return dict(self._mechanism.frames)
-
-    @property
-    def joints(self) -> dict[str, Joint]:
-        """All joints, fixed ones and loop closures included, in the order of the description."""
-        return dict(self._mechanism.joints)
-
-    @cached_property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of all joints, fixed ones and loop closures included, in the order of the description."""
-        return tuple(self._mechanism.joints)
-
-    @property
-    def coordinate_names(self) -> tuple[str, ...]:
-        """A name for each entry of `q`: the joint's where it has one coordinate, else 'joint.x', ..."""
-        return self._coordinates.names
-
-    @property
-    def velocity_names(self) -> tuple[str, ...]:
-        """A name for each velocity coordinate: as `coordinate_names`, but 'joint.wx', ... for quaternions."""
-        return self._coordinates.velocity_names
-
-    @property
-    def parent(self) -> tuple[int, ...]:
-        """The connectivity vector C: `parent[i - 1]` is the number of the parent of body i."""
-        return self._topology.parent
-
-    @property
-    def parent_joints(self) -> tuple[str, ...]:
-        """For each body from 1 on, the joint that connects it to its parent."""
-        return self._topology.parent_joints
-
-    @property
-    def closures(self) -> tuple[str, ...]:
-        """Joints that the spanning tree left out: each closes a loop."""
-        return self._topology.closures
-
-    @property
-    def relations(self) -> tuple[Relation, ...]:
-        """Linear relations between several coordinates, which restrict `q`."""
-        return self._coordinates.relations
-
-    @property
-    def couplings(self) -> dict[str, Any]:
-        """Coordinates that follow one other (mimic joints, gears) or are held: they are not in `q`."""
-        return dict(self._coordinates.followers)
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Named parameters and their values."""
-        return dict(self._mechanism.parameters)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What a reader found worth saying about the file."""
-        return tuple(self._mechanism.notes)
-
-    @property
-    def nq(self) -> int:
-        """Number of entries of a configuration."""
-        return self._coordinates.layout.nq
-
-    @property
-    def nv(self) -> int:
-        """Number of velocity coordinates: the degrees of freedom of all joints."""
-        return self._coordinates.layout.nv
-
-    @property
-    def layout(self) -> Layout:
-        """Where quaternions sit in `q`."""
-        return self._coordinates.layout
-
-    # ---- limits and postures
-
-    @property
-    def lower(self) -> Array:
-        """Lower limits (nv,) of the velocity coordinates, -inf where there is none."""
-        return self._coordinates.lower.copy()
-
-    @property
-    def upper(self) -> Array:
-        """Upper limits (nv,) of the velocity coordinates, inf where there is none."""
-        return self._coordinates.upper.copy()
-
-    @property
-    def limits(self) -> Array:
-        """Lower and upper limits (nv, 2) of the velocity coordinates."""
-        return np.stack([self._coordinates.lower, self._coordinates.upper], axis=-1)
-
-    @property
-    def velocity_limits(self) -> Array:
-        """Largest speeds (nv,) of the velocity coordinates, inf where there is none."""
-        return self._coordinates.velocity.copy()
-
-    @property
-    def neutral(self) -> Array:
-        """Zero angles and lengths, identity quaternions (nq,), even where that is outside the limits."""
-        return self.layout.neutral
+    # ---- configurations
 
     @property
     def mid(self) -> Array:
@@ -208,11 +56,6 @@ class System(Verbs):
             raise UnknownNameError("posture", name, self._mechanism.postures, self.name)
         known = set(self.coordinate_names)
         return self.q({k: v for k, v in self._mechanism.postures[name].items() if k in known})
-
-    @property
-    def posture_names(self) -> tuple[str, ...]:
-        """Names of the postures."""
-        return tuple(self._mechanism.postures)
 
     def random(self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()) -> Array:
         """Configurations (*shape, nq), uniform inside the limits; free angles in (-pi, pi], free lengths in (-1, 1)."""
@@ -233,6 +76,162 @@ class System(Verbs):
             raise InputError(f"q has shape {q.shape}; {self.name} needs ({self.nq},)")
         return dict(zip(self.coordinate_names, q.tolist(), strict=True))
 
+    # ---- the space of configurations
+
+    @property
+    def configuration_space(self) -> ConfigurationSpace:
+        """What set `q` ranges over: its dimension and shape, such as T^2 x R."""
+        from kempe.kinematics.configuration import configuration_space
+
+        return configuration_space(self)
+
+    def integrate(self, q: Any, v: ArrayLike) -> Array:
+        """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv)."""
+        from kempe.kinematics.configuration import integrate
+
+        return integrate(self, q, v)
+
+    def difference(self, q0: Any, q1: Any) -> Array:
+        """Tangent vector (..., nv) from `q0` to `q1`: ``integrate(q0, difference(q0, q1)) == q1``."""
+        from kempe.kinematics.configuration import difference
+
+        return difference(self, q0, q1)
+
+    def interpolate(self, q0: Any, q1: Any, t: ArrayLike) -> Array:
+        """Configuration (..., nq) at the fraction `t` (...) of the straight way from `q0` to `q1`."""
+        from kempe.kinematics.configuration import interpolate
+
+        return interpolate(self, q0, q1, t)
+
+    def distance(self, q0: Any, q1: Any) -> Array:
+        """Length (...) of the shortest way from `q0` to `q1`; unlimited joints turn the short way."""
+        from kempe.kinematics.configuration import distance
+
+        return distance(self, q0, q1)
+
+    # ---- where everything is
+
+    def fk(
+        self, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
+        threads: int | None = None,
+    ) -> Array:  # fmt: skip
+        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None)."""
+        query = self._queries.get(frame) if frame.__class__ is str else None
+        if query is not None and q.__class__ is np.ndarray:  # the import below alone would double the time
+            return query(q, out, threads)
+        from kempe.kinematics.forward import fk
+
+        return fk(self, q, frame, out, threads)
+
+    def jacobian(self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None) -> Array:
+        """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see `kempe.kinematics.forward.jacobian`."""
+        query = self._queries.get(frame) if frame.__class__ is str else None
+        if query is not None and q.__class__ is np.ndarray:
+            return query.jacobian(q, in_frame, None, threads)
+        from kempe.kinematics.forward import jacobian
+
+        return jacobian(self, q, frame, in_frame, threads)
+
+    def query(self, frame: FrameLike) -> Query:
+        """The forward model of one frame with everything looked up: ``f(q, out=None)`` and ``f.jacobian(q)``."""
+        from kempe.kinematics.forward import query
+
+        return query(self, frame)
+
+    def symbolic_fk(self, frame: FrameLike, **options: Any) -> Any:
+        """The forward model in symbols (sympy Matrix 4x4); see `kempe.kinematics.symbolic.symbolic_fk`."""
+        from kempe.kinematics.symbolic import symbolic_fk
+
+        return symbolic_fk(self, frame, **options)
+
+    def closure_error(self, q: Any) -> Array:
+        """How far each loop is open (..., len(closures), 6): the twist [m; rad] missing in each left-out joint."""
+        from kempe.kinematics.constraints import closure_error
+
+        return closure_error(self, q)
+
+    def ik(self, target: ArrayLike, frame: FrameLike, **options: Any) -> Solution:
+        """A configuration in which the frame reaches the target pose; see `kempe.solvers.inverse.ik`."""
+        from kempe.solvers.inverse import ik
+
+        return ik(self, target, frame, **options)
+
+    # ---- closed loops
+
+    def assemble(self, known: Mapping[str, Any] | None = None, near: Any = None, **options: Any) -> Assembly:
+        """A configuration that closes all loops, with the `known` given; see `kempe.solvers.assembly.assemble`."""
+        from kempe.solvers.assembly import assemble
+
+        return assemble(self, known, near, **options)
+
+    def assembler(self, known: Iterable[str] = ()) -> Assembler:
+        """The bound form of `assemble`: names looked up once; see `kempe.solvers.assembly.Assembler`."""
+        from kempe.solvers.assembly import assembler
+
+        return assembler(self, known)
+
+    def assembly_modes(self, known: Mapping[str, Any] | None = None, near: Any = None, **options: Any) -> Modes:
+        """All configurations found that close the loops with the `known` given; see `kempe.solvers.modes`."""
+        from kempe.solvers.modes import assembly_modes
+
+        return assembly_modes(self, known, near, **options)
+
+    def independent(self, q: Any = None, prefer: Iterable[str] = ()) -> Chart:
+        """Which coordinates can be set at a closed q, so that the others follow; see `kempe.solvers.charts`."""
+        from kempe.solvers.charts import independent
+
+        return independent(self, q, prefer)
+
+    def constraints(self) -> list[Constraint]:
+        """The constraints of the system: closures, declared ones, relations; see `kempe.kinematics.zoo`."""
+        from kempe.kinematics.zoo import of_system
+
+        return of_system(self)
+
+    def to_maximal(self, q: Any) -> Array:
+        """Poses (..., n_b, 4, 4) of all bodies but the ground, the maximal coordinates."""
+        from kempe.kinematics.maximal import to_maximal
+
+        return to_maximal(self, q)
+
+    def from_maximal(self, poses: ArrayLike, near: Any = None, **options: Any) -> Array:
+        """Configuration (..., nq) from the poses (..., n_b, 4, 4) of all bodies; see `kempe.kinematics.maximal`."""
+        from kempe.kinematics.maximal import from_maximal
+
+        return from_maximal(self, poses, near, **options)
+
+    # ---- degrees of freedom and motion
+
+    def mobility(self, q: Any = None, actuated: Iterable[str] | None = None, **options: Any) -> Mobility:
+        """Degrees of freedom by counting, by rank and truly, with the reasoning; see `kempe.analysis.mobility`."""
+        from kempe.analysis.mobility import mobility
+
+        return mobility(self, q, actuated, **options)
+
+    def trace(self, driver: str | None = None, start: Any = None, **options: Any) -> Motion:
+        """The whole branch of a mechanism with one freedom, as a `Path`; see `kempe.analysis.motion.trace`."""
+        from kempe.analysis.motion import trace
+
+        return trace(self, driver, start, **options)
+
+    def drive(self, inputs: Mapping[str, Any], times: Any = None, start: Any = None, **options: Any) -> Drive:
+        """The continuous motion that follows prescribed inputs; see `kempe.analysis.drive.drive`."""
+        from kempe.analysis.drive import drive
+
+        return drive(self, inputs, times, start, **options)
+
+    def loop_jacobian(self, q: Any, inputs: Sequence[str], outputs: Sequence[str], **options: Any) -> LoopJacobian:
+        """Velocities of joints or frames by those of inputs, through the loops; see `kempe.analysis.transmission`."""
+        from kempe.analysis.transmission import loop_jacobian
+
+        return loop_jacobian(self, q, inputs, outputs, **options)
+
+    def plot(self, q: Any = None, **options: Any) -> Axes:
+        """Matplotlib axes with a drawing of the system; see `kempe.views.plots.plot`."""
+        from kempe.views.plots import plot
+
+        return plot(self, q, **options)
+
     # ---- other systems from this one
 
     def with_parameters(self, **numbers: Any) -> System | Designs:
@@ -252,64 +251,3 @@ class System(Verbs):
     def save(self, path: str | Path) -> Path:
         """Write the description to a file: .toml holds everything, .urdf what URDF can express; returns the path."""
         return self._mechanism.save(path)
-
-    # ---- identity
-
-    @cached_property
-    def content_hash(self) -> str:
-        """Digest of everything that it is: equal systems have equal digests, in every process."""
-        return hashlib.sha256(repr(self._mechanism.content()).encode()).hexdigest()
-
-    @cached_property
-    def structure_hash(self) -> str:
-        """Digest of bodies, joints and tree without their numbers: the same for all designs of one kind."""
-        m = self._mechanism
-        joints = [(j.name, j.type.type_name, j.parent, j.child) for j in m.joints.values()]
-        constraints = [(c.name, c.kind, c.parent, c.child) for c in m.constraints.values()]
-        text = repr((m.dim, self._topology, joints, constraints, self.coordinate_names, tuple(m.frames)))
-        return hashlib.sha256(text.encode()).hexdigest()
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, System) and (self is other or self.content_hash == other.content_hash)
-
-    def __hash__(self) -> int:
-        return hash(self.content_hash)
-
-    def __reduce__(self):
-        return (System, (self._mechanism,))
-
-    def __repr__(self) -> str:
-        loops = f", loops={len(self.closures)}" if self.closures else ""
-        more = loops + (", planar" if self.dim == 2 else "")
-        counts = f"bodies={len(self.parent)}, joints={len(self.joint_names)}, nq={self.nq}"
-        return f"System({self.name!r}, {counts}{more})"
-
-    # ---- inside
-
-    @property
-    def table(self) -> Table:
-        """The primitive table that the kernels walk."""
-        return self._table
-
-    @property
-    def topology(self) -> Topology:
-        """The spanning tree."""
-        return self._topology
-
-    @property
-    def coordinates(self) -> Coordinates:
-        """The coordinate layout with limits, followers and relations."""
-        return self._coordinates
-
-    def frame_name(self, frame: FrameLike) -> str:
-        """Name of a frame or body of this system, checked. Errors: `UnknownNameError` with the nearest names."""
-        name = frame if isinstance(frame, str) else getattr(frame, "name", frame)
-        if not isinstance(name, str) or name not in self._table.at:
-            raise UnknownNameError("frame", name, self.frame_names, self.name)
-        return name
-
-    def coordinates_of_joint(self, name: str) -> list[str]:
-        """Coordinate names of a joint, those that follow others or are locked included."""
-        if name not in self._mechanism.joints:
-            raise UnknownNameError("joint", name, self.joint_names, self.name)
-        return coordinate_names(self._mechanism, self._mechanism.joints[name])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,14 +14,16 @@ import numpy as np
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kernels import assembly as kernel
 from kempe.kernels import loop_layout as L
-from kempe.kinematics.configuration import as_q, sampling_box
+from kempe.kinematics.configuration import as_q
 from kempe.kinematics.loops import evaluate
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.loops import Loops, loops_of, must_carry
+from kempe.solvers.home import home_of
 from kempe.solvers.inverse import _count, _seed_number
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.kinematics.zoo import Constraint
     from kempe.model.system import System
 
 CLOSED, NOT_CLOSED, BAD_INPUT, OUTSIDE = 0, 1, 2, 3
@@ -195,7 +198,7 @@ class Assembler:
     def __call__(
         self, values: Any = (), near: Any = None, *, nearest: bool = True, limits: bool = True, starts: int = STARTS,
         rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None,
-        follow: bool = False,
+        follow: bool = False, constraints: Sequence[Constraint] = (),
     ) -> Assembly:  # fmt: skip
         """As `assemble`, with `values` (..., k) of the known coordinates in their order, or a dict with all of them."""
         given = values if isinstance(values, Mapping) else self._by_name(values)
@@ -205,11 +208,35 @@ class Assembler:
         turned = self._turned(given) if self.frames else ()
         pins = self._pins(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if nearest and self.freedoms != 0 else 0
-        number = rng if rng.__class__ is int else _seed_number(rng)
+        number = rng if isinstance(rng, int) and rng >= 0 else _seed_number(rng)
+        if constraints:
+            return self._custom(constraints, base, lead, limits, _count(starts), int(number), tolerance)
         q, residual, info = self.run(
             base, pins, _count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
             self._loops(turned) if turned else None,
         )  # fmt: skip
+        return self._answer(base, lead, q, residual, info, limits)
+
+    def _custom(
+        self, constraints: Sequence[Constraint], base: Array, lead: tuple[int, ...], limits: bool,
+        starts: int, rng: int, tolerance: float,
+    ) -> Assembly:  # fmt: skip
+        """The answer under further constraints; places of frames become constraints, too."""
+        from kempe.solvers.custom import assemble_each
+
+        if self.frames:
+            raise InputError("give places of frames as constraints here: they cannot be mixed with `constraints`")
+        if not limits:
+            raise InputError("with `constraints` the limits always hold")
+        held = np.isin(np.arange(self.system.nv), [self.system.velocity_names.index(n) for n in self.held])
+        q, residual, info = assemble_each(self.system, constraints, base, held, starts, STEPS, tolerance, rng)
+        other = copy(self)
+        other.freedoms = -1  # the constraints take freedoms away, which the loops do not know of
+        return other._answer(base, lead, q, residual, info, limits)
+
+    def _answer(
+        self, base: Array, lead: tuple[int, ...], q: Array, residual: Array, info: np.ndarray, limits: bool
+    ) -> Assembly:  # fmt: skip
         if not lead:
             code = int(info[0, 0])
             if code == BAD_INPUT:
@@ -220,8 +247,10 @@ class Assembler:
         code = info[:, 0]
         if self.limited and limits:
             code = np.where(self._outside(base) & (code != BAD_INPUT), OUTSIDE, code)
-        fields = [x.reshape(lead) for x in (code == CLOSED, code, residual, info[:, 1], info[:, 2])]
-        return Assembly(q.reshape(*lead, self.system.nq), *fields, self)
+        good, code, residual, steps, starts = (
+            x.reshape(lead) for x in (code == CLOSED, code, residual, info[:, 1], info[:, 2])
+        )
+        return Assembly(q.reshape(*lead, self.system.nq), good, code, residual, steps, starts, self)
 
     def _by_name(self, values: Any) -> dict[str, Any]:
         if self.frames:
@@ -306,13 +335,6 @@ def _limitless(system: System, loops: Loops) -> Array:
     return weights
 
 
-def home_of(system: System) -> Array:
-    """Where an assembly starts that is told nothing: the posture 'closed' if there is one, else within the limits."""
-    if "closed" in system.posture_names:
-        return system.posture("closed")
-    return system.mid
-
-
 def freedoms_left(system: System, q: Array, held: frozenset[str] = frozenset()) -> int:
     """Nullity of the constraint Jacobian at q over the coordinates that are not held."""
     free = [i for i, n in enumerate(system.velocity_names) if n not in held]
@@ -334,6 +356,7 @@ def assemble(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, branch: str | None = None,
     nearest: bool = True, limits: bool = True, continuous: bool = False, starts: int = STARTS,
     rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None, throw: bool = False,
+    constraints: Sequence[Constraint] = (),
 ) -> Assembly:  # fmt: skip
     """A configuration that closes all loops, with the `known` given and everything else found.
 
@@ -342,13 +365,16 @@ def assemble(
     *additional considerations*: `near` (nq,) or (..., nq), or a dict by name, is where the search starts (default: the
     posture 'closed' of the file, else the middle of the limits), and where freedoms are left the answer is the
     closed configuration nearest to it (`nearest`). `branch` names a branch: signs such as '+-' for planar
-    mechanisms made of dyads (see `assembly_modes`), or a posture, which is where the search starts. `continuous`: row by
-    row, each started where the last two lead. Coordinates stay inside their limits unless `limits=False`.
+    mechanisms made of dyads (see `assembly_modes`), or a posture, which is where the search starts. `continuous`: row
+    by row, each started where the last two lead. Coordinates stay inside their limits unless `limits=False`.
 
-    The first of `starts` starts is `near`; the others are drawn around it from `rng`, wider and wider. An open loop is never
-    a success: the answer then says which loop is open, by how much, and `q` is the nearest to closing; `throw=True`
-    raises `NoSolutionError`. Redundant constraints are no obstacle. Method: damped least squares with steps of minimum
-    norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
+    The first of `starts` starts is `near`; the others are drawn around it from `rng`, wider and wider. An open loop is
+    never a success: the answer then says which loop is open, by how much, and `q` is the nearest to closing;
+    `throw=True` raises `NoSolutionError`. Redundant constraints are no obstacle. Method: damped least squares with
+    steps of minimum norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
+
+    `constraints` are further ones of `kempe.kinematics.zoo`, such as a point on a curve or a function of yours; they
+    are solved in numpy, one configuration at a time.
     """
     given = {} if known is None else known
     if not isinstance(given, Mapping):
@@ -364,18 +390,8 @@ def assemble(
             starts, nearest = 1, False
     answer = bound(
         given, near, nearest=nearest, limits=limits, starts=starts, rng=rng, tolerance=tolerance, threads=threads,
-        follow=continuous,
+        follow=continuous, constraints=constraints,
     )  # fmt: skip
     if throw and not answer:
         raise NoSolutionError(answer)
     return answer
-
-
-def scatter(system: System, n: int, rng: np.random.Generator) -> Array:
-    """Starts (n, nq) all over the coordinates' ranges, for those who look for all closed configurations."""
-    low, high = sampling_box(system)
-    q = np.broadcast_to(system.neutral, (n, system.nq)).copy()
-    at_q, at_v = system.layout.vector_q, system.layout.vector_v
-    q[:, at_q] = low[at_v] + (high - low)[at_v] * rng.random((n, len(at_v)))
-    system.layout.random_quaternions(q, rng)
-    return q

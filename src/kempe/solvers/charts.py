@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels.loop_layout import SCALES
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.loops import evaluate, full
+from kempe.kinematics.loops import evaluate
 from kempe.solvers.assembly import RANK_TOLERANCE, TOLERANCE, Assembly, assemble
+from kempe.solvers.custom import scales
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -141,12 +141,6 @@ def tangent_space(system: System, q: Any) -> tuple[Array, Array]:
     _, values, Vt = np.linalg.svd(J, full_matrices=True)
     rank = int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
     return Vt[rank:].T, scales(system)
-
-
-def scales(system: System) -> Array:
-    """The unit (nv,) of each velocity coordinate: a radian, or the characteristic length for a slide."""
-    loops = full(system, True)
-    return loops.weights[SCALES : SCALES + system.nv]
 
 
 def _quality(N: Array, rows: list[int]) -> float:

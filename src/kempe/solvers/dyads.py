@@ -62,6 +62,8 @@ class Plan:
     """A mechanism in closed form for `known` coordinates: ring after ring of three rigid clusters.
 
     `dyads` lists the rings; `signs` is how many of them have two roots, and so are chosen by a branch sign, +1 or -1.
+    A sign stays along a motion until its `heights` is zero: there two branches meet. Most mechanisms turn back at such
+    a place; at a change point, as of a parallelogram that is flat, a smooth motion goes on with the other sign.
     Openings up to `tolerance` metres count as closed. Method: chained circle and line intersections of the dyads
     (Assur, 1914), in vectors of configurations.
     """

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_q, random
 from kempe.solvers.clusters import INSIDE, Clusters, Metric
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
-from kempe.solvers.inverse import _count, _seed_number
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -101,13 +100,13 @@ class Question:
     near: Array | None
     limits: bool
     frame: str | None
-    rng: int
+    rng: np.random.Generator
     starts: int
 
 
 def assembly_modes(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, limits: bool = True,
-    frame: FrameLike | None = None, rng: Any = 0, starts: int = STARTS,
+    frame: FrameLike | None = None, rng: np.random.Generator | int | None = 0, starts: int = STARTS,
 ) -> Modes:  # fmt: skip
     """All configurations found that close the mechanism with the `known` coordinates (or frames) held.
 
@@ -124,8 +123,14 @@ def assembly_modes(
     base = None if near is None else as_q(system, near)
     if base is not None and (base.ndim != 1 or not np.isfinite(base).all()):
         raise InputError(f"near must be one configuration ({system.nq},) of finite numbers")
+    if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or starts < 1:
+        raise InputError(f"starts is {starts!r}; it must be a whole number, at least 1")
+    try:
+        generator = np.random.default_rng(rng)
+    except (TypeError, ValueError):
+        raise InputError(f"rng is {rng!r}; it must be a generator, a whole number >= 0 or None") from None
     name = None if frame is None else system.frame_name(frame)
-    question = Question(system, dict(given), base, bool(limits), name, _seed_number(rng), _count(starts))
+    question = Question(system, dict(given), base, bool(limits), name, generator, int(starts))
     for solver in SOLVERS:
         modes = solver(question)
         if modes is not None:
@@ -186,16 +191,15 @@ def _merged(names: list[str]) -> str:
 
 def by_starts(question: Question) -> Modes:
     """The answer of many starts: never proven complete."""
-    from kempe.solvers.assembly import assembler, home_of, scatter  # its kernels are not needed before
+    from kempe.solvers.assembly import assembler, home_of  # its kernels are not needed before
 
     system = question.system
     bound = assembler(system, question.known)
-    rng = np.random.default_rng(question.rng)
     clusters, tried = Clusters(system, question.frame), 0
     hits = free = np.zeros(0, dtype=np.int64)
     while tried < question.starts:
         n = min(ROUND, question.starts - tried)
-        start = scatter(system, n, rng)
+        start = _scattered(question, clusters.metric, n)
         if tried == 0:
             start[0] = home_of(system) if question.near is None else question.near
         answer = bound(question.known, start, nearest=False, limits=False, starts=1)
@@ -226,6 +230,15 @@ def by_starts(question: Question) -> Modes:
         families = families[[int(np.argmin(clusters.metric.distances(q[families], near)))]]
     keep = np.concatenate([isolated, families])
     return _answer(question, q[keep], status, [""] * len(keep), clusters.hits[keep], free[keep], False, guess)
+
+
+def _scattered(question: Question, metric: Metric, n: int) -> Array:
+    """Starts (n, nq) all over the limits, lengths without limits up to two characteristic ones."""
+    system, q = question.system, random(question.system, question.rng, n)
+    endless = ~np.isfinite(system.limits).all(axis=-1) & ~system.coordinates.turning
+    slides = endless[system.layout.vector_v]
+    q[:, system.layout.vector_q[slides]] *= 2.0 * metric.length
+    return q
 
 
 def estimates(hits: np.ndarray) -> tuple[float, float]:

@@ -340,4 +340,5 @@ def measured(result: benchmark.Table) -> RenderableType:
     header, cells = result.columns()
     goals = [Text(f"  {goal}", style="green" if goal.met else "red") for goal in result.goals]
     remarks = [Text(f"  {remark}") for remark in result.remarks]
-    return Group(table([*header[:2], *(f">{name}" for name in header[2:])], cells, result.title), *goals, *remarks, "")
+    names = [*header[: result.words], *(f">{name}" for name in header[result.words :])]
+    return Group(table(names, cells, result.title), *goals, *remarks, "")

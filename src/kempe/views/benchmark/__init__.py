@@ -6,13 +6,15 @@ import datetime
 from collections.abc import Callable, Iterable, Iterator
 
 from kempe.errors import UnknownNameError
-from kempe.views.benchmark import forward, inverse, peers, process, trees
+from kempe.views.benchmark import cranks, forward, freedoms, inverse, loops, peers, process, trees
 from kempe.views.benchmark.bench import Bench
 from kempe.views.benchmark.timing import Table
 
 SECTIONS: dict[str, Callable[[Bench], Table | None]] = {
     "batch": forward.batch, "single": forward.single, "tree": trees.humanoid, "threads": forward.threads,
-    "growth": trees.growth, "inverse": inverse.single, "startup": process.startup, "memory": process.memory,
+    "growth": trees.growth, "inverse": inverse.single, "assembly": loops.assembly, "success": loops.success,
+    "dyads": cranks.dyads, "row": cranks.row, "dof": freedoms.dof, "mobility": freedoms.mobility,
+    "startup": process.startup, "memory": process.memory,
 }  # fmt: skip
 """The parts of the benchmark, in their order."""
 

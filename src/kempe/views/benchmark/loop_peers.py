@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from kempe.spatial import Array
 from kempe.views.benchmark import peers
 from kempe.views.benchmark.loop_solvers import Assembler
 from kempe.views.benchmark.loop_trees import Link, Tree, worst
-
-if TYPE_CHECKING:
-    from kempe.model.system import System
 
 
 class Drake(Assembler):
@@ -62,7 +59,7 @@ class Drake(Assembler):
                 out[:, i] = x[:, j]
         return list(out)
 
-    def __call__(self, guess: Array) -> Array:
+    def call(self, guess: Array, /) -> Array:
         """Coordinates found from the guess."""
         return self.solver.Solve(self.program, guess, self.options).GetSolution(self.variables)
 
@@ -112,10 +109,11 @@ class Exudyn(Assembler):
     HELD = {"revolute": (1, 1, 1, 1, 1, 0), "prismatic": (1, 1, 0, 1, 1, 1), "universal": (1, 1, 1, 0, 0, 1)}
     """What joints hold, in axes of F: slides, then turns."""
 
-    def __init__(self, system: System, q: Array | None = None):
+    def __init__(self, tree: Tree, q: Array | None = None):
+        system = tree.system
         self.exudyn = peers.module("exudyn")
         self.exudyn.config.printToConsole = False
-        self.system, self.planar, self.tree = system, system.dim == 2, Tree(system)
+        self.system, self.planar, self.tree = system, system.dim == 2, tree
         self.container = self.exudyn.SystemContainer()
         self.bodies = self.container.AddSystem()
         self._describe(peers.module("exudyn.itemInterface"))
@@ -180,7 +178,7 @@ class Exudyn(Assembler):
                 parts += [X[:, :3, 3], spatial.matrix_to_quat_wxyz(X[:, :3, :3]) - [1, 0, 0, 0]]
         return list(np.concatenate(parts, axis=-1))
 
-    def __call__(self, guess: Array) -> Array:
+    def call(self, guess: Array, /) -> Array:
         """Coordinates found from the guess; infinite where the solver gives up."""
         self.bodies.systemData.SetODE2Coordinates(guess, configuration=self.initial)
         try:
@@ -194,7 +192,7 @@ class Exudyn(Assembler):
     def opening(self, answers: Sequence[Array]) -> Array:
         """Of all joints."""
         y = np.array(answers)
-        given_up = ~np.isfinite(y).all(axis=-1)
+        given_up = np.isinf(y[:, 0])
         y = np.where(given_up[:, None], self.ready(self.system.posture("closed")[None])[0], y)
         X: list[Array] = [np.broadcast_to(np.eye(4), (len(y), 4, 4))]
         size = 3 if self.planar else 7

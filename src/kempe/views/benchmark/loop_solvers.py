@@ -18,8 +18,6 @@ CLOSED = 1e-10
 """Norm of the closure equations at which it stops."""
 LONGEST = 1.0
 """Largest component of a step, in radians or metres."""
-DAMPING = 1e-2
-"""Damping of a step, as a part of the residual: of 1e-4 to 1e-1 the one with which most guesses close."""
 
 
 class Assembler:
@@ -37,7 +35,7 @@ class Assembler:
         """What the calls take, for guesses q (n, nq)."""
         raise NotImplementedError
 
-    def __call__(self, guess: Any) -> Any:
+    def call(self, guess: Any, /) -> Any:
         """The answer to one guess."""
         raise NotImplementedError
 
@@ -50,8 +48,11 @@ class GaussNewton(Assembler):
     """Steps of minimum norm v = -J^T (J J^T + m I)^-1 r, with a damping m in proportion to the residual r.
 
     A subclass evaluates r and J at the library's coordinates and adds steps to them. `place` says where in these the
-    coordinates of the tree are, `first` where the velocities of its moves begin; `known` coordinates of the system stay.
+    coordinates of the tree are, `first` where the velocities of its moves begin; `known` ones of the system stay.
     """
+
+    damping = 1e-2
+    """As a part of the residual: of 1e-4 to 1e-1 the one with which most guesses close."""
 
     def __init__(self, tree: Tree, nv: int, place: np.ndarray, first: Sequence[int], known: Iterable[str]):
         self.tree, self.nv, self.place = tree, nv, place
@@ -74,7 +75,7 @@ class GaussNewton(Assembler):
         out[..., self.place] = x
         return list(out)
 
-    def __call__(self, guess: Array) -> Array:
+    def call(self, guess: Array, /) -> Array:
         """Coordinates found from the guess, or the last ones tried."""
         x, some = guess, len(self.free) < self.nv
         for _ in range(STEPS):
@@ -84,7 +85,7 @@ class GaussNewton(Assembler):
                 break
             if some:
                 J = J[:, self.free]
-            step = self.step(r, J, DAMPING * min(size, 1.0))
+            step = self.step(r, J, self.damping * min(size, 1.0))
             longest = np.abs(step).max()
             if longest > LONGEST:
                 step *= LONGEST / longest
@@ -144,13 +145,16 @@ class Mujoco(GaussNewton):
 class SparseMujoco(Mujoco):
     """The same with SciPy's sparse factorisation."""
 
+    damping = 1e-4
+    """With more of it long rows of loops do not close."""
+
     def __init__(self, tree: Tree, known: Iterable[str] = ()):
         super().__init__(tree, known, sparse=True)
         self.csr, self.eye = peers.module("scipy.sparse").csr_matrix, peers.module("scipy.sparse").identity
         self.solve = peers.module("scipy.sparse.linalg").spsolve
 
     def equations(self, x: Array) -> tuple[Array, Any]:
-        """Residual and Jacobian, without the rows that are zero in the plane."""
+        """Residual and Jacobian, this as a sparse matrix."""
         data = self.evaluate(x)
         starts = np.append(data.efc_J_rowadr, data.efc_J_rowadr[-1] + data.efc_J_rownnz[-1])
         filled = int(starts[-1])
@@ -170,8 +174,8 @@ class Pinocchio(GaussNewton):
         pin = peers.module("pinocchio")
         self.model, joints = pinocchio_tree(tree)
         self.data, self.axes = self.model.createData(), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        self.jacobians, self.update, self.read = pin.computeJointJacobians, pin.updateFramePlacement, pin.getFrameJacobian
-        self.integrate = pin.integrate
+        self.jacobians, self.integrate = pin.computeJointJacobians, pin.integrate
+        self.update, self.read = pin.updateFramePlacement, pin.getFrameJacobian
         names = [f"{cut.joint.name}_{k}" for cut in tree.cuts for k in range(len(tree.points(cut)))]
         self.pairs = [tuple(self.model.getFrameId(f"{name}_{side}") for side in "ab") for name in names]
         self.size = tree.system.dim

@@ -198,13 +198,13 @@ def mjcf(tree: Tree, sparse: bool = False) -> str:
     bodies, offsets = [ElementTree.SubElement(root, "worldbody")], [np.eye(4)]
     for limb in tree.limbs:
         X = offsets[limb.parent] @ limb.before
-        at = {"pos": _text(X[:3, 3]), "quat": _text(spatial.matrix_to_quat_wxyz(X[:3, :3]))}
-        body = ElementTree.SubElement(bodies[limb.parent], "body", name=limb.name, **at)
+        at = {"name": limb.name, "pos": _text(X[:3, 3]), "quat": _text(spatial.matrix_to_quat_wxyz(X[:3, :3]))}
+        body = ElementTree.SubElement(bodies[limb.parent], "body", at)
         ElementTree.SubElement(body, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
         for move in limb.moves:
             kind = {TURN: "hinge", SLIDE: "slide", BALL: "ball"}[move.kind]
             axis = {} if move.kind == BALL else {"axis": _text(np.eye(3)[move.axis])}
-            ElementTree.SubElement(body, "joint", name=move.name, type=kind, **axis)
+            ElementTree.SubElement(body, "joint", axis, name=move.name, type=kind)
         bodies.append(body)
         offsets.append(limb.after)
     equality = ElementTree.SubElement(root, "equality")
@@ -215,7 +215,7 @@ def mjcf(tree: Tree, sparse: bool = False) -> str:
                 place = offsets[number] @ X @ np.append(point, 1.0)
                 sites[side] = f"{cut.joint.name}_{k}_{side}"
                 ElementTree.SubElement(bodies[number], "site", name=sites[side], pos=_text(place[:3]))
-            ElementTree.SubElement(equality, "connect", **sites)
+            ElementTree.SubElement(equality, "connect", sites)
     return ElementTree.tostring(root, encoding="unicode")
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PEERS = {
     "pin": "pinocchio", "mujoco": "mujoco", "roboticstoolbox-python": "roboticstoolbox", "ikpy": "ikpy",
-    "pytorch-kinematics": "pytorch_kinematics",
+    "pytorch-kinematics": "pytorch_kinematics", "exudyn": "exudyn", "drake": "pydrake", "pylinkage": "pylinkage",
 }  # fmt: skip
 """Package name and module name of each peer."""
 

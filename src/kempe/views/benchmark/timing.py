@@ -7,7 +7,7 @@ import time
 import timeit
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from kempe.views.facts import significant
 
@@ -65,6 +65,8 @@ class Table:
     goals: list[Goal] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     ratios: bool = True
+    words: ClassVar[int] = 2
+    """Columns that hold words; the others hold numbers."""
 
     def value(self, library: str, call: str = "") -> float | None:
         """The number of a library's first row whose call begins so, or None where it was not measured."""
@@ -117,12 +119,25 @@ class Table:
     def markdown(self) -> str:
         """The table as Markdown."""
         header, cells = self.columns()
-        rule = ["---", "---", *("--:" for _ in header[2:])]
+        rule = ["---"] * self.words + ["--:"] * (len(header) - self.words)
         lines = [f"## {self.title}", "", *(f"| {' | '.join(line)} |" for line in (header, rule, *cells))]
         for title, items in (("Goals", self.goals), ("Remarks", self.remarks)):
             if items:
                 lines += ["", f"{title}:", "", *(f"- {item}" for item in items)]
         return "\n".join(lines) + "\n"
+
+
+class Grid(Table):
+    """A table with a line for each call and a column for each library: the numbers are medians, in the unit."""
+
+    words = 1
+
+    def columns(self) -> tuple[list[str], list[list[str]]]:
+        """Header and cells as text; a dash where something was not measured."""
+        libraries = list(dict.fromkeys(row.library for row in self.rows))
+        found = {(row.call, row.library): significant(row.value) for row in self.rows}
+        calls = dict.fromkeys(row.call for row in self.rows)
+        return [self.unit, *libraries], [[call, *(found.get((call, x), "-") for x in libraries)] for call in calls]
 
 
 def measure(cases: Sequence[Case], scale: float = 1e9) -> list[Row]:

@@ -125,7 +125,7 @@ def _link(sheet: Sheet, link: SeenLink) -> None:
             sheet.obstacles.segment(a, b, 1.1 * r, 0.8)
         middle = p.mean(axis=0)
         for a in corners:
-            sheet.obstacles.segment(a, middle, 1.5 * r, 0.25)
+            sheet.obstacles.segment(a, middle, 1.5 * r, 0.08)
     else:
         sheet.patch(shapes.rounded(p, BAR * r), gid, style.BARS, fc=style.mix(colour, PAPER, 0.25), ec=dark)
         sheet.obstacles.segment(corners[0], corners[1], 1.0 * r)

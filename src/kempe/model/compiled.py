@@ -1,0 +1,252 @@
+"""What a system is, without what one can ask it: tree, coordinates, table, limits, identity."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Body, Frame, Joint
+from kempe.errors import DescriptionError, Problem, UnknownNameError
+from kempe.joints import Layout
+from kempe.model.coordinates import Coordinates, Relation, coordinate_names, coordinates_of
+from kempe.model.table import Table, lower
+from kempe.model.topology import Topology, spanning_tree
+from kempe.spatial import Array
+
+FrameLike = Body | Frame | str
+
+
+
+class Compiled:
+    """A mechanism, compiled: spanning tree, loop closures, coordinates, primitive table; frozen. Base of `System`."""
+
+    _mechanism: Mechanism
+    _topology: Topology
+    _coordinates: Coordinates
+    _table: Table
+    _queries: dict[object, Any]
+
+    def __init__(self, mechanism: Mechanism, topology: Topology | None = None):
+        own = vars(self)  # attributes cannot be set: the system is frozen
+        own["_mechanism"] = mechanism = mechanism.copy()
+        own["_topology"] = spanning_tree(mechanism) if topology is None else topology
+        own["_coordinates"] = coordinates_of(mechanism)
+        own["_table"] = lower(mechanism, self._topology, self._coordinates, mechanism.parameters)
+        own["_queries"] = {}
+        self._check()
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"{self!r} is frozen: change its mechanism and build another")
+
+    def _check(self) -> None:
+        problem = "placement is not a number with these parameters"
+        for name, (_, X, _p) in self._table.at.items():
+            if not np.isfinite(X).all():
+                raise DescriptionError(Problem(f"its {problem}", f"frame {name!r}"))
+        if not np.isfinite(self._table.placement).all():
+            raise DescriptionError(Problem(f"a {problem}", f"system {self.name!r}"))
+        known = {*self.coordinate_names, *self._coordinates.followers}
+        for name, posture in self._mechanism.postures.items():
+            for key in posture:
+                if key not in known:
+                    unknown = UnknownNameError("coordinate", key, self.coordinate_names, self.name)
+                    raise DescriptionError(Problem(str(unknown), f"posture {name!r}"))
+
+    # ---- what it is
+
+    @property
+    def name(self) -> str:
+        """Name of the system."""
+        return self._mechanism.name
+
+    @property
+    def dim(self) -> int:
+        """2 for a planar system, 3 for one in space."""
+        return self._mechanism.dim
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """A copy of the description, to change and build again."""
+        return self._mechanism.copy()
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Bodies by number; the ground is number 0."""
+        return self._topology.bodies
+
+    @cached_property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names that `fk` takes: all bodies, then the named frames."""
+        return (*self._topology.bodies, *self._mechanism.frames)
+
+    @property
+    def frames(self) -> dict[str, Frame]:
+        """The named frames."""
+        return dict(self._mechanism.frames)
+
+    @property
+    def joints(self) -> dict[str, Joint]:
+        """All joints, fixed ones and loop closures included, in the order of the description."""
+        return dict(self._mechanism.joints)
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of all joints, fixed ones and loop closures included, in the order of the description."""
+        return tuple(self._mechanism.joints)
+
+    @property
+    def coordinate_names(self) -> tuple[str, ...]:
+        """A name for each entry of `q`: the joint's where it has one coordinate, else 'joint.x', ..."""
+        return self._coordinates.names
+
+    @property
+    def velocity_names(self) -> tuple[str, ...]:
+        """A name for each velocity coordinate: as `coordinate_names`, but 'joint.wx', ... for quaternions."""
+        return self._coordinates.velocity_names
+
+    @property
+    def parent(self) -> tuple[int, ...]:
+        """The connectivity vector C: `parent[i - 1]` is the number of the parent of body i."""
+        return self._topology.parent
+
+    @property
+    def parent_joints(self) -> tuple[str, ...]:
+        """For each body from 1 on, the joint that connects it to its parent."""
+        return self._topology.parent_joints
+
+    @property
+    def closures(self) -> tuple[str, ...]:
+        """Joints that the spanning tree left out: each closes a loop."""
+        return self._topology.closures
+
+    @property
+    def relations(self) -> tuple[Relation, ...]:
+        """Linear relations between several coordinates, which restrict `q`."""
+        return self._coordinates.relations
+
+    @property
+    def couplings(self) -> dict[str, Any]:
+        """Coordinates that follow one other (mimic joints, gears) or are held: they are not in `q`."""
+        return dict(self._coordinates.followers)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Named parameters and their values."""
+        return dict(self._mechanism.parameters)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader found worth saying about the file."""
+        return tuple(self._mechanism.notes)
+
+    @property
+    def nq(self) -> int:
+        """Number of entries of a configuration."""
+        return self._coordinates.layout.nq
+
+    @property
+    def nv(self) -> int:
+        """Number of velocity coordinates: the degrees of freedom of all joints."""
+        return self._coordinates.layout.nv
+
+    @property
+    def layout(self) -> Layout:
+        """Where quaternions sit in `q`."""
+        return self._coordinates.layout
+
+    # ---- limits and postures
+
+    @property
+    def lower(self) -> Array:
+        """Lower limits (nv,) of the velocity coordinates, -inf where there is none."""
+        return self._coordinates.lower.copy()
+
+    @property
+    def upper(self) -> Array:
+        """Upper limits (nv,) of the velocity coordinates, inf where there is none."""
+        return self._coordinates.upper.copy()
+
+    @property
+    def limits(self) -> Array:
+        """Lower and upper limits (nv, 2) of the velocity coordinates."""
+        return np.stack([self._coordinates.lower, self._coordinates.upper], axis=-1)
+
+    @property
+    def velocity_limits(self) -> Array:
+        """Largest speeds (nv,) of the velocity coordinates, inf where there is none."""
+        return self._coordinates.velocity.copy()
+
+    @property
+    def neutral(self) -> Array:
+        """Zero angles and lengths, identity quaternions (nq,), even where that is outside the limits."""
+        return self.layout.neutral
+
+    @property
+    def posture_names(self) -> tuple[str, ...]:
+        """Names of the postures."""
+        return tuple(self._mechanism.postures)
+
+    # ---- identity
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Digest of everything that it is: equal systems have equal digests, in every process."""
+        return hashlib.sha256(repr(self._mechanism.content()).encode()).hexdigest()
+
+    @cached_property
+    def structure_hash(self) -> str:
+        """Digest of bodies, joints and tree without their numbers: the same for all designs of one kind."""
+        m = self._mechanism
+        joints = [(j.name, j.type.type_name, j.parent, j.child) for j in m.joints.values()]
+        constraints = [(c.name, c.kind, c.parent, c.child) for c in m.constraints.values()]
+        text = repr((m.dim, self._topology, joints, constraints, self.coordinate_names, tuple(m.frames)))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Compiled) and (self is other or self.content_hash == other.content_hash)
+
+    def __hash__(self) -> int:
+        return hash(self.content_hash)
+
+    def __reduce__(self):
+        return (type(self), (self._mechanism,))
+
+    def __repr__(self) -> str:
+        loops = f", loops={len(self.closures)}" if self.closures else ""
+        more = loops + (", planar" if self.dim == 2 else "")
+        counts = f"bodies={len(self.parent)}, joints={len(self.joint_names)}, nq={self.nq}"
+        return f"System({self.name!r}, {counts}{more})"
+
+    # ---- inside
+
+    @property
+    def table(self) -> Table:
+        """The primitive table that the kernels walk."""
+        return self._table
+
+    @property
+    def topology(self) -> Topology:
+        """The spanning tree."""
+        return self._topology
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """The coordinate layout with limits, followers and relations."""
+        return self._coordinates
+
+    def frame_name(self, frame: FrameLike) -> str:
+        """Name of a frame or body of this system, checked. Errors: `UnknownNameError` with the nearest names."""
+        name = frame if isinstance(frame, str) else getattr(frame, "name", frame)
+        if not isinstance(name, str) or name not in self._table.at:
+            raise UnknownNameError("frame", name, self.frame_names, self.name)
+        return name
+
+    def coordinates_of_joint(self, name: str) -> list[str]:
+        """Coordinate names of a joint, those that follow others or are locked included."""
+        if name not in self._mechanism.joints:
+            raise UnknownNameError("joint", name, self.joint_names, self.name)
+        return coordinate_names(self._mechanism, self._mechanism.joints[name])
