@@ -70,7 +70,7 @@ def test_perturbed_mechanisms_close(name, sigma):
 
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_convergence_is_quadratic(name):
-    """Near the closed set each step squares the residual, redundant equations or not (counted steps, not time)."""
+    """Near the closed set each step squares the residual, redundant equations or not."""
     from kempe.kernels import assembly as kernel
 
     s = kempe.load(name)
@@ -79,10 +79,9 @@ def test_convergence_is_quadratic(name):
     start = s.integrate(s.posture("closed"), 0.02 * rng.normal(size=s.nv))[None]
     q, r, info = np.empty_like(start), np.empty(1), np.empty((1, 3), dtype=np.int64)
     sizes = []
+    arrays = b.loops.ints, b.loops.floats, b.loops.plan, b.loops.weights
     for limit in range(4):
-        loops_ = b.loops
-        kernel.assemble(loops_.ints, loops_.floats, loops_.plan, loops_.weights, start, b.no_pins, 1, limit, 1e100, 0, 0,
-                        0, False, q, r, info)  # fmt: skip
+        kernel.assemble(*arrays, start, b.no_pins, 1, limit, 1e100, 0, 0, 0, False, q, r, info)
         sizes.append(r[0])
     bound = 30.0
     for before, after in zip(sizes, sizes[1:], strict=False):
@@ -352,3 +351,35 @@ def test_large_systems_are_sparse():
     answer = s.assemble({"A0": 0.2}, near=near)
     assert answer.code == CLOSED and answer.starts == 1
     assert np.abs(loops.residual(s, answer.q)).max() < 1e-12
+
+
+# ---- branches and further constraints
+
+
+def test_a_branch_by_its_signs():
+    s = kempe.load("four_bar")
+    d = [s.q_dict(s.assemble({"A": 0.9}, branch=b).q)["D"] for b in "+-"]
+    expected = rocker_angles(0.1, 0.5, 0.4, 0.4, 0.9)
+    np.testing.assert_allclose(np.exp(1j * np.array(d)), np.exp(1j * np.array(expected)), atol=1e-12)
+    angles = np.linspace(0, 6, 50)
+    assert s.assemble({"A": angles}, branch="-").success.all()
+    posture = s.assemble({"A": 1.5}, branch="closed")
+    assert posture and s.q_dict(posture.q)["D"] > 0
+    open_ = four_bar(a=0.3, b=0.2, c=0.2, d=0.4).assemble({"A": 2.0}, branch="+")
+    assert not open_ and open_.status
+
+
+def test_further_constraints():
+    from kempe.kinematics import zoo
+
+    s = kempe.load("four_bar")
+    linear = zoo.user_constraint(s, "sum", lambda q: q[0] + q[3] - 2.0)
+    answer = s.assemble(constraints=[linear])
+    assert answer and answer.q[0] + answer.q[3] == pytest.approx(2.0, abs=1e-12)
+    assert np.abs(s.closure_error(answer.q)).max() < 1e-12
+    rockers = rocker_angles(0.1, 0.5, 0.4, 0.4, answer.q[0])
+    assert min(abs(math.remainder(answer.q[3] - r, 2 * math.pi)) for r in rockers) < 1e-12
+    never = zoo.user_constraint(s, "never", lambda q: q[0] * 0.0 + 1.0)
+    assert not s.assemble(constraints=[never], starts=2)
+    held = s.assemble({"A": 0.4}, constraints=[zoo.gear("C", "D", 0.5, 0.0)], starts=2)
+    assert not held and held.q[0] == 0.4

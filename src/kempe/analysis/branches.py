@@ -26,8 +26,6 @@ SAME_POINT = 1e-3
 """Points nearer than this part of the radius are one."""
 ALONG, TURNED = 0.5, 0.15
 """Way along the sphere, as a part of its radius, and the turn of the tangent space over it that shows a cone."""
-NEAR_ITERATIONS = 12
-"""Iterations towards the solution set before its points on a sphere are sought: they need not arrive."""
 FELL_BACK = 0.1
 """A start that ends nearer to the configuration than this part of the radius found no motion."""
 BATCH, MOST_STARTS, MOST_KEPT = 32, 480, 12
@@ -111,7 +109,7 @@ def on_sphere(equations: Equations, q: Array, directions: Array, radius: float) 
 
     First they are sought anywhere near: the equation of the sphere would lead many into a local minimum.
     """
-    near = equations.project(equations.move(q, radius * directions), q, iterations=NEAR_ITERATIONS)
+    near = equations.project(equations.move(q, radius * directions), q)
     back = near.distance < FELL_BACK * radius
     x = np.where(back[:, None], directions, equations.offset(q, near.q) / np.maximum(near.distance, 1e-300)[:, None])
     at = equations.project(equations.move(q, radius * x), q, radius)

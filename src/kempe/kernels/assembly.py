@@ -8,6 +8,7 @@ within its envelope (Jennings, 1966): rows that share no coordinates cost nothin
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
@@ -43,8 +44,22 @@ FLOOR = 1e-30
 """Square of the scaled residual below which rounding is all there is."""
 DAMPING, LEAST = 1e-1, 1e-14
 """Damping by the square of the residual, and its floor, which holds up J J^T where equations are redundant."""
+WIDER = 0.15
+"""Part of the coordinates' ranges by which each further start may be farther from the first."""
 LONGEST, LONGEST_SLIDE = 0.5, 2.0
 """Longest step of a turn in radians, and of a slide in characteristic lengths."""
+
+
+class Work(NamedTuple):
+    """Pointers to the scratch of a solver: steps, the way home, two columns of J J^T's size, the matrix, two q's."""
+
+    step: object
+    target: object
+    y: object
+    column: object
+    a: object
+    home: object
+    kept: object
 
 
 @device
@@ -96,7 +111,7 @@ def move(loops, step, y, target, with_target):
 
 
 @routine
-def close(loops, limit, accepted, step, a, y, column, kept):
+def close(loops, work, limit, accepted, kept):
     """Least square of the residual reached from q, and steps taken; `kept` is where."""
     best, before, steps = np.inf, np.inf, 0
     m = loops.plan[L.N_ROWS]
@@ -111,12 +126,12 @@ def close(loops, limit, accepted, step, a, y, column, kept):
             break
         before = square
         damping = DAMPING * min(square, 1.0) + LEAST
-        mark(loops, step)
-        normal(loops, step, damping, a, column)
-        factor(loops, a, LEAST)
-        copy(y, loops.error, 0, m)
-        solve(loops, a, y)
-        size = move(loops, step, y, step, False)
+        mark(loops, work.step)
+        normal(loops, work.step, damping, work.a, work.column)
+        factor(loops, work.a, LEAST)
+        copy(work.y, loops.error, 0, m)
+        solve(loops, work.a, work.y)
+        size = move(loops, work.step, work.y, work.step, False)
         steps += 1
         if size < 1e-15:
             break
@@ -124,7 +139,7 @@ def close(loops, limit, accepted, step, a, y, column, kept):
 
 
 @routine
-def settle(loops, limit, step, a, y, column, kept):
+def settle(loops, work, limit, kept):
     """Least square of the residual near q and steps taken, where it does not vanish; `kept` is where.
 
     Damped steps that are taken back where they lead up (Levenberg, 1944; Marquardt, 1963).
@@ -133,12 +148,12 @@ def settle(loops, limit, step, a, y, column, kept):
     copy(kept, loops.q, 0, loops.nq)
     best, damping, steps = evaluate(loops, True), 1.0, 0
     while steps < limit and damping < 1e12:
-        mark(loops, step)
-        normal(loops, step, damping, a, column)
-        factor(loops, a, LEAST)
-        copy(y, loops.error, 0, m)
-        solve(loops, a, y)
-        size = move(loops, step, y, step, False)
+        mark(loops, work.step)
+        normal(loops, work.step, damping, work.a, work.column)
+        factor(loops, work.a, LEAST)
+        copy(work.y, loops.error, 0, m)
+        solve(loops, work.a, work.y)
+        size = move(loops, work.step, work.y, work.step, False)
         steps += 1
         square = evaluate(loops, True)
         if square < best:
@@ -155,7 +170,7 @@ def settle(loops, limit, step, a, y, column, kept):
 
 
 @routine
-def approach(loops, limit, accepted, home, step, a, y, column, target, kept):
+def approach(loops, work, limit, accepted, kept):
     """Steps taken along the closed configurations towards the one nearest to `home`, from the closed one in `kept`.
 
     Each goes the way to `home` as far as the tangent space allows, shortened where that leads away, and is closed again
@@ -163,26 +178,26 @@ def approach(loops, limit, accepted, home, step, a, y, column, target, kept):
     """
     m, steps, rounds = loops.plan[L.N_ROWS], 0, 0
     copy(loops.q, kept, 0, loops.nq)
-    least = distance(loops, home, target)
+    least = distance(loops, work.home, work.target)
     part, size = 1.0, 1.0
     while rounds < limit and part > 0.05 and size > 1e-9:
         rounds += 1
         evaluate(loops, True)
-        distance(loops, home, target)
-        mark(loops, step)
+        distance(loops, work.home, work.target)
+        mark(loops, work.step)
         for i in range(m):
-            y[i] = 0.0
+            work.y[i] = 0.0
         for v in range(loops.nv):
-            target[v] *= part
-            if step[v] == step[v]:
-                add_product(loops, v, target[v], y)
-        normal(loops, step, LEAST, a, column)
-        factor(loops, a, LEAST)
-        solve(loops, a, y)
-        size = move(loops, step, y, target, True)
-        square, used = close(loops, limit, accepted, step, a, y, column, loops.q)
+            work.target[v] *= part
+            if work.step[v] == work.step[v]:
+                add_product(loops, v, work.target[v], work.y)
+        normal(loops, work.step, LEAST, work.a, work.column)
+        factor(loops, work.a, LEAST)
+        solve(loops, work.a, work.y)
+        size = move(loops, work.step, work.y, work.target, True)
+        square, used = close(loops, work, limit, accepted, loops.q)
         steps += 1 + used
-        far = distance(loops, home, target)
+        far = distance(loops, work.home, work.target)
         if square <= accepted and far < least:
             least, part = far, min(1.0, 2.0 * part)
             copy(kept, loops.q, 0, loops.nq)
@@ -190,6 +205,36 @@ def approach(loops, limit, accepted, home, step, a, y, column, target, kept):
             part *= 0.5
             copy(loops.q, kept, 0, loops.nq)
     return steps
+
+
+@routine
+def search(loops, work, key, tries, limit, accepted, nearest, best_q):
+    """Square of the residual, steps and starts of the assembly that begins at q; `best_q` is where it ends."""
+    best, steps, count = np.inf, 0, 0
+    if not sound(loops, work.home):
+        return best, steps, count
+    while count < tries and not best <= accepted:
+        if count > 0:
+            draw(loops, work.home, min(1.0, WIDER * count), mix(key, np.uint64(count)))
+        square, used = close(loops, work, limit, accepted, work.kept)
+        steps += used
+        count += 1
+        if square < best:
+            best = square
+            copy(best_q, work.kept, 0, loops.nq)
+    if not best < np.inf:
+        return best, steps, count
+    copy(loops.q, best_q, 0, loops.nq)
+    if best > accepted:
+        best, used = settle(loops, work, 10 * limit, best_q)
+        steps += used
+    elif nearest > 0:
+        steps += approach(loops, work, nearest, accepted, best_q)
+    copy(loops.q, best_q, 0, loops.nq)
+    best = evaluate(loops, False)
+    read_off(loops, work.home)
+    copy(best_q, loops.q, 0, loops.nq)
+    return best, steps, count
 
 
 @kernel(types.int64(I1, F1, I1, F1, F2, F2, types.int64, types.int64, types.float64, types.int64, types.int64,
@@ -213,14 +258,12 @@ def assemble(
     block = np.empty(sweep + 4 * nq + 2 * nv + 3 * m + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8)
     scratch = raw(block)
     q = beyond(scratch, sweep)
-    home, kept, best_q = beyond(q, nq), beyond(q, 2 * nq), beyond(q, 3 * nq)
     step = beyond(q, 4 * nq)
-    target = beyond(step, nv)
-    error = beyond(target, nv)
-    y = beyond(error, m)
-    blocks = beyond(y, m)
-    column = beyond(blocks, plan[L.BLOCKS])
-    a = beyond(column, m)
+    error = beyond(step, 2 * nv)
+    blocks = beyond(error, 3 * m)
+    work = Work(step, beyond(step, nv), beyond(error, m), beyond(error, 2 * m), beyond(blocks, plan[L.BLOCKS]),
+                beyond(q, nq), beyond(q, 2 * nq))  # fmt: skip
+    best_q = beyond(q, 3 * nq)
     accepted, missed = tolerance * tolerance, 0
     for i in range(starts.shape[0]):
         pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
@@ -229,36 +272,11 @@ def assemble(
         copy(q, beyond(raw(starts), i * nq), 0, nq)
         if follow and i > 0:
             lead_on(loops, raw(out_q), i)
-        best, steps, count, status = np.inf, 0, 0, BAD_INPUT
-        if sound(loops, home):
-            status = NOT_CLOSED
-            key = mix(mix(np.uint64(0), np.uint64(seed)), np.uint64(offset + i))
-            while count < tries and not best <= accepted:
-                if count > 0:
-                    draw(loops, home, min(1.0, 0.15 * count), mix(key, np.uint64(count)))
-                square, used = close(loops, limit, accepted, step, a, y, column, kept)
-                steps += used
-                count += 1
-                if square < best:
-                    best = square
-                    copy(best_q, kept, 0, nq)
-            copy(q, best_q, 0, nq)
-            if best > accepted:
-                best, used = settle(loops, 10 * limit, step, a, y, column, best_q)
-                steps += used
-            elif nearest > 0:
-                steps += approach(loops, nearest, accepted, home, step, a, y, column, target, best_q)
-                copy(q, best_q, 0, nq)
-                best = evaluate(loops, False)
-            copy(q, best_q, 0, nq)
-            if best < np.inf:
-                evaluate(loops, False)
-                read_off(loops, home)
-                status = SOLVED if best <= accepted else NOT_CLOSED
-            else:
-                status = BAD_INPUT
+        key = mix(mix(np.uint64(0), np.uint64(seed)), np.uint64(offset + i))
+        best, steps, count = search(loops, work, key, tries, limit, accepted, nearest, best_q)
+        status = BAD_INPUT if not best < np.inf else (SOLVED if best <= accepted else NOT_CLOSED)
         for k in range(nq):
-            out_q[i, k] = q[k] if status != BAD_INPUT else np.nan
+            out_q[i, k] = best_q[k] if status != BAD_INPUT else np.nan
         out_residual[i] = math.sqrt(best) if status != BAD_INPUT else np.nan
         info[i, 0], info[i, 1], info[i, 2] = status, steps, count
         missed += int(status != SOLVED)

@@ -1,7 +1,7 @@
 """All constraint equations of a system at once: residual and Jacobian over all velocity coordinates.
 
-*Full* form: each joint that the tree left out ties its frame M, led there through its own coordinates, to its child. The
-unknowns are all coordinates, those of cut joints included, so that nothing depends on where a loop was cut, and the
+*Full* form: each joint that the tree left out ties its frame M, led there through its own coordinates, to its child.
+The unknowns are all coordinates, those of cut joints included, so that nothing depends on where a loop was cut, and the
 nullity of the Jacobian is the number of freedoms that the rank sees.
 """
 

@@ -85,7 +85,7 @@ def must_carry(system: System, known: Iterable[str] = ()) -> frozenset[str]:
     """The joints left out of the tree whose coordinates must be unknowns: screws, known, limited or coupled ones."""
     related = {n for r in system.relations for n in (r.of, *r.sources)} | set(known)
     v_index = {n: i for i, n in enumerate(system.velocity_names)}
-    limited: np.ndarray = np.isfinite(system.limits).any(axis=1)
+    limited = np.isfinite(system.lower) | np.isfinite(system.upper)
     out = set()
     for name in system.closures:
         names = system.coordinates_of_joint(name)

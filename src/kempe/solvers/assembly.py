@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.loops import evaluate
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.loops import Loops, loops_of, must_carry
+from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
 from kempe.solvers.home import home_of
 from kempe.solvers.inverse import _count, _seed_number
 from kempe.spatial import Array
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from kempe.kinematics.zoo import Constraint
     from kempe.model.system import System
 
-CLOSED, NOT_CLOSED, BAD_INPUT, OUTSIDE = 0, 1, 2, 3
-"""Codes of `Assembly.code`; OUTSIDE: a known coordinate is outside its limits."""
 STARTS = 20
 """Starts before an assembly is given up; from a guess 1 rad off 95 to 100 % of the first ones close."""
 STEPS = 60
@@ -42,65 +40,6 @@ FEW = 300
 """Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
 RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero."""
-
-
-@dataclass(frozen=True, eq=False)
-class Assembly:
-    """Answer of `assemble`: one configuration for each set of known values.
-
-    `q` (..., nq) closes all loops where `success`; elsewhere it is the configuration found that is nearest to closing.
-    `residual` is the norm of the closure equations, in radians and characteristic lengths; `iterations` and `starts`
-    count the work. All have the leading shape of the known values; for a single set they are plain Python numbers.
-    """
-
-    q: Array
-    success: Any
-    code: Any
-    residual: Any
-    iterations: Any
-    starts: Any
-    assembler: Assembler = field(repr=False)
-
-    @cached_property
-    def status(self) -> Any:
-        """The sentence for a single answer; an array of sentences for a batch. Made when asked for."""
-        from kempe.solvers.explain_assembly import sentence
-
-        if np.ndim(self.success) == 0:
-            return sentence(self, ())
-        out = np.empty(np.shape(self.success), dtype=object)
-        for index in np.ndindex(out.shape):
-            out[index] = sentence(self, index)
-        return out
-
-    @property
-    def system(self) -> System:
-        """The system that was assembled."""
-        return self.assembler.system
-
-    def __bool__(self) -> bool:
-        return bool(np.all(self.success))
-
-    def __len__(self) -> int:
-        return len(self.success)
-
-    def __str__(self) -> str:
-        if np.ndim(self.success):
-            return f"{int(np.sum(self.success))} of {np.size(self.success)} configurations closed"
-        lines = [self.status]
-        lines += [f"  {name} = {x:.9g}" for name, x in zip(self.system.coordinate_names, self.q, strict=True)]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        if np.ndim(self.success):
-            return f"<p>{escape(str(self))}</p>"
-        rows = "".join(
-            f"<tr><td>{escape(n)}</td><td>{x:.9g}</td></tr>"
-            for n, x in zip(self.system.coordinate_names, self.q, strict=True)
-        )
-        return f"<p>{escape(self.status)}</p><table>{rows}</table>"
 
 
 class Assembler:
@@ -384,14 +323,31 @@ def assemble(
         if branch in system.posture_names:
             near = system.posture(branch) if near is None else near
         else:
-            from kempe.solvers.dyads import on_branch
-
-            near = on_branch(system, given, branch, near)
-            starts, nearest = 1, False
+            return _on_branch(system, bound, given, near, branch, limits, throw)
     answer = bound(
         given, near, nearest=nearest, limits=limits, starts=starts, rng=rng, tolerance=tolerance, threads=threads,
         follow=continuous, constraints=constraints,
     )  # fmt: skip
+    if throw and not answer:
+        raise NoSolutionError(answer)
+    return answer
+
+
+def _on_branch(
+    system: System, bound: Assembler, given: Mapping[str, Any], near: Any, branch: str, limits: bool, throw: bool
+) -> Assembly:  # fmt: skip
+    """The answer on a branch named by the signs of its dyads: closed form, polished and checked."""
+    from kempe.solvers.dyads import closed_form, on_branch
+
+    start = on_branch(system, given, branch, near)
+    answer = bound(given, start, nearest=False, limits=limits, starts=1)
+    plan: Any = closed_form(system, tuple(bound.sources))
+    asked, found = plan.branch_of(start), plan.branch_of(answer.q)
+    strayed = np.any((found != asked) & (asked != 0) & (found != 0), axis=-1) & (answer.code == CLOSED)
+    if np.any(strayed):
+        code = np.where(strayed, OTHER_BRANCH, answer.code)
+        plain = (bool(code == CLOSED), int(code)) if np.ndim(answer.success) == 0 else (code == CLOSED, code)
+        answer = replace(answer, success=plain[0], code=plain[1])
     if throw and not answer:
         raise NoSolutionError(answer)
     return answer

@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 
-from kempe.solvers.assembly import BAD_INPUT, CLOSED, FEW, OUTSIDE, Assembler, Assembly, freedoms_left, home_of
+from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
+from kempe.solvers.assembly import FEW, Assembler, freedoms_left
+from kempe.solvers.home import home_of
 from kempe.spatial import Array
 
 
@@ -25,6 +27,8 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
         return f"closed: residual {residual:.1e} ({_count(steps, 'step')}, {_count(starts, 'start')}){more}"
     if code == OUTSIDE:
         return f"a known value is outside its limits: {_outside(bound, q)}"
+    if code == OTHER_BRANCH:
+        return "the branch asked for cannot be closed with these values; q is closed on another one"
     reason = _limits(bound, q) or _too_many(bound) or "with these values no closed configuration was found"
     return f"not closed after {_count(starts, 'start')}: {_open(bound, q)}; {reason}; q is the nearest to closing"
 

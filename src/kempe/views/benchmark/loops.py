@@ -42,8 +42,8 @@ def how() -> list[str]:
         "closed: 1e-8 m and rad by plain matrix products (Drake 1e-5, as SNOPT scales its equations)",
         "MuJoCo, Pinocchio: Gauss-Newton written in numpy on their equality constraints and frame placements; Drake: "
         "inverse kinematics by SNOPT, without building the program; Exudyn: static solver, full-pivot factorisation",
-        "Exudyn is not given the overconstrained spatial mechanisms, where this factorisation meets redundant equations "
-        "and seldom converges, nor known inputs",
+        "Exudyn is not given the overconstrained spatial mechanisms, where this factorisation seldom gets over the "
+        "redundant equations, nor known inputs",
         f"Drake and Exudyn: {SLOW_GUESSES} guesses, the others {GUESSES}",
     ]
 
