@@ -200,6 +200,23 @@ def test_branches_that_touch_too_closely_are_not_called_certain():
     assert not found.certain and "nearly coincide" in str(found) and "uncertain" in str(found)
 
 
+def beside_a_pendulum(system: System, q: np.ndarray) -> tuple[System, np.ndarray]:
+    """The mechanism with a pendulum of its own on the ground: one freedom more, everywhere."""
+    m = system.mechanism
+    m.revolute("swing", m.ground, m.body("bob"), at=(0, -1))
+    more = m.build()
+    return more, more.q({**system.q_dict(q), "swing": 0.3})
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_pendulum_beside_shaky_structures(seed):
+    """One freedom, shaky everywhere; of a fourth-order one roots are known to 1e-4 only, and that is said."""
+    found = local_dimension(*beside_a_pendulum(*flat([1, 1.5, 2.5], [1, 1])), rng=seed)
+    assert key(found) == (1, 2, 2, [1], False) and found.certain and found.branches[0].multiple
+    found = local_dimension(*beside_a_pendulum(*dead_centres_in_a_row()), rng=seed)
+    assert (found.rank_dim, found.dim, found.obstruction_order) == (2, 1, 4) and not found.certain
+
+
 def test_four_stretched_bars_are_rigid_though_the_rank_says_two():
     system, q = flat([1, 1, 1, 3], [1, 1, 1])
     found = local_dimension(system, q)

@@ -64,6 +64,8 @@ class Spot:
     split: Split
     dim: int | None = None
     tangent: Array | None = None
+    obstructed: int | None = None
+    """The first order at which kernel vectors there cannot be continued."""
 
 
 @dataclass(eq=False)
@@ -205,6 +207,7 @@ def measure(equations: Equations, spot: Spot, order: int, rng: np.random.Generat
     k = reduction.obstruction(equations, at, order, rng).order
     if k is None:
         return True
+    spot.obstructed = k
     spot.dim, spot.tangent = survivors(equations, at.q, at.kernel, STEP * RADII[0], rng)
     return k > 1 and reduction.lineality(equations, at, k, rng).shape[1] == spot.dim
 

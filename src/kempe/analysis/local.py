@@ -180,6 +180,9 @@ def _branches(
         doubts.append("points of one branch differ in dimension")
     if not follow.stays_multiple(equations, at, families):
         doubts.append("a branch is shaky near the configuration only: several may nearly coincide")
+    worst = max((s.obstructed or 0 for f in families for s in f.spots), default=0)
+    if worst > 2:
+        doubts.append(f"a branch is shaky of order {worst - 1} all along: its points are found to a few digits only")
     found, paired = follow.collect(equations, families)
     if not paired:
         doubts.append("a half-branch without its other half: some were missed")

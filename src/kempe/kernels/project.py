@@ -50,9 +50,8 @@ from kempe.kernels.vectors import keep, raw
 
 DAMPING_LEAST, DAMPING_FIRST, DAMPING_MOST = 1e-14, 1e-4, 1e4
 """Levenberg-Marquardt damping, as a part of the mean square of the Jacobian's columns."""
-SLOW = 0.3
-"""Part of the squared residual that is left by a slow step: at a root of multiplicity k a Newton step leaves less,
-(1 - 1/k)^(2 k)."""
+STUCK = 0.98
+"""Part of the squared residual that an undamped step leaves where it is no use to go on."""
 ENOUGH2, SHORTEST = 1e-32, 1e-14
 """Square of the residual, and length of a step, from which more iterations change nothing."""
 
@@ -224,15 +223,6 @@ def _normal(J, b, scale, value, x, radius, distance2, A, g, damping):
 
 
 @routine
-def _length2(x):
-    """Square of the length of a vector, never zero."""
-    total = 1e-300
-    for i in range(x.shape[0]):
-        total += x[i] * x[i]
-    return total
-
-
-@routine
 def _size2(value, m, radius, distance2):
     """Square of the residual, the equation of the sphere included."""
     total = 0.0
@@ -250,8 +240,7 @@ def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iter
 
     Where radius[i] > 0 the point found is, if one is found, also at that distance from centers[i], in scaled tangent
     coordinates (places and scale as in `_apart`). Damped least squares (Levenberg, 1944; Marquardt, 1963) with steps
-    no longer than `longest`; near multiple solutions, where squares of singular values drown in rounding, the last steps
-    are along the gradient, as long as Newton's for one equation. info (N, 3): residual of the equations (norm), distance from the center, iterations.
+    no longer than `longest`. info (N, 3): residual of the equations (norm), distance from the center, iterations.
     out (N, m): the equations where it ends, J (N, m, nv): their Jacobian; with 0 iterations, those where it is.
     """
     m, nv, nq, n = J.shape[1], J.shape[2], q.shape[1], max(ints[N_ROWS], 1)
@@ -261,7 +250,7 @@ def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iter
     A, g, x, trial, step, M = np.zeros(nv * nv), np.zeros(nv), np.zeros(nv), np.zeros(nq), np.zeros(nv), np.zeros(9)
     A_, g_, q_, trial_ = raw(A), raw(g), raw(q), raw(trial)
     for b in range(q.shape[0]):
-        center, damping, count, fresh, steep = centers[b], DAMPING_FIRST, 0, False, False
+        center, damping, count, fresh = centers[b], DAMPING_FIRST, 0, False
         size2, distance2 = np.inf, 0.0
         while True:
             if not fresh:
@@ -273,17 +262,16 @@ def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iter
                 break
             count += 1
             _normal(J, b, scale, value, x, radius[b], distance2, A, g, max(damping, DAMPING_LEAST))
-            stretch = 1.0
-            if steep:
-                stretch = size2 / _length2(g)
-            elif factor(A_, nv):
-                back(A_, nv, g_)
-            else:
+            if not factor(A_, nv):
                 damping = max(10.0 * damping, DAMPING_LEAST)
                 continue
-            length = stretch * math.sqrt(_length2(g))
+            back(A_, nv, g_)
+            length = 1e-300
             for j in range(nv):
-                step[j] = stretch * g[j] * min(1.0, longest / length)
+                length += g[j] * g[j]
+            length = math.sqrt(length)
+            for j in range(nv):
+                step[j] = g[j] * min(1.0, longest / length)
             _move(places, scale, q_, b * nq, step, trial_, 0)
             _linearise(ints, floats, ties, numbers, trial_, 0, v, poses, extra, frames, value, M, J, b)
             distance2 = _apart(places, scale, center, trial_, 0, x)
@@ -292,14 +280,13 @@ def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iter
             if fresh:
                 for j in range(nq):
                     q[b, j] = trial[j]
-                slow = damping <= DAMPING_LEAST and new_size2 > SLOW * size2
+                stuck = damping <= DAMPING_LEAST and new_size2 > STUCK * size2
                 size2, damping = new_size2, max(0.02 * damping, DAMPING_LEAST)
             else:
-                slow = steep
+                stuck = False
                 damping = max(30.0 * damping, 1e-12)
-            if length < SHORTEST or (slow and steep):
+            if length < SHORTEST or stuck:
                 count = iterations
-            steep = steep or slow
         for i in range(m):
             out[b, i] = value[0, 0, i]
         info[b, 0], info[b, 1], info[b, 2] = math.sqrt(_size2(value, m, 0.0, 0.0)), math.sqrt(distance2), float(count)

@@ -123,7 +123,8 @@ def place(system: System, q: Array, spot: Spot) -> Array:
         return system.fk(q, name)[..., :2, 3]
     joint = system.joints[name]
     X = joint.X_PF.evaluate(system.parameters)
-    return (system.fk(q)[..., system.body_names.index(joint.parent), :, :] @ X)[..., :2, 3]
+    parent = system.fk(q)[..., system.body_names.index(joint.parent), :, :]
+    return np.asarray((parent @ X)[..., :2, 3], dtype=np.float64)
 
 
 def angles(drive: Drive, n: int) -> Array:

@@ -30,7 +30,7 @@ def dyads(bench: Bench) -> Grid:
     import kempe
     from kempe.solvers.dyads import Plan, closed_form
 
-    table = Grid("Planar mechanisms of dyads in closed form, microseconds a step of the crank", "mechanism")
+    table = Grid("Dyads in closed form: time of a step of the crank", "us")
     for name, drive in DRIVES.items():
         system = kempe.load(name)
         plan = closed_form(system, (drive.crank,))
@@ -60,7 +60,7 @@ def dyads(bench: Bench) -> Grid:
 
 def row(bench: Bench) -> Grid:
     """Rows of four-bars whose first crank is known, each solved as one system."""
-    table = Grid("Row of four-bars in one solve, milliseconds", "four-bars")
+    table = Grid("Row of four-bars in one solve, by their number", "ms")
     for n in ROWS:
         system = four_bars(n)
         q = system.integrate(system.neutral, _noise(system))

@@ -33,7 +33,7 @@ def dof(bench: Bench) -> Grid:
     import kempe
     from kempe.analysis.mobility import mobility
 
-    table = Grid("Degrees of freedom", "mechanism")
+    table = Grid("Degrees of freedom: who is right", "freedoms")
     for name, truth in TRUTH.items():
         system = kempe.load(name)
         q = system.posture(POSTURES.get(name, "closed"))
@@ -74,7 +74,7 @@ def mobility(bench: Bench) -> Grid:
     import kempe
     from kempe.analysis import mobility as module
 
-    table = Grid("Report on the degrees of freedom, milliseconds", "mechanism, joints")
+    table = Grid("Report on the degrees of freedom: time, by joints", "ms")
     for name in TIMED:
         system = kempe.load(name)
         q = system.posture(POSTURES.get(name, "closed"))

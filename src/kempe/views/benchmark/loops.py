@@ -68,7 +68,7 @@ def assembly(bench: Bench) -> Grid:
     """Closed configurations from guesses nearby: one call, bound, and as a batch."""
     import kempe
 
-    table = Grid("Assembly of closed loops, microseconds from a guess (medians)", "mechanism, noise")
+    table = Grid("Assembly of closed loops from a guess: time of a call, by noise in radians", "us")
     for name in MECHANISMS:
         tree = Tree(kempe.load(name))
         bench.say(f"  {name}")
@@ -179,7 +179,7 @@ def success(bench: Bench) -> Grid:
     """How many of the guesses close, near and far."""
     import kempe
 
-    table = Grid("Assembly of closed loops, closed guesses in percent", "mechanism, noise")
+    table = Grid("Assembly of closed loops from a guess: how many close, by noise in radians", "%")
     for name in MECHANISMS:
         tree = Tree(kempe.load(name))
         system, solvers = tree.system, peers_of(bench, tree)

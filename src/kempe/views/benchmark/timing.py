@@ -128,7 +128,7 @@ class Table:
 
 
 class Grid(Table):
-    """A table with a line for each call and a column for each library: the numbers are medians, in the unit."""
+    """A table with a line for each call, a column for each library, and the unit in the corner."""
 
     words = 1
 
