@@ -55,7 +55,10 @@ def warmup() -> float:
     import time
 
     start = time.perf_counter()
+    import kempe.analysis.local
+    import kempe.kernels.dyads
     import kempe.kinematics.forward
+    import kempe.solvers.assembly
     import kempe.solvers.inverse  # noqa: F401
 
     return time.perf_counter() - start

@@ -53,6 +53,19 @@ def close(system: System, q: Array) -> Closed:
     return Closed(answer.q, False, given, float(answer.residual), str(answer.status))
 
 
+def find_closed(system: System) -> Closed:
+    """A closed configuration: the posture 'closed', the middle of the limits, or else one that is searched."""
+    at = close(system, system.posture("closed") if "closed" in system.posture_names else system.mid)
+    if at.closed:
+        return at
+    from kempe.solvers.assembly import assemble
+
+    answer = assemble(system, limits=False)
+    if answer.success:
+        return close(system, answer.q)
+    return Closed(answer.q, False, at.given, float(answer.residual), str(answer.status))
+
+
 def _residual(system: System, q: Array) -> float:
     values = evaluate(system, q, False, True)[0]
     return float(np.linalg.norm(values))

@@ -10,7 +10,7 @@ import numpy as np
 
 from kempe.analysis.control import Control, control, driven
 from kempe.analysis.counting import Counting, LoopCount, counting, loop_counts
-from kempe.analysis.generic import Closed, close, nearby
+from kempe.analysis.generic import Closed, close, find_closed, nearby
 from kempe.analysis.graph import Structure, structure
 from kempe.analysis.passive import IdleFreedom, idle_freedoms, may_idle
 from kempe.analysis.rank import Rank, rank_at
@@ -148,7 +148,7 @@ def mobility(
     """
     s = structure(system)
     driven(system, actuated)  # a wrong name is refused before any work
-    at = close(system, _start(system, q))
+    at = close(system, _given(system, q)) if q is not None else find_closed(system)
     rng = np.random.default_rng(rng)
     if not at.closed:
         return _open(system, s, at)
@@ -166,15 +166,7 @@ def mobility(
     )  # fmt: skip
 
 
-def _start(system: System, q: Any) -> Array:
-    if q is None:
-        if "closed" in system.posture_names:
-            return system.posture("closed")
-        if not system.closures and not system.relations:
-            return system.mid
-        from kempe.solvers.assembly import assemble
-
-        return assemble(system, limits=False).q
+def _given(system: System, q: Any) -> Array:
     given = as_q(system, q)
     if given.ndim != 1:
         raise InputError(f"q has shape {given.shape}; mobility is found at one configuration ({system.nq},)")

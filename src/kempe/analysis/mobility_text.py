@@ -16,7 +16,7 @@ def sentence(m: Mobility) -> str:
     """The result in one sentence: what the count says, what is true, and why they differ."""
     if not m.closed:
         return (
-            f"Gruebler says {m.gruebler}; the mechanism cannot be closed here (it stays open by {m.residual:.2g}), "
+            f"Gruebler says {m.gruebler}; the mechanism cannot be closed here (residual {m.residual:.2g}), "
             "so nothing is said about rank and true freedoms"
         )
     if m.dof is None:
@@ -84,7 +84,7 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         out.append(("open", [m.why_open or f"residual {m.residual:.2g}"]))
         return out
     if m.given_residual > 1e-9:
-        out.append(("closed", [f"it was open by {m.given_residual:.2g}; this is the nearest closed configuration"]))
+        out.append(("closed", [f"given with residual {m.given_residual:.2g}; this is the nearest closed one"]))
     out.append(("rank", [rank_text(m)]))
     if m.dof is not None:
         useful = f", {m.useful} of them useful" if m.idle else ""

@@ -14,7 +14,7 @@ import numpy as np
 from numba import types
 
 from kempe.kernels import loop_layout as L
-from kempe.kernels._jit import F1, F2, I1, OUT1, OUT2, OUTI2, device, kernel, routine
+from kempe.kernels._jit import F1, F2, I1, OUT1, OUT2, OUTI2, kernel, routine
 from kempe.kernels.envelope import add_product, factor, normal, product, solve
 from kempe.kernels.layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.layout import NQ, NV
@@ -62,14 +62,14 @@ class Work(NamedTuple):
     kept: object
 
 
-@device
+@routine
 def evaluate(loops, with_blocks):
     """Square of the scaled residual at q."""
     row_poses(loops.ints, loops.floats, loops.q, 0, loops.scratch)
     return fill(loops, with_blocks)
 
 
-@device
+@routine
 def mark(loops, step):
     """Mark NaN the steps of coordinates that stay: held ones, and those at a limit that the gradient pushes out."""
     for v in range(loops.nv):

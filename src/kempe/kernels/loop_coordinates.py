@@ -58,7 +58,7 @@ def ball_difference(q, home, i, to, at):
     to[at], to[at + 1], to[at + 2] = f * rx, f * ry, f * rz
 
 
-@device
+@routine
 def distance(loops, home, target):
     """Square of the distance from q to `home`, scaled; writes the way there to `target`. Held ones do not count."""
     far = 0.0
@@ -116,19 +116,18 @@ def read_off(loops, home):
         elif code == L.READ_QUATERNION:
             quaternion_of(r, q, i, home)
         else:
-            if code == L.READ_ANGLE:
-                angle = atan2(r[3] - r[1], r[0] + r[4])
-            elif code == L.READ_RX:
-                angle = atan2(r[7], r[4])
+            sine, cosine = r[3] - r[1], r[0] + r[4]  # READ_ANGLE
+            if code == L.READ_RX:
+                sine, cosine = r[7], r[4]
             elif code == L.READ_RY:
-                angle = atan2(r[2], r[0])
+                sine, cosine = r[2], r[0]
             elif code == L.READ_YAW:
-                angle = atan2(r[3], r[0])
+                sine, cosine = r[3], r[0]
             elif code == L.READ_PITCH:
-                angle = atan2(-r[6], math.sqrt(r[0] * r[0] + r[3] * r[3]))
-            else:
-                angle = atan2(r[7], r[8])
-            q[i] = nearest_turn(angle, home[i])
+                sine, cosine = -r[6], math.sqrt(r[0] * r[0] + r[3] * r[3])
+            elif code == L.READ_ROLL:
+                sine, cosine = r[7], r[8]
+            q[i] = nearest_turn(atan2(sine, cosine), home[i])
     for v in range(loops.nv):
         if sort_of(loops, v) == L.CIRCLE and not is_held(loops, v):
             i = place_of(loops, v)

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import types
 
-from kempe.kernels._jit import F1, F2, I1, OUT3, OUT4, device, kernel
+from kempe.kernels._jit import F1, F2, I1, OUT3, OUT4, device, kernel, routine
 from kempe.kernels.layout import (
     BODY,
     HEADER,
@@ -282,7 +282,7 @@ def poses_at(n_rows):
     return 3 * ((n_rows + LANES - 1) // LANES * LANES)
 
 
-@device
+@routine
 def row_poses(ints, floats, q, start, scratch):
     """Write the poses of all rows at the configuration q[start:] to scratch[poses_at(n_rows):]."""
     n_rows = ints[0]

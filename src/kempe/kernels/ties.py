@@ -24,6 +24,7 @@ from kempe.kernels.layout import (
     PARENT,
     ROW_FLOATS,
     ROW_INTS,
+    SLIDE,
     TURN,
 )
 from kempe.kernels.residual import logarithm
@@ -204,14 +205,6 @@ def axes_of(loops, row):
     return placement(loops.poses, OUTPUT_FLOATS * row)
 
 
-@device
-def add_turn(loops, tie, at, r_a, r, phi, factor, axis, arm):
-    """Add the column of a turn about `axis` (in ground axes), `arm` from it to the origin of B."""
-    x, y, z = factor * axis[0], factor * axis[1], factor * axis[2]
-    v = back(r_a, y * arm[2] - z * arm[1], z * arm[0] - x * arm[2], x * arm[1] - y * arm[0])
-    add_rates(loops, tie, at, r, phi, v, back(r_a, x, y, z))
-
-
 @routine
 def fill_block(loops, k, r_a, p_b, r, phi):
     """Write the Jacobian block of tie k."""
@@ -229,19 +222,17 @@ def fill_block(loops, k, r_a, p_b, r, phi):
         factor = weights[plan[L.AT_FACTORS] + i] * multiplier
         a, b, c = axes_of(loops, row)
         arm = (p_b[0] - entry(a, 3), p_b[1] - entry(b, 3), p_b[2] - entry(c, 3))
-        z = (entry(a, 2), entry(b, 2), entry(c, 2))
         there = block + rows * column
-        if kind == BALL:
-            add_turn(loops, tie, there, r_a, r, phi, factor, (entry(a, 0), entry(b, 0), entry(c, 0)), arm)
-            add_turn(loops, tie, there + rows, r_a, r, phi, factor, (entry(a, 1), entry(b, 1), entry(c, 1)), arm)
-            add_turn(loops, tie, there + 2 * rows, r_a, r, phi, factor, z, arm)
-            continue
-        factor *= weights[L.SCALES + plan[local + column]]
-        if kind == TURN:
-            add_turn(loops, tie, there, r_a, r, phi, factor, z, arm)
-        else:
-            v = back(r_a, factor * z[0], factor * z[1], factor * z[2])
-            add_rates(loops, tie, there, r, phi, v, (0.0, 0.0, 0.0))
+        if kind != BALL:
+            factor *= weights[L.SCALES + plan[local + column]]
+        for n in range(0 if kind == BALL else 2, 3):  # a ball turns about three axes, all others are about z
+            x, y, z = factor * entry(a, n), factor * entry(b, n), factor * entry(c, n)
+            if kind == SLIDE:
+                v, w = (x, y, z), (0.0, 0.0, 0.0)
+            else:
+                v, w = (y * arm[2] - z * arm[1], z * arm[0] - x * arm[2], x * arm[1] - y * arm[0]), (x, y, z)
+            add_rates(loops, tie, there, r, phi, back(r_a, v[0], v[1], v[2]), back(r_a, w[0], w[1], w[2]))
+            there += rows
 
 
 @device

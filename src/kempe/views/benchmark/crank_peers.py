@@ -124,12 +124,12 @@ def place(system: System, q: Array, spot: Spot) -> Array:
     joint = system.joints[name]
     X = joint.X_PF.evaluate(system.parameters)
     parent = system.fk(q)[..., system.body_names.index(joint.parent), :, :]
-    return np.asarray((parent @ X)[..., :2, 3], dtype=np.float64)
+    return (parent @ X)[..., :2, 3]
 
 
 def angles(drive: Drive, n: int) -> Array:
     """The crank's angles (n,) after each of n steps."""
-    return drive.start + (drive.end - drive.start) / n * np.arange(1, n + 1)
+    return np.linspace(drive.start, drive.end, n + 1)[1:]
 
 
 def linkage(system: System, n: int) -> Linkage:

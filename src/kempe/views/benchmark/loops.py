@@ -94,11 +94,11 @@ def known_line(name: str) -> str:
 def _line(table: Grid, bench: Bench, tree: Tree, line: str, sigma: float, known: tuple[str, ...]) -> None:
     system, home = tree.system, tree.system.posture("closed")
     given = {n: float(home[tree.columns[n]]) for n in known}
-    bound, values = system.assembler(known), np.array(list(given.values()))
+    bound = system.assembler(known)
     solvers: dict[str, Assembler] = {
         CALL: Kempe(tree, lambda q: system.assemble(given, near=q)),
         ANY: Kempe(tree, lambda q: system.assemble(given, near=q, nearest=False)),
-        BOUND: Kempe(tree, lambda q: bound(values, q, nearest=False)),
+        BOUND: Kempe(tree, lambda q: bound(given, q, nearest=False)),
         **peers_of(bench, tree, known),
     }
     guesses = tree.guesses(sigma, BATCH, known)
@@ -106,7 +106,7 @@ def _line(table: Grid, bench: Bench, tree: Tree, line: str, sigma: float, known:
     spent = []
     for _ in range(TURNS + 1):
         start = time.perf_counter_ns()
-        bound(values, guesses, nearest=False, threads=1)
+        bound(given, guesses, nearest=False, threads=1)
         spent.append((time.perf_counter_ns() - start) * 1e-3 / len(guesses))
     rows[MANY] = (statistics.median(spent[1:]), min(spent[1:]))
     for library in (CALL, ANY, BOUND, MANY, *solvers):
