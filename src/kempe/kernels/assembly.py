@@ -42,8 +42,9 @@ SOLVED, NOT_CLOSED, BAD_INPUT = 0, 1, 2
 """Status of one assembly."""
 FLOOR = 1e-30
 """Square of the scaled residual below which rounding is all there is."""
-DAMPING, LEAST = 1e-1, 1e-14
-"""Damping by the square of the residual, and its floor, which holds up J J^T where equations are redundant."""
+DAMPING, LEAST = 0.6, 1e-14
+"""Damping by the mean square of the equations, and its floor, which holds up J J^T where they are redundant."""
+MOST_DAMPING = 0.1
 WIDER = 0.15
 """Part of the coordinates' ranges by which each further start may be farther from the first."""
 LONGEST, LONGEST_SLIDE = 0.5, 2.0
@@ -125,7 +126,7 @@ def close(loops, work, limit, accepted, kept):
         if square <= FLOOR or (square <= accepted and square > 0.1 * before) or steps >= limit:
             break
         before = square
-        damping = DAMPING * min(square, 1.0) + LEAST
+        damping = min(DAMPING * square / m, MOST_DAMPING) + LEAST
         mark(loops, work.step)
         normal(loops, work.step, damping, work.a, work.column)
         factor(loops, work.a, LEAST)

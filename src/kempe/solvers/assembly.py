@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,12 +15,11 @@ from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kernels import assembly as kernel
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.loops import evaluate
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.loops import Loops, loops_of, must_carry
+from kempe.solvers.arguments import seed_number, start_count
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
 from kempe.solvers.home import home_of
-from kempe.solvers.inverse import _count, _seed_number
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -56,7 +56,6 @@ class Assembler:
         self.carried = must_carry(system, self.sources)
         self.loops = self._loops((False,) * len(self.frames))
         self.no_pins = np.zeros((1, 12 * len(self.frames)))
-        self.freedoms = self._freedoms()
 
     def _places(self, names: list[str]) -> None:
         """Where known coordinates are in q, and how those that follow others lead to their source."""
@@ -102,18 +101,19 @@ class Assembler:
         """The packed loops, with the known frames held in place, and in orientation where `turned`."""
         return loops_of(self.system, self.carried, self.held, tuple(zip(self.frames, turned, strict=True)))
 
-    def _freedoms(self) -> int:
-        """Freedoms that are left when the known ones are given, at the closed configuration nearest to home."""
+    @cached_property
+    def freedoms(self) -> int:
+        """Freedoms left when the known ones are given, at a closed configuration near home; -1: not counted."""
         if self.frames or len(self.loops.names) > FEW:
             return -1
         home = home_of(self.system)[None]
-        q, _, info = self.run(home, self.no_pins, nearest=0)
+        q, _, info = self.run(home, self.no_pins)
         if info[0, 0] != CLOSED:
             return -1
         return freedoms_left(self.system, q[0], self.held)
 
     def run(
-        self, starts: Array, pins: Array, tries: int = STARTS, nearest: int = NEAREST_STEPS, rng: int = 0,
+        self, starts: Array, pins: Array, tries: int = STARTS, nearest: int = 0, rng: int = 0,
         threads: int | None = 1, limits: bool = True, tolerance: float = TOLERANCE, follow: bool = False,
         loops: Loops | None = None,
     ) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
@@ -135,7 +135,7 @@ class Assembler:
         return q, residual, info
 
     def __call__(
-        self, values: Any = (), near: Any = None, *, nearest: bool = True, limits: bool = True, starts: int = STARTS,
+        self, values: Any = (), near: Any = None, *, nearest: bool = False, limits: bool = True, starts: int = STARTS,
         rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None,
         follow: bool = False, constraints: Sequence[Constraint] = (),
     ) -> Assembly:  # fmt: skip
@@ -147,11 +147,11 @@ class Assembler:
         turned = self._turned(given) if self.frames else ()
         pins = self._pins(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if nearest and self.freedoms != 0 else 0
-        number = rng if isinstance(rng, int) and rng >= 0 else _seed_number(rng)
+        number = rng if isinstance(rng, int) and rng >= 0 else seed_number(rng)
         if constraints:
-            return self._custom(constraints, base, lead, limits, _count(starts), int(number), tolerance)
+            return self._custom(constraints, base, lead, limits, start_count(starts), int(number), tolerance)
         q, residual, info = self.run(
-            base, pins, _count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
+            base, pins, start_count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
             self._loops(turned) if turned else None,
         )  # fmt: skip
         return self._answer(base, lead, q, residual, info, limits)
@@ -194,7 +194,12 @@ class Assembler:
     def _by_name(self, values: Any) -> dict[str, Any]:
         if self.frames:
             raise InputError("give the places of frames by name: a dict")
-        array = np.asarray(values, dtype=float)
+        try:
+            array = np.asarray(values, dtype=float)
+        except (TypeError, ValueError):
+            raise InputError("known values must be numbers or arrays of numbers") from None
+        if array.ndim == 1 and len(array) == len(self.known):
+            return dict(zip(self.known, array.tolist(), strict=True))
         if array.ndim == 0 or array.shape[-1] != len(self.known):
             raise InputError(f"values have shape {array.shape}; needed are (..., {len(self.known)}): {self.known}")
         return {k: array[..., i] for i, k in enumerate(self.known)}
@@ -276,6 +281,8 @@ def _limitless(system: System, loops: Loops) -> Array:
 
 def freedoms_left(system: System, q: Array, held: frozenset[str] = frozenset()) -> int:
     """Nullity of the constraint Jacobian at q over the coordinates that are not held."""
+    from kempe.kinematics.loops import evaluate  # its kernel is not needed to assemble
+
     free = [i for i, n in enumerate(system.velocity_names) if n not in held]
     J = evaluate(system, q, True, True)[1][:, free]
     values = np.linalg.svd(J, compute_uv=False) if J.size else np.zeros(0)
@@ -293,7 +300,7 @@ def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
 
 def assemble(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, branch: str | None = None,
-    nearest: bool = True, limits: bool = True, continuous: bool = False, starts: int = STARTS,
+    nearest: bool = False, limits: bool = True, continuous: bool = False, starts: int = STARTS,
     rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None, throw: bool = False,
     constraints: Sequence[Constraint] = (),
 ) -> Assembly:  # fmt: skip
@@ -302,10 +309,11 @@ def assemble(
     `known` maps names of coordinates to values in radians and metres, and names of frames to positions (..., 3) (in
     planar systems also (..., 2)) or poses (..., 4, 4); arrays give a batch. What the loops leave open is decided by
     *additional considerations*: `near` (nq,) or (..., nq), or a dict by name, is where the search starts (default: the
-    posture 'closed' of the file, else the middle of the limits), and where freedoms are left the answer is the
-    closed configuration nearest to it (`nearest`). `branch` names a branch: signs such as '+-' for planar
-    mechanisms made of dyads (see `assembly_modes`), or a posture, which is where the search starts. `continuous`: row
-    by row, each started where the last two lead. Coordinates stay inside their limits unless `limits=False`.
+    posture 'closed' of the file, else the middle of the limits); steps of minimum norm keep the answer close to it, and
+    with `nearest`, where freedoms are left, it is the closed configuration nearest to it. `branch` names a branch:
+    signs such as '+-' for planar mechanisms made of dyads (see `assembly_modes`), or a posture, which is where the
+    search starts. `continuous`: row by row, each started where the last two lead. Coordinates stay inside their limits
+    unless `limits=False`.
 
     The first of `starts` starts is `near`; the others are drawn around it from `rng`, wider and wider. An open loop is
     never a success: the answer then says which loop is open, by how much, and `q` is the nearest to closing;

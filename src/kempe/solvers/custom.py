@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.kernels.assembly import DAMPING, LONGEST
+from kempe.kernels.assembly import DAMPING, LONGEST, MOST_DAMPING
 from kempe.kernels.loop_layout import SCALES
 from kempe.kinematics.loops import evaluate, full
 from kempe.spatial import Array
@@ -64,7 +64,7 @@ def close(
         out = ((at <= low[at_v]) & (gradient[at_v] >= 0.0)) | ((at >= high[at_v]) & (gradient[at_v] <= 0.0))
         stuck[at_v[out]] = False
         U, values, Vt = np.linalg.svd(J[:, stuck], full_matrices=False)
-        damping = DAMPING * min(size * size, 1.0)
+        damping = min(DAMPING * size * size / max(len(error), 1), MOST_DAMPING)
         large = values > SMALL * values.max(initial=1.0)
         part = np.where(large, values / np.where(large, values * values + damping, 1.0), 0.0)
         v = np.zeros(system.nv)

@@ -16,6 +16,7 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.gauge import regauge
 from kempe.model.table import local_chain
+from kempe.solvers.arguments import seed_number, start_count
 from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, SOLVED, Solution
 from kempe.spatial import Array
 
@@ -97,7 +98,7 @@ def ik(
     if mask is POSE and system.table.at[name][2]:
         mask = _of_particle(targets, name)
     base, seeds = _seeds(system, chain, seed, lead)
-    task = Task(system, name, targets, mask, _tolerance(tolerance), _count(starts), _seed_number(rng), chain)
+    task = Task(system, name, targets, mask, _tolerance(tolerance), start_count(starts), seed_number(rng), chain)
     q, residual, info = run(task, seeds, threads)
     full = np.empty((len(targets), system.nq))
     full[:] = base
@@ -314,20 +315,6 @@ def _tolerance(tolerance: Any) -> tuple[float, float]:
     except (TypeError, ValueError):
         pass
     raise InputError(f"tolerance is {tolerance!r}; it must be one or two positive numbers, in metres and radians")
-
-
-def _count(starts: object) -> int:
-    if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or not 1 <= starts < 2**62:
-        raise InputError(f"starts is {starts!r}; it must be a whole number, at least 1")
-    return int(starts)
-
-
-def _seed_number(rng: object) -> int:
-    if isinstance(rng, np.random.Generator):
-        return int(rng.integers(2**62))
-    if isinstance(rng, bool) or not isinstance(rng, (int, np.integer)) or not 0 <= rng < 2**62:
-        raise InputError(f"rng is {rng!r}; it must be a generator or a whole number, not negative")
-    return int(rng)
 
 
 def _answer(
