@@ -31,10 +31,10 @@ from kempe.kernels.loop_coordinates import (
     sound,
 )
 from kempe.kernels.random import mix
+from kempe.kernels.rows import poses_at, row_poses, scratch_size
 from kempe.kernels.scratch import beyond
 from kempe.kernels.starts import copy
 from kempe.kernels.step import turn_ball
-from kempe.kernels.sweep import poses_at, row_poses, scratch_size
 from kempe.kernels.ties import Loops, fill
 from kempe.kernels.vectors import keep, raw
 

@@ -14,7 +14,8 @@ from numba import types
 
 from kempe.kernels._jit import F1, F2, I1, OUT3, device, kernel
 from kempe.kernels.layout import BALL, GENERAL, HEADER, MULTIPLIER, ROW_FLOATS, ROW_INTS, RX, RX_FLAT, SLIDE, TURN
-from kempe.kernels.sweep import gauged, pose_at, rotation
+from kempe.kernels.rows import gauged, rotation
+from kempe.kernels.sweep import pose_at
 from kempe.kernels.trig import REACH, sincos
 from kempe.kernels.vectors import (
     LANES,

@@ -9,8 +9,8 @@ from kempe.kernels import loop_layout as L
 from kempe.kernels._jit import F1, F2, I1, OUT2, OUT3, kernel
 from kempe.kernels.layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.layout import NQ, NV
+from kempe.kernels.rows import poses_at, row_poses, scratch_size
 from kempe.kernels.scratch import beyond
-from kempe.kernels.sweep import poses_at, row_poses, scratch_size
 from kempe.kernels.ties import Loops, fill
 from kempe.kernels.vectors import keep, raw
 

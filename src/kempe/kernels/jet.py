@@ -41,7 +41,7 @@ from kempe.kernels.layout import (
     V_INDEX,
 )
 from kempe.kernels.loop_layout import ALIGN, ANGLE, CROSS, DISTANCE, FULL, LINEAR
-from kempe.kernels.sweep import rotation, unit_quaternion
+from kempe.kernels.rows import rotation, unit_quaternion
 from kempe.kernels.vectors import raw
 
 MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, TIE_INTS = 0, 1, 2, 3, 4, 5, 6

@@ -28,7 +28,7 @@ from kempe.kernels.layout import (
     TURN,
 )
 from kempe.kernels.residual import logarithm
-from kempe.kernels.sweep import placed, placement
+from kempe.kernels.rows import placed, placement
 from kempe.kernels.trig import atan2
 from kempe.kernels.vectors import entry, pack4
 
