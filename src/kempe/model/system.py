@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from kempe.kinematics.zoo import Constraint
     from kempe.solvers.assembly import Assembler, Assembly
     from kempe.solvers.charts import Chart
+    from kempe.solvers.dyads import Incomplete, Plan
     from kempe.solvers.modes import Modes
     from kempe.solvers.solution import Solution
 
@@ -175,6 +176,12 @@ class System(Compiled):
         from kempe.solvers.modes import assembly_modes
 
         return assembly_modes(self, known, near, **options)
+
+    def closed_form(self, known: Sequence[str]) -> Plan | Incomplete:
+        """The closed form of a planar system of dyads for these known coordinates; see `kempe.solvers.dyads`."""
+        from kempe.solvers.dyads import closed_form
+
+        return closed_form(self, known)
 
     def independent(self, q: Any = None, prefer: Iterable[str] = ()) -> Chart:
         """Which coordinates can be set at a closed q, so that the others follow; see `kempe.solvers.charts`."""

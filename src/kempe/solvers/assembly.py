@@ -97,9 +97,14 @@ class Assembler:
         self.low, self.high = limits[0] - slack[0], limits[1] + slack[1]
         self.limited = bool(np.isfinite(limits).any())
 
-    def _loops(self, turned: tuple[bool, ...]) -> Loops:
-        """The packed loops, with the known frames held in place, and in orientation where `turned`."""
-        return loops_of(self.system, self.carried, self.held, tuple(zip(self.frames, turned, strict=True)))
+    def _loops(self, turned: tuple[bool, ...], whole: bool = False) -> Loops:
+        """The packed loops, with the known frames held in place, and in orientation where `turned`.
+
+        `whole`: the coordinates of all joints are unknowns, also of those that the tree left out, so that what is
+        nearest does not depend on where the loops are cut.
+        """
+        carried = frozenset(self.system.closures) if whole else self.carried
+        return loops_of(self.system, carried, self.held, tuple(zip(self.frames, turned, strict=True)))
 
     @cached_property
     def freedoms(self) -> int:
@@ -152,7 +157,7 @@ class Assembler:
             return self._custom(constraints, base, lead, limits, start_count(starts), int(number), tolerance)
         q, residual, info = self.run(
             base, pins, start_count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
-            self._loops(turned) if turned else None,
+            self._loops(turned, steps > 0) if turned or steps else None,
         )  # fmt: skip
         return self._answer(base, lead, q, residual, info, limits)
 
