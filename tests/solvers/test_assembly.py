@@ -55,11 +55,11 @@ def test_four_bar_is_the_intersection_of_two_circles(theta, cut):
 @pytest.mark.parametrize("name", MECHANISMS)
 @pytest.mark.parametrize("sigma", [0.1, 0.3, 1.0])
 def test_perturbed_mechanisms_close(name, sigma):
-    """From Gaussian noise at least 95 of 100 close at the first start, and all with the usual starts."""
+    """From Gaussian noise at least 95 % close at the first start, and all with the usual starts."""
     s = kempe.load(name)
     home = s.posture("closed")
     rng = np.random.default_rng(5)
-    q = np.stack([s.integrate(home, sigma * rng.normal(size=s.nv)) for _ in range(100)])
+    q = np.stack([s.integrate(home, sigma * rng.normal(size=s.nv)) for _ in range(400)])
     once = s.assemble(near=q, starts=1, nearest=False)
     assert once.success.mean() >= 0.95
     answer = s.assemble(near=q)
@@ -322,12 +322,9 @@ def test_what_is_left_open_is_nearest(seed):
     answer = s.assemble(near=near, nearest=True)
     assert answer
     b = s.assembler(())
-    # measured in the coordinates that are solved for: those of cut joints follow
-    moving = np.array([not any(n.startswith(f"{c}.") or n == c for c in s.closures) for n in s.velocity_names])
     N, scale = tangent_space(s, answer.q)
-    away = (s.difference(answer.q, near) / scale)[moving]
-    along = N[moving]
-    assert np.abs(along.T @ away).max() < 1e-5 * max(1.0, np.linalg.norm(away))
+    away = s.difference(answer.q, near) / scale
+    assert np.abs(N.T @ away).max() < 1e-5 * max(1.0, np.linalg.norm(away))
     assert b.freedoms == 6
 
 

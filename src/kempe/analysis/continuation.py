@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.kinematics import loops
+from kempe.model.lengths import origin_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ class Closure:
         self._held = np.array(self.held, dtype=np.int64)
         layout, turning = system.layout, system.coordinates.turning
         length = loops.characteristic_length(system)
+        self.rounding = 4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / length
         self.unit = np.where(turning, 1.0, length)
         for iv in layout.quaternion_v:
             self.unit[iv : iv + 3] = 1.0
@@ -88,7 +90,7 @@ class Closure:
 
     def tolerance(self, x: Array) -> float:
         """Residual below which the equations hold at `x`: angles of many turns are known less well."""
-        return CLOSED * (1.0 + 0.01 * float(np.abs(x).max(initial=0.0)))
+        return CLOSED * (1.0 + 0.01 * float(np.abs(x).max(initial=0.0))) + self.rounding
 
     def move(self, x: Array, y: Array) -> Array:
         """The point reached from `x` by the tangent vector `y` (n,)."""

@@ -11,9 +11,10 @@ import sys
 
 from kempe.cli import systems  # isort: skip, the commands are listed in this order
 from kempe.cli import loops  # isort: skip
+from kempe.cli import machine  # isort: skip
 from kempe.cli.app import app
 
-__all__ = ["app", "loops", "main", "systems"]
+__all__ = ["app", "loops", "machine", "main", "systems"]
 
 
 def main() -> None:

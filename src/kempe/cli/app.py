@@ -6,6 +6,7 @@ numbers); 2 the question could not be asked (wrong usage, unknown name, a file t
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kempe import __version__
+from kempe.errors import InputError
 from kempe.views.terminal import COMPLETE, Commands, print_json
 
 if TYPE_CHECKING:
@@ -31,11 +33,14 @@ def option(flags: str, help: str, metavar: str | None = None, panel: str | None 
     return typer.Option(*flags.split(","), help=help, metavar=metavar, rich_help_panel=panel)
 
 
+DESCRIBE, OPEN, CLOSED, REST = "Describe and convert", "Positions", "Closed loops", "Models and this machine"
+"""Titles over the commands in the help."""
+
 _READ = "How FILE is read"
 File = Annotated[str, typer.Argument(metavar="FILE", help="URDF or TOML file, or a shipped model's name.")]
 Json = Annotated[bool, option("--json", "Print JSON.")]
 Deg = Annotated[bool, option("--deg", "Angles are degrees, read and printed; lengths stay metres.")]
-Out = Annotated[Path | None, option("--out", "Write the results to a .csv or .npy file.", "FILE")]
+Out = Annotated[Path | None, option("-o,--out", "Write the results to a .csv or .npy file.", "FILE")]
 Base = Annotated[str | None, option("--base", "'free': the root link moves freely (URDF).", "free", _READ)]
 Root = Annotated[str | None, option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)]
 Dirs = Annotated[
@@ -83,7 +88,7 @@ def main_options(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
 ) -> None:
-    """Where every body of a mechanism is, and which configurations reach a pose."""
+    """Kinematics of mechanisms: where bodies are, what reaches a pose, how closed loops move."""
     if version:
         print(f"kempe {__version__}")
     elif context.invoked_subcommand is None:
@@ -93,9 +98,34 @@ def main_options(
     raise typer.Exit(COMPLETE)
 
 
+def writable(path: Path | None) -> None:
+    """Refuse a file that cannot be written, before any work. Errors: `InputError`."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise InputError(f"{path}: this is a folder; name a file in it")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: there is no folder {str(path.parent)!r}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise InputError(f"{path}: it may not be written")
+
+
+def results(path: Path | None) -> None:
+    """Refuse an ending or a place that results cannot be written to, before any work. Errors: `InputError`."""
+    from kempe.views import rows
+
+    rows.output(path)
+    writable(path)
+
+
 def progress(text: str) -> None:
     """Say on standard error how far the work is."""
     print(text, file=sys.stderr, flush=True)
+
+
+def remark(text: str) -> None:
+    """Say something beside the answer, on standard error."""
+    print(f"kempe: {text}", file=sys.stderr, flush=True)
 
 
 def told(out: Path, json: bool) -> None:

@@ -3,30 +3,65 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
+import numpy as np
 import typer
 
-from kempe.cli.app import Base, Deg, Dirs, File, Json, Out, Posture, Root, Values, Xacro, app, load, option, told
+from kempe.cli.app import (
+    CLOSED,
+    Base,
+    Deg,
+    Dirs,
+    File,
+    Json,
+    Out,
+    Posture,
+    Root,
+    Xacro,
+    app,
+    load,
+    option,
+    remark,
+    results,
+    told,
+    writable,
+)
 from kempe.errors import InputError
 from kempe.views.terminal import INCOMPLETE, guarded, print_json, show
 
+if TYPE_CHECKING:
+    from kempe.analysis.path import Path as Motion
+    from kempe.model.system import System
+    from kempe.solvers.assembly import Assembly
+
+PICTURES = (".png", ".svg", ".pdf")
+
 Known = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[NAME=VALUE]...", help="Known coordinates, or frames: point=x,y[,z]."),
+    typer.Argument(
+        metavar="[NAME=VALUE]...",
+        help="Known coordinates; or places of frames: tip=x,y[,z]; or a .csv file whose first line names coordinates.",
+    ),
 ]
-Near = Annotated[
-    str | None, option("--near", "Configuration to start from: a posture, or as --q of fk.", "VALUES or POSTURE")
+At = Annotated[
+    str | None,
+    option("--q", "name=value,... (the loops are closed around these), or all of q as a,b,c.", "VALUES"),
 ]
-Picture = Annotated[Path | None, option("--plot", "Write a picture: .png, .svg or .pdf (needs matplotlib).", "FILE")]
-Frames = Annotated[list[str] | None, option("--frame", "Frame whose curve is wanted; can be repeated.", "NAME")]
+Near = Annotated[str | None, option("--near", "Where the search starts: a posture or values, as --q of fk.", "START")]
+Picture = Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")]
+Curves = Annotated[list[str] | None, option("--frame", "Frame whose curve is wanted; can be repeated.", "NAME")]
+Marks = Annotated[list[str] | None, option("--frame", "Frame to mark; can be repeated.", "NAME")]
+NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 
 
-@app.command()
+@app.command(rich_help_panel=CLOSED)
 @guarded
 def dof(
-    file: File, q: Values = None, posture: Posture = None,
+    file: File, q: At = None, posture: Posture = None,
     actuated: Annotated[
         str | None, option("--actuated", "Driven joints: do they control it? Default: as FILE says.", "A,B,...")
     ] = None,
@@ -39,110 +74,136 @@ def dof(
     Example: kempe dof bennett
     """
     system = load(file, base, root, package_dir, xacro)
-    from kempe.views import rows
+    from kempe.views import given, loop_report
 
-    at = rows.configuration(system, q, posture, deg) if q or posture else None
     driven = None if actuated is None else [a.strip() for a in actuated.split(",") if a.strip()]
+    if driven == []:
+        raise InputError(f"--actuated names no joint; there are: {', '.join(system.joint_names)}")
+    at, closing = given.configuration(system, q, posture, deg)
+    if closing is not None and not closing:
+        _open(closing, deg, json)
     answer = system.mobility(at, driven, local=not fast)
-    print_json(answer.data()) if json else print(answer)
+    print_json(loop_report.mobility_facts(system, answer, deg)) if json else show(loop_report.mobility(answer))
     if not answer.closed:
         raise typer.Exit(INCOMPLETE)
 
 
-@app.command()
+@app.command(rich_help_panel=CLOSED)
 @guarded
 def assemble(
     file: File, known: Known = None, near: Near = None,
-    branch: Annotated[str | None, option("--branch", "A branch by its signs, or a posture.", "+-...")] = None,
+    branch: Annotated[
+        str | None, option("--branch", "A branch by its signs (see --modes), or a posture.", "+-...")
+    ] = None,
     modes: Annotated[bool, option("--modes", "All assembly modes, not only the one near the start.")] = False,
-    plot: Picture = None, out: Out = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
-    package_dir: Dirs = None, xacro: Xacro = False,
+    nearest: Annotated[bool, option("--nearest", "Where freedoms are left: the nearest to the start.")] = False,
+    continuous: Annotated[bool, option("--continuous", "Rows of a file: each starts where the last ended.")] = False,
+    no_limits: NoLimits = False, plot: Picture = None, out: Out = None, deg: Deg = False, json: Json = False,
+    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
 ) -> None:  # fmt: skip
     """Close all loops: known coordinates in, all others out.
 
     Example: kempe assemble four_bar A=30 --deg
     """
+    if modes and (branch is not None or nearest or continuous):
+        raise InputError("--modes gives all branches: leave --branch, --nearest and --continuous out")
     system = load(file, base, root, package_dir, xacro)
-    from kempe.views import loop_report, rows
+    from kempe.views import given, loop_report
 
-    rows.output(out)
+    results(out)
     _picture(plot)
-    given = loop_report.known(system, known or [], deg)
-    start = loop_report.start(system, near, deg)
+    values = given.known(system, known or [], deg)
+    start = given.start(system, near, deg)
+    answer: Any
     if modes:
-        if branch is not None:
-            raise InputError("--modes gives all branches: leave --branch out")
-        answer: Any = system.assembly_modes(given, start)
+        answer = system.assembly_modes(values, start, limits=not no_limits)
     else:
-        answer = system.assemble(given, start, branch=branch)
-    if plot is not None:
-        _save(system.plot(answer.q[0] if modes and len(answer) else None if modes else answer.q), plot)
-    if out is not None:
-        rows.write_configurations(out, system, answer.q, deg)
+        answer = system.assemble(
+            values, start, branch=given.branch(system, values, branch), nearest=nearest, continuous=continuous,
+            limits=not no_limits,
+        )  # fmt: skip
+        if plot is not None and np.ndim(answer.success):
+            raise InputError(f"{plot}: one configuration is drawn, and the file of known values has several")
+    written = []
+    if plot is not None and np.size(answer.q):
+        _save(system.plot(answer.q[0] if modes else answer.q), plot)
+        written.append(plot)
+    if out is not None and (answer or np.any(getattr(answer, "success", False))):
+        from kempe.views import rows
+
+        rows.write_configurations(out, system, answer.q if modes else loop_report.closed_only(answer), deg)
+        written.append(out)
     if json:
-        print_json(loop_report.modes_facts(answer, deg) if modes else loop_report.assembly_facts(answer, deg))
+        data = loop_report.modes_facts(answer, deg) if modes else loop_report.assembly_facts(answer, deg)
+        _say(data, None, written)
     else:
-        show(loop_report.modes(answer, deg) if modes else loop_report.assembly(answer, deg))
-        for written in (out, plot):
-            if written is not None:
-                told(written, json)
+        _say(None, loop_report.modes(answer, deg) if modes else loop_report.assembly(answer, deg, values), written)
+    _not_written(out, written)
     if not answer:
         raise typer.Exit(INCOMPLETE)
 
 
-@app.command()
+@app.command(rich_help_panel=CLOSED)
 @guarded
 def trace(
     file: File,
     driver: Annotated[str | None, option("--driver", "Coordinate that counts as the input.", "NAME")] = None,
-    frame: Frames = None, start: Near = None,
+    frame: Curves = None,
+    start: Annotated[
+        str | None, option("--start,--near", "Where it starts: a posture, name=value,... or all of q.", "START")
+    ] = None,
     hold: Annotated[list[str] | None, option("--hold", "Hold a coordinate; can be repeated.", "NAME=VALUE")] = None,
     branches: Annotated[bool, option("--branches", "Trace the branches met at bifurcations, too.")] = False,
-    points: Annotated[int | None, option("--points", "Write this many points at equal distances.", "N")] = None,
-    no_limits: Annotated[bool, option("--no-limits", "Leave joint limits out.")] = False,
-    out: Annotated[
-        Path | None, option("-o,--out", "Write arc length, coordinates and frames to a .csv or .npy file.", "FILE")
+    points: Annotated[
+        int | None, option("--points", "Write this many points, at equal distances of arc length.", "N")
     ] = None,
-    plot: Picture = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
-    package_dir: Dirs = None, xacro: Xacro = False,
+    no_limits: NoLimits = False, out: Out = None, plot: Picture = None, deg: Deg = False, json: Json = False,
+    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
 ) -> None:  # fmt: skip
     """Follow a mechanism with one freedom through its whole motion.
 
+    Files get arc length, all coordinates, and x, y (and z) of the frames. Ctrl-C ends it with what was done.
+
     Example: kempe trace jansen --driver O --frame foot -o foot.csv --plot foot.png
     """
+    if points is not None and points < 2:
+        raise InputError(f"--points is {points}; it must be at least 2")
     system = load(file, base, root, package_dir, xacro)
-    from kempe.views import loop_report, rows
+    from kempe.views import given, loop_report
 
-    rows.output(out)
+    results(out)
     _picture(plot)
     names = [system.frame_name(f) for f in frame or ()]
-    held = loop_report.known(system, hold or [], deg)
+    held = given.known(system, hold or [], deg, frames=False)
+    begin, closing = given.first(system, start, held, deg)
+    if closing is not None and not closing:
+        _open(closing, deg, json)
     with loop_report.progress(sys.stderr) as said:
         path = system.trace(
-            driver, loop_report.start(system, start, deg), frames=names, hold=held, switch=branches,
-            limits=not no_limits, progress=said,
+            driver, begin, frames=names, hold=held, switch=branches, limits=not no_limits, progress=said
         )  # fmt: skip
-    shown = path if points is None or len(path) < 2 else path.resample(points)
-    if out is not None:
-        loop_report.write_path(out, shown, deg)
+    shown = path if points is None else _resampled(path, points)
+    written = []
+    if out is not None and (path or path.interrupted):
+        loop_report.write_path(out, shown, deg, branches)
+        written.append(out)
     if plot is not None:
-        _save(system.plot(path=shown, frames=names, ghosts=0 if names else 5), plot)
+        _save(_drawing(system, shown, names), plot)
+        written.append(plot)
     if json:
-        print_json(loop_report.path_facts(path, deg))
+        _say(loop_report.path_facts(shown, deg), None, written)
     else:
-        show(loop_report.path(path, deg))
-        for written in (out, plot):
-            if written is not None:
-                told(written, json)
+        _say(None, loop_report.path(path, deg), written)
+    _not_written(out, written)
     if not path or path.interrupted:
         raise typer.Exit(INCOMPLETE)
 
 
-@app.command()
+@app.command(rich_help_panel=CLOSED)
 @guarded
 def plot(
     file: File, out: Annotated[Path, typer.Argument(metavar="OUT", help="Picture to write: .png, .svg or .pdf.")],
-    q: Values = None, posture: Posture = None, frame: Frames = None, deg: Deg = False, json: Json = False,
+    q: At = None, posture: Posture = None, frame: Marks = None, deg: Deg = False, json: Json = False,
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
 ) -> None:  # fmt: skip
     """Draw a system at a configuration.
@@ -150,19 +211,69 @@ def plot(
     Example: kempe plot peaucellier peaucellier.png
     """
     system = load(file, base, root, package_dir, xacro)
-    from kempe.views import rows
+    from kempe.views import given
 
+    names = [system.frame_name(f) for f in frame or ()]
     _picture(out)
-    at = rows.configuration(system, q, posture, deg) if q or posture else None
-    _save(system.plot(at, frames=frame or ()), out)
+    at, closing = given.configuration(system, q, posture, deg)
+    _save(system.plot(at, frames=names), out)
     told(out, json)
+    if closing is not None and not closing:
+        remark(str(closing.status))
+        raise typer.Exit(INCOMPLETE)
+
+
+# ---- pictures, and what is said
+
+
+def _open(closing: Assembly, deg: bool, json: bool) -> NoReturn:
+    """Say that the loops do not close with what is given, and end the command."""
+    from kempe.views import loop_report
+
+    print_json(loop_report.assembly_facts(closing, deg)) if json else show(loop_report.assembly(closing, deg))
+    raise typer.Exit(INCOMPLETE)
 
 
 def _picture(path: Path | None) -> None:
-    """Refuse an ending that no picture has, before any work."""
-    if path is not None and path.suffix.lower() not in (".png", ".svg", ".pdf"):
+    """Refuse a picture that cannot be written, before any work."""
+    if path is None:
+        return
+    if path.suffix.lower() not in PICTURES:
         raise InputError(f"{path}: pictures are .png, .svg or .pdf files")
+    writable(path)
+    import kempe.views.drawing  # noqa: F401  it refuses where matplotlib is missing
 
 
 def _save(axes: Any, path: Path) -> None:
     axes.figure.savefig(path, dpi=200, bbox_inches="tight")
+
+
+def _resampled(path: Motion, points: int) -> Motion:
+    """The path and its other branches, with points at equal distances."""
+    if len(path) < 2:
+        return path
+    return replace(path.resample(points), others=tuple(_resampled(other, points) for other in path.others))
+
+
+def _drawing(system: System, path: Motion, names: list[str]) -> Any:
+    """The drawing of a path, with the curves of its other branches: a row of NaN lifts the pen between them."""
+    gap = np.full((1, system.nq), np.nan)
+    parts = [path.q, *(part for other in path.others for part in (gap, other.q))]
+    all_of_it = SimpleNamespace(q=np.vstack(parts), driver=path.driver, frames=path.frames)
+    return system.plot(path=all_of_it, frames=names, ghosts=0 if names or len(path) < 2 else 5)
+
+
+def _say(data: dict[str, Any] | None, report: Any, written: list[Path]) -> None:
+    """Print an answer, as data or else as a report, and which files were written."""
+    if data is not None:
+        print_json({**data, "written": [str(path) for path in written]})
+        return
+    show(report)
+    for path in written:
+        told(path, False)
+
+
+def _not_written(out: Path | None, written: list[Path]) -> None:
+    """Say of a file that was asked for why there is none."""
+    if out is not None and out not in written:
+        remark(f"{out} is not written: nothing is closed")

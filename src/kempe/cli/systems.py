@@ -1,14 +1,15 @@
-"""Commands that describe systems and solve open chains; each is a few lines over the library."""
+"""Commands that describe systems and find positions; each is a few lines over the library."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from kempe.cli.app import (
+    DESCRIBE,
+    OPEN,
     Base,
     Deg,
     Dirs,
@@ -28,9 +29,9 @@ from kempe.cli.app import (
     Xacro,
     app,
     load,
-    option,
-    progress,
     reading,
+    remark,
+    results,
     told,
 )
 from kempe.errors import InputError
@@ -39,7 +40,7 @@ from kempe.views.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
 # ---- describe
 
 
-@app.command()
+@app.command(rich_help_panel=DESCRIBE)
 @guarded
 def info(
     file: File, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
@@ -58,7 +59,7 @@ def info(
         show(report.info(system, deg))
 
 
-@app.command()
+@app.command(rich_help_panel=DESCRIBE)
 @guarded
 def check(
     files: Annotated[list[str], typer.Argument(metavar="FILE...", help="URDF or TOML files.")],
@@ -71,10 +72,10 @@ def check(
     from kempe.description.read import check as check_
     from kempe.views import facts, report
 
-    results: list[dict[str, Any]] = []
+    found: list[dict[str, Any]] = []
     for file in files:
         problems, notes = check_(file, **reading(base, root, package_dir, xacro))
-        results.append(
+        found.append(
             {
                 "file": file,
                 "ok": not problems,
@@ -85,14 +86,14 @@ def check(
         if not json:
             show(report.findings(file, problems, notes))
     if json:
-        print_json(results)
-    elif len(results) > 1:
-        bad = sum(not r["ok"] for r in results)
-        print(f"{len(results)} files: {len(results) - bad} good, {bad} with problems")
-    raise typer.Exit(COMPLETE if all(r["ok"] for r in results) else INCOMPLETE)
+        print_json(found)
+    elif len(found) > 1:
+        bad = sum(not r["ok"] for r in found)
+        print(f"{len(found)} files: {len(found) - bad} good, {bad} with problems")
+    raise typer.Exit(COMPLETE if all(r["ok"] for r in found) else INCOMPLETE)
 
 
-@app.command()
+@app.command(rich_help_panel=DESCRIBE)
 @guarded
 def convert(
     file: File, out: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .toml or .urdf.")],
@@ -121,7 +122,7 @@ def convert(
 # ---- forward and inverse
 
 
-@app.command()
+@app.command(rich_help_panel=OPEN)
 @guarded
 def fk(
     file: File,
@@ -137,7 +138,7 @@ def fk(
 
     if frame is not None:
         system.frame_name(frame)  # a wrong name is told before kernels are compiled
-    rows.output(out)
+    results(out)
     values = rows.configuration(system, q, posture, deg)
     X = system.fk(values, frame)
     if out is not None:
@@ -149,11 +150,15 @@ def fk(
         show(report.poses(system, frame, X, deg))
     bad = rows.not_finite(values)
     if bad:
-        print(f"kempe: q is not finite in {report.rows_text(bad)}; poses there are NaN", file=sys.stderr)
+        remark(f"q is not finite in {report.rows_text(bad)}; poses there are NaN")
+    gap = facts.largest_gap(system, values)
+    if gap:
+        remark(f"loops are open here, {gap}: kempe assemble closes them")
+    if bad:
         raise typer.Exit(INCOMPLETE)
 
 
-@app.command()
+@app.command(rich_help_panel=OPEN)
 @guarded
 def ik(
     file: File, frame: Frame, target: Target, position_only: PositionOnly = False, seed: Seed = None,
@@ -168,7 +173,7 @@ def ik(
     from kempe.views import facts, report, rows
 
     system.frame_name(frame)  # a wrong name is told before kernels are compiled
-    rows.output(out)
+    results(out)
     X, position = rows.target(system, target, deg)
     start = None if seed is None else rows.configuration(system, seed, None, deg)
     answer = system.ik(
@@ -189,71 +194,3 @@ def ik(
             told(out, json)
     if not answer:
         raise typer.Exit(INCOMPLETE)
-
-
-# ---- the library of models, and the machine
-
-
-@app.command()
-@guarded
-def library(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Print this model's TOML.")] = None,
-    json: Json = False,
-) -> None:
-    """List the shipped models, or print one as TOML.
-
-    Example: kempe library puma560
-    """
-    from kempe.views import facts, report
-
-    if name is not None:
-        text = facts.model_text(name)
-        print_json({"name": name, "toml": text}) if json else print(text, end="")
-        return
-    found = facts.models()
-    if json:
-        print_json([{"name": n, "description": d} for n, d in found.items()])
-    else:
-        show(report.table(("model", "what it is"), found.items()))
-
-
-@app.command()
-@guarded
-def bench(
-    only: Annotated[list[str] | None, option("--only", "A section to run; can be repeated.", "SECTION")] = None,
-    peer: Annotated[list[str] | None, option("--peer", "A library to compare with; can be repeated.", "NAME")] = None,
-    out: Annotated[
-        Path | None, option("--out", "Write the tables to a Markdown file, section by section.", "FILE")
-    ] = None,
-    json: Json = False,
-) -> None:
-    """Measure Kempe beside the other libraries installed (minutes).
-
-    Example: kempe bench --only batch --only inverse --out results.md
-    """
-    from kempe.views import benchmark, report
-
-    tables: list[benchmark.Table] = []
-    for table in benchmark.benchmark(only, peer, progress):
-        tables.append(table)
-        if out is not None:
-            out.write_text(benchmark.page(tables, peer), encoding="utf-8")
-        if not json:
-            show(report.measured(table))
-    if json:
-        print_json({"machine": benchmark.peers.machine(), "tables": [t.data() for t in tables]})
-
-
-@app.command()
-@guarded
-def warmup(json: Json = False) -> None:
-    """Compile all kernels now, so that no later call has to wait."""
-    import kempe
-
-    seconds = kempe.warmup()
-    if json:
-        print_json({"seconds": seconds})
-    else:
-        print(f"all kernels are ready ({seconds:.1f} s)")
-
-

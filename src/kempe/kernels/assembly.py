@@ -112,6 +112,17 @@ def move(loops, step, y, target, with_target):
 
 
 @routine
+def damped_step(loops, work, damping):
+    """Size of the step -J^T (J J^T + damping I)^-1 phi, which is taken; for the equations written last."""
+    mark(loops, work.step)
+    normal(loops, work.step, damping, work.a, work.column)
+    factor(loops, work.a, LEAST)
+    copy(work.y, loops.error, 0, loops.plan[L.N_ROWS])
+    solve(loops, work.a, work.y)
+    return move(loops, work.step, work.y, work.step, False)
+
+
+@routine
 def close(loops, work, limit, accepted, kept):
     """Least square of the residual reached from q, and steps taken; `kept` is where."""
     best, before, steps = np.inf, np.inf, 0
@@ -127,12 +138,7 @@ def close(loops, work, limit, accepted, kept):
             break
         before = square
         damping = min(DAMPING * square / m, MOST_DAMPING) + LEAST
-        mark(loops, work.step)
-        normal(loops, work.step, damping, work.a, work.column)
-        factor(loops, work.a, LEAST)
-        copy(work.y, loops.error, 0, m)
-        solve(loops, work.a, work.y)
-        size = move(loops, work.step, work.y, work.step, False)
+        size = damped_step(loops, work, damping)
         steps += 1
         if size < 1e-15:
             break
@@ -145,16 +151,10 @@ def settle(loops, work, limit, kept):
 
     Damped steps that are taken back where they lead up (Levenberg, 1944; Marquardt, 1963).
     """
-    m = loops.plan[L.N_ROWS]
     copy(kept, loops.q, 0, loops.nq)
     best, damping, steps = evaluate(loops, True), 1.0, 0
     while steps < limit and damping < 1e12:
-        mark(loops, work.step)
-        normal(loops, work.step, damping, work.a, work.column)
-        factor(loops, work.a, LEAST)
-        copy(work.y, loops.error, 0, m)
-        solve(loops, work.a, work.y)
-        size = move(loops, work.step, work.y, work.step, False)
+        size = damped_step(loops, work, damping)
         steps += 1
         square = evaluate(loops, True)
         if square < best:

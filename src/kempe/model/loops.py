@@ -21,6 +21,7 @@ from kempe.joints import P, Q, R
 from kempe.kernels import loop_layout as L
 from kempe.kernels.layout import HEADER, OUTPUT_INTS, ROW_INTS
 from kempe.model.coordinates import Relation, coordinate_names, returning
+from kempe.model.lengths import characteristic_length, moved, origin_of
 from kempe.model.table import Table, lower
 
 if TYPE_CHECKING:
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 MASKS = {"": 0, "z": 4, "xy": 3, "y": 2, "xyz": 7}
 TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FULL}
 TURN_NAMES = {L.NO_TURN: (), L.ANGLE: ("rz",), L.ALIGN: ("rx", "ry"), L.CROSS: ("x.y",), L.FULL: ("rx", "ry", "rz")}
-NOTHING = 1e-12
-"""Lengths, in metres, that are nobody's link."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,20 +69,14 @@ class Loops:
     unknown: np.ndarray
     """Velocity coordinates (k,) that are solved for."""
     length: float
-
-
-def characteristic_length(system: System) -> float:
-    """A typical length of a link in metres: the mean distance of frames from the joint before them; 1 if all is 0."""
-    table = system.table
-    found = np.linalg.norm(table.placement[..., :3, 3], axis=-1).ravel().tolist()
-    found += [float(np.linalg.norm(np.asarray(X)[..., :3, 3], axis=-1).max()) for _, X, _ in table.at.values()]
-    real = [x for x in found if x > NOTHING]
-    return float(np.mean(real)) if real else 1.0
+    origin: np.ndarray
+    """Where (3,) the origin of the table is in the ground: pins are placed from there."""
 
 
 def must_carry(system: System, known: Iterable[str] = ()) -> frozenset[str]:
     """The joints left out of the tree whose coordinates must be unknowns: screws, known, limited or coupled ones."""
     related = {n for r in system.relations for n in (r.of, *r.sources)} | set(known)
+    related |= {f.source for f in system.couplings.values() if f.source is not None}  # others move with them
     v_index = {n: i for i, n in enumerate(system.velocity_names)}
     limited = np.isfinite(system.lower) | np.isfinite(system.upper)
     out = set()
@@ -120,8 +113,10 @@ def _pack(
     table = lower(
         mechanism, system.topology, system.coordinates, mechanism.parameters, {n: n in carried for n in system.closures}
     )
+    size, origin = characteristic_length(system) if length is None else length, origin_of(system)
+    if origin.any():
+        table = moved(table, -origin)
     ties = _in_order([t for t in _ties(system, table, carried, pins) if t.rows or t.joint], table)
-    size = characteristic_length(system) if length is None else length
     at = dict(table.at)
     for k, tie in enumerate(ties):
         at["tie", k, 0], at["tie", k, 1] = tie.a, tie.b
@@ -130,7 +125,7 @@ def _pack(
     plan, weights = _Plan(system, ties, ints, held, size, length is None).arrays()
     names = tuple((t.name, row) for t in ties for row in t.rows)
     unknown = np.array([i for i, n in enumerate(system.velocity_names) if n not in held], dtype=np.int64)
-    return Loops(tuple(ties), names, ints, floats, plan, weights, unknown, size)
+    return Loops(tuple(ties), names, ints, floats, plan, weights, unknown, size, origin)
 
 
 # ---- what is tied

@@ -233,6 +233,18 @@ class System(Compiled):
 
         return loop_jacobian(self, q, inputs, outputs, **options)
 
+    def mechanical_advantage(self, q: Any, input: str, output: str, **options: Any) -> Any:
+        """Force at the output per force at the input, at closed q (..., nq); see `kempe.analysis.transmission`."""
+        from kempe.analysis.transmission import mechanical_advantage
+
+        return mechanical_advantage(self, q, input, output, **options)
+
+    def transmission_angle(self, q: Any, joint: str, **options: Any) -> Any:
+        """Angle (...) between coupler and output link at their joint; see `kempe.analysis.transmission`."""
+        from kempe.analysis.transmission import transmission_angle
+
+        return transmission_angle(self, q, joint, **options)
+
     def plot(self, q: Any = None, **options: Any) -> Axes:
         """Matplotlib axes with a drawing of the system; see `kempe.views.plots.plot`."""
         from kempe.views.plots import plot

@@ -32,6 +32,8 @@ STEPS = 60
 """Steps of a start; 3 to 6 are usual, at singular positions up to 50."""
 TOLERANCE = 1e-10
 """Largest norm of the closure equations of a success, in radians and characteristic lengths; 1e-15 is usual."""
+LOOSEST = 1e-3
+"""The largest tolerance that can be asked for: above it, an open loop would be called closed."""
 NEAREST_STEPS = 50
 """Steps at most towards the closed configuration nearest to the start."""
 CHUNK, SERIAL_BELOW = 64, 2048
@@ -50,6 +52,7 @@ class Assembler:
 
     def __init__(self, system: System, known: Iterable[str] = ()):
         self.system, self.known = system, tuple(known)
+        self.names = set(self.known)
         coordinates = [k for k in self.known if k not in system.frame_names or k in system.coordinate_names]
         self.frames = tuple(k for k in self.known if k not in coordinates)
         self._places(coordinates)
@@ -133,6 +136,14 @@ class Assembler:
                 tries, STEPS, tolerance, nearest, rng, i, follow, q[i:j], residual[i:j], info[i:j],
             )  # fmt: skip
 
+        if follow:
+            sound = np.isfinite(starts).all(axis=-1) & np.isfinite(pins).all(axis=-1)
+            if not sound.all():  # the others follow as if these rows were not there
+                q[:], residual[:], info[:] = np.nan, np.nan, (BAD_INPUT, 0, 0)
+                inner = self.run(starts[sound], pins[sound] if len(pins) > 1 else pins, tries, nearest, rng, threads,
+                                 limits, tolerance, True, loops)  # fmt: skip
+                q[sound], residual[sound], info[sound] = inner
+                return q, residual, info
         if n <= CHUNK or follow:
             work(0, n)
         else:
@@ -146,6 +157,11 @@ class Assembler:
     ) -> Assembly:  # fmt: skip
         """As `assemble`, with `values` (..., k) of the known coordinates in their order, or a dict with all of them."""
         given = values if isinstance(values, Mapping) else self._by_name(values)
+        if given.keys() != self.names:
+            said = ", ".join(map(repr, given)) or "nothing"
+            raise InputError(f"values are given for {said}; needed are {self.known}")
+        if not (isinstance(tolerance, (int, float)) and 0.0 < tolerance <= LOOSEST):
+            raise InputError(f"tolerance is {tolerance!r}; it must be above 0 and at most {LOOSEST}")
         base, lead = self._single(given, near), ()
         if base is None:
             base, lead = self._starts(given, near)
@@ -268,8 +284,7 @@ class Assembler:
             else:
                 size = place.shape[-1]
                 pins[:, k, :size, 3] = np.broadcast_to(place, (*lead, size)).reshape(n, size)
-        if not np.isfinite(pins).all():
-            raise InputError("the place of a frame is not finite")
+        pins[..., 3] -= self.loops.origin
         return pins.reshape(n, 12 * len(self.frames))
 
     def _outside(self, starts: Array) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,8 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
+MOST_TURNS = 100
+"""Most turns of a source after which those that are geared to it must be back, to count as periodic."""
 INSIDE = 1e-9
 """How far a coordinate may be outside its limits: rounding."""
 
@@ -23,29 +26,31 @@ INSIDE = 1e-9
 class Metric:
     """Distances between configurations of a system.
 
-    `scale` (nv,) are the metres, or radians, that count as one. `periodic` (nv,) are the angles for which a full turn
-    leaves every body where it is; limits do not matter.
+    `scale` (nv,) are the metres, or radians, that count as one. `period` (nv,) are the angles after which every body is
+    where it was, 0 for coordinates that have none; limits do not matter.
     """
 
     def __init__(self, system: System):
         self.system, self.length = system, characteristic_length(system)
         self.scale = np.where(system.coordinates.turning, 1.0, self.length)
         self.scale[(system.layout.quaternion_v[:, None] + np.arange(3)).ravel()] = 1.0
-        self.periodic = _periodic(system)
+        self.period = _periods(system)
 
     def distances(self, q: Array, to: Array) -> Array:
         """Largest difference (...) in any coordinate, in radians and characteristic lengths."""
         v = self.system.layout.difference(to, q)
-        v[..., self.periodic] -= 2.0 * math.pi * np.round(v[..., self.periodic] / (2.0 * math.pi))
+        back = self.period > 0.0
+        v[..., back] -= self.period[back] * np.round(v[..., back] / self.period[back])
         return np.abs(v / self.scale).max(axis=-1, initial=0.0)
 
     def representatives(self, q: Array, near: Array | None) -> Array:
         """The configurations (n, nq), each angle turned to be nearest to `near`, or to zero, and inside its limits."""
-        system, turn = self.system, 2.0 * math.pi
+        system = self.system
         low, high = np.maximum(system.lower, -1e300), np.minimum(system.upper, 1e300)
         q = np.array(q)
         for iq, iv in zip(system.layout.vector_q.tolist(), system.layout.vector_v.tolist(), strict=True):
-            if not self.periodic[iv]:
+            turn = float(self.period[iv])
+            if not turn:
                 continue
             target = 0.0 if near is None else near[iq]
             x = q[:, iq] + turn * np.round((target - q[:, iq]) / turn)
@@ -55,9 +60,12 @@ class Metric:
         return q
 
 
-def _periodic(system: System) -> np.ndarray:
-    """Which velocity coordinates (nv,) are angles whose followers, too, return after a full turn."""
-    turning = system.coordinates.turning.copy()
+def _periods(system: System) -> Array:
+    """For each velocity coordinate (nv,) the turn after which everything is as before; 0 where there is none.
+
+    A gear p / q brings its follower back only after q turns of its source.
+    """
+    turns = np.where(system.coordinates.turning, 1, 0)
     number = {name: i for i, name in enumerate(system.velocity_names)}
     mechanism, followers = system.mechanism, system.couplings
     for joint in mechanism.joints.values():
@@ -65,11 +73,13 @@ def _periodic(system: System) -> np.ndarray:
         for p in joint.type.layout(system.dim, mechanism.bodies[joint.child].particle)[1]:
             follower = followers.get(names[p.coordinate])
             if follower is not None and follower.source is not None:
-                turning[number[follower.source]] &= p.kind == R and float(follower.multiplier).is_integer()
+                ratio, i = Fraction(follower.multiplier).limit_denominator(MOST_TURNS), number[follower.source]
+                again = p.kind == R and abs(float(ratio) - follower.multiplier) < 1e-12
+                turns[i] = math.lcm(int(turns[i]), ratio.denominator) if again else 0
     for relation in system.relations:
         for name in (relation.of, *relation.sources):
-            turning[number[name]] = False
-    return turning
+            turns[number[name]] = 0
+    return 2.0 * math.pi * np.where(turns <= MOST_TURNS, turns, 0)
 
 
 class Clusters:

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
-from kempe.solvers.assembly import FEW, Assembler, freedoms_left
-from kempe.solvers.home import home_of
+from kempe.solvers.assembly import Assembler, assembler, freedoms_left
 from kempe.spatial import Array
 
 
@@ -46,17 +45,26 @@ def _outside(bound: Assembler, q: Array) -> str:
 
 
 def _open(bound: Assembler, q: Array) -> str:
-    """The loop that is open most, in metres and radians."""
-    system = bound.system
-    worst, text = -1.0, "a place of a frame or a declared constraint is missed"
-    error = system.closure_error(q)
-    for name, e in zip(system.closures, error, strict=True):
-        apart, turned = float(np.linalg.norm(e[:3])), float(np.linalg.norm(e[3:]))
-        size = math.hypot(apart / bound.loops.length, turned)
-        if size > worst and size > 1e-9:
-            worst = size
-            text = f"the loop of joint {name!r} stays open by {apart:.6g} m"
-            text += f" and {turned:.3g} rad" if turned > 1e-9 else ""
+    """What is violated most, in metres and radians."""
+    from kempe.kinematics.loops import residual, row_names
+
+    system, length = bound.system, bound.loops.length
+    parts: dict[tuple[str, bool], list[float]] = {}
+    for (name, row), value in zip(row_names(system), residual(system, q).tolist(), strict=True):
+        part = parts.setdefault((name, row == "relation"), [0.0, 0.0])
+        kind = int(row.startswith("r"))
+        part[kind] = math.hypot(part[kind], value)
+    worst, text = 1e-14, f"a place of {', '.join(map(repr, bound.frames))} is missed"
+    for (name, related), (apart, turned) in parts.items():
+        size = math.hypot(apart / length, turned)
+        if size <= worst:
+            continue
+        worst = size
+        if related:
+            text = f"the relation of {name!r} is off by {turned:.6g}"
+            continue
+        text = f"the loop of joint {name!r}" if name in system.joints else f"constraint {name!r}"
+        text += f" stays open by {apart:.6g} m" + (f" and {turned:.3g} rad" if turned > 1e-9 else "")
     return text
 
 
@@ -77,11 +85,7 @@ def _limits(bound: Assembler, q: Array) -> str:
 
 def _too_many(bound: Assembler) -> str:
     """Whether more is given than the system has freedoms where it is closed."""
-    system = bound.system
-    home = home_of(system)
-    if not bound.held or len(bound.loops.names) > FEW or np.abs(system.closure_error(home)).max(initial=0.0) > 1e-9:
-        return ""
-    freedoms = freedoms_left(system, home)
-    if len(bound.held) <= freedoms:
+    freedoms = assembler(bound.system).freedoms
+    if not bound.held or not 0 <= freedoms < len(bound.held):
         return ""
     return f"{len(bound.held)} coordinates are given, but it has {_count(freedoms, 'freedom')}"

@@ -233,11 +233,13 @@ def by_starts(question: Question) -> Modes:
 
 
 def _scattered(question: Question, metric: Metric, n: int) -> Array:
-    """Starts (n, nq) all over the limits, lengths without limits up to two characteristic ones."""
+    """Starts (n, nq) all over the limits, angles over their period, free lengths up to two characteristic ones."""
     system, q = question.system, random(question.system, question.rng, n)
     endless = ~np.isfinite(system.limits).all(axis=-1) & ~system.coordinates.turning
     slides = endless[system.layout.vector_v]
     q[:, system.layout.vector_q[slides]] *= 2.0 * metric.length
+    geared = (metric.period > 6.3) & np.isinf(system.limits).all(axis=-1)
+    q[:, system.layout.vector_q[geared[system.layout.vector_v]]] *= metric.period[geared] / (2.0 * np.pi)
     return q
 
 

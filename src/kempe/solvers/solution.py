@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.solvers.answer import Answer
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.model.system import System
     from kempe.solvers.inverse import Task
 
 SOLVED, NOT_FOUND, BAD_INPUT, OUT_OF_REACH = 0, 1, 2, 3
@@ -18,7 +19,7 @@ SOLVED, NOT_FOUND, BAD_INPUT, OUT_OF_REACH = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(Answer):
     """Answer of the inverse model: one configuration for each target.
 
     `q` (..., nq) solves the task where `success`; elsewhere it is the nearest configuration found inside the limits
@@ -26,6 +27,8 @@ class Solution:
     position targets) are measured by a forward pass; `residual` is the norm of both. `iterations` and `starts` count
     the work. All have the leading shape of the targets; for a single target they are plain Python numbers.
     """
+
+    what = "targets reached"
 
     q: Array
     success: Any
@@ -42,38 +45,13 @@ class Solution:
         r = np.hypot(self.position_error, self.orientation_error)
         return float(r) if np.ndim(r) == 0 else r
 
-    @cached_property
-    def status(self) -> Any:
-        """The sentence for a single target; an array of sentences for a batch. Made when asked for."""
+    @property
+    def system(self) -> System:
+        """The system that was asked."""
+        return self.task.system
+
+    def sentence(self, index: tuple[int, ...]) -> str:
+        """The sentence for one configuration."""
         from kempe.solvers.explain import sentence
 
-        if np.ndim(self.success) == 0:
-            return sentence(self, ())
-        out = np.empty(np.shape(self.success), dtype=object)
-        for index in np.ndindex(out.shape):
-            out[index] = sentence(self, index)
-        return out
-
-    def __bool__(self) -> bool:
-        return bool(np.all(self.success))
-
-    def __len__(self) -> int:
-        return len(self.success)
-
-    def __str__(self) -> str:
-        if np.ndim(self.success):
-            return f"{int(np.sum(self.success))} of {np.size(self.success)} targets reached"
-        lines = [self.status]
-        lines += [f"  {name} = {x:.9g}" for name, x in zip(self.task.system.coordinate_names, self.q, strict=True)]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        if np.ndim(self.success):
-            return f"<p>{escape(str(self))}</p>"
-        rows = "".join(
-            f"<tr><td>{escape(n)}</td><td>{x:.9g}</td></tr>"
-            for n, x in zip(self.task.system.coordinate_names, self.q, strict=True)
-        )
-        return f"<p>{escape(self.status)}</p><table>{rows}</table>"
+        return sentence(self, index)

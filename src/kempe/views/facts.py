@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import library, spatial
-from kempe.description.parts import Joint
+from kempe.description.checks import constraint_length
+from kempe.description.parts import Constraint, Joint
 from kempe.errors import DescriptionError, KempeError, Problem
 from kempe.joints import Q, R
 from kempe.model.coordinates import Follower, relation_text
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from kempe.solvers.solution import Solution
 
 DEGREE = math.pi / 180.0
+CLOSED = 1e-5
+"""Metres and radians that a loop may be open by before it is mentioned: numbers with six decimals count as closed."""
 _NUMBERS = re.compile(r"\[\n\s+(?:[-+.\deE]+|null)(?:,\n\s+(?:[-+.\deE]+|null))*\n\s+\]")
 
 
@@ -68,6 +71,7 @@ def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
         "frames": [{"name": f.name, "body": f.body} for f in system.frames.values()],
         "couplings": [_coupling(of, f) for of, f in system.couplings.items()],
         "relations": [relation_text(r) for r in system.relations],
+        "constraints": [_constraint(system, c) for c in system.mechanism.constraints.values()],
         "postures": list(system.posture_names),
         "parameters": system.parameters,
         "notes": list(system.notes),
@@ -115,6 +119,36 @@ def coordinates(system: System, degrees: bool = False) -> list[dict[str, Any]]:
 
 def _coupling(of: str, follower: Follower) -> dict[str, Any]:
     return {"of": of, "source": follower.source, "multiplier": follower.multiplier, "offset": follower.offset}
+
+
+def _constraint(system: System, c: Constraint) -> dict[str, Any]:
+    """A declared constraint; its equations are those that its kind takes away, one of a line less in the plane."""
+    length = None if c.length is None else constraint_length(c, system.parameters)
+    equations = 2 if c.kind == "point_on_line" and system.dim == 3 else 1
+    return {
+        "name": c.name, "type": c.kind, "parent": c.parent, "child": c.child, "length": length, "equations": equations,
+    }  # fmt: skip
+
+
+def has_loops(system: System) -> bool:
+    """Whether anything ties the coordinates: loops, declared constraints or relations of several coordinates."""
+    return bool(system.closures or system.relations or system.mechanism.constraints)
+
+
+def largest_gap(system: System, q: Any) -> str:
+    """What is open most at q, and by how much: "'C' is open by 0.3 m"; '' where everything is closed."""
+    if not has_loops(system):
+        return ""
+    from kempe.kinematics import loops
+
+    error = np.abs(loops.residual(system, q)).reshape(-1, len(loops.row_names(system)))
+    error = np.where(np.isfinite(error), error, 0.0).max(axis=0, initial=0.0)
+    worst = int(np.argmax(error))
+    if error[worst] <= CLOSED:
+        return ""
+    name, row = loops.row_names(system)[worst]
+    unit = " rad" if row.startswith("r") else " m" if row in ("x", "y", "z", "distance") else ""
+    return f"{name!r} is open by {error[worst]:.3g}{unit}"
 
 
 def pose_rows(X: spatial.Array, degrees: bool = False) -> spatial.Array:
@@ -211,6 +245,10 @@ def json_text(data: Any, ascii_only: bool = False) -> str:
 
 def jsonable(values: Any) -> Any:
     """Arrays as nested lists of numbers, None in place of NaN and infinities, which JSON does not have."""
+    if isinstance(values, dict):
+        return {key: jsonable(value) for key, value in values.items()}
+    if isinstance(values, np.generic):
+        return jsonable(values.item())
     if isinstance(values, np.ndarray):
         return jsonable(values.tolist())
     if isinstance(values, (list, tuple)):

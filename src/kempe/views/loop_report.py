@@ -1,62 +1,32 @@
-"""Assemblies, modes and motions for people and for programs: known values read, answers as tables and as JSON data."""
+"""Freedoms, assemblies, modes and motions for people and for programs: answers as tables and data."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator
+import math
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 from rich.console import Group, RenderableType
+from rich.table import Table
 from rich.text import Text
 
 from kempe import spatial
-from kempe.errors import InputError
 from kempe.views import facts, report, rows
 
 if TYPE_CHECKING:
-    from kempe.analysis.path import Path
+    from kempe.analysis.mobility import Mobility
+    from kempe.analysis.path import Event, Path
     from kempe.model.system import System
     from kempe.solvers.assembly import Assembly
     from kempe.solvers.modes import Modes
 
-
-# ---- what is given
-
-
-def known(system: System, words: Iterable[str], degrees: bool = False) -> dict[str, Any]:
-    """Known coordinates and places of frames, from 'name=value' and 'frame=x,y,z'. Errors: `InputError`."""
-    unit = facts.units(system)
-    out: dict[str, Any] = {}
-    for word in words:
-        name, sign, text = word.partition("=")
-        name = name.strip()
-        if not sign or not name:
-            raise InputError(f"{word!r} is no known value: write name=value, or frame=x,y,z")
-        if name in out:
-            raise InputError(f"{name!r} is given twice")
-        numbers = rows.numbers(text, name)
-        if name in system.frame_names and name not in system.coordinate_names:
-            if len(numbers) not in (system.dim, 3):
-                raise InputError(f"the place of frame {name!r} has {len(numbers)} numbers; it needs {system.dim}")
-            out[name] = np.array(numbers)
-            continue
-        if len(numbers) != 1:
-            raise InputError(f"{name!r} has {len(numbers)} values; a coordinate has one")
-        angle = unit.get(name) == "rad" or (name not in unit and name in system.couplings)
-        out[name] = numbers[0] * facts.DEGREE if degrees and angle else numbers[0]
-    return out
-
-
-def start(system: System, text: str | None, degrees: bool = False) -> spatial.Array | None:
-    """A start given as the name of a posture, or as values; None where nothing is given."""
-    if text is None:
-        return None
-    if text in (*system.posture_names, "neutral", "mid"):
-        return rows.configuration(system, None, text, degrees)
-    base = "closed" if "=" in text and "closed" in system.posture_names else None
-    return rows.configuration(system, text, base, degrees)
+EVENT_LIMIT = 24
+"""Points where coordinates turn back that are listed; the data have all."""
+NARROW = 7
+"""Coordinates up to which assembly modes are lines of a table; of more of them, each mode is a column."""
 
 
 @contextlib.contextmanager
@@ -68,7 +38,7 @@ def progress(file: TextIO) -> Iterator[Callable[[int, float], None] | None]:
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    columns = (SpinnerColumn("line"), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=Console(file=file), transient=True) as bar:
         task = bar.add_task("tracing ...")
 
@@ -78,53 +48,130 @@ def progress(file: TextIO) -> Iterator[Callable[[int, float], None] | None]:
         yield said
 
 
+# ---- degrees of freedom
+
+
+def mobility(answer: Mobility) -> RenderableType:
+    """Degrees of freedom: the sentence, and the reasoning by topic."""
+    from kempe.analysis.mobility_text import lines, sentence
+
+    style = "bold green" if answer.closed and answer.certain else "bold red" if not answer.closed else "bold yellow"
+    grid = Table.grid(padding=(0, 2, 0, 0))
+    grid.add_column(style="bold", no_wrap=True)
+    grid.add_column(overflow="fold")
+    for title, own in lines(answer):
+        for k, line in enumerate(x for x in own if x):
+            grid.add_row(title if k == 0 else "", Text(report.clean(line)))
+    return Group(Text(report.clean(f"{answer.name}: {sentence(answer)}"), style=style), "", grid)
+
+
+def mobility_facts(system: System, answer: Mobility, degrees: bool = False) -> dict[str, Any]:
+    """Degrees of freedom as plain data."""
+    data = facts.jsonable(answer.data())
+    return {"system": data.pop("name"), "angle_unit": _angle(degrees), **data, "q": by_name(system, answer.q, degrees)}
+
+
 # ---- assemblies
 
 
-def assembly(answer: Assembly, degrees: bool = False) -> RenderableType:
-    """An answer of `assemble`: its sentence, and the configuration by name."""
+def assembly(answer: Assembly, degrees: bool = False, given: Mapping[str, Any] | None = None) -> RenderableType:
+    """An answer of `assemble`: its sentence, and the configuration by name; a line for each row of a batch.
+
+    `given` are the known values: of frames among them it is said where they are, and by how much they miss.
+    """
     system = answer.system
-    style = "bold green" if answer else "bold red"
-    shown: list[RenderableType] = [Text(report.clean(answer.status), style=style), ""]
+    if np.ndim(answer.success):
+        return _assemblies(answer, degrees)
+    shown: list[RenderableType] = [Text(report.clean(answer.status), style=_style(answer)), ""]
     lines = []
-    q = facts.in_degrees(answer.q, system.coordinate_names, facts.units(system), degrees)
-    given = set(answer.assembler.sources)
+    q = _shown(system, answer.q, degrees)
+    sources = set(answer.assembler.sources)
     for c, x in zip(facts.coordinates(system, degrees), q.tolist(), strict=True):
         cut = any(c["name"] == j or c["name"].startswith(f"{j}.") for j in system.closures)
-        lines.append((c["name"], report.number(x, 9), c["unit"], "known" if c["name"] in given else "cut" * cut))
+        lines.append((c["name"], report.number(x, 9), c["unit"], "known" if c["name"] in sources else "cut" * cut))
     shown.append(report.table(("coordinate" if answer else "nearest found", ">value", "=unit", ""), lines))
+    for name in answer.assembler.frames:
+        at = system.fk(answer.q, name)[: system.dim, 3]
+        text = f"{name} is at {', '.join(report.number(x) for x in at.tolist())}"
+        missed = float(np.linalg.norm(at - _place((given or {}).get(name, at), system.dim)))
+        if missed > facts.CLOSED:
+            text += f", {missed:.6g} m from where it should be"
+        shown.append(Text(report.clean(text)))
+    if answer and lines:
+        copy = f"--q {','.join(report.number(x, 9).rstrip('0').rstrip('.') for x in q.tolist())}"
+        shown += ["", Text(copy, style="dim", no_wrap=True, overflow="ignore")]
     return Group(*shown)
 
 
+def _place(value: Any, dim: int) -> spatial.Array:
+    value = np.asarray(value, dtype=float)
+    return value[:dim, 3] if value.ndim == 2 else value[:dim]
+
+
+def _assemblies(answer: Assembly, degrees: bool) -> RenderableType:
+    missed = np.flatnonzero(~np.asarray(answer.success)).tolist()
+    head = Text(str(answer), style=_style(answer))
+    for row in missed[: report.REASON_LIMIT]:
+        head.append(f"\nrow {row}: {report.clean(answer.status[row])}", "red")
+    if len(missed) > report.REASON_LIMIT:
+        head.append(f"\nand {report.rows_text(missed[report.REASON_LIMIT :])}", "red")
+    q = _shown(answer.system, answer.q, degrees)
+    cells = [(i, "yes" if good else "no", *map(report.number, row))
+             for i, (good, row) in enumerate(zip(answer.success, q.tolist(), strict=True))]  # fmt: skip
+    return Group(head, "", report.table((">row", "closed", *_heads(answer.system, degrees)), cells))
+
+
 def assembly_facts(answer: Assembly, degrees: bool = False) -> dict[str, Any]:
-    """An answer of `assemble` as plain data."""
-    system = answer.system
+    """An answer of `assemble` as plain data; lists for a batch."""
     fields = ("success", "status", "residual", "iterations", "starts")
     out = {name: facts.jsonable(np.asarray(getattr(answer, name)).tolist()) for name in fields}
-    return {"system": system.name, "angle_unit": _angle(degrees), **out, "q": _by_name(system, answer.q, degrees)}
+    q = by_name(answer.system, answer.q, degrees)
+    return {"system": answer.system.name, "angle_unit": _angle(degrees), **out, "q": q}
+
+
+def closed_only(answer: Assembly) -> spatial.Array:
+    """Configurations (nq,) or (n, nq) of an assembly, those that are not closed as NaN: fit for a file."""
+    return np.where(np.asarray(answer.success)[..., None], answer.q, np.nan)
 
 
 def modes(answer: Modes, degrees: bool = False) -> RenderableType:
-    """All assembly modes: a line for each."""
+    """All assembly modes: a line for each, or a column where there are many coordinates; and what signs mean."""
     system = answer.system
-    names = [n for n in system.coordinate_names if n not in answer.known]
-    unit = {c["name"]: c["unit"] for c in facts.coordinates(system, degrees)}
-    q = facts.in_degrees(answer.q, system.coordinate_names, facts.units(system), degrees)
-    at = [system.coordinate_names.index(n) for n in names]
-    count = report.count(len(answer), "assembly mode")
-    head = Text(f"{count}: {report.clean(answer.status)}", style="bold green" if answer else "bold red")
-    lines = [(answer.branches[k] or str(k + 1), *(report.number(x) for x in row[at])) for k, row in enumerate(q)]
-    columns = ("branch", *(f">{n} [{unit[n]}]" if unit[n] else f">{n}" for n in names))
-    return Group(head, "", report.table(columns, lines)) if lines else head
+    count = report.count(len(answer), "configuration" if np.any(answer.freedoms) else "assembly mode")
+    head = Text(f"{count}: {report.clean(answer.status)}", style=_style(answer))
+    at = [i for i, n in enumerate(system.coordinate_names) if n not in answer.known]
+    q = _shown(system, answer.q, degrees)[:, at]
+    heads = [_heads(system, degrees)[i] for i in at]
+    names = [_mode(answer, k) for k in range(len(q))]
+    shown: list[RenderableType] = [head]
+    if len(q) and len(at) <= NARROW:
+        lines = [(name, *map(report.number, row)) for name, row in zip(names, q.tolist(), strict=True)]
+        shown += ["", report.table(("branch", *heads), lines)]
+    blocks = math.ceil(len(q) / NARROW) if len(at) > NARROW else 0
+    for k in range(blocks):
+        part = slice(k * len(q) // blocks, (k + 1) * len(q) // blocks)
+        lines = [(h.lstrip(">"), *map(report.number, row)) for h, row in zip(heads, q[part].T.tolist(), strict=True)]
+        shown += ["", report.table(("branch", *(f">{n}" for n in names[part])), lines)]
+    if any(answer.branches):
+        from kempe.solvers.dyads import closed_form
+
+        meaning = str(closed_form(system, tuple(answer.known)).describe()).split("\n")[1:]  # type: ignore[union-attr]
+        shown += ["", *(Text(report.clean(line.strip()), style="dim") for line in meaning)]
+    return Group(*shown)
+
+
+def _mode(answer: Modes, k: int) -> str:
+    return (answer.branches[k] or str(k + 1)) + ("" if answer.inside[k] else " (outside limits)")
 
 
 def modes_facts(answer: Modes, degrees: bool = False) -> dict[str, Any]:
     """All assembly modes as plain data."""
     return {
-        "system": answer.system.name, "angle_unit": _angle(degrees), "complete": answer.complete,
-        "status": answer.status, "branches": list(answer.branches), "multiplicity": answer.multiplicity.tolist(),
-        "coverage": answer.coverage, "expected": answer.expected,
-        "q": [_by_name(answer.system, q, degrees) for q in answer.q],
+        "system": answer.system.name, "angle_unit": _angle(degrees), "success": bool(answer),
+        "complete": answer.complete, "status": answer.status, "branches": list(answer.branches),
+        "multiplicity": answer.multiplicity.tolist(), "freedoms": answer.freedoms.tolist(),
+        "inside": answer.inside.tolist(), "coverage": facts.jsonable(answer.coverage),
+        "expected": facts.jsonable(answer.expected), "q": by_name(answer.system, answer.q, degrees),
     }  # fmt: skip
 
 
@@ -134,28 +181,66 @@ def modes_facts(answer: Modes, degrees: bool = False) -> dict[str, Any]:
 def path(answer: Path, degrees: bool = False) -> RenderableType:
     """A traced motion: what it is, its special points, the range of each coordinate."""
     system = answer.system
-    shown: list[RenderableType] = [Text(report.clean(answer.status), style="bold green" if answer else "bold red")]
-    for event in (*answer.turning_points, *answer.singular_points):
-        shown.append(Text(f"  {report.clean(event)}"))
+    shown: list[RenderableType] = [Text(report.clean(answer.status), style=_style(answer))]
     shown += [Text(f"  another branch: {report.clean(other.status)}") for other in answer.others]
+    unit = facts.units(system)
+    events = [*answer.turning_points[:EVENT_LIMIT], *answer.singular_points]
+    if events:
+        lines = [_event(e, unit, degrees) for e in sorted(events, key=lambda e: e.s)]
+        shown += ["", report.table((">at s", "what", "=coordinate", ">value", "=unit"), lines)]
+        more = len(answer.turning_points) - EVENT_LIMIT
+        if more > 0:
+            shown.append(Text(f"... and {more} more points where coordinates turn back"))
     if len(answer) > 1:
-        q = facts.in_degrees(answer.q, system.coordinate_names, facts.units(system), degrees)
+        all_q = np.vstack([answer.q, *(e.q for e in answer.extremes)])
+        q = _shown(system, all_q, degrees)
         lines = [(c["name"], report.number(x.min()), report.number(x.max()), c["unit"])
                  for c, x in zip(facts.coordinates(system, degrees), q.T, strict=True)]  # fmt: skip
         shown += ["", report.table(("coordinate", ">least", ">largest", "=unit"), lines)]
     return Group(*shown)
 
 
+def _event(event: Event, unit: dict[str, str], degrees: bool) -> tuple[str, ...]:
+    if event.coordinate:
+        value, shown = _in_unit(event, unit, degrees)
+        return report.number(event.s), event.kind, event.coordinate, report.number(value, 9), shown
+    lines = 0 if event.directions is None else len(event.directions)
+    branches = f" of {report.count(lines, 'branch', 'branches')}" if lines > 1 else ""
+    return report.number(event.s), event.kind + branches, "", "", ""
+
+
+def _in_unit(event: Event, unit: dict[str, str], degrees: bool) -> tuple[float, str]:
+    angle = degrees and unit[event.coordinate] == "rad"
+    return (event.value / facts.DEGREE, "deg") if angle else (event.value, unit[event.coordinate])
+
+
 def path_facts(answer: Path, degrees: bool = False) -> dict[str, Any]:
-    """A traced motion as plain data: all configurations, curves of its frames, special points."""
+    """A traced motion as plain data: all configurations, curves of its frames, special points, other branches."""
     names, columns = path_table(answer, degrees)
     return {
-        "system": answer.system.name, "angle_unit": _angle(degrees), "success": bool(answer),
-        "status": answer.status, "closed": answer.closed, "ends": list(answer.ends), "length": answer.length,
-        "turning_points": [str(e) for e in answer.turning_points],
-        "singular_points": [str(e) for e in answer.singular_points],
-        "branches": [other.status for other in answer.others], "columns": names, "rows": facts.jsonable(columns),
+        "system": answer.system.name, "angle_unit": _angle(degrees), "driver": answer.driver,
+        "held": list(answer.held), **_motion(answer, degrees), "columns": names, "rows": facts.jsonable(columns),
+        "others": [{**_motion(o, degrees), "rows": facts.jsonable(path_table(o, degrees)[1])} for o in answer.others],
     }  # fmt: skip
+
+
+def _motion(answer: Path, degrees: bool) -> dict[str, Any]:
+    return {
+        "success": bool(answer), "interrupted": answer.interrupted, "status": answer.status, "closed": answer.closed,
+        "ends": list(answer.ends), "length": answer.length, "turns": answer.turns,
+        "turning_points": [_event_facts(answer.system, e, degrees) for e in answer.turning_points],
+        "singular_points": [_event_facts(answer.system, e, degrees) for e in answer.singular_points],
+    }  # fmt: skip
+
+
+def _event_facts(system: System, event: Event, degrees: bool) -> dict[str, Any]:
+    out: dict[str, Any] = {"s": event.s, "kind": event.kind}
+    if event.coordinate:
+        value, unit = _in_unit(event, facts.units(system), degrees)
+        out |= {"coordinate": event.coordinate, "value": value, "unit": unit}
+    else:
+        out |= {"branches": 0 if event.directions is None else len(event.directions), "nullity": event.nullity}
+    return out | {"q": by_name(system, event.q, degrees)}
 
 
 def path_table(answer: Path, degrees: bool = False) -> tuple[list[str], spatial.Array]:
@@ -164,19 +249,42 @@ def path_table(answer: Path, degrees: bool = False) -> tuple[list[str], spatial.
     names, columns = answer.table()
     columns = columns.copy()
     q = slice(1, system.nq + 1)
-    columns[:, q] = facts.in_degrees(columns[:, q], system.coordinate_names, facts.units(system), degrees)
+    columns[:, q] = _shown(system, columns[:, q], degrees)
     return names, columns
 
 
-def write_path(file: FilePath, answer: Path, degrees: bool = False) -> None:
-    """Write a path to a .csv (with names) or .npy file."""
+def write_path(file: FilePath, answer: Path, degrees: bool = False, branches: bool = False) -> None:
+    """Write a path to a .csv (with names) or .npy file; with `branches` the others too, numbered in column 0."""
     names, columns = path_table(answer, degrees)
+    if branches:
+        tables = [columns, *(path_table(other, degrees)[1] for other in answer.others)]
+        columns = np.vstack([np.insert(table, 0, k, axis=1) for k, table in enumerate(tables)])
+        names = ["branch", *names]
     rows.write(file, names, columns, columns)
 
 
-def _by_name(system: System, q: spatial.Array, degrees: bool) -> Any:
-    values = facts.in_degrees(q, system.coordinate_names, facts.units(system), degrees)
-    return dict(zip(system.coordinate_names, facts.jsonable(values), strict=True))
+# ---- what all need
+
+
+def by_name(system: System, q: spatial.Array, degrees: bool) -> Any:
+    """Values by coordinate name of a configuration (nq,); a list of these of many (n, nq)."""
+    values = facts.jsonable(_shown(system, q, degrees))
+    several = values if np.ndim(q) > 1 else [values]
+    named = [dict(zip(system.coordinate_names, row, strict=True)) for row in several]
+    return named if np.ndim(q) > 1 else named[0]
+
+
+def _shown(system: System, q: spatial.Array, degrees: bool) -> spatial.Array:
+    return facts.in_degrees(q, system.coordinate_names, facts.units(system), degrees)
+
+
+def _heads(system: System, degrees: bool) -> list[str]:
+    """Heads of columns of numbers: each coordinate with its unit."""
+    return [f">{c['name']} [{c['unit']}]" if c["unit"] else f">{c['name']}" for c in facts.coordinates(system, degrees)]
+
+
+def _style(answer: Any) -> str:
+    return "bold green" if answer else "bold red"
 
 
 def _angle(degrees: bool) -> str:

@@ -6,10 +6,11 @@ Print them with `show`, or with any rich console.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
+from rich.cells import cell_len
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 WIDE = 100_000
 """Columns of an output that is not a terminal: nothing is cut or wrapped there."""
 
+WORD = 20
+"""Columns that a text in a table gets at least, if it has a word that long."""
+
 NOTE_LIMIT, REASON_LIMIT = 10, 5
 """Notes about one file, and reasons why targets of a batch are not reached, that are shown."""
 
@@ -41,14 +45,40 @@ def console(file: TextIO | None = None) -> Console:
 
 
 def show(renderable: RenderableType, file: TextIO | None = None) -> None:
-    """Print a report to `file` (standard output unless given), without trailing blanks outside a terminal."""
+    """Print a report to `file` (standard output unless given), without trailing blanks outside a terminal.
+
+    A table that a narrow terminal has no place for is printed wider and wrapped there: no digit is cut off.
+    """
     printer = console(file)
     if printer.is_terminal:
-        printer.print(renderable, crop=False)
+        width = printer.width
+        for part in _parts(renderable):
+            printer.width = max(width, _needed(part))
+            printer.print(Group(part), crop=False)  # a lone Text would lose its no_wrap
         return
     with printer.capture() as captured:
         printer.print(renderable)
     printer.file.write("\n".join(line.rstrip() for line in captured.get().split("\n")))
+
+
+def _parts(renderable: RenderableType) -> Iterator[RenderableType]:
+    if isinstance(renderable, Group):
+        for part in renderable.renderables:
+            yield from _parts(part)
+    else:
+        yield renderable
+
+
+def _needed(renderable: RenderableType) -> int:
+    """Columns of the output that a table cannot do without: those of its numbers, and some of each text."""
+    if not isinstance(renderable, Table):
+        return 0
+    total = 0
+    for column in renderable.columns:
+        texts = [str(cell) for cell in (column.header, *column.cells)]
+        longest = max((cell_len(t) for text in texts for t in ([text] if column.no_wrap else text.split())), default=0)
+        total += (longest if column.no_wrap else min(longest, WORD)) + 2
+    return total
 
 
 def clean(text: object) -> str:
@@ -84,7 +114,7 @@ def info(system: System, degrees: bool = False) -> RenderableType:
     """A system: sizes, connectivity vector, freedoms, configuration space, bodies, joints, limits, ..."""
     data = facts.system_facts(system, degrees)
     blocks: list[RenderableType] = [_headline(data), "", _overview(data), "", _bodies(data)]
-    for block in (_loops(data), _couplings(data), _frames(data), _lines("Notes", data["notes"])):
+    for block in (_loops(data), _constraints(data), _couplings(data), _frames(data), _lines("Notes", data["notes"])):
         if block is not None:
             blocks += ["", block]
     return Group(*blocks)
@@ -98,11 +128,14 @@ def _headline(data: dict[str, Any]) -> Text:
 
 def _overview(data: dict[str, Any]) -> Table:
     space, loops, dof = data["configuration_space"], len(data["closures"]), str(data["dof_of_tree"])
-    if space["constraints"]:
-        what = count(loops, "loop") if loops else "coordinates that follow several others"
-        equations = f"{count(space['constraints'], 'equation')} of {what}"
-        left = max(data["nv"] - space["constraints"], 0)
-        dof += f" of the tree; {data['nv']} of all joints less {equations}: at least {left}"
+    declared, equations = len(data["constraints"]), space["constraints"]
+    if equations:
+        what = [count(loops, "loop")] if loops else []
+        what += [count(declared, "constraint")] if declared else []
+        of = " and ".join(what) or "coordinates that follow several others"
+        left = max(data["nv"] - equations, 0)
+        dof += f" of the tree; {data['nv']} of all joints less {count(equations, 'equation')} of {of}: at least {left}"
+        dof += "; kempe dof counts them truly"
     elif not loops:
         dof += " (a tree, no loops)"
     lines: list[tuple[str, str]] = [
@@ -173,6 +206,14 @@ def _loops(data: dict[str, Any]) -> Table | None:
             for j in (joints[n] for n in data["closures"])]  # fmt: skip
     columns = ("joint", "=type", "bodies", "=q", "=limits")
     return table(columns, lines, "Loops, closed by the joints that the tree leaves out") if lines else None
+
+
+def _constraints(data: dict[str, Any]) -> Table | None:
+    lines = []
+    for c in data["constraints"]:
+        length = "" if c["length"] is None else f"{c['length']:g} m"
+        lines.append((c["name"], c["type"], f"{c['parent']} - {c['child']}", length))
+    return table(("constraint", "=type", "bodies", ">length"), lines, "Declared constraints") if lines else None
 
 
 def _couplings(data: dict[str, Any]) -> RenderableType | None:

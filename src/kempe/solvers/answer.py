@@ -1,0 +1,65 @@
+"""What all answers of solvers share: truth value, sentence, text and HTML."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+
+class Answer:
+    """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why. Base of answers."""
+
+    q: Array
+    success: Any
+    what: ClassVar[str] = ""
+    """What is counted of a batch: "3 of 4 targets reached"."""
+
+    @property
+    def system(self) -> System:
+        """The system that was asked."""
+        raise NotImplementedError
+
+    def sentence(self, index: tuple[int, ...]) -> str:
+        """The sentence for one configuration."""
+        raise NotImplementedError
+
+    @cached_property
+    def status(self) -> Any:
+        """The sentence for a single answer; an array of sentences for a batch. Made when asked for."""
+        if np.ndim(self.success) == 0:
+            return self.sentence(())
+        out = np.empty(np.shape(self.success), dtype=object)
+        for index in np.ndindex(out.shape):
+            out[index] = self.sentence(index)
+        return out
+
+    def __bool__(self) -> bool:
+        return bool(np.all(self.success))
+
+    def __len__(self) -> int:
+        return len(self.success)
+
+    def __str__(self) -> str:
+        if np.ndim(self.success):
+            return f"{int(np.sum(self.success))} of {np.size(self.success)} {self.what}"
+        lines = [self.status]
+        lines += [f"  {name} = {x:.9g}" for name, x in zip(self.system.coordinate_names, self.q, strict=True)]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        if np.ndim(self.success):
+            return f"<p>{escape(str(self))}</p>"
+        rows = "".join(
+            f"<tr><td>{escape(n)}</td><td>{x:.9g}</td></tr>"
+            for n, x in zip(self.system.coordinate_names, self.q, strict=True)
+        )
+        return f"<p>{escape(self.status)}</p><table>{rows}</table>"

@@ -1,0 +1,526 @@
+"""The commands for closed loops as their users see them: freedoms, assemblies, motions, pictures, errors."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import kempe
+from kempe.cli import app
+
+CRANK_SLIDER = """\
+# A crank of 1 m and a rod of 2 m that push a slider along x; a wheel is geared to the crank.
+format = 1
+name = "engine"
+dim = 2
+body = [{name = "wheel"}, {name = "crank"}, {name = "rod"}, {name = "slider"}]
+frame = [{name = "pin", body = "rod"}]
+postures = {closed = {A = 0, B = 0, C = 0, S = 3}}
+[[joint]]
+name = "W"
+type = "revolute"
+parent = "ground"
+child = "wheel"
+at = [-1, 0]
+[[joint]]
+name = "A"
+type = "revolute"
+parent = "ground"
+child = "crank"
+[[joint]]
+name = "B"
+type = "revolute"
+parent = "crank"
+child = "rod"
+at = [1, 0]
+[[joint]]
+name = "C"
+type = "revolute"
+parent = "rod"
+child = "slider"
+at = [2, 0]
+[[joint]]
+name = "S"
+type = "prismatic"
+parent = "ground"
+child = "slider"
+axis = [1, 0]
+[[coupling]]
+of = "W"
+sources = {A = -2.0}
+offset = 0.1
+"""
+
+RODDED = """\
+# The same engine with a rod that has no body, and a slider that floats on a line.
+format = 1
+name = "rodded"
+dim = 2
+body = [{name = "crank"}, {name = "slider"}]
+[[joint]]
+name = "A"
+type = "revolute"
+parent = "ground"
+child = "crank"
+[[joint]]
+name = "P"
+type = "planar"
+parent = "ground"
+child = "slider"
+[[constraint]]
+name = "rod"
+type = "distance"
+parent = "crank"
+child = "slider"
+at = [1, 0]
+length = 2.0
+[[constraint]]
+name = "guide"
+type = "point_on_line"
+parent = "ground"
+child = "slider"
+axis = [1, 0]
+"""
+
+
+class Result:
+    """What one run of the command printed, and its exit code."""
+
+    def __init__(self, *arguments: object):
+        done = CliRunner().invoke(app, [str(a) for a in arguments])
+        self.code, self.out, self.err = done.exit_code, done.stdout, done.stderr
+        assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+
+    def json(self) -> dict:
+        def refuse(name: str) -> None:
+            raise AssertionError(f"{name} is not JSON")
+
+        return json.loads(self.out, parse_constant=refuse)
+
+
+@pytest.fixture
+def engine(tmp_path: Path) -> Path:
+    path = tmp_path / "engine.toml"
+    path.write_text(CRANK_SLIDER)
+    return path
+
+
+@pytest.fixture
+def rodded(tmp_path: Path) -> Path:
+    path = tmp_path / "rodded.toml"
+    path.write_text(RODDED)
+    return path
+
+
+def reach(angle: float) -> float:
+    """Where the slider is at an angle of the crank."""
+    return math.cos(angle) + math.sqrt(4.0 - math.sin(angle) ** 2)
+
+
+def table(path: Path) -> np.ndarray:
+    return np.genfromtxt(path, delimiter=",", names=True)
+
+
+def gap(system: kempe.System, q: dict[str, float]) -> float:
+    """By how much the loops are open at a configuration by name."""
+    return float(np.abs(system.closure_error(system.q(q))).max())
+
+
+# ---- help, usage
+
+
+def test_help_lists_the_commands_in_order():
+    shown = Result("--help").out
+    order = ("info", "check", "convert", "fk", "ik", "dof", "assemble", "trace", "plot", "library", "bench", "warmup")
+    places = [next(i for i, x in enumerate(shown.splitlines()) if x.startswith(f"│ {name} ")) for name in order]
+    assert places == sorted(places)
+    for title in ("Describe and convert", "Positions", "Closed loops", "Models and this machine"):
+        assert f" {title} " in shown
+    for name in ("dof", "assemble", "trace", "plot"):
+        asked = Result(name, "--help")
+        assert asked.code == 0 and f"Example: kempe {name} " in asked.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["dof"], "FILE"), (["dof", "four_bra"], "did you mean 'four_bar'"),
+        (["dof", "four_bar", "--actuated", "X"], "no joint or coordinate 'X'"),
+        (["dof", "four_bar", "--actuated", " , "], "names no joint; there are: A, B, C, D"),
+        (["dof", "four_bar", "--q", "A=nan"], "A: nan is not a finite number"),
+        (["dof", "four_bar", "--q", "1,2"], "four_bar needs 4"),
+        (["dof", "four_bar", "--q", "coupler_point=1"], "no coordinate 'coupler_point'"),
+        (["dof", "four_bar", "--posture", "closd"], "did you mean 'closed'"),
+        (["assemble", "four_bar", "A"], "'A' is no known value"),
+        (["assemble", "four_bar", "=1"], "'=1' is no known value"),
+        (["assemble", "four_bar", "A="], "'' is not a number"),
+        (["assemble", "four_bar", "A=x"], "'x' is not a number"),
+        (["assemble", "four_bar", "A=-inf"], "A: -inf is not a finite number"),
+        (["assemble", "four_bar", "A=1", "A=1"], "'A' is given twice"),
+        (["assemble", "four_bar", "A=1,2"], "'A' has 2 values"),
+        (["assemble", "four_bar", "crnk=1"], "no coordinate or frame 'crnk'"),
+        (["assemble", "four_bar", "coupler_point=1"], "its place is coupler_point=x,y"),
+        (["assemble", "four_bar", "coupler_point=1,nan"], "nan is not a finite number"),
+        (["assemble", "four_bar", "nothing.csv"], "no such file"),
+        (["assemble", "four_bar", "--near", "opne"], "no posture 'opne'"),
+        (["assemble", "four_bar", "--near", "A=inf"], "not finite"),
+        (["assemble", "four_bar", "--near", "1,2"], "four_bar needs 4"),
+        (["assemble", "four_bar", "A=1", "--branch", "++"], "has 2 signs; four_bar has 1 sign"),
+        (["assemble", "four_bar", "A=1", "--branch", "open"], "postures are: 'closed'"),
+        (["assemble", "four_bar", "coupler_point=0,1", "--branch", "+"], "'coupler_point' is a frame"),
+        (["assemble", "four_bar", "--modes", "--branch", "+"], "leave --branch"),
+        (["trace", "four_bar", "--driver", "X"], "'X'"), (["trace", "four_bar", "--frame", "X"], "no frame 'X'"),
+        (["trace", "four_bar", "--points", "1"], "--points is 1; it must be at least 2"),
+        (["trace", "four_bar", "--hold", "A"], "'A' is no known value: write name=value"),
+        (["trace", "four_bar", "--hold", "A=1", "--start", "A=1"], "leave one out"),
+        (["trace", "four_bar", "--start", "opne"], "no posture 'opne'"),
+        (["trace", "five_bar"], "2 freedoms"), (["trace", "two_link"], "2 freedoms"),
+        (["plot", "four_bar"], "OUT"), (["plot", "four_bar", "x.png", "--frame", "X"], "no frame 'X'"),
+    ],
+)  # fmt: skip
+def test_wrong_questions(arguments, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    plain, data = Result(*arguments), Result(*arguments, "--json")
+    assert plain.code == data.code == 2 and plain.out == data.err == "", plain.out + data.err
+    assert said in plain.err and plain.err.startswith("error: ") and plain.err.count("\n") == 1, plain.err
+    assert said in data.json()["error"] and not list(tmp_path.iterdir())
+
+
+def test_files_that_cannot_be_written_are_told_first(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("kempe.System.trace", lambda *_, **__: pytest.fail("it worked before it looked at the file"))
+    monkeypatch.setattr("kempe.System.assemble", lambda *_, **__: pytest.fail("it worked before it looked at the file"))
+    Path("folder.csv").mkdir()
+    Path("folder.png").mkdir()
+    for option, name, said in (
+        ("--out", "x.txt", ".csv or .npy"), ("--out", "x", ".csv or .npy"), ("--out", "no/x.csv", "no folder 'no'"),
+        ("--out", "folder.csv", "this is a folder"), ("--plot", "x.bmp", ".png, .svg or .pdf"),
+        ("--plot", "no/x.png", "no folder 'no'"), ("--plot", "folder.png", "this is a folder"),
+    ):  # fmt: skip
+        for command in ("assemble", "trace"):
+            refused = Result(command, "four_bar", option, name)
+            assert refused.code == 2 and said in refused.err and refused.out == "", refused.err
+    for name, said in (("x.bmp", ".svg"), ("no/x.png", "no folder"), ("folder.png", "a folder")):
+        refused = Result("plot", "four_bar", name)
+        assert refused.code == 2 and said in refused.err
+
+
+def test_missing_matplotlib_is_told_first(tmp_path, monkeypatch):
+    for name in [n for n in sys.modules if n.split(".")[0] == "matplotlib" or n.startswith("kempe.views.drawing")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setattr("kempe.System.trace", lambda *_, **__: pytest.fail("it worked before it looked"))
+    for command in (["plot", "four_bar", tmp_path / "x.png"], ["trace", "four_bar", "--plot", tmp_path / "x.png"]):
+        plain, data = Result(*command), Result(*command, "--json")
+        assert plain.code == data.code == 2 and "kempe[view]" in plain.err and plain.err.count("\n") == 1
+        assert data.json()["type"] == "MissingExtraError" and not (tmp_path / "x.png").exists()
+
+
+# ---- info and fk
+
+
+def test_info_shows_declared_constraints(rodded):
+    data = Result("info", rodded, "--json").json()
+    assert data["constraints"] == [
+        {"name": "rod", "type": "distance", "parent": "crank", "child": "slider", "length": 2.0, "equations": 1},
+        {"name": "guide", "type": "point_on_line", "parent": "ground", "child": "slider", "length": None,
+         "equations": 1},
+    ]  # fmt: skip
+    shown = Result("info", rodded).out
+    assert "4 of all joints less 2 equations of 2 constraints: at least 2; kempe dof" in shown
+    assert [line.split() for line in shown.splitlines() if line.startswith(("rod ", "guide "))] == [
+        ["rod", "distance", "crank", "-", "slider", "2", "m"], ["guide", "point_on_line", "ground", "-", "slider"],
+    ]  # fmt: skip
+    assert "kempe dof" in Result("info", "bennett").out and "kempe dof" not in Result("info", "puma560").out
+
+
+def test_fk_says_where_loops_are_open(engine, rodded):
+    def note(*arguments):
+        result = Result("fk", *arguments, "--json")
+        assert result.code == 0 and "matrix" in result.json()
+        return result.err
+
+    assert "'C' is open by 3 m" in note(engine, "--frame", "slider")
+    assert "'rod' is open by 1 m" in note(rodded, "--frame", "slider")
+    q = ",".join(f"{x:.6f}" for x in kempe.load("four_bar").assemble({"A": 0.3}).q)
+    assert note(engine, "--frame", "slider", "--posture", "closed") == note("four_bar", "--frame", "rocker", "--q", q) == ""
+    assert note("puma560", "--frame", "tool") == ""
+
+
+# ---- dof
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "rank", "dof"),
+    [
+        ("four_bar", 1, 1, 1), ("bennett", -2, 1, 1), ("sarrus", 0, 1, 1), ("double_parallelogram", 0, 1, 1),
+        ("shaky_3r", 0, 1, 0), ("five_bar", 2, 2, 2), ("puma560", 6, 6, 6), ("car", 3, 3, 3),
+    ],
+)  # fmt: skip
+def test_dof_of_the_literature(name, count, rank, dof):
+    """Counts and freedoms as published with each mechanism (see the files of the library)."""
+    result = Result("dof", name, "--json")
+    data = result.json()
+    assert result.code == 0 and data["system"] == name and data["closed"] is True
+    assert (data["gruebler"], data["rank_dof"], data["dof"]) == (count, rank, dof)
+    shown = Result("dof", name).out
+    assert shown.startswith(f"{name}: Gruebler says {count}") and f"truth {dof} " in " ".join(shown.split())
+
+
+def test_dof_at_known_coordinates():
+    data = Result("dof", "four_bar", "--q", "A=30", "--deg", "--json").json()
+    assert data["angle_unit"] == "deg" and data["q"]["A"] == pytest.approx(30.0, abs=1e-12)
+    assert gap(kempe.load("four_bar"), {k: math.radians(v) for k, v in data["q"].items()}) < 1e-9
+    assert data["given_residual"] < 1e-9, "the loops are closed with A as given"
+    as_given = Result("dof", "four_bar", "--q", "1,2,3,4", "--json").json()
+    assert as_given["given_residual"] > 1.0 and gap(kempe.load("four_bar"), as_given["q"]) < 1e-9
+
+
+def test_dof_where_nothing_closes(engine):
+    plain, data = Result("dof", engine, "--q", "S=3.5"), Result("dof", engine, "--q", "S=3.5", "--json")
+    assert plain.code == data.code == 1 and plain.out.startswith("not closed") and "0.5 m" in plain.out
+    assert data.json()["success"] is False and data.json()["q"]["S"] == 3.5
+
+
+def test_dof_of_chosen_actuators():
+    assert "A and D control the mechanism (2 freedoms)" in Result("dof", "five_bar", "--actuated", "A, D").out
+    good = Result("dof", "five_bar", "--actuated", "A,D", "--json").json()["control"]
+    one = Result("dof", "five_bar", "--actuated", "A", "--fast", "--json").json()["control"]
+    assert good["complete"] is True and good["actuated"] == ["A", "D"]
+    assert one["complete"] is False and one["useful"] == 2 and one["controlled"] == 1
+
+
+# ---- assemble
+
+
+def test_assemble_against_the_closed_form(engine):
+    for angle in (20.0, -70.0, 100.0):
+        result = Result("assemble", engine, f"A={angle}", "--deg", "--json")
+        data, want = result.json(), math.radians(angle)
+        assert result.code == 0 and data["success"] is True and data["q"]["A"] == pytest.approx(angle, abs=1e-12)
+        assert data["q"]["S"] == pytest.approx(reach(want), abs=1e-12)
+        assert data["q"]["C"] == pytest.approx(math.degrees(math.asin(-math.sin(want) / 2.0)), abs=1e-9)
+    near = Result("assemble", engine, "A=20", "--near", "S=2.9", "--deg", "--json").json()
+    assert near["q"]["S"] == pytest.approx(reach(math.radians(20.0)), abs=1e-12), "slides stay metres"
+
+
+def test_coordinates_that_follow_others(engine):
+    """The wheel turns by 0.1 - 2 A."""
+    crank = (math.radians(30.0) - 0.1) / -2.0
+    for more in ([], ["--modes"], ["--branch", "+"]):
+        q = Result("assemble", engine, "W=30", "--deg", "--json", *more).json()["q"]
+        q = q[0] if more == ["--modes"] else q
+        assert math.radians(q["A"]) == pytest.approx(crank, abs=1e-12)
+        assert q["S"] == pytest.approx(reach(crank), abs=1e-12), more
+    refused = Result("assemble", engine, "A=1", "W=1")
+    assert refused.code == 2 and "'W' follows 'A', which is given, too" in refused.err
+    held = Result("trace", engine, "--hold", "W=30", "--deg", "--json").json()
+    assert held["rows"][0][1:] == pytest.approx(
+        [math.degrees(crank), *held["rows"][0][2:4], reach(crank)], abs=1e-9
+    ) and len(held["rows"]) == 1  # fmt: skip
+
+
+def test_assemble_by_the_place_of_a_frame():
+    robot = kempe.load("five_bar")
+    result = Result("assemble", "five_bar", "tip=0.1,0.25", "--json")
+    q = robot.q(result.json()["q"])
+    assert result.code == 0 and np.abs(robot.fk(q, "tip")[:2, 3] - [0.1, 0.25]).max() < 1e-9
+    assert "tip is at 0.100000, 0.250000" in Result("assemble", "five_bar", "tip=0.1,0.25").out
+    missed = Result("assemble", "five_bar", "tip=9,0")
+    assert missed.code == 1 and "m from where it should be" in missed.out
+
+
+def test_the_last_line_can_be_given_back():
+    line = Result("assemble", "four_bar", "A=40", "--deg").out.splitlines()[-1].split()
+    assert line[0] == "--q"
+    pose = Result("fk", "four_bar", "--frame", "rocker", *line, "--deg", "--json")
+    robot = kempe.load("four_bar")
+    want = robot.fk(robot.assemble({"A": math.radians(40.0)}).q, "rocker")
+    np.testing.assert_allclose(pose.json()["matrix"], want, atol=1e-9)
+    assert pose.err == ""
+
+
+def test_assemble_branches(engine):
+    both = Result("assemble", engine, "A=90", "--deg", "--modes", "--json").json()
+    assert both["complete"] is True and len(both["q"]) == 2
+    assert sorted(q["S"] for q in both["q"]) == pytest.approx([-math.sqrt(3.0), math.sqrt(3.0)], abs=1e-12)
+    for sign, q in zip(both["branches"], both["q"], strict=True):
+        one = Result("assemble", engine, "A=90", "--deg", "--branch", sign, "--json").json()
+        assert one["q"]["S"] == pytest.approx(q["S"], abs=1e-12)
+    shown = Result("assemble", engine, "A=90", "--deg", "--modes").out
+    assert shown.startswith("2 assembly modes: complete") and "\nsign 1: " in shown and "1.732051" in shown
+    none = Result("assemble", engine, "S=5", "--modes", "--json")
+    assert none.code == 1 and none.json()["q"] == []
+
+
+def test_modes_of_many_coordinates_are_columns():
+    lines = Result("assemble", "jansen", "O=0.3", "--modes").out.splitlines()
+    heads = [line for line in lines if line.startswith("branch")]
+    system = kempe.load("jansen")
+    modes = system.assembly_modes({"O": 0.3})
+    assert [h.split()[1:] for h in heads] == [list(modes.branches[:4]), list(modes.branches[4:])]
+    names = [n for n in system.coordinate_names if n != "O"]
+    for name in names:
+        shown = [float(x) for line in lines if line.startswith(f"{name} [rad]") for x in line.split()[2:]]
+        assert shown == pytest.approx(modes.q[:, system.coordinate_names.index(name)].tolist(), abs=1e-6)
+
+
+def test_an_open_loop_is_told_and_not_written(engine, tmp_path):
+    out, picture = tmp_path / "q.csv", tmp_path / "q.png"
+    pytest.importorskip("matplotlib")
+    result = Result("assemble", engine, "S=3.5", "--out", out, "--plot", picture)
+    assert result.code == 1 and result.out.startswith("not closed") and "stays open by 0.5 m" in result.out
+    assert not out.exists() and picture.exists() and f"{out} is not written" in result.err
+    assert "nearest found" in result.out and "--q" not in result.out
+    data = Result("assemble", engine, "S=3.5", "--out", out, "--json")
+    assert data.code == 1 and data.json()["success"] is False and data.json()["written"] == []
+
+
+def test_assemble_rows_of_a_file(engine, tmp_path):
+    inputs, out = tmp_path / "in.csv", tmp_path / "out.csv"
+    inputs.write_text("A\n0.1\n0.2\n0.3\n")
+    result = Result("assemble", engine, inputs, "--continuous", "--out", out, "--json")
+    want = [reach(a) for a in (0.1, 0.2, 0.3)]
+    assert result.code == 0 and result.json()["success"] == [True] * 3 and result.json()["written"] == [str(out)]
+    assert [q["S"] for q in result.json()["q"]] == pytest.approx(want, abs=1e-12)
+    assert table(out)["S"].tolist() == pytest.approx(want, abs=1e-12)
+    inputs.write_text("S\n2.5\n3.5\n")
+    half = Result("assemble", engine, inputs, "--out", out)
+    assert half.code == 1 and half.out.startswith("1 of 2 configurations closed\nrow 1: not closed")
+    assert np.isfinite(table(out)["A"]).tolist() == [True, False], "what is not closed is NaN in the file"
+    for text, said in (("1\n2\n", "must name"), ("A\nnan\n", "not finite"), ("X\n1\n", "no coordinate 'X'"),
+                       ("A,A\n1,1\n", "twice")):  # fmt: skip
+        inputs.write_text(text)
+        refused = Result("assemble", engine, inputs)
+        assert refused.code == 2 and said in refused.err, text
+    inputs.write_text("A\n1\n2\n")
+    refused = Result("assemble", engine, inputs, "--plot", tmp_path / "x.png")
+    assert refused.code == 2 and "one configuration is drawn" in refused.err
+
+
+def test_limits_can_be_left_out(tmp_path):
+    path = tmp_path / "limited.toml"
+    path.write_text(CRANK_SLIDER.replace("axis = [1, 0]\n", "axis = [1, 0]\nlimits = [2, 4]\n"))
+    within, without = Result("assemble", path, "S=1.5"), Result("assemble", path, "S=1.5", "--no-limits", "--json")
+    assert within.code == 1 and "limits" in within.out and without.code == 0
+    assert reach(without.json()["q"]["A"]) == pytest.approx(1.5, abs=1e-9)
+    short = Result("trace", path, "--json").json()
+    whole = Result("trace", path, "--no-limits", "--json").json()
+    assert (short["closed"], whole["closed"]) == (False, True) and any("'S'" in end for end in short["ends"])
+
+
+# ---- trace
+
+
+def test_trace_against_the_closed_form(engine, tmp_path):
+    out = tmp_path / "path.csv"
+    result = Result("trace", engine, "--driver", "S", "--frame", "pin", "-o", out, "--points", "50", "--deg", "--json")
+    data, rows = result.json(), table(out)
+    assert result.code == 0 and data["closed"] is True and data["written"] == [str(out)]
+    assert data["columns"] == ["s", "A", "B", "C", "S", "pin.x", "pin.y"] and len(data["rows"]) == 50
+    np.testing.assert_allclose(np.array(data["rows"]), np.array(rows.tolist()), atol=1e-12)
+    angle = np.radians(rows["A"])
+    np.testing.assert_allclose(rows["S"], [reach(a) for a in angle], atol=1e-9)
+    np.testing.assert_allclose([rows["pinx"], rows["piny"]], [np.cos(angle), np.sin(angle)], atol=1e-9)
+    np.testing.assert_allclose(np.diff(rows["s"]), rows["s"][-1] / 49.0, rtol=1e-9)
+    folds = {(e["kind"], e["coordinate"], round(e["value"], 9), e["unit"]) for e in data["turning_points"]}
+    assert folds == {("fold of the driver", "S", 3.0, "m"), ("fold of the driver", "S", 1.0, "m")}
+    assert abs(data["turns"]["A"]) == 1
+
+
+def test_trace_in_words(engine, tmp_path):
+    """The rod leans by 30 degrees at most, where the crank is at right angles."""
+    out = tmp_path / "path.npy"
+    result = Result("trace", engine, "--deg", "--out", out)
+    assert result.code == 0 and result.out.startswith("closed curve") and result.out.endswith(f"written to {out}\n")
+    lines = [line.split() for line in result.out.splitlines()]
+    assert ["C", "-30.000000", "30.000000", "deg"] in lines and ["S", "1.000000", "3.000000", "m"] in lines
+    assert [line[1:] for line in lines if "extreme" in line and "30.000000000" in line] == [
+        ["extreme", "C", "30.000000000", "deg"]
+    ]
+    assert np.load(out).shape[1] == 5
+
+
+def test_trace_starts_at_known_coordinates():
+    for start, sign in (("closed", 1.0), ("neutral", -1.0)):
+        q = Result("trace", "four_bar", "--start", start, "--json").json()["rows"][0]
+        assert math.copysign(1.0, math.sin(q[4])) == sign, "the rocker is above the base, or below"
+    data = Result("trace", "four_bar", "--start", "A=30", "--deg", "--json").json()
+    want = Result("assemble", "four_bar", "A=30", "--deg", "--json").json()["q"]
+    assert data["rows"][0][1:] == pytest.approx(list(want.values()), abs=1e-9), "the branch that assemble finds"
+    wrong = Result("trace", "slider_crank", "--start", "S=10", "--json")
+    assert wrong.code == 1 and wrong.json()["success"] is False and "not closed" in wrong.json()["status"]
+
+
+def test_trace_with_a_held_coordinate():
+    data = Result("trace", "five_bar", "--driver", "A", "--hold", "C=60", "--deg", "--json").json()
+    rows = np.array(data["rows"])
+    assert data["held"] == ["C"] and np.ptp(rows[:, data["columns"].index("C")]) < 1e-9
+    assert rows[0, data["columns"].index("C")] == pytest.approx(60.0, abs=1e-9)
+    still = Result("trace", "four_bar", "--hold", "A=1")
+    assert still.code == 0 and still.out.startswith("it cannot move")
+
+
+def test_trace_other_branches(tmp_path):
+    """A kite has the branch on which two of its bodies turn as one: A stays at a multiple of pi."""
+    pytest.importorskip("matplotlib")
+    out, picture = tmp_path / "kite.csv", tmp_path / "kite.svg"
+    result = Result("trace", "kite", "--branches", "--out", out, "--plot", picture, "--json")
+    data, rows = result.json(), table(out)
+    (other,) = data["others"]
+    assert [e["kind"] for e in data["singular_points"]] == ["bifurcation"] * 2 and other["closed"]
+    assert sorted(set(rows["branch"].tolist())) == [0.0, 1.0] and sum(rows["branch"] == 1) == len(other["rows"])
+    straight = rows[rows["branch"] == 1]["A"] / np.pi
+    np.testing.assert_allclose(straight, np.round(straight), atol=1e-9)
+    assert np.ptp(rows[rows["branch"] == 0]["A"]) > 6.0
+    assert "another branch" in Result("trace", "kite", "--branches").out
+    few = Result("trace", "kite", "--branches", "--points", "7", "--json").json()
+    assert len(few["rows"]) == len(few["others"][0]["rows"]) == 7
+    alone = tmp_path / "alone.svg"
+    assert Result("trace", "kite", "--plot", alone).code == 0
+    assert len(picture.read_text()) > len(alone.read_text()) + 1000, "the other curve is drawn, too"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of processes")
+def test_an_interrupt_keeps_what_was_done(tmp_path):
+    out = tmp_path / "part.csv"
+    code = (
+        "import os, signal, kempe, kempe.cli\n"
+        "trace = kempe.System.trace\n"
+        "def interrupted(*args, progress=None, **options):\n"
+        "    return trace(*args, progress=lambda n, s: os.kill(os.getpid(), signal.SIGINT), **options)\n"
+        "kempe.System.trace = interrupted\n"
+        f"import sys; sys.argv[1:] = ['trace', 'four_bar', '--out', {str(out)!r}]\n"
+        "kempe.cli.main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 1 and "interrupted" in done.stdout and "Traceback" not in done.stderr, done.stderr
+    system, rows = kempe.load("four_bar"), table(out)
+    assert 10 < len(rows) < 60
+    q = np.array(rows.tolist())[:, 1:]
+    assert np.abs(system.closure_error(q)).max() < 1e-9
+
+
+# ---- plot
+
+
+def test_plot(engine, tmp_path):
+    pytest.importorskip("matplotlib")
+    for name, first in (("x.png", b"\x89PNG"), ("x.svg", b"<?xml"), ("x.pdf", b"%PDF")):
+        path = tmp_path / name
+        result = Result("plot", engine, path, "--q", "A=30", "--deg", "--frame", "pin")
+        assert result.code == 0 and result.out == f"written to {path}\n" and path.read_bytes().startswith(first)
+    data = Result("plot", "puma560", tmp_path / "y.png", "--json")
+    assert data.code == 0 and data.json() == {"written": str(tmp_path / "y.png")}
+    wrong = Result("plot", engine, tmp_path / "z.png", "--q", "S=9")
+    assert wrong.code == 1 and "not closed" in wrong.err and (tmp_path / "z.png").exists()
+    refused = Result("plot", engine, tmp_path / "w.png", "--q", "A=nan")
+    assert refused.code == 2 and not (tmp_path / "w.png").exists()
