@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +17,7 @@ from typer.testing import CliRunner
 
 import kempe
 from kempe.cli import app
+from kempe.views import loop_report, report
 
 CRANK_SLIDER = """\
 # A crank of 1 m and a rod of 2 m that push a slider along x; a wheel is geared to the crank.
@@ -134,6 +137,13 @@ def gap(system: kempe.System, q: dict[str, float]) -> float:
     return float(np.abs(system.closure_error(system.q(q))).max())
 
 
+class Terminal(io.StringIO):
+    """A terminal that remembers what it was sent."""
+
+    def isatty(self) -> bool:
+        return True
+
+
 # ---- help, usage
 
 
@@ -224,6 +234,33 @@ def test_missing_matplotlib_is_told_first(tmp_path, monkeypatch):
         assert data.json()["type"] == "MissingExtraError" and not (tmp_path / "x.png").exists()
 
 
+def test_narrow_terminals_get_all_digits(monkeypatch):
+    for variable in ("NO_COLOR", "FORCE_COLOR"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setenv("TERM", "dumb")
+    monkeypatch.setenv("COLUMNS", "20")
+    system = kempe.load("four_bar")
+    answer = system.assemble({"A": 0.3})
+    for made in (loop_report.assembly(answer), loop_report.path(system.trace())):
+        wide, narrow = io.StringIO(), Terminal()
+        report.show(made, wide)
+        report.show(made, narrow)
+        numbers = [x for x in wide.getvalue().split() if re.fullmatch(r"-?\d+\.\d{6,9}", x)]
+        assert len(numbers) >= 4 and all(x in narrow.getvalue().split() for x in numbers)
+    copy = "--q " + ",".join(f"{x:.9f}".rstrip("0") for x in answer.q)
+    out = Terminal()
+    report.show(loop_report.assembly(answer), out)
+    assert copy in out.getvalue(), "the line to copy has no breaks in it"
+
+
+def test_names_cannot_reach_the_terminal(tmp_path):
+    path = tmp_path / "evil.toml"
+    path.write_text(CRANK_SLIDER.replace('"B"', '"B\\u001b[31m"').replace("B = 0", '"B\\u001b[31m" = 0'))
+    for command in (["dof"], ["assemble"], ["trace"], ["assemble", "A=0.3", "--modes"]):
+        result = Result(command[0], path, *command[1:])
+        assert result.code == 0 and "\x1b" not in result.out and "B\\x1b[31m" in result.out, result.out + result.err
+
+
 # ---- info and fk
 
 
@@ -251,8 +288,8 @@ def test_fk_says_where_loops_are_open(engine, rodded):
     assert "'C' is open by 3 m" in note(engine, "--frame", "slider")
     assert "'rod' is open by 1 m" in note(rodded, "--frame", "slider")
     q = ",".join(f"{x:.6f}" for x in kempe.load("four_bar").assemble({"A": 0.3}).q)
-    assert note(engine, "--frame", "slider", "--posture", "closed") == note("four_bar", "--frame", "rocker", "--q", q) == ""
-    assert note("puma560", "--frame", "tool") == ""
+    assert note(engine, "--frame", "slider", "--posture", "closed") == ""
+    assert note("four_bar", "--frame", "rocker", "--q", q) == note("puma560", "--frame", "tool") == ""
 
 
 # ---- dof
@@ -307,7 +344,7 @@ def test_assemble_against_the_closed_form(engine):
         data, want = result.json(), math.radians(angle)
         assert result.code == 0 and data["success"] is True and data["q"]["A"] == pytest.approx(angle, abs=1e-12)
         assert data["q"]["S"] == pytest.approx(reach(want), abs=1e-12)
-        assert data["q"]["C"] == pytest.approx(math.degrees(math.asin(-math.sin(want) / 2.0)), abs=1e-9)
+        assert data["q"]["C"] == pytest.approx(math.degrees(math.asin(math.sin(want) / 2.0)), abs=1e-9)
     near = Result("assemble", engine, "A=20", "--near", "S=2.9", "--deg", "--json").json()
     assert near["q"]["S"] == pytest.approx(reach(math.radians(20.0)), abs=1e-12), "slides stay metres"
 

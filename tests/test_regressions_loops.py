@@ -178,3 +178,34 @@ def test_all_modes_of_a_gear_that_comes_back_after_several_turns(cut, driven, dr
     modes = s.assembly_modes({})
     assert len(modes) == count and not modes.complete
     assert max(np.abs(s.closure_error(q)).max() for q in modes) < 1e-8
+
+
+# ---- motion
+
+
+def test_a_branch_closes_where_limits_are_not_looked_at():
+    m = four_bar().mechanism
+    m.joints.pop("A")
+    m.revolute("A", m.ground, "crank", limits=(-1, 1))
+    path = m.build().trace("A", {"A": 0.0}, limits=False)
+    assert path.closed and path.turns["A"] == 1 and len(path) < 200
+
+
+def test_points_allowed_are_all_points():
+    path = kempe.load("four_bar").trace("A", max_points=7)
+    assert len(path) == 7 and path.ends == ("the start", "the 7 points allowed")
+
+
+@pytest.mark.parametrize("wrong", [{"step": "x"}, {"max_points": "x"}, {"max_points": 2.5}, {"toward": {"A": np.nan}},
+                                   {"toward": {"A": "x"}}])  # fmt: skip
+def test_bad_options_of_a_trace_are_refused(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        kempe.load("four_bar").trace("A", **wrong)
+
+
+@pytest.mark.parametrize("inputs", [{"A": "x"}, {"A": lambda t: [1, 2]}, {"A": lambda t: "x"}, ["A"], {"A": []},
+                                    {"A": lambda t: 1.5 if t < 1 else np.nan}])  # fmt: skip
+def test_bad_inputs_of_a_drive_are_refused(inputs):
+    times = [0, 1, 2] if isinstance(inputs, dict) and callable(inputs["A"]) else None
+    with pytest.raises(InputError, match=r"must be|no samples"):
+        kempe.load("four_bar").drive(inputs, times)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from kempe.analysis.continuation import Closure
 from kempe.analysis.course import Course, State, Stuck
 from kempe.analysis.events import Limits
-from kempe.analysis.motion import LONGEST, Progress, angle_or_slide, begin, periods, start_of
+from kempe.analysis.motion import Progress, angle_or_slide, begin, longest_step, periods, start_of, wish_of
 from kempe.analysis.path import Event
 from kempe.errors import InputError, UnknownNameError
 from kempe.spatial import Array
@@ -150,14 +150,14 @@ def drive(
     >>> motion.values("D").round(9).tolist(), len(motion.singular_points)
     ([0.0, 2.0, 4.0, 6.0], 1)
     """
+    if not isinstance(inputs, Mapping):
+        raise InputError(f"inputs is {type(inputs).__name__}; it must be a dict of values by coordinate name")
     names = list(inputs)
     index = [angle_or_slide(system, n) for n in names]
     if hold and set(hold) & set(names):
         raise InputError(f"{sorted(set(hold) & set(names))} are both driven and held; a coordinate is one of them")
     clock, samples = _samples(inputs, times)
-    longest = LONGEST if step is None else float(step)
-    if not 1e-6 <= longest <= 1.0:
-        raise InputError(f"step is {step!r}; it must be between 1e-6 and 1, in radians and characteristic lengths")
+    longest = longest_step(step)
     first = dict(zip(names, samples(0, 1)[-1].tolist(), strict=True))
     closure, q = _begin(system, start, dict(hold or {}), first, index)
     if q is None:
@@ -166,9 +166,7 @@ def drive(
         none = np.ones(1, dtype=bool)
         said = "the loops do not close near the start"
         return Drive(system, near[None], clock[:1], asked, none, (), (), (), False, False, said)
-    wish = np.zeros(closure.n)
-    for name, rate in (toward or {}).items():
-        wish[angle_or_slide(system, name)] = rate
+    wish = wish_of(system, toward)
     course = Course(closure, index, longest, Limits(closure) if limits else None, wish / closure.unit)
     return _run(course, q, names, clock, samples, progress)
 
@@ -180,16 +178,18 @@ def _samples(
     if not inputs:
         raise InputError("there are no inputs; give values by coordinate name")
     functions = [n for n, f in inputs.items() if callable(f)]
-    arrays = {n: np.asarray(v, dtype=float) for n, v in inputs.items() if not callable(v)}
+    arrays = {n: _numbers(v, f"input {n!r}") for n, v in inputs.items() if not callable(v)}
     sizes = {a.shape[0] for a in arrays.values() if a.ndim == 1}
     if times is not None:
-        clock = np.asarray(times, dtype=float)
+        clock = _numbers(times, "times")
     elif functions and not sizes:
         raise InputError(f"inputs {', '.join(map(repr, functions))} are functions of time; give the times")
     else:
         clock = np.arange(float(max(sizes, default=1)))
     bad = [n for n, a in arrays.items() if a.ndim > 1 or (a.ndim == 1 and a.shape != clock.shape)]
-    if clock.ndim != 1 or not len(clock) or bad:
+    if not clock.size:
+        raise InputError("there are no samples: times or inputs are empty")
+    if clock.ndim != 1 or bad:
         raise InputError(f"times and inputs must be one number or {clock.shape} numbers; {', '.join(bad)} differ")
     full = {n: np.broadcast_to(a, clock.shape) for n, a in arrays.items()}
     if not all(np.isfinite(a).all() for a in (clock, *full.values())):
@@ -197,7 +197,11 @@ def _samples(
 
     def value(name: str, before: int, k: int, f: float) -> float:
         if name in functions:
-            return float(inputs[name]((1.0 - f) * clock[before] + f * clock[k]))
+            t = (1.0 - f) * clock[before] + f * clock[k]
+            found = _numbers(inputs[name](t), f"input {name!r} at time {t:g}")
+            if found.size != 1 or not np.isfinite(found).all():
+                raise InputError(f"input {name!r} at time {t:g} is {found!r}; it must be one finite number")
+            return float(found.item())
         return float((1.0 - f) * full[name][before] + f * full[name][k])
 
     def at(k: int, parts: int) -> list[Array]:
@@ -206,6 +210,13 @@ def _samples(
                 for f in np.linspace(0.0, 1.0, parts + 1)[1:]]  # fmt: skip
 
     return clock, at
+
+
+def _numbers(values: Any, subject: str) -> Array:
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{subject} is {values!r}; it must be numbers") from None
 
 
 def _begin(

@@ -25,6 +25,10 @@ BALL_REST = -(10**9)
 ITERATIONS = 60
 LONGEST = 0.2
 """Longest step of a projection, in scaled coordinates: it is to find what is near."""
+SHARP, BLUNT = 1e-15, 1e-4
+"""Residuals between these, where a projection ends, may be halved many times by plain steps."""
+PLAIN, FLAT, HOPELESS = 40, 1e-13, 10
+"""Most plain steps, singular values (parts of the largest) that they leave out, and steps without gain that end it."""
 
 
 class Landing(NamedTuple):
@@ -101,8 +105,48 @@ class Equations:
         """Points of the solution set near q (N, nq).
 
         Where `radius` > 0 the points are sought at that distance from `centers` (N, nq) or (nq,).
+
+        What is left where equations touch the set goes down in a narrow bent valley, in which steps that must not
+        climb are short: plain steps, which climb out and come back, finish it.
         """
-        return self._project(np.array(q, dtype=float, order="C").reshape(-1, self.nq), centers, radius, iterations)
+        found = self._project(np.array(q, dtype=float, order="C").reshape(-1, self.nq), centers, radius, iterations)
+        radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(found.q)))
+        left = self._left(found, radii)
+        slow = np.flatnonzero((left > SHARP) & (left < BLUNT)) if iterations else []
+        if len(slow):
+            self._finish(found, slow, left[slow], np.broadcast_to(centers, found.q.shape)[slow], radii[slow])
+        return found
+
+    @staticmethod
+    def _left(at: Landing, radii: Array) -> Array:
+        """Residuals (N,), the equation of the sphere included."""
+        return np.hypot(at.residual, np.where(radii > 0.0, at.distance - radii, 0.0))
+
+    def _finish(self, found: Landing, slow: np.ndarray, best: Array, centers: Array, radii: Array) -> None:
+        """Take plain Gauss-Newton steps from the points `slow`, and keep in `found` those that are better."""
+        q, since = found.q[slow], np.zeros(len(slow), dtype=int)
+        for _ in range(PLAIN):
+            at = self._project(q.copy(), centers, radii, 0)
+            left = self._left(at, radii)
+            since = np.where(left < 0.5 * best, 0, since + 1)
+            better = left < best
+            best = np.where(better, left, best)
+            for kept, new in zip(found, at, strict=True):
+                kept[slow[better]] = new[better]
+            on = (left > SHARP) & (since < HOPELESS)
+            if not on.any():
+                return
+            slow, best, since, centers, radii = slow[on], best[on], since[on], centers[on], radii[on]
+            q = self.move(at.q[on], self._plain(at.value[on], at.jacobian[on], at.q[on], centers, radii))
+
+    def _plain(self, value: Array, J: Array, q: Array, centers: Array, radii: Array) -> Array:
+        """Undamped steps (N, nv) onto the equations and, where radii > 0, the spheres."""
+        x = np.where((radii > 0.0)[:, None], self.offset(centers, q), 0.0)
+        over = np.where(radii > 0.0, 1.0 / np.where(radii > 0.0, radii, 1.0), 0.0)
+        error = 0.5 * (np.sum(x * x, axis=1) - radii**2) * over
+        rows = np.concatenate([J, (x * over[:, None])[:, None]], axis=1)
+        step = -(np.linalg.pinv(rows, FLAT) @ np.append(value, error[:, None], axis=1)[..., None])[..., 0]
+        return step * np.minimum(1.0, LONGEST / np.maximum(np.linalg.norm(step, axis=1), 1e-300))[:, None]
 
     def _project(self, q: Array, centers: Array, radius: Array | float, iterations: int) -> Landing:
         """The same, overwriting q."""

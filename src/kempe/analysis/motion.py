@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -113,13 +114,31 @@ def _options(
 ) -> _Options:  # fmt: skip
     if driver is not None:
         angle_or_slide(system, driver)
-    longest = LONGEST if step is None else float(step)
-    if not 1e-6 <= longest <= 1.0:
+    longest = longest_step(step)
+    if isinstance(max_points, bool) or not isinstance(max_points, (int, np.integer)) or max_points < 2:
+        raise InputError(f"max_points is {max_points!r}; it must be a whole number, at least 2")
+    names = tuple(system.frame_name(f) for f in ([frames] if isinstance(frames, str) else frames))
+    return _Options(driver, both, longest, limits, int(max_points), names, progress, periods(system, limits))
+
+
+def longest_step(step: float | None) -> float:
+    """The longest step of arc length. Errors: `InputError`."""
+    if step is None:
+        return LONGEST
+    if isinstance(step, bool) or not isinstance(step, Real) or not 1e-6 <= step <= 1.0:
         raise InputError(f"step is {step!r}; it must be between 1e-6 and 1, in radians and characteristic lengths")
-    if max_points < 2:
-        raise InputError(f"max_points is {max_points!r}; it must be at least 2")
-    names = tuple(system.frame_name(f) for f in frames)
-    return _Options(driver, both, longest, limits, int(max_points), names, progress, periods(system))
+    return float(step)
+
+
+def wish_of(system: System, toward: Mapping[str, float] | None) -> Array:
+    """The rates (nv,) that choose a sense or a branch. Errors: `InputError`, `UnknownNameError`."""
+    wish = np.zeros(system.nv)
+    for name, rate in (toward or {}).items():
+        i = angle_or_slide(system, name)
+        if isinstance(rate, bool) or not isinstance(rate, Real) or not math.isfinite(rate):
+            raise InputError(f"toward gives the rate {rate!r} to {name!r}; it must be a finite number")
+        wish[i] = rate
+    return wish
 
 
 def angle_or_slide(system: System, name: str) -> int:
@@ -170,10 +189,13 @@ def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closur
     return equations, q
 
 
-def periods(system: System) -> Array:
-    """For each velocity coordinate (nv,) by how much it turns until all is as before; 0 where that never happens."""
+def periods(system: System, limits: bool = True) -> Array:
+    """For each velocity coordinate (nv,) by how much it turns until all is as before; 0 where that never happens.
+
+    With `limits` a coordinate that has some does not turn all round.
+    """
     c = system.coordinates
-    whole = np.where(c.turning & np.isinf(c.lower) & np.isinf(c.upper), 1, 0)
+    whole = np.where(c.turning & ((np.isinf(c.lower) & np.isinf(c.upper)) | (not limits)), 1, 0)
     number = {name: i for i, name in enumerate(system.velocity_names)}
     mechanism, followers = system.mechanism, system.couplings
     for joint in mechanism.joints.values() if followers else ():
@@ -194,10 +216,10 @@ def first_node(
 ) -> Node | None:  # fmt: skip
     """The node at the start with its sense chosen; None where nothing can move. Errors: `UnsupportedError`."""
     system = equations.system
-    wish = np.zeros(equations.n)
-    for name, rate in (toward or {}).items():
-        wish[angle_or_slide(system, name)] = rate
+    wish = wish_of(system, toward)
     wish = wish / equations.unit if equations.n == system.nv else wish
+    if not equations.n:
+        return None
     here = node(equations, q)
     if here.nullity == 0:
         return None
@@ -256,8 +278,8 @@ def _trace(equations: Closure, first: Node, options: _Options) -> Path:
     """The whole branch from its first node."""
     nodes, reason, closed, interrupted = _one_way(equations, first, options, options.max_points)
     ends = ("the start", reason)
-    if options.both and not closed and not interrupted:
-        left = max(options.max_points - len(nodes), 2)
+    left = options.max_points - len(nodes)
+    if options.both and not closed and not interrupted and left > 1:
         back, other, _, interrupted = _one_way(equations, first.reversed(), options, left)
         nodes = [n.reversed() for n in reversed(back[1:])] + nodes
         ends = (other, reason)
@@ -283,7 +305,7 @@ def _one_way(equations: Closure, first: Node, options: _Options, most: int) -> t
             if options.progress is not None and len(nodes) % 16 == 0:
                 options.progress(len(nodes), length)
             if len(nodes) >= most:
-                return nodes, f"the {most} points allowed", False, False
+                return nodes, f"the {options.max_points} points allowed", False, False
     except KeyboardInterrupt:
         return nodes, "the interrupt", False, True
     raise AssertionError("a walk ends only with a reason")

@@ -17,10 +17,15 @@ from kempe import spatial
 from kempe.analysis.graph import Edge, structure
 from kempe.description.parts import Constraint
 from kempe.joints import P, Q
+from kempe.model.lengths import characteristic_length
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+
+ONE_POINT = 1e-12
+"""Spread of the joints, as a part of their distance from the origin, below which they all sit on one point: what is
+left is rounding, and no length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +73,8 @@ def screws(system: System, q: Array) -> Screws:
     points = M[:, :3, 3]
     center = points.mean(axis=0) if len(points) else np.zeros(3)
     spread = float(np.sqrt(np.mean(np.sum((points - center) ** 2, axis=-1)))) if len(points) else 0.0
-    length = spread if spread > 0.0 else 1.0
+    far = float(np.abs(bodies[:, :3, 3]).max()) + float(np.abs(points).max(initial=0.0))
+    length = spread if spread > ONE_POINT * far else characteristic_length(system)
     twists: list[Array] = []
     cross: dict[int, Array] = {}
     values = q.tolist()

@@ -29,8 +29,8 @@ app = typer.Typer(
 
 
 def option(flags: str, help: str, metavar: str | None = None, panel: str | None = None) -> Any:
-    """An option of a command."""
-    return typer.Option(*flags.split(","), help=help, metavar=metavar, rich_help_panel=panel)
+    """An option of a command, without `metavar` a switch that takes no value."""
+    return typer.Option(*flags.split(","), help=help, metavar=metavar or "", rich_help_panel=panel)
 
 
 DESCRIBE, OPEN, CLOSED, REST = "Describe and convert", "Positions", "Closed loops", "Models and this machine"
@@ -43,9 +43,7 @@ Deg = Annotated[bool, option("--deg", "Angles are degrees, read and printed; len
 Out = Annotated[Path | None, option("-o,--out", "Write the results to a .csv or .npy file.", "FILE")]
 Base = Annotated[str | None, option("--base", "'free': the root link moves freely (URDF).", "free", _READ)]
 Root = Annotated[str | None, option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)]
-Dirs = Annotated[
-    list[Path] | None, option("--package-dir", "Folder for package://; can be repeated.", "FOLDER", _READ)
-]
+Dirs = Annotated[list[Path] | None, option("--package-dir", "Folder for package://; can be repeated.", "FOLDER", _READ)]
 Xacro = Annotated[bool, option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)]
 
 FrameOrAll = Annotated[str | None, option("--frame", "Body or frame; all bodies if not given.", "NAME")]
@@ -86,7 +84,7 @@ def load(file: str, *options: Any) -> System:
 @app.callback(invoke_without_command=True)
 def main_options(
     context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    version: Annotated[bool, option("--version", "Print the version.")] = False,
 ) -> None:
     """Kinematics of mechanisms: where bodies are, what reaches a pose, how closed loops move."""
     if version:

@@ -43,7 +43,7 @@ PICTURES = (".png", ".svg", ".pdf")
 Known = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[NAME=VALUE]...",
+        metavar="NAME=VALUE",
         help="Known coordinates; or places of frames: tip=x,y[,z]; or a .csv file whose first line names coordinates.",
     ),
 ]

@@ -14,7 +14,7 @@ from kempe.views.terminal import guarded, print_json, show
 @app.command(rich_help_panel=REST)
 @guarded
 def library(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Print this model's TOML.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Print this model's TOML.")] = None,
     json: Json = False,
 ) -> None:
     """List the shipped models, or print one as TOML.

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 
 from kempe.errors import InputError
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+RIGID = 1e-6
+"""How far the place of a frame may be from a rigid motion, or from the plane."""
 
 
 def start_count(starts: object) -> int:
@@ -21,3 +30,28 @@ def seed_number(rng: object) -> int:
     if isinstance(rng, bool) or not isinstance(rng, (int, np.integer)) or not 0 <= rng < 2**62:
         raise InputError(f"rng is {rng!r}; it must be a generator or a whole number, not negative")
     return int(rng)
+
+
+def place_of(system: System, frame: str, place: Any, whole: bool) -> Array:
+    """Positions (..., 2 or 3) of a frame, or its poses (..., 4, 4); what is not finite is let through.
+
+    Errors: `InputError` for what are no numbers, no poses, or leaves the plane of a planar system.
+    """
+    try:
+        x = np.asarray(place, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"the place of frame {frame!r} must be numbers") from None
+    fine = np.isfinite(x).all(axis=(-1, -2) if whole else -1)
+    tilt, height = np.zeros(1), np.zeros(1)
+    if whole:
+        R = x[fine][..., :3, :3]
+        off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0.0)
+        last = np.abs(x[fine][..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max(initial=0.0)
+        if max(off, last) > RIGID or np.any(np.linalg.det(R) < 0.0):
+            raise InputError(f"the place of frame {frame!r} is no pose: rotation with determinant +1, last row 0 0 0 1")
+        tilt, height = 1.0 - R[..., 2, 2], x[fine][..., 2, 3]
+    elif x.shape[-1] == 3:
+        height = x[fine][..., 2]
+    if system.dim == 2 and max(np.abs(tilt).max(initial=0.0), np.abs(height).max(initial=0.0)) > RIGID:
+        raise InputError(f"the place of frame {frame!r} leaves the plane")
+    return x

@@ -17,7 +17,7 @@ from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.loops import Loops, loops_of, must_carry
-from kempe.solvers.arguments import seed_number, start_count
+from kempe.solvers.arguments import place_of, seed_number, start_count
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
 from kempe.solvers.home import home_of
 from kempe.spatial import Array
@@ -278,7 +278,7 @@ class Assembler:
         pins = np.zeros((n, len(self.frames), 3, 4))
         pins[..., :3, :3] = np.eye(3)
         for k, (frame, whole) in enumerate(zip(self.frames, turned, strict=True)):
-            place = np.asarray(given[frame], dtype=float)
+            place = place_of(self.system, frame, given[frame], whole)
             if whole:
                 pins[:, k] = np.broadcast_to(place, (*lead, 4, 4)).reshape(n, 4, 4)[:, :3]
             else:

@@ -29,7 +29,7 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     if code == OTHER_BRANCH:
         return "the branch asked for cannot be closed with these values; q is closed on another one"
     reason = _limits(bound, q) or _too_many(bound) or "with these values no closed configuration was found"
-    return f"not closed after {_count(starts, 'start')}: {_open(bound, q)}; {reason}; q is the nearest to closing"
+    return f"not closed after {_count(starts, 'start')}: {_open(bound, q, residual)}; {reason}; q is the nearest to closing"
 
 
 def _count(n: int, what: str) -> str:
@@ -44,8 +44,8 @@ def _outside(bound: Assembler, q: Array) -> str:
     return ", ".join(texts)
 
 
-def _open(bound: Assembler, q: Array) -> str:
-    """What is violated most, in metres and radians."""
+def _open(bound: Assembler, q: Array, missed: float) -> str:
+    """What is violated most, in metres and radians; `missed` is the norm of all residuals."""
     from kempe.kinematics.loops import residual, row_names
 
     system, length = bound.system, bound.loops.length
@@ -54,7 +54,10 @@ def _open(bound: Assembler, q: Array) -> str:
         part = parts.setdefault((name, row == "relation"), [0.0, 0.0])
         kind = int(row.startswith("r"))
         part[kind] = math.hypot(part[kind], value)
-    worst, text = 1e-14, f"a place of {', '.join(map(repr, bound.frames))} is missed"
+    worst, text = 0.0, "nothing is open"
+    if bound.frames:  # loops that are open by next to nothing are not the reason
+        worst = 0.1 * missed
+        text = f"the place of {' or '.join(map(repr, bound.frames))} is missed by {missed * length:.6g} m"
     for (name, related), (apart, turned) in parts.items():
         size = math.hypot(apart / length, turned)
         if size <= worst:

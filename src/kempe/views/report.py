@@ -95,7 +95,9 @@ def table(columns: Sequence[str], lines: Iterable[Sequence[object]], title: str 
     for name in columns:
         numeric = name.startswith(">")
         justify = "right" if numeric else "left"
-        out.add_column(name.lstrip(">="), justify=justify, overflow="fold", no_wrap=numeric or name.startswith("="))
+        out.add_column(
+            clean(name.lstrip(">=")), justify=justify, overflow="fold", no_wrap=numeric or name.startswith("=")
+        )
     for line in lines:
         out.add_row(*(cell if isinstance(cell, Text) else clean(cell) for cell in line))
     return out
