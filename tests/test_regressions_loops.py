@@ -58,9 +58,9 @@ def test_the_characteristic_length_is_of_the_links(cut, at):
 
 def test_a_mechanism_far_from_the_origin():
     """1000 m away loops close, and are traced, as at the origin: no digits and no tolerance are lost."""
-    m = Mechanism("far", dim=2, ground="world")
-    m.attach(kempe.load("wunderlich"), m.ground, at=(1000.0, 2000.0), angle=1.0)
-    far, home = m.build(), kempe.load("wunderlich")
+    m = Mechanism("far", ground="world")
+    m.attach(kempe.load("sarrus"), m.ground, at=(1000.0, 2000.0, 0.0), rpy=(0.3, 0.2, 1.0))
+    far, home = m.build(), kempe.load("sarrus")
     driver = home.velocity_names[0]
     start = far.q({k: v for k, v in home.q_dict(home.posture("closed")).items()})
     assert far.trace(driver, start).length == pytest.approx(home.trace(driver, "closed").length, rel=1e-6)
@@ -209,3 +209,49 @@ def test_bad_inputs_of_a_drive_are_refused(inputs):
     times = [0, 1, 2] if isinstance(inputs, dict) and callable(inputs["A"]) else None
     with pytest.raises(InputError, match=r"must be|no samples"):
         kempe.load("four_bar").drive(inputs, times)
+
+
+# ---- places of frames, and systems with next to nothing in them
+
+
+def test_places_that_no_frame_can_have_are_refused():
+    s = kempe.load("three_rrr")
+    body = s.body_names[-1]
+    tilted = np.eye(4)
+    tilted[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    for place in ([0.0, 0.0, 1.0], tilted):
+        with pytest.raises(InputError, match="leaves the plane"):
+            s.assemble({body: place})
+    for place in (np.full((4, 4), 2.0), np.diag([1.0, 1.0, -1.0, 1.0])):
+        with pytest.raises(InputError, match="is no pose"):
+            s.assemble({body: place})
+
+
+def test_by_how_much_a_place_is_missed():
+    m = Mechanism("arm", dim=2)
+    m.revolute("A", m.ground, m.body("a"))
+    m.revolute("B", "a", m.body("b"), at=(1, 0))
+    s = m.build()
+    assert "the place of 'b' is missed by 0.118034 m" in s.assemble({"b": [1.0, 0.5]}).status
+    assert "the place of 'ground' is missed by 1 m" in kempe.load("four_bar").assemble({"ground": [1, 0]}).status
+
+
+def test_what_has_no_coordinates_does_not_move():
+    m = Mechanism("nothing", dim=2)
+    assert len(m.build().trace()) == 1
+    m.fixed("F", m.ground, m.body("block"))
+    assert "cannot move" in m.build().trace().status
+
+
+def test_a_search_among_thousands_of_modes_ends():
+    m = Mechanism("row", dim=2)
+    before = m.body("r0")
+    m.revolute("A0", m.ground, before)
+    for k in range(1, 21):
+        coupler, rocker = m.body(f"c{k}"), m.body(f"r{k}")
+        m.revolute(f"B{k}", before, coupler, at=(0, 0.5))
+        m.revolute(f"C{k}", coupler, rocker, at=(1, 0), child_at=(0, 0.5))
+        m.revolute(f"A{k}", m.ground, rocker, at=(k, 0))
+        before = rocker
+    modes = m.build().assembly_modes({"A0": 0.4})
+    assert len(modes) > 500 and not modes.complete and modes.coverage < 0.9

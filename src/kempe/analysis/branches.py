@@ -28,7 +28,7 @@ ALONG, TURNED = 0.5, 0.15
 """Way along the sphere, as a part of its radius, and the turn of the tangent space over it that shows a cone."""
 FELL_BACK = 0.1
 """A start that ends nearer to the configuration than this part of the radius found no motion."""
-BATCH, MOST_STARTS, MOST_KEPT = 32, 480, 12
+BATCH, MOST_STARTS, MOST_KEPT = 32, 480, 20
 """Starts at a time and in all, and points kept of a family."""
 SAME_PLANE = 0.2
 """Tangent spaces nearer to each other (root sum square of sines) belong to one branch."""
@@ -230,9 +230,12 @@ def span(x: Array) -> tuple[int, Array]:
 
 
 def dimensions(equations: Equations, families: list[Family], order: int, rng: np.random.Generator) -> bool:
-    """Set dimension and tangent space of all points; whether ways and points of a family agree."""
+    """Set dimension and tangent space of all points, and part families whose points are of several branches.
+
+    Says whether the ways to find the dimension, and points where equations are smooth, agree.
+    """
     sound = True
-    for family in families:
+    for family in list(families):
         spots = family.spots
         for spot in spots:
             if spot.split.corank == 0:
@@ -240,11 +243,33 @@ def dimensions(equations: Equations, families: list[Family], order: int, rng: np
         rest = [s for s in spots if s.dim is None]
         for spot in rest[:2]:
             sound &= measure(equations, spot, order, rng)
+        shaky = any(s.obstructed is not None for s in rest[:2])
         for spot in rest[2:]:
-            spot.dim = rest[0].dim
-            spot.tangent = spot.split.kernel if spot.dim == spot.split.delta else rest[0].tangent
-        sound &= len({s.dim for s in spots}) == 1
+            if shaky:
+                sound &= measure(equations, spot, order, rng)
+            else:
+                spot.dim, spot.tangent = rest[0].dim, spot.split.kernel
+        parts = _parted(family)
+        sound &= shaky or len(parts) == 1
+        if shaky and len(parts) > 1:
+            families.remove(family)
+            families += parts
     return sound
+
+
+def _parted(family: Family) -> list[Family]:
+    """A family by dimension and tangent space: where it is shaky, branches that meet can have the same kernel."""
+    parts: list[Family] = []
+    for spot in family.spots:
+        for part in parts:
+            first = part.spots[0]
+            curve = (spot.dim or 0) < 2 or family.cone
+            if first.dim == spot.dim and (curve or apart(first.tangent, spot.tangent) < SAME_PLANE):
+                part.spots.append(spot)
+                break
+        else:
+            parts.append(Family([spot], family.cone, family.hits))
+    return parts
 
 
 def stays_multiple(equations: Equations, at: Split, families: list[Family]) -> bool:

@@ -27,8 +27,10 @@ LONGEST = 0.2
 """Longest step of a projection, in scaled coordinates: it is to find what is near."""
 SHARP, BLUNT = 1e-15, 1e-4
 """Residuals between these, where a projection ends, may be halved many times by plain steps."""
-PLAIN, FLAT, HOPELESS = 40, 1e-13, 10
-"""Most plain steps, singular values (parts of the largest) that they leave out, and steps without gain that end it."""
+PLAIN, HOPELESS = 40, 4
+"""Most plain steps, and steps without gain that end it."""
+FLAT, STEEP = 1e-13, 1e-3
+"""Singular values, as parts of the largest, that plain steps leave out, and those that lead back into the valley."""
 
 
 class Landing(NamedTuple):
@@ -137,16 +139,21 @@ class Equations:
             if not on.any():
                 return
             slow, best, since, centers, radii = slow[on], best[on], since[on], centers[on], radii[on]
-            q = self.move(at.q[on], self._plain(at.value[on], at.jacobian[on], at.q[on], centers, radii))
+            at = Landing(*(x[on] for x in at))
+            q = self._step(at, centers, radii, FLAT)
+            for _ in range(2):
+                q = self._step(self._project(q, centers, radii, 0), centers, radii, STEEP)
 
-    def _plain(self, value: Array, J: Array, q: Array, centers: Array, radii: Array) -> Array:
-        """Undamped steps (N, nv) onto the equations and, where radii > 0, the spheres."""
+    def _step(self, at: Landing, centers: Array, radii: Array, flat: float) -> Array:
+        """Where (N, nq) undamped steps lead onto the equations and, where radii > 0, the spheres."""
+        q, value, J = at.q, at.value, at.jacobian
         x = np.where((radii > 0.0)[:, None], self.offset(centers, q), 0.0)
         over = np.where(radii > 0.0, 1.0 / np.where(radii > 0.0, radii, 1.0), 0.0)
         error = 0.5 * (np.sum(x * x, axis=1) - radii**2) * over
         rows = np.concatenate([J, (x * over[:, None])[:, None]], axis=1)
-        step = -(np.linalg.pinv(rows, FLAT) @ np.append(value, error[:, None], axis=1)[..., None])[..., 0]
-        return step * np.minimum(1.0, LONGEST / np.maximum(np.linalg.norm(step, axis=1), 1e-300))[:, None]
+        step = -(np.linalg.pinv(rows, flat) @ np.append(value, error[:, None], axis=1)[..., None])[..., 0]
+        shorter = np.minimum(1.0, LONGEST / np.maximum(np.linalg.norm(step, axis=1), 1e-300))
+        return self.move(q, step * shorter[:, None])
 
     def _project(self, q: Array, centers: Array, radius: Array | float, iterations: int) -> Landing:
         """The same, overwriting q."""

@@ -29,7 +29,8 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     if code == OTHER_BRANCH:
         return "the branch asked for cannot be closed with these values; q is closed on another one"
     reason = _limits(bound, q) or _too_many(bound) or "with these values no closed configuration was found"
-    return f"not closed after {_count(starts, 'start')}: {_open(bound, q, residual)}; {reason}; q is the nearest to closing"
+    what = _open(bound, q, residual)
+    return f"not closed after {_count(starts, 'start')}: {what}; {reason}; q is the nearest to closing"
 
 
 def _count(n: int, what: str) -> str:

@@ -163,14 +163,14 @@ def _refuse_closed(system: System, name: str, used: set[str]) -> None:
     for closure in system.closures:
         if used & loop_coordinates(system, closure):
             raise UnsupportedError(
-                f"frame {name!r} moves with the loop that joint {closure!r} closes; inverse kinematics of closed loops "
-                "is not available in this version (a subchain, or a lock of the loop's joints, is)"
+                f"frame {name!r} moves with the loop that joint {closure!r} closes: `ik` is for open chains; "
+                f"assemble({{{name!r}: target}}) closes the loops with the frame in place"
             )
     for relation in system.relations:
         if used & {relation.of, *relation.sources}:
             raise UnsupportedError(
-                f"frame {name!r} moves with coordinate {relation.of!r}, which follows several others; inverse "
-                "kinematics under such relations is not available in this version"
+                f"frame {name!r} moves with coordinate {relation.of!r}, which follows several others: `ik` is for "
+                f"open chains; assemble({{{name!r}: target}}) keeps such relations"
             )
 
 

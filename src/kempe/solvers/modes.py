@@ -23,6 +23,8 @@ ROUND = 128
 """Starts in one batch; after each it is asked whether the search may end."""
 SEEN_OFTEN = 6
 """The search ends when each mode has been found this many times."""
+MANY, HOPELESS = 1024, 0.1
+"""After so many starts a search ends that, by estimate, has found less than this part: there are thousands."""
 SAME = 1e-6
 """Configurations nearer than this, in radians and characteristic lengths, are one: double roots merge at 1e-8."""
 KICK, STAYED = 1e-2, 1e-3
@@ -212,6 +214,8 @@ def by_starts(question: Question) -> Modes:
         free = np.concatenate([free, _freedoms(question, clusters.metric, clusters.q[len(free) :])])
         hits = clusters.hits[free == 0]
         if len(free) and np.all(hits >= SEEN_OFTEN):
+            break
+        if tried >= MANY and len(hits) and estimates(hits)[0] < HOPELESS:
             break
     q, closed = clusters.q, int(clusters.hits.sum())
     isolated, families = np.flatnonzero(free == 0), np.flatnonzero(free > 0)
