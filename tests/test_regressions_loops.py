@@ -255,3 +255,31 @@ def test_a_search_among_thousands_of_modes_ends():
         before = rocker
     modes = m.build().assembly_modes({"A0": 0.4})
     assert len(modes) > 500 and not modes.complete and modes.coverage < 0.9
+
+
+# ---- further constraints, transmission angles
+
+
+def test_bad_further_constraints_are_refused_and_violated_ones_named():
+    from kempe.kinematics import zoo
+
+    s = kempe.load("five_bar")
+    for bad in (3, ["x"]):
+        with pytest.raises(InputError, match="constraints is"):
+            s.assemble(constraints=bad)
+    for wrong in (lambda q: "x", lambda q: np.nan):
+        with pytest.raises(InputError, match="must give a number"):
+            zoo.user_constraint(s, "mine", wrong)
+    with pytest.raises(InputError, match=r"its Jacobian has shape \(1, 3\)"):
+        zoo.user_constraint(s, "mine", lambda q: q[0], lambda q: np.zeros(3))
+    a, b = s.body_names[1], s.body_names[-1]
+    answer = s.assemble(constraints=[zoo.Distance("far rod", a, b, length=99.0)])
+    assert not answer and "'far rod'" in answer.status
+
+
+def test_a_joint_on_the_ground_has_no_transmission_angle():
+    from kempe.analysis.transmission import transmission_angle
+
+    s = kempe.load("four_bar")
+    with pytest.raises(InputError, match="on the ground"):
+        transmission_angle(s, s.posture("closed"), "A")

@@ -24,6 +24,8 @@ CLOSED = 1e-11
 """Residual below which a point belongs to the solution set."""
 SAME_POINT = 1e-3
 """Points nearer than this part of the radius are one."""
+BLURRED = 0.05
+"""The same where the equations touch the solution set: there points are known to few digits."""
 ALONG, TURNED = 0.5, 0.15
 """Way along the sphere, as a part of its radius, and the turn of the tangent space over it that shows a cone."""
 FELL_BACK = 0.1
@@ -244,17 +246,24 @@ def dimensions(equations: Equations, families: list[Family], order: int, rng: np
         for spot in rest[:2]:
             sound &= measure(equations, spot, order, rng)
         shaky = any(s.obstructed is not None for s in rest[:2])
-        for spot in rest[2:]:
-            if shaky:
+        for i, spot in enumerate(rest[2:], 2):
+            like = next((s for s in rest[:i] if _within(spot, s)), None) if shaky and not family.cone else rest[0]
+            if like is None:
                 sound &= measure(equations, spot, order, rng)
             else:
-                spot.dim, spot.tangent = rest[0].dim, spot.split.kernel
+                spot.dim, spot.tangent = like.dim, like.tangent if shaky else spot.split.kernel
         parts = _parted(family)
         sound &= shaky or len(parts) == 1
         if shaky and len(parts) > 1:
             families.remove(family)
             families += parts
     return sound
+
+
+def _within(spot: Spot, other: Spot) -> bool:
+    """Whether a point lies in the tangent space of a branch of two or more dimensions, that of another point."""
+    T, x = other.tangent, spot.offsets[0] / RADII[0]
+    return T is not None and T.shape[1] > 1 and float(np.linalg.norm(x - T @ (T.T @ x))) < SAME_PLANE
 
 
 def _parted(family: Family) -> list[Family]:
@@ -304,7 +313,7 @@ def _pair(halves: list[Spot]) -> tuple[list[Branch], bool]:
     """Curves through the configuration from their half-branches, joined so that direction and bend continue."""
     h = np.array(RADII)
     rays = []
-    for s in halves:
+    for s in _apart(halves):
         u = s.offsets / h[:, None]
         t = u[2] - (u[1] - u[2]) * h[2] / (h[1] - h[2])
         rays.append((t / np.linalg.norm(t), (u[1] - u[2]) / (h[1] - h[2]), s))
@@ -321,6 +330,16 @@ def _pair(halves: list[Spot]) -> tuple[list[Branch], bool]:
                 out.append(_curve(rays[i], 2, sign < 0.0))
     out += [_curve(rays[i], 1, False) for i in left]
     return out, not left
+
+
+def _apart(halves: list[Spot]) -> list[Spot]:
+    """Half-branches without those that are another again: where they are shaky, points are known to few digits."""
+    out: list[Spot] = []
+    for s in halves:
+        shaky = [o for o in out if min(s.split.delta, o.split.delta) > 1]
+        if not any(np.linalg.norm(s.offsets[0] - o.offsets[0]) < BLURRED * RADII[0] for o in shaky):
+            out.append(s)
+    return out
 
 
 def _curve(ray: tuple[Array, Array, Spot], ends: int, cusp: bool) -> Branch:

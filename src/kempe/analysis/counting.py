@@ -163,7 +163,8 @@ def _lecture_text(
     else:
         who = "Each body is held by one joint"
     if held:
-        who += f", and {' and '.join(_several(n, what) for n, what in held)} take away one each"
+        how = "take away one each" if more > 1 else "takes away one"
+        who += f", and {' and '.join(_several(n, what) for n, what in held)} {how}"
     return f"{who}: {text} = {gruebler}."
 
 

@@ -25,8 +25,9 @@ BALL_REST = -(10**9)
 ITERATIONS = 60
 LONGEST = 0.2
 """Longest step of a projection, in scaled coordinates: it is to find what is near."""
-SHARP, BLUNT = 1e-15, 1e-4
-"""Residuals between these, where a projection ends, may be halved many times by plain steps."""
+SHARP, SLOW, BLUNT = 1e-15, 1e-12, 1e-4
+"""Where a projection ends with a residual between the last two, plain steps go on to the first. What is below is left:
+it may be all that the digits of a description allow, and plain steps would run along the motion to where it is none."""
 PLAIN, HOPELESS = 40, 4
 """Most plain steps, and steps without gain that end it."""
 FLAT, STEEP = 1e-13, 1e-3
@@ -114,8 +115,8 @@ class Equations:
         found = self._project(np.array(q, dtype=float, order="C").reshape(-1, self.nq), centers, radius, iterations)
         radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(found.q)))
         left = self._left(found, radii)
-        slow = np.flatnonzero((left > SHARP) & (left < BLUNT)) if iterations else []
-        if len(slow):
+        slow = np.flatnonzero((left > SLOW) & (left < BLUNT))
+        if iterations and len(slow):
             self._finish(found, slow, left[slow], np.broadcast_to(centers, found.q.shape)[slow], radii[slow])
         return found
 

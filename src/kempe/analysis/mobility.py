@@ -154,8 +154,8 @@ def mobility(
         return _open(system, s, at)
     rank = rank_at(system, at.q)
     generic = nearby(system, rank, rng) if rank.dependent or may_idle(system) or driven(system, actuated) else []
-    best = min([rank, *generic], key=lambda r: r.nullity)
     truth = _local(system, rank, local, rng)
+    best = min([rank, *generic, *_on_branches(system, truth)], key=lambda r: r.nullity)
     idle = idle_freedoms(system, [rank, *generic])
     dof = truth.dim if truth is not None else rank.nullity if not rank.dependent or not rank.nullity else None
     singular, kind = _kind(rank, best, truth)
@@ -188,6 +188,14 @@ def _local(system: System, rank: Rank, wanted: bool, rng: np.random.Generator) -
     from kempe.analysis.local import local_dimension
 
     return local_dimension(system, rank.q, rng=rng)
+
+
+def _on_branches(system: System, truth: LocalDimension | None) -> list[Rank]:
+    """Ranks at points of branches of each dimension that meet here: random walks may miss some."""
+    if truth is None or truth.smooth:
+        return []
+    ranks = {b.dim: rank_at(system, b.q) for b in truth.branches if not b.multiple}
+    return [r for dim, r in ranks.items() if r.nullity == dim]
 
 
 def _clusters(s: Structure, rank: Rank | None) -> tuple[ClusterMobility, ...]:

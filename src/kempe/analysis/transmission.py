@@ -259,6 +259,8 @@ def _dyad(system: System, joint: str, coupler: str | None, output: str | None) -
         if name is not None and name not in joints:
             raise UnknownNameError("joint", name, system.joint_names, system.name)
     ends = {joints[joint].parent, joints[joint].child}
+    if system.body_names[0] in ends:
+        raise InputError(f"joint {joint!r} is on the ground; it must connect the coupler and the output link")
     at: dict[str, list[str]] = {b: [] for b in ends}
     for other in joints.values():
         for body in {other.parent, other.child} & ends:

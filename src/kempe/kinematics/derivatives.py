@@ -71,12 +71,24 @@ def way_of(function: Callable[[Array], Any], layout: Layout, q: Array) -> str:
     return COMPLEX if found.shape == real.shape and _agree(found, real) else DIFFERENCES
 
 
+def checked_value(name: str, function: Callable[[Array], Any], q: Array) -> Array:
+    """What the function of a constraint gives at q, () or (m,). Errors: `InputError` for anything else."""
+    found = function(q)
+    try:
+        value = np.asarray(found, dtype=float)
+    except (TypeError, ValueError):
+        value = np.full((), np.nan)
+    if value.ndim > 1 or not np.isfinite(value).all():
+        raise InputError(f"constraint {name!r} gives {found!r}; it must give a number or an array (m,), finite")
+    return value
+
+
 def check_supplied(
     name: str, function: Callable[[Array], Any], derivative: Callable[[Array], Any], layout: Layout, q: Array,
     columns: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Refuse a supplied Jacobian that differs from central differences at q, with its worst entry."""
-    real = differences(function, layout, q)
+    real = np.atleast_2d(differences(function, layout, q))
     given = np.asarray(derivative(q), dtype=float)
     if given.shape != real.shape:
         raise InputError(f"constraint {name!r}: its Jacobian has shape {given.shape}; it must have {real.shape}")

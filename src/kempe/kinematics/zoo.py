@@ -22,7 +22,7 @@ from kempe.kinematics import pairs
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.constraints import coordinate_value
 from kempe.kinematics.curves import Curve
-from kempe.kinematics.derivatives import SUPPLIED, check_supplied, jacobian_of, way_of
+from kempe.kinematics.derivatives import SUPPLIED, check_supplied, checked_value, jacobian_of, way_of
 from kempe.kinematics.forward import fk
 from kempe.kinematics.forward import jacobian as frame_jacobian
 from kempe.spatial import Array
@@ -341,12 +341,10 @@ def user_constraint(
     Errors: `InputError` for a wrong Jacobian, with its worst entry, or values that are not finite.
     """
     q = system.random(0) if at is None else as_q(system, at)
-    found = np.asarray(function(q), dtype=float)
-    if found.ndim > 1 or not np.isfinite(found).all():
-        raise InputError(f"constraint {name!r} gives {found!r}; it must give a number or an array (m,), finite")
+    found = checked_value(name, function, q)
     if jacobian is None:
         return UserConstraint(name, function, found.size, way_of(function, system.layout, q))
-    rows = jacobian if found.ndim else lambda q: np.reshape(jacobian(q), (1, system.nv))
+    rows = jacobian if found.ndim else lambda q: np.atleast_2d(jacobian(q))
     check_supplied(name, function, rows, system.layout, q, system.velocity_names)
     return UserConstraint(name, function, found.size, SUPPLIED, rows)
 

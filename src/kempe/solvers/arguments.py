@@ -55,3 +55,11 @@ def place_of(system: System, frame: str, place: Any, whole: bool) -> Array:
     if system.dim == 2 and max(np.abs(tilt).max(initial=0.0), np.abs(height).max(initial=0.0)) > RIGID:
         raise InputError(f"the place of frame {frame!r} leaves the plane")
     return x
+
+
+def check_constraints(constraints: object) -> None:
+    """Refuse what is no list of constraints of `kempe.kinematics.zoo`."""
+    from kempe.kinematics.zoo import Constraint
+
+    if not isinstance(constraints, (list, tuple)) or not all(isinstance(c, Constraint) for c in constraints):
+        raise InputError(f"constraints is {constraints!r}; it must be a list of constraints of kempe.kinematics.zoo")

@@ -17,7 +17,7 @@ from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.loops import Loops, loops_of, must_carry
-from kempe.solvers.arguments import place_of, seed_number, start_count
+from kempe.solvers.arguments import check_constraints, place_of, seed_number, start_count
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
 from kempe.solvers.home import home_of
 from kempe.spatial import Array
@@ -52,7 +52,7 @@ class Assembler:
 
     def __init__(self, system: System, known: Iterable[str] = ()):
         self.system, self.known = system, tuple(known)
-        self.names = set(self.known)
+        self.names, self.further = set(self.known), ()
         coordinates = [k for k in self.known if k not in system.frame_names or k in system.coordinate_names]
         self.frames = tuple(k for k in self.known if k not in coordinates)
         self._places(coordinates)
@@ -169,7 +169,7 @@ class Assembler:
         pins = self._pins(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if nearest and self.freedoms != 0 else 0
         number = rng if isinstance(rng, int) and rng >= 0 else seed_number(rng)
-        if constraints:
+        if constraints != ():
             return self._custom(constraints, base, lead, limits, start_count(starts), int(number), tolerance)
         q, residual, info = self.run(
             base, pins, start_count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
@@ -188,9 +188,11 @@ class Assembler:
             raise InputError("give places of frames as constraints here: they cannot be mixed with `constraints`")
         if not limits:
             raise InputError("with `constraints` the limits always hold")
+        check_constraints(constraints)
         held = np.isin(np.arange(self.system.nv), [self.system.velocity_names.index(n) for n in self.held])
         q, residual, info = assemble_each(self.system, constraints, base, held, starts, STEPS, tolerance, rng)
         other = copy(self)
+        other.further = tuple(c.name for c in constraints)
         other.freedoms = -1  # the constraints take freedoms away, which the loops do not know of
         return other._answer(base, lead, q, residual, info, limits)
 

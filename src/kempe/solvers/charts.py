@@ -120,7 +120,10 @@ def independent(system: System, q: Any = None, prefer: Iterable[str] = ()) -> Ch
     rows = _extend(N, rows, [v for v in range(system.nv) if names[v] in usable])
     quality = _quality(N, rows)
     if p and quality < WORST:
-        raise InputError("no choice of angles and lengths is independent here: quaternions would be needed")
+        raise InputError(
+            "no choice of angles and lengths is independent here: quaternions would be needed; "
+            "joints with angles=True have angles in their place"
+        )
     chosen = tuple(names[v] for v in sorted(rows))
     rest = tuple(n for n in names if n not in chosen)
     return Chart(system, chosen, rest, q.copy(), quality)

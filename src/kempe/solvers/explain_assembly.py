@@ -56,6 +56,8 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
         kind = int(row.startswith("r"))
         part[kind] = math.hypot(part[kind], value)
     worst, text = 0.0, "nothing is open"
+    if bound.further:
+        worst, text = 0.1 * missed, f"one of {', '.join(map(repr, bound.further))} is violated by {missed:.6g}"
     if bound.frames:  # loops that are open by next to nothing are not the reason
         worst = 0.1 * missed
         text = f"the place of {' or '.join(map(repr, bound.frames))} is missed by {missed * length:.6g} m"
