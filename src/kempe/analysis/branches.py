@@ -266,14 +266,18 @@ def _within(spot: Spot, other: Spot) -> bool:
     return T is not None and T.shape[1] > 1 and float(np.linalg.norm(x - T @ (T.T @ x))) < SAME_PLANE
 
 
+def _alike(a: Array | None, b: Array | None) -> bool:
+    """Whether tangent spaces belong to one branch; those of curves may."""
+    return a is None or b is None or a.shape[1] < 2 or apart(a, b) < SAME_PLANE
+
+
 def _parted(family: Family) -> list[Family]:
     """A family by dimension and tangent space: where it is shaky, branches that meet can have the same kernel."""
     parts: list[Family] = []
     for spot in family.spots:
         for part in parts:
             first = part.spots[0]
-            curve = (spot.dim or 0) < 2 or family.cone
-            if first.dim == spot.dim and (curve or apart(first.tangent, spot.tangent) < SAME_PLANE):
+            if first.dim == spot.dim and (family.cone or _alike(first.tangent, spot.tangent)):
                 part.spots.append(spot)
                 break
         else:

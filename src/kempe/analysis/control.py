@@ -96,7 +96,7 @@ def driven(system: System, actuated: Iterable[str] | None) -> list[int] | None:
     if actuated is None:
         marked = [c.index for e in edges if e.actuated for c in e.columns if c.index >= 0]
         return list(dict.fromkeys(marked)) if any(e.actuated for e in edges) else None
-    if isinstance(actuated, str):
+    if isinstance(actuated, str) or not isinstance(actuated, Iterable):
         raise InputError(f"actuated is {actuated!r}; it must be a list of names of joints or coordinates")
     joints = {e.name: e for e in edges if e.joint}
     columns = {c.name: c for e in edges for c in e.columns}

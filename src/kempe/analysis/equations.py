@@ -5,6 +5,7 @@ Unknowns are all velocity coordinates, those of cut joints included, lengths div
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -25,9 +26,11 @@ BALL_REST = -(10**9)
 ITERATIONS = 60
 LONGEST = 0.2
 """Longest step of a projection, in scaled coordinates: it is to find what is near."""
-SHARP, SLOW, BLUNT = 1e-15, 1e-12, 1e-4
-"""Where a projection ends with a residual between the last two, plain steps go on to the first. What is below is left:
-it may be all that the digits of a description allow, and plain steps would run along the motion to where it is none."""
+SHARP, BLUNT = 1e-15, 1e-4
+"""Residuals between these, where a projection ends, may be halved many times by plain steps."""
+SLIDE = 0.6
+"""Plain steps longer than this part of the distance from the center are not taken: where the residual is what the
+digits of a description allow, they would run along the motion to where it is less."""
 PLAIN, HOPELESS = 40, 4
 """Most plain steps, and steps without gain that end it."""
 FLAT, STEEP = 1e-13, 1e-3
@@ -98,7 +101,8 @@ class Equations:
 
     def linearise(self, q: Any) -> tuple[Array, Array]:
         """Values (N, m) and Jacobian (N, m, nv), to scaled coordinates, at q (N, nq)."""
-        q = np.array(as_q(self.system, q)).reshape(-1, self.nq)
+        q = np.array(as_q(self.system, q))
+        q = q.reshape(math.prod(q.shape[:-1]), self.nq)
         landing = self._project(q, q, 0.0, 0)
         return landing.value, landing.jacobian
 
@@ -112,10 +116,12 @@ class Equations:
         What is left where equations touch the set goes down in a narrow bent valley, in which steps that must not
         climb are short: plain steps, which climb out and come back, finish it.
         """
-        found = self._project(np.array(q, dtype=float, order="C").reshape(-1, self.nq), centers, radius, iterations)
+        q = np.array(q, dtype=float, order="C")
+        q = q.reshape(math.prod(q.shape[:-1]), self.nq)
+        found = self._project(q, centers, radius, iterations)
         radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(found.q)))
         left = self._left(found, radii)
-        slow = np.flatnonzero((left > SLOW) & (left < BLUNT))
+        slow = np.flatnonzero((left > SHARP) & (left < BLUNT))
         if iterations and len(slow):
             self._finish(found, slow, left[slow], np.broadcast_to(centers, found.q.shape)[slow], radii[slow])
         return found
@@ -136,12 +142,12 @@ class Equations:
             best = np.where(better, left, best)
             for kept, new in zip(found, at, strict=True):
                 kept[slow[better]] = new[better]
-            on = (left > SHARP) & (since < HOPELESS)
+            there = self._step(at, centers, radii, FLAT)
+            step = np.linalg.norm(self.offset(at.q, there), axis=1)
+            on = (left > SHARP) & (since < HOPELESS) & (step < SLIDE * at.distance)
             if not on.any():
                 return
-            slow, best, since, centers, radii = slow[on], best[on], since[on], centers[on], radii[on]
-            at = Landing(*(x[on] for x in at))
-            q = self._step(at, centers, radii, FLAT)
+            slow, best, since, centers, radii, q = (x[on] for x in (slow, best, since, centers, radii, there))
             for _ in range(2):
                 q = self._step(self._project(q, centers, radii, 0), centers, radii, STEEP)
 

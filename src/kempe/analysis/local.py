@@ -32,6 +32,9 @@ KICK = 0.1
 """Size of the kicks away from the configuration, in radians and characteristic lengths."""
 SMALL_KICKS = (0.008, 0.003)
 """Sizes of the kicks around a point that was reached."""
+WALK, FAINT = tuple(0.1 * k for k in range(1, 11)), 1e-6
+"""Distances to which a motion is followed, and residuals that show, where it ends, that it was none: what is shaky of
+a high order has none to be seen before, while a motion that turns back leaves a large one beyond."""
 STAYS = 0.3
 """Part of the kick that remains, where it was along a motion; the rest has collapsed."""
 CLEAR_GAP = 1e3
@@ -111,6 +114,10 @@ def local_dimension(
         raise InputError(f"q has shape {q.shape}; the local dimension is found at one configuration (nq,)")
     if not isinstance(order, (int, np.integer)) or not 2 <= order <= 16:
         raise InputError(f"order is {order!r}; it must be a whole number from 2 to 16")
+    if not 0.0 < tolerance < 1.0:
+        raise InputError(f"tolerance is {tolerance!r}; it must be a part of one, such as {reduction.RANK:g}")
+    if not np.isfinite(q).all():
+        raise InputError("q must be finite numbers")
     equations, rng = _equations(system), np.random.default_rng(rng)
     at = reduction.split(equations, _closed(equations, q), tolerance)
     doubts = [] if at.gap >= CLEAR_GAP else [f"singular values differ by a factor {at.gap:.1g} only across the rank"]
@@ -126,6 +133,9 @@ def local_dimension(
     if k is None:
         found, smooth = [_whole(equations, at)], True
         why = f"no obstruction to order {order} (below {reduction.ZERO:g}): a manifold, to that order"
+        faded = _fades(equations, at, rng) if sampling else 0.0
+        if faded:
+            doubts.append(f"the motion fades at a distance of {faded:.1g}: it may be shaky of an order above {order}")
     elif at.delta == 1:
         found, smooth = [], False
         why = f"isolated: the only velocity is obstructed at order {k} (shaky of order {k - 1})"
@@ -198,6 +208,19 @@ def _answer(
         max((b.dim for b in found), default=0), at.delta, at.corank, tuple(found), smooth, k, why, order, tolerance,
         at.gap, sampled, not doubts, tuple(doubts), at.q,
     )  # fmt: skip
+
+
+def _fades(equations: Equations, at: Split, rng: np.random.Generator) -> float:
+    """Distance at which what seems to be a motion along the kernel is seen to be none; 0 if it is not seen."""
+    x = reduction.axes(rng, at.delta) @ at.kernel.T
+    for radius in WALK:
+        found = equations.project(equations.move(at.q, radius * x), at.q, radius)
+        left = np.hypot(found.residual, found.distance - radius)
+        good = left < follow.CLOSED
+        if not good.any():
+            return radius if left.min() < FAINT else 0.0
+        x = equations.offset(at.q, found.q[good]) / radius
+    return 0.0
 
 
 def sampled_dimension(equations: Equations, at: Split, rng: np.random.Generator) -> int:

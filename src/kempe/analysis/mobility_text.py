@@ -30,7 +30,8 @@ def sentence(m: Mobility) -> str:
         why.append(f"{_count(false, 'freedom')} that the rank sees {seen} to first order only")
     if m.local is not None and len({b.dim for b in m.local.branches}) > 1:
         why.append(f"branches of dimensions {', '.join(str(d) for d in m.local.branch_dims)} meet here")
-    said = f"the truth is {m.dof}" if m.gruebler != m.dof else "which is the truth"
+    sure = "" if m.certain else "probably "
+    said = f"the truth is {sure}{m.dof}" if m.gruebler != m.dof else f"which is {sure}the truth"
     return f"Gruebler says {m.gruebler}, {said}" + (": " + ", ".join(why) if why else "")
 
 
@@ -99,6 +100,8 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         out.append(("singular", [m.kind]))
     if m.control is not None:
         out.append(("control", str(m.control).split("\n")))
+        if m.dof is not None and (m.rank_dof or 0) > m.dof:
+            out[-1][1].append(f"counted to first order, where the rank sees {m.rank_dof} freedoms; truly {_are(m.dof)}")
     return out
 
 
@@ -156,6 +159,10 @@ def _cluster(c: Any) -> str:
 
 def _cut(own: list[str]) -> list[str]:
     return own if len(own) <= SHOWN else [*own[:SHOWN], f"... and {len(own) - SHOWN} more"]
+
+
+def _are(n: int) -> str:
+    return f"there is {n}" if n == 1 else f"there are {n}"
 
 
 def _count(n: int, one: str) -> str:

@@ -180,7 +180,7 @@ def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closur
     equations = Closure(system, held, near)
     known = {n: v for n, v in start.items() if n not in hold} if isinstance(start, Mapping) else {}
     fixed = Closure(system, held + [angle_or_slide(system, n) for n in known], near)
-    q = close(fixed, near)
+    q = None if known else close(fixed, near)  # what is known may be far: then on the branch that `assemble` finds
     if q is None:
         from kempe.solvers.assembly import assemble
 

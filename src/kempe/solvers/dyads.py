@@ -209,7 +209,8 @@ class Plan:
         except (TypeError, ValueError):
             raise InputError(f"branch is {branch!r}; it must be signs, +1 or -1") from None
         if signs.ndim == 0 or signs.shape[-1] != self.signs or not np.all(np.abs(signs) == 1.0):
-            raise InputError(f"branch must have {self.signs} signs, each +1 or -1: see Plan.describe()")
+            each = f"{self.signs} sign{'s' * (self.signs != 1)}, + or - (1 or -1), one for each dyad"
+            raise InputError(f"branch is {branch!r}; it must be {each}: closed_form({self.known}).describe() lists them")
         return _rows(signs, lead, "branch")
 
 
