@@ -6,6 +6,7 @@ import contextlib
 import io
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -178,6 +179,62 @@ def test_additional_considerations_decide_between_two_assemblies():
     np.testing.assert_allclose(loop.closure_error(second), 0.0, rtol=0, atol=1e-14)
     assert np.abs(loop.fk(second, "rocker") - loop.fk(first, "rocker")).max() > 0.5
     assert math.dist(mirrored, D) == pytest.approx(c)
+
+
+CLOSED = ["four_links", "seven_bodies_loop", "four_bar", "five_bar", "bennett", "sarrus", "three_rpr"]
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_only_p_joint_angles_of_a_closed_loop_can_be_set_independently(name):
+    """With p of them set, inside a neighbourhood, the loop closes; with one more, set elsewhere, it does not."""
+    system = kempe.load(name)
+    home = system.posture("closed")
+    chart = system.independent(home)
+    assert chart.dim == system.mobility(home).dof == dimension_here(system, home)
+    u = chart.u(home) + 0.02
+    q = chart.q(u, home)
+    assert q, q.status
+    np.testing.assert_allclose(chart.u(q.q), u, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(system.closure_error(q.q), 0.0, rtol=0, atol=1e-9)
+    one_more = next(n for n in chart.dependent if n in system.coordinate_names)
+    values = system.q_dict(q.q)
+    known = {n: values[n] for n in chart.independent}
+    assert not system.assemble({**known, one_more: values[one_more] + 0.01}, q.q)
+
+
+def test_the_additional_considerations_are_arguments():
+    """Both assemblies of the loop: by start, by name, and listed; limits that only one of them respects choose, too."""
+    system = kempe.load("four_bar")
+    q = system.posture("closed")
+    modes = system.assembly_modes({"A": q[0]}, near=q)
+    assert len(modes) == 2 and modes.complete
+    np.testing.assert_allclose(modes.q[0], q, rtol=0, atol=1e-12)
+    for name, mode in zip(modes.branches, modes.q, strict=True):
+        for found in (system.assemble({"A": q[0]}, mode), system.assemble({"A": q[0]}, branch=name)):
+            assert found and apart(found.q, tuple(mode)) < 1e-9
+    m = system.mechanism
+    m.joints["C"] = replace(m.joints["C"], limits={"": (-math.pi, 0.0)})
+    m.postures.clear()
+    limited = m.build()
+    found = limited.assemble({"A": q[0]}, q)
+    assert found and apart(found.q, tuple(modes.q[1])) < 1e-9
+
+
+def test_two_parametrizations_of_a_closed_loop_and_the_ways_between_them():
+    """The lecture's pairs (r, R) with constraints; generalized positions, as many as DoF, without any."""
+    from kempe.kinematics.maximal import maximal_jacobian, maximal_residual
+
+    system = kempe.load("jansen")
+    chart = system.independent()
+    n_b = len(system.parent)
+    for u in (0.0, 0.4, 0.8):
+        q = chart.q([u]).q
+        pairs = system.to_maximal(q)
+        assert pairs.shape == (n_b, 4, 4) and chart.dim <= n_b, "n <= n_b"
+        np.testing.assert_allclose(maximal_residual(system, pairs), 0.0, rtol=0, atol=1e-12)
+        J = maximal_jacobian(system, pairs)
+        assert J.shape == (20, 21) and 21 - np.linalg.matrix_rank(J) == chart.dim == 1
+        assert chart.u(system.from_maximal(pairs, near=q)) == pytest.approx([u], abs=1e-12)
 
 
 def test_configuration_space_and_task_space_of_the_two_link_arm():
@@ -412,26 +469,66 @@ def test_a_ball_stays_above_the_ground():
 
 # ------------------------------------------------------------------ the page about the lecture
 
-SAID = [
-    "1 parameter, 1 DoF, 5 constraints", "12 - 10 = 2 DoF", "universal    2 DoF  R(x) R(y)",
-    "cylindrical  2 DoF  R(z) P(z)", "planar       3 DoF  P(x) P(y) R(z)", "7 coordinates, 6 DoF", "T^2, dimension 2",
-    "(7,) -> (8, 4, 4)", "(0, 1, 2, 1, 4, 4, 2)", "(0, 1, 2, 1, 4, 4, 2) ('J6',)", "[0. 0. 0. 1.]",
-    "elbow up [ 1.0988 -1.4706] elbow down [-0.1715  1.4706]", "q2 = -1.4706", "q2 = 1.4706", "outside the workspace",
-    "3 equations", "3 DoF", "blocked by the limit of 'flight.z'",
-]  # fmt: skip
-"""What the page's cells print, in this order: what its text says."""
+SAID = {
+    "lecture": [
+        "1 parameter, 1 DoF, 5 constraints", "12 - 10 = 2 DoF", "says 2, which is the truth",
+        "says -2, the truth is 1: 3 constraints are redundant", "universal    2 DoF  R(x) R(y)",
+        "cylindrical  2 DoF  R(z) P(z)", "planar       3 DoF  P(x) P(y) R(z)", "7 coordinates, 6 DoF",
+        "T^2, dimension 2", "(7,) -> (7, 4, 4)", "42 - 35 = 7", "1 independent coordinates: A",
+        "2 coordinates are given, but it has 1 freedom", "2 configurations of four_bar; complete",
+        "(0, 1, 2, 1, 4, 4, 2)", "(0, 1, 2, 1, 4, 4, 2) ('J6',)", "says 2, the truth is 5: 3 constraints are redundant",
+        "('J1', 'J2', 'J3', 'J7', 'J8')", "[0. 0. 0. 1.]",
+        "elbow up [ 1.0988 -1.4706] elbow down [-0.1715  1.4706]", "q2 = -1.4706", "q2 = 1.4706",
+        "outside the workspace", "3 equations", "3 DoF", "blocked by the limit of 'flight.z'",
+    ],
+    "dof": [
+        "4 x (3 - 2) - 2 = 2", "in space: -1", "18 - 20 = -2", "4 coordinates - rank 3 of 6 equations = 1 freedom",
+        "no obstruction to order 8", "sampling agrees: 1", "3 redundant constraints", "q1 controls the mechanism",
+        "says -2, the truth is 0", "2 configurations of 4R", "30 - 30 = 0", "(My)", "off the line by",
+        "two moments and one force (Mx, My, Fz)", "says 1, which is the truth", "(motions of a plane)",
+        "9 degrees of freedom, 3 of them useful", "rod3b spins", "says -3, the truth is 3: 6 constraints",
+        "isolated: the only velocity is obstructed at order 2", "2 freedoms to first order",
+        "1 at other configurations",
+        "2 branches meet, of dimensions 1, 1", "shaky at every configuration", "cusp", "the truth is 2: branches of",
+        "certain: True", "parallel      2", "antiparallel  1", "to order 3: true local DoF 1 (uncertain)",
+        "to order 8: true local DoF 0", "obstructed at order 4", "A controls 1 of 2 freedoms",
+        "A and D control the mechanism", "redundant actuation", "3 False", "control 2 of 3 freedoms",
+        "so nothing is said about rank and true freedoms",
+    ],
+    "branches": [
+        "2 configurations of four_bar; complete", "+ where C lies to the left", "8 of 8 branches close",
+        "4 of 8 branches close", "not closed", "40 False not proven complete: 40 found", "not finite",
+        "1 multiple root", "2 branches meet", "bifurcation, 2 branches", "another branch: closed curve",
+        "it flips at A / pi = 1.0", "997 samples, 2 change points passed",
+        "[ 1.  1.  1.  1.  1.  1. -1. -1. -1. -1. -1. -1.  1.]", "samples 3 to 4: held at 'S' = 0.4",
+        "[False False False  True  True False False]", "'S' = 0.4", "'S' = 0.2", "dead point",
+        "the upper limit 2 of 'D'", "to 2.0",
+    ],
+    "exercise": [
+        "7 x (3 - 2) - 3 x 2 = 1", "(20,) True", "(20, 21) rank 20", "1 independent coordinates: O", "agree all round",
+        "-++ meets -++ and -+- - the crank swings", "conditioning", "[0.7]", "18 - 20 = -2", "the truth is 1",
+        "20 equations", "(20, 18) rank 17", "1 independent coordinates: q1", "[0.7]", "seven_bodies_loop    7       42",
+    ],
+}  # fmt: skip
+"""What the cells of these pages print, in this order: what their text says."""
 
 
-def test_the_page_prints_what_it_says():
+@pytest.mark.parametrize("page", SAID)
+def test_the_page_prints_what_it_says(page, tmp_path, monkeypatch):
     pytest.importorskip("sympy")
-    page = (Path(__file__).parents[1] / "docs" / "lecture.md").read_text(encoding="utf-8")
-    cells = re.findall(r"^```\{code-cell\} python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    source = (Path(__file__).parents[1] / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    cells = re.findall(r"^```\{code-cell\} python\n(.*?)^```$", source, re.DOTALL | re.MULTILINE)
     printed, names = io.StringIO(), {}
     with contextlib.redirect_stdout(printed):
         for cell in cells:
-            exec(compile(cell, "lecture.md", "exec"), names)
+            exec(compile(re.sub(r"^:\w+:.*$", "", cell, flags=re.MULTILINE), f"{page}.md", "exec"), names)
     text, at = printed.getvalue(), 0
-    assert len(cells) >= 20 and "False" not in text
-    for sentence in SAID:
+    assert len(cells) >= 15
+    if page == "lecture":
+        assert "False" not in text
+    for sentence in SAID[page]:
         at = text.find(sentence, at)
         assert at >= 0, f"{sentence!r} is missing, or not in its place"
+        at += len(sentence)

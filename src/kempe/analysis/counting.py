@@ -104,7 +104,7 @@ def _closing(s: Structure, dim: int) -> list[_Closing]:
 def _takes(edge: Edge, dim: int) -> tuple[int, str]:
     """How many freedoms an edge takes away, and what it is."""
     if isinstance(edge.of, Constraint):
-        return rows_of(edge, dim), edge.of.kind.replace("_", " ")
+        return rows_of(edge, dim), f"{edge.of.kind.replace('_', '-')} constraint"
     return edge.of.type.constraints(dim, edge.particle), f"{edge.of.type.type_name} joint"
 
 

@@ -27,7 +27,7 @@ ITERATIONS = 60
 LONGEST = 0.2
 """Longest step of a projection, in scaled coordinates: it is to find what is near."""
 SHARP, BLUNT = 1e-15, 1e-4
-"""Residuals between these, where a projection ends, may be halved many times by plain steps."""
+"""Residuals between these (the first for each equation), where a projection ends, may be halved many times."""
 SLIDE = 0.6
 """Plain steps longer than this part of the distance from the center are not taken: where the residual is what the
 digits of a description allow, they would run along the motion to where it is less."""
@@ -121,7 +121,7 @@ class Equations:
         found = self._project(q, centers, radius, iterations)
         radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(found.q)))
         left = self._left(found, radii)
-        slow = np.flatnonzero((left > SHARP) & (left < BLUNT))
+        slow = np.flatnonzero((left > self.m * SHARP) & (left < BLUNT))
         if iterations and len(slow):
             self._finish(found, slow, left[slow], np.broadcast_to(centers, found.q.shape)[slow], radii[slow])
         return found
@@ -144,7 +144,7 @@ class Equations:
                 kept[slow[better]] = new[better]
             there = self._step(at, centers, radii, FLAT)
             step = np.linalg.norm(self.offset(at.q, there), axis=1)
-            on = (left > SHARP) & (since < HOPELESS) & (step < SLIDE * at.distance)
+            on = (left > self.m * SHARP) & (since < HOPELESS) & (step < SLIDE * at.distance)
             if not on.any():
                 return
             slow, best, since, centers, radii, q = (x[on] for x in (slow, best, since, centers, radii, there))

@@ -116,8 +116,6 @@ def local_dimension(
         raise InputError(f"order is {order!r}; it must be a whole number from 2 to 16")
     if not 0.0 < tolerance < 1.0:
         raise InputError(f"tolerance is {tolerance!r}; it must be a part of one, such as {reduction.RANK:g}")
-    if not np.isfinite(q).all():
-        raise InputError("q must be finite numbers")
     equations, rng = _equations(system), np.random.default_rng(rng)
     at = reduction.split(equations, _closed(equations, q), tolerance)
     doubts = [] if at.gap >= CLEAR_GAP else [f"singular values differ by a factor {at.gap:.1g} only across the rank"]

@@ -65,6 +65,7 @@ def rank_text(m: Mobility) -> str:
     gap = "" if r.gap == float("inf") else f" (singular values fall by a factor of {r.gap:.1g} there)"
     if r.doubtful:
         gap += f"; doubtful: the smallest that counts is {r.smallest:.1g} of the largest, {r.gap:.1g} times the next"
+        gap += ", which is not clearly zero" if r.rest > 1e-8 else ""
     elif r.smallest < 1e-4:
         gap += f"; close to a singular configuration: the smallest that counts is {r.smallest:.1g} of the largest"
     if m.generic_rank_dof != m.rank_dof:

@@ -29,7 +29,11 @@ FLOOR = 1e-15
 
 @dataclass(frozen=True, eq=False)
 class ClusterRank:
-    """Rank of one cluster: singular values (descending), rank, gap; self-stress and kernel are its null spaces."""
+    """Rank of one cluster: singular values (descending), rank, gap; self-stress and kernel are its null spaces.
+
+    `values` are parts of the largest, or of what turns and slides do to frames: where rows of constraints all vanish,
+    the largest is rounding.
+    """
 
     cluster: Cluster
     jacobian: Array = field(repr=False)
@@ -85,12 +89,18 @@ class Rank:
     @property
     def doubtful(self) -> bool:
         """Whether some gap is too small, or a singular value too near to zero, to be sure of the rank."""
-        return self.gap < CLEAR_GAP or self.smallest < 10.0 * NOTHING
+        return self.gap < CLEAR_GAP or self.smallest < 10.0 * NOTHING or self.rest > 0.1 * NOTHING
+
+    @property
+    def rest(self) -> float:
+        """Largest singular value that does not count, as a part of the largest of its cluster; 0 where there is none."""
+        found = [c.values[c.rank] for c in self.clusters if c.rank < len(c.values)]
+        return float(max(found, default=0.0))
 
     @property
     def smallest(self) -> float:
         """Smallest singular value that counts, as a part of the largest of its cluster; 1 where there is none."""
-        found = [c.values[c.rank - 1] / c.values[0] for c in self.clusters if c.rank]
+        found = [c.values[c.rank - 1] for c in self.clusters if c.rank]
         return float(min(found, default=1.0))
 
     @cached_property
@@ -108,13 +118,18 @@ class Rank:
         return out
 
 
-def decide(values: Array, columns: int) -> tuple[int, float]:
-    """Rank and gap of a matrix with these singular values (descending) and this number of columns."""
+def decide(values: Array, columns: int, size: float = 0.0) -> tuple[int, float]:
+    """Rank and gap of a matrix with these singular values (descending) and this number of columns.
+
+    `size` is what the largest would be if the matrix were not singular; where it is 0 the largest counts always.
+    """
     if not len(values) or values[0] <= 0.0:
         return 0, np.inf
-    s = np.append(values / values[0], 0.0 if len(values) < columns else [])
-    allowed = [r for r in range(1, len(s) + 1) if s[r - 1] > NOTHING and (r == len(s) or s[r] < SOMETHING)]
-    gaps = [s[r - 1] / max(s[r], FLOOR) if r < len(s) else s[r - 1] / FLOOR for r in allowed]
+    s = np.append(values / max(values[0], size), 0.0 if len(values) < columns else [])
+    above = np.append(1.0, s)  # above[r]: the last that counts if the rank is r
+    first = 0 if size else 1
+    allowed = [r for r in range(first, len(above)) if above[r] > NOTHING and (r == len(s) or s[r] < SOMETHING)]
+    gaps = [above[r] / max(s[r], FLOOR) if r < len(s) else above[r] / FLOOR for r in allowed]
     best = int(np.argmax(gaps))
     return allowed[best], float(gaps[best])
 
@@ -127,17 +142,17 @@ def rank_at(system: System, q: Array) -> Rank:
 
 
 def _cluster(system: System, s: Structure, at: Screws, c: Cluster, units: Array) -> ClusterRank:
-    J = _jacobian(system, s, at, c, units)
+    J, size = _jacobian(system, s, at, c, units)
     if not J.size:
         n = J.shape[1]
         return ClusterRank(c, J, np.zeros(0), 0, np.inf, np.eye(len(J)), np.eye(n))
     U, values, Vt = np.linalg.svd(J)
-    r, gap = decide(values, J.shape[1])
-    return ClusterRank(c, J, values, r, gap, U[:, r:], Vt[r:].T)
+    r, gap = decide(values, J.shape[1], size)
+    return ClusterRank(c, J, values / max(values[0], size, 1e-300), r, gap, U[:, r:], Vt[r:].T)
 
 
-def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array) -> Array:
-    """Loop equations (rows, velocities of the cluster), scaled."""
+def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array) -> tuple[Array, float]:
+    """Loop equations (rows, velocities of the cluster), scaled, and the largest twist of a velocity."""
     n = len(c.velocities)
     around = np.zeros((len(c.loops), 6, n))
     if c.loops and len(c.local):
@@ -150,6 +165,7 @@ def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array
                 around[:, :, local] += each[:, :, k]
         else:
             around[:, :, c.local] = each
+    size = float(np.sqrt(np.max(np.sum(around * around, axis=1), initial=0.0)))
     blocks = [rows_of_loop(system, s, at, k) @ A for k, A in zip(c.loops, around, strict=True)]
     local = {int(v): i for i, v in enumerate(c.velocities)}
     for k in c.relations:
@@ -159,7 +175,7 @@ def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array
             v = system.velocity_names.index(name)
             row[0, local[v]] += m * units[v]
         blocks.append(row / np.abs(row).max())
-    return np.concatenate(blocks) if blocks else np.zeros((0, n))
+    return np.concatenate(blocks) if blocks else np.zeros((0, n)), size
 
 
 _SPACE, _PLANE = np.eye(6), np.eye(6)[[0, 1, 5]]

@@ -17,6 +17,8 @@ from kempe.spatial import Array
 
 RANK = 1e-6
 """Singular values below this part of the largest count as zero: where roots are double, q is known to 1e-8."""
+LEAST = 0.1
+"""The largest singular value counts as this at least: equations are scaled, and where all are singular it is rounding."""
 ZERO = 1e-9
 """Taylor coefficients below this count as zero; curves are scaled so that their own coefficients are at most one."""
 NOT_ZERO = 1e-6
@@ -73,7 +75,7 @@ def split_matrix(q: Array, J: Array, tolerance: float = RANK) -> Split:
     if J.shape[0] == 0:
         return Split(q, np.zeros(0), np.eye(J.shape[1]), np.zeros((0, 0)), np.zeros((J.shape[1], 0)))
     U, sigma, Vt = np.linalg.svd(J)
-    rank = int(np.sum(sigma > tolerance * max(float(sigma[0]), 1e-300))) if sigma.size else 0
+    rank = int(np.sum(sigma > tolerance * max(float(sigma[0]), LEAST))) if sigma.size else 0
     inverse = (Vt[:rank].T / sigma[:rank]) @ U[:, :rank].T
     return Split(q, sigma, Vt[rank:].T, U[:, rank:], inverse)
 

@@ -243,7 +243,7 @@ def _release(rows: Sequence[_Row], dim: int) -> Release:
     if isinstance(edge.of, Constraint):
         if edge.of.kind == "point_on_line" and len(rows) == 1 and dim == 3:
             return Release(rows[0].owner, labels, "a point-on-plane pair")
-        return Release(rows[0].owner, (), "")
+        return Release(rows[0].owner, labels, "")
     free = (FREE[_kind(edge)] & _existing(edge, dim)) | {_direction(r) for r in rows}
     if free == _existing(edge, dim):
         return Release(rows[0].owner, labels, "")

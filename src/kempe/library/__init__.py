@@ -1,4 +1,5 @@
-"""The models that come with Kempe: the lecture's systems, one joint of each type, and robots from published tables.
+"""The models that come with Kempe: the lecture's systems, one joint of each type, robots from published tables, and
+mechanisms with closed loops from the literature.
 
 ``kempe.load("puma560")`` loads one by its name. Each is a TOML file whose first comment line says what it is.
 """
