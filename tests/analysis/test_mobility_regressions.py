@@ -7,13 +7,13 @@ from math import cos, pi, sin, sqrt
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from world_mechanisms import X, Y, Z, World, framework, loop, on_rods, unit
+from world_mechanisms import World, X, Y, Z, framework, loop, on_rods, unit
 
 import kempe
 from kempe import Mechanism, System
 from kempe.analysis.local import local_dimension
 from kempe.analysis.mobility import Mobility, mobility
-from kempe.analysis.rank import decide
+from kempe.analysis.rank import decide, rank_at
 from kempe.errors import InputError
 from kempe.kinematics.loops import jacobian
 from kempe.spatial import exp_se3
@@ -125,7 +125,7 @@ def miura(nx: int, ny: int, fold: float) -> World:
 
 
 def griffis_duffy() -> World:
-    """Vertices of one triangle on middles of the sides of the other (Griffis and Duffy, 1993; Husty and Karger, 2000)."""
+    """Corners of each triangle under middles of the other's sides (Griffis, Duffy, 1993; Husty, Karger, 2000)."""
     corners = np.array([(0, 0, 0), (1, 0, 0), (0.5, sqrt(3) / 2, 0)])
     middles = (corners.sum(axis=0) - corners) / 2
     top = np.concatenate([middles, corners]) - corners.mean(axis=0)
@@ -205,6 +205,29 @@ def test_axes_through_one_point_away_from_the_origin(scale):
     jack = [("revolute", np.zeros(3), Z), ("helical", np.zeros(3), Z, {"pitch": 0.1}), ("prismatic", np.zeros(3), Z)]
     m = look(loop("screw jack", jack), scale, moved=True)
     assert (m.gruebler, m.rank_dof, m.dof) == (-3, 1, 1)
+
+
+# ---- idle freedoms
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+def test_a_roller_on_its_pin_is_idle_and_links_that_happen_to_be_in_line_are_not(scale):
+    """Textbooks' idle freedom: a roller between an arm and a block. A rhombus folded for good is no such thing."""
+    w = World("roller", 2)
+    w.turn("ground", "arm", (0, 0))
+    w.turn("arm", "roller", (1, 0.5))
+    w.turn("roller", "block", (1, 0.5))
+    w.slide("block", "ground", (0.3, 1), (1, 0.5))
+    m = look(w, scale, moved=True)
+    assert (m.gruebler, m.dof, m.idle, m.useful) == (1, 1, 1, 0)
+    w.joints[-1] = ("bar", "revolute", "block", "bar", np.array([2.0, 1.0, 0.0]), np.eye(3), {})
+    w.turn("bar", "ground", (2, 0))
+    m = look(w, scale, moved=True)
+    assert (m.dof, [f.bodies for f in m.idle_freedoms], m.useful) == (2, [("roller",)], 1)
+    folded = World("rhombus", 2)
+    for a, b, p in (("ground", "a", (0, 0)), ("a", "b", (1, 0)), ("b", "c", (1.6, 0.8)), ("c", "ground", (1, 0))):
+        folded.turn(a, b, p)
+    assert look(folded).idle == 0
 
 
 # ---- shaky along a whole branch, and branches with the same kernel
@@ -349,5 +372,5 @@ def test_control_says_that_it_counts_to_first_order():
 def test_kernels_keep_all_loops_closed():
     for world, *_ in KNOWN.values():
         system = world.build()
-        m = mobility(system, system.neutral, local=False)
-        assert np.abs(jacobian(system, m.q) @ (m.rank.kernel * m.rank.units[:, None])).max(initial=0.0) < 1e-9
+        rank = rank_at(system, system.neutral)
+        assert np.abs(jacobian(system, rank.q) @ (rank.kernel * rank.units[:, None])).max(initial=0.0) < 1e-9

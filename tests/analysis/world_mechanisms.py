@@ -108,9 +108,10 @@ class World:
             m.joint(name, kind, a, b, **where, **options)
         for name, kind, a, b, p, end, axis in self.constraints:
             ends = [np.zeros(d) if body in self.points else place(x)[:d] for body, x in ((a, p), (b, end))]
-            more = {"length": scale * float(np.linalg.norm(end - p))} if kind == "distance" else {}
-            more |= {} if kind == "distance" else {"axis": (T[:3, :3] @ axis)[:d]}
-            m.constraint(name, kind, a, b, at=ends[0], child_at=ends[1], **more)
+            if kind == "distance":
+                m.distance(name, a, b, scale * float(np.linalg.norm(end - p)), at=ends[0], child_at=ends[1])
+            else:
+                m.constraint(name, kind, a, b, at=ends[0], child_at=ends[1], axis=(T[:3, :3] @ axis)[:d])
         for of, sources in self.couplings:
             m.couple(of, sources)
         return m.build()

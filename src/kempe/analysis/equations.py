@@ -106,9 +106,7 @@ class Equations:
         landing = self._project(q, q, 0.0, 0)
         return landing.value, landing.jacobian
 
-    def project(
-        self, q: Array, centers: Array, radius: Array | float = 0.0, iterations: int = ITERATIONS
-    ) -> Landing:
+    def project(self, q: Array, centers: Array, radius: Array | float = 0.0, iterations: int = ITERATIONS) -> Landing:
         """Points of the solution set near q (N, nq).
 
         Where `radius` > 0 the points are sought at that distance from `centers` (N, nq) or (nq,).

@@ -2,8 +2,9 @@
 
 Two joints of a loop are *in series* if cutting both parts the bodies. If both can turn about one and the same axis,
 what is between them can spin alone. That is idle, since it transmits nothing, unless it is what the joints are for:
-two hinges, or both of them between the same two bodies (a shaft in its bearings), or driven. Slides are not looked
-at: a block that slides alone is as a rule a slider that is meant to.
+two hinges that only happen to be in line, or both between the same two bodies (a shaft in its bearings), or driven.
+Two hinges on one axis of one body, such as a roller or a bush, are in line by construction, and that body is idle.
+Slides are not looked at: a block that slides alone is as a rule a slider that is meant to.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from kempe.analysis.graph import Cluster, Edge, Structure, structure
 from kempe.analysis.rank import Rank
 from kempe.analysis.screws import Screws
 from kempe.description.parts import Joint
+from kempe.model.lengths import characteristic_length
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -101,7 +103,7 @@ def _pairs(system: System, s: Structure, c: Cluster) -> list[_Pair]:
 
 
 def _find_pairs(system: System, s: Structure, c: Cluster) -> list[_Pair]:
-    uses = np.bincount(c.velocities[c.local], minlength=system.nv)
+    uses, length = np.bincount(c.velocities[c.local], minlength=system.nv), characteristic_length(system)
     for r in (system.relations[k] for k in c.relations):
         uses[[system.velocity_names.index(n) for n in (r.of, *r.sources)]] += 1
     series: dict[bytes, list[tuple[int, float]]] = {}
@@ -119,7 +121,7 @@ def _find_pairs(system: System, s: Structure, c: Cluster) -> list[_Pair]:
                 continue
             own = [tuple(n for n, col in enumerate(e.columns)
                          if col.index >= 0 and uses[col.index] == 1 and not col.slides) for e in (a, b)]  # fmt: skip
-            if all(own) and max(len(a.columns), len(b.columns)) > 1:
+            if all(own) and (max(len(a.columns), len(b.columns)) > 1 or _on_one_axis(system, s, i, k, length)):
                 out.append(_Pair((i, k), (si, sk), (own[0], own[1])))
     return out
 
@@ -127,6 +129,20 @@ def _find_pairs(system: System, s: Structure, c: Cluster) -> list[_Pair]:
 def _passive(edge: Edge) -> bool:
     """Whether it is a joint that something can spin in, and not driven."""
     return isinstance(edge.of, Joint) and edge.of.type.type_name in TURNING and not edge.actuated
+
+
+def _on_one_axis(system: System, s: Structure, i: int, k: int, length: float) -> bool:
+    """Whether two hinges have one axis of one body, which is all that is between them; `length` is that of links."""
+    a, b = s.edges[i], s.edges[k]
+    body = {a.parent, a.child} & {b.parent, b.child}
+    if len(body) != 1:
+        return False
+    U, V = (e.X_PF if e.parent in body else e.X_CM for e in (a, b))
+    apart = V[:3, 3] - U[:3, 3]
+    apart -= U[:3, 2] * (apart @ U[:3, 2])
+    if abs(U[:3, 2] @ V[:3, 2]) < 1.0 - 0.5 * ALONE**2 or apart @ apart > (ALONE * length) ** 2:
+        return False
+    return bodies_between(system, s, i, k) == (system.body_names[next(iter(body))],)
 
 
 def _same_bodies(s: Structure, i: int, k: int) -> bool:

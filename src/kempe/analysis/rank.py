@@ -93,7 +93,7 @@ class Rank:
 
     @property
     def rest(self) -> float:
-        """Largest singular value that does not count, as a part of the largest of its cluster; 0 where there is none."""
+        """Largest singular value that does not count, as a part of the largest of its cluster; 0 if there is none."""
         found = [c.values[c.rank] for c in self.clusters if c.rank < len(c.values)]
         return float(max(found, default=0.0))
 

@@ -18,7 +18,7 @@ from kempe.spatial import Array
 RANK = 1e-6
 """Singular values below this part of the largest count as zero: where roots are double, q is known to 1e-8."""
 LEAST = 0.1
-"""The largest singular value counts as this at least: equations are scaled, and where all are singular it is rounding."""
+"""What the largest singular value counts as at least: equations are scaled, and where all vanish it is rounding."""
 ZERO = 1e-9
 """Taylor coefficients below this count as zero; curves are scaled so that their own coefficients are at most one."""
 NOT_ZERO = 1e-6
