@@ -33,6 +33,11 @@ MOST_PARTS = 200
 """Values in between two samples that a function is asked for at most."""
 
 
+def _samples_text(first: int, last: int) -> str:
+    """'sample 3', 'samples 3 to 5'."""
+    return f"sample {first}" if first == last else f"samples {first} to {last}"
+
+
 @dataclass(frozen=True, eq=False)
 class Toggle:
     """Samples `first` to `last`, whose inputs cannot be reached: `q` (nq,) is held there, for this `reason`."""
@@ -45,7 +50,7 @@ class Toggle:
 
     def __str__(self) -> str:
         at = ", ".join(f"{k!r} = {v:.9g}" for k, v in self.inputs.items())
-        return f"samples {self.first} to {self.last}: held at {at}: {self.reason}"
+        return f"{_samples_text(self.first, self.last)}: held at {at}: {self.reason}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +74,9 @@ class Drive:
     success: bool
     interrupted: bool
     reason: str = field(default="", repr=False)
+
+    def __repr__(self) -> str:
+        return f"Drive({self.system.name!r}, {len(self.q)} samples, held={int(self.held.sum())})"
 
     def __len__(self) -> int:
         return len(self.q)
@@ -104,7 +112,8 @@ class Drive:
             return self.reason
         text = f"{len(self)} samples, {len(self.singular_points)} change points passed"
         if self.toggles:
-            text += f"; at {int(self.held.sum())} samples the inputs cannot be reached and the last pose is held"
+            count = int(self.held.sum())
+            text += f"; at {count} sample{'s' * (count > 1)} the inputs cannot be reached and the last pose is held"
         if self.jumps:
             text += f"; it jumps at samples {', '.join(str(k) for k, _ in self.jumps)}"
         return text + (" (interrupted: this is the part that was done)" if self.interrupted else "")

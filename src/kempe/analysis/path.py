@@ -23,8 +23,8 @@ class Event:
 
     `kind` is "fold of the driver" (it turns back here: a dead point), "extreme" (another coordinate turns back),
     "bifurcation" (several branches meet) or "singular" (the rank drops, no branch leaves). `coordinate` and `value`
-    say what turns back and where, in radians or metres. `directions` (k, nv) are velocities along all branches of a
-    singular point, that of the path first; `nullity` counts the independent first-order motions there.
+    say what turns back and where, in radians or metres. `directions` (k, nv) are velocities along the branches found at
+    a singular point, that of the path first; `nullity` counts the independent first-order motions there.
     """
 
     q: Array
@@ -123,6 +123,9 @@ class Path:
         change = self.q[-1] - self.q[0]
         return {name: round(change[e.place[i]] / (2.0 * np.pi)) for i, name in enumerate(self.system.velocity_names)
                 if e.place[i] >= 0 and abs(change[e.place[i]]) > 1.0}  # fmt: skip
+
+    def __repr__(self) -> str:
+        return f"Path({self.system.name!r}, {len(self.q)} points, length={self.length:.6g}, closed={self.closed})"
 
     def __len__(self) -> int:
         return len(self.q)

@@ -70,9 +70,10 @@ class LoopJacobian:
     def _sentence(self, code: int, rank: int, nullity: int) -> str:
         names, motions = " and ".join(map(repr, self.inputs)), f"{nullity} first-order motion{'s' * (nullity != 1)}"
         if code == EXACT:
-            return f"{names} determine the outputs ({motions})"
+            return f"{names} determine{'s' * (len(self.inputs) == 1)} the outputs ({motions})"
         if code == DEAD:
-            return f"dead point: of {len(self.inputs)} inputs ({names}) only {rank} can move independently ({motions})"
+            some = f"only {rank} of" if rank else "none of"
+            return f"dead point: {some} the inputs ({names}) can move independently ({motions})"
         return f"not determined: with {names} at rest the outputs still move ({motions}, rank {rank} of the inputs)"
 
     def __bool__(self) -> bool:

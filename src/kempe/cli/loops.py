@@ -97,7 +97,7 @@ def assemble(
     ] = None,
     modes: Annotated[bool, option("--modes", "All assembly modes, not only the one near the start.")] = False,
     nearest: Annotated[bool, option("--nearest", "Where freedoms are left: the nearest to the start.")] = False,
-    continuous: Annotated[bool, option("--continuous", "Rows of a file: each starts where the last ended.")] = False,
+    continuous: Annotated[bool, option("--continuous", "Rows of a file: each starts where the last two lead.")] = False,
     no_limits: NoLimits = False, plot: Picture = None, out: Out = None, deg: Deg = False, json: Json = False,
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
 ) -> None:  # fmt: skip

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 WORST = 0.02
-"""Conditioning below which a chart is given up: a step of the others is then 50 times that of the independent ones."""
+"""Conditioning below which a chart is given up, for up to four coordinates a freedom; with more, less is usual."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,10 @@ class Chart:
         return q[..., [self.system.coordinate_names.index(n) for n in self.independent]]
 
     def q(self, u: Any, near: Any = None) -> Assembly:
-        """The configuration with these independent coordinates (..., p), on the branch of `near` (default: origin)."""
+        """The configuration with these independent coordinates (..., p), reached by one search from `near`.
+
+        Default for `near`: the origin. From far away it may be on another branch: lead it in steps.
+        """
         u = np.asarray(u, dtype=float)
         if u.ndim == 0 and self.dim == 1:
             u = u[None]
@@ -75,7 +78,7 @@ class Chart:
 
     def valid(self, q: Any) -> bool:
         """Whether the chart can still be used at the closed configuration q (nq,)."""
-        return self.condition(q) >= WORST
+        return self.condition(q) >= _worst(self.dim, self.system.nv)
 
     def next(self, q: Any) -> Chart:
         """The best chart at the closed configuration q (nq,)."""
@@ -112,14 +115,15 @@ def independent(system: System, q: Any = None, prefer: Iterable[str] = ()) -> Ch
     rows = [names.index(n) for n in wish]
     if len(set(rows)) < len(rows) or len(rows) > p:
         raise InputError(f"{len(rows)} coordinates are preferred; here {p} different ones are independent")
-    if rows and _quality(N, rows) < WORST:
+    least = _worst(p, system.nv)
+    if rows and _quality(N, rows) < least:
         raise InputError(
             f"{', '.join(wish)} cannot be set independently here: conditioning {_quality(N, rows):.2g}, at least "
-            f"{WORST} is needed; the best choice is {', '.join(independent(system, q).independent)}"
+            f"{least:.2g} is needed; the best choice is {', '.join(independent(system, q).independent)}"
         )
     rows = _extend(N, rows, [v for v in range(system.nv) if names[v] in usable])
     quality = _quality(N, rows)
-    if p and quality < WORST:
+    if p and quality < least:
         raise InputError(
             "no choice of angles and lengths is independent here: quaternions would be needed; "
             "joints with angles=True have angles in their place"
@@ -149,6 +153,11 @@ def tangent_space(system: System, q: Any) -> tuple[Array, Array]:
 def _quality(N: Array, rows: list[int]) -> float:
     """The smallest singular value of these rows of an orthonormal basis."""
     return float(np.linalg.svd(N[rows], compute_uv=False).min(initial=1.0)) if rows else 1.0
+
+
+def _worst(p: int, n: int) -> float:
+    """The least conditioning of p of n coordinates; even the best choice has no more than sqrt(p / n)."""
+    return WORST * min(1.0, 2.0 * np.sqrt(p / max(n, 1)))
 
 
 def _extend(N: Array, rows: list[int], usable: list[int]) -> list[int]:

@@ -81,7 +81,8 @@ class Plan:
 
     def describe(self) -> str:
         """What each dyad is, and what its branch sign means, as text; one line each."""
-        lines = [f"{self.system.name} from {', '.join(self.known) or 'nothing'}: {len(self.dyads)} dyads"]
+        count = f"{len(self.dyads)} dyad{'s' * (len(self.dyads) != 1)}"
+        lines = [f"{self.system.name} from {', '.join(self.known) or 'nothing'}: {count}"]
         for d in self.dyads:
             lines.append(f"  {'sign ' + str(d.sign + 1) if d.sign is not None else 'no sign'}: {d}")
         return "\n".join(lines)
@@ -210,7 +211,7 @@ class Plan:
             raise InputError(f"branch is {branch!r}; it must be signs, +1 or -1") from None
         if signs.ndim == 0 or signs.shape[-1] != self.signs or not np.all(np.abs(signs) == 1.0):
             each = f"{self.signs} sign{'s' * (self.signs != 1)}, + or - (1 or -1), one for each dyad"
-            raise InputError(f"branch is {branch!r}; it must be {each}: closed_form({self.known}).describe() lists them")
+            raise InputError(f"branch is {branch!r}; it must be {each}; closed_form({self.known}).describe() tells")
         return _rows(signs, lead, "branch")
 
 
