@@ -37,7 +37,7 @@ def characteristic_length(system: System) -> float:
     table = system.table
     found = np.linalg.norm(table.placement[..., :3, 3], axis=-1).ravel().tolist()
     found += [float(np.linalg.norm(np.asarray(X)[..., :3, 3], axis=-1).max()) for _, X, _ in table.at.values()]
-    real = [x for x in found if x > NOTHING]
+    real = [x for x in found if x > NOTHING * (1.0 + max(found))]
     return float(np.mean(real)) if real else 1.0
 
 
