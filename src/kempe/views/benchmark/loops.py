@@ -185,8 +185,8 @@ def success(bench: Bench) -> Grid:
         bench.say(f"  {name}")
         for sigma in RATES:
             q, line = tree.guesses(sigma, BATCH), f"{name}, {sigma:g}"
-            for library, options in ((USUAL, {}), (ONE_START, {"starts": 1})):
-                answer = system.assemble(near=q, **options)
+            for library, starts in ((USUAL, _starts()), (ONE_START, 1)):
+                answer = system.assemble(near=q, starts=starts)
                 opening = np.where(answer.success, tree.opening(tree.coordinates(answer.q)), np.inf)
                 table.rows.append(Row(library, line, share(opening, Assembler.tolerance)))
             for library, s in solvers.items():
