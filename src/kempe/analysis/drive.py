@@ -18,8 +18,8 @@ from kempe.analysis.continuation import Closure
 from kempe.analysis.course import Course, State, Stuck
 from kempe.analysis.events import Limits
 from kempe.analysis.motion import Progress, angle_or_slide, begin, longest_step, periods, start_of, wish_of
-from kempe.analysis.path import Event
-from kempe.errors import InputError, UnknownNameError
+from kempe.analysis.path import Configurations, Event
+from kempe.errors import InputError
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class Toggle:
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class Drive(Configurations):
     """The motion of a mechanism whose inputs were prescribed.
 
     `q` (n, nq) are closed configurations, one for each sample of `times` (n,); `inputs` the values asked for. Where
@@ -78,32 +78,13 @@ class Drive:
     def __repr__(self) -> str:
         return f"Drive({self.system.name!r}, {len(self.q)} samples, held={int(self.held.sum())})"
 
-    def __len__(self) -> int:
-        return len(self.q)
-
     def __bool__(self) -> bool:
         return self.success
 
-    def curve(self, frame: FrameLike, poses: bool = False) -> Array:
-        """Positions (n, 3) of a frame at the samples, or its poses (n, 4, 4)."""
-        X = self.system.fk(self.q, frame)
-        return X if poses else X[:, :3, 3].copy()
-
-    def values(self, coordinate: str) -> Array:
-        """Values (n,) of one coordinate at the samples."""
-        names = self.system.coordinate_names
-        if coordinate not in names:
-            raise UnknownNameError("coordinate", coordinate, names, self.system.name)
-        return self.q[:, names.index(coordinate)].copy()
-
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: time, all coordinates, whether held, x, y (and z) of frames."""
-        names, columns = ["time", *self.system.coordinate_names], [self.times[:, None], self.q]
-        for frame in frames:
-            axes = "xyz"[: self.system.dim]
-            names += [f"{self.system.frame_name(frame)}.{axis}" for axis in axes]
-            columns.append(self.curve(frame)[:, : len(axes)])
-        return [*names, "held"], np.hstack([*columns, self.held[:, None].astype(float)])
+        names, columns = self._columns("time", self.times, frames)
+        return [*names, "held"], np.column_stack([columns, self.held])
 
     @property
     def status(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -71,8 +71,39 @@ class Track:
         return x
 
 
+class Configurations:
+    """Configurations `q` (n, nq) that a `system` takes one after the other. Base of motions."""
+
+    system: Any
+    q: Array
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def curve(self, frame: FrameLike, poses: bool = False) -> Array:
+        """Positions (n, 3) of a frame along the motion, or its poses (n, 4, 4)."""
+        X = self.system.fk(self.q, frame)
+        return X if poses else X[:, :3, 3].copy()
+
+    def values(self, coordinate: str) -> Array:
+        """Values (n,) of one coordinate along the motion."""
+        names = self.system.coordinate_names
+        if coordinate not in names:
+            raise UnknownNameError("coordinate", coordinate, names, self.system.name)
+        return self.q[:, names.index(coordinate)].copy()
+
+    def _columns(self, first: str, column: Array, frames: Iterable[FrameLike]) -> tuple[list[str], Array]:
+        """Names and columns (n, k): one of its own, all coordinates, x, y (and z) of frames."""
+        names, columns = [first, *self.system.coordinate_names], [column[:, None], self.q]
+        axes = "xyz"[: self.system.dim]
+        for frame in frames:
+            names += [f"{self.system.frame_name(frame)}.{axis}" for axis in axes]
+            columns.append(self.curve(frame)[:, : len(axes)])
+        return names, np.hstack(columns)
+
+
 @dataclass(frozen=True, eq=False)
-class Path:
+class Path(Configurations):
     """A curve of closed configurations of a mechanism with one degree of freedom.
 
     `q` (n, nq) are configurations in their order, in radians and metres; angles are not wrapped. `s` (n,) is the arc
@@ -127,9 +158,6 @@ class Path:
     def __repr__(self) -> str:
         return f"Path({self.system.name!r}, {len(self.q)} points, length={self.length:.6g}, closed={self.closed})"
 
-    def __len__(self) -> int:
-        return len(self.q)
-
     def __bool__(self) -> bool:
         return self.success
 
@@ -160,27 +188,9 @@ class Path:
         s = np.linspace(0.0, self.length, int(n))
         return replace(self, q=np.array([self.track.at(float(x)) for x in s]), s=s)
 
-    def curve(self, frame: FrameLike, poses: bool = False) -> Array:
-        """Positions (n, 3) of a frame along the path, or its poses (n, 4, 4)."""
-        X = self.system.fk(self.q, frame)
-        return X if poses else X[:, :3, 3].copy()
-
-    def values(self, coordinate: str) -> Array:
-        """Values (n,) of one coordinate along the path."""
-        names = self.system.coordinate_names
-        if coordinate not in names:
-            raise UnknownNameError("coordinate", coordinate, names, self.system.name)
-        return self.q[:, names.index(coordinate)].copy()
-
     def table(self, frames: Iterable[FrameLike] | None = None) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default: `self.frames`)."""
-        names, columns = ["s", *self.system.coordinate_names], [self.s[:, None], self.q]
-        for frame in self.frames if frames is None else frames:
-            name = self.system.frame_name(frame)
-            axes = "xyz"[: self.system.dim]
-            names += [f"{name}.{axis}" for axis in axes]
-            columns.append(self.curve(frame)[:, : len(axes)])
-        return names, np.hstack(columns)
+        return self._columns("s", self.s, self.frames if frames is None else frames)
 
     @property
     def status(self) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.kernels.assembly import DAMPING, LONGEST, MOST_DAMPING
+from kempe.kernels.assembly import DAMPING, LONGEST, MOST_DAMPING, WIDER
 from kempe.kernels.loop_layout import SCALES
 from kempe.kinematics.loops import evaluate, full
 from kempe.spatial import Array
@@ -58,17 +58,17 @@ def close(
         if size <= 1e-15 or (size <= tolerance and size > 0.3 * before) or step == steps:
             break
         before = size
-        stuck = free.copy()
+        moves = free.copy()
         gradient = J.T @ error
         at = q[at_q]
         out = ((at <= low[at_v]) & (gradient[at_v] >= 0.0)) | ((at >= high[at_v]) & (gradient[at_v] <= 0.0))
-        stuck[at_v[out]] = False
-        U, values, Vt = np.linalg.svd(J[:, stuck], full_matrices=False)
+        moves[at_v[out]] = False
+        U, values, Vt = np.linalg.svd(J[:, moves], full_matrices=False)
         damping = min(DAMPING * size * size / max(len(error), 1), MOST_DAMPING)
         large = values > SMALL * values.max(initial=1.0)
         part = np.where(large, values / np.where(large, values * values + damping, 1.0), 0.0)
         v = np.zeros(system.nv)
-        v[stuck] = -(Vt.T * part) @ (U.T @ error)
+        v[moves] = -(Vt.T * part) @ (U.T @ error)
         v *= min(1.0, LONGEST / max(np.abs(v).max(initial=0.0), 1e-300))
         q = system.integrate(q, v * scale)
         q[at_q] = np.where(free[at_v], np.clip(q[at_q], low[at_v], high[at_v]), q[at_q])
@@ -88,7 +88,7 @@ def assemble_each(
         while count < tries and not least <= tolerance:
             start = home
             if count:
-                spread = generator.uniform(-1.0, 1.0, system.nv) * min(1.0, 0.15 * count) * np.pi
+                spread = generator.uniform(-1.0, 1.0, system.nv) * min(1.0, WIDER * count) * np.pi
                 start = system.integrate(home, np.where(held, 0.0, spread) * scales(system))
             found, size, n = close(system, constraints, start, held, steps, tolerance)
             count, used = count + 1, used + n
