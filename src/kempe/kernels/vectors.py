@@ -98,9 +98,9 @@ def _shuffle(builder, a, b, order: list[int]):
 
 
 def _llvm(builder, name: str, value):
-    """LLVM's own function `name` of a vector."""
+    """LLVM's own function `name` of a number or vector."""
     call = ir.FunctionType(value.type, [value.type])
-    name = f"llvm.{name}.v{value.type.count}f64"
+    name = f"llvm.{name}.v{value.type.count}f64" if isinstance(value.type, ir.VectorType) else f"llvm.{name}.f64"
     return builder.call(cgutils.get_or_insert_function(builder.module, call, name), [value])
 
 
@@ -308,13 +308,14 @@ def entry(typingctx, vector, index):
 
 
 @intrinsic
-def square_root(typingctx, vector):
-    """The square roots of a vector's entries."""
+def square_root(typingctx, value):
+    """The square root of a number, or of each entry of a vector."""
+    kind = value if isinstance(value, Vec) else types.float64
 
     def codegen(context, builder, sig, args):
         return _llvm(builder, "sqrt", args[0])
 
-    return vector(vector), codegen
+    return kind(kind), codegen
 
 
 @intrinsic

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
     from kempe.kinematics.zoo import Constraint
+    from kempe.solvers.analytic.solutions import Solutions
     from kempe.solvers.assembly import Assembler, Assembly
     from kempe.solvers.charts import Chart
     from kempe.solvers.dyads import Incomplete, Plan
@@ -156,6 +157,12 @@ class System(Compiled):
         from kempe.solvers.inverse import ik
 
         return ik(self, target, frame, **options)
+
+    def ik_all(self, target: ArrayLike, frame: FrameLike, **options: Any) -> Solutions:
+        """Every configuration in which the frame reaches the target; see `kempe.solvers.analytic.ik_all.ik_all`."""
+        from kempe.solvers.analytic.ik_all import ik_all
+
+        return ik_all(self, target, frame, **options)
 
     # ---- closed loops
 

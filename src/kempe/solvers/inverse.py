@@ -93,7 +93,7 @@ def ik(
     """
     name = system.frame_name(frame)
     chain = chain_of(system, name)
-    targets, lead, is_position = _targets(system, target)
+    targets, lead, is_position = parse_targets(system, target)
     mask = POSITION if position_only or is_position else POSE
     if mask is POSE and system.table.at[name][2]:
         mask = _of_particle(targets, name)
@@ -232,7 +232,7 @@ def outside(task: Task, targets: Array) -> Array:
     return out
 
 
-def _targets(system: System, target: ArrayLike) -> tuple[Array, tuple[int, ...], bool]:
+def parse_targets(system: System, target: ArrayLike) -> tuple[Array, tuple[int, ...], bool]:
     """Targets (N, 4, 4), their leading shape, and whether they are positions."""
     try:
         given = np.asarray(target)

@@ -1,0 +1,34 @@
+"""Where the numbers of a plan of the analytical inverse model lie. Imports nothing, like `layout`.
+
+    ints    header (see the places below), kind of each line, then 1 for each joint of the chain that is unknown
+    floats  rows of the tip's pose (12), rows of the task (6), length, origin (3), the lines (LINE_STRIDE each), then for
+            each joint of the chain: gauge, multiplier, lower and upper limit
+
+Lines are scaled by the length, and seen from the origin. The joints of the chain come first; the others complete it to
+six, and belong to nobody: the target must leave those marked REST at zero, those marked FREE may take any value.
+"""
+
+N_LINES, N_JOINTS, METHOD, INNER, WHAT, MODE, MEASURE, OPTION, N_LOCKED, N_FORMS = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+"""Places in the header of `ints`."""
+
+ORDER, ROLES, FORMS, PLAN_HEADER = 10, 16, 22, 32
+"""Places in the header: which line stands at each of the six places, its role, and the formulations of an elimination."""
+
+CLOSED, ELIMINATE = 0, 1
+"""Methods."""
+
+JOINT, REST, FREE = 0, 1, 2
+"""Roles of the six: a joint of the chain; one that must stay at zero; one that may be anywhere."""
+
+TIP, TASK, LENGTH, ORIGIN, LINES = 0, 12, 18, 19, 22
+"""Places in `floats`."""
+
+GAUGE, FACTOR, LOW, HIGH, JOINT_FLOATS = 0, 1, 2, 3, 4
+"""Places in the numbers of a joint."""
+
+SLOTS = 16
+"""Rows of an answer."""
+
+LINEAR, ANGULAR, MULTIPLICITY, SLOT, INSIDE, WEAK, INFO = 0, 1, 2, 3, 4, 5, 6
+"""Numbers of a solution beside its configuration: errors [m, rad], how many roots it is (0: one of a family that was
+sampled), slot by signs (-1: none), 1 inside the limits, bound of the smallest singular value squared."""

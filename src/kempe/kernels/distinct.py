@@ -1,0 +1,121 @@
+"""Solutions of one target, each once: candidates polished, judged, merged, turned into coordinates inside the limits."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from kempe.kernels._jit import device, routine
+from kempe.kernels.analytic_layout import FACTOR, GAUGE, HIGH, JOINT_FLOATS, LOW
+from kempe.kernels.layout import SLIDE
+from kempe.kernels.polish import Model, error_at, polish, weakest
+from kempe.kernels.scratch import beyond
+
+SAME, NEAR, INDISTINCT = 1e-7, 2e-3, 2e-13
+"""Solutions nearer than SAME are one. So are those nearer than NEAR whose midpoint solves the target to INDISTINCT:
+roots that merge cannot be told apart at the square root of rounding, their mean is right to rounding."""
+
+MOST_SOLUTIONS = 48
+ERROR, TURNS, SIGNS, WEAKEST, SOLUTION = 0, 2, 3, 4, 6
+"""A solution: errors (2), multiplicity, slot, bound of the smallest singular value squared, then the variables."""
+
+EDGE = 1e-10
+"""How far beyond a limit rounding may push a coordinate: it is put on the limit."""
+
+TWO_PI = 2.0 * math.pi
+
+
+class Found(NamedTuple):
+    """Solutions found so far: `rows` of SOLUTION + n numbers, with scratch for one more; the tolerances."""
+
+    model: Model
+    rows: object
+    linear: float
+    angular: float
+
+
+@device
+def gap(slides, a, b):
+    """a - b, of angles the shortest."""
+    d = a - b
+    if slides:
+        return d
+    return d - TWO_PI * math.floor(d / TWO_PI + 0.5)
+
+
+@routine
+def distance(m, a, b):
+    """The largest difference of a joint between two configurations."""
+    size = 0.0
+    for i in range(m.n):
+        size = max(size, abs(gap(m.kinds[i] == SLIDE, a[i], b[i])))
+    return size
+
+
+@routine
+def add(found, count, theta, slot, sampled):
+    """New number of solutions, after a candidate was polished in place and judged."""
+    m, stride = found.model, SOLUTION + found.model.n
+    linear, angular = polish(m, theta)
+    if not (linear <= found.linear and angular <= found.angular):
+        return count
+    spare = beyond(found.rows, stride * MOST_SOLUTIONS)
+    for k in range(count):
+        row = beyond(found.rows, stride * k)
+        other = beyond(row, SOLUTION)
+        d = distance(m, theta, other)
+        if d > NEAR:
+            continue
+        if d > SAME:
+            for i in range(m.n):
+                spare[i] = other[i] + 0.5 * gap(m.kinds[i] == SLIDE, theta[i], other[i])
+            middle_linear, middle_angular = error_at(m, spare)
+            if max(middle_linear, middle_angular) > max(INDISTINCT, 2.0 * max(row[ERROR], row[ERROR + 1])):
+                continue
+            share = 1.0 / (row[TURNS] + 1.0)
+            for i in range(m.n):
+                spare[i] = other[i] + share * gap(m.kinds[i] == SLIDE, theta[i], other[i])
+            row[ERROR], row[ERROR + 1] = error_at(m, spare)
+            for i in range(m.n):
+                other[i] = spare[i]
+        if not sampled:
+            row[TURNS] += 1.0
+        return count
+    if count >= MOST_SOLUTIONS:
+        return count
+    row = beyond(found.rows, stride * count)
+    row[ERROR], row[ERROR + 1], row[TURNS], row[SIGNS] = linear, angular, 0.0 if sampled else 1.0, slot
+    row[WEAKEST] = weakest(m, theta)
+    for i in range(m.n):
+        row[SOLUTION + i] = theta[i]
+    return count + 1
+
+
+@device
+def coordinate(slides, theta, numbers, near):
+    """(q, inside): the coordinate of a variable, of all turns the one inside the limits and nearest to `near`."""
+    q = (theta - numbers[GAUGE]) / numbers[FACTOR]
+    low, high = numbers[LOW], numbers[HIGH]
+    if not slides:
+        period = TWO_PI / abs(numbers[FACTOR])
+        q += period * math.floor((near - q) / period + 0.5)
+        if q > high + EDGE:
+            q -= period * math.ceil((q - high - EDGE) / period)
+        elif q < low - EDGE:
+            q += period * math.ceil((low - EDGE - q) / period)
+        if not low - EDGE <= q <= high + EDGE:  # no turn fits: the one nearest to `near`
+            q += period * math.floor((near - q) / period + 0.5)
+            return q, False
+    elif not low - EDGE <= q <= high + EDGE:
+        return q, False
+    return min(max(q, low), high), True
+
+
+@routine
+def coordinates(m, joints, row, near, q):
+    """Whether all are inside the limits; writes the coordinates of one solution."""
+    inside = True
+    for i in range(m.n):
+        q[i], fits = coordinate(m.kinds[i] == SLIDE, row[SOLUTION + i], beyond(joints, JOINT_FLOATS * i), near[i])
+        inside = inside and fits
+    return inside

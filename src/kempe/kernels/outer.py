@@ -1,0 +1,282 @@
+"""Three joints that must bring a point or a plane back: the outer half of a closed-form inverse model.
+
+Where three consecutive axes meet in a point, or all lie across one plane, that point or plane does not feel these
+joints. Along the loop that the target closes, the other three joints x, y, z then have to satisfy
+
+    E_y E_z e1 = E_x^-1 e0,     e0 the point or plane, e1 = G^-1 e0.
+
+Two numbers of an element do not change under E_y: of a point, its height along the axis of y and its squared distance
+from it; of a plane, the cosine of its normal with the axis and its distance from a point of the axis; where y slides,
+two components across. So two equations are left, each a sum of a term in x and a term in z (subproblem 6 of Elias and
+Wen, 2022; for points Pieper, 1968). Where neighbouring axes meet or are parallel, one of them has one unknown only.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from kempe.kernels._jit import device, routine
+from kempe.kernels.layout import SLIDE
+from kempe.kernels.lines import LINE_STRIDE, cross, dot, foot, minus, plus, three, turned
+from kempe.kernels.subproblems import cone_roots, orbit, parabola_roots, trig_roots
+
+POINT, PLANE = 0, 1
+"""What the inner three joints leave in place."""
+
+X_FIRST, Z_FIRST, COUPLED, AT_REST = 0, 1, 2, 3
+"""How the outer equations are solved: one of them has x alone, or z alone, or none; AT_REST: the joints do not move."""
+
+VOID, WIDE = 1e-10, 1e-5
+"""Amplitude below which an equation says nothing; how far beyond its edge one is still tried (the residual decides)."""
+
+VALUE_STRIDE, SAMPLED = 4, 3
+"""A value of a joint: cosine and sine, or slide and its square; the variable; 1 if it was free and is a sample."""
+
+MOST = 4
+"""Values of one joint, at most."""
+
+
+class Element(NamedTuple):
+    """A point, or a plane with its unit normal `n` through `p`."""
+
+    p: object
+    n: object
+
+
+@device
+def carried(kind, h, o, e, c, s, theta):
+    """The element moved by a joint."""
+    if kind == SLIDE:
+        return Element(plus(e.p, theta, h), e.n)
+    return Element(plus(o, 1.0, turned(h, minus(e.p, o), c, s)), turned(h, e.n, c, s))
+
+
+@device
+def measures(kind, what, h, o, option, hx, kx, hz, kz):
+    """Two vectors: what y measures. A turning y: its axis h and point; a sliding y: two directions across it."""
+    if kind != SLIDE:
+        return h, o
+    other, slides = (hz, kz == SLIDE) if option == 0 else (hx, kx == SLIDE)
+    across = cross(h, other)
+    size = dot(across, across)
+    if what == PLANE:  # the normal is constant: measured along the axis of a neighbour, which it turns about
+        first = other
+    elif size < 1e-18:
+        first = cross(h, (0.0, 0.0, 1.0)) if abs(h[2]) < 0.8 else cross(h, (1.0, 0.0, 0.0))
+    elif slides:
+        first = across
+    else:
+        first = minus(other, plus((0.0, 0.0, 0.0), dot(other, h), h))
+    first = plus((0.0, 0.0, 0.0), 1.0 / math.sqrt(dot(first, first)), first)
+    second = cross(h, first)
+    if what == PLANE and dot(second, second) < 1e-18:
+        second = cross(first, (0.0, 0.0, 1.0)) if abs(first[2]) < 0.8 else cross(first, (1.0, 0.0, 0.0))
+    return first, second
+
+
+@routine
+def terms(kind, h, o, e, sign, what, y_slides, first, second, out):
+    """Nothing; out[0:3], out[3:6]: constant, first and second factor of both measures of the element under a joint.
+
+    The factors belong to cos and sin of a turn, to d and d^2 of a slide; `sign` -1 for the inverse motion.
+    """
+    if kind == SLIDE:
+        v = plus((0.0, 0.0, 0.0), sign, h)
+        x = e.n if what == PLANE else e.p
+        out[0] = dot(first, x)
+        out[1] = 0.0 if what == PLANE else dot(first, v)
+        out[2], out[5] = 0.0, 0.0
+        if y_slides:
+            out[3] = dot(second, x)
+            out[4] = 0.0 if what == PLANE else dot(second, v)
+        elif what == PLANE:
+            out[3], out[4] = dot(e.n, minus(second, e.p)), -dot(e.n, v)
+        else:
+            r = minus(e.p, second)
+            out[3], out[4], out[5] = dot(r, r), 2.0 * dot(r, v), 1.0
+        return
+    if what == PLANE:
+        m, u, w = orbit(h, e.n)
+    else:
+        m, u, w = orbit(h, minus(e.p, o))
+        m = plus(m, 1.0, o)
+    out[0], out[1], out[2] = dot(first, m), dot(first, u), sign * dot(first, w)
+    if y_slides:
+        out[3], out[4], out[5] = dot(second, m), dot(second, u), sign * dot(second, w)
+    elif what == PLANE:
+        d = minus(second, o)
+        out[3], out[4], out[5] = dot(m, d) + dot(e.n, minus(o, e.p)), dot(u, d), sign * dot(w, d)
+    else:
+        d = minus(m, second)
+        out[3], out[4], out[5] = dot(d, d) + dot(u, u), 2.0 * dot(d, u), 2.0 * sign * dot(d, w)
+
+
+@device
+def put(out, k, a, b, theta, sampled):
+    """Write one value of a joint."""
+    at = VALUE_STRIDE * k
+    out[at], out[at + 1], out[at + 2], out[at + SAMPLED] = a, b, theta, sampled
+
+
+@device
+def put_angle(out, k, c, s, sampled):
+    """Write one angle."""
+    put(out, k, c, s, math.atan2(s, c), sampled)
+
+
+@routine
+def put_samples(slides, out):
+    """Number of values for a joint that is free: a few, of which no two differ by half a turn."""
+    for k in range(MOST):
+        x = 0.35 - 1.3 * k + 0.37 * (k // 2)
+        if slides:
+            put(out, k, x, x * x, x, 1.0)
+        else:
+            put_angle(out, k, math.cos(x), math.sin(x), 1.0)
+    return MOST
+
+
+@routine
+def one_unknown(slides, a, b, k, out):
+    """Number of solutions of a f + b g = k, written to out; f, g = cos, sin of a turn, or d, d^2 of a slide."""
+    size = math.hypot(a, b)
+    if size <= VOID:
+        return put_samples(slides, out) if abs(k) <= WIDE else 0
+    if slides:
+        x0, x1, d2 = parabola_roots(b, a, -k)
+        if d2 < -WIDE * (size * size + abs(b * k)):
+            return 0
+        put(out, 0, x0, x0 * x0, x0, 0.0)
+        put(out, 1, x1, x1 * x1, x1, 0.0)
+        return 1 if abs(b) <= 1e-14 * (size + abs(k)) else 2
+    if abs(k) > size + WIDE:
+        return 0
+    c0, s0, c1, s1, _ = trig_roots(a, b, k)
+    put_angle(out, 0, c0, s0, 0.0)
+    put_angle(out, 1, c1, s1, 0.0)
+    return 2
+
+
+@routine
+def cone(k, h, n, w, sign, out):
+    """Number of turns about h (inverse turns for `sign` -1) that make the angle of n with k that of w with k."""
+    c0, s0, c1, s1, d2 = cone_roots(k, h, n, w)
+    a, b = cross(k, h), cross(h, n)
+    size = dot(a, a) * dot(b, b)
+    if size <= VOID * VOID:
+        return put_samples(False, out) if abs(dot(k, w) - dot(k, n)) <= WIDE else 0
+    if d2 < -WIDE * math.sqrt(size):
+        return 0
+    put_angle(out, 0, c0, sign * s0, 0.0)
+    put_angle(out, 1, c1, sign * s1, 0.0)
+    return 2
+
+
+class Outer(NamedTuple):
+    """The outer problem: joints x, y, z as (kind, h, o), elements, what is kept, the measures of y."""
+
+    what: int
+    kx: int
+    hx: object
+    ox: object
+    ky: int
+    hy: object
+    oy: object
+    kz: int
+    hz: object
+    oz: object
+    e0: Element
+    e1: Element
+    first: object
+    second: object
+
+
+@device
+def outer_of(what, kinds, lines, x, y, z, option, p0, n0, p1, n1):
+    """The outer problem of the joints at places x, y, z of `lines`."""
+    kx, ky, kz = kinds[x], kinds[y], kinds[z]
+    hx, ox = three(lines, LINE_STRIDE * x), three(lines, LINE_STRIDE * x + 4)
+    hy, oy = three(lines, LINE_STRIDE * y), three(lines, LINE_STRIDE * y + 4)
+    hz, oz = three(lines, LINE_STRIDE * z), three(lines, LINE_STRIDE * z + 4)
+    if option == 0:
+        oy = foot(oy, hy, oz, hz)
+    else:
+        oy = foot(oy, hy, ox, hx)
+    first, second = measures(ky, what, hy, oy, option, hx, kx, hz, kz)
+    return Outer(what, kx, hx, ox, ky, hy, oy, kz, hz, oz, Element(p0, n0), Element(p1, n1), first, second)
+
+
+@device
+def x_terms(o, out):
+    """Terms of x, six numbers."""
+    terms(o.kx, o.hx, o.ox, o.e0, -1.0, o.what, o.ky == SLIDE, o.first, o.second, out)
+
+
+@device
+def z_terms(o, out):
+    """Terms of z, six numbers."""
+    terms(o.kz, o.hz, o.oz, o.e1, 1.0, o.what, o.ky == SLIDE, o.first, o.second, out)
+
+
+@device
+def cones(o, j, kind):
+    """Whether measure j is the angle of a plane's normal with a turning y, under a turning joint."""
+    return o.what == PLANE and j == 0 and o.ky != SLIDE and kind != SLIDE
+
+
+@routine
+def first_values(o, mode, j, tx, tz, out):
+    """Number of values of the joint that measure j determines alone."""
+    k = 3 * j
+    if mode == 0:
+        if cones(o, j, o.kx):
+            return cone(o.hy, o.hx, o.e0.n, o.e1.n, -1.0, out)
+        return one_unknown(o.kx == SLIDE, tx[k + 1], tx[k + 2], tz[k] - tx[k], out)
+    if cones(o, j, o.kz):
+        return cone(o.hy, o.hz, o.e1.n, o.e0.n, 1.0, out)
+    return one_unknown(o.kz == SLIDE, tz[k + 1], tz[k + 2], tx[k] - tz[k], out)
+
+
+@routine
+def second_values(o, mode, j, tx, tz, first, out):
+    """Number of values of the other joint, given those of the first: measure 1 - j."""
+    k = 3 - 3 * j
+    if mode == 0:
+        e = carried(o.kx, o.hx, o.ox, o.e0, first[0], -first[1], -first[2])
+        if cones(o, 1 - j, o.kz):
+            return cone(o.hy, o.hz, o.e1.n, e.n, 1.0, out)
+        known = tx[k] + tx[k + 1] * first[0] + tx[k + 2] * first[1]
+        return one_unknown(o.kz == SLIDE, tz[k + 1], tz[k + 2], known - tz[k], out)
+    e = carried(o.kz, o.hz, o.oz, o.e1, first[0], first[1], first[2])
+    if cones(o, 1 - j, o.kx):
+        return cone(o.hy, o.hx, o.e0.n, e.n, -1.0, out)
+    known = tz[k] + tz[k + 1] * first[0] + tz[k + 2] * first[1]
+    return one_unknown(o.kx == SLIDE, tx[k + 1], tx[k + 2], known - tx[k], out)
+
+
+@routine
+def middle_values(o, x, z, out):
+    """Number of values of y once x and z are known: one, or samples where it is free."""
+    left = carried(o.kx, o.hx, o.ox, o.e0, x[0], -x[1], -x[2])
+    right = carried(o.kz, o.hz, o.oz, o.e1, z[0], z[1], z[2])
+    if o.ky == SLIDE:
+        d = minus(left.p, right.p)
+        if o.what == PLANE:
+            slope = dot(left.n, o.hy)
+            if abs(slope) <= VOID:
+                return put_samples(True, out)
+            t = dot(left.n, d) / slope
+        else:
+            t = dot(o.hy, d)
+        put(out, 0, t, t * t, t, 0.0)
+        return 1
+    u, v = (right.n, left.n) if o.what == PLANE else (minus(right.p, o.oy), minus(left.p, o.oy))
+    sine = dot(o.hy, cross(u, v))
+    cosine = dot(u, v) - dot(o.hy, u) * dot(o.hy, v)
+    lengths = math.sqrt(math.sqrt(sine * sine + cosine * cosine))
+    if lengths <= VOID:
+        return put_samples(False, out)
+    size = math.hypot(sine, cosine)
+    put_angle(out, 0, cosine / size, sine / size, 0.0)
+    return 1

@@ -1,0 +1,179 @@
+"""The inverse geometric model, all of it: every configuration in which a frame reaches a target."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.errors import InputError, NoSolutionError
+from kempe.kernels import analytic_layout as A
+from kempe.kernels.all_solutions import closed
+from kempe.kinematics.parallel import over_chunks
+from kempe.solvers.analytic.lines import Lines, lines_of
+from kempe.solvers.analytic.plan import Plan, free_lines, freedoms, make
+from kempe.solvers.analytic.question import (
+    Z_AXIS,
+    Question,
+    axis_of,
+    frame_of,
+    held,
+    near_of,
+    points_along,
+    targets_of,
+    task_of,
+)
+from kempe.solvers.analytic.solutions import Solutions
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+TOLERANCE = 1e-9
+"""Largest position error [m] and rotation angle [rad] of a solution."""
+
+CHUNK, SERIAL_BELOW = 256, 4096
+
+
+def ik_all(
+    system: System, target: ArrayLike, frame: FrameLike, *, task: str | None = None, near: Any = None,
+    axis: ArrayLike = Z_AXIS, inside_only: bool = False, expand_turns: bool = False,
+    fixed: Mapping[str, Any] | None = None, tolerance: float = TOLERANCE, threads: int | None = None,
+    throw: bool = False, **fixed_by_name: Any,
+) -> Solutions:  # fmt: skip
+    """Every configuration in which `frame` reaches `target`: the inverse geometric model with all its solutions.
+
+    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)) or a position (..., 3)
+    (in planar systems also (..., 2)). `task` says what of it counts: "pose", "position", "orientation", "direction"
+    (of the tool's `axis`), "position_axis" (both). Joints of redundant chains are held by `fixed`, or by name.
+    Solutions are sorted: inside the limits first, then by nearness to `near` (nq,), which also chooses among turns;
+    with `inside_only` others are dropped, with `expand_turns` every turn inside the limits is listed.
+
+    Each solution is verified by the forward model to `tolerance` [m, rad]. What is not reached has no solutions and a
+    `status` that says why; `throw=True` raises `NoSolutionError` for it. Errors: `UnsupportedError` for chains with
+    loops, quaternions or shared coordinates, `InputError`, `UnknownNameError`.
+
+    Method: see `ik_plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
+    """
+    name = system.frame_name(frame)
+    targets, lead, is_position = targets_of(system, target, task)
+    task = task_of(task, is_position, bool(system.table.at[name][2]))
+    direction = axis_of(axis) if points_along(task) else Z_AXIS
+    lines = chain_lines(system, name, direction)
+    values = held(system, name, lines.names, fixed, fixed_by_name)
+    plan = plan_for(system, name, lines, task, direction, tuple(values))
+    single = lead == ()
+    question = Question(system, name, task, direction, targets, None if single else lead, float(tolerance))
+    if single and not np.isfinite(targets).all():
+        raise InputError("target has entries that are not finite")
+    close_to = near_of(system, near, question.lead)
+    answer = solve(question, plan, close_to, values, threads)
+    if single and answer._count[0] < 0:
+        raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
+    if throw and not answer:
+        raise NoSolutionError(answer)
+    return answer
+
+
+def chain_lines(system: System, frame: str, axis: tuple[float, float, float]) -> Lines:
+    """The lines of the frame's chain, its tip turned so that its z axis is the tool's `axis`; made once."""
+    key = ("lines", frame, axis)
+    lines = system._queries.get(key)
+    if lines is None:
+        lines = lines_of(system, frame)
+        if axis != Z_AXIS:
+            tip = lines.tip.copy()
+            tip[:3, :3] = tip[:3, :3] @ frame_of(np.array(axis))
+            lines = replace(lines, tip=tip)
+        system._queries[key] = lines
+    return lines
+
+
+def plan_for(
+    system: System, frame: str, lines: Lines, task: str, axis: tuple[float, float, float], fixed: tuple[str, ...]
+) -> Plan:
+    """The plan for a task with these joints held, made once; of redundant chains more are held, by choice."""
+    key = ("ik_all", frame, task, axis, tuple(sorted(fixed)))
+    plan = system._queries.get(key)
+    if plan is None:
+        plan = system._queries[key] = _choose(lines, task, tuple(lines.names.index(n) for n in fixed), system.dim == 2)
+    return plan
+
+
+def _choose(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) -> Plan:
+    """The plan with as many joints locked, beside those `fixed`, as the chain has too many; the best choice of them."""
+    free = free_lines(lines, task, planar)
+    unknown = [i for i in range(len(lines)) if i not in fixed]
+    rank = freedoms(lines, free, unknown)
+    extra = len(unknown) + len(free.kinds) - rank
+    if extra <= 0:
+        return make(lines, task, fixed, planar)
+    best = None
+    for choice in itertools.islice(itertools.combinations(reversed(unknown), extra), 60):
+        left = [i for i in unknown if i not in choice]
+        if freedoms(lines, free, left) < rank:
+            continue
+        plan = make(lines, task, tuple(sorted((*fixed, *choice))), planar)
+        if plan.method == "closed":
+            return plan
+        best = best or plan
+    return best or make(lines, task, fixed, planar)
+
+
+def solve(
+    question: Question, plan: Plan, near: Array | None, values: Mapping[str, Array], threads: int | None
+) -> Solutions:
+    """The answer of the kernels."""
+    targets, lines, system = question.targets, plan.lines, question.system
+    n, single = len(targets), question.lead is None
+    base = system.neutral[None] if near is None else near
+    chain_near = np.ascontiguousarray(base[:, lines.q_index])
+    locked = chain_near
+    if plan.locked:
+        locked = _locked(question, plan, chain_near, values)
+    if question.axis != Z_AXIS:
+        targets = targets.copy()
+        targets[:, :3, :3] = targets[:, :3, :3] @ frame_of(np.array(question.axis))
+    q, info = np.empty((n, plan.slots, len(lines))), np.empty((n, plan.slots, A.INFO))
+    count = np.empty(n, dtype=np.int64)
+
+    def work(i: int, j: int) -> int:
+        some = chain_near[i:j] if len(chain_near) > 1 else chain_near
+        held_at = locked[i:j] if len(locked) > 1 else locked
+        closed(plan.ints, plan.floats, targets[i:j], some, held_at, question.tolerance, question.tolerance,
+               int(single), q[i:j], info[i:j], count[i:j])  # fmt: skip
+        return 0
+
+    over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+    return Solutions(question, plan, base, q, info, count, question.lead)
+
+
+def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Array]) -> Array:
+    """Coordinates (1 or N, n) of the chain, of which those of locked joints count."""
+    lines = plan.lines
+    shapes = [v.shape for v in values.values()]
+    batch = any(shapes) or len(near) > 1
+    out = np.array(np.broadcast_to(near, (len(question.targets) if batch else 1, len(lines))))
+    low, high = lines.limits
+    for i in plan.locked:
+        given = values.get(lines.names[i])
+        if given is None:
+            out[:, i] = np.clip(out[:, i], low[i], high[i])
+            continue
+        lead = question.lead or ()
+        try:
+            out[:, i] = np.broadcast_to(given, lead).reshape(-1) if given.ndim else given
+        except ValueError:
+            raise InputError(
+                f"{lines.names[i]} is held at values of shape {given.shape}; it must be a number or {lead}"
+            ) from None
+    if not np.isfinite(out[:, list(plan.locked)]).all() and not math.prod(question.lead or (2,)) > 1:
+        raise InputError("a joint is held at a value that is not finite")
+    return out
+
+

@@ -1,0 +1,274 @@
+"""The plan of an analytical inverse model: what of a chain is unknown, what completes it to six joints, how it is solved."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from kempe import spatial
+from kempe.kernels import analytic_layout as A
+from kempe.kernels.all_solutions import closed
+from kempe.kernels.layout import SLIDE, TURN
+from kempe.solvers.analytic.lines import Lines
+from kempe.solvers.analytic.structure import Axes, Way, ways
+from kempe.spatial import Array
+
+TASKS = {
+    "pose": (1, 1, 1, 1, 1, 1), "position": (1, 1, 1, 0, 0, 0), "orientation": (0, 0, 0, 1, 1, 1),
+    "direction": (0, 0, 0, 1, 1, 0), "position_axis": (1, 1, 1, 1, 1, 0),
+}  # fmt: skip
+"""Tasks, and which errors [linear; angular] in the frame of the tip count; the direction is that of its z axis."""
+
+TRIALS = 24
+"""Random configurations that a plan must find again before it is used."""
+
+RANK = 1e-7
+"""Singular values below this fraction of the largest are zero when the freedoms of a chain are counted."""
+
+
+@dataclass(frozen=True, eq=False)
+class Extra:
+    """Lines that complete a chain, in its frame of reference: roles say whether they may move."""
+
+    kinds: np.ndarray
+    h: Array
+    o: Array
+    roles: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """How a chain's inverse model is solved: packed for the kernels, with what a reader wants to know.
+
+    `method` is "closed", "elimination" or "search"; `locked` are the joints held at values, `extra` the lines that
+    complete the others to six.
+    """
+
+    lines: Lines
+    task: str
+    locked: tuple[int, ...]
+    method: str
+    way: Way | None
+    extra: Extra = field(repr=False)
+    ints: np.ndarray = field(repr=False)
+    floats: np.ndarray = field(repr=False)
+
+    @property
+    def slots(self) -> int:
+        """Rows of an answer."""
+        return A.SLOTS
+
+    @property
+    def plain(self) -> bool:
+        """Whether the chain's coordinates are the system's, in their order."""
+        return bool(np.array_equal(self.lines.q_index, np.arange(len(self.lines))))
+
+
+def jacobian(lines: Lines, theta: Array) -> tuple[Array, Array]:
+    """Tip pose (4, 4) and Jacobian (6, n) [linear; angular] in the tip's frame at theta (n,)."""
+    n = len(lines)
+    X, axes = np.eye(4), np.zeros((n, 6))
+    for i in range(n):
+        axes[i, :3], axes[i, 3:] = X[:3, :3] @ lines.h[i], X[:3, :3] @ lines.o[i] + X[:3, 3]
+        X = X @ motion(lines.kinds[i], lines.h[i], lines.o[i], theta[i])
+    T = X @ lines.tip
+    J = np.zeros((6, n))
+    for i in range(n):
+        w, a = axes[i, :3], axes[i, 3:]
+        if lines.kinds[i] == SLIDE:
+            J[:3, i] = w
+        else:
+            J[:3, i], J[3:, i] = np.cross(w, T[:3, 3] - a), w
+    R = T[:3, :3].T
+    return T, np.vstack([R @ J[:3], R @ J[3:]])
+
+
+def motion(kind: int, h: Array, o: Array, theta: float) -> Array:
+    """Pose (4, 4) of a turn about a line or a slide along it."""
+    X = np.eye(4)
+    if kind == SLIDE:
+        X[:3, 3] = theta * h
+        return X
+    X[:3, :3] = spatial.exp_so3(theta * h)
+    X[:3, 3] = o - X[:3, :3] @ o
+    return X
+
+
+def free_lines(lines: Lines, task: str, planar: bool) -> Extra:
+    """Lines at the tip that may move freely, for what the task does not ask."""
+    R, p = lines.tip[:3, :3], lines.tip[:3, 3]
+    turns = {"position": (0, 1, 2), "direction": (2,), "position_axis": (2,)}.get(task, ())
+    slides = (0, 1, 2) if task in ("orientation", "direction") else ()
+    if planar:
+        R = np.eye(3)
+        turns, slides = ((2,), ()) if task == "position" else ((), slides[:2])
+    kinds = [TURN] * len(turns) + [SLIDE] * len(slides)
+    h = [R[:, i] for i in (*turns, *slides)]
+    k = len(kinds)
+    return Extra(
+        np.array(kinds, dtype=np.int64), np.array(h).reshape(k, 3), np.tile(p, (k, 1)), np.full(k, A.FREE)
+    )  # fmt: skip
+
+
+def screws(extra: Extra, tip: Array) -> Array:
+    """Columns (6, k) of extra lines in the tip's frame: constant, for they come last."""
+    R, p = tip[:3, :3].T, tip[:3, 3]
+    J = np.zeros((6, len(extra.kinds)))
+    for i, kind in enumerate(extra.kinds):
+        if kind == SLIDE:
+            J[:3, i] = R @ extra.h[i]
+        else:
+            J[:3, i], J[3:, i] = R @ np.cross(extra.h[i], p - extra.o[i]), R @ extra.h[i]
+    return J
+
+
+def spread(lines: Lines, rng: np.random.Generator) -> Array:
+    """A random theta (n,): any angle, slides of the size of the chain."""
+    return np.where(lines.kinds == SLIDE, rng.uniform(-1.0, 1.0, len(lines)), rng.uniform(-np.pi, np.pi, len(lines)))
+
+
+def resting(lines: Lines, free: Extra, unknown: list[int], planar: bool) -> Iterator[Extra]:
+    """Sets of lines that complete the unknown joints and the free lines to six, the best conditioned first."""
+    count = 6 - len(unknown) - len(free.kinds)
+    if count == 0:
+        yield Extra(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64))
+        return
+    kinds, h, o = _pool(lines, unknown, planar)
+    rng = np.random.default_rng(5)
+    samples = [jacobian(lines, spread(lines, rng))[1][:, unknown] for _ in range(5)]
+    at_tip = screws(free, lines.tip)
+    pool = screws(Extra(kinds, h, o, kinds), lines.tip)
+    scored = []
+    for choice in itertools.combinations(range(len(kinds)), count):
+        chosen = pool[:, choice]
+        least = np.median([np.linalg.svd(np.hstack([J, at_tip, chosen]), compute_uv=False)[-1] for J in samples])
+        scored.append((float(least), choice))
+    best = max(s for s, _ in scored)
+    good = [(s, c) for s, c in scored if s > 0.05 * best]
+    for _, choice in sorted(good, key=lambda pair: (sum(pair[1]), -pair[0])):
+        at = list(choice)
+        yield Extra(kinds[at], h[at], o[at], np.full(len(at), A.REST))
+
+
+def _pool(lines: Lines, unknown: list[int], planar: bool) -> tuple[np.ndarray, Array, Array]:
+    """Lines to choose from: turns through a point of the last axis, slides, turns through another point."""
+    if planar:
+        R, at = np.eye(3), np.zeros((6, 3))
+        at[3] = 0.4, 0.7, 0.0
+        return np.array([SLIDE, TURN, TURN, TURN, SLIDE, SLIDE]), R[[2, 0, 1, 2, 0, 1]], at
+    turning = [i for i in unknown if lines.kinds[i] != SLIDE]
+    last = turning[-1] if turning else unknown[-1]
+    h = lines.h[last]
+    u = np.cross(h, [0.36, 0.48, 0.8] if abs(h @ [0.36, 0.48, 0.8]) < 0.9 else [0.8, -0.6, 0.0])
+    u /= np.linalg.norm(u)
+    w = np.cross(h, u)
+    on, off = lines.o[last] + 0.4 * h, lines.o[last] + 0.3 * h + 0.5 * u + 0.35 * w
+    kinds = np.array([TURN, TURN, SLIDE, SLIDE, SLIDE, TURN, TURN, TURN])
+    return kinds, np.array([u, w, h, u, w, h, u, w]), np.array([on, on, on, on, on, off, off, off])
+
+
+def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
+    """Rank of the Jacobian of the unknown joints and the free lines at random configurations."""
+    if not unknown:
+        return len(free.kinds)
+    rng, at_tip = np.random.default_rng(7), screws(free, lines.tip)
+    best = 0
+    for _ in range(4):
+        J = np.hstack([jacobian(lines, spread(lines, rng))[1][:, unknown], at_tip])
+        values = np.linalg.svd(J, compute_uv=False)
+        best = max(best, int((values > RANK * values[0]).sum()))
+    return best
+
+
+def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool) -> Plan:
+    """The plan for a chain of which so many joints are locked that the others are not redundant."""
+    unknown = [i for i in range(len(lines)) if i not in locked]
+    free = free_lines(lines, task, planar)
+    for rest in resting(lines, free, unknown, planar):
+        extra = Extra(*(np.concatenate([a, b]) for a, b in zip(_parts(free), _parts(rest), strict=True)))
+        for way in _ways(lines, unknown, locked, extra):
+            plan = pack(lines, task, locked, extra, way)
+            if _works(plan):
+                return plan
+    return pack(lines, task, locked, Extra(*_parts(free)), None)
+
+
+def _parts(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
+    return extra.kinds, extra.h, extra.o, extra.roles
+
+
+def _ways(lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extra) -> list[Way]:
+    """Ways for the six lines, as they are common to two positions of the locked joints."""
+    rng, variants, goals = np.random.default_rng(11), [], []
+    places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
+    for _ in range(2 if locked else 1):
+        theta = spread(lines, rng)
+        axes, shift = carried_lines(lines, locked, extra, theta)
+        six = Axes(axes.kinds[places], axes.h[places], axes.o[places])
+        some = []
+        for _ in range(3):
+            other = np.where(np.isin(np.arange(len(lines)), locked), theta, spread(lines, rng))
+            G = jacobian(lines, other)[0] @ spatial.inverse(lines.tip) @ spatial.inverse(shift)
+            some.append(np.ascontiguousarray(G[:3]).ravel())
+        variants.append(six)
+        goals.append(some)
+    at_rest = {i for i, j in enumerate(places) if j >= len(lines) and extra.roles[j - len(lines)] == A.REST}
+    found = ways(variants, goals, at_rest)
+    return [Way(tuple(places[i] for i in w.order), *_tail(w)) for w in found]
+
+
+def _tail(w: Way) -> tuple[int, int, int, int, int]:
+    return w.inner, w.what, w.mode, w.measure, w.option
+
+
+def carried_lines(lines: Lines, locked: tuple[int, ...], extra: Extra, theta: Array) -> tuple[Axes, Array]:
+    """All lines as the locked joints carry them, and the motion (4, 4) of all locked joints."""
+    X = np.eye(4)
+    kinds = np.concatenate([lines.kinds, extra.kinds])
+    h, o = np.vstack([lines.h, extra.h]), np.vstack([lines.o, extra.o])
+    for i in range(len(kinds)):
+        if i in locked:
+            X = X @ motion(kinds[i], h[i], o[i], theta[i])
+        else:
+            h[i], o[i] = X[:3, :3] @ h[i], X[:3, :3] @ o[i] + X[:3, 3]
+    return Axes(kinds, h, o), X
+
+
+def pack(lines: Lines, task: str, locked: tuple[int, ...], extra: Extra, way: Way | None) -> Plan:
+    """The plan with its arrays, see `kernels.analytic_layout`."""
+    n, k = len(lines), len(extra.kinds)
+    ints = np.zeros(A.PLAN_HEADER + n + k + n, dtype=np.int64)
+    ints[[A.N_LINES, A.N_JOINTS, A.N_LOCKED]] = n + k, n, len(locked)
+    if way is not None:
+        ints[A.METHOD] = A.CLOSED
+        ints[[A.INNER, A.WHAT, A.MODE, A.MEASURE, A.OPTION]] = _tail(way)
+        ints[A.ORDER : A.ORDER + 6] = way.order
+        ints[A.ROLES : A.ROLES + 6] = [A.JOINT if j < n else extra.roles[j - n] for j in way.order]
+    ints[A.PLAN_HEADER : A.PLAN_HEADER + n + k] = [*lines.kinds, *extra.kinds]
+    ints[A.PLAN_HEADER + n + k :] = [int(i not in locked) for i in range(n)]
+    head = np.concatenate([lines.tip[:3].ravel(), TASKS[task], [lines.length], lines.origin])
+    axes = Axes(np.zeros(n + k), np.vstack([lines.h, extra.h]), np.vstack([lines.o, extra.o]))
+    joints = np.column_stack([lines.gauge, lines.multiplier, *lines.limits]).ravel()
+    floats = np.concatenate([head, axes.packed(), joints])
+    return Plan(lines, task, locked, "search" if way is None else "closed", way, extra, ints, floats)
+
+
+def _works(plan: Plan) -> bool:
+    """Whether the plan finds random configurations again."""
+    lines, rng = plan.lines, np.random.default_rng(3)
+    theta = np.array([spread(lines, rng) for _ in range(TRIALS)])
+    q = (theta - lines.gauge) / lines.multiplier
+    targets = np.array([jacobian(lines, t)[0] for t in theta])
+    targets[:, :3, 3] = targets[:, :3, 3] * lines.length + lines.origin
+    n = len(lines)
+    out_q, info = np.empty((TRIALS, A.SLOTS, n)), np.empty((TRIALS, A.SLOTS, A.INFO))
+    count = np.empty(TRIALS, dtype=np.int64)
+    floats = plan.floats.copy()  # limits do not matter here
+    floats[-A.JOINT_FLOATS * n :].reshape(n, -1)[:, A.LOW :] = -np.inf, np.inf
+    closed(plan.ints, floats, targets, q, q, 1e-9, 1e-9, 0, out_q, info, count)
+    used = info[..., A.MULTIPLICITY] >= 0.0
+    near = np.where(used, np.abs(out_q - q[:, None]).max(axis=-1), np.inf).min(axis=1)
+    return bool(np.mean(near < 1e-6) > 0.8)
