@@ -9,19 +9,18 @@ from numba import types
 
 from kempe.kernels._jit import F1, F2, F3, I1, OUT3, OUTI1, device, kernel, routine
 from kempe.kernels.analytic_layout import (
-    ANGULAR,
+    CODE,
     FACTOR,
     GAUGE,
     INFO,
     INNER,
-    INSIDE,
+    INSIDE_BIT,
     JOINT_FLOATS,
     LENGTH,
-    LINEAR,
     LINES,
     MEASURE,
     MODE,
-    MULTIPLICITY,
+    MULTIPLICITY_UNIT,
     N_JOINTS,
     N_LINES,
     OPTION,
@@ -30,12 +29,14 @@ from kempe.kernels.analytic_layout import (
     PLAN_HEADER,
     REST,
     ROLES,
-    SLOT,
+    SLOT_UNIT,
     TASK,
     TIP,
-    WEAK,
+    UNUSED,
+    WEAK_BIT,
     WHAT,
 )
+from kempe.kernels.analytic_layout import ERROR as ERROR_AT
 from kempe.kernels.closed import CANDIDATE, MOST_CANDIDATES, SAMPLE, SCRATCH, closed_candidates
 from kempe.kernels.closed import SLOT as CANDIDATE_SLOT
 from kempe.kernels.distinct import (
@@ -47,6 +48,7 @@ from kempe.kernels.distinct import (
     WEAKEST,
     Found,
     add,
+    arrange,
     coordinates,
 )
 from kempe.kernels.layout import SLIDE
@@ -68,6 +70,9 @@ from kempe.kernels.vectors import keep, raw
 
 OFF_ZERO = 0.2
 """How far from zero a joint that must rest there may be in a candidate: polishing may still bring it to a solution."""
+
+WEAK = 1e-6
+"""Bound of the smallest singular value squared below which a solution is near a singularity."""
 
 ROTATION_TOLERANCE = 1e-6
 """Largest entry of R^T R - 1 that a target's rotation may have."""
@@ -154,12 +159,14 @@ def take_candidates(found, ints, order, candidates, n_candidates, fixed, theta, 
 
 
 @routine
-def write_out(found, floats, joints, count, near, q, info, slots, placed):
+def write_out(found, floats, joints, count, near, out, slots, placed):
     """Number of rows written: each solution in the row of its slot where that is free, else in the first free one."""
-    m, stride = found.model, SOLUTION + found.model.n
+    m, stride, width = found.model, SOLUTION + found.model.n, found.model.n + INFO
     for k in range(slots):
         placed[k] = 0
-        info[INFO * k + MULTIPLICITY] = -1.0
+        for i in range(m.n):
+            out[width * k + i] = math.nan
+        out[width * k + m.n + CODE] = UNUSED
     written = 0
     for sampled in range(2):  # samples of families come last, as far as there is room
         for k in range(count):
@@ -172,70 +179,26 @@ def write_out(found, floats, joints, count, near, q, info, slots, placed):
             while placed[at] != 0:
                 at = (at + 1) % slots
             placed[at] = 1
-            out = beyond(info, INFO * at)
-            inside = coordinates(m, joints, row, near, beyond(q, m.n * at))
-            out[LINEAR], out[ANGULAR] = row[ERROR] * floats[LENGTH], row[ERROR + 1]
-            out[MULTIPLICITY], out[SLOT], out[INSIDE] = row[TURNS], row[SIGNS], 1.0 if inside else 0.0
-            out[WEAK] = row[WEAKEST]
+            q = beyond(out, width * at)
+            inside = coordinates(m, joints, row, near, q)
+            code = MULTIPLICITY_UNIT * row[TURNS] + SLOT_UNIT * (row[SIGNS] + 1.0 if sampled == 0 else 0.0)
+            code += (INSIDE_BIT if inside else 0.0) + (WEAK_BIT if row[WEAKEST] < WEAK else 0.0)
+            q[m.n + ERROR_AT] = math.hypot(row[ERROR] * floats[LENGTH], row[ERROR + 1])
+            q[m.n + CODE] = code
             written += 1
     return written
 
 
-@device
-def precedes(m, joints, near, qa, a, qb, b):
-    """Whether row a of an answer comes before row b: inside the limits first, then the nearer."""
-    if a[INSIDE] != b[INSIDE]:
-        return a[INSIDE] > b[INSIDE]
-    da = db = 0.0
-    for i in range(m.n):
-        unit = joints[JOINT_FLOATS * i + FACTOR]
-        da += (unit * (qa[i] - near[i])) ** 2
-        db += (unit * (qb[i] - near[i])) ** 2
-    return da < db
-
-
-@routine
-def arrange(m, joints, near, q, info, slots):
-    """Nothing; puts the rows in use first, in order."""
-    n, used = m.n, 0
-    for k in range(slots):
-        if info[INFO * k + MULTIPLICITY] < 0.0:
-            continue
-        swap(q, info, n, used, k)
-        at = used
-        used += 1
-        while at > 0 and precedes(
-            m, joints, near, beyond(q, n * at), beyond(info, INFO * at), beyond(q, n * (at - 1)),
-            beyond(info, INFO * (at - 1)),
-        ):  # fmt: skip
-            swap(q, info, n, at, at - 1)
-            at -= 1
-
-
-@device
-def swap(q, info, n, a, b):
-    """Nothing; rows a and b change places."""
-    if a == b:
-        return
-    for i in range(n):
-        q[n * a + i], q[n * b + i] = q[n * b + i], q[n * a + i]
-    for i in range(INFO):
-        info[INFO * a + i], info[INFO * b + i] = info[INFO * b + i], info[INFO * a + i]
-
-
-@kernel(
-    types.void(I1, F1, F3, F2, F2, types.float64, types.float64, types.int64, OUT3, OUT3, OUTI1)
-)
-def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, out_q, out_info, out_count):
-    """Nothing; all solutions of each target by closed form.
+@kernel(types.void(I1, F1, F3, F2, F2, types.float64, types.float64, types.int64, I1, OUT3, OUTI1))
+def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, which, out, out_count):
+    """Nothing; all solutions by closed form of the targets whose numbers are in `which`.
 
     ints, floats: plan, see `analytic_layout`. targets: (N, 4, 4). near: (1 or N, n), of each angle the turn nearest to
     it is given. locked: (1 or N, n) coordinates of which those of locked joints are read. tol_linear [m], tol_angular:
-    largest errors of a solution. sort: 1 for rows in order, nearest first, else
-    each is in the row of its slot. out_q: (N, K, n), out_info: (N, K, INFO), out_count: (N,) rows in use, -1 for a target
-    that is no pose. A row is in use where its multiplicity is not negative.
+    largest errors of a solution. sort: 1 for rows in order, nearest first, else each is in the row of its slot. out:
+    (N, K, n + INFO) coordinates, error, code. out_count: (N,) rows in use, -1 for a target that is no pose.
     """
-    n, slots = ints[N_JOINTS], out_q.shape[1]
+    n, slots = ints[N_JOINTS], out.shape[1]
     stride = SOLUTION + n
     sizes = SCRATCH + CANDIDATE * MOST_CANDIDATES + stride * (MOST_SOLUTIONS + 1) + model_scratch(n) + 3 * n + 96
     block, flags = np.empty(sizes), np.empty(6 + slots, np.int64)
@@ -253,24 +216,23 @@ def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, o
     model = Model(beyond(table, PLAN_HEADER), beyond(numbers, LINES), moves, beyond(numbers, TIP),
                   beyond(numbers, TASK), target, beyond(rows, stride * (MOST_SOLUTIONS + 1)), n)  # fmt: skip
     found = Found(model, rows, tol_linear / length, tol_angular)
-    for i in range(targets.shape[0]):
+    for i in which:
         first, lock = n * i if near.shape[0] > 1 else 0, n * i if locked.shape[0] > 1 else 0
         sound = take_target(raw(targets), 16 * i, numbers, target)
         for j in range(n):
             at = JOINT_FLOATS * j
             fixed[j] = joints[at + FACTOR] * raw(locked)[lock + j] + joints[at + GAUGE] if moves[j] == 0 else 0.0
             sound = sound and abs(fixed[j]) < 1e15 and abs(raw(near)[first + j]) < 1e15
-        q, info = beyond(raw(out_q), slots * n * i), beyond(raw(out_info), slots * INFO * i)
-        count = 0
+        rows_out, count = beyond(raw(out), slots * (n + INFO) * i), 0
         if sound:
             goal_of(target, model.tip, goal)
             six_lines(table, numbers, moves, fixed, goal, shift, six, kinds)
             k = closed_candidates(kinds, six, goal, ints[INNER], ints[WHAT], ints[MODE], ints[MEASURE], ints[OPTION],
                                   scratch, candidates)  # fmt: skip
             count = take_candidates(found, table, beyond(table, ORDER), candidates, k, fixed, theta, 0)
-        written = write_out(found, numbers, joints, count, beyond(raw(near), first), q, info, slots, placed)
+        written = write_out(found, numbers, joints, count, beyond(raw(near), first), rows_out, slots, placed)
         if sort != 0:
-            arrange(model, joints, beyond(raw(near), first), q, info, slots)
+            arrange(n, joints, beyond(raw(near), first), rows_out, slots)
         out_count[i] = written if sound else -1
     keep(block)
     keep(flags)

@@ -29,6 +29,9 @@ GAUGE, FACTOR, LOW, HIGH, JOINT_FLOATS = 0, 1, 2, 3, 4
 SLOTS = 16
 """Rows of an answer."""
 
-LINEAR, ANGULAR, MULTIPLICITY, SLOT, INSIDE, WEAK, INFO = 0, 1, 2, 3, 4, 5, 6
-"""Numbers of a solution beside its configuration: errors [m, rad], how many roots it is (0: one of a family that was
-sampled), slot by signs (-1: none), 1 inside the limits, bound of the smallest singular value squared."""
+ERROR, CODE, INFO = 0, 1, 2
+"""Places after a solution's coordinates: the norm of its errors [m, rad], and its code."""
+
+UNUSED, INSIDE_BIT, WEAK_BIT, SLOT_UNIT, MULTIPLICITY_UNIT = -1.0, 1.0, 2.0, 4.0, 128.0
+"""A code: UNUSED, or INSIDE_BIT inside the limits + WEAK_BIT near a singularity + SLOT_UNIT (slot + 1, 0 for none) +
+MULTIPLICITY_UNIT times how many roots it is (0: a sample of a family)."""

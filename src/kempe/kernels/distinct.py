@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from kempe.kernels._jit import device, routine
-from kempe.kernels.analytic_layout import FACTOR, GAUGE, HIGH, JOINT_FLOATS, LOW
+from kempe.kernels.analytic_layout import CODE, FACTOR, GAUGE, HIGH, INFO, JOINT_FLOATS, LOW
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.polish import Model, error_at, polish, weakest
 from kempe.kernels.scratch import beyond
@@ -119,3 +119,40 @@ def coordinates(m, joints, row, near, q):
         q[i], fits = coordinate(m.kinds[i] == SLIDE, row[SOLUTION + i], beyond(joints, JOINT_FLOATS * i), near[i])
         inside = inside and fits
     return inside
+
+
+@device
+def precedes(n, joints, near, a, b):
+    """Whether row a of an answer comes before row b: inside the limits first, then the nearer."""
+    inside_a, inside_b = int(a[n + CODE]) % 2, int(b[n + CODE]) % 2
+    if inside_a != inside_b:
+        return inside_a > inside_b
+    da = db = 0.0
+    for i in range(n):
+        unit = joints[JOINT_FLOATS * i + FACTOR]
+        da += (unit * (a[i] - near[i])) ** 2
+        db += (unit * (b[i] - near[i])) ** 2
+    return da < db
+
+
+@routine
+def arrange(n, joints, near, out, slots):
+    """Nothing; puts the rows in use first, in order."""
+    width, used = n + INFO, 0
+    for k in range(slots):
+        if out[width * k + n + CODE] < 0.0:
+            continue
+        swap(out, width, used, k)
+        at = used
+        used += 1
+        while at > 0 and precedes(n, joints, near, beyond(out, width * at), beyond(out, width * (at - 1))):
+            swap(out, width, at, at - 1)
+            at -= 1
+
+
+@device
+def swap(out, width, a, b):
+    """Nothing; rows a and b change places."""
+    if a != b:
+        for i in range(width):
+            out[width * a + i], out[width * b + i] = out[width * b + i], out[width * a + i]

@@ -139,18 +139,26 @@ def solve(
     if question.axis != Z_AXIS:
         targets = targets.copy()
         targets[:, :3, :3] = targets[:, :3, :3] @ frame_of(np.array(question.axis))
-    q, info = np.empty((n, plan.slots, len(lines))), np.empty((n, plan.slots, A.INFO))
-    count = np.empty(n, dtype=np.int64)
+    out = np.empty((n, plan.slots, len(lines) + A.INFO))
+    count = np.zeros(n, dtype=np.int64)
 
     def work(i: int, j: int) -> int:
         some = chain_near[i:j] if len(chain_near) > 1 else chain_near
+        which = np.arange(j - i)
+        if plan.side_by_side:
+            from kempe.kernels.closed_blocks import closed_side_by_side
+
+            left = closed_side_by_side(plan.ints, plan.floats, targets[i:j], some, int(single), out[i:j], which)
+            if left == 0:
+                return 0
+            which = which[:left].copy()
         held_at = locked[i:j] if len(locked) > 1 else locked
         closed(plan.ints, plan.floats, targets[i:j], some, held_at, question.tolerance, question.tolerance,
-               int(single), q[i:j], info[i:j], count[i:j])  # fmt: skip
+               int(single), which, out[i:j], count[i:j])  # fmt: skip
         return 0
 
     over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
-    return Solutions(question, plan, base, q, info, count, question.lead)
+    return Solutions(question, plan, base, out, count, question.lead)
 
 
 def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Array]) -> Array:

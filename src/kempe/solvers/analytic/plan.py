@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from kempe import spatial
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.all_solutions import closed
 from kempe.kernels.layout import SLIDE, TURN
+from kempe.kernels.outer import X_FIRST, Z_FIRST
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.structure import Axes, Way, ways
 from kempe.spatial import Array
@@ -24,6 +26,9 @@ TASKS = {
 
 TRIALS = 24
 """Random configurations that a plan must find again before it is used."""
+
+EIGHT = 8
+"""Rows of an answer where targets are solved side by side."""
 
 RANK = 1e-7
 """Singular values below this fraction of the largest are zero when the freedoms of a chain are counted."""
@@ -56,12 +61,22 @@ class Plan:
     ints: np.ndarray = field(repr=False)
     floats: np.ndarray = field(repr=False)
 
+    @cached_property
+    def side_by_side(self) -> bool:
+        """Whether many targets are solved side by side: six turning joints, an equation in one unknown."""
+        way, n = self.way, len(self.lines)
+        if way is None or n != 6 or self.locked or way.order != tuple(range(6)) or self.task != "pose":
+            return False
+        if way.mode not in (X_FIRST, Z_FIRST) or np.any(self.lines.kinds == SLIDE):
+            return False
+        return (way.inner, way.option) not in ((1, 0), (2, 1))
+
     @property
     def slots(self) -> int:
         """Rows of an answer."""
-        return A.SLOTS
+        return EIGHT if self.side_by_side else A.SLOTS
 
-    @property
+    @cached_property
     def plain(self) -> bool:
         """Whether the chain's coordinates are the system's, in their order."""
         return bool(np.array_equal(self.lines.q_index, np.arange(len(self.lines))))
@@ -264,11 +279,10 @@ def _works(plan: Plan) -> bool:
     targets = np.array([jacobian(lines, t)[0] for t in theta])
     targets[:, :3, 3] = targets[:, :3, 3] * lines.length + lines.origin
     n = len(lines)
-    out_q, info = np.empty((TRIALS, A.SLOTS, n)), np.empty((TRIALS, A.SLOTS, A.INFO))
-    count = np.empty(TRIALS, dtype=np.int64)
+    out, count = np.empty((TRIALS, A.SLOTS, n + A.INFO)), np.empty(TRIALS, dtype=np.int64)
     floats = plan.floats.copy()  # limits do not matter here
     floats[-A.JOINT_FLOATS * n :].reshape(n, -1)[:, A.LOW :] = -np.inf, np.inf
-    closed(plan.ints, floats, targets, q, q, 1e-9, 1e-9, 0, out_q, info, count)
-    used = info[..., A.MULTIPLICITY] >= 0.0
-    near = np.where(used, np.abs(out_q - q[:, None]).max(axis=-1), np.inf).min(axis=1)
+    closed(plan.ints, floats, targets, q, q, 1e-9, 1e-9, 0, np.arange(TRIALS), out, count)
+    off = np.where(out[..., n + A.CODE] >= 0.0, np.abs(out[..., :n] - q[:, None]).max(axis=-1), np.inf)
+    near = off.min(axis=1)
     return bool(np.mean(near < 1e-6) > 0.8)

@@ -13,7 +13,6 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.analytic.families import Family
     from kempe.solvers.analytic.plan import Plan
     from kempe.solvers.analytic.question import Question
 
@@ -30,11 +29,10 @@ class Solutions:
     """
 
     def __init__(
-        self, question: Question, plan: Plan, base: Array, q: Array, info: Array, count: np.ndarray,
-        lead: tuple[int, ...] | None,
-    ):  # fmt: skip
+        self, question: Question, plan: Plan, base: Array, rows: Array, count: np.ndarray, lead: tuple[int, ...] | None
+    ):
         self.question, self.plan = question, plan
-        self._base, self._q, self._info, self._count, self._lead = base, q, info, count, lead
+        self._base, self._rows, self._count, self._lead = base, rows, count, lead
 
     @property
     def system(self) -> System:
@@ -47,55 +45,66 @@ class Solutions:
         return self._lead is None
 
     @cached_property
+    def _code(self) -> np.ndarray:
+        """Codes of all rows (N, K), see `kernels.analytic_layout`; 0 for rows not in use."""
+        code = self._rows[..., len(self.plan.lines) + A.CODE]
+        return np.where(code >= 0.0, code, 0.0).astype(np.int64)
+
+    @cached_property
+    def _used(self) -> np.ndarray:
+        """Which rows (N, K) are in use."""
+        return self._rows[..., len(self.plan.lines) + A.CODE] >= 0.0
+
+    @cached_property
     def mask(self) -> np.ndarray:
         """Which rows (..., K) of a batch are in use; of a single target all (k,)."""
-        return self._pick(self._info[..., A.MULTIPLICITY] >= 0.0)
+        return self._pick(self._used)
 
     def _pick(self, rows: Array) -> Any:
         """Rows (N, K, ...) in the shape of the answer."""
         if self._lead is None:
-            return rows[0, : max(int(self._count[0]), 0)]
+            return rows[0, : int(self._used[0].sum())]
         return rows.reshape(*self._lead, *rows.shape[1:])
+
+    def _of(self, values: Array) -> Array:
+        """Numbers (N, K, ...) in the shape of the answer, NaN in rows not in use."""
+        if self._lead is not None and not self._used.all():
+            shape = (*self._used.shape, *[1] * (values.ndim - 2))
+            values = np.where(self._used.reshape(shape), values, np.nan)
+        return self._pick(values)
 
     @cached_property
     def q(self) -> Array:
         """Configurations (k, nq), or (..., K, nq) of a batch."""
         n, index = self.system.nq, self.plan.lines.q_index
-        if len(index) == n and self.plan.plain:
-            full = self._q
-        else:
-            full = np.empty((*self._q.shape[:2], n))
+        own = self._rows[..., : len(index)]
+        if not self.plan.plain or len(index) < n:
+            full = np.empty((*own.shape[:2], n))
             full[:] = self._base[:, None]
-            full[..., index] = self._q
-        if self._lead is not None:
-            full = np.where((self._info[..., A.MULTIPLICITY] >= 0.0)[..., None], full, np.nan)
-        return self._pick(full)
+            full[..., index] = own
+            own = full
+        return self._of(own)
 
     @cached_property
     def residual(self) -> Array:
         """Norm (k,) or (..., K) of position error [m] and orientation error [rad]."""
-        return self._of(np.hypot(self._info[..., A.LINEAR], self._info[..., A.ANGULAR]))
+        return self._of(self._rows[..., len(self.plan.lines) + A.ERROR])
 
     @cached_property
     def inside(self) -> np.ndarray:
         """Whether each is inside the limits, (k,) or (..., K)."""
-        return self._pick((self._info[..., A.INSIDE] == 1.0) & (self._info[..., A.MULTIPLICITY] >= 0.0))
+        return self._pick(self._code % 2 == 1)
 
     @cached_property
     def multiplicity(self) -> np.ndarray:
         """How many roots each is, (k,) or (..., K); 0 for one of a family, and in rows not in use."""
-        return self._pick(np.maximum(self._info[..., A.MULTIPLICITY], 0.0).astype(np.int64))
+        return self._pick(self._code // int(A.MULTIPLICITY_UNIT))
 
     @cached_property
     def branch(self) -> np.ndarray:
         """Number of the branch of each, (k,) or (..., K), -1 where there is none."""
-        known = self._info[..., A.MULTIPLICITY] > 0.0
-        return self._pick(np.where(known, self._info[..., A.SLOT], -1.0).astype(np.int64))
-
-    def _of(self, values: Array) -> Array:
-        if self._lead is not None:
-            values = np.where(self._info[..., A.MULTIPLICITY] >= 0.0, values, np.nan)
-        return self._pick(values)
+        unit = int(A.SLOT_UNIT)
+        return self._pick(self._code % int(A.MULTIPLICITY_UNIT) // unit - 1)
 
     def __len__(self) -> int:
         return len(self.q)
