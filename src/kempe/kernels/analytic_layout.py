@@ -8,14 +8,11 @@ Lines are scaled by the length, and seen from the origin. The joints of the chai
 six, and belong to nobody: the target must leave those marked REST at zero, those marked FREE may take any value.
 """
 
-N_LINES, N_JOINTS, METHOD, INNER, WHAT, MODE, MEASURE, OPTION, N_LOCKED, N_FORMS = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+N_LINES, N_JOINTS, INNER, WHAT, MODE, MEASURE, OPTION, N_LOCKED, N_FORMS = 0, 1, 2, 3, 4, 5, 6, 7, 8
 """Places in the header of `ints`."""
 
 ORDER, ROLES, FORMS, PLAN_HEADER = 10, 16, 22, 32
 """Places in the header: which line stands at each of the six places, its role, and the formulations of an elimination."""
-
-CLOSED, ELIMINATE = 0, 1
-"""Methods."""
 
 JOINT, REST, FREE = 0, 1, 2
 """Roles of the six: a joint of the chain; one that must stay at zero; one that may be anywhere."""

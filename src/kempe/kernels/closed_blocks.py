@@ -38,14 +38,13 @@ from kempe.kernels.analytic_layout import (
 )
 from kempe.kernels.closed import ball_centre
 from kempe.kernels.closed_lanes import (
-    CS,
     FAR,
     GOAL,
     LANE_ROWS,
-    M,
-    U,
     X_SIDE,
     Z_SIDE,
+    M,
+    U,
     clear_of,
     inner_direction,
     inner_point,
@@ -55,7 +54,6 @@ from kempe.kernels.closed_lanes import (
     put_cs,
     roots_of,
     sides,
-    store3,
     term,
 )
 from kempe.kernels.distinct import arrange
@@ -209,7 +207,7 @@ def error_of(pr, a, b, c, w, dr, dp, r):
 
 @routine
 def inner_pair(pr, at, slot, valid, clear):
-    """`clear` after both solutions of the inner joints were written, for outer joints whose angles are in the scratch."""
+    """`clear` after both solutions of the inner joints were written; the angles of the outer ones are in the scratch."""
     ha, oa = joint_line(pr.lines, pr.k)
     hb, ob = joint_line(pr.lines, pr.k + 1)
     hc, oc = joint_line(pr.lines, pr.k + 2)

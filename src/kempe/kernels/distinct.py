@@ -1,4 +1,4 @@
-"""Solutions of one target, each once: candidates polished, judged, merged, turned into coordinates inside the limits."""
+"""Solutions of one target, each once: candidates polished, judged, merged, and turned into coordinates."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ roots that merge cannot be told apart at the square root of rounding, their mean
 MOST_SOLUTIONS = 48
 ERROR, TURNS, SIGNS, WEAKEST, SOLUTION = 0, 2, 3, 4, 6
 """A solution: errors (2), multiplicity, slot, bound of the smallest singular value squared, then the variables."""
+
+ROOT, AGAIN, SAMPLED = 0, 1, 2
+"""Kinds of candidates: a root; one of another formulation, where it may be a root met before; from a free joint."""
 
 EDGE = 1e-10
 """How far beyond a limit rounding may push a coordinate: it is put on the limit."""
@@ -53,8 +56,11 @@ def distance(m, a, b):
 
 
 @routine
-def add(found, count, theta, slot, sampled):
-    """New number of solutions, after a candidate was polished in place and judged."""
+def add(found, count, theta, slot, kind):
+    """New number of solutions, after a candidate was polished in place and judged.
+
+    kind: ROOT, each counts towards the multiplicity of a solution; AGAIN, roots that were counted before; SAMPLED.
+    """
     m, stride = found.model, SOLUTION + found.model.n
     linear, angular = polish(m, theta)
     if not (linear <= found.linear and angular <= found.angular):
@@ -78,13 +84,13 @@ def add(found, count, theta, slot, sampled):
             row[ERROR], row[ERROR + 1] = error_at(m, spare)
             for i in range(m.n):
                 other[i] = spare[i]
-        if not sampled:
+        if kind == ROOT:
             row[TURNS] += 1.0
         return count
     if count >= MOST_SOLUTIONS:
         return count
     row = beyond(found.rows, stride * count)
-    row[ERROR], row[ERROR + 1], row[TURNS], row[SIGNS] = linear, angular, 0.0 if sampled else 1.0, slot
+    row[ERROR], row[ERROR + 1], row[TURNS], row[SIGNS] = linear, angular, 0.0 if kind == SAMPLED else 1.0, slot
     row[WEAKEST] = weakest(m, theta)
     for i in range(m.n):
         row[SOLUTION + i] = theta[i]

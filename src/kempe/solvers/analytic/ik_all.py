@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, NoSolutionError
 from kempe.kernels import analytic_layout as A
-from kempe.kernels.all_solutions import closed
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers.analytic.lines import Lines, lines_of
-from kempe.solvers.analytic.plan import Plan, free_lines, freedoms, make
+from kempe.solvers.analytic.plan import Plan, free_lines, freedoms, kernel_of, make
 from kempe.solvers.analytic.question import (
     Z_AXIS,
     Question,
@@ -65,7 +64,7 @@ def ik_all(
     task = task_of(task, is_position, bool(system.table.at[name][2]))
     direction = axis_of(axis) if points_along(task) else Z_AXIS
     lines = chain_lines(system, name, direction)
-    values = held(system, name, lines.names, fixed, fixed_by_name)
+    values = held(name, lines.names, fixed, fixed_by_name)
     plan = plan_for(system, name, lines, task, direction, tuple(values))
     single = lead == ()
     question = Question(system, name, task, direction, targets, None if single else lead, float(tolerance))
@@ -73,7 +72,7 @@ def ik_all(
         raise InputError("target has entries that are not finite")
     close_to = near_of(system, near, question.lead)
     answer = solve(question, plan, close_to, values, threads)
-    if single and answer._count[0] < 0:
+    if single and answer._counts[0, 0] < 0:
         raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
     if throw and not answer:
         raise NoSolutionError(answer)
@@ -140,7 +139,8 @@ def solve(
         targets = targets.copy()
         targets[:, :3, :3] = targets[:, :3, :3] @ frame_of(np.array(question.axis))
     out = np.empty((n, plan.slots, len(lines) + A.INFO))
-    count = np.zeros(n, dtype=np.int64)
+    kernel = kernel_of(plan)
+    counts = np.zeros((n, 2), dtype=np.int64)
 
     def work(i: int, j: int) -> int:
         some = chain_near[i:j] if len(chain_near) > 1 else chain_near
@@ -153,12 +153,12 @@ def solve(
                 return 0
             which = which[:left].copy()
         held_at = locked[i:j] if len(locked) > 1 else locked
-        closed(plan.ints, plan.floats, targets[i:j], some, held_at, question.tolerance, question.tolerance,
-               int(single), which, out[i:j], count[i:j])  # fmt: skip
+        kernel(plan.ints, plan.floats, targets[i:j], some, held_at, question.tolerance, question.tolerance,
+               int(single), which, out[i:j], counts[i:j])  # fmt: skip
         return 0
 
     over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
-    return Solutions(question, plan, base, out, count, question.lead)
+    return Solutions(question, plan, base, out, counts, question.lead)
 
 
 def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Array]) -> Array:

@@ -1,9 +1,9 @@
-"""The plan of an analytical inverse model: what of a chain is unknown, what completes it to six joints, how it is solved."""
+"""The plan of an analytical inverse model: what is unknown, what completes it to six joints, how it is solved."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -26,6 +26,9 @@ TASKS = {
 
 TRIALS = 24
 """Random configurations that a plan must find again before it is used."""
+
+ELIMINATIONS, MOST_FORMS = 3, 5
+"""Completions to six lines that are tried by elimination, and formulations that are kept."""
 
 EIGHT = 8
 """Rows of an answer where targets are solved side by side."""
@@ -202,13 +205,46 @@ def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool) -> Plan
     """The plan for a chain of which so many joints are locked that the others are not redundant."""
     unknown = [i for i in range(len(lines)) if i not in locked]
     free = free_lines(lines, task, planar)
+    tried = []
     for rest in resting(lines, free, unknown, planar):
         extra = Extra(*(np.concatenate([a, b]) for a, b in zip(_parts(free), _parts(rest), strict=True)))
+        tried.append(extra)
         for way in _ways(lines, unknown, locked, extra):
             plan = pack(lines, task, locked, extra, way)
             if _works(plan):
                 return plan
+    for extra in tried[:ELIMINATIONS]:
+        plan = _by_elimination(lines, task, unknown, locked, extra)
+        if plan is not None:
+            return plan
     return pack(lines, task, locked, Extra(*_parts(free)), None)
+
+
+def _by_elimination(
+    lines: Lines, task: str, unknown: list[int], locked: tuple[int, ...], extra: Extra
+) -> Plan | None:
+    """The plan that takes the six lines as general ones; None where no formulation suits them."""
+    from kempe.kernels.elimination_score import FORMULATIONS, score  # compiled only where it is needed
+
+    theta = spread(lines, np.random.default_rng(11))
+    places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
+    axes, _ = carried_lines(lines, locked, extra, theta)
+    scores = np.zeros(FORMULATIONS)
+    score(axes.kinds[places].astype(np.int64), axes.packed().reshape(-1, 8)[places], scores)
+    best = [int(f) for f in np.argsort(-scores, kind="stable") if scores[f] > 0.0][:MOST_FORMS]
+    if not best:
+        return None
+    plan = pack(lines, task, locked, extra, None, (tuple(places), best))
+    return plan if _works(plan) else None
+
+
+def kernel_of(plan: Plan) -> Callable[..., None]:
+    """The kernel that carries out a plan."""
+    if plan.method == "elimination":
+        from kempe.kernels.general import general
+
+        return general
+    return closed
 
 
 def _parts(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
@@ -252,23 +288,32 @@ def carried_lines(lines: Lines, locked: tuple[int, ...], extra: Extra, theta: Ar
     return Axes(kinds, h, o), X
 
 
-def pack(lines: Lines, task: str, locked: tuple[int, ...], extra: Extra, way: Way | None) -> Plan:
-    """The plan with its arrays, see `kernels.analytic_layout`."""
+def pack(
+    lines: Lines, task: str, locked: tuple[int, ...], extra: Extra, way: Way | None,
+    forms: tuple[tuple[int, ...], list[int]] | None = None,
+) -> Plan:  # fmt: skip
+    """The plan with its arrays, see `kernels.analytic_layout`; forms: order and formulations of an elimination."""
     n, k = len(lines), len(extra.kinds)
     ints = np.zeros(A.PLAN_HEADER + n + k + n, dtype=np.int64)
     ints[[A.N_LINES, A.N_JOINTS, A.N_LOCKED]] = n + k, n, len(locked)
+    order = () if forms is None else forms[0]
     if way is not None:
-        ints[A.METHOD] = A.CLOSED
         ints[[A.INNER, A.WHAT, A.MODE, A.MEASURE, A.OPTION]] = _tail(way)
-        ints[A.ORDER : A.ORDER + 6] = way.order
-        ints[A.ROLES : A.ROLES + 6] = [A.JOINT if j < n else extra.roles[j - n] for j in way.order]
+        order = way.order
+    if forms is not None:
+        ints[A.N_FORMS] = len(forms[1])
+        ints[A.FORMS : A.FORMS + len(forms[1])] = forms[1]
+    if order:
+        ints[A.ORDER : A.ORDER + 6] = order
+        ints[A.ROLES : A.ROLES + 6] = [A.JOINT if j < n else extra.roles[j - n] for j in order]
     ints[A.PLAN_HEADER : A.PLAN_HEADER + n + k] = [*lines.kinds, *extra.kinds]
     ints[A.PLAN_HEADER + n + k :] = [int(i not in locked) for i in range(n)]
     head = np.concatenate([lines.tip[:3].ravel(), TASKS[task], [lines.length], lines.origin])
     axes = Axes(np.zeros(n + k), np.vstack([lines.h, extra.h]), np.vstack([lines.o, extra.o]))
     joints = np.column_stack([lines.gauge, lines.multiplier, *lines.limits]).ravel()
     floats = np.concatenate([head, axes.packed(), joints])
-    return Plan(lines, task, locked, "search" if way is None else "closed", way, extra, ints, floats)
+    method = "closed" if way is not None else "search" if forms is None else "elimination"
+    return Plan(lines, task, locked, method, way, extra, ints, floats)
 
 
 def _works(plan: Plan) -> bool:
@@ -279,10 +324,10 @@ def _works(plan: Plan) -> bool:
     targets = np.array([jacobian(lines, t)[0] for t in theta])
     targets[:, :3, 3] = targets[:, :3, 3] * lines.length + lines.origin
     n = len(lines)
-    out, count = np.empty((TRIALS, A.SLOTS, n + A.INFO)), np.empty(TRIALS, dtype=np.int64)
+    out, count = np.empty((TRIALS, A.SLOTS, n + A.INFO)), np.empty((TRIALS, 2), dtype=np.int64)
     floats = plan.floats.copy()  # limits do not matter here
     floats[-A.JOINT_FLOATS * n :].reshape(n, -1)[:, A.LOW :] = -np.inf, np.inf
-    closed(plan.ints, floats, targets, q, q, 1e-9, 1e-9, 0, np.arange(TRIALS), out, count)
+    kernel_of(plan)(plan.ints, floats, targets, q, q, 1e-9, 1e-9, 0, np.arange(TRIALS), out, count)
     off = np.where(out[..., n + A.CODE] >= 0.0, np.abs(out[..., :n] - q[:, None]).max(axis=-1), np.inf)
     near = off.min(axis=1)
     return bool(np.mean(near < 1e-6) > 0.8)

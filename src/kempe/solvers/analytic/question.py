@@ -100,7 +100,7 @@ def points_along(task: str) -> bool:
     return task in ("direction", "position_axis")
 
 
-def held(system: System, frame: str, names: tuple[str, ...], fixed: object, more: Mapping[str, Any]) -> dict[str, Array]:
+def held(frame: str, names: tuple[str, ...], fixed: object, more: Mapping[str, Any]) -> dict[str, Array]:
     """Values of joints of the chain that are held, by name. Errors: `InputError`, `UnknownNameError`."""
     if fixed is not None and not isinstance(fixed, Mapping):
         raise InputError(f"fixed is {type(fixed).__name__}; it must be a dict of values by joint name")

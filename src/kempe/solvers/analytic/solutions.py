@@ -29,10 +29,10 @@ class Solutions:
     """
 
     def __init__(
-        self, question: Question, plan: Plan, base: Array, rows: Array, count: np.ndarray, lead: tuple[int, ...] | None
+        self, question: Question, plan: Plan, base: Array, rows: Array, counts: np.ndarray, lead: tuple[int, ...] | None
     ):
         self.question, self.plan = question, plan
-        self._base, self._rows, self._count, self._lead = base, rows, count, lead
+        self._base, self._rows, self._counts, self._lead = base, rows, counts, lead
 
     @property
     def system(self) -> System:

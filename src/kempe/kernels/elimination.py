@@ -1,0 +1,289 @@
+"""All postures of a chain of six joints that reach a pose: the complete solver for general geometry.
+
+`eliminate` solves E_1 ... E_6 = G by one of 36 formulations (`elimination_loop`): equations without the removed joint
+and without the pair, a 16x16 or 24x24 matrix whose eigenvalues are the hidden joint's values (`elimination_pencil`), null
+vectors that give the other two joints of the triple (`elimination_null`), then the pair and the removed joint
+(`elimination_pair`), and a few Newton steps (`elimination_polish`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import types
+
+from kempe.kernels._jit import F2, I1, OUT2, OUT3, OUTI1, device, kernel, routine
+from kempe.kernels.eigen import EIGEN_SCRATCH, eigenvalues
+from kempe.kernels.elimination_loop import (
+    EQUATIONS,
+    FANS_SIZE,
+    IS_SLIDE,
+    LINE_STRIDE,
+    LOOP_SIZE,
+    NUMBER,
+    SAMPLE_STRIDE,
+    TRIPLE,
+    arrange,
+    hidden_of,
+    remove_pair,
+    removed_of,
+    sample,
+)
+from kempe.kernels.elimination_null import angles_of, null_vectors, split
+from kempe.kernels.elimination_pair import PAIR_SIZE, pair_of, removed_turn
+from kempe.kernels.elimination_pencil import (
+    FORMS,
+    LOST,
+    ROW,
+    SIZE,
+    STRIDE,
+    WIDE,
+    assemble,
+    companion,
+    lead,
+    matrix_at,
+    null_at_i,
+    pivot_ratio,
+)
+from kempe.kernels.elimination_polish import polish, trace, wrapped
+from kempe.kernels.layout import SLIDE
+from kempe.kernels.scratch import beyond
+from kempe.kernels.vectors import keep, raw
+
+CANDIDATES = 24
+"""Candidates at most."""
+
+ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE = 1, 2, 4, 8, 16, 32, 64, 128
+"""Bits of `suspect`: an odd number of candidates; a pair of roots so nearly real that two postures may have been lost;
+eigenvalues not found; leading matrix nearly singular; more than two null vectors, or two that cannot be told apart;
+a real root that led to no posture; two real roots that led to the same; no equations at all."""
+
+STEPS = 5
+"""Newton steps of a candidate at most."""
+
+REAL, NEARLY = 1e-7, 1e-3
+"""Imaginary parts of angles: up to the first a root is real, up to the second it is tried."""
+
+ACCEPT = 1e-7
+"""Error up to which a candidate is kept."""
+
+APART = 1e-6
+"""Coordinates that differ by less are the same posture."""
+
+NULL = 1e-9
+"""Third last pivot, relative to the first, below which there are more than two null vectors."""
+
+SEPARATE = 1e-8
+"""Separation below which two postures cannot be told apart."""
+
+NO_MATRIX, GOOD_LEAD = 1e-12, 1e-7
+"""Pivot ratio of the leading matrix: below the first the equations are dependent, below the second they are suspect."""
+
+REFERENCES, GOOD_REFERENCE = 4, 1e-3
+"""Zeros of the hidden joint that are tried, and the pivot ratio of the leading matrix that is good enough."""
+
+FOUND, RAW_ERROR, START = 16, 6, 8
+"""Numbers of a candidate in scratch: coordinates, error before Newton's steps, 0, coordinates before them."""
+
+_LOOP = 0
+_FANS = _LOOP + LOOP_SIZE
+_TABLE = _FANS + FANS_SIZE
+_FORMS = _TABLE + EQUATIONS * SAMPLE_STRIDE
+_RE = _FORMS + FORMS
+_IM = _RE + SIZE * ROW
+_MASK = _IM + SIZE * ROW
+_FREE = _MASK + 2 * ROW
+_WIDE = _FREE + 2 * SIZE
+_MATRIX = _WIDE + SIZE * WIDE
+_REAL_PARTS = _MATRIX + STRIDE * STRIDE
+_IMAGINARY_PARTS = _REAL_PARTS + STRIDE
+_EIGEN = _IMAGINARY_PARTS + STRIDE
+_VECTORS = _EIGEN + EIGEN_SCRATCH
+_WORK = _VECTORS + 2 * ROW
+FOUNDLINGS = _WORK + PAIR_SIZE
+"""Place of the candidates in scratch."""
+ELIMINATION_SCRATCH = FOUNDLINGS + FOUND * (CANDIDATES + 2)
+"""Numbers of scratch that `eliminate` needs."""
+
+
+@routine
+def _zero_of(forms, m):
+    """Half the angle by which to move the hidden joint's zero so that the leading matrix is far from singular."""
+    best, chosen = -1.0, 0.0
+    for k in range(REFERENCES):
+        half = 0.35 + k * math.pi / REFERENCES
+        matrix_at(forms, -math.sin(half), math.cos(half), m)
+        ratio = pivot_ratio(m)
+        if ratio > best:
+            best, chosen = ratio, half
+        if ratio > GOOD_REFERENCE:
+            break
+    return chosen
+
+
+@routine
+def roots_of(kinds, lines, goal, formulation, w):
+    """(roots, half the angle of zero, suspicion); writes the roots t of the hidden joint, real and imaginary parts."""
+    table, forms, re, im = beyond(w, _TABLE), beyond(w, _FORMS), beyond(w, _RE), beyond(w, _IM)
+    free, wide, m, fans = beyond(w, _FREE), beyond(w, _WIDE), beyond(w, _MATRIX), beyond(w, _FANS)
+    arrange(kinds, lines, goal, formulation, w)
+    sample(w, fans, table)
+    remove_pair(table, fans)
+    hidden = hidden_of(formulation)
+    assemble(table, w, hidden, forms)
+    lost = 0
+    if w[TRIPLE + LINE_STRIDE * hidden + IS_SLIDE] == 0.0 and null_at_i(forms, re, im, free, beyond(w, _MASK)):
+        lost = LOST
+    for i in range(SIZE if lost == 0 else 0):
+        free[2 * i] = float(i)
+    half = _zero_of(forms, m)
+    ratio = lead(forms, math.cos(half), math.sin(half), free, SIZE - lost, wide)
+    if not ratio > NO_MATRIX:
+        return 0, half, UNUSABLE
+    companion(wide, re, im, free, lost, m)
+    count = 2 * (SIZE - lost)
+    missed = eigenvalues(m, count, STRIDE, beyond(w, _REAL_PARTS), beyond(w, _IMAGINARY_PARTS), beyond(w, _EIGEN))
+    return count, half, (NO_EIGENVALUES if missed > 0 else 0) | (0 if ratio > GOOD_LEAD else ILL_LEAD)
+
+
+@device
+def _coordinate(w, place, angle):
+    """The joint's coordinate: the angle, or the slide that it stands for."""
+    return angle if w[place + IS_SLIDE] == 0.0 else math.tan(0.5 * angle)
+
+
+@routine
+def _settle(kinds, lines, goal, found, count, work):
+    """1 if candidate `count` becomes a posture not yet among those before; 0 if it is among them, -1 if it is none."""
+    theta = beyond(found, FOUND * count)
+    for j in range(6):
+        theta[START + j] = theta[j]
+    begin, end = polish(kinds, lines, goal, theta, work, STEPS)
+    theta[RAW_ERROR] = begin
+    if not end < ACCEPT:
+        return -1
+    for j in range(6):
+        if kinds[j] != SLIDE:
+            theta[j] = wrapped(theta[j])
+    for k in range(count):
+        far = 0.0
+        for j in range(6):
+            d = theta[j] - found[FOUND * k + j]
+            far = max(far, abs(d if kinds[j] == SLIDE else wrapped(d)))
+        if far < APART:
+            return 0
+    return 1
+
+
+@routine
+def _reflect(kinds, lines, goal, found, count, work):
+    """1 if the mirror image of candidate `count` about its start leads to another posture.
+
+    Two postures that are about to merge lie on both sides of the point that their common root gives.
+    """
+    theta = beyond(found, FOUND * count)
+    for j in range(6):
+        d = theta[j] - theta[START + j]
+        theta[j] = theta[START + j] - (d if kinds[j] == SLIDE else wrapped(d))
+    return _settle(kinds, lines, goal, found, count, work)
+
+
+@device
+def _vectors_at(u, w_, w):
+    """(vectors, suspicion): writes what the null space at the hidden joint's root (u, w_) stands for."""
+    m, x, work = beyond(w, _MATRIX), beyond(w, _VECTORS), beyond(w, _WORK)
+    size = 1.0 / math.sqrt(u * u + w_ * w_)
+    matrix_at(beyond(w, _FORMS), u * size, w_ * size, m)
+    vectors, third, _ = null_vectors(m, beyond(w, _MASK), beyond(w, _FREE), x)
+    if vectors < 2:
+        return vectors, 0
+    vectors, separation = split(x, work)
+    return vectors, 0 if third > NULL and separation > SEPARATE else ILL_NULL
+
+
+@routine
+def _posture(kinds, lines, goal, formulation, hidden_angle, k, theta, w):
+    """Spread of null vector k; writes the six coordinates that it and the hidden joint's angle give."""
+    hidden, removed, work = hidden_of(formulation), removed_of(formulation), beyond(w, _WORK)
+    place = TRIPLE + LINE_STRIDE * hidden
+    theta[int(w[place + NUMBER])] = _coordinate(w, place, hidden_angle)
+    first, second, spread = angles_of(beyond(w, _VECTORS + ROW * k))
+    place = TRIPLE + LINE_STRIDE * (1 if hidden == 0 else 0)
+    theta[int(w[place + NUMBER])] = _coordinate(w, place, first)
+    place = TRIPLE + LINE_STRIDE * (1 if hidden == 2 else 2)
+    theta[int(w[place + NUMBER])] = _coordinate(w, place, second)
+    pair_of(w, theta, work)
+    theta[removed] = removed_turn(kinds, lines, goal, removed, theta, work)
+    return spread
+
+
+@routine
+def eliminate(kinds, lines, goal, formulation, w, out):
+    """(count, suspect); writes `count` candidates, six coordinates each, angles in (-pi, pi].
+
+    kinds, lines: the chain, LINE_STRIDE numbers a joint. goal: rows of G (12 numbers). w: ELIMINATION_SCRATCH numbers.
+    out: room for CANDIDATES candidates. Each candidate fulfils the equation to ACCEPT, and no two are the same.
+    `suspect` is 0 or tells by its bits (ODD and others) why postures may be missing: then another formulation may
+    find them. What is not finite gives no candidates.
+    """
+    n, half, suspect = roots_of(kinds, lines, goal, formulation, w)
+    found, work = beyond(w, FOUNDLINGS), beyond(w, _WORK)
+    count, c, s = 0, math.cos(half), math.sin(half)
+    for i in range(n):
+        t, y = w[_REAL_PARTS + i], w[_IMAGINARY_PARTS + i]
+        imaginary = 2.0 * y / (1.0 + t * t)
+        if not 0.0 <= imaginary < NEARLY:  # of a pair of conjugates the first is enough
+            continue
+        u, w_ = c - s * t, s + c * t
+        vectors, doubt = _vectors_at(u, w_, w)
+        suspect |= doubt
+        for k in range(vectors):
+            if count == CANDIDATES:
+                break
+            theta = beyond(found, FOUND * count)
+            _posture(kinds, lines, goal, formulation, 2.0 * math.atan2(w_, u), k, theta, w)
+            state = _settle(kinds, lines, goal, found, count, work)
+            if state < 0:
+                suspect |= ASTRAY if imaginary < REAL else NEARLY_REAL
+                continue
+            count += state
+            if imaginary > 0.0 or state == 0:
+                pass
+            if state == 0 and vectors == 1:
+                suspect |= TWICE
+    for k in range(count):
+        for j in range(6):
+            out[6 * k + j] = found[FOUND * k + j]
+    return count, suspect | (ODD if count % 2 == 1 else 0)
+
+
+@kernel(types.int64(I1, F2, F2, types.int64, OUT3, OUTI1, OUTI1, OUT2))
+def eliminate_each(kinds, lines, goals, formulation, thetas, counts, suspects, errors):
+    """Number of suspect goals."""
+    block = np.zeros(ELIMINATION_SCRATCH + 6 * CANDIDATES)
+    w = raw(block)
+    out = beyond(w, ELIMINATION_SCRATCH)
+    n = 0
+    for g in range(goals.shape[0]):
+        count, suspect = eliminate(raw(kinds), raw(lines), beyond(raw(goals), 12 * g), formulation, w, out)
+        n += int(suspect != 0)
+        counts[g], suspects[g] = count, suspect
+        for k in range(min(count, thetas.shape[1])):
+            for j in range(6):
+                thetas[g, k, j] = out[6 * k + j]
+            errors[g, k] = block[FOUNDLINGS + FOUND * k + 6]
+    keep(block)
+    return n
+
+
+@kernel(types.int64(I1, F2, F2, OUT2))
+def reach(kinds, lines, thetas, goals):
+    """forward"""
+    block = np.zeros(128)
+    for g in range(goals.shape[0]):
+        trace(raw(kinds), raw(lines), beyond(raw(thetas), 6 * g), raw(block))
+        for j in range(12):
+            goals[g, j] = block[48 + j]
+    keep(block)
+    return 0
