@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
     from kempe.kinematics.zoo import Constraint
+    from kempe.solvers.analytic.describe import Recognised
     from kempe.solvers.analytic.solutions import Solutions
+    from kempe.solvers.analytic.sweep import Sweep
     from kempe.solvers.assembly import Assembler, Assembly
     from kempe.solvers.charts import Chart
     from kempe.solvers.dyads import Incomplete, Plan
@@ -163,6 +165,18 @@ class System(Compiled):
         from kempe.solvers.analytic.ik_all import ik_all
 
         return ik_all(self, target, frame, **options)
+
+    def ik_plan(self, frame: FrameLike, task: str | None = None, **options: Any) -> Recognised:
+        """What is recognised of a frame's chain, and how `ik_all` solves it; see `kempe.solvers.analytic.describe`."""
+        from kempe.solvers.analytic.describe import ik_plan
+
+        return ik_plan(self, frame, task, **options)
+
+    def ik_sweep(self, target: ArrayLike, frame: FrameLike, parameter: str | None = None, **options: Any) -> Sweep:
+        """The solutions of a redundant chain along one parameter; see `kempe.solvers.analytic.redundancy.ik_sweep`."""
+        from kempe.solvers.analytic.redundancy import ik_sweep
+
+        return ik_sweep(self, target, frame, parameter, **options)
 
     # ---- closed loops
 

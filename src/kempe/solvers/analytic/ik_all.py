@@ -26,6 +26,7 @@ from kempe.solvers.analytic.question import (
     points_along,
     targets_of,
     task_of,
+    within,
 )
 from kempe.solvers.analytic.solutions import Solutions
 from kempe.spatial import Array
@@ -67,13 +68,14 @@ def ik_all(
     values = held(name, lines.names, fixed, fixed_by_name)
     plan = plan_for(system, name, lines, task, direction, tuple(values))
     single = lead == ()
-    question = Question(system, name, task, direction, targets, None if single else lead, float(tolerance))
+    question = Question(system, name, task, direction, targets, None if single else lead, within(tolerance))
     if single and not np.isfinite(targets).all():
         raise InputError("target has entries that are not finite")
-    close_to = near_of(system, near, question.lead)
-    answer = solve(question, plan, close_to, values, threads)
+    answer = solve(question, plan, near_of(system, near, question.lead), values, threads)
     if single and answer._counts[0, 0] < 0:
         raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
+    if expand_turns or inside_only:
+        answer = answer.chosen(bool(expand_turns), bool(inside_only))
     if throw and not answer:
         raise NoSolutionError(answer)
     return answer
@@ -100,7 +102,8 @@ def plan_for(
     key = ("ik_all", frame, task, axis, tuple(sorted(fixed)))
     plan = system._queries.get(key)
     if plan is None:
-        plan = system._queries[key] = _choose(lines, task, tuple(lines.names.index(n) for n in fixed), system.dim == 2)
+        at = tuple(sorted(lines.names.index(n) for n in fixed))
+        plan = system._queries[key] = replace(_choose(lines, task, at, system.dim == 2), fixed=at)
     return plan
 
 
@@ -139,8 +142,13 @@ def solve(
         targets = targets.copy()
         targets[:, :3, :3] = targets[:, :3, :3] @ frame_of(np.array(question.axis))
     out = np.empty((n, plan.slots, len(lines) + A.INFO))
-    kernel = kernel_of(plan)
     counts = np.zeros((n, 2), dtype=np.int64)
+    if plan.method == "search":
+        from kempe.solvers.analytic.search import search
+
+        search(question, plan, chain_near, locked, out, counts)
+        return Solutions(question, plan, base, out, counts, question.lead)
+    kernel = kernel_of(plan)
 
     def work(i: int, j: int) -> int:
         some = chain_near[i:j] if len(chain_near) > 1 else chain_near

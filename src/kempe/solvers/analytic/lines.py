@@ -67,6 +67,8 @@ def lines_of(system: System, frame: str) -> Lines:
     rows = ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
     numbers = floats[: ROW_FLOATS * n].reshape(n, ROW_FLOATS)
     names = tuple(system.velocity_names[i] for i in chain.v_index)
+    if n == 0:
+        raise UnsupportedError(f"no joint moves frame {frame!r}")
     if np.any(rows[:, KIND] == BALL):
         raise UnsupportedError(
             f"frame {frame!r} moves with a joint whose coordinates are a quaternion; `ik_all` needs angles and slides "

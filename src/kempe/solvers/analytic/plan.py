@@ -51,8 +51,8 @@ class Extra:
 class Plan:
     """How a chain's inverse model is solved: packed for the kernels, with what a reader wants to know.
 
-    `method` is "closed", "elimination" or "search"; `locked` are the joints held at values, `extra` the lines that
-    complete the others to six.
+    `method` is "closed", "elimination" or "search"; `locked` are the joints held at values: those `fixed` by whoever
+    asks, and others where the chain has more than the task needs. `extra` are the lines that complete the rest to six.
     """
 
     lines: Lines
@@ -63,6 +63,7 @@ class Plan:
     extra: Extra = field(repr=False)
     ints: np.ndarray = field(repr=False)
     floats: np.ndarray = field(repr=False)
+    fixed: tuple[int, ...] = ()
 
     @cached_property
     def side_by_side(self) -> bool:

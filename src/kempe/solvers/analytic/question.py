@@ -45,6 +45,13 @@ def task_of(task: object, is_position: bool, particle: bool) -> str:
     return task
 
 
+def within(tolerance: object) -> float:
+    """The tolerance of a solution. Errors: `InputError`."""
+    if isinstance(tolerance, (int, float, np.number)) and 0.0 < tolerance < math.inf:
+        return float(tolerance)
+    raise InputError(f"tolerance is {tolerance!r}; it must be a positive number, in metres and radians")
+
+
 def axis_of(axis: object) -> tuple[float, float, float]:
     """The pointing axis as a unit vector of the tool. Errors: `InputError`."""
     try:

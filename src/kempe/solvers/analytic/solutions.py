@@ -9,10 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.kernels import analytic_layout as A
+from kempe.kernels.layout import SLIDE
+from kempe.solvers.analytic.plan import TASKS
+from kempe.solvers.analytic.question import Z_AXIS, frame_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+    from kempe.solvers.analytic.families import Family
     from kempe.solvers.analytic.plan import Plan
     from kempe.solvers.analytic.question import Question
 
@@ -106,6 +110,129 @@ class Solutions:
         unit = int(A.SLOT_UNIT)
         return self._pick(self._code % int(A.MULTIPLICITY_UNIT) // unit - 1)
 
+    # ---- what is found out when it is asked for
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """Jacobians (k, 6, n) or (..., K, 6, n) of the chain's joints at the solutions, rows in the frame of the tip.
+
+        Rows that the task does not read and columns of joints that are held are zero; in metres and radians.
+        """
+        question, plan = self.question, self.plan
+        own = np.where(self._used[..., None], self._rows[..., : len(plan.lines)], 0.0)
+        q = np.broadcast_to(self._base[:, None], (*own.shape[:2], self.system.nq)).copy()
+        q[..., plan.lines.q_index] = own
+        J = self.system.jacobian(q, question.frame, "body")[..., plan.lines.v_index]
+        if question.axis != Z_AXIS:
+            R = frame_of(np.array(question.axis)).T
+            J = np.concatenate([R @ J[..., :3, :], R @ J[..., 3:, :]], axis=-2)
+        J = J * np.array(TASKS[plan.task], dtype=float)[:, None]
+        J[..., list(plan.locked)] = 0.0
+        return self._of(J)
+
+    @cached_property
+    def condition(self) -> Array:
+        """Condition numbers (k,) or (..., K) of the Jacobian, lengths measured by the chain's; infinite if singular."""
+        plan, J = self.plan, np.nan_to_num(self.jacobian)
+        scale = np.array([1.0 / plan.lines.length] * 3 + [1.0] * 3)[:, None]
+        units = np.where(plan.lines.kinds == SLIDE, plan.lines.length, 1.0)
+        moves = [i for i in range(len(plan.lines)) if i not in plan.locked]
+        values = np.linalg.svd((J * scale * units)[..., moves], compute_uv=False)
+        rank = min(len(moves), int(np.sum(TASKS[plan.task])))
+        if self.system.dim == 2:
+            rank = min(rank, 2 if plan.task == "position" else 3)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = values[..., 0] / values[..., rank - 1]
+        return ratio if self.single else np.where(self.mask, np.where(np.isnan(ratio), np.inf, ratio), np.nan)
+
+    @cached_property
+    def derivative(self) -> Array:
+        """dq (k, nv, 6) or (..., K, nv, 6) for a twist [linear; angular] of the target, ground axes, at its origin.
+
+        The pseudoinverse of the Jacobian where the task asks for less than a pose, or the chain has fewer joints.
+        """
+        J = self.jacobian
+        used = self.mask[..., None, None]
+        inverse = np.linalg.pinv(np.where(used, J, 0.0), rcond=1e-12)
+        R = self.question.targets[..., :3, :3]
+        if self.question.axis != Z_AXIS:
+            R = R @ frame_of(np.array(self.question.axis))
+        R = self._pick(np.broadcast_to(np.swapaxes(R, -1, -2)[:, None], (*self._used.shape, 3, 3)))
+        body = np.concatenate([inverse[..., :3] @ R, inverse[..., 3:] @ R], axis=-1)
+        out = np.zeros((*J.shape[:-2], self.system.nv, 6))
+        out[..., self.plan.lines.v_index, :] = body
+        return np.where(used, out, np.nan)
+
+    @cached_property
+    def complete(self) -> Any:
+        """Whether there are no other isolated solutions: bool, or (...) of a batch."""
+        proven = self.plan.method != "search" and self.plan.locked == self.plan.fixed
+        sure = (self._counts[:, 1] == 0) & proven & (self._counts[:, 0] >= 0)
+        return bool(sure[0]) if self._lead is None else sure.reshape(self._lead)
+
+    @cached_property
+    def _families(self) -> list[tuple[list[Family], np.ndarray]]:
+        """Families of each target, and the family of each row (-1: none)."""
+        from kempe.solvers.analytic.families import families_of
+
+        weak = (self._used & (self._code % 4 >= 2)).any(axis=1) | (self.plan.locked != self.plan.fixed)
+        none: tuple[list[Family], np.ndarray] = ([], np.full(self._used.shape[1], -1))
+        return [families_of(self, i) if weak[i] else none for i in range(len(weak))]
+
+    @property
+    def families(self) -> Any:
+        """Self-motions, curves of solutions: a list of `Family`; of a batch an array (...) of lists."""
+        if self._lead is None:
+            return self._families[0][0]
+        out = np.empty(len(self._families), dtype=object)
+        for i, (families, _) in enumerate(self._families):
+            out[i] = families
+        return out.reshape(self._lead)
+
+    @property
+    def family(self) -> np.ndarray:
+        """Number of the family that each is a member of, (k,) or (..., K), -1 for isolated solutions."""
+        return self._pick(np.array([rows for _, rows in self._families]).reshape(self._used.shape))
+
+    @cached_property
+    def status(self) -> Any:
+        """The sentence for one target; an array of sentences for a batch. Made when asked for."""
+        from kempe.solvers.analytic.explain import status
+
+        if self._lead is None:
+            return status(self, 0)
+        out = np.empty(len(self._rows), dtype=object)
+        for i in range(len(out)):
+            out[i] = status(self, i)
+        return out.reshape(self._lead)
+
+    @property
+    def success(self) -> Any:
+        """Whether a solution inside the limits was found: bool, or (...) of a batch."""
+        return bool(self.inside.any()) if self._lead is None else self.inside.any(axis=-1)
+
+    def nearest(self, index: int = 0) -> tuple[Array, float, float]:
+        """The configuration (nq,) inside the limits that comes closest to a target, and how far it is off: [m], [rad].
+
+        index: number of the target in a batch, counted along all its axes.
+        """
+        from kempe.solvers.analytic.nearest import nearest
+
+        return nearest(self, index)
+
+    def chosen(self, expand_turns: bool, inside_only: bool) -> Solutions:
+        """The same answer with every turn inside the limits listed, or without what is outside them."""
+        from kempe.solvers.analytic.turns import expanded, inside_rows
+
+        rows = self._rows
+        if inside_only:
+            rows = inside_rows(rows, self.single)
+        if expand_turns:
+            rows = expanded(rows, self.plan.lines)
+        return Solutions(self.question, self.plan, self._base, rows, self._counts, self._lead)
+
+    # ---- as a sequence
+
     def __len__(self) -> int:
         return len(self.q)
 
@@ -117,3 +244,37 @@ class Solutions:
 
     def __getitem__(self, k: Any) -> Array:
         return self.q[k]
+
+    def __repr__(self) -> str:
+        what = f"{len(self)} solutions" if self.single else f"{int(self._used.sum())} solutions of {len(self._rows)}"
+        return f"Solutions({self.system.name!r}, {self.question.frame!r}, {what}{'' if self.single else ' targets'})"
+
+    def __str__(self) -> str:
+        if not self.single:
+            reached = int(np.sum(self.success))
+            return f"{reached} of {len(self._rows)} targets reached, {int(self._used.sum())} solutions"
+        lines = [self.status]
+        heads, rows = self._table()
+        for row in rows:
+            lines.append("  " + ", ".join(f"{h} = {x}" for h, x in zip(heads, row, strict=True)))
+        return "\n".join(lines)
+
+    def _table(self) -> tuple[list[str], list[list[str]]]:
+        """Heads and rows of what is shown of one target: coordinates of the chain, and what is special."""
+        names, at = self.system.coordinate_names, self.plan.lines.q_index
+        rows = []
+        for q, inside, m in zip(self.q, self.inside, self.multiplicity, strict=True):
+            notes = [] if inside else ["outside limits"]
+            notes += [f"{m} roots"] if m > 1 else ["one of a family"] if m == 0 else []
+            rows.append([*(f"{x:.9g}" for x in q[at]), ", ".join(notes) or "-"])
+        return [*(names[i] for i in at), "note"], rows
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        if not self.single:
+            return f"<p>{escape(str(self))}</p>"
+        heads, rows = self._table()
+        top = "".join(f"<th>{escape(h)}</th>" for h in heads)
+        body = "".join("<tr>" + "".join(f"<td>{escape(x)}</td>" for x in row) + "</tr>" for row in rows)
+        return f"<p>{escape(self.status)}</p><table><tr>{top}</tr>{body}</table>"
