@@ -10,7 +10,7 @@ import numpy as np
 from numba import types
 
 from kempe.kernels._jit import F1, I1, OUT1, device, kernel, routine
-from kempe.kernels.inner import ball_triple, planar_triple
+from kempe.kernels.inner import ANY, ball_triple, planar_triple
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.lines import (
     LINE_STRIDE,
@@ -32,6 +32,7 @@ from kempe.kernels.outer import (
     POINT,
     SAMPLED,
     VALUE_STRIDE,
+    WIDE,
     Z_FIRST,
     first_values,
     middle_values,
@@ -47,11 +48,11 @@ from kempe.kernels.vectors import keep, raw
 CANDIDATE, SLOT, SAMPLE = 8, 6, 7
 """Numbers of a candidate: six variables; its slot by signs; 1 if it has a sample of a free joint."""
 
-MOST_CANDIDATES = 64
+MOST_CANDIDATES = 192
 """Candidates at most."""
 
-AT_LINES, AT_TERMS, AT_X, AT_Z, AT_Y, AT_INNER = 0, 48, 60, 76, 92, 108
-AT_WORK, AT_MOTION, SCRATCH = 156, 172, 184
+AT_LINES, AT_TERMS, AT_X, AT_Z, AT_Y, AT_INNER = 0, 48, 60, 84, 108, 132
+AT_WORK, AT_MOTION, SCRATCH = 204, 228, 240
 """Places in the scratch: lines round the loop, terms, values of x, z, y and the inner joints, work, a motion."""
 
 
@@ -112,11 +113,12 @@ def inner_values(kinds, lines, goal, k, what, x, y, z, scratch):
         follow(d, three(around, at), three(around, at + 4), kinds[j] == SLIDE, -v[2], v[0], -v[1])
     a, b, c = LINE_STRIDE * k, LINE_STRIDE * (k + 1), LINE_STRIDE * (k + 2)
     work, out = beyond(scratch, AT_WORK), beyond(scratch, AT_INNER)
+    wide = ANY if x[SAMPLED] + y[SAMPLED] + z[SAMPLED] > 0.0 else WIDE
     if what == POINT:
-        return ball_triple(three(lines, a), three(lines, b), three(lines, c), d, work, out)
+        return ball_triple(three(lines, a), three(lines, b), three(lines, c), d, wide, work, out)
     return planar_triple(
         kinds[k], three(lines, a), three(lines, a + 4), kinds[k + 1], three(lines, b), three(lines, b + 4),
-        kinds[k + 2], three(lines, c), three(lines, c + 4), d, work, out,
+        kinds[k + 2], three(lines, c), three(lines, c + 4), d, wide, work, out,
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from kempe.kernels.analytic_layout import (
     FACTOR,
     GAUGE,
     HIGH,
+    INFO,
     INNER,
     INSIDE_BIT,
     JOINT_FLOATS,
@@ -28,9 +29,12 @@ from kempe.kernels.analytic_layout import (
     MEASURE,
     MODE,
     MULTIPLICITY_UNIT,
+    N_JOINTS,
     N_LINES,
     OPTION,
+    ORDER,
     ORIGIN,
+    PLAN_HEADER,
     SLOT_UNIT,
     TIP,
     UNUSED,
@@ -58,7 +62,22 @@ from kempe.kernels.closed_lanes import (
 )
 from kempe.kernels.distinct import arrange
 from kempe.kernels.inner import across
-from kempe.kernels.lines import LINE_STRIDE, dot, foot, minus, plus, three, translation, turned
+from kempe.kernels.layout import SLIDE
+from kempe.kernels.lines import (
+    LINE_STRIDE,
+    dot,
+    follow,
+    foot,
+    identity,
+    mapped,
+    minus,
+    plus,
+    rotated,
+    three,
+    translation,
+    turned,
+    write3,
+)
 from kempe.kernels.outer import PLANE, POINT, X_FIRST
 from kempe.kernels.scratch import beyond
 from kempe.kernels.subproblems import align, cone_roots, orbit, trig_roots
@@ -86,9 +105,15 @@ ROTATION_TOLERANCE = 1e-6
 SLOTS, ROW = 8, 8
 """Slots of a target, and numbers of each: six coordinates, error, code."""
 
-AT_ANGLES, AT_NOTES = LANE_ROWS, LANE_ROWS + 6
-ROWS = LANE_ROWS + 8
-"""Rows of scratch beyond those of `closed_lanes`: angles of the joints, lanes that are not plain, target's tip."""
+AT_ANGLES = LANE_ROWS
+ROWS = LANE_ROWS + 6
+"""Rows of scratch: those of `closed_lanes`, and the angles of the joints."""
+
+AT_LINES = 12
+AT_JOINTS = AT_LINES + 6 * LINE_STRIDE
+AT_SHIFT = AT_JOINTS + 6 * JOINT_FLOATS
+SIX = AT_SHIFT + 13
+"""Places in the numbers of the six unknowns: the tip's pose, lines, joints, a motion and an angle; how many."""
 
 
 @routine
@@ -107,6 +132,8 @@ def take_targets(targets, at, floats, tip, lanes):
     off = abs(dot(x, x) - 1.0) + abs(dot(y, y) - 1.0) + abs(dot(x, y))
     off = off + abs(normal[0] - z[0]) + abs(normal[1] - z[1]) + abs(normal[2] - z[2])
     off = off + 0.0 * (p[0] + p[1] + p[2])
+    off = off + abs(gather(targets, at + 12, 16)) + abs(gather(targets, at + 13, 16))
+    off = off + abs(gather(targets, at + 14, 16)) + abs(gather(targets, at + 15, 16) - 1.0)
     for i in range(3):
         row = (r[3 * i], r[3 * i + 1], r[3 * i + 2])
         a = dot(row, three(tip, 0))
@@ -129,6 +156,7 @@ class Problem(NamedTuple):
     out: object
     near: object
     near_step: int
+    order: object
     k: int
     what: int
     mode: int
@@ -180,7 +208,7 @@ def write_row(pr, at, slot, valid, error):
 @device
 def near_of(pr, at, joint):
     """What the coordinate of a joint shall be near, in all lanes."""
-    return gather(pr.near, pr.near_step * at + joint, pr.near_step)
+    return gather(pr.near, pr.near_step * at + pr.order[joint], pr.near_step)
 
 
 @device
@@ -207,7 +235,7 @@ def error_of(pr, a, b, c, w, dr, dp, r):
 
 @routine
 def inner_pair(pr, at, slot, valid, clear):
-    """`clear` after both solutions of the inner joints were written; the angles of the outer ones are in the scratch."""
+    """`clear` after both solutions of the inner joints were written; the outer angles are in the scratch."""
     ha, oa = joint_line(pr.lines, pr.k)
     hb, ob = joint_line(pr.lines, pr.k + 1)
     hc, oc = joint_line(pr.lines, pr.k + 2)
@@ -304,46 +332,104 @@ def block(pr, at):
     return second_pair(pr, at, 4, c1, s1, valid, clear)
 
 
-@kernel(types.int64(I1, F1, F3, F2, types.int64, OUT3, OUTI1))
-def closed_side_by_side(ints, floats, targets, near, sort, out, left):
-    """Number of targets left to the careful path, whose numbers are written to `left` (N,); the others are done.
+@routine
+def reduced(ints, floats, moves, locked, six):
+    """Nothing; six (SIX numbers) gets the tip's pose, lines and joints of the unknowns, carried by the locked ones."""
+    n, order = ints[N_JOINTS], beyond(ints, ORDER)
+    shift, theta = beyond(six, AT_SHIFT), beyond(six, AT_SHIFT + 12)
+    joints = beyond(floats, LINES + LINE_STRIDE * ints[N_LINES])
+    identity(shift)
+    for i in range(n):
+        at, k = JOINT_FLOATS * i, 0
+        theta[0] = joints[at + FACTOR] * locked[i] + joints[at + GAUGE]
+        h, o = three(floats, LINES + LINE_STRIDE * i), three(floats, LINES + LINE_STRIDE * i + 4)
+        if moves[i] == 0:
+            slides = ints[PLAN_HEADER + i] == SLIDE
+            follow(shift, h, o, slides, theta[0], math.cos(theta[0]), math.sin(theta[0]))
+            continue
+        while order[k] != i:
+            k += 1
+        write3(six, AT_LINES + LINE_STRIDE * k, rotated(shift, h))
+        write3(six, AT_LINES + LINE_STRIDE * k + 4, mapped(shift, o))
+        for j in range(JOINT_FLOATS):
+            six[AT_JOINTS + JOINT_FLOATS * k + j] = joints[at + j]
+    tip = beyond(floats, TIP)
+    for j in range(3):
+        column = rotated(shift, (tip[j], tip[4 + j], tip[8 + j]))
+        six[j], six[4 + j], six[8 + j] = column[0], column[1], column[2]
+    p = mapped(shift, translation(tip))
+    six[3], six[7], six[11] = p[0], p[1], p[2]
 
-    ints, floats: plan, see `analytic_layout`, of six turning joints with an equation in one unknown. targets:
-    (N, 4, 4). near: (1 or N, 6). sort: 1 for rows in order. out: (N, SLOTS, ROW).
-    """
-    scratch = np.empty(ROWS * LANES + (16 + SLOTS * ROW) * LANES)
-    numbers, n = raw(floats), targets.shape[0]
-    lines, lanes = beyond(numbers, LINES), raw(scratch)
-    k, what = ints[INNER], ints[WHAT]
+
+@device
+def problem_of(ints, floats, six, lanes, out, near, near_step):
+    """What the targets of a call share."""
+    lines, k, what = beyond(six, AT_LINES), ints[INNER], ints[WHAT]
     x, y, z = (k + 3) % 6, (k + 4) % 6, (k + 5) % 6
     hy, oy = joint_line(lines, y)
     other = z if ints[OPTION] == 0 else x
     oy = foot(oy, hy, three(lines, LINE_STRIDE * other + 4), three(lines, LINE_STRIDE * other))
     normal = three(lines, LINE_STRIDE * k)
     p = ball_centre(lines, k) if what == POINT else three(lines, LINE_STRIDE * k + 4)
-    tip, goals, answers, few = beyond(numbers, TIP), raw(targets), raw(out), n < LANES
-    joints, step = beyond(numbers, LINES + LINE_STRIDE * ints[N_LINES]), 6 if near.shape[0] > 1 else 0
+    return Problem(lines, beyond(six, AT_JOINTS), lanes, out, near, near_step, beyond(ints, ORDER), k, what,
+                   ints[MODE], ints[MEASURE], oy, p, normal, translation(six), floats[LENGTH])  # fmt: skip
+
+
+@routine
+def spread_rows(answers, n, order, moves, locked, count, out):
+    """Nothing; answers of six unknowns written as those of n joints, with the values of the locked ones."""
+    width = n + INFO
+    for i in range(count * SLOTS):
+        row, from_ = beyond(out, width * i), beyond(answers, ROW * i)
+        for j in range(n):
+            if moves[j] == 0:
+                row[j] = locked[j]
+        for j in range(6):
+            row[order[j]] = from_[j]
+        row[n], row[n + 1] = from_[6], from_[7]
+
+
+@kernel(types.int64(I1, F1, F3, F2, F2, types.int64, OUT3, OUTI1))
+def closed_side_by_side(ints, floats, targets, near, locked, sort, out, left):
+    """Number of targets left to the careful path, whose numbers are written to `left` (N,); the others are done.
+
+    ints, floats: plan, see `analytic_layout`, of six unknown turning joints with an equation in one unknown. targets:
+    (N, 4, 4). near: (1 or N, n), at least LANES rows if not one. locked: (1, n), of which the locked joints count. sort: 1 for rows in order; if none
+    are left, `left` then has the number of rows in use. out: (N, SLOTS, n + INFO).
+    """
+    scratch = np.empty(ROWS * LANES + (16 + SLOTS * ROW) * LANES + SIX)
+    n_targets, n = targets.shape[0], ints[N_JOINTS]
+    lanes = raw(scratch)
+    goals, answers = beyond(lanes, ROWS * LANES), beyond(lanes, (ROWS + 16) * LANES)
+    six = beyond(answers, SLOTS * ROW * LANES)
+    moves = beyond(raw(ints), PLAN_HEADER + ints[N_LINES])
+    reduced(raw(ints), raw(floats), moves, raw(locked), six)
+    few, step = n_targets < LANES, n if near.shape[0] > 1 else 0
+    direct = n == 6 and not few
     if few:  # the lanes are filled up with the last target
-        goals, answers = beyond(lanes, ROWS * LANES), beyond(lanes, (ROWS + 16) * LANES)
-        for i in range(LANES if n > 0 else 0):
+        for i in range(LANES if n_targets > 0 else 0):
             for j in range(16):
-                goals[16 * i + j] = raw(targets)[16 * min(i, n - 1) + j]
-    pr = Problem(lines, joints, lanes, answers, raw(near), step, k, what, ints[MODE], ints[MEASURE], oy, p, normal,
-                 translation(tip), floats[LENGTH])  # fmt: skip
+                goals[16 * i + j] = raw(targets)[16 * min(i, n_targets - 1) + j]
     count = 0
-    for i in range(0, n, LANES):
-        at = 0 if few else min(i, n - LANES)
-        sound = take_targets(goals, 16 * at, numbers, tip, lanes)
-        clear = block(pr, at) * sound
-        for lane in range(i - at, min(LANES, n - at)):
+    for i in range(0, n_targets, LANES):
+        at = 0 if few else min(i, n_targets - LANES)
+        pr = problem_of(raw(ints), raw(floats), six, lanes, beyond(raw(out), SLOTS * ROW * at) if direct else answers,
+                        beyond(raw(near), step * at), step)  # fmt: skip
+        some = goals if few else beyond(raw(targets), 16 * at)
+        sound = take_targets(some, 0, raw(floats), six, lanes)
+        clear = sound * block(pr, 0)
+        if not direct:
+            width = SLOTS * (n + INFO)
+            spread_rows(answers, n, pr.order, moves, raw(locked), min(LANES, n_targets), beyond(raw(out), width * at))
+        for lane in range(i - at, min(LANES, n_targets - at)):
             if not entry(clear, lane) > 0.5:
                 left[count] = at + lane
                 count += 1
-    if few:
-        for i in range(n * SLOTS * ROW):
-            raw(out)[i] = answers[i]
     if sort != 0:
-        for i in range(n):
-            arrange(6, joints, beyond(pr.near, step * i), beyond(raw(out), SLOTS * ROW * i), SLOTS)
+        joints = beyond(raw(floats), LINES + LINE_STRIDE * ints[N_LINES])
+        for i in range(n_targets):
+            used = arrange(n, joints, beyond(raw(near), step * i), beyond(raw(out), SLOTS * (n + INFO) * i), SLOTS)
+            if count == 0:
+                left[i] = used
     keep(scratch)
     return count

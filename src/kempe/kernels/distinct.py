@@ -11,7 +11,7 @@ from kempe.kernels.layout import SLIDE
 from kempe.kernels.polish import Model, error_at, polish, weakest
 from kempe.kernels.scratch import beyond
 
-SAME, NEAR, INDISTINCT = 1e-7, 2e-3, 2e-13
+SAME, NEAR, INDISTINCT = 1e-7, 2e-3, 5e-15
 """Solutions nearer than SAME are one. So are those nearer than NEAR whose midpoint solves the target to INDISTINCT:
 roots that merge cannot be told apart at the square root of rounding, their mean is right to rounding."""
 
@@ -65,6 +65,7 @@ def add(found, count, theta, slot, kind):
     linear, angular = polish(m, theta)
     if not (linear <= found.linear and angular <= found.angular):
         return count
+    weak = weakest(m)
     spare = beyond(found.rows, stride * MOST_SOLUTIONS)
     for k in range(count):
         row = beyond(found.rows, stride * k)
@@ -91,7 +92,7 @@ def add(found, count, theta, slot, kind):
         return count
     row = beyond(found.rows, stride * count)
     row[ERROR], row[ERROR + 1], row[TURNS], row[SIGNS] = linear, angular, 0.0 if kind == SAMPLED else 1.0, slot
-    row[WEAKEST] = weakest(m, theta)
+    row[WEAKEST] = weak
     for i in range(m.n):
         row[SOLUTION + i] = theta[i]
     return count + 1
@@ -143,7 +144,7 @@ def precedes(n, joints, near, a, b):
 
 @routine
 def arrange(n, joints, near, out, slots):
-    """Nothing; puts the rows in use first, in order."""
+    """Number of rows in use; puts them first, in order."""
     width, used = n + INFO, 0
     for k in range(slots):
         if out[width * k + n + CODE] < 0.0:
@@ -154,6 +155,7 @@ def arrange(n, joints, near, out, slots):
         while at > 0 and precedes(n, joints, near, beyond(out, width * at), beyond(out, width * (at - 1))):
             swap(out, width, at, at - 1)
             at -= 1
+    return used
 
 
 @device

@@ -155,13 +155,10 @@ def _qr_step(a, stride, low, high, x, y, w, numbers):
     before = a[m * stride + m - 1] if m > low else 0.0
     for k in range(m, high - 1):
         f, g, h, u, v, size = _three(p, q, r)
-        below = 0.0
+        p, q, r = _bulge(a, stride, low, high, k, f, g, h, u, v, numbers)
         if k > low:
-            below = size if k > m else before * (1.0 - f)
-            if k % LANES == 0:  # else `_bulge` writes it
-                a[k * stride + k - 1] = below
-                a[(k + 1) * stride + k - 1], a[(k + 2) * stride + k - 1] = 0.0, 0.0
-        p, q, r = _bulge(a, stride, low, high, k, f, g, h, u, v, below, numbers)
+            a[k * stride + k - 1] = size if k > m else before * (1.0 - f)
+            a[(k + 1) * stride + k - 1], a[(k + 2) * stride + k - 1] = 0.0, 0.0
     k = high - 1
     f, g, h, u, v, size = _three(p, q, 0.0)
     for c in range(k // LANES * LANES, high + 1, LANES):
@@ -179,12 +176,12 @@ def _qr_step(a, stride, low, high, x, y, w, numbers):
 
 
 @device
-def _bulge(a, stride, low, high, k, f, g, h, u, v, below, numbers):
+def _bulge(a, stride, low, high, k, f, g, h, u, v, numbers):
     """What the next reflection has to clear; applies 1 - (f, g, h)^T (1, u, v) at k, from both sides.
 
     Rows k to k + 3, which the next step reads as vectors, are written as vectors: a vector read from memory just written
     number by number would have to wait. So their part of the reflection from the right is computed beforehand, from
-    the corner that it needs. Of the columns left of k only k - 1 is not zero there, and only in row k: `below`. Those right of `high` are of no use.
+    the corner that it needs. Columns left of k are zero there, those right of `high` are of no use.
     """
     i0 = k * stride + k
     i1, i2, i3 = i0 + stride, i0 + 2 * stride, i0 + 3 * stride
@@ -203,10 +200,9 @@ def _bulge(a, stride, low, high, k, f, g, h, u, v, below, numbers):
         row = where(place == 0.0, 1.0, where(place == 1.0, u, where(place == 2.0, v, 0.0 * place)))
         a0, a1, a2 = load_lanes(a, i), load_lanes(a, i + stride), load_lanes(a, i + 2 * stride)
         s = a0 + u * a1 + v * a2
-        right = place > -0.5
-        store(a, i, where(right, a0 - f * s - t0 * row, where(place == -1.0, below, 0.0 * place)))
-        store(a, i + stride, where(right, a1 - g * s - t1 * row, 0.0))
-        store(a, i + 2 * stride, where(right, a2 - h * s - t2 * row, 0.0))
+        store(a, i, a0 - f * s - t0 * row)
+        store(a, i + stride, a1 - g * s - t1 * row)
+        store(a, i + 2 * stride, a2 - h * s - t2 * row)
         if more:
             store(a, i + 3 * stride, load_lanes(a, i + 3 * stride) - t3 * row)
     for i in range(low, k):

@@ -59,13 +59,14 @@ ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE = 
 eigenvalues not found; leading matrix nearly singular; more than two null vectors, or two that cannot be told apart;
 a real root that led to no posture; two real roots that led to the same; no equations at all."""
 
-STEPS = 5
-"""Newton steps of a candidate at most."""
+STEPS = 8
+"""Newton steps of a candidate at most; two or three are usual."""
 
-REAL, NEARLY = 1e-7, 1e-3
-"""Imaginary parts of angles: up to the first a root is real, up to the second it is tried."""
+REAL, DOUBT, NEARLY = 1e-7, 1e-4, 1e-3
+"""Imaginary parts of angles: up to the first a root is real; up to the second a pair of postures that are about to
+merge may hide behind it; up to the third it is tried."""
 
-ACCEPT = 1e-7
+ACCEPT = 1e-9
 """Error up to which a candidate is kept."""
 
 APART = 1e-6
@@ -177,15 +178,15 @@ def _settle(kinds, lines, goal, found, count, work):
 
 
 @routine
-def _reflect(kinds, lines, goal, found, count, work):
-    """1 if the mirror image of candidate `count` about its start leads to another posture.
+def _twin(kinds, lines, goal, found, source, count, work):
+    """What `_settle` says of candidate `count`, begun at the mirror image of candidate `source` about its own start.
 
-    Two postures that are about to merge lie on both sides of the point that their common root gives.
+    Two postures that are about to merge lie on both sides of where their common root, or two close ones, point.
     """
-    theta = beyond(found, FOUND * count)
+    one, other = beyond(found, FOUND * source), beyond(found, FOUND * count)
     for j in range(6):
-        d = theta[j] - theta[START + j]
-        theta[j] = theta[START + j] - (d if kinds[j] == SLIDE else wrapped(d))
+        d = one[j] - one[START + j]
+        other[j] = one[START + j] - (d if kinds[j] == SLIDE else wrapped(d))
     return _settle(kinds, lines, goal, found, count, work)
 
 
@@ -245,13 +246,14 @@ def eliminate(kinds, lines, goal, formulation, w, out):
             _posture(kinds, lines, goal, formulation, 2.0 * math.atan2(w_, u), k, theta, w)
             state = _settle(kinds, lines, goal, found, count, work)
             if state < 0:
-                suspect |= ASTRAY if imaginary < REAL else NEARLY_REAL
+                suspect |= ASTRAY if imaginary < REAL else (NEARLY_REAL if imaginary < DOUBT else 0)
                 continue
-            count += state
-            if imaginary > 0.0 or state == 0:
-                pass
-            if state == 0 and vectors == 1:
-                suspect |= TWICE
+            merging = vectors == 1 and (imaginary > 0.0 or state == 0)
+            source, count = count, count + state
+            if merging and count < CANDIDATES:
+                state = _twin(kinds, lines, goal, found, source, count, work)
+                suspect |= TWICE if state < 1 else 0
+                count += max(state, 0)
     for k in range(count):
         for j in range(6):
             out[6 * k + j] = found[FOUND * k + j]

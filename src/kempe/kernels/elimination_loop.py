@@ -98,7 +98,7 @@ def arrange(kinds, lines, goal, formulation, loop):
     _back(goal, loop, far)
 
 
-@device
+@routine
 def fan(line, sign, here, there):
     """Write the line here (l, p: 6 numbers), moved by a joint, to `there`: at 0, pi/2 and pi, or 0, 1 and -1."""
     hx, hy, hz = sign * line[0], sign * line[1], sign * line[2]
@@ -123,7 +123,7 @@ def fan(line, sign, here, there):
     there[15], there[16], there[17] = ox + along * hx - px, oy + along * hy - py, oz + along * hz - pz
 
 
-@device
+@routine
 def fourteen(line, out, stride):
     """Write the fourteen numbers of a line (l, p: 6 numbers) to out, `stride` apart."""
     lx, ly, lz, px, py, pz = line[0], line[1], line[2], line[3], line[4], line[5]
@@ -137,7 +137,7 @@ def fourteen(line, out, stride):
     out[13 * stride] = pp * lz - 2.0 * pl * pz
 
 
-@device
+@routine
 def line_of(loop, k, out):
     """Write direction and point of the line loop[k:] side by side."""
     for j in range(3):

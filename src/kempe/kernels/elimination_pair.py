@@ -17,10 +17,10 @@ from kempe.kernels.elimination_loop import (
     fourteen,
     line_of,
 )
-from kempe.kernels.elimination_polish import error, trace
+from kempe.kernels.elimination_polish import JACOBIAN, TWIST, compare, trace
 from kempe.kernels.elimination_reduce import total
 from kempe.kernels.scratch import beyond
-from kempe.kernels.trig import sincos_any
+from kempe.kernels.trig import sincos
 from kempe.kernels.vectors import LANES, load_lanes, store
 
 COLUMN = 16
@@ -36,7 +36,7 @@ def _carry(line, theta, here):
     if line[IS_SLIDE] != 0.0:
         here[3], here[4], here[5] = here[3] + theta * hx, here[4] + theta * hy, here[5] + theta * hz
         return
-    s, c = sincos_any(theta)
+    s, c = sincos(theta)
     v = 1.0 - c
     x, y, z = here[0], here[1], here[2]
     along = v * (hx * x + hy * y + hz * z)
@@ -136,6 +136,8 @@ def removed_turn(kinds, lines, goal, removed, theta, work):
     """Angle of the removed turn, the others given: D = E(h, angle) where h is its axis as it stands."""
     theta[removed] = 0.0
     trace(kinds, lines, theta, work)
-    e = error(goal, work)
-    sine = work[removed] * e[0] + work[8 + removed] * e[1] + work[16 + removed] * e[2]
-    return math.atan2(2.0 * sine, e[6] - 1.0)
+    _, trace_ = compare(goal, work)
+    sine = 0.0
+    for i in range(3):
+        sine += work[JACOBIAN * i + removed] * work[JACOBIAN * i + TWIST]
+    return math.atan2(2.0 * sine, trace_ - 1.0)

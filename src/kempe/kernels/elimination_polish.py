@@ -7,7 +7,7 @@ import math
 from kempe.kernels._jit import device, routine
 from kempe.kernels.elimination_loop import LINE_STRIDE
 from kempe.kernels.layout import SLIDE
-from kempe.kernels.trig import sincos_any
+from kempe.kernels.trig import sincos
 from kempe.kernels.vectors import LANES, load_lanes, store
 
 JACOBIAN = 8
@@ -16,10 +16,17 @@ JACOBIAN = 8
 POSE = 6 * JACOBIAN
 """Place of the reached pose (12 numbers) after the Jacobian."""
 
-POLISH_SIZE = POSE + 12
+TWIST = 6
+"""Column of the right-hand side."""
 
-ENOUGH = 1e-13
-"""Error at which no further step is taken."""
+TURN = POSE + 12
+"""Place of the rotation that is missing (9 numbers)."""
+
+POLISH_SIZE = TURN + 9
+"""Numbers of scratch that Newton's method needs."""
+
+ENOUGH, NEARLY_ENOUGH = 1e-13, 1e-10
+"""Error at which no further step is taken; error at which a step must halve it, else it is the last."""
 
 LONGEST_STEP = 0.5
 """Largest change of a coordinate in one Newton step."""
@@ -49,7 +56,7 @@ def trace(kinds, lines, theta, work):
         work[3 * JACOBIAN + i] = oy * hz - oz * hy
         work[4 * JACOBIAN + i] = oz * hx - ox * hz
         work[5 * JACOBIAN + i] = ox * hy - oy * hx
-        s, c = sincos_any(theta[i])
+        s, c = sincos(theta[i])
         v = 1.0 - c
         m0, m1, m2 = c + v * hx * hx, v * hx * hy - s * hz, v * hx * hz + s * hy
         m3, m4, m5 = v * hx * hy + s * hz, c + v * hy * hy, v * hy * hz - s * hx
@@ -65,31 +72,32 @@ def trace(kinds, lines, theta, work):
     work[k + 8], work[k + 9], work[k + 10], work[k + 11] = r6, r7, r8, tz
 
 
-@device
-def error(goal, work):
-    """(twist of six numbers, trace) of D = goal . reached^-1: the vector of D's skew part, and D's translation."""
+@routine
+def compare(goal, work):
+    """(size, trace of the rotation) of D = goal . reached^-1; writes its twist beside the Jacobian, in column 6.
+
+    The twist is the vector of D's skew part, then D's translation; its size is at least 1 where D turns by 90 degrees
+    or more.
+    """
     t = POSE
-    d = (
-        goal[0] * work[t] + goal[1] * work[t + 1] + goal[2] * work[t + 2],
-        goal[0] * work[t + 4] + goal[1] * work[t + 5] + goal[2] * work[t + 6],
-        goal[0] * work[t + 8] + goal[1] * work[t + 9] + goal[2] * work[t + 10],
-        goal[4] * work[t] + goal[5] * work[t + 1] + goal[6] * work[t + 2],
-        goal[4] * work[t + 4] + goal[5] * work[t + 5] + goal[6] * work[t + 6],
-        goal[4] * work[t + 8] + goal[5] * work[t + 9] + goal[6] * work[t + 10],
-        goal[8] * work[t] + goal[9] * work[t + 1] + goal[10] * work[t + 2],
-        goal[8] * work[t + 4] + goal[9] * work[t + 5] + goal[10] * work[t + 6],
-        goal[8] * work[t + 8] + goal[9] * work[t + 9] + goal[10] * work[t + 10],
-    )
-    x, y, z = work[t + 3], work[t + 7], work[t + 11]
-    return (
-        0.5 * (d[7] - d[5]),
-        0.5 * (d[2] - d[6]),
-        0.5 * (d[3] - d[1]),
-        goal[3] - (d[0] * x + d[1] * y + d[2] * z),
-        goal[7] - (d[3] * x + d[4] * y + d[5] * z),
-        goal[11] - (d[6] * x + d[7] * y + d[8] * z),
-        d[0] + d[4] + d[8],
-    )
+    for i in range(3):
+        a, b, c = goal[4 * i], goal[4 * i + 1], goal[4 * i + 2]
+        x = a * work[t] + b * work[t + 1] + c * work[t + 2]
+        y = a * work[t + 4] + b * work[t + 5] + c * work[t + 6]
+        z = a * work[t + 8] + b * work[t + 9] + c * work[t + 10]
+        work[TURN + 3 * i], work[TURN + 3 * i + 1], work[TURN + 3 * i + 2] = x, y, z
+        shift = goal[4 * i + 3] - (x * work[t + 3] + y * work[t + 7] + z * work[t + 11])
+        work[(3 + i) * JACOBIAN + TWIST] = shift
+    k = TURN
+    work[TWIST] = 0.5 * (work[k + 7] - work[k + 5])
+    work[JACOBIAN + TWIST] = 0.5 * (work[k + 2] - work[k + 6])
+    work[2 * JACOBIAN + TWIST] = 0.5 * (work[k + 3] - work[k + 1])
+    square = 0.0
+    for i in range(6):
+        square += work[i * JACOBIAN + TWIST] * work[i * JACOBIAN + TWIST]
+    trace_ = work[k] + work[k + 4] + work[k + 8]
+    size = math.sqrt(square)
+    return size if trace_ > 1.0 else 1.0 + size, trace_
 
 
 @routine
@@ -133,35 +141,29 @@ def wrapped(x):
     return y if y > -math.pi else math.pi
 
 
-@device
-def size_of(e):
-    """Norm of an error, at least 1 where the rotation is far from 0."""
-    size = math.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2] + e[3] * e[3] + e[4] * e[4] + e[5] * e[5])
-    return size if e[6] > 1.0 else 1.0 + size
-
-
 @routine
 def polish(kinds, lines, goal, theta, work, steps):
-    """(error at first, error at last) of `steps` Newton steps at most; theta: six numbers, improved in place."""
-    begin = now = math.inf
+    """(error at first, error at last) of `steps` Newton steps at most; theta: six numbers, improved in place.
+
+    Ends once the error is ENOUGH, or close to that and no longer halved by a step.
+    """
+    begin = before = now = math.inf
     for step in range(steps + 1):
         trace(kinds, lines, theta, work)
-        e = error(goal, work)
-        now = size_of(e)
+        now, _ = compare(goal, work)
         if step == 0:
             begin = now
-        if not now > ENOUGH or step == steps:
+        if not now > ENOUGH or (now < NEARLY_ENOUGH and now > 0.5 * before) or step == steps:
             break
-        for i in range(6):
-            work[8 * i + 6] = e[i]
+        before = now
         if not solve_six(work) > 0.0:
             break
         largest = 0.0
         for i in range(6):
-            largest = max(largest, abs(work[8 * i + 6]))
+            largest = max(largest, abs(work[JACOBIAN * i + TWIST]))
         if not largest < math.inf:
             break
-        factor = min(1.0, LONGEST_STEP / largest) if largest > 0.0 else 0.0
+        factor = LONGEST_STEP / max(largest, LONGEST_STEP)
         for i in range(6):
-            theta[i] += factor * work[8 * i + 6]
+            theta[i] += factor * work[JACOBIAN * i + TWIST]
     return begin, now

@@ -12,11 +12,11 @@ import math
 from kempe.kernels._jit import device, routine
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.lines import cross, dot, mapped, minus, plus, rotated, turned, unmapped
-from kempe.kernels.outer import VALUE_STRIDE, VOID, cone, one_unknown, put, put_angle
-from kempe.kernels.subproblems import orbit
+from kempe.kernels.outer import NOTHING, VALUE_STRIDE, VOID, cone, one_unknown, put, put_angle
+from kempe.kernels.subproblems import align, orbit
 
-MOST_INNER = 4
-"""Solutions of the three joints at most: two, or samples where one is free."""
+ANY = 1e3
+"""How far beyond its edge the equation of the inner joints is tried where an outer joint is a sample: others may do."""
 
 
 @device
@@ -30,13 +30,11 @@ def across(h):
 @device
 def put_turn(h, u, v, out, k):
     """Whether it is determined; writes the angle about h that brings u towards v, else 0."""
-    sine = dot(h, cross(u, v))
-    cosine = dot(u, v) - dot(h, u) * dot(h, v)
-    size = math.sqrt(sine * sine + cosine * cosine)
-    if math.sqrt(size) <= VOID:
+    c, s, size = align(h, u, v)
+    if math.sqrt(size) <= NOTHING:
         put_angle(out, k, 1.0, 0.0, 1.0)
         return False
-    put_angle(out, k, cosine / size, sine / size, 0.0)
+    put_angle(out, k, c, s, 0.0)
     return True
 
 
@@ -47,10 +45,10 @@ def value(out, k):
 
 
 @routine
-def ball_triple(ha, hb, hc, d, work, out):
+def ball_triple(ha, hb, hc, d, wide, work, out):
     """Number of ways to write the rotation of d as turns about ha, hb, hc; three values each in out."""
     w = rotated(d, hc)
-    count = cone(ha, hb, hc, w, 1.0, work)
+    count = cone(ha, hb, hc, w, 1.0, wide, work)
     for k in range(count):
         c, s = value(work, k)
         at = 3 * k
@@ -71,7 +69,7 @@ def flat(h, v):
 
 
 @routine
-def planar_point(h, ka, ha, oa, kb, hb, ob, p, goal, work, out):
+def planar_point(h, ka, ha, oa, kb, hb, ob, p, goal, wide, work, out):
     """Number of ways to bring p to goal, both across h, by joint a after joint b; values a, b of each at 3k, 3k + 1."""
     if ka == SLIDE and kb == SLIDE:
         d, n = flat(h, minus(goal, p)), cross(ha, hb)
@@ -84,15 +82,15 @@ def planar_point(h, ka, ha, oa, kb, hb, ob, p, goal, work, out):
         return 1
     if ka == SLIDE:
         r, g = flat(h, minus(p, ob)), flat(h, minus(goal, ob))
-        count = one_unknown(True, -2.0 * dot(g, ha), 1.0, dot(r, r) - dot(g, g), work)
+        count = one_unknown(True, -2.0 * dot(g, ha), 1.0, dot(r, r) - dot(g, g), wide, work)
     elif kb == SLIDE:
         r, g = flat(h, minus(p, oa)), flat(h, minus(goal, oa))
-        count = one_unknown(True, 2.0 * dot(r, hb), 1.0, dot(g, g) - dot(r, r), work)
+        count = one_unknown(True, 2.0 * dot(r, hb), 1.0, dot(g, g) - dot(r, r), wide, work)
     else:
         m, u, w = orbit(hb, minus(p, ob))
         r, g = flat(h, plus(minus(m, oa), 1.0, ob)), flat(h, minus(goal, oa))
         k = dot(g, g) - dot(r, r) - dot(u, u)
-        count = one_unknown(False, 2.0 * dot(r, u), 2.0 * dot(r, w), k, work)
+        count = one_unknown(False, 2.0 * dot(r, u), 2.0 * dot(r, w), k, wide, work)
     for k in range(count):
         a, b = value(work, k)
         at = VALUE_STRIDE * k
@@ -109,9 +107,9 @@ def planar_point(h, ka, ha, oa, kb, hb, ob, p, goal, work, out):
 
 
 @routine
-def planar_forward(h, ka, ha, oa, kb, hb, ob, hc, oc, d, work, out):
+def planar_forward(h, ka, ha, oa, kb, hb, ob, hc, oc, d, wide, work, out):
     """Number of ways to write the planar motion d by joints a, b and a turn c."""
-    count = planar_point(h, ka, ha, oa, kb, hb, ob, oc, mapped(d, oc), work, out)
+    count = planar_point(h, ka, ha, oa, kb, hb, ob, oc, mapped(d, oc), wide, work, out)
     r = across(hc)
     for k in range(count):
         x = rotated(d, r)
@@ -126,10 +124,10 @@ def planar_forward(h, ka, ha, oa, kb, hb, ob, hc, oc, d, work, out):
 
 
 @routine
-def planar_backward(h, ha, oa, kb, hb, ob, hc, oc, d, work, out):
+def planar_backward(h, ha, oa, kb, hb, ob, hc, oc, d, wide, work, out):
     """The same where c slides and a turns: the inverse motion, joints in reverse order."""
     count = planar_point(h, SLIDE, minus((0.0, 0.0, 0.0), hc), oc, kb, minus((0.0, 0.0, 0.0), hb), ob, oa,
-                         unmapped(d, oa), work, out)  # fmt: skip
+                         unmapped(d, oa), wide, work, out)  # fmt: skip
     r = across(ha)
     for k in range(count):
         for i in range(VALUE_STRIDE):
@@ -160,14 +158,14 @@ def planar_swing(h, ha, hb, ob, hc, d, out):
 
 
 @routine
-def planar_triple(ka, ha, oa, kb, hb, ob, kc, hc, oc, d, work, out):
+def planar_triple(ka, ha, oa, kb, hb, ob, kc, hc, oc, d, wide, work, out):
     """Number of ways to write the planar motion d by three joints of the plane; three values each in out."""
     h = hc if kc != SLIDE else ha if ka != SLIDE else hb
     # the part of d that leaves the plane belongs to a target out of reach: the residual says so
     if kc != SLIDE:
-        return planar_forward(h, ka, ha, oa, kb, hb, ob, hc, oc, d, work, out)
+        return planar_forward(h, ka, ha, oa, kb, hb, ob, hc, oc, d, wide, work, out)
     if ka != SLIDE:
-        return planar_backward(h, ha, oa, kb, hb, ob, hc, oc, d, work, out)
+        return planar_backward(h, ha, oa, kb, hb, ob, hc, oc, d, wide, work, out)
     return planar_swing(h, ha, hb, ob, hc, d, out)
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 from kempe.kernels._jit import device, routine
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.lines import LINE_STRIDE, cross, dot, foot, minus, plus, three, turned
-from kempe.kernels.subproblems import cone_roots, orbit, parabola_roots, trig_roots
+from kempe.kernels.subproblems import align, cone_roots, orbit, parabola_roots, trig_roots
 
 POINT, PLANE = 0, 1
 """What the inner three joints leave in place."""
@@ -27,14 +27,15 @@ POINT, PLANE = 0, 1
 X_FIRST, Z_FIRST, COUPLED, AT_REST = 0, 1, 2, 3
 """How the outer equations are solved: one of them has x alone, or z alone, or none; AT_REST: the joints do not move."""
 
-VOID, WIDE = 1e-10, 1e-5
-"""Amplitude below which an equation says nothing; how far beyond its edge one is still tried (the residual decides)."""
+VOID, NOTHING, WIDE = 1e-10, 1e-13, 1e-5
+"""Amplitude below which an equation says so little that samples are taken as well, and below which they are all there
+is; how far beyond its edge an equation is still tried (the residual decides)."""
 
 VALUE_STRIDE, SAMPLED = 4, 3
 """A value of a joint: cosine and sine, or slide and its square; the variable; 1 if it was free and is a sample."""
 
-MOST = 4
-"""Values of one joint, at most."""
+SAMPLES, MOST = 4, 6
+"""Samples of a joint that is free; values of one joint at most: samples after roots."""
 
 
 class Element(NamedTuple):
@@ -126,51 +127,59 @@ def put_angle(out, k, c, s, sampled):
 
 
 @routine
-def put_samples(slides, out):
-    """Number of values for a joint that is free: a few, of which no two differ by half a turn."""
-    for k in range(MOST):
+def put_samples(slides, count, out):
+    """New number of values of a joint that is free: a few more, of which no two differ by half a turn."""
+    for k in range(SAMPLES):
         x = 0.35 - 1.3 * k + 0.37 * (k // 2)
         if slides:
-            put(out, k, x, x * x, x, 1.0)
+            put(out, count + k, x, x * x, x, 1.0)
         else:
-            put_angle(out, k, math.cos(x), math.sin(x), 1.0)
-    return MOST
+            put_angle(out, count + k, math.cos(x), math.sin(x), 1.0)
+    return count + SAMPLES
 
 
 @routine
-def one_unknown(slides, a, b, k, out):
-    """Number of solutions of a f + b g = k, written to out; f, g = cos, sin of a turn, or d, d^2 of a slide."""
-    size = math.hypot(a, b)
-    if size <= VOID:
-        return put_samples(slides, out) if abs(k) <= WIDE else 0
-    if slides:
-        x0, x1, d2 = parabola_roots(b, a, -k)
-        if d2 < -WIDE * (size * size + abs(b * k)):
-            return 0
-        put(out, 0, x0, x0 * x0, x0, 0.0)
-        put(out, 1, x1, x1 * x1, x1, 0.0)
-        return 1 if abs(b) <= 1e-14 * (size + abs(k)) else 2
-    if abs(k) > size + WIDE:
+def one_unknown(slides, a, b, k, wide, out):
+    """Number of solutions of a f + b g = k, written to out; f, g = cos, sin of a turn, or d, d^2 of a slide.
+
+    wide: how far beyond its edge the equation may be.
+    """
+    size, count = math.hypot(a, b), 0
+    if size <= VOID and abs(k) > wide:
         return 0
-    c0, s0, c1, s1, _ = trig_roots(a, b, k)
-    put_angle(out, 0, c0, s0, 0.0)
-    put_angle(out, 1, c1, s1, 0.0)
-    return 2
+    if size > NOTHING:
+        if slides:
+            x0, x1, d2 = parabola_roots(b, a, -k)
+            if d2 < -wide * (size * size + abs(b * k)):
+                return 0
+            put(out, 0, x0, x0 * x0, x0, 0.0)
+            put(out, 1, x1, x1 * x1, x1, 0.0)
+            count = 1 if abs(b) <= 1e-14 * (size + abs(k)) else 2
+        else:
+            if abs(k) > size + wide:
+                return 0
+            c0, s0, c1, s1, _ = trig_roots(a, b, k)
+            put_angle(out, 0, c0, s0, 0.0)
+            put_angle(out, 1, c1, s1, 0.0)
+            count = 2
+    return put_samples(slides, count, out) if size <= VOID else count
 
 
 @routine
-def cone(k, h, n, w, sign, out):
+def cone(k, h, n, w, sign, wide, out):
     """Number of turns about h (inverse turns for `sign` -1) that make the angle of n with k that of w with k."""
     c0, s0, c1, s1, d2 = cone_roots(k, h, n, w)
     a, b = cross(k, h), cross(h, n)
-    size = dot(a, a) * dot(b, b)
-    if size <= VOID * VOID:
-        return put_samples(False, out) if abs(dot(k, w) - dot(k, n)) <= WIDE else 0
-    if d2 < -WIDE * math.sqrt(size):
+    size, count = math.sqrt(dot(a, a) * dot(b, b)), 0
+    if size <= VOID and abs(dot(k, w) - dot(k, n)) > wide:
         return 0
-    put_angle(out, 0, c0, sign * s0, 0.0)
-    put_angle(out, 1, c1, sign * s1, 0.0)
-    return 2
+    if size > NOTHING:
+        if d2 < -wide * size:
+            return 0
+        put_angle(out, 0, c0, sign * s0, 0.0)
+        put_angle(out, 1, c1, sign * s1, 0.0)
+        count = 2
+    return put_samples(False, count, out) if size <= VOID else count
 
 
 class Outer(NamedTuple):
@@ -231,11 +240,11 @@ def first_values(o, mode, j, tx, tz, out):
     k = 3 * j
     if mode == 0:
         if cones(o, j, o.kx):
-            return cone(o.hy, o.hx, o.e0.n, o.e1.n, -1.0, out)
-        return one_unknown(o.kx == SLIDE, tx[k + 1], tx[k + 2], tz[k] - tx[k], out)
+            return cone(o.hy, o.hx, o.e0.n, o.e1.n, -1.0, WIDE, out)
+        return one_unknown(o.kx == SLIDE, tx[k + 1], tx[k + 2], tz[k] - tx[k], WIDE, out)
     if cones(o, j, o.kz):
-        return cone(o.hy, o.hz, o.e1.n, o.e0.n, 1.0, out)
-    return one_unknown(o.kz == SLIDE, tz[k + 1], tz[k + 2], tx[k] - tz[k], out)
+        return cone(o.hy, o.hz, o.e1.n, o.e0.n, 1.0, WIDE, out)
+    return one_unknown(o.kz == SLIDE, tz[k + 1], tz[k + 2], tx[k] - tz[k], WIDE, out)
 
 
 @routine
@@ -245,14 +254,14 @@ def second_values(o, mode, j, tx, tz, first, out):
     if mode == 0:
         e = carried(o.kx, o.hx, o.ox, o.e0, first[0], -first[1], -first[2])
         if cones(o, 1 - j, o.kz):
-            return cone(o.hy, o.hz, o.e1.n, e.n, 1.0, out)
+            return cone(o.hy, o.hz, o.e1.n, e.n, 1.0, WIDE, out)
         known = tx[k] + tx[k + 1] * first[0] + tx[k + 2] * first[1]
-        return one_unknown(o.kz == SLIDE, tz[k + 1], tz[k + 2], known - tz[k], out)
+        return one_unknown(o.kz == SLIDE, tz[k + 1], tz[k + 2], known - tz[k], WIDE, out)
     e = carried(o.kz, o.hz, o.oz, o.e1, first[0], first[1], first[2])
     if cones(o, 1 - j, o.kx):
-        return cone(o.hy, o.hx, o.e0.n, e.n, -1.0, out)
+        return cone(o.hy, o.hx, o.e0.n, e.n, -1.0, WIDE, out)
     known = tz[k] + tz[k + 1] * first[0] + tz[k + 2] * first[1]
-    return one_unknown(o.kx == SLIDE, tx[k + 1], tx[k + 2], known - tx[k], out)
+    return one_unknown(o.kx == SLIDE, tx[k + 1], tx[k + 2], known - tx[k], WIDE, out)
 
 
 @routine
@@ -265,18 +274,16 @@ def middle_values(o, x, z, out):
         if o.what == PLANE:
             slope = dot(left.n, o.hy)
             if abs(slope) <= VOID:
-                return put_samples(True, out)
+                return put_samples(True, 0, out)
             t = dot(left.n, d) / slope
         else:
             t = dot(o.hy, d)
         put(out, 0, t, t * t, t, 0.0)
         return 1
     u, v = (right.n, left.n) if o.what == PLANE else (minus(right.p, o.oy), minus(left.p, o.oy))
-    sine = dot(o.hy, cross(u, v))
-    cosine = dot(u, v) - dot(o.hy, u) * dot(o.hy, v)
-    lengths = math.sqrt(math.sqrt(sine * sine + cosine * cosine))
-    if lengths <= VOID:
-        return put_samples(False, out)
-    size = math.hypot(sine, cosine)
-    put_angle(out, 0, cosine / size, sine / size, 0.0)
-    return 1
+    c, s, size = align(o.hy, u, v)
+    size, count = math.sqrt(size), 0
+    if size > NOTHING:
+        put_angle(out, 0, c, s, 0.0)
+        count = 1
+    return put_samples(False, count, out) if size <= VOID else count

@@ -27,7 +27,7 @@ from kempe.kernels.lines import (
 from kempe.kernels.residual import logarithm
 from kempe.kernels.scratch import beyond
 
-STEPS, EXACT, LONGEST = 40, 1e-15, 0.5
+STEPS, EXACT, LONGEST = 40, 3e-15, 0.5
 """Steps at most; the error at which nothing is left to do; the longest step of a variable."""
 
 FLOOR, DAMPING = 1e-15, 1e-3
@@ -181,17 +181,19 @@ def polish(m, theta):
             continue
         for i in range(m.n):
             theta[i] = kept[i]
+        error_at(m, theta)
         if best < 1e-12 or more >= 1e12:
             break
-        error_at(m, theta)
         more = max(1e3 * more, 1e3)
     return linear, angular
 
 
 @routine
-def weakest(m, theta):
-    """The smallest pivot of the normal equations: an upper bound of the square of the smallest singular value."""
-    error_at(m, theta)
+def weakest(m):
+    """The smallest pivot of the normal equations: an upper bound of the square of the smallest singular value.
+
+    The tip has to have been placed before, which `polish` does.
+    """
     n = columns_at(m)
     normal_equations(m, n, 1e-30)
     matrix, least = beyond(m.scratch, AT_AXES + 12 * m.n), math.inf

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from kempe.kernels._jit import device
-from kempe.kernels.lines import cross, dot, minus, mix3, plus
+from kempe.kernels.lines import cross, dot, minus, plus
 from kempe.kernels.vectors import square_root, where
 
 TINY = 1e-300
@@ -55,11 +55,12 @@ def trig_roots_of(a, b, k, d2):
 def align(h, u, v):
     """(c, s, size): the turn about the unit vector h that brings u into the half plane of v.
 
-    tan = h.(u x v) / (u.v - (h.u)(h.v)): one solution, and all angles where u or v lies along h: then `size`, the
-    product of their distances from h, vanishes. The lengths of u and v do not matter.
+    tan = h.(u' x v') / u'.v' with u' = h x u, v' = h x v: one solution, and all angles where u or v lies along h: then
+    `size`, the product of their distances from h, vanishes. The lengths of u and v do not matter. The textbooks' u.v -
+    (h.u)(h.v) in place of u'.v' would lose all digits near that singularity.
     """
-    sine = dot(h, cross(u, v))
-    cosine = dot(u, v) - dot(h, u) * dot(h, v)
+    u, v = cross(h, u), cross(h, v)
+    sine, cosine = dot(h, cross(u, v)), dot(u, v)
     size = square_root(sine * sine + cosine * cosine)
     n = 1.0 / (size + TINY)
     return cosine * n, sine * n, size
@@ -95,8 +96,9 @@ def cone_roots(k, h, n, w):
 @device
 def orbit(h, v):
     """(m, u, w): v turned about h by theta is m + u cos(theta) + w sin(theta)."""
-    m = mix3(h, dot(h, v), h, 0.0 * h[0], h, 0.0 * h[0])
-    return m, minus(v, m), cross(h, v)
+    w = cross(h, v)
+    u = cross(w, h)
+    return minus(v, u), u, w
 
 
 # ---- polynomials of degree two

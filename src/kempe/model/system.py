@@ -160,8 +160,13 @@ class System(Compiled):
 
         return ik(self, target, frame, **options)
 
-    def ik_all(self, target: ArrayLike, frame: FrameLike, **options: Any) -> Solutions:
+    def ik_all(self, target: Any, frame: FrameLike, **options: Any) -> Solutions:
         """Every configuration in which the frame reaches the target; see `kempe.solvers.analytic.ik_all.ik_all`."""
+        if not options and target.__class__ is np.ndarray and target.shape == (4, 4) and self.dim == 3:
+            bound = self._queries.get(("all", frame))
+            answer = bound(target) if bound is not None else None
+            if answer is not None:
+                return answer
         from kempe.solvers.analytic.ik_all import ik_all
 
         return ik_all(self, target, frame, **options)

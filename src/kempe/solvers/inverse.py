@@ -232,15 +232,18 @@ def outside(task: Task, targets: Array) -> Array:
     return out
 
 
-def parse_targets(system: System, target: ArrayLike) -> tuple[Array, tuple[int, ...], bool]:
+def parse_targets(system: System, target: Any) -> tuple[Array, tuple[int, ...], bool]:
     """Targets (N, 4, 4), their leading shape, and whether they are positions."""
-    try:
-        given = np.asarray(target)
-        if given.dtype.kind == "c":
-            raise TypeError
-        array = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"target is {type(target).__name__}; it must be an array of real numbers") from None
+    if target.__class__ is np.ndarray and target.dtype == np.float64:
+        array = target
+    else:
+        try:
+            given = np.asarray(target)
+            if given.dtype.kind == "c":
+                raise TypeError
+            array = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            raise InputError(f"target is {type(target).__name__}; it must be an array of real numbers") from None
     planar = system.dim == 2
     is_pose = array.ndim >= 2 and array.shape[-2:] == (4, 4)
     if planar and array.ndim >= 2 and array.shape[-2:] == (3, 3) and np.all(array[..., 2, :] == [0.0, 0.0, 1.0]):

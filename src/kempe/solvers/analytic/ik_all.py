@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, NoSolutionError
 from kempe.kernels import analytic_layout as A
+from kempe.kernels.vectors import LANES
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers.analytic.lines import Lines, lines_of
 from kempe.solvers.analytic.plan import Plan, free_lines, freedoms, kernel_of, make
@@ -71,6 +72,8 @@ def ik_all(
     question = Question(system, name, task, direction, targets, None if single else lead, within(tolerance))
     if single and not np.isfinite(targets).all():
         raise InputError("target has entries that are not finite")
+    if single and task == "pose" and plan.side_by_side and ("all", name) not in system._queries:
+        bind(system, name)
     answer = solve(question, plan, near_of(system, near, question.lead), values, threads)
     if single and answer._counts[0, 0] < 0:
         raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
@@ -79,6 +82,40 @@ def ik_all(
     if throw and not answer:
         raise NoSolutionError(answer)
     return answer
+
+
+class Bound:
+    """`ik_all` of single poses for one frame, with all that can be looked up looked up: the way of plain calls."""
+
+    def __init__(self, system: System, frame: str, plan: Plan, kernel: Callable[..., int]):
+        self.system, self.frame, self.plan, self.kernel = system, frame, plan, kernel
+        self.base = system.neutral[None]
+        self.near = np.ascontiguousarray(self.base[:, plan.lines.q_index])
+        self.counts = np.zeros((1, 2), dtype=np.int64)
+        self.shape = (1, plan.slots, len(plan.lines) + A.INFO)
+
+    def question(self, target: Array) -> Question:
+        """What was asked."""
+        return Question(self.system, self.frame, "pose", Z_AXIS, target[None], None, TOLERANCE)
+
+    def __call__(self, target: Array) -> Solutions | None:
+        """All solutions for a pose (4, 4), None where the target wants the careful path."""
+        if target.dtype != np.float64 or not target.flags.c_contiguous:
+            return None
+        rows, used, plan = np.empty(self.shape), np.empty(1, dtype=np.int64), self.plan
+        if self.kernel(plan.ints, plan.floats, target.reshape(1, 4, 4), self.near, self.near, 1, rows, used):
+            return None
+        return Solutions((self, target.copy()), plan, self.base, rows, self.counts, None, int(used[0]))
+
+
+def bind(system: System, frame: str) -> Bound | None:
+    """The bound form for poses of a frame, None where there is none; made once."""
+    lines = chain_lines(system, frame, Z_AXIS)
+    plan = plan_for(system, frame, lines, "pose", Z_AXIS, ())
+    kernel = None if plan.locked or system.table.at[frame][2] else side_by_side_of(plan)
+    bound = None if kernel is None else Bound(system, frame, plan, kernel)
+    system._queries[("all", frame)] = bound
+    return bound
 
 
 def chain_lines(system: System, frame: str, axis: tuple[float, float, float]) -> Lines:
@@ -149,14 +186,16 @@ def solve(
         search(question, plan, chain_near, locked, out, counts)
         return Solutions(question, plan, base, out, counts, question.lead)
     kernel = kernel_of(plan)
+    side_by_side = side_by_side_of(plan) if len(locked) == 1 or not plan.locked else None
+    if side_by_side and not plan.locked:
+        locked = locked[:1]
 
     def work(i: int, j: int) -> int:
         some = chain_near[i:j] if len(chain_near) > 1 else chain_near
         which = np.arange(j - i)
-        if plan.side_by_side:
-            from kempe.kernels.closed_blocks import closed_side_by_side
-
-            left = closed_side_by_side(plan.ints, plan.floats, targets[i:j], some, int(single), out[i:j], which)
+        if side_by_side:
+            padded = np.resize(some, (LANES, len(lines))) if 1 < len(some) < LANES else some
+            left = side_by_side(plan.ints, plan.floats, targets[i:j], padded, locked, int(single), out[i:j], which)
             if left == 0:
                 return 0
             which = which[:left].copy()
@@ -167,6 +206,15 @@ def solve(
 
     over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
     return Solutions(question, plan, base, out, counts, question.lead)
+
+
+def side_by_side_of(plan: Plan) -> Callable[..., int] | None:
+    """The kernel that solves many targets side by side, None where the plan is not made for it."""
+    if not plan.side_by_side:
+        return None
+    from kempe.kernels.closed_blocks import closed_side_by_side  # compiled only where it is needed
+
+    return closed_side_by_side
 
 
 def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Array]) -> Array:

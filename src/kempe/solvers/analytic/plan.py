@@ -68,10 +68,10 @@ class Plan:
     @cached_property
     def side_by_side(self) -> bool:
         """Whether many targets are solved side by side: six turning joints, an equation in one unknown."""
-        way, n = self.way, len(self.lines)
-        if way is None or n != 6 or self.locked or way.order != tuple(range(6)) or self.task != "pose":
+        way, lines = self.way, self.lines
+        if way is None or self.task != "pose" or way.mode not in (X_FIRST, Z_FIRST):
             return False
-        if way.mode not in (X_FIRST, Z_FIRST) or np.any(self.lines.kinds == SLIDE):
+        if tuple(sorted(way.order)) != way.order or way.order[-1] >= len(lines) or np.any(lines.kinds == SLIDE):
             return False
         return (way.inner, way.option) not in ((1, 0), (2, 1))
 
@@ -86,23 +86,33 @@ class Plan:
         return bool(np.array_equal(self.lines.q_index, np.arange(len(self.lines))))
 
 
-def jacobian(lines: Lines, theta: Array) -> tuple[Array, Array]:
-    """Tip pose (4, 4) and Jacobian (6, n) [linear; angular] in the tip's frame at theta (n,)."""
-    n = len(lines)
-    X, axes = np.eye(4), np.zeros((n, 6))
+def sweep(lines: Lines, theta: Array) -> tuple[Array, Array, Array]:
+    """Tip poses (m, 4, 4), and directions and points (m, n, 3) of the lines, at theta (m, n)."""
+    m, n = theta.shape
+    h, o = np.empty((m, n, 3)), np.empty((m, n, 3))
+    R, p = np.broadcast_to(np.eye(3), (m, 3, 3)), np.zeros((m, 3))
+    K = spatial.skew(lines.h)
+    turns = (lines.kinds != SLIDE)[:, None, None]
+    s, c = np.sin(theta)[..., None, None], np.cos(theta)[..., None, None]
+    E = np.where(turns, np.eye(3) + s * K + (1.0 - c) * (K @ K), np.eye(3))
+    shift = np.where(turns[..., 0], lines.o - np.einsum("mnij,nj->mni", E, lines.o), theta[..., None] * lines.h)
     for i in range(n):
-        axes[i, :3], axes[i, 3:] = X[:3, :3] @ lines.h[i], X[:3, :3] @ lines.o[i] + X[:3, 3]
-        X = X @ motion(lines.kinds[i], lines.h[i], lines.o[i], theta[i])
-    T = X @ lines.tip
-    J = np.zeros((6, n))
-    for i in range(n):
-        w, a = axes[i, :3], axes[i, 3:]
-        if lines.kinds[i] == SLIDE:
-            J[:3, i] = w
-        else:
-            J[:3, i], J[3:, i] = np.cross(w, T[:3, 3] - a), w
-    R = T[:3, :3].T
-    return T, np.vstack([R @ J[:3], R @ J[3:]])
+        h[:, i], o[:, i] = R @ lines.h[i], R @ lines.o[i] + p
+        p = p + np.einsum("mij,mj->mi", R, shift[:, i])
+        R = R @ E[:, i]
+    T = np.zeros((m, 4, 4))
+    T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R @ lines.tip[:3, :3], R @ lines.tip[:3, 3] + p, 1.0
+    return T, h, o
+
+
+def jacobians(lines: Lines, theta: Array) -> Array:
+    """Jacobians (m, 6, n) [linear; angular] in the tip's frame at theta (m, n)."""
+    T, h, o = sweep(lines, theta)
+    slides = (lines.kinds == SLIDE)[:, None]
+    v = np.where(slides, h, np.cross(h, T[:, None, :3, 3] - o))
+    w = np.where(slides, 0.0, h)
+    back = np.swapaxes(T[:, :3, :3], 1, 2)
+    return np.concatenate([back @ np.swapaxes(v, 1, 2), back @ np.swapaxes(w, 1, 2)], axis=1)
 
 
 def motion(kind: int, h: Array, o: Array, theta: float) -> Array:
@@ -144,9 +154,10 @@ def screws(extra: Extra, tip: Array) -> Array:
     return J
 
 
-def spread(lines: Lines, rng: np.random.Generator) -> Array:
-    """A random theta (n,): any angle, slides of the size of the chain."""
-    return np.where(lines.kinds == SLIDE, rng.uniform(-1.0, 1.0, len(lines)), rng.uniform(-np.pi, np.pi, len(lines)))
+def spread(lines: Lines, rng: np.random.Generator, count: int) -> Array:
+    """Random theta (count, n): any angle, slides of the size of the chain."""
+    shape = (count, len(lines))
+    return np.where(lines.kinds == SLIDE, rng.uniform(-1.0, 1.0, shape), rng.uniform(-np.pi, np.pi, shape))
 
 
 def resting(lines: Lines, free: Extra, unknown: list[int], planar: bool) -> Iterator[Extra]:
@@ -157,14 +168,16 @@ def resting(lines: Lines, free: Extra, unknown: list[int], planar: bool) -> Iter
         return
     kinds, h, o = _pool(lines, unknown, planar)
     rng = np.random.default_rng(5)
-    samples = [jacobian(lines, spread(lines, rng))[1][:, unknown] for _ in range(5)]
+    samples = jacobians(lines, spread(lines, rng, 5))[:, :, unknown]
     at_tip = screws(free, lines.tip)
     pool = screws(Extra(kinds, h, o, kinds), lines.tip)
-    scored = []
-    for choice in itertools.combinations(range(len(kinds)), count):
-        chosen = pool[:, choice]
-        least = np.median([np.linalg.svd(np.hstack([J, at_tip, chosen]), compute_uv=False)[-1] for J in samples])
-        scored.append((float(least), choice))
+    choices = list(itertools.combinations(range(len(kinds)), count))
+    J = np.zeros((len(choices), len(samples), 6, 6))
+    J[..., : len(unknown)] = samples
+    J[..., len(unknown) : 6 - count] = at_tip
+    J[..., 6 - count :] = np.moveaxis(pool[:, np.array(choices)], 0, 1)[:, None]
+    least = np.median(np.linalg.svd(J, compute_uv=False)[..., -1], axis=1)
+    scored = list(zip(least.tolist(), choices, strict=True))
     best = max(s for s, _ in scored)
     good = [(s, c) for s, c in scored if s > 0.05 * best]
     for _, choice in sorted(good, key=lambda pair: (sum(pair[1]), -pair[0])):
@@ -193,13 +206,10 @@ def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
     """Rank of the Jacobian of the unknown joints and the free lines at random configurations."""
     if not unknown:
         return len(free.kinds)
-    rng, at_tip = np.random.default_rng(7), screws(free, lines.tip)
-    best = 0
-    for _ in range(4):
-        J = np.hstack([jacobian(lines, spread(lines, rng))[1][:, unknown], at_tip])
-        values = np.linalg.svd(J, compute_uv=False)
-        best = max(best, int((values > RANK * values[0]).sum()))
-    return best
+    J = jacobians(lines, spread(lines, np.random.default_rng(7), 4))[:, :, unknown]
+    at_tip = np.broadcast_to(screws(free, lines.tip), (len(J), 6, len(free.kinds)))
+    values = np.linalg.svd(np.concatenate([J, at_tip], axis=2), compute_uv=False)
+    return int((values > RANK * values[:, :1]).sum(axis=1).max())
 
 
 def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool) -> Plan:
@@ -227,7 +237,7 @@ def _by_elimination(
     """The plan that takes the six lines as general ones; None where no formulation suits them."""
     from kempe.kernels.elimination_score import FORMULATIONS, score  # compiled only where it is needed
 
-    theta = spread(lines, np.random.default_rng(11))
+    theta = spread(lines, np.random.default_rng(11), 1)[0]
     places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
     axes, _ = carried_lines(lines, locked, extra, theta)
     scores = np.zeros(FORMULATIONS)
@@ -257,16 +267,12 @@ def _ways(lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extr
     rng, variants, goals = np.random.default_rng(11), [], []
     places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
     for _ in range(2 if locked else 1):
-        theta = spread(lines, rng)
-        axes, shift = carried_lines(lines, locked, extra, theta)
-        six = Axes(axes.kinds[places], axes.h[places], axes.o[places])
-        some = []
-        for _ in range(3):
-            other = np.where(np.isin(np.arange(len(lines)), locked), theta, spread(lines, rng))
-            G = jacobian(lines, other)[0] @ spatial.inverse(lines.tip) @ spatial.inverse(shift)
-            some.append(np.ascontiguousarray(G[:3]).ravel())
-        variants.append(six)
-        goals.append(some)
+        theta = spread(lines, rng, 4)
+        theta[1:, list(locked)] = theta[0, list(locked)]
+        axes, shift = carried_lines(lines, locked, extra, theta[0])
+        variants.append(Axes(axes.kinds[places], axes.h[places], axes.o[places]))
+        G = sweep(lines, theta[1:])[0] @ spatial.inverse(lines.tip) @ spatial.inverse(shift)
+        goals.append([np.ascontiguousarray(g[:3]).ravel() for g in G])
     at_rest = {i for i, j in enumerate(places) if j >= len(lines) and extra.roles[j - len(lines)] == A.REST}
     found = ways(variants, goals, at_rest)
     return [Way(tuple(places[i] for i in w.order), *_tail(w)) for w in found]
@@ -320,9 +326,9 @@ def pack(
 def _works(plan: Plan) -> bool:
     """Whether the plan finds random configurations again."""
     lines, rng = plan.lines, np.random.default_rng(3)
-    theta = np.array([spread(lines, rng) for _ in range(TRIALS)])
+    theta = spread(lines, rng, TRIALS)
     q = (theta - lines.gauge) / lines.multiplier
-    targets = np.array([jacobian(lines, t)[0] for t in theta])
+    targets = sweep(lines, theta)[0]
     targets[:, :3, 3] = targets[:, :3, 3] * lines.length + lines.origin
     n = len(lines)
     out, count = np.empty((TRIALS, A.SLOTS, n + A.INFO)), np.empty((TRIALS, 2), dtype=np.int64)

@@ -17,6 +17,7 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.analytic.families import Family
+    from kempe.solvers.analytic.ik_all import Bound
     from kempe.solvers.analytic.plan import Plan
     from kempe.solvers.analytic.question import Question
 
@@ -33,15 +34,24 @@ class Solutions:
     """
 
     def __init__(
-        self, question: Question, plan: Plan, base: Array, rows: Array, counts: np.ndarray, lead: tuple[int, ...] | None
-    ):
-        self.question, self.plan = question, plan
-        self._base, self._rows, self._counts, self._lead = base, rows, counts, lead
+        self, question: Question | tuple[Bound, Array], plan: Plan, base: Array, rows: Array, counts: np.ndarray,
+        lead: tuple[int, ...] | None, used: int | None = None,
+    ):  # fmt: skip
+        self._asked, self.plan = question, plan
+        self._base, self._rows, self._counts, self._lead, self._count = base, rows, counts, lead, used
+
+    @cached_property
+    def question(self) -> Question:
+        """What was asked."""
+        if isinstance(self._asked, tuple):
+            bound, target = self._asked
+            return bound.question(target)
+        return self._asked
 
     @property
     def system(self) -> System:
         """The system that was asked."""
-        return self.question.system
+        return self._asked[0].system if isinstance(self._asked, tuple) else self._asked.system
 
     @property
     def single(self) -> bool:
@@ -67,7 +77,7 @@ class Solutions:
     def _pick(self, rows: Array) -> Any:
         """Rows (N, K, ...) in the shape of the answer."""
         if self._lead is None:
-            return rows[0, : int(self._used[0].sum())]
+            return rows[0, : int(self._used[0].sum()) if self._count is None else self._count]
         return rows.reshape(*self._lead, *rows.shape[1:])
 
     def _of(self, values: Array) -> Array:

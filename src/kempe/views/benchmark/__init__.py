@@ -6,13 +6,14 @@ import datetime
 from collections.abc import Callable, Iterable, Iterator
 
 from kempe.errors import UnknownNameError
-from kempe.views.benchmark import cranks, forward, freedoms, inverse, loops, peers, process, trees
+from kempe.views.benchmark import analytic, cranks, forward, freedoms, inverse, loops, peers, process, trees
 from kempe.views.benchmark.bench import Bench
 from kempe.views.benchmark.timing import Table
 
 SECTIONS: dict[str, Callable[[Bench], Table | None]] = {
     "batch": forward.batch, "single": forward.single, "tree": trees.humanoid, "threads": forward.threads,
-    "growth": trees.growth, "inverse": inverse.single, "assembly": loops.assembly, "success": loops.success,
+    "growth": trees.growth, "inverse": inverse.single, "closed": analytic.closed, "general": analytic.general,
+    "assembly": loops.assembly, "success": loops.success,
     "dyads": cranks.dyads, "row": cranks.row, "dof": freedoms.dof, "mobility": freedoms.mobility,
     "startup": process.startup, "memory": process.memory,
 }  # fmt: skip

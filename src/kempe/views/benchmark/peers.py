@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 PEERS = {
     "pin": "pinocchio", "mujoco": "mujoco", "roboticstoolbox-python": "roboticstoolbox", "ikpy": "ikpy",
     "pytorch-kinematics": "pytorch_kinematics", "exudyn": "exudyn", "drake": "pydrake", "pylinkage": "pylinkage",
+    "EAIK": "eaik", "ik-geo": "ik_geo", "ssik": "ssik", "py-opw-kinematics": "py_opw_kinematics",
 }  # fmt: skip
 """Package name and module name of each peer."""
 

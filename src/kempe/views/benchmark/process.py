@@ -18,7 +18,7 @@ from kempe.views.benchmark.timing import Row, Table
 REPEATS = 3
 MEMORY_POSES = 1_000_000
 
-_MODULES = {"ikpy": "ikpy.chain", "drake": "pydrake.multibody.inverse_kinematics"}
+_MODULES = {"ikpy": "ikpy.chain", "drake": "pydrake.multibody.inverse_kinematics", "EAIK": "eaik.IK_Homogeneous"}
 """What to import of packages that are empty at the top."""
 
 _FIRST = """
