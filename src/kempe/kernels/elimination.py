@@ -252,7 +252,7 @@ def eliminate(kinds, lines, goal, formulation, w, out):
             source, count = count, count + state
             if merging and count < CANDIDATES:
                 state = _twin(kinds, lines, goal, found, source, count, work)
-                suspect |= TWICE if state < 1 else 0
+                suspect |= TWICE if state < 1 and imaginary < DOUBT else 0
                 count += max(state, 0)
     for k in range(count):
         for j in range(6):

@@ -16,15 +16,18 @@ from kempe.kernels.elimination import (
     RAW_ERROR,
     eliminate,
 )
-from kempe.kernels.elimination_loop import FORMULATIONS, removed_of
+from kempe.kernels.elimination_loop import FORMULATIONS, hidden_of, removed_of
 from kempe.kernels.elimination_polish import POLISH_SIZE, POSE, trace, wrapped
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.random import mix, unit
 from kempe.kernels.scratch import beyond
 from kempe.kernels.vectors import keep, raw
 
-POSTURES = 8
-"""Postures that a formulation is tried on."""
+FIRST, SECOND, BEST = 5, 20, 8
+"""Postures that every formulation is tried on; more of them, for the BEST formulations only."""
+
+FAVOUR, HASTY = 0.9, 0.5
+"""Factors of scores: with an eigenproblem of 24 rows; of formulations tried on the first few postures only."""
 
 DIGITS = 14.0
 """Digits of the error before Newton's steps that earn full credit."""
@@ -48,16 +51,14 @@ def _credit(kinds, theta, w, count):
 
 
 @routine
-def credit_of(kinds, lines, formulation, w, out):
-    """Mean credit, 0 to 1, of the formulation; a suspect answer earns half, and two misses end the trial with 0."""
-    if kinds[removed_of(formulation)] == SLIDE:
-        return 0.0
+def credit_of(kinds, lines, formulation, first, last, w, out):
+    """Sum of the credits for postures first to last - 1; a suspect answer earns half, a second miss ends it with 0."""
     sum_, misses = 0.0, 0
     goal = beyond(out, 6 * CANDIDATES)
     theta = beyond(goal, 12)
     work = beyond(theta, 6)
-    for i in range(POSTURES):
-        key = mix(np.uint64(1), np.uint64(i))
+    for i in range(first, last):
+        key = mix(mix(np.uint64(0), np.uint64(i)), np.uint64(0))
         for j in range(6):
             x = 2.0 * unit(mix(key, np.uint64(j))) - 1.0
             theta[j] = x if kinds[j] == SLIDE else math.pi * x
@@ -70,22 +71,36 @@ def credit_of(kinds, lines, formulation, w, out):
         if misses > 1:
             return 0.0
         sum_ += credit if suspect == 0 else 0.5 * credit
-    return sum_ / POSTURES
+    return sum_
 
 
 @kernel(types.int64(I1, F2, OUT1))
 def score(kinds, lines, scores):
     """Number of formulations with a score above 0.
 
-    kinds: (6,). lines: (6, LINE_STRIDE). scores: (FORMULATIONS,), 0 (useless) to 1; formulations that hide the outer
-    joint of the triple get a tenth more, since their eigenproblem has 16 rows, not 24.
+    kinds: (6,). lines: (6, LINE_STRIDE). scores: (FORMULATIONS,), 0 (useless) to 1.
     """
     block = np.zeros(ELIMINATION_SCRATCH + 6 * CANDIDATES + 18 + POLISH_SIZE)
-    w = raw(block)
+    w, k, h = raw(block), raw(kinds), raw(lines)
+    out = beyond(w, ELIMINATION_SCRATCH)
+    for f in range(FORMULATIONS):
+        useless = kinds[removed_of(f)] == SLIDE
+        scores[f] = 0.0 if useless else credit_of(k, h, f, 0, FIRST, w, out) / FIRST
+        scores[f] *= 1.0 if hidden_of(f) == 0 else FAVOUR
+    for _ in range(BEST):
+        f = 0
+        for i in range(1, FORMULATIONS):
+            if scores[i] > scores[f]:
+                f = i
+        if not scores[f] > 0.0:
+            break
+        more = credit_of(k, h, f, FIRST, FIRST + SECOND, w, out)
+        more *= 1.0 if hidden_of(f) == 0 else FAVOUR
+        # negative: tried on all
+        scores[f] = -(scores[f] * FIRST + more) / (FIRST + SECOND) if more > 0.0 else 0.0
     useful = 0
     for f in range(FORMULATIONS):
-        s = credit_of(raw(kinds), raw(lines), f, w, beyond(w, ELIMINATION_SCRATCH))
-        scores[f] = s if f // 6 % 3 == 0 else s / 1.1
-        useful += int(s > 0.0)
+        scores[f] = -scores[f] if scores[f] < 0.0 else HASTY * scores[f]
+        useful += int(scores[f] > 0.0)
     keep(block)
     return useful

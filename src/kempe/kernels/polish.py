@@ -195,13 +195,11 @@ def weakest(m):
     The tip has to have been placed before, which `polish` does.
     """
     n = columns_at(m)
-    normal_equations(m, n, 1e-30)
+    if n == 0 or not normal_equations(m, n, 1e-30):
+        return 0.0
     matrix, least = beyond(m.scratch, AT_AXES + 12 * m.n), math.inf
     for i in range(n):
-        d = matrix[i * n + i]
-        if not d > 0.0:
-            return 0.0
-        least = min(least, d)
-    return 0.0 if math.isinf(least) else least
+        least = min(least, matrix[i * n + i])
+    return least
 
 
