@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numba import types
-
-from kempe.kernels._jit import F3, OUT2, OUTI1, device, kernel, routine
+from kempe.kernels._jit import device, routine
 from kempe.kernels.elimination_reduce import total
 from kempe.kernels.scratch import beyond
-from kempe.kernels.vectors import LANES, keep, load_lanes, raw, spread_lanes, store, where
+from kempe.kernels.vectors import LANES, load_lanes, spread_lanes, store, where
 
 EPS = 2.220446049250313e-16
 """Spacing of the numbers at 1."""
@@ -290,24 +287,3 @@ def eigenvalues(a, n, stride, re, im, scratch):
     balance(a, n, stride)
     hessenberg(a, n, stride, scratch)
     return shifted_qr(a, n, stride, re, im, scratch)
-
-
-@kernel(types.int64(F3, OUT2, OUT2, OUTI1))
-def eigenvalues_each(matrices, re, im, missed):
-    """Number of matrices with eigenvalues that were not found, of N matrices (N, n, n), n <= LARGEST_SIZE.
-
-    re, im: (N, n), NaN where not found. missed: (N,), how many.
-    """
-    n, failures = matrices.shape[1], 0
-    block = np.zeros(LARGEST_SIZE * (LARGEST_SIZE + 1) + EIGEN_SCRATCH)
-    a = raw(block)
-    scratch = beyond(a, LARGEST_SIZE * (LARGEST_SIZE + 1))
-    for m in range(matrices.shape[0]):
-        for i in range(n):
-            for j in range(n):
-                a[i * LARGEST_SIZE + j] = matrices[m, i, j]
-        lost = eigenvalues(a, n, LARGEST_SIZE, beyond(raw(re), m * n), beyond(raw(im), m * n), scratch)
-        missed[m] = lost
-        failures += int(lost > 0)
-    keep(block)
-    return failures

@@ -10,11 +10,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numba import types
-
-from kempe.kernels._jit import F2, I1, OUT2, OUT3, OUTI1, device, kernel, routine
-from kempe.kernels.eigen import EIGEN_SCRATCH, eigenvalues
+from kempe.kernels._jit import device, routine
+from kempe.kernels.eigen import EIGEN_SCRATCH, balance, hessenberg, shifted_qr
 from kempe.kernels.elimination_loop import (
     EQUATIONS,
     FANS_SIZE,
@@ -46,18 +43,17 @@ from kempe.kernels.elimination_pencil import (
     null_at_i,
     pivot_ratio,
 )
-from kempe.kernels.elimination_polish import polish, trace, wrapped
+from kempe.kernels.elimination_polish import polish, wrapped
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.scratch import beyond
-from kempe.kernels.vectors import keep, raw
 
 CANDIDATES = 24
-"""Candidates at most."""
+"""Candidates at most; 16 postures are possible."""
 
 ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE = 1, 2, 4, 8, 16, 32, 64, 128
 """Bits of `suspect`: an odd number of candidates; a pair of roots so nearly real that two postures may have been lost;
-eigenvalues not found; leading matrix nearly singular; more than two null vectors, or two that cannot be told apart;
-a real root that led to no posture; two real roots that led to the same; no equations at all."""
+eigenvalues not found; leading matrix nearly singular; more than two null vectors, two that cannot be told apart, or too
+many candidates; a real root that led to no posture; two that led to the same; no independent equations."""
 
 STEPS = 8
 """Newton steps of a candidate at most; two or three are usual."""
@@ -109,23 +105,8 @@ ELIMINATION_SCRATCH = FOUNDLINGS + FOUND * (CANDIDATES + 2)
 
 
 @routine
-def _zero_of(forms, m):
-    """Half the angle by which to move the hidden joint's zero so that the leading matrix is far from singular."""
-    best, chosen = -1.0, 0.0
-    for k in range(REFERENCES):
-        half = 0.35 + k * math.pi / REFERENCES
-        matrix_at(forms, -math.sin(half), math.cos(half), m)
-        ratio = pivot_ratio(m)
-        if ratio > best:
-            best, chosen = ratio, half
-        if ratio > GOOD_REFERENCE:
-            break
-    return chosen
-
-
-@routine
-def roots_of(kinds, lines, goal, formulation, w):
-    """(roots, half the angle of zero, suspicion); writes the roots t of the hidden joint, real and imaginary parts."""
+def matrix_of(kinds, lines, goal, formulation, w):
+    """(rows, half the angle of zero, pivot ratio); writes the matrix whose eigenvalues are the hidden joint's roots t."""
     table, forms, re, im = beyond(w, _TABLE), beyond(w, _FORMS), beyond(w, _RE), beyond(w, _IM)
     free, wide, m, fans = beyond(w, _FREE), beyond(w, _WIDE), beyond(w, _MATRIX), beyond(w, _FANS)
     arrange(kinds, lines, goal, formulation, w)
@@ -138,14 +119,19 @@ def roots_of(kinds, lines, goal, formulation, w):
         lost = LOST
     for i in range(SIZE if lost == 0 else 0):
         free[2 * i] = float(i)
-    half = _zero_of(forms, m)
+    half, best = 0.0, -1.0
+    for k in range(REFERENCES):
+        angle = 0.35 + k * math.pi / REFERENCES
+        matrix_at(forms, -math.sin(angle), math.cos(angle), m)
+        ratio = pivot_ratio(m)
+        if ratio > best:
+            half, best = angle, ratio
+        if ratio > GOOD_REFERENCE:
+            break
     ratio = lead(forms, math.cos(half), math.sin(half), free, SIZE - lost, wide)
-    if not ratio > NO_MATRIX:
-        return 0, half, UNUSABLE
-    companion(wide, re, im, free, lost, m)
-    count = 2 * (SIZE - lost)
-    missed = eigenvalues(m, count, STRIDE, beyond(w, _REAL_PARTS), beyond(w, _IMAGINARY_PARTS), beyond(w, _EIGEN))
-    return count, half, (NO_EIGENVALUES if missed > 0 else 0) | (0 if ratio > GOOD_LEAD else ILL_LEAD)
+    if ratio > NO_MATRIX:
+        companion(wide, re, im, free, lost, m)
+    return 2 * (SIZE - lost), half, ratio
 
 
 @device
@@ -156,7 +142,7 @@ def _coordinate(w, place, angle):
 
 @routine
 def _settle(kinds, lines, goal, found, count, work):
-    """1 if candidate `count` becomes a posture not yet among those before; 0 if it is among them, -1 if it is none."""
+    """1 if candidate `count` becomes a posture that is new, 0 if one of those before, -1 if it becomes none."""
     theta = beyond(found, FOUND * count)
     for j in range(6):
         theta[START + j] = theta[j]
@@ -196,7 +182,7 @@ def _vectors_at(u, w_, w):
     m, x, work = beyond(w, _MATRIX), beyond(w, _VECTORS), beyond(w, _WORK)
     size = 1.0 / math.sqrt(u * u + w_ * w_)
     matrix_at(beyond(w, _FORMS), u * size, w_ * size, m)
-    vectors, third, _ = null_vectors(m, beyond(w, _MASK), beyond(w, _FREE), x)
+    vectors, third = null_vectors(m, beyond(w, _MASK), beyond(w, _FREE), x)
     if vectors < 2:
         return vectors, 0
     vectors, separation = split(x, work)
@@ -205,18 +191,17 @@ def _vectors_at(u, w_, w):
 
 @routine
 def _posture(kinds, lines, goal, formulation, hidden_angle, k, theta, w):
-    """Spread of null vector k; writes the six coordinates that it and the hidden joint's angle give."""
+    """Write the six coordinates that null vector k and the hidden joint's angle give."""
     hidden, removed, work = hidden_of(formulation), removed_of(formulation), beyond(w, _WORK)
     place = TRIPLE + LINE_STRIDE * hidden
     theta[int(w[place + NUMBER])] = _coordinate(w, place, hidden_angle)
-    first, second, spread = angles_of(beyond(w, _VECTORS + ROW * k))
+    first, second = angles_of(beyond(w, _VECTORS + ROW * k))
     place = TRIPLE + LINE_STRIDE * (1 if hidden == 0 else 0)
     theta[int(w[place + NUMBER])] = _coordinate(w, place, first)
     place = TRIPLE + LINE_STRIDE * (1 if hidden == 2 else 2)
     theta[int(w[place + NUMBER])] = _coordinate(w, place, second)
     pair_of(w, theta, work)
     theta[removed] = removed_turn(kinds, lines, goal, removed, theta, work)
-    return spread
 
 
 @routine
@@ -228,8 +213,14 @@ def eliminate(kinds, lines, goal, formulation, w, out):
     `suspect` is 0 or tells by its bits (ODD and others) why postures may be missing: then another formulation may
     find them. What is not finite gives no candidates.
     """
-    n, half, suspect = roots_of(kinds, lines, goal, formulation, w)
-    found, work = beyond(w, FOUNDLINGS), beyond(w, _WORK)
+    n, half, ratio = matrix_of(kinds, lines, goal, formulation, w)
+    if not ratio > NO_MATRIX:
+        return 0, UNUSABLE
+    m, scratch, found, work = beyond(w, _MATRIX), beyond(w, _EIGEN), beyond(w, FOUNDLINGS), beyond(w, _WORK)
+    balance(m, n, STRIDE)
+    hessenberg(m, n, STRIDE, scratch)
+    missed = shifted_qr(m, n, STRIDE, beyond(w, _REAL_PARTS), beyond(w, _IMAGINARY_PARTS), scratch)
+    suspect = (NO_EIGENVALUES if missed > 0 else 0) | (0 if ratio > GOOD_LEAD else ILL_LEAD)
     count, c, s = 0, math.cos(half), math.sin(half)
     for i in range(n):
         t, y = w[_REAL_PARTS + i], w[_IMAGINARY_PARTS + i]
@@ -241,6 +232,7 @@ def eliminate(kinds, lines, goal, formulation, w, out):
         suspect |= doubt
         for k in range(vectors):
             if count == CANDIDATES:
+                suspect |= ILL_NULL
                 break
             theta = beyond(found, FOUND * count)
             _posture(kinds, lines, goal, formulation, 2.0 * math.atan2(w_, u), k, theta, w)
@@ -258,34 +250,3 @@ def eliminate(kinds, lines, goal, formulation, w, out):
         for j in range(6):
             out[6 * k + j] = found[FOUND * k + j]
     return count, suspect | (ODD if count % 2 == 1 else 0)
-
-
-@kernel(types.int64(I1, F2, F2, types.int64, OUT3, OUTI1, OUTI1, OUT2))
-def eliminate_each(kinds, lines, goals, formulation, thetas, counts, suspects, errors):
-    """Number of suspect goals."""
-    block = np.zeros(ELIMINATION_SCRATCH + 6 * CANDIDATES)
-    w = raw(block)
-    out = beyond(w, ELIMINATION_SCRATCH)
-    n = 0
-    for g in range(goals.shape[0]):
-        count, suspect = eliminate(raw(kinds), raw(lines), beyond(raw(goals), 12 * g), formulation, w, out)
-        n += int(suspect != 0)
-        counts[g], suspects[g] = count, suspect
-        for k in range(min(count, thetas.shape[1])):
-            for j in range(6):
-                thetas[g, k, j] = out[6 * k + j]
-            errors[g, k] = block[FOUNDLINGS + FOUND * k + 6]
-    keep(block)
-    return n
-
-
-@kernel(types.int64(I1, F2, F2, OUT2))
-def reach(kinds, lines, thetas, goals):
-    """forward"""
-    block = np.zeros(128)
-    for g in range(goals.shape[0]):
-        trace(raw(kinds), raw(lines), beyond(raw(thetas), 6 * g), raw(block))
-        for j in range(12):
-            goals[g, j] = block[48 + j]
-    keep(block)
-    return 0

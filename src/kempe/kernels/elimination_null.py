@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from kempe.kernels._jit import device, routine
-from kempe.kernels.elimination_pencil import FLOOR, HALF, ONE_THIRD, ROW, SIZE, largest_entry
+from kempe.kernels.elimination_pencil import FLOOR, ROOT_1_2, ROOT_1_3, ROW, SIZE, largest_entry
 from kempe.kernels.scratch import beyond
 from kempe.kernels.vectors import LANES, load_lanes, store
 
@@ -38,7 +38,7 @@ def _vector(m, order, steps, column, x):
 
 @routine
 def null_vectors(m, mask, order, x):
-    """(vectors, third and second last pivot over the first); writes one null vector, or two at x and x + ROW.
+    """(vectors, third last pivot over the first); writes one null vector, or two at x and x + ROW.
 
     Gauss-Jordan elimination with complete pivoting of m (12 rows of stride ROW, lost). The matrix is known to be
     singular: a second vector is written where the last but one pivot is below ALIKE. mask: 2 ROW numbers; order: 2 SIZE.
@@ -61,7 +61,7 @@ def null_vectors(m, mask, order, x):
             order[2 * k] = float(column)
             break
         if not size > 0.0:
-            return 0, 0.0, 0.0
+            return 0, 0.0
         order[2 * k], order[2 * k + 1] = float(column), float(row)
         mask[column], mask[ROW + row] = 0.0, 0.0
         _clear(m, row, column)
@@ -70,56 +70,45 @@ def null_vectors(m, mask, order, x):
         if mask[c] != 0.0:
             column = c
     _vector(m, order, SIZE - vectors, column, x)
-    return vectors, third / first, second / first
-
-
-@device
-def _direction(a, b, d):
-    """(angle, spread) of vectors (u, w) along one line, a = sum u u, b = sum u w, d = sum w w: twice its angle.
-
-    The spread is 0 where all lie on the line, 1 where they have no direction.
-    """
-    size = a + d
-    along = math.sqrt((a - d) * (a - d) + 4.0 * b * b)
-    return math.atan2(2.0 * b, a - d), 1.0 - along / size if size > 0.0 else 1.0
+    return vectors, third / first
 
 
 @routine
 def angles_of(x):
-    """(angle of a, angle of b, spread) that the null vector x stands for; slides as 2 atan d.
+    """(angle of a, angle of b) that the null vector x stands for; slides as 2 atan d.
 
-    x[3 i + j] is (u^3, sqrt(3) u^2 w, sqrt(3) u w^2, w^3)_i of joint a times (u^2, sqrt(2) u w, w^2)_j of b.
+    Vectors (u, w) along one line have a = sum u u, b = sum u w, d = sum w w; (a - d, 2 b) points to twice its angle. So
+    the direction is a mean of all ratios, and none is divided out: a joint at pi is as good as any other. x[3 i + j] is (u^3, sqrt(3) u^2 w, sqrt(3) u w^2, w^3)_i of joint a times (u^2, sqrt(2) u w, w^2)_j of b.
     """
     a = b = d = 0.0
     for j in range(3):
-        m0, m1, m2, m3 = x[j], ONE_THIRD * x[3 + j], ONE_THIRD * x[6 + j], x[9 + j]
+        m0, m1, m2, m3 = x[j], ROOT_1_3 * x[3 + j], ROOT_1_3 * x[6 + j], x[9 + j]
         a += m0 * m0 + 2.0 * m1 * m1 + m2 * m2
         b += m0 * m1 + 2.0 * m1 * m2 + m2 * m3
         d += m1 * m1 + 2.0 * m2 * m2 + m3 * m3
-    first, spread_a = _direction(a, b, d)
+    first = math.atan2(2.0 * b, a - d)
     a = b = d = 0.0
     for i in range(4):
-        n0, n1, n2 = x[3 * i], HALF * x[3 * i + 1], x[3 * i + 2]
+        n0, n1, n2 = x[3 * i], ROOT_1_2 * x[3 * i + 1], x[3 * i + 2]
         a += n0 * n0 + n1 * n1
         b += n0 * n1 + n1 * n2
         d += n1 * n1 + n2 * n2
-    second, spread_b = _direction(a, b, d)
-    return first, second, max(spread_a, spread_b)
+    return first, math.atan2(2.0 * b, a - d)
 
 
 @device
 def _entry_of_a(x, i, j):
     """(u part, w part) of null vector x at place i < 3 of joint a's cubic form, j < 3 of b's quadratic form."""
-    left = x[3 * i + j] if i == 0 else ONE_THIRD * x[3 * i + j]
-    right = x[3 * i + 3 + j] if i == 2 else ONE_THIRD * x[3 * i + 3 + j]
+    left = x[3 * i + j] if i == 0 else ROOT_1_3 * x[3 * i + j]
+    right = x[3 * i + 3 + j] if i == 2 else ROOT_1_3 * x[3 * i + 3 + j]
     return left, right
 
 
 @device
 def _entry_of_b(x, i, j):
     """(u part, w part) of null vector x at place i < 4 of joint a's cubic form, j < 2 of b's quadratic form."""
-    left = x[3 * i] if j == 0 else HALF * x[3 * i + 1]
-    right = HALF * x[3 * i + 1] if j == 0 else x[3 * i + 2]
+    left = x[3 * i] if j == 0 else ROOT_1_2 * x[3 * i + 1]
+    right = ROOT_1_2 * x[3 * i + 1] if j == 0 else x[3 * i + 2]
     return left, right
 
 

@@ -43,7 +43,7 @@ LOST_FLOOR = 1e-6
 FLOOR = 1e-300
 """What pivots are compared with where all is zero."""
 
-ONE_THIRD, TWO_THIRDS, HALF = math.sqrt(1.0 / 3.0), math.sqrt(2.0 / 3.0), math.sqrt(0.5)
+ROOT_1_3, ROOT_2_3, ROOT_1_2 = math.sqrt(1.0 / 3.0), math.sqrt(2.0 / 3.0), math.sqrt(0.5)
 
 
 @device
@@ -81,17 +81,17 @@ def assemble(table, loop, hidden, forms):
                 _forms(t, i * as_ + j * bs, hs, slides_h, 1.0)
         for i in range(3):
             for j in range(3):
-                _forms(t, i * hs + j * bs, as_, slides_a, HALF)
+                _forms(t, i * hs + j * bs, as_, slides_a, ROOT_1_2)
         for i in range(3):
             for j in range(3):
-                _forms(t, i * hs + j * as_, bs, slides_b, HALF)
+                _forms(t, i * hs + j * as_, bs, slides_b, ROOT_1_2)
         for i in range(3):
             m = beyond(forms, i * SIZE * ROW + e * ROW)
             for j in range(3):
                 c0, c1, c2 = t[i * hs + j * bs], t[i * hs + as_ + j * bs], t[i * hs + 2 * as_ + j * bs]
-                m[j], m[3 + j], m[6 + j] = c0, TWO_THIRDS * c1, ONE_THIRD * c2
+                m[j], m[3 + j], m[6 + j] = c0, ROOT_2_3 * c1, ROOT_1_3 * c2
                 n = 6 * ROW + j
-                m[n + 3], m[n + 6], m[n + 9] = ONE_THIRD * c0, TWO_THIRDS * c1, c2
+                m[n + 3], m[n + 6], m[n + 9] = ROOT_1_3 * c0, ROOT_2_3 * c1, c2
 
 
 @device

@@ -51,56 +51,62 @@ def _credit(kinds, theta, w, count):
 
 
 @routine
-def credit_of(kinds, lines, formulation, first, last, w, out):
-    """Sum of the credits for postures first to last - 1; a suspect answer earns half, a second miss ends it with 0."""
-    sum_, misses = 0.0, 0
-    goal = beyond(out, 6 * CANDIDATES)
-    theta = beyond(goal, 12)
-    work = beyond(theta, 6)
-    for i in range(first, last):
-        key = mix(mix(np.uint64(0), np.uint64(i)), np.uint64(0))
-        for j in range(6):
-            x = 2.0 * unit(mix(key, np.uint64(j))) - 1.0
-            theta[j] = x if kinds[j] == SLIDE else math.pi * x
-        trace(kinds, lines, theta, work)
-        for j in range(12):
-            goal[j] = work[POSE + j]
-        count, suspect = eliminate(kinds, lines, goal, formulation, w, out)
-        credit = _credit(kinds, theta, w, count)
-        misses += int(credit == 0.0)
-        if misses > 1:
-            return 0.0
-        sum_ += credit if suspect == 0 else 0.5 * credit
-    return sum_
+def _known(kinds, lines, i, theta, goal, work):
+    """Write posture i and the goal that it reaches."""
+    key = mix(mix(np.uint64(0), np.uint64(i)), np.uint64(0))
+    for j in range(6):
+        x = 2.0 * unit(mix(key, np.uint64(j))) - 1.0
+        theta[j] = x if kinds[j] == SLIDE else math.pi * x
+    trace(kinds, lines, theta, work)
+    for j in range(12):
+        goal[j] = work[POSE + j]
+
+
+@device
+def _best(scores):
+    """The formulation with the highest score."""
+    best = 0
+    for f in range(1, FORMULATIONS):
+        if scores[f] > scores[best]:
+            best = f
+    return best
 
 
 @kernel(types.int64(I1, F2, OUT1))
 def score(kinds, lines, scores):
     """Number of formulations with a score above 0.
 
-    kinds: (6,). lines: (6, LINE_STRIDE). scores: (FORMULATIONS,), 0 (useless) to 1.
+    kinds: (6,). lines: (6, LINE_STRIDE). scores: (FORMULATIONS,), 0 (useless) to 1: the mean credit, where a suspect
+    answer earns half, and a second miss ends the trial with 0.
     """
     block = np.zeros(ELIMINATION_SCRATCH + 6 * CANDIDATES + 18 + POLISH_SIZE)
-    w, k, h = raw(block), raw(kinds), raw(lines)
+    w, k, h, s = raw(block), raw(kinds), raw(lines), raw(scores)
     out = beyond(w, ELIMINATION_SCRATCH)
-    for f in range(FORMULATIONS):
-        useless = kinds[removed_of(f)] == SLIDE
-        scores[f] = 0.0 if useless else credit_of(k, h, f, 0, FIRST, w, out) / FIRST
-        scores[f] *= 1.0 if hidden_of(f) == 0 else FAVOUR
-    for _ in range(BEST):
-        f = 0
-        for i in range(1, FORMULATIONS):
-            if scores[i] > scores[f]:
-                f = i
-        if not scores[f] > 0.0:
+    goal = beyond(out, 6 * CANDIDATES)
+    theta, work = beyond(goal, 12), beyond(goal, 18)
+    for trial in range(FORMULATIONS + BEST):
+        again = trial >= FORMULATIONS
+        f = _best(s) if again else trial
+        if again and not s[f] > 0.0:
             break
-        more = credit_of(k, h, f, FIRST, FIRST + SECOND, w, out)
-        more *= 1.0 if hidden_of(f) == 0 else FAVOUR
-        # negative: tried on all
-        scores[f] = -(scores[f] * FIRST + more) / (FIRST + SECOND) if more > 0.0 else 0.0
+        sum_, misses = 0.0, 2 if k[removed_of(f)] == SLIDE else 0
+        first, last = (FIRST, FIRST + SECOND) if again else (0, FIRST)
+        for i in range(first, last):
+            if misses > 1:
+                break
+            _known(k, h, i, theta, goal, work)
+            count, suspect = eliminate(k, h, goal, f, w, out)
+            credit = _credit(k, theta, w, count)
+            misses += int(credit == 0.0)
+            sum_ += credit if suspect == 0 else 0.5 * credit
+        sum_ *= 0.0 if misses > 1 else (1.0 if hidden_of(f) == 0 else FAVOUR)
+        if again:  # negative: tried on all postures
+            s[f] = -(s[f] * FIRST + sum_) / (FIRST + SECOND) if sum_ > 0.0 else 0.0
+        else:
+            s[f] = sum_ / FIRST
     useful = 0
     for f in range(FORMULATIONS):
-        scores[f] = -scores[f] if scores[f] < 0.0 else HASTY * scores[f]
-        useful += int(scores[f] > 0.0)
+        s[f] = -s[f] if s[f] < 0.0 else HASTY * s[f]
+        useful += int(s[f] > 0.0)
     keep(block)
     return useful

@@ -6,7 +6,7 @@ import numpy as np
 from numba import types
 
 from kempe.kernels._jit import F1, F2, F3, I1, OUT3, OUTI2, kernel, routine
-from kempe.kernels.analytic_layout import FORMS, INFO, N_FORMS, N_JOINTS, ORDER
+from kempe.kernels.analytic_layout import FORMS, INFO, N_FORMS, N_JOINTS, ORDER, REST, ROLES
 from kempe.kernels.closed import CANDIDATE, SAMPLE
 from kempe.kernels.closed import SLOT as CANDIDATE_SLOT
 from kempe.kernels.desk import begin, desk_of, desk_scratch, end, take_candidates
@@ -43,8 +43,14 @@ def eliminated(d, scratch, thetas):
 
 @routine
 def mark_fold(d, count):
-    """Whether an odd number of solutions is explained: one of them is where two roots have merged; it counts twice."""
+    """Whether an odd number of solutions is explained: one of them is where two roots have merged; it counts twice.
+
+    Where lines must stay at rest, most roots are no solutions, and any number is right.
+    """
     total, folds, at = 0.0, 0, 0
+    for i in range(6):
+        if d.ints[ROLES + i] == REST:
+            return True
     for k in range(count):
         row = beyond(d.found.rows, (SOLUTION + d.n) * k)
         total += row[TURNS]

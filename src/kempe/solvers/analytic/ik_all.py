@@ -236,6 +236,7 @@ def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Ar
             raise InputError(
                 f"{lines.names[i]} is held at values of shape {given.shape}; it must be a number or {lead}"
             ) from None
+    out = np.ascontiguousarray(out)
     if not np.isfinite(out[:, list(plan.locked)]).all() and not math.prod(question.lead or (2,)) > 1:
         raise InputError("a joint is held at a value that is not finite")
     return out

@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 
+NOISE = 1e-12
+"""Distances of axes, relative to those of their points and of the base, that are rounding: such axes meet."""
+
+
 @dataclass(frozen=True, eq=False)
 class Lines:
     """A serial chain T(theta) = E_1 ... E_n M, each joint a turn about a line or a slide along its direction.
@@ -117,7 +121,8 @@ def _unit_of(kinds: np.ndarray, h: Array, o: Array) -> tuple[Array, float]:
     away = np.linalg.norm(free - h * np.sum(h * free, axis=-1)[:, None], axis=-1)
     steps = [_apart(h[i], o[i], h[i + 1], o[i + 1]) for i in range(len(h) - 1)]
     size = max(sum(steps), float(away.max()))
-    return origin, size if size > 0.0 and math.isfinite(size) else 1.0
+    noise = NOISE * max(float(np.linalg.norm(x)) for x in (free, origin))
+    return origin, size if size > noise and math.isfinite(size) else 1.0
 
 
 def _apart(h: Array, o: Array, g: Array, p: Array) -> float:
