@@ -21,7 +21,7 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     )  # fmt: skip
     code, position, angle, starts, steps = (np.asarray(x)[index].item() for x in figures)
     if code == SOLVED:
-        work = f"{_count(steps, 'step')}, {_count(starts, 'start')}"
+        work = f"{_count(steps, 'step')}, {_count(starts, 'start')}" if starts else "analytically"
         return f"reached: position error {position:.1e} m{_angle(task, angle)} ({work})"
     if code == BAD_INPUT:
         return "target or seed is not a finite pose"

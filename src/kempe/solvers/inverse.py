@@ -75,7 +75,7 @@ class Task:
 def ik(
     system: System, target: ArrayLike, frame: FrameLike, seed: Any = None, *, position_only: bool = False,
     tolerance: tuple[float, float] = TOLERANCE, starts: int = STARTS, rng: int | np.random.Generator = 0,
-    threads: int | None = None, throw: bool = False,
+    threads: int | None = None, throw: bool = False, method: str = "numeric",
 ) -> Solution:  # fmt: skip
     """A configuration in which `frame` reaches `target` (the inverse geometric model), always inside the limits.
 
@@ -89,7 +89,9 @@ def ik(
     `NoSolutionError` instead. A NaN in a single target is an `InputError`, in a batch it gives a NaN row. Systems whose
     loops or relations involve the frame's joints are refused (`UnsupportedError`).
 
-    Method: damped least squares with an active set of limits and restarts (Sugihara, 2011; Chan and Lawrence, 1988).
+    `method`: "numeric", damped least squares with an active set of limits and restarts (Sugihara, 2011; Chan and
+    Lawrence, 1988); "analytic", of all solutions that `ik_all` finds the one nearest to `seed`; "auto", that where the
+    chain allows it, else numeric. Targets that have no analytic solution inside the limits get the numeric answer.
     """
     name = system.frame_name(frame)
     chain = chain_of(system, name)
@@ -99,7 +101,15 @@ def ik(
         mask = _of_particle(targets, name)
     base, seeds = _seeds(system, chain, seed, lead)
     task = Task(system, name, targets, mask, _tolerance(tolerance), start_count(starts), seed_number(rng), chain)
-    q, residual, info = run(task, seeds, threads)
+    plan = None
+    if method != "numeric":
+        from kempe.solvers.analytic import hand_over
+
+        plan = hand_over.plan_of(task, method)
+    if plan is None:
+        q, residual, info = run(task, seeds, threads)
+    else:
+        q, residual, info = hand_over.answer(task, plan, base, seeds, threads)
     full = np.empty((len(targets), system.nq))
     full[:] = base
     full[:, chain.q_index] = q

@@ -16,7 +16,7 @@ from kempe.kernels import analytic_layout as A
 from kempe.kernels.vectors import LANES
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers.analytic.lines import Lines, lines_of
-from kempe.solvers.analytic.plan import Plan, free_lines, freedoms, kernel_of, make
+from kempe.solvers.analytic.plan import Plan, free_lines, freedoms, kernel_of, make, side_by_side_of
 from kempe.solvers.analytic.question import (
     Z_AXIS,
     Question,
@@ -185,7 +185,6 @@ def solve(
 
         search(question, plan, chain_near, locked, out, counts)
         return Solutions(question, plan, base, out, counts, question.lead)
-    kernel = kernel_of(plan)
     side_by_side = side_by_side_of(plan) if len(locked) == 1 or not plan.locked else None
     if side_by_side and not plan.locked:
         locked = locked[:1]
@@ -200,21 +199,13 @@ def solve(
                 return 0
             which = which[:left].copy()
         held_at = locked[i:j] if len(locked) > 1 else locked
-        kernel(plan.ints, plan.floats, targets[i:j], some, held_at, question.tolerance, question.tolerance,
+        kernel_of(plan)(
+               plan.ints, plan.floats, targets[i:j], some, held_at, question.tolerance, question.tolerance,
                int(single), which, out[i:j], counts[i:j])  # fmt: skip
         return 0
 
     over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
     return Solutions(question, plan, base, out, counts, question.lead)
-
-
-def side_by_side_of(plan: Plan) -> Callable[..., int] | None:
-    """The kernel that solves many targets side by side, None where the plan is not made for it."""
-    if not plan.side_by_side:
-        return None
-    from kempe.kernels.closed_blocks import closed_side_by_side  # compiled only where it is needed
-
-    return closed_side_by_side
 
 
 def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Array]) -> Array:

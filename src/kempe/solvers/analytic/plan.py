@@ -11,7 +11,6 @@ import numpy as np
 
 from kempe import spatial
 from kempe.kernels import analytic_layout as A
-from kempe.kernels.all_solutions import closed
 from kempe.kernels.layout import SLIDE, TURN
 from kempe.kernels.outer import X_FIRST, Z_FIRST
 from kempe.solvers.analytic.lines import Lines
@@ -103,6 +102,13 @@ def sweep(lines: Lines, theta: Array) -> tuple[Array, Array, Array]:
     T = np.zeros((m, 4, 4))
     T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R @ lines.tip[:3, :3], R @ lines.tip[:3, 3] + p, 1.0
     return T, h, o
+
+
+def ground_poses(lines: Lines, q: Array) -> Array:
+    """Tip poses (m, 4, 4) in the ground frame, in metres, at coordinates q (m, n)."""
+    T = sweep(lines, lines.theta(q))[0]
+    T[:, :3, 3] = T[:, :3, 3] * lines.length + lines.origin
+    return T
 
 
 def jacobians(lines: Lines, theta: Array) -> Array:
@@ -252,10 +258,21 @@ def _by_elimination(
 def kernel_of(plan: Plan) -> Callable[..., None]:
     """The kernel that carries out a plan."""
     if plan.method == "elimination":
-        from kempe.kernels.general import general
+        from kempe.kernels.general import general  # each is compiled only where it is needed
 
         return general
+    from kempe.kernels.all_solutions import closed
+
     return closed
+
+
+def side_by_side_of(plan: Plan) -> Callable[..., int] | None:
+    """The kernel that solves many targets side by side, None where the plan is not made for it."""
+    if not plan.side_by_side:
+        return None
+    from kempe.kernels.closed_blocks import closed_side_by_side
+
+    return closed_side_by_side
 
 
 def _parts(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
@@ -328,13 +345,16 @@ def _works(plan: Plan) -> bool:
     lines, rng = plan.lines, np.random.default_rng(3)
     theta = spread(lines, rng, TRIALS)
     q = (theta - lines.gauge) / lines.multiplier
-    targets = sweep(lines, theta)[0]
-    targets[:, :3, 3] = targets[:, :3, 3] * lines.length + lines.origin
     n = len(lines)
-    out, count = np.empty((TRIALS, A.SLOTS, n + A.INFO)), np.empty((TRIALS, 2), dtype=np.int64)
     floats = plan.floats.copy()  # limits do not matter here
     floats[-A.JOINT_FLOATS * n :].reshape(n, -1)[:, A.LOW :] = -np.inf, np.inf
-    kernel_of(plan)(plan.ints, floats, targets, q, q, 1e-9, 1e-9, 0, np.arange(TRIALS), out, count)
+    out, numbers, kernel = np.empty((TRIALS, plan.slots, n + A.INFO)), np.arange(TRIALS), side_by_side_of(plan)
+    if kernel is not None:
+        q[:, list(plan.locked)] = q[0, list(plan.locked)]
+        kernel(plan.ints, floats, ground_poses(lines, q), q, q[:1], 0, out, numbers)
+    else:
+        counts = np.empty((TRIALS, 2), dtype=np.int64)
+        kernel_of(plan)(plan.ints, floats, ground_poses(lines, q), q, q, 1e-9, 1e-9, 0, numbers, out, counts)
     off = np.where(out[..., n + A.CODE] >= 0.0, np.abs(out[..., :n] - q[:, None]).max(axis=-1), np.inf)
     near = off.min(axis=1)
     return bool(np.mean(near < 1e-6) > 0.8)

@@ -239,7 +239,20 @@ class Solutions:
             rows = inside_rows(rows, self.single)
         if expand_turns:
             rows = expanded(rows, self.plan.lines)
-        return Solutions(self.question, self.plan, self._base, rows, self._counts, self._lead)
+        return Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead)
+
+    def along(self) -> Solutions:
+        """The same batch with its rows in the order in which branches continue along the last axis of the targets.
+
+        Where branches have names (`branch`), rows do so already; others are matched by the smallest change of the
+        joints from one target to the next. A branch that ends leaves its row to the next one that begins.
+        """
+        from kempe.solvers.analytic.turns import followed
+
+        if self._lead is None or not self._lead:
+            return self
+        rows = followed(self._rows, self.plan.lines, self._lead[-1])
+        return Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead)
 
     # ---- as a sequence
 

@@ -1,4 +1,4 @@
-"""Rows of an answer chosen by limits: every turn inside them, or only what is inside."""
+"""Rows of an answer chosen or ordered: every turn inside the limits, only what is inside, branches that continue."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from kempe.kernels import analytic_layout as A
 from kempe.kernels.layout import SLIDE
 from kempe.solvers.analytic.lines import Lines
 from kempe.spatial import Array
+
+NEW = 1e3
+"""Change of the joints that is as bad as the beginning of a branch."""
 
 MOST_ROWS = 20_000
 """Rows of one target, at most: limits of many turns multiply."""
@@ -56,3 +59,25 @@ def expanded(rows: Array, lines: Lines) -> Array:
         used = rows[..., -A.INFO + A.CODE] >= 0.0
         rows = rows[:, : max(int(used.sum(axis=1).max(initial=0)), 1)]
     return rows
+
+
+def followed(rows: Array, lines: Lines, length: int) -> Array:
+    """The rows (N, K, n + 2) of trajectories of `length` targets, each in the place of the one that it continues."""
+    from scipy.optimize import linear_sum_assignment
+
+    out, n = rows.copy(), len(lines)
+    unit = np.abs(lines.multiplier)
+    period = np.where(lines.kinds == SLIDE, np.inf, 2.0 * math.pi / unit)
+    for first in range(0, len(rows), max(length, 1)):
+        last = np.full((rows.shape[1], n), np.nan)  # where each place was last in use
+        for i in range(first, min(first + length, len(rows))):
+            used = out[i, :, n + A.CODE] >= 0.0
+            with np.errstate(invalid="ignore"):
+                d = out[i, None, :, :n] - last[:, None]
+                d = np.where(np.isinf(period), d, d - period * np.round(d / period))
+                cost = np.linalg.norm(d * unit, axis=-1)
+            cost = np.where(used, np.where(np.isnan(cost), NEW, np.minimum(cost, NEW)), 2.0 * NEW)
+            _, order = linear_sum_assignment(cost)
+            out[i] = out[i, order]
+            last = np.where((out[i, :, n + A.CODE] >= 0.0)[:, None], out[i, :, :n], last)
+    return out

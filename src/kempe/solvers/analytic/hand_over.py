@@ -1,0 +1,72 @@
+"""Where `ik` is answered by `ik_all`: the nearest of all solutions, and numbers for the rest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kempe import spatial
+from kempe.errors import InputError, UnsupportedError
+from kempe.solvers.analytic.ik_all import TOLERANCE, chain_lines, plan_for, solve
+from kempe.solvers.analytic.plan import Plan
+from kempe.solvers.analytic.question import Z_AXIS, Question
+from kempe.solvers.inverse import POSE, POSITION, Task, run
+from kempe.solvers.solution import SOLVED
+from kempe.spatial import Array
+
+METHODS = ("numeric", "analytic", "auto")
+
+
+def plan_of(task: Task, method: str) -> Plan | None:
+    """The plan that answers a task, None where numbers have to. Errors: `InputError`, `UnsupportedError`."""
+    if method not in METHODS:
+        raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
+    name = {POSE: "pose", POSITION: "position"}[task.mask]
+    try:
+        plan = plan_for(task.system, task.frame, chain_lines(task.system, task.frame, Z_AXIS), name, Z_AXIS, ())
+    except UnsupportedError:
+        if method == "analytic":
+            raise
+        return None
+    if plan.method != "search" and not plan.locked:
+        return plan
+    if method == "analytic":
+        why = "has more joints than the task needs" if plan.locked else "has neither a closed form nor an elimination"
+        raise UnsupportedError(f"the chain of {task.frame!r} {why}: method 'analytic' has no single answer for it")
+    return None
+
+
+def answer(task: Task, plan: Plan, near: Array, seeds: Array, threads: int | None) -> tuple[Array, Array, np.ndarray]:
+    """As `inverse.run`: the solution inside the limits nearest to `near` (1 or N, nq); where there is none, numbers."""
+    n, chain = len(task.targets), task.chain
+    name = "pose" if task.mask == POSE else "position"
+    question = Question(task.system, task.frame, name, Z_AXIS, task.targets, (n,), min(*task.tolerance, TOLERANCE))
+    found = solve(question, plan, near, {}, threads)
+    own, inside = found._rows[..., : len(plan.lines)], found.inside
+    unit = np.abs(plan.lines.multiplier)
+    away = np.where(inside, np.linalg.norm((own - near[:, None, plan.lines.q_index]) * unit, axis=-1), np.inf)
+    best = np.argmin(away, axis=1)
+    there = inside.any(axis=1)
+    q, residual = np.empty((n, len(chain.q_index))), np.zeros((n, 2))
+    info = np.zeros((n, 3), dtype=np.int64)
+    at = {int(x): i for i, x in enumerate(plan.lines.q_index)}
+    q[:] = own[np.arange(n), best][:, [at[int(x)] for x in chain.q_index]]
+    _measure(task, near, q, there, residual)
+    info[:, 0] = SOLVED
+    rest = np.flatnonzero(~there)
+    if len(rest):
+        some = seeds[rest] if len(seeds) > 1 else seeds
+        q[rest], residual[rest], info[rest] = run(task, some, threads, targets=task.targets[rest])
+    return q, residual, info
+
+
+def _measure(task: Task, near: Array, q: Array, there: np.ndarray, residual: Array) -> None:
+    """Fill in the errors of position [m] and orientation [rad] of what was found, by the forward model."""
+    if not there.any():
+        return
+    full = np.array(np.broadcast_to(near, (len(q), task.system.nq)))
+    full[:, task.chain.q_index] = q
+    X, T = task.system.fk(full[there], task.frame), task.targets[there]
+    residual[there, 0] = np.linalg.norm(X[:, :3, 3] - T[:, :3, 3], axis=-1)
+    if task.mask == POSE:
+        turn = np.swapaxes(X[:, :3, :3], 1, 2) @ T[:, :3, :3]
+        residual[there, 1] = np.linalg.norm(spatial.log_so3(turn), axis=-1)
