@@ -23,7 +23,10 @@ LECTURE = {
     "two_link", "two_link_pose", "unreachable", "seven_bodies", "seven_bodies_loop", "four_links", "slider", "car",
     "ball",
 }  # fmt: skip
-ROBOTS = {"puma560", "ur5", "cobra600", "stanford", "panda"}
+ROBOTS = {
+    "puma560", "ur5", "cobra600", "stanford", "panda", "ur10e", "irb6640", "jaco2", "crx10ia", "hc10", "xarm6", "gen3",
+    "gen3_lite", "iiwa14", "so101", "youbot",
+}  # fmt: skip
 LINKAGES = {mechanism.name for mechanism in (*PLANAR, *SPATIAL)}
 
 
@@ -148,6 +151,39 @@ def test_toolbox_agrees():
         np.testing.assert_allclose(robot.limits[limited], np.asarray(other.qlim).T[limited], rtol=1e-15)
 
 
+def test_toolbox_agrees_on_the_jaco():
+    """Its table has the lengths of an older edition, and Kinova's angles."""
+    rtb = pytest.importorskip("roboticstoolbox")
+    other = rtb.models.DH.Jaco()
+    robot = kempe.load("jaco2").with_parameters(D4=0.0743, D5=0.0743, D6=0.1687)
+    for q in robot.random(0, 5):
+        np.testing.assert_allclose(robot.fk(q, "tool"), other.fkine(q).A, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "name, frame, q, rotation, position",
+    [
+        ("ur10e", "tool", "up", None, (0, -0.17415 - 0.11655, 0.1807 + 0.6127 + 0.57155 + 0.11985)),
+        ("iiwa14", "tool", None, np.eye(3), (0, 0, 0.36 + 0.42 + 0.4 + 0.126)),
+        ("irb6640", "tool0", None, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], (0.32 + 1.392 + 0.2, 0, 0.78 + 1.075 + 0.2)),
+        ("crx10ia", "tool0", None, [[0, 0, 1], [0, -1, 0], [1, 0, 0]], (0.54 + 0.16, -0.15, 0.245 + 0.54)),
+        ("hc10", "tool0", None, np.diag([1, -1, -1]), (0, 0.162, 0.275 + 0.7 - 0.5 - 0.13)),
+        ("xarm6", "tool", None, np.diag([1, -1, -1]), (0.0535 + 0.0775 + 0.076, 0, 0.267 + 0.2845 - 0.3425 - 0.097)),
+        ("gen3", "tool", None, np.eye(3), (0, -0.005375 - 3 * 0.006375 - 2 * 0.00017505,
+            0.15643 + 0.12838 + 2 * 0.21038 + 0.20843 + 2 * 0.10593 + 0.061525)),
+        ("gen3_lite", "tool", None, np.eye(3), (0.057, -0.01, 0.12825 + 0.115 + 0.28 + 0.14 + 0.105 + 0.105)),
+        ("youbot", "tool", "candle", np.eye(3), (0.024 + 0.033 - 0.002, 0, 0.096 + 0.019 + 0.155 + 0.135 + 0.13)),
+    ],
+)  # fmt: skip
+def test_robots_stretched(name, frame, q, rotation, position):
+    """Postures in which the lengths of the data sheet add up."""
+    robot = kempe.load(name)
+    X = robot.fk(robot.posture(q) if q else robot.neutral, frame)
+    if rotation is not None:
+        np.testing.assert_allclose(X[:3, :3], rotation, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(X[:3, 3], position, rtol=0, atol=1e-14)
+
+
 def robot_file(name: str) -> str:
     folder = Path(sys.prefix) / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "site-packages"
     found = sorted(folder.glob(f"cmeel.prefix/share/example-robot-data/robots/**/{name}"))
@@ -163,6 +199,8 @@ def robot_file(name: str) -> str:
         ("panda", "panda.urdf", "panda_link0", "panda_hand_tcp", "panda_hand_tcp", 1e-12),
         # its maker's file writes pi/2 with twelve digits
         ("ur5", "ur5_robot.urdf", "base", "tool", "tool0", 1e-10),
+        # its maker's file writes right angles with six digits
+        ("so101", "so101.urdf", "base_link", "tool", "gripper_frame_link", 2e-5),
     ],
 )
 def test_pinocchio_agrees(name, file, base, ours, theirs, tolerance):
