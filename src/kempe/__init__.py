@@ -56,7 +56,11 @@ def warmup() -> float:
 
     start = time.perf_counter()
     import kempe.analysis.local
+    import kempe.kernels.all_solutions
+    import kempe.kernels.closed_blocks
     import kempe.kernels.dyads
+    import kempe.kernels.elimination_score
+    import kempe.kernels.general
     import kempe.kinematics.forward
     import kempe.solvers.assembly
     import kempe.solvers.inverse  # noqa: F401
