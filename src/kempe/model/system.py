@@ -183,6 +183,12 @@ class System(Compiled):
 
         return ik_sweep(self, target, frame, parameter, **options)
 
+    def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
+        """Arm angle (...) of a seven-joint arm with spherical shoulder and wrist; see `kempe.solvers.analytic.arm_angle`."""
+        from kempe.solvers.analytic.arm_angle import arm_angle
+
+        return arm_angle(self, q, frame, reference)
+
     # ---- closed loops
 
     def assemble(self, known: Mapping[str, Any] | None = None, near: Any = None, **options: Any) -> Assembly:
