@@ -184,7 +184,7 @@ class System(Compiled):
         return ik_sweep(self, target, frame, parameter, **options)
 
     def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
-        """Arm angle (...) of a seven-joint arm with spherical shoulder and wrist; see `kempe.solvers.analytic.arm_angle`."""
+        """Arm angle (...) of seven joints with spherical shoulder and wrist; see `kempe.solvers.analytic.arm_angle`."""
         from kempe.solvers.analytic.arm_angle import arm_angle
 
         return arm_angle(self, q, frame, reference)

@@ -20,7 +20,7 @@ def plan_of(task: Task, method: str) -> Plan | None:
     """The plan that answers a task, None where numbers have to. Errors: `InputError`, `UnsupportedError`."""
     if method not in METHODS:
         raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
-    name = {POSE: "pose", POSITION: "position"}[task.mask]
+    name = "position" if task.mask == POSITION else "pose"
     try:
         plan = plan_for(task.system, task.frame, chain_lines(task.system, task.frame, Z_AXIS), name, Z_AXIS, ())
     except UnsupportedError:
@@ -45,7 +45,7 @@ def answer(task: Task, plan: Plan, near: Array, seeds: Array, threads: int | Non
     unit = np.abs(plan.lines.multiplier)
     away = np.where(inside, np.linalg.norm((own - near[:, None, plan.lines.q_index]) * unit, axis=-1), np.inf)
     best = np.argmin(away, axis=1)
-    there = inside.any(axis=1)
+    there = np.asarray(inside.any(axis=1))
     q, residual = np.empty((n, len(chain.q_index))), np.zeros((n, 2))
     info = np.zeros((n, 3), dtype=np.int64)
     at = {int(x): i for i, x in enumerate(plan.lines.q_index)}

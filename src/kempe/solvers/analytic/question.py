@@ -70,8 +70,8 @@ def frame_of(z: Array) -> Array:
     z = np.asarray(z, dtype=float)
     other = np.where(np.abs(z[..., 2:3]) < 0.8, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
     x = np.cross(other, z)
-    x /= np.linalg.norm(x, axis=-1, keepdims=True)
-    return np.stack([x, np.cross(z, x), z], axis=-1)
+    x = x / np.sqrt((x * x).sum(axis=-1, keepdims=True))
+    return np.asarray(np.stack([x, np.cross(z, x), z], axis=-1), dtype=float)
 
 
 def targets_of(system: System, target: Any, task: str | None) -> tuple[Array, tuple[int, ...], bool]:

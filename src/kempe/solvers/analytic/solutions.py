@@ -185,7 +185,8 @@ class Solutions:
         """Families of each target, and the family of each row (-1: none)."""
         from kempe.solvers.analytic.families import families_of
 
-        weak = (self._used & (self._code % 4 >= 2)).any(axis=1) | (self.plan.locked != self.plan.fixed)
+        spare = self.plan.locked != self.plan.fixed
+        weak = [spare or bool(row.any()) for row in self._used & (self._code % 4 >= 2)]
         none: tuple[list[Family], np.ndarray] = ([], np.full(self._used.shape[1], -1))
         return [families_of(self, i) if weak[i] else none for i in range(len(weak))]
 
