@@ -61,8 +61,21 @@ Target = Annotated[
 ]
 PositionOnly = Annotated[bool, option("--position-only", "Leave the orientation free.")]
 Seed = Annotated[str | None, option("--seed", "Configuration to start from, as --q of fk.", "VALUES")]
-Rng = Annotated[int, option("--rng", "Number that fixes the random starts.", "N")]
-Tolerance = Annotated[str, option("--tolerance", "Largest errors accepted, metres and radians.", "M[,RAD]")]
+Rng = Annotated[int | None, option("--rng", "Number that fixes the random starts (0).", "N")]
+Tolerance = Annotated[
+    str | None,
+    option("--tolerance", "Largest errors accepted, metres and radians (1e-6; with --all 1e-9).", "M[,RAD]"),
+]
+_ALL = "All solutions"
+All = Annotated[bool, option("--all", "All configurations that reach the target, in closed form.", None, _ALL)]
+Task = Annotated[
+    str | None,
+    option("--task", "What counts: pose, position, orientation, direction or position_axis.", "TASK", _ALL),
+]
+Axis = Annotated[str | None, option("--axis", "Axis of the tool for the last two tasks (0,0,1).", "X,Y,Z", _ALL)]
+Hold = Annotated[
+    list[str] | None, option("--hold", "Hold a joint of a redundant chain; can be repeated.", "NAME=VALUE", _ALL)
+]
 
 
 # ---- what all commands share

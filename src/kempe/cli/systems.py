@@ -14,17 +14,11 @@ from kempe.cli.app import (
     Deg,
     Dirs,
     File,
-    Frame,
     FrameOrAll,
     Json,
     Out,
-    PositionOnly,
     Posture,
-    Rng,
     Root,
-    Seed,
-    Target,
-    Tolerance,
     Values,
     Xacro,
     app,
@@ -119,7 +113,7 @@ def convert(
         print(f"{mechanism.name} written to {out}")
 
 
-# ---- forward and inverse
+# ---- forward
 
 
 @app.command(rich_help_panel=OPEN)
@@ -155,42 +149,4 @@ def fk(
     if gap:
         remark(f"loops are open here, {gap}: kempe assemble closes them")
     if bad:
-        raise typer.Exit(INCOMPLETE)
-
-
-@app.command(rich_help_panel=OPEN)
-@guarded
-def ik(
-    file: File, frame: Frame, target: Target, position_only: PositionOnly = False, seed: Seed = None,
-    rng: Rng = 0, tolerance: Tolerance = "1e-6", deg: Deg = False, out: Out = None, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
-) -> None:  # fmt: skip
-    """Find a configuration that brings a frame to a pose (inverse model).
-
-    Example: kempe ik panda.urdf --frame panda_hand_tcp --target 0.4,0.1,0.5,180,0,0 --deg
-    """
-    system = load(file, base, root, package_dir, xacro)
-    from kempe.views import facts, report, rows
-
-    system.frame_name(frame)  # a wrong name is told before kernels are compiled
-    results(out)
-    X, position = rows.target(system, target, deg)
-    start = None if seed is None else rows.configuration(system, seed, None, deg)
-    answer = system.ik(
-        X,
-        frame,
-        seed=start,
-        position_only=position or position_only,
-        tolerance=rows.tolerance(tolerance),
-        rng=rng,
-    )
-    if out is not None:
-        rows.write_configurations(out, system, answer.q, deg)
-    if json:
-        print_json(facts.solution_facts(system, answer, deg))
-    else:
-        show(report.solution(system, answer, deg) if out is None else report.outcome(answer))
-        if out is not None:
-            told(out, json)
-    if not answer:
         raise typer.Exit(INCOMPLETE)

@@ -1,7 +1,8 @@
 """Eigenvalues of small real matrices: balancing, Hessenberg form, QR steps with two shifts.
 
-Up to some thirty rows the calls of a library cost more than the arithmetic. A matrix lies row by row at a stride
-that is a multiple of eight, with what follows a row free to be read and written: so rows are whole vectors.
+Up to some thirty rows the calls of a library cost more than the arithmetic. A matrix lies row by row at a stride that
+is a multiple of eight; what follows a row must be finite, is read and written, and means nothing: so rows are whole
+vectors.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ LIMIT = 200
 LARGEST_SIZE = 32
 """Rows at most."""
 
-TINY, HUGE = 1e-140, 1e140
-"""Between these, squares neither vanish nor overflow."""
+TINY, SMALL, LARGE, HUGE = 1e-140, 1e-60, 1e60, 1e140
+"""Between the outer two, squares neither vanish nor overflow; between the inner two, products of four."""
 
 SWEEPS = 8
 """Rounds of balancing at most; two or three are usual."""
@@ -146,7 +147,7 @@ def _qr_step(a, stride, low, high, x, y, w, numbers):
         # two small subdiagonal entries in a row: the step can start below them
         u = abs(a[m * stride + m - 1]) * (abs(q) + abs(r))
         v = abs(p) * (abs(a[(m - 1) * stride + m - 1]) + abs(z) + abs(a[(m + 1) * stride + m + 1]))
-        if u <= EPS * v:
+        if u < EPS * v:  # false where both are lost to underflow
             break
         m -= 1
     before = a[m * stride + m - 1] if m > low else 0.0
@@ -176,9 +177,10 @@ def _qr_step(a, stride, low, high, x, y, w, numbers):
 def _bulge(a, stride, low, high, k, f, g, h, u, v, numbers):
     """What the next reflection has to clear; applies 1 - (f, g, h)^T (1, u, v) at k, from both sides.
 
-    Rows k to k + 3, which the next step reads as vectors, are written as vectors: a vector read from memory just written
-    number by number would have to wait. So their part of the reflection from the right is computed beforehand, from
-    the corner that it needs. Columns left of k are zero there, those right of `high` are of no use.
+    Rows k to k + 3, which the next step reads as vectors, are written as vectors: a vector read from memory that was
+    just written number by number would have to wait. So their part of the reflection from the right is computed
+    beforehand, from the corner that it needs. Columns left of k are zero there or set by the caller, those right of
+    `high` are of no use.
     """
     i0 = k * stride + k
     i1, i2, i3 = i0 + stride, i0 + 2 * stride, i0 + 3 * stride
@@ -212,7 +214,7 @@ def _bulge(a, stride, low, high, k, f, g, h, u, v, numbers):
 
 @device
 def _pair(x, y, w):
-    """(real, real, imaginary, imaginary) parts of the eigenvalues of a 2x2 block: diagonal y, x, product w of the rest."""
+    """Real parts and imaginary parts of a 2x2 block's eigenvalues: diagonal y, x, and w the product of the others."""
     p = 0.5 * (y - x)
     q = p * p + w
     z = math.sqrt(abs(q))
@@ -237,6 +239,11 @@ def shifted_qr(a, n, stride, re, im, numbers):
         re[i] = im[i] = math.nan
     if not norm < HUGE:
         return n
+    unit = 1.0 if SMALL < norm < LARGE or norm == 0.0 else norm
+    if unit != 1.0:
+        for i in range(n):
+            for j in range(max(i - 1, 0), n):
+                a[i * stride + j] /= unit
     high, steps, shift = n - 1, 0, 0.0
     for i in range(LARGEST_SIZE):
         numbers[i] = float(i)
@@ -250,14 +257,14 @@ def shifted_qr(a, n, stride, re, im, numbers):
             low -= 1
         x = a[high * stride + high]
         if low == high:
-            re[high], im[high] = x + shift, 0.0
+            re[high], im[high] = unit * (x + shift), 0.0
             high, steps = high - 1, 0
             continue
         y = a[(high - 1) * stride + high - 1]
         w = a[high * stride + high - 1] * a[(high - 1) * stride + high]
         if low == high - 1:
             r0, r1, i0, i1 = _pair(x, y, w)
-            re[low], re[high], im[low], im[high] = r0 + shift, r1 + shift, i0, i1
+            re[low], re[high], im[low], im[high] = unit * (r0 + shift), unit * (r1 + shift), unit * i0, unit * i1
             high, steps = high - 2, 0
             continue
         if steps >= LIMIT:

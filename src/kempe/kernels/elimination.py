@@ -1,9 +1,13 @@
 """All postures of a chain of six joints that reach a pose: the complete solver for general geometry.
 
-`eliminate` solves E_1 ... E_6 = G by one of 36 formulations (`elimination_loop`): equations without the removed joint
-and without the pair, a 16x16 or 24x24 matrix whose eigenvalues are the hidden joint's values (`elimination_pencil`), null
-vectors that give the other two joints of the triple (`elimination_null`), then the pair and the removed joint
+`eliminate` solves E_1 ... E_6 = G by one of 36 formulations: equations without the removed joint and without the pair
+(`elimination_loop`), a 16x16 or 24x24 matrix whose eigenvalues are the hidden joint's values (`elimination_pencil`),
+null vectors that give the other two joints of the triple (`elimination_null`), then the pair and the removed joint
 (`elimination_pair`), and a few Newton steps (`elimination_polish`).
+
+What special geometry does to a formulation: two postures may share the hidden joint's value (the null space is a plane,
+and `split` finds both), roots without postures may appear, or the equations may become dependent, so that it is
+useless. `elimination_score` tells which formulations suit a chain.
 """
 
 from __future__ import annotations
@@ -50,13 +54,21 @@ from kempe.kernels.scratch import beyond
 CANDIDATES = 24
 """Candidates at most; 16 postures are possible."""
 
-ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE = 1, 2, 4, 8, 16, 32, 64, 128
+ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, SINGULAR = (2**k for k in range(9))
 """Bits of `suspect`: an odd number of candidates; a pair of roots so nearly real that two postures may have been lost;
 eigenvalues not found; leading matrix nearly singular; more than two null vectors, two that cannot be told apart, or too
-many candidates; a real root that led to no posture; two that led to the same; no independent equations."""
+many candidates; a real root that led to no posture; two that led to the same; no independent equations; a singular
+posture, where others may merge with it or be connected with it by a self-motion."""
 
-STEPS = 8
-"""Newton steps of a candidate at most; two or three are usual."""
+DEGENERATE = NO_EIGENVALUES | ILL_LEAD | ILL_NULL | UNUSABLE
+"""Bits of doubts that a goal nearby may not raise."""
+
+DISTURBANCE, WIDER = 1e-4, 100.0
+"""How far, in radians and units of the chain's length, a disturbed goal is from the goal; and how much larger the
+imaginary parts of postures that merge are there: as the root of that."""
+
+STEPS = 12
+"""Newton steps of a candidate at most; two or three are usual, where postures merge each halves the distance."""
 
 REAL, DOUBT, NEARLY = 1e-7, 1e-4, 1e-3
 """Imaginary parts of angles: up to the first a root is real; up to the second a pair of postures that are about to
@@ -64,6 +76,9 @@ merge may hide behind it; up to the third it is tried."""
 
 ACCEPT = 1e-9
 """Error up to which a candidate is kept."""
+
+SINGULAR_RATIO = 1e-5
+"""Pivot ratio of the Jacobian below which a posture counts as singular."""
 
 APART = 1e-6
 """Coordinates that differ by less are the same posture."""
@@ -97,7 +112,8 @@ _REAL_PARTS = _MATRIX + STRIDE * STRIDE
 _IMAGINARY_PARTS = _REAL_PARTS + STRIDE
 _EIGEN = _IMAGINARY_PARTS + STRIDE
 _VECTORS = _EIGEN + EIGEN_SCRATCH
-_WORK = _VECTORS + 2 * ROW
+_GOAL = _VECTORS + 2 * ROW
+_WORK = _GOAL + 12
 FOUNDLINGS = _WORK + PAIR_SIZE
 """Place of the candidates in scratch."""
 ELIMINATION_SCRATCH = FOUNDLINGS + FOUND * (CANDIDATES + 2)
@@ -106,7 +122,7 @@ ELIMINATION_SCRATCH = FOUNDLINGS + FOUND * (CANDIDATES + 2)
 
 @routine
 def matrix_of(kinds, lines, goal, formulation, w):
-    """(rows, half the angle of zero, pivot ratio); writes the matrix whose eigenvalues are the hidden joint's roots t."""
+    """(rows, half the angle of zero, pivot ratio); writes the matrix with the hidden joint's roots t as eigenvalues."""
     table, forms, re, im = beyond(w, _TABLE), beyond(w, _FORMS), beyond(w, _RE), beyond(w, _IM)
     free, wide, m, fans = beyond(w, _FREE), beyond(w, _WIDE), beyond(w, _MATRIX), beyond(w, _FANS)
     arrange(kinds, lines, goal, formulation, w)
@@ -115,7 +131,7 @@ def matrix_of(kinds, lines, goal, formulation, w):
     hidden = hidden_of(formulation)
     assemble(table, w, hidden, forms)
     lost = 0
-    if w[TRIPLE + LINE_STRIDE * hidden + IS_SLIDE] == 0.0 and null_at_i(forms, re, im, free, beyond(w, _MASK)):
+    if hidden == 0 and w[TRIPLE + IS_SLIDE] == 0.0 and null_at_i(forms, re, im, free, beyond(w, _MASK)):
         lost = LOST
     for i in range(SIZE if lost == 0 else 0):
         free[2 * i] = float(i)
@@ -142,14 +158,14 @@ def _coordinate(w, place, angle):
 
 @routine
 def _settle(kinds, lines, goal, found, count, work):
-    """1 if candidate `count` becomes a posture that is new, 0 if one of those before, -1 if it becomes none."""
+    """(state, suspicion): candidate `count` becomes a new posture (1), one of those before (0), or none (-1)."""
     theta = beyond(found, FOUND * count)
     for j in range(6):
         theta[START + j] = theta[j]
-    begin, end = polish(kinds, lines, goal, theta, work, STEPS)
+    begin, end, ratio = polish(kinds, lines, goal, theta, work, STEPS)
     theta[RAW_ERROR] = begin
     if not end < ACCEPT:
-        return -1
+        return -1, 0
     for j in range(6):
         if kinds[j] != SLIDE:
             theta[j] = wrapped(theta[j])
@@ -159,8 +175,8 @@ def _settle(kinds, lines, goal, found, count, work):
             d = theta[j] - found[FOUND * k + j]
             far = max(far, abs(d if kinds[j] == SLIDE else wrapped(d)))
         if far < APART:
-            return 0
-    return 1
+            return 0, 0
+    return 1, 0 if ratio > SINGULAR_RATIO else SINGULAR
 
 
 @routine
@@ -177,6 +193,15 @@ def _twin(kinds, lines, goal, found, source, count, work):
 
 
 @device
+def _eigenvalues(n, w):
+    """Eigenvalues of the hidden joint's matrix that were not found; writes the others."""
+    m, scratch = beyond(w, _MATRIX), beyond(w, _EIGEN)
+    balance(m, n, STRIDE)
+    hessenberg(m, n, STRIDE, scratch)
+    return shifted_qr(m, n, STRIDE, beyond(w, _REAL_PARTS), beyond(w, _IMAGINARY_PARTS), scratch)
+
+
+@device
 def _vectors_at(u, w_, w):
     """(vectors, suspicion): writes what the null space at the hidden joint's root (u, w_) stands for."""
     m, x, work = beyond(w, _MATRIX), beyond(w, _VECTORS), beyond(w, _WORK)
@@ -184,7 +209,7 @@ def _vectors_at(u, w_, w):
     matrix_at(beyond(w, _FORMS), u * size, w_ * size, m)
     vectors, third = null_vectors(m, beyond(w, _MASK), beyond(w, _FREE), x)
     if vectors < 2:
-        return vectors, 0
+        return vectors, 0 if vectors == 1 else ILL_NULL
     vectors, separation = split(x, work)
     return vectors, 0 if third > NULL and separation > SEPARATE else ILL_NULL
 
@@ -205,47 +230,74 @@ def _posture(kinds, lines, goal, formulation, hidden_angle, k, theta, w):
 
 
 @routine
+def disturb(goal, out):
+    """Write the goal, moved a little in no special direction."""
+    x, y, z = 0.55 * DISTURBANCE, -0.71 * DISTURBANCE, 0.44 * DISTURBANCE
+    size = 1.0 / math.sqrt(1.0 + x * x + y * y + z * z)
+    for j in range(4):
+        a, b, c = goal[j], goal[4 + j], goal[8 + j]
+        # Cayley's rotation of the vector (x, y, z): v + 2 (r x v + r x (r x v)) / (1 + r.r)
+        p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
+        f = 2.0 * size * size
+        out[j] = a + f * (p + y * r - z * q)
+        out[4 + j] = b + f * (q + z * p - x * r)
+        out[8 + j] = c + f * (r + x * q - y * p)
+    out[3], out[7], out[11] = out[3] - z, out[7] + x, out[11] + y
+
+
+@routine
 def eliminate(kinds, lines, goal, formulation, w, out):
     """(count, suspect); writes `count` candidates, six coordinates each, angles in (-pi, pi].
 
     kinds, lines: the chain, LINE_STRIDE numbers a joint. goal: rows of G (12 numbers). w: ELIMINATION_SCRATCH numbers.
     out: room for CANDIDATES candidates. Each candidate fulfils the equation to ACCEPT, and no two are the same.
     `suspect` is 0 or tells by its bits (ODD and others) why postures may be missing: then another formulation may
-    find them. What is not finite gives no candidates.
+    find them. A chain or goal that is not finite gives no candidates.
+
+    A goal can make the equations dependent, or give several postures the same hidden coordinate, though hardly any
+    goal nearby does. Then a disturbed goal's postures are where Newton's steps begin.
     """
-    n, half, ratio = matrix_of(kinds, lines, goal, formulation, w)
-    if not ratio > NO_MATRIX:
-        return 0, UNUSABLE
-    m, scratch, found, work = beyond(w, _MATRIX), beyond(w, _EIGEN), beyond(w, FOUNDLINGS), beyond(w, _WORK)
-    balance(m, n, STRIDE)
-    hessenberg(m, n, STRIDE, scratch)
-    missed = shifted_qr(m, n, STRIDE, beyond(w, _REAL_PARTS), beyond(w, _IMAGINARY_PARTS), scratch)
-    suspect = (NO_EIGENVALUES if missed > 0 else 0) | (0 if ratio > GOOD_LEAD else ILL_LEAD)
-    count, c, s = 0, math.cos(half), math.sin(half)
-    for i in range(n):
-        t, y = w[_REAL_PARTS + i], w[_IMAGINARY_PARTS + i]
-        imaginary = 2.0 * y / (1.0 + t * t)
-        if not 0.0 <= imaginary < NEARLY:  # of a pair of conjugates the first is enough
+    found, work = beyond(w, FOUNDLINGS), beyond(w, _WORK)
+    count, suspect = 0, DEGENERATE
+    for disturbed in range(2):
+        if suspect & DEGENERATE == 0:
+            break
+        near = goal
+        if disturbed == 1:
+            near = beyond(w, _GOAL)
+            disturb(goal, near)
+        n, half, ratio = matrix_of(kinds, lines, near, formulation, w)
+        suspect = UNUSABLE | suspect & SINGULAR
+        if not ratio > NO_MATRIX:
             continue
-        u, w_ = c - s * t, s + c * t
-        vectors, doubt = _vectors_at(u, w_, w)
-        suspect |= doubt
-        for k in range(vectors):
-            if count == CANDIDATES:
-                suspect |= ILL_NULL
-                break
-            theta = beyond(found, FOUND * count)
-            _posture(kinds, lines, goal, formulation, 2.0 * math.atan2(w_, u), k, theta, w)
-            state = _settle(kinds, lines, goal, found, count, work)
-            if state < 0:
-                suspect |= ASTRAY if imaginary < REAL else (NEARLY_REAL if imaginary < DOUBT else 0)
+        suspect = suspect & SINGULAR | (0 if ratio > GOOD_LEAD else ILL_LEAD)
+        suspect |= NO_EIGENVALUES if _eigenvalues(n, w) > 0 else 0
+        c, s = math.cos(half), math.sin(half)
+        for i in range(n):
+            t, y = w[_REAL_PARTS + i], w[_IMAGINARY_PARTS + i]
+            imaginary = 2.0 * y / (1.0 + t * t) / (1.0 if disturbed == 0 else WIDER)
+            if not 0.0 <= imaginary < NEARLY:  # of a pair of conjugates the first is enough
                 continue
-            merging = vectors == 1 and (imaginary > 0.0 or state == 0)
-            source, count = count, count + state
-            if merging and count < CANDIDATES:
-                state = _twin(kinds, lines, goal, found, source, count, work)
-                suspect |= TWICE if state < 1 and imaginary < DOUBT else 0
-                count += max(state, 0)
+            u, w_ = c - s * t, s + c * t
+            vectors, doubt = _vectors_at(u, w_, w)
+            suspect |= doubt
+            for k in range(vectors):
+                if count == CANDIDATES:
+                    suspect |= ILL_NULL
+                    break
+                theta = beyond(found, FOUND * count)
+                _posture(kinds, lines, near, formulation, 2.0 * math.atan2(w_, u), k, theta, w)
+                state, doubt = _settle(kinds, lines, goal, found, count, work)
+                suspect |= doubt
+                if state < 0:
+                    suspect |= ASTRAY if imaginary < REAL else (NEARLY_REAL if imaginary < DOUBT else 0)
+                    continue
+                merging = vectors == 1 and (imaginary > 0.0 or (state == 0 and disturbed == 0))
+                source, count = count, count + state
+                if merging and count < CANDIDATES:
+                    state, doubt = _twin(kinds, lines, goal, found, source, count, work)
+                    suspect |= doubt | (TWICE if state < 1 and imaginary < DOUBT else 0)
+                    count += max(state, 0)
     for k in range(count):
         for j in range(6):
             out[6 * k + j] = found[FOUND * k + j]

@@ -1,15 +1,16 @@
 """The loop equations of a chain of six joints, one joint removed: samples of them, and the six without the pair.
 
-A solution closes the loop E_1 ... E_6 G^-1 = 1. Without joint r it says that the product of the other five carries r's
-line, seen from one side, onto the same line, seen from the other. Of the five, three ("the triple") act on one line, two
-("the pair") on the other:
+A solution closes the loop E_1 ... E_6 G^-1 = 1. Without joint r it says that the product of the other five carries
+r's line, seen from one side, onto the same line, seen from the other. Of the five, three ("the triple") act on one
+line, two ("the pair") on the other:
 
     X_1 X_2 X_3 source = Y_2^-1 Y_1^-1 target
 
-Of a line through p along l both sides compare fourteen numbers: l, p, p x l, p.p, p.l, (p.p) l - 2 (p.l) p (Raghavan and
-Roth 1990, "Kinematic analysis of the 6R manipulator of general geometry"; 1993, "Inverse kinematics of the general 6R
-manipulator and related linkages"). With 1 they span a representation of the rigid motions. So each is linear in (1, cos,
-sin) of every turn, and of degree two in every slide: three samples a joint determine it, and nothing needs to be derived.
+Of a line through p along l both sides compare fourteen numbers: l, p, p x l, p.p, p.l, (p.p) l - 2 (p.l) p (Raghavan
+and Roth 1990, "Kinematic analysis of the 6R manipulator of general geometry"; 1993, "Inverse kinematics of the general
+6R manipulator and related linkages"). With 1 they span a representation of the rigid motions. So each is linear in
+(1, cos, sin) of every turn, and of degree two in every slide: three samples a joint determine it, and nothing needs to
+be derived. A slide cannot be the removed joint: it leaves no line in place.
 
 Formulations: 18 direction + 6 hidden + removed, where `removed` counts joints from 0, `hidden` says which joint of the
 triple stays in the eigenproblem, and `direction` whether the pair comes right after the removed joint (0) or before it.
@@ -146,7 +147,7 @@ def line_of(loop, k, out):
 
 @routine
 def sample(loop, fans, table):
-    """Fill the table: samples 9 i3 + 3 i2 + i1 of the triple less one of the pair, and the pair's other eight less it."""
+    """Fill the table: samples 9 i3 + 3 i2 + i1 of the triple, and eight of the pair, all less the pair's first."""
     line_of(loop, TARGET, fans)
     fan(beyond(loop, PAIR), -1.0, fans, beyond(fans, 6))
     for i in range(3):

@@ -41,7 +41,8 @@ def null_vectors(m, mask, order, x):
     """(vectors, third last pivot over the first); writes one null vector, or two at x and x + ROW.
 
     Gauss-Jordan elimination with complete pivoting of m (12 rows of stride ROW, lost). The matrix is known to be
-    singular: a second vector is written where the last but one pivot is below ALIKE. mask: 2 ROW numbers; order: 2 SIZE.
+    singular: a second vector is written where the last but one pivot is below ALIKE. mask: 2 ROW numbers. order: 2 SIZE
+    numbers.
     """
     for j in range(ROW):
         mask[j] = 1.0 if j < SIZE else 0.0
@@ -56,20 +57,17 @@ def null_vectors(m, mask, order, x):
         third, second = second, size
         if k == SIZE - 2 and not size > ALIKE * first:
             vectors = 2
-            _vector(m, order, k, column, beyond(x, ROW))
-            mask[column] = 0.0
-            order[2 * k] = float(column)
             break
         if not size > 0.0:
             return 0, 0.0
         order[2 * k], order[2 * k + 1] = float(column), float(row)
         mask[column], mask[ROW + row] = 0.0, 0.0
         _clear(m, row, column)
-    column = 0
+    left = 0
     for c in range(SIZE):
-        if mask[c] != 0.0:
-            column = c
-    _vector(m, order, SIZE - vectors, column, x)
+        if mask[c] != 0.0 and left < vectors:
+            _vector(m, order, SIZE - vectors, c, beyond(x, ROW * left))
+            left += 1
     return vectors, third / first
 
 
@@ -77,8 +75,9 @@ def null_vectors(m, mask, order, x):
 def angles_of(x):
     """(angle of a, angle of b) that the null vector x stands for; slides as 2 atan d.
 
-    Vectors (u, w) along one line have a = sum u u, b = sum u w, d = sum w w; (a - d, 2 b) points to twice its angle. So
-    the direction is a mean of all ratios, and none is divided out: a joint at pi is as good as any other. x[3 i + j] is (u^3, sqrt(3) u^2 w, sqrt(3) u w^2, w^3)_i of joint a times (u^2, sqrt(2) u w, w^2)_j of b.
+    x[3 i + j] is (u^3, sqrt(3) u^2 w, sqrt(3) u w^2, w^3)_i of joint a times (u^2, sqrt(2) u w, w^2)_j of joint b. Of
+    vectors (u, w) along one line with a = sum u u, b = sum u w and d = sum w w, (a - d, 2 b) points to twice the line's
+    angle. So all ratios count and none is divided out: a joint at pi is as good as any other.
     """
     a = b = d = 0.0
     for j in range(3):
@@ -114,7 +113,7 @@ def _entry_of_b(x, i, j):
 
 @routine
 def _products(x, joint, out):
-    """Write the products [U^T U, U^T W, W^T W] (2x2 each) of two null vectors' u and w parts, for joint a (0) or b (1)."""
+    """Write U^T U, U^T W and W^T W (2x2 each) of two null vectors' u and w parts, for joint a (0) or b (1)."""
     y = beyond(x, ROW)
     for k in range(12):
         out[k] = 0.0

@@ -29,6 +29,7 @@ COLUMN = 16
 PAIR_SIZE = 32 + 8 * COLUMN + 32
 """Numbers of scratch that the pair needs."""
 
+
 @device
 def _carry(line, theta, here):
     """Move the line here (l, p) by the joint's motion, in place."""

@@ -3,13 +3,14 @@
 A turn by x stands as (u, w) = (cos x/2, sin x/2), a slide by d as w/u = d: in both cases a sample is a quadratic form
 in (u, w), and nothing is lost at x = pi. The six equations are quadratic forms in the other two joints a and b of the
 triple. Times u_a and times w_a they are twelve equations in the twelve products of a cubic form in a and a quadratic
-one in b (dialytic elimination, Raghavan and Roth 1990). With the bases u^3, sqrt(3) u^2 w, ... and u^2, sqrt(2) u w, w^2
-a change of a joint's zero turns the unknowns without stretching them.
+one in b (dialytic elimination, Raghavan and Roth 1990). With the bases u^3, sqrt(3) u^2 w, ... and u^2, sqrt(2) u w,
+w^2 a change of a joint's zero turns the unknowns without stretching them.
 
 With w = t u the roots are the eigenvalues of a 24x24 companion matrix (Manocha and Canny 1994, "Efficient inverse
-kinematics for general 6R manipulators"). If a turn is hidden, t = i and t = -i belong to no posture and are there four
-times each: an invariant subspace of dimension eight, known from the null space of a complex 12x12 matrix. The quotient
-by it is a 16x16 matrix, which the elimination below writes down at once.
+kinematics for general 6R manipulators"). If the triple's outer joint (X_1) is hidden and turns, t = i and t = -i
+belong to no posture and are there four times each: an invariant subspace of dimension eight, known from the null space
+of a complex 12x12 matrix. The quotient by it is a 16x16 matrix, which `companion` writes down at once. If another joint
+is hidden, the eight roots too many are anywhere off the real axis, and the matrix keeps its 24 rows.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def power_of_3(k):
 
 @routine
 def assemble(table, loop, hidden, forms):
-    """Write P, Q and R (FORMS numbers): rows u_a, w_a times six equations, columns 3 i + j of cubic i and quadratic j."""
+    """Write P, Q, R (FORMS numbers): rows u_a, w_a times six equations, columns 3 i + j of cubic i, quadratic j."""
     a = 1 if hidden == 0 else 0
     b = 1 if hidden == 2 else 2
     hs, as_, bs = power_of_3(hidden), power_of_3(a), power_of_3(b)
@@ -252,7 +253,7 @@ def _substitute(wide, width):
 
 @routine
 def companion(wide, re, im, free, lost, a):
-    """Write the companion matrix, without the null space at t = i if `lost` is not 0: 2 (12 - lost) rows, stride STRIDE.
+    """Write the companion matrix, 2 (12 - lost) rows of stride STRIDE, without the `lost` null vectors at t = i.
 
     On null vectors x + i y, unit at the `lost` free columns f and Z elsewhere, the matrix [0 1; H] has the invariant
     subspace spanned by [x; -y] and [y; x]. In the quotient an upper unknown n loses Re Z_n x_f + Im Z_n y_f, a lower

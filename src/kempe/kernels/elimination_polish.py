@@ -65,7 +65,8 @@ def trace(kinds, lines, theta, work):
         r1, r4, r7 = m0 * r1 + m1 * r4 + m2 * r7, m3 * r1 + m4 * r4 + m5 * r7, m6 * r1 + m7 * r4 + m8 * r7
         r2, r5, r8 = m0 * r2 + m1 * r5 + m2 * r8, m3 * r2 + m4 * r5 + m5 * r8, m6 * r2 + m7 * r5 + m8 * r8
         tx, ty, tz = tx - ox, ty - oy, tz - oz
-        tx, ty, tz = ox + m0 * tx + m1 * ty + m2 * tz, oy + m3 * tx + m4 * ty + m5 * tz, oz + m6 * tx + m7 * ty + m8 * tz
+        tx, ty, tz = m0 * tx + m1 * ty + m2 * tz, m3 * tx + m4 * ty + m5 * tz, m6 * tx + m7 * ty + m8 * tz
+        tx, ty, tz = tx + ox, ty + oy, tz + oz
     k = POSE
     work[k], work[k + 1], work[k + 2], work[k + 3] = r0, r1, r2, tx
     work[k + 4], work[k + 5], work[k + 6], work[k + 7] = r3, r4, r5, ty
@@ -143,27 +144,29 @@ def wrapped(x):
 
 @routine
 def polish(kinds, lines, goal, theta, work, steps):
-    """(error at first, error at last) of `steps` Newton steps at most; theta: six numbers, improved in place.
+    """(error at first, error at last, pivot ratio) of `steps` Newton steps at most; improves the six numbers theta.
 
-    Ends once the error is ENOUGH, or close to that and no longer halved by a step.
+    Ends once the error is ENOUGH, or close to that and no longer halved by a step. The pivot ratio is the Jacobian's
+    where it was last solved with: near 0 the posture is singular.
     """
     begin = before = now = math.inf
+    ratio = 0.0
     for step in range(steps + 1):
         trace(kinds, lines, theta, work)
         now, _ = compare(goal, work)
         if step == 0:
             begin = now
-        if not now > ENOUGH or (now < NEARLY_ENOUGH and now > 0.5 * before) or step == steps:
+        done = not now > ENOUGH or (now < NEARLY_ENOUGH and now > 0.5 * before) or step == steps
+        if done and step > 0:
             break
         before = now
-        if not solve_six(work) > 0.0:
-            break
+        ratio = solve_six(work)
         largest = 0.0
         for i in range(6):
             largest = max(largest, abs(work[JACOBIAN * i + TWIST]))
-        if not largest < math.inf:
+        if done or not ratio > 0.0 or not largest < math.inf:
             break
         factor = LONGEST_STEP / max(largest, LONGEST_STEP)
         for i in range(6):
             theta[i] += factor * work[JACOBIAN * i + TWIST]
-    return begin, now
+    return begin, now, ratio

@@ -26,8 +26,8 @@ from kempe.kernels.vectors import keep, raw
 FIRST, SECOND, BEST = 5, 20, 8
 """Postures that every formulation is tried on; more of them, for the BEST formulations only."""
 
-FAVOUR, HASTY = 0.9, 0.5
-"""Factors of scores: with an eigenproblem of 24 rows; of formulations tried on the first few postures only."""
+SUSPECT, FAVOUR, HASTY = 0.1, 0.9, 0.5
+"""Factors of credit for a suspect answer; for an eigenproblem of 24 rows; for what few postures only have shown."""
 
 DIGITS = 14.0
 """Digits of the error before Newton's steps that earn full credit."""
@@ -77,7 +77,7 @@ def score(kinds, lines, scores):
     """Number of formulations with a score above 0.
 
     kinds: (6,). lines: (6, LINE_STRIDE). scores: (FORMULATIONS,), 0 (useless) to 1: the mean credit, where a suspect
-    answer earns half, and a second miss ends the trial with 0.
+    answer earns little, and a second miss ends the trial with 0.
     """
     block = np.zeros(ELIMINATION_SCRATCH + 6 * CANDIDATES + 18 + POLISH_SIZE)
     w, k, h, s = raw(block), raw(kinds), raw(lines), raw(scores)
@@ -98,7 +98,7 @@ def score(kinds, lines, scores):
             count, suspect = eliminate(k, h, goal, f, w, out)
             credit = _credit(k, theta, w, count)
             misses += int(credit == 0.0)
-            sum_ += credit if suspect == 0 else 0.5 * credit
+            sum_ += credit if suspect == 0 else SUSPECT * credit
         sum_ *= 0.0 if misses > 1 else (1.0 if hidden_of(f) == 0 else FAVOUR)
         if again:  # negative: tried on all postures
             s[f] = -(s[f] * FIRST + sum_) / (FIRST + SECOND) if sum_ > 0.0 else 0.0

@@ -1,0 +1,107 @@
+"""What the analytical inverse model recognises in a chain, and the path on which it solves it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
+
+from kempe.kernels.layout import SLIDE
+from kempe.solvers.analytic.describe_axes import relations
+from kempe.solvers.analytic.describe_path import METHODS, most, path
+from kempe.solvers.analytic.ik_all import chain_lines, plan_for
+from kempe.solvers.analytic.question import Z_AXIS, axis_of, held, points_along, task_of
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+WIDTH = 110
+"""Columns of the text."""
+
+
+@dataclass(frozen=True)
+class Recognised:
+    """What is known about the inverse geometric model of a `frame` for a `task`.
+
+    `joints` are those that move the frame, from the ground to it, `kinds` whether each "turns" or "slides".
+    `relations` are facts about consecutive axes, those that a structure misses by little among them. `path` says step
+    by step how all configurations are found, `method` is "closed form", "elimination" or "search". `most` is the
+    largest number of isolated configurations that a target can have, turns by 2 pi not counted; `held` are the joints
+    that stay at their values because the chain has more than the task needs, or because the caller said so.
+    """
+
+    system: str
+    frame: str
+    task: str
+    joints: tuple[str, ...]
+    kinds: tuple[str, ...]
+    relations: tuple[str, ...]
+    path: tuple[str, ...]
+    most: int
+    method: str
+    held: tuple[str, ...]
+
+    def data(self) -> dict[str, Any]:
+        """All fields as plain Python, ready for JSON."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
+
+    def lines(self) -> list[tuple[str, tuple[str, ...]]]:
+        """The report as (title, lines)."""
+        joints = ", ".join(f"{n} {k}" for n, k in zip(self.joints, self.kinds, strict=True))
+        if set(self.kinds) == {"turns"} and len(self.joints) > 1:
+            joints = f"{', '.join(self.joints)}: all turn"
+        count = "configuration" if self.most == 1 else "configurations"
+        each = " for each value of what is held" if self.held else ""
+        return [
+            ("joints", (joints,)), ("axes", self.relations), ("path", self.path), ("method", (self.method,)),
+            ("solutions", (f"{self.most} isolated {count} at most{each}",)),
+        ]  # fmt: skip
+
+    def __str__(self) -> str:
+        out = [f"inverse model of {self.frame} of {self.system}, task {self.task}"]
+        for title, texts in self.lines():
+            for k, text in enumerate(texts):
+                head = f"  {title if k == 0 else '':<11}"
+                out.append(fill(text, WIDTH, initial_indent=head, subsequent_indent=" " * (len(head) + 2)))
+        return "\n".join(out)
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><th style='text-align:left;vertical-align:top'>{escape(title)}</th>"
+            f"<td style='text-align:left'>{'<br>'.join(map(escape, texts))}</td></tr>"
+            for title, texts in self.lines()
+        )
+        head = f"inverse model of {escape(self.frame)} of {escape(self.system)}, task {escape(self.task)}"
+        return f"<p><b>{head}</b></p><table>{rows}</table>"
+
+
+def ik_plan(
+    system: System, frame: FrameLike, task: str | None = None, axis: ArrayLike = Z_AXIS,
+    fixed: Mapping[str, Any] | None = None, **fixed_by_name: Any,
+) -> Recognised:  # fmt: skip
+    """What is recognised in the chain that moves `frame`, and how `ik_all` solves it.
+
+    Arguments as those of `kempe.solvers.analytic.ik_all.ik_all`; without a `task` that of a pose. Of joints in `fixed`
+    only the names count. Errors: `UnsupportedError` for chains with loops, quaternions or shared coordinates,
+    `InputError`, `UnknownNameError`.
+
+    >>> import kempe
+    >>> from kempe.solvers.analytic.describe import ik_plan
+    >>> print(ik_plan(kempe.load("puma560"), "tool").most)
+    8
+    """
+    name = system.frame_name(frame)
+    what = task_of(task, False, bool(system.table.at[name][2]))
+    direction = axis_of(axis) if points_along(what) else Z_AXIS
+    lines = chain_lines(system, name, direction)
+    given = held(name, lines.names, fixed, fixed_by_name)
+    plan = plan_for(system, name, lines, what, direction, tuple(given))
+    kinds = tuple("slides" if kind == SLIDE else "turns" for kind in lines.kinds)
+    return Recognised(
+        system.name, name, what, lines.names, kinds, relations(lines), path(plan, frozenset(given), system.dim == 2),
+        most(plan), METHODS[plan.method], tuple(lines.names[i] for i in plan.locked),
+    )  # fmt: skip

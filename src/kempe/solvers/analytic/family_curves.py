@@ -1,0 +1,398 @@
+"""How a chain can move without leaving its target: curves of solutions followed step by step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from kempe.solvers.analytic.nearest import Aim
+from kempe.spatial import Array
+
+SINGULAR = 1e-5
+"""Singular values of the Jacobian below this (radians, lengths of the chain) are looked at as zero; whether a motion
+remains is decided by moving."""
+
+UNDETERMINED = 5e-9
+"""Singular values below this leave a solution undetermined by more than rounding of its target times 1e8: then the part
+of a curve that is on target within the tolerance counts as a family, though it is not all of it."""
+
+CUT = 1e-9
+"""Singular values below this fraction of the largest are not used in corrections."""
+
+REACH, NEAR = 0.05, 3e-3
+"""The first step off a solution; another one, for those that are undetermined (radians, lengths of the chain)."""
+
+LONGEST, SHORTEST = 0.12, 1e-6
+"""The longest and the shortest step along a curve (radians, lengths of the chain)."""
+
+BEND = 0.2
+"""Largest angle between tangents at the ends of a step."""
+
+MOST, FAR = 6000, 50.0
+"""Samples of a curve at most; how many lengths a slide is followed."""
+
+CORRECTIONS, SETTLED, QUADRATIC = 12, 1e-13, 1e-8
+"""Corrections of a step at most; one that is nothing; one after which the next would be nothing."""
+
+CLOSE = 0.3
+"""Second singular value at a sample below which a crossing is looked for."""
+
+SLOW = 1e-4
+"""Speed along a curve below which a joint does not tell its configurations apart."""
+
+SLACK = 1.01
+"""How much more than the tolerance the error may be along a family."""
+
+DIRECTIONS, SAMPLES = 24, 64
+"""Directions tried where several may be free; samples of families with several freedoms."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Samples theta (m, n) of a family with `dimension` freedoms; tangents (m, n) along a curve, a `basis` at the first
+    sample, the largest error [m, rad]. Where the `second` (m,) smallest singular value vanishes, curves may cross."""
+
+    dimension: int
+    theta: Array
+    tangents: Array
+    basis: Array
+    closed: bool
+    residual: float
+    second: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a chain can do with its target reached to a tolerance [m, rad]."""
+
+    aim: Aim
+    tolerance: float
+
+    def gap(self, a: Array, b: Array) -> Array:
+        """Difference a - b (..., n), of angles the shortest."""
+        d = a - b
+        return np.where(self.aim.slides, d, d - 2.0 * math.pi * np.round(d / (2.0 * math.pi)))
+
+    def linear(self, theta: Array) -> tuple[Array, Array]:
+        """Errors (m,) and Jacobian (m, n) at theta (n,); columns of joints that are held are zero."""
+        e, columns = self.aim.at(theta[None])
+        J = np.zeros((e.shape[1], len(theta)))
+        J[:, self.aim.moves] = columns[0]
+        return e[0], J
+
+    def missed(self, e: Array) -> float:
+        """The larger of both errors, of position [m] and of orientation [rad]."""
+        place = self.aim.rows < 3
+        return max(float(np.linalg.norm(e[place])) * self.aim.lines.length, float(np.linalg.norm(e[~place])))
+
+    def kernel(self, J: Array, least: int = 1) -> Array:
+        """Orthonormal directions (d, n), at least so many, in which the tip hardly moves, the freest last."""
+        moves = self.aim.moves
+        _, s, Vt = np.linalg.svd(J[:, moves])
+        d = max(least, len(moves) - int((s > SINGULAR).sum()))
+        out = np.zeros((d, J.shape[1]))
+        out[:, moves] = Vt[len(moves) - d :]
+        return out
+
+    def corrected(self, theta: Array, free: Array) -> tuple[Array, Array, Array]:
+        """Variables (n,) moved across directions `free` (d, n) until the error is least; error and Jacobian there."""
+        e, J = self.linear(theta)
+        for _ in range(CORRECTIONS):
+            step = np.linalg.lstsq(J - (J @ free.T) @ free, e, rcond=CUT)[0]
+            size = float(np.abs(step).max(initial=0.0))
+            if size < SETTLED or size > 1.0:
+                break
+            theta = theta + step
+            e, J = self.linear(theta)
+            if size < QUADRATIC:
+                break
+        return theta, e, J
+
+    def on_target(self, e: Array) -> bool:
+        """Whether these errors are within the tolerance."""
+        return self.missed(e) <= SLACK * self.tolerance
+
+    # ---- from a solution
+
+    def through(self, theta: Array, known: Callable[[Array], bool]) -> list[Curve]:
+        """The families on which a solution (n,) lies, none where it is isolated; those through `known` are left out."""
+        free, found = self.kernel(self.linear(theta)[1], least=0), list[Curve]()
+        if not len(free):
+            return []
+        near = list(self._neighbours(theta, free, REACH))
+        if not near and self.spectrum(self.linear(theta)[1])[0] < UNDETERMINED:
+            near = list(self._neighbours(theta, free, NEAR))
+        for start, way, wide in near:
+            if wide > 1:
+                return [self._surface(theta, start, wide)]
+            if known(start) or any(self._passes(curve, start) for curve in found):
+                continue
+            curve = self.follow(theta, way) if len(free) == 1 else self.follow(start, way)
+            if curve is not None:
+                found.append(curve)
+        return found
+
+    def _neighbours(self, theta: Array, free: Array, far: float) -> Iterator[tuple[Array, Array, int]]:
+        """Configurations on target at a small distance, the way there, and the freedoms that they have."""
+        if len(free) == 1:
+            ways = np.array([free[0], -free[0]])
+        else:
+            c = np.random.default_rng(1).normal(size=(DIRECTIONS, len(free)))
+            if len(free) == 2:
+                angle = 2.0 * math.pi * (np.arange(DIRECTIONS) + 0.25) / DIRECTIONS
+                c = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            ways = c @ free / np.linalg.norm(c, axis=1, keepdims=True)
+        seen: list[Array] = []
+        for way in ways:
+            x = self._at_distance(theta, theta + far * way, far)
+            if x is None or any(np.abs(x - y).max() < 0.05 * far for y in seen):
+                continue
+            seen.append(x)
+            yield x, (x - theta) / np.linalg.norm(x - theta), len(self.kernel(self.linear(x)[1]))
+
+    def _at_distance(self, centre: Array, theta: Array, far: float) -> Array | None:
+        """A configuration (n,) on target so far from `centre`, from a start; None if none is found."""
+        for _ in range(2 * CORRECTIONS):
+            e, J = self.linear(theta)
+            r = theta - centre
+            size = float(np.linalg.norm(r))
+            if not 0.3 * far < size < 3.0 * far:
+                return None
+            step = np.linalg.lstsq(np.vstack([J, r / size]), np.append(e, far - size), rcond=CUT)[0]
+            theta = theta + step
+            if np.abs(step).max() < SETTLED:
+                break
+        return theta if self.on_target(self.linear(theta)[0]) else None
+
+    def _passes(self, curve: Curve, theta: Array) -> bool:
+        near = self.nearest_on(curve.theta, theta)
+        return bool(np.abs(self.gap(near, theta)).max() < 1e-3 * REACH)
+
+    # ---- curves
+
+    def follow(self, theta: Array, way: Array) -> Curve | None:
+        """The curve through a configuration (n,), which starts in a direction; None if it leaves the target."""
+        theta, e, J = self.corrected(theta, way[None])
+        tangent = self._tangent(J, way)
+        x, t, second, end, worst = self._trace(theta, tangent)
+        if end != "closed":
+            back_x, back_t, back, other, more = self._trace(theta, -tangent)
+            worst = max(worst, more)
+            if "off" in (end, other) and worst > 1e-3 * self.tolerance and self.spectrum(J)[0] > UNDETERMINED:
+                return None
+            x, t = np.vstack([back_x[:0:-1], x]), np.vstack([-back_t[:0:-1], t])
+            second = np.concatenate([back[:0:-1], second])
+        return Curve(1, x, t, t[:1], end == "closed", max(worst, self.missed(e)), second)
+
+    def crossings_of(self, curve: Curve) -> Iterator[Array]:
+        """Points (n,) of a curve in which others may cross it: its Jacobian loses one more rank."""
+        from scipy.optimize import minimize_scalar  # only here: most targets have no families
+
+        before, size, after = np.roll(curve.second, 1), curve.second, np.roll(curve.second, -1)
+        steep = size <= np.maximum(before, after) - size  # a zero nearby leaves such a kink
+        for k in np.flatnonzero((size <= before) & (size <= after) & (size < CLOSE) & steep):
+            t = curve.tangents[k : k + 1]
+
+            def at(s: float, x: Array = curve.theta[k], t: Array = t) -> tuple[Array, Array]:
+                point, _, J = self.corrected(x + s * t[0], t)
+                return point, J
+
+            found = minimize_scalar(lambda s, at=at: self.spectrum(at(s)[1])[1], bounds=(-LONGEST, LONGEST),
+                                    method="bounded", options={"xatol": 1e-8})  # fmt: skip
+            if found.fun < SINGULAR:
+                yield at(found.x)[0]
+
+    def spectrum(self, J: Array) -> tuple[float, float]:
+        """The smallest and the second smallest singular value of the joints that move."""
+        k, s = len(self.aim.moves), np.linalg.svd(J[:, self.aim.moves], compute_uv=False)
+        least, second = sorted([*s, *[0.0] * (k - len(s)), math.inf])[:2]
+        return float(least), float(second)
+
+    def _tangent(self, J: Array, way: Array) -> Array:
+        free = self.kernel(J)
+        t = (free @ way) @ free
+        size = float(np.linalg.norm(t))
+        return t / size if size > 0.1 else way
+
+    def _trace(self, first: Array, way: Array) -> tuple[Array, Array, Array, str, float]:
+        """Samples, tangents (m, n), second singular values one way, its end ("closed", "far", "off"), largest error."""
+        x, t, h = first, way, REACH
+        xs, ts, end, worst = [x], [t], "off", 0.0
+        second = [self.spectrum(self.linear(x)[1])[1]]
+        while len(xs) < MOST:
+            ahead = x + h * t
+            new, e, J = self.corrected(ahead, t[None])
+            turn = self._tangent(J, t)
+            bend = math.acos(min(1.0, max(-1.0, float(t @ turn))))
+            missed = self.missed(e)
+            if missed > SLACK * self.tolerance or bend > BEND or np.abs(new - ahead).max() > 0.3 * h:
+                h *= 0.5
+                if h < SHORTEST:
+                    break
+                continue
+            worst = max(worst, missed)
+            if len(xs) > 3 and self._returns(x, t, h, first, way):
+                end = "closed"
+                break
+            x, t = new, turn
+            xs.append(x)
+            ts.append(t)
+            second.append(self.spectrum(J)[1])
+            if np.abs(x - first)[self.aim.slides].max(initial=0.0) > FAR:
+                end = "far"
+                break
+            if bend < 0.4 * BEND:
+                h = min(1.5 * h, LONGEST)
+        return np.array(xs), np.array(ts), np.array(second), end, worst
+
+    def _returns(self, x: Array, t: Array, h: float, first: Array, way: Array) -> bool:
+        """Whether a step from x along t passes the first sample."""
+        rest = self.gap(first, x)
+        along = float(rest @ t)
+        if not -0.01 * h < along <= 1.01 * h or float(t @ way) < 0.8 or np.linalg.norm(rest - along * t) > 0.3 * h:
+            return False
+        there, _, _ = self.corrected(x + along * t, t[None])
+        return bool(np.linalg.norm(self.gap(first, there)) < 0.02 * h)
+
+    def parameter(self, curve: Curve) -> int | None:
+        """The joint whose value picks one configuration of a curve; None where none does.
+
+        Of several that do, the first that is not much slower than the others.
+        """
+        found: list[tuple[int, float]] = []
+        for i in self.aim.moves.tolist():
+            speed, x = curve.tangents[:, i], curve.theta[:, i]
+            if np.any(speed > 0.0) and np.any(speed < 0.0):
+                continue
+            once = abs(x[-1] - x[0]) < 2.0 * math.pi + (0.0 if curve.closed else 1e-9)
+            if self.aim.slides[i] or once:
+                found.append((i, float(np.abs(speed).min())))
+        fastest = max((speed for _, speed in found), default=0.0)
+        return next((i for i, speed in found if speed > max(SLOW, 0.2 * fastest)), None)
+
+    # ---- questions about a curve
+
+    def nearest_on(self, samples: Array, theta: Array) -> Array:
+        """The point (n,) of a curve, of which samples are known, nearest to theta (n,); in the turn of the samples."""
+        k = int(np.argmin((self.gap(samples, theta) ** 2).sum(axis=1)))
+        x, way = samples[k], self.gap(samples[k - 1], samples[k]) if k else self.gap(samples[0], samples[1])
+        for _ in range(20):
+            way = self._tangent(self.linear(x)[1], way / np.linalg.norm(way))
+            step = float(self.gap(theta, x) @ way)
+            if abs(step) < 1e-12:
+                break
+            x, _, _ = self.corrected(x + max(-LONGEST, min(LONGEST, step)) * way, way[None])
+        return x
+
+    def crossings(self, samples: Array, closed: bool, i: int, value: float) -> Array:
+        """Points (k, n) of a curve in which joint i has a value, angles modulo a turn."""
+        x = samples
+        if closed:
+            x = np.vstack([x, x[-1] + self.gap(x[0], x[-1])])
+        x = self._with_extremes(x, i)
+        period = math.inf if self.aim.slides[i] else 2.0 * math.pi
+        out: list[Array] = []
+        for a, b in zip(x[:-1], x[1:], strict=True):
+            if math.isinf(period):
+                aimed = [value] if (a[i] - value) * (b[i] - value) <= 0.0 else []
+            else:
+                low, high = sorted((a[i], b[i]))
+                k = range(math.ceil((low - value) / period - 1e-12), math.floor((high - value) / period + 1e-12) + 1)
+                aimed = [value + period * j for j in k]
+            for v in aimed:
+                share = (v - a[i]) / (b[i] - a[i]) if b[i] != a[i] else 0.0
+                point = self._with_value(a + min(1.0, max(0.0, share)) * (b - a), [i], np.array([v]))
+                if point is not None and not any(np.abs(self.gap(point, y)).max() < 1e-7 for y in out):
+                    out.append(point)
+        return np.array(out).reshape(-1, samples.shape[1])
+
+    def _with_extremes(self, x: Array, i: int) -> Array:
+        """The samples with those added at which joint i turns round."""
+        out, before = [x[0]], None
+        for a, b in zip(x[:-1], x[1:], strict=True):
+            way = (b - a) / max(float(np.linalg.norm(b - a)), 1e-300)
+            ta = self._tangent(self.linear(a)[1], way)[i] if before is None else before
+            tb = self._tangent(self.linear(b)[1], way)[i]
+            before = tb
+            if ta * tb < 0.0:
+                low, high, point = 0.0, 1.0, a
+                for _ in range(40):
+                    middle = 0.5 * (low + high)
+                    point, _, J = self.corrected(a + middle * (b - a), way[None])
+                    low, high = (middle, high) if self._tangent(J, way)[i] * ta > 0.0 else (low, middle)
+                out.append(point)
+            out.append(b)
+        return np.array(out)
+
+    def _with_value(self, theta: Array, at: list[int], values: Array) -> Array | None:
+        """A configuration on target near theta (n,) in which joints have values; None if none is found."""
+        units = np.eye(len(theta))[at]
+        for _ in range(2 * CORRECTIONS):
+            e, J = self.linear(theta)
+            step = np.linalg.lstsq(np.vstack([J, units]), np.concatenate([e, values - theta[at]]), rcond=1e-9)[0]
+            size = float(np.abs(step).max())
+            theta = theta + step * min(1.0, 0.5 / max(size, 1e-300))
+            if size < SETTLED:
+                break
+        good = np.abs(theta[at] - values).max() < 1e-9 and self.on_target(self.linear(theta)[0])
+        return theta if good else None
+
+    # ---- more than one freedom
+
+    def _surface(self, theta: Array, start: Array, dimension: int) -> Curve:
+        """A family with several freedoms: samples of a random walk on it."""
+        rng, x, out, worst = np.random.default_rng(2), start, [theta, start], 0.0
+        for _ in range(SAMPLES):
+            free = self.kernel(self.linear(x)[1], dimension)[-dimension:]
+            way = rng.normal(size=dimension) @ free
+            new, e, _ = self.corrected(x + 0.6 * rng.random() * way / np.linalg.norm(way), free)
+            if self.on_target(e):
+                x, worst = new, max(worst, self.missed(e))
+                out.append(x)
+        free = self.kernel(self.linear(theta)[1], dimension)[-dimension:]
+        return Curve(dimension, np.array(out), np.zeros((0, len(theta))), free, False, worst, np.zeros(0))
+
+    def projected(self, theta: Array, dimension: int) -> Array:
+        """The configuration on target next to theta (n,), by shortest steps."""
+        x = theta
+        for _ in range(2 * CORRECTIONS):
+            e, J = self.linear(x)
+            free = self.kernel(J, dimension)
+            step = np.linalg.lstsq(J - (J @ free.T) @ free, e, rcond=CUT)[0]
+            size = float(np.abs(step).max())
+            x = x + step * min(1.0, 0.5 / max(size, 1e-300))
+            if size < SETTLED:
+                break
+        return x if self.on_target(self.linear(x)[0]) else np.full_like(x, math.inf)
+
+    def joined(self, theta: Array, samples: Array, dimension: int) -> bool:
+        """Whether a walk straight towards one of the samples reaches it without leaving the target."""
+        goal = samples[int(np.argmin((self.gap(samples, theta) ** 2).sum(axis=1)))]
+        x = theta
+        for _ in range(200):
+            rest = self.gap(goal, x)
+            if (far := float(np.linalg.norm(rest))) < 1e-6:
+                return True
+            free = self.kernel(self.linear(x)[1], dimension)
+            step = (free @ rest) @ free
+            size = float(np.linalg.norm(step))
+            if size < 1e-2 * far:
+                return False
+            x, e, _ = self.corrected(x + step * min(1.0, 0.2 / size), free)
+            if not self.on_target(e):
+                return False
+        return False
+
+    def held(self, samples: Array, at: list[int], values: Array) -> Array | None:
+        """A configuration on target in which joints have values; None if none is found from the nearest samples."""
+        turns = np.where(self.aim.slides[at], 0.0, 2.0 * math.pi)
+        off = values - samples[:, at]
+        off -= turns * np.round(off / (2.0 * math.pi))
+        for k in np.argsort(np.abs(off).max(axis=1))[:8]:
+            found = self._with_value(samples[k], at, samples[k, at] + off[k])
+            if found is not None:
+                return found
+        return None
