@@ -271,6 +271,16 @@ def test_more_freedoms_than_one():
     assert families[0].describe().endswith("can move: three freedoms")
 
 
+def test_families_for_which_an_answer_has_no_room():
+    """A spherical wrist given by angles about z, y, x, singular in all four postures of shoulder and elbow."""
+    q = arms.arms()["ball_wrist"].random(2, 1)[0]
+    q[4] = math.pi / 2
+    a, X, families, _ = solved("ball_wrist", q)
+    assert len(families) == 4 and min(f.distance(q) for f in families) < 1e-10
+    assert all(f.joints == ("j4.rz", "j4.rx") and reaches(a.system, f.q, X) < 1e-11 for f in families)
+    assert {f.describe().split(" = ")[0] for f in families} == {"j4.rz + j4.rx", "j4.rz - j4.rx"}
+
+
 def test_regular_targets_have_no_families():
     for name in ("puma560", "ur5", "anthropomorphic6"):
         a, _, families, rows = solved(name, arms.arms()[name].random(1, 1)[0])

@@ -220,6 +220,11 @@ def begin(d, target, near, locked):
 @routine
 def end(d, count, near, out, slots, sort):
     """Number of rows written."""
+    for i in range(6):
+        if d.ints[ROLES + i] == REST:  # a line at rest is a double zero of its own equation
+            for k in range(count):
+                row = beyond(d.found.rows, (SOLUTION + d.n) * k)
+                row[TURNS] = min(row[TURNS], 2.0)
     written = write_out(d.found, d.floats, d.joints, count, near, out, slots, d.placed)
     if sort != 0:
         arrange(d.n, d.joints, near, out, slots)

@@ -15,6 +15,9 @@ SAME, NEAR, INDISTINCT = 1e-7, 2e-3, 5e-15
 """Solutions nearer than SAME are one. So are those nearer than NEAR whose midpoint solves the target to INDISTINCT:
 roots that merge cannot be told apart at the square root of rounding, their mean is right to rounding."""
 
+MERGED = 1e-8
+"""Bound of the smallest singular value squared of a solution in which roots may have merged."""
+
 MOST_SOLUTIONS = 48
 ERROR, TURNS, SIGNS, WEAKEST, SOLUTION = 0, 2, 3, 4, 6
 """A solution: errors (2), multiplicity, slot, bound of the smallest singular value squared, then the variables."""
@@ -85,7 +88,7 @@ def add(found, count, theta, slot, kind):
             row[ERROR], row[ERROR + 1] = error_at(m, spare)
             for i in range(m.n):
                 other[i] = spare[i]
-        if kind == ROOT:
+        if kind == ROOT and min(weak, row[WEAKEST]) < MERGED:  # where the Jacobian is regular a root is simple
             row[TURNS] += 1.0
         return count
     if count >= MOST_SOLUTIONS:

@@ -43,7 +43,7 @@ def quartic_roots(p, roots):
     c, d = complex(-0.85 * size, -0.4 * size), complex(0.35 * size, -1.0 * size)
     for _ in range(TURNS):
         change = 0.0
-        for k in range(4):
+        for _root in range(4):
             v, slope = value_and_slope(p, a)
             others = 0.0j
             for z in (b, c, d):

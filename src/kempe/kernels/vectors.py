@@ -2,7 +2,7 @@
 
 LLVM's loop vectoriser gives up on most loops over two-dimensional arrays, and Numba leaves straight-line code
 scalar. Here a kernel says outright what is one vector: four columns of a matrix row (`load4`, `pack4`) or
-`LANES` configurations side by side (`load_lanes`, `gather`). LLVM splits vectors wider than the machine's.
+`LANES` configurations side by side (`load_lanes`, `gather`).
 Formulas written with + - * / abs and `where` hold for plain floats too, so that none is written twice.
 Loads and stores take the pointer that `raw` makes of a C-contiguous array, and a flat index: arrays handed
 from function to function cost reference counting in loops, pointers nothing. Nothing checks bounds.
@@ -99,9 +99,9 @@ def _shuffle(builder, a, b, order: list[int]):
 
 def _llvm(builder, name: str, value):
     """LLVM's own function `name` of a number or vector."""
+    lanes = f"v{value.type.count}" if isinstance(value.type, ir.VectorType) else ""
     call = ir.FunctionType(value.type, [value.type])
-    name = f"llvm.{name}.v{value.type.count}f64" if isinstance(value.type, ir.VectorType) else f"llvm.{name}.f64"
-    return builder.call(cgutils.get_or_insert_function(builder.module, call, name), [value])
+    return builder.call(cgutils.get_or_insert_function(builder.module, call, f"llvm.{name}.{lanes}f64"), [value])
 
 
 def _like(context, builder, value, its_type, width: int):

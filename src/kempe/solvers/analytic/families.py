@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, UnknownNameError
+from kempe.kernels import analytic_layout as A
 from kempe.solvers.analytic.family_curves import SINGULAR, Motion
-from kempe.solvers.analytic.nearest import aim_of
+from kempe.solvers.analytic.nearest import Aim, aim_of, held_coordinates
+from kempe.solvers.analytic.plan import kernel_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -21,8 +23,8 @@ if TYPE_CHECKING:
 ON = 1e-5
 """Distance (radians, lengths of the chain) below which a solution counts as one of a family."""
 
-MOST = 64
-"""Families of one target at most."""
+MOST, ROOM = 64, 48
+"""Families of one target at most; rows in which their samples are looked for, where an answer has no room for all."""
 
 STRAIGHT = 1e-6
 """How far samples may be from a straight line in a family that is called linear; joints that move less rest."""
@@ -215,7 +217,26 @@ def families_of(solutions: Solutions, index: int) -> tuple[list[Family], np.ndar
             number = _known(families[first:], motion, x)
             number += first if number >= 0 else 0
         row_family[row] = number
+    for x in _left_out(solutions, index, aim):
+        if _known(families, motion, x) < 0:
+            _collect(families, motion, x, base)
     return families, row_family
+
+
+def _left_out(solutions: Solutions, index: int, aim: Aim) -> Array:
+    """Variables (k, n) of samples of families for which the answer had no room, others among them."""
+    plan, n = solutions.plan, len(solutions.plan.lines)
+    sampled = solutions._used[index] & (solutions._code[index] < A.MULTIPLICITY_UNIT)
+    if plan.method == "search" or not (sampled.any() and solutions._used[index].all()):
+        return np.zeros((0, n))
+    target, near = aim.target[None].copy(), solutions._base[index if len(solutions._base) > 1 else 0]
+    target[0, :3, 3] = target[0, :3, 3] * plan.lines.length + plan.lines.origin
+    out, counts = np.empty((1, ROOM, n + A.INFO)), np.zeros((1, 2), dtype=np.int64)
+    tolerance, locked = solutions.question.tolerance, held_coordinates(solutions, index)[None]
+    kernel_of(plan)(plan.ints, plan.floats, target, np.ascontiguousarray(near[plan.lines.q_index])[None], locked,
+                    tolerance, tolerance, 0, np.arange(1), out, counts)  # fmt: skip
+    code = out[0, :, n + A.CODE]
+    return plan.lines.theta(out[0, (code >= 0.0) & (code < A.MULTIPLICITY_UNIT), :n])
 
 
 def _collect(families: list[Family], motion: Motion, theta: Array, base: Array) -> None:

@@ -79,7 +79,10 @@ def lines_of(system: System, frame: str) -> Lines:
             "(a spherical joint can be loaded with angles=True)"
         )
     if len(set(rows[:, Q_INDEX].tolist())) < n:
-        raise UnsupportedError(f"two joints of the chain of {frame!r} share one coordinate; `ik_all` cannot take that")
+        raise UnsupportedError(
+            f"two motions of the chain of {frame!r} share one coordinate (a helical joint, or a joint that follows "
+            "another): `ik_all` cannot take that, `ik` can"
+        )
     X, h, o = np.eye(4), np.zeros((n, 3)), np.zeros((n, 3))
     for i in range(n):
         X = X @ _pose(numbers[i, :12])

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from kempe import spatial
+from kempe.errors import UnsupportedError
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.layout import SLIDE, TURN
 from kempe.kernels.outer import X_FIRST, Z_FIRST
@@ -221,6 +222,8 @@ def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
 def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool) -> Plan:
     """The plan for a chain of which so many joints are locked that the others are not redundant."""
     unknown = [i for i in range(len(lines)) if i not in locked]
+    if not unknown:
+        raise UnsupportedError("no joint is left to move: all joints of the chain are held, or do nothing for this task")
     free = free_lines(lines, task, planar)
     tried = []
     for rest in resting(lines, free, unknown, planar):
