@@ -21,34 +21,35 @@ NEARLY_SINGULAR = 1e-5
 """Smallest singular value of the Jacobian below which a posture may be missed (a few in 100 000)."""
 TURNS = np.zeros(6, np.int64)
 
-# a, alpha [degrees], d, offset [degrees] of each joint; lengths in any unit
+# a, alpha [degrees], d, offset [degrees] of each joint; lengths in any unit. (*): dimensions as commonly given, not
+# checked against the maker's document; the tests need the kind of geometry, not the millimetre.
 STANDARD = {
     # Manseur and Doty 1989, "A robot manipulator with 16 real inverse kinematic solution sets"
     "manseur": [(0.3, 90, 0, 0), (1, 1, 0, 0), (0, 90, 0.2, 0), (1.5, 1, 0, 0), (0, 90, 0, 0), (0, 1, 0, 0)],
-    # Kinova Jaco2, 6 degrees of freedom: "JACO2 6 DOF Advanced Specification Guide", wrist of 60 degrees
+    # Kinova Jaco2: D1 to D6 and e2 of Kinova's "DH Parameters of Jaco", wrist of 60 degrees
     "jaco2": [(0, 90, 0.2755, 0), (0.41, 180, 0, 0), (0, 90, -0.0098, 0), (0, 60, -0.2501, 0), (0, 60, -0.0856, 0),
               (0, 180, -0.2028, 0)],
-    # UFactory xArm6: user manual
+    # UFactory xArm6: docs.ufactory.cc, "Kinematic and Dynamic Parameters of xArm 6"
     "xarm6": [(0, -90, 267, 0), (289.49, 0, 0, -79.35), (77.5, -90, 0, 79.35), (0, 90, 342.5, 0), (76, -90, 0, 0),
               (0, 0, 97, 0)],
-    # Yaskawa HC10: data sheet
+    # Yaskawa HC10 (*)
     "hc10": [(0, -90, 275, 0), (700, 180, 0, -90), (0, -90, 0, 0), (0, 90, -500, 0), (0, -90, -162, 0),
              (0, 180, -170, 0)],
-    # Doosan M1013: user manual
+    # Doosan M1013 (*)
     "m1013": [(0, -90, 152.5, 0), (620, 0, 34.5, -90), (0, 90, 0, 90), (0, -90, 559, 0), (0, 90, 0, 0), (0, 0, 121, 0)],
     # Universal Robots UR10e: "DH parameters for calculations of kinematics and dynamics"
     "ur10e": [(0, 90, 180.7, 0), (-612.7, 0, 0, 0), (-571.55, 0, 0, 0), (0, 90, 174.15, 0), (0, -90, 119.85, 0),
               (0, 0, 116.55, 0)],
-    # Puma 560: Corke and Armstrong-Helouvry 1994, "A search for consensus among model parameters"
+    # Puma 560 (*)
     "puma": [(0, 90, 0, 0), (431.8, 0, 0, 0), (20.3, -90, 150.05, 0), (0, 90, 431.8, 0), (0, -90, 0, 0),
              (0, 0, 56.3, 0)],
 }  # fmt: skip
 # the same with a and alpha of the link before each joint
 MODIFIED = {
-    # FANUC CRX-10iA: Abbes and Poisson 2024, "Geometric approach for inverse kinematics of the FANUC CRX ..."
+    # FANUC CRX-10iA (*)
     "crx10": [(0, 0, 245, 0), (0, -90, 0, -90), (540, 180, 0, 0), (0, -90, -540, 0), (0, 90, 150, 0),
               (0, -90, -160, 0)],
-    # AgileX Piper: the manufacturer's software development kit
+    # AgileX Piper (*)
     "piper": [(0, 0, 123, 0), (0, -90, 0, -172.22), (285.03, 0, 0, -102.78), (-21.98, 90, 250.75, 0), (0, -90, 0, 0),
               (0, 90, 91, 0)],
 }  # fmt: skip

@@ -21,7 +21,7 @@ def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, w
     ints, floats: plan, see `analytic_layout`. targets: (N, 4, 4). near: (1 or N, n), of each angle the turn nearest to
     it is given. locked: (1 or N, n) coordinates of which those of locked joints are read. tol_linear [m], tol_angular:
     largest errors of a solution. sort: 1 for rows in order, nearest first, else each is in the row of its slot. out:
-    (N, K, n + INFO) coordinates, error, code. counts: (N, 2) rows in use, -1 for a target that is no pose, and 0.
+    (N, K, n + INFO) coordinates, error, code. counts: (N, 2) rows in use, -1 for a target that is no pose, and 1 in doubt.
     """
     n, slots = ints[N_JOINTS], out.shape[1]
     block, flags = np.empty(desk_scratch(n) + SCRATCH), np.empty(6 + slots, np.int64)
@@ -30,12 +30,12 @@ def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, w
     for i in which:
         close_to = beyond(raw(near), n * i if near.shape[0] > 1 else 0)
         held = beyond(raw(locked), n * i if locked.shape[0] > 1 else 0)
-        sound, count = begin(d, beyond(raw(targets), 16 * i), close_to, held), 0
+        sound, count, doubt = begin(d, beyond(raw(targets), 16 * i), close_to, held), 0, False
         if sound:
-            k = closed_candidates(d.kinds, d.six, d.goal, ints[INNER], ints[WHAT], ints[MODE], ints[MEASURE],
-                                  ints[OPTION], scratch, d.candidates)  # fmt: skip
+            k, doubt = closed_candidates(d.kinds, d.six, d.goal, ints[INNER], ints[WHAT], ints[MODE], ints[MEASURE],
+                                         ints[OPTION], scratch, d.candidates)  # fmt: skip
             count = take_candidates(d, beyond(d.ints, ORDER), k, ROOT, 0)
         written = end(d, count, close_to, beyond(raw(out), slots * (n + INFO) * i), slots, sort)
-        counts[i, 0], counts[i, 1] = written if sound else -1, 0
+        counts[i, 0], counts[i, 1] = written if sound else -1, int(doubt)
     keep(block)
     keep(flags)

@@ -1,8 +1,8 @@
 """Where the numbers of a plan of the analytical inverse model lie. Imports nothing, like `layout`.
 
     ints    header (see the places below), kind of each line, then 1 for each joint of the chain that is unknown
-    floats  rows of the tip's pose (12), rows of the task (6), length, origin (3), the lines (LINE_STRIDE each), then for
-            each joint of the chain: gauge, multiplier, lower and upper limit
+    floats  rows of the tip's pose (12), rows of the task (6), length, origin (3), the lines (LINE_STRIDE each), then
+            for each joint of the chain: gauge, multiplier, lower and upper limit
 
 Lines are scaled by the length, and seen from the origin. The joints of the chain come first; the others complete it to
 six, and belong to nobody: the target must leave those marked REST at zero, those marked FREE may take any value.
@@ -12,7 +12,7 @@ N_LINES, N_JOINTS, INNER, WHAT, MODE, MEASURE, OPTION, N_LOCKED, N_FORMS = 0, 1,
 """Places in the header of `ints`."""
 
 ORDER, ROLES, FORMS, PLAN_HEADER = 10, 16, 22, 32
-"""Places in the header: which line stands at each of the six places, its role, and the formulations of an elimination."""
+"""Places in the header: which line stands at each of the six places, its role, the formulations of an elimination."""
 
 JOINT, REST, FREE = 0, 1, 2
 """Roles of the six: a joint of the chain; one that must stay at zero; one that may be anywhere."""

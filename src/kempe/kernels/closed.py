@@ -41,19 +41,22 @@ from kempe.kernels.outer import (
     x_terms,
     z_terms,
 )
-from kempe.kernels.quartic import coupled_pairs
+from kempe.kernels.quartic import coupled_pairs, steadiness
 from kempe.kernels.scratch import beyond
 from kempe.kernels.vectors import keep, raw
 
 CANDIDATE, SLOT, SAMPLE = 8, 6, 7
 """Numbers of a candidate: six variables; its slot by signs; 1 if it has a sample of a free joint."""
 
+DEPENDENT = 1e-7
+"""Steadiness of both outer joints below which their two equations are nearly one."""
+
 MOST_CANDIDATES = 192
 """Candidates at most."""
 
 AT_LINES, AT_TERMS, AT_X, AT_Z, AT_Y, AT_INNER = 0, 48, 60, 84, 108, 132
-AT_WORK, AT_MOTION, SCRATCH = 204, 228, 240
-"""Places in the scratch: lines round the loop, terms, values of x, z, y and the inner joints, work, a motion."""
+AT_WORK, AT_MOTION, AT_DOUBT, SCRATCH = 204, 228, 240, 241
+"""Places in the scratch: lines round the loop, terms, values of x, z, y and the inner joints, work, a motion, doubt."""
 
 
 @device
@@ -126,6 +129,8 @@ def inner_values(kinds, lines, goal, k, what, x, y, z, scratch):
 def emit(kinds, lines, goal, k, what, x, y, z, slot, scratch, out, count):
     """New number of candidates, after those that belong to one set of outer values."""
     n = inner_values(kinds, lines, goal, k, what, x, y, z, scratch)
+    if n < 0:
+        scratch[AT_DOUBT] = 1.0
     inner = beyond(scratch, AT_INNER)
     for i in range(n):
         if count >= MOST_CANDIDATES:
@@ -153,18 +158,22 @@ def with_middles(kinds, lines, goal, k, outer, x, z, slot, scratch, out, count):
 
 @routine
 def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratch, out):
-    """Number of candidates for E_1 ... E_6 = G, CANDIDATE numbers each in out.
+    """(number of candidates, doubt) for E_1 ... E_6 = G, CANDIDATE numbers each in out.
+
+    In doubt are goals for which the equations degenerate in a way that is not taken apart here.
 
     k: place of the first inner joint; what: POINT or PLANE; mode, measure, option: how the outer equations are solved,
     see `outer`. scratch: SCRATCH numbers.
     """
     around = beyond(scratch, AT_LINES)
     loop_lines(lines, goal, k, around)
-    xs, zs, ys = beyond(scratch, AT_X), beyond(scratch, AT_Z), beyond(scratch, AT_Y)
+    xs, zs = beyond(scratch, AT_X), beyond(scratch, AT_Z)
+    scratch[AT_DOUBT] = 0.0
     if mode == AT_REST:
         for i in range(VALUE_STRIDE):
             xs[i] = 1.0 if i == 0 else 0.0
-        return emit(kinds, lines, goal, k, what, xs, xs, xs, 0, scratch, out, 0)
+        count = emit(kinds, lines, goal, k, what, xs, xs, xs, 0, scratch, out, 0)
+        return count, scratch[AT_DOUBT] != 0.0
     n, p = plane_normal(kinds, lines, k) if what == PLANE else (three(lines, 0), ball_centre(lines, k))
     outer = outer_of(what, kinds, around, (k + 3) % 6, (k + 4) % 6, (k + 5) % 6, option, p, n,
                      unmapped(goal, p), unrotated(goal, n))  # fmt: skip
@@ -176,8 +185,10 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
         pairs = coupled_pairs(outer.kx == SLIDE, outer.kz == SLIDE, tx, tz, beyond(scratch, AT_WORK), xs, zs)
         for i in range(pairs):
             x, z = beyond(xs, VALUE_STRIDE * i), beyond(zs, VALUE_STRIDE * i)
-            count = with_middles(kinds, lines, goal, k, outer, x, z, i, scratch, out, count)
-        return count
+            # the roots of a quartic have no names: a slot below zero
+            count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
+        dependent = max(steadiness(tx), steadiness(tz)) < DEPENDENT
+        return count, dependent or scratch[AT_DOUBT] != 0.0
     firsts = zs if mode == Z_FIRST else xs
     seconds = xs if mode == Z_FIRST else zs
     for i in range(first_values(outer, mode, measure, tx, tz, firsts)):
@@ -185,8 +196,9 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
         for j in range(second_values(outer, mode, measure, tx, tz, first, seconds)):
             second = beyond(seconds, VALUE_STRIDE * j)
             x, z = (second, first) if mode == Z_FIRST else (first, second)
-            count = with_middles(kinds, lines, goal, k, outer, x, z, 2 * (i % 2) + j % 2, scratch, out, count)
-    return count
+            slot = (0 if first[SAMPLED] != 0.0 else 2 * (i % 2)) + (0 if second[SAMPLED] != 0.0 else j % 2)
+            count = with_middles(kinds, lines, goal, k, outer, x, z, slot, scratch, out, count)
+    return count, scratch[AT_DOUBT] != 0.0
 
 
 @kernel(types.void(I1, F1, F1, types.int64, types.int64, types.int64, OUT1))

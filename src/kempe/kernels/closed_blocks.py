@@ -157,8 +157,8 @@ def closed_side_by_side(ints, floats, targets, near, locked, sort, out, left):
     """Number of targets left to the careful path, whose numbers are written to `left` (N,); the others are done.
 
     ints, floats: plan, see `analytic_layout`, of six unknown turning joints with an equation in one unknown. targets:
-    (N, 4, 4). near: (1 or N, n), at least LANES rows if not one. locked: (1, n), of which the locked joints count. sort: 1 for rows in order; if none
-    are left, `left` then has the number of rows in use. out: (N, SLOTS, n + INFO).
+    (N, 4, 4). near: (1 or N, n), at least LANES rows if not one. locked: (1, n), of which the locked joints count.
+    sort: 1 for rows in order; if none are left, `left` then has the number of rows in use. out: (N, SLOTS, n + INFO).
     """
     scratch = np.empty(ROWS * LANES + (16 + SLOTS * ROW) * LANES + SIX)
     n_targets, n = targets.shape[0], ints[N_JOINTS]

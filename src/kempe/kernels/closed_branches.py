@@ -42,7 +42,7 @@ from kempe.kernels.closed_lanes import (
 from kempe.kernels.inner import across
 from kempe.kernels.lines import LINE_STRIDE, dot, minus, plus, three, turned
 from kempe.kernels.outer import PLANE, POINT, X_FIRST
-from kempe.kernels.subproblems import align, cone_roots, orbit, trig_roots
+from kempe.kernels.subproblems import align, cone_roots, orbit, triangle, trig_roots_of
 from kempe.kernels.trig import ROUND, atan2
 from kempe.kernels.vectors import (
     LANES,
@@ -175,8 +175,9 @@ def inner_pair(pr, at, slot, valid, clear):
         goal = minus(q, plus((0.0, 0.0, 0.0), dot(hc, q), hc))
         fixed = minus(plus(middle, 1.0, ob), oa)
         fixed = minus(fixed, plus((0.0, 0.0, 0.0), dot(hc, fixed), hc))
-        x, y = 2.0 * dot(fixed, u0), 2.0 * dot(fixed, w0)
-        c0, s0, c1, s1, d2 = trig_roots(one * x, one * y, dot(goal, goal) - dot(fixed, fixed) - dot(u0, u0))
+        x, y, rho2 = 2.0 * dot(fixed, u0), 2.0 * dot(fixed, w0), dot(goal, goal)
+        d2 = triangle(square_root(dot(fixed, fixed)), square_root(dot(u0, u0)), rho2)
+        c0, s0, c1, s1, d2 = trig_roots_of(one * x, one * y, rho2 - dot(fixed, fixed) - dot(u0, u0), d2)
         size = one * (x * x + y * y)
         middle = fixed
     there = where(d2 > 0.0, one, 0.0)

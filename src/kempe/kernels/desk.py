@@ -12,6 +12,7 @@ from kempe.kernels.analytic_layout import (
     GAUGE,
     INFO,
     INSIDE_BIT,
+    JOINT,
     JOINT_FLOATS,
     LENGTH,
     LINES,
@@ -153,7 +154,7 @@ def write_out(found, floats, joints, count, near, out, slots, placed):
             placed[at] = 1
             q = beyond(out, width * at)
             inside = coordinates(m, joints, row, near, q)
-            code = MULTIPLICITY_UNIT * row[TURNS] + SLOT_UNIT * (row[SIGNS] + 1.0 if sampled == 0 else 0.0)
+            code = MULTIPLICITY_UNIT * row[TURNS] + SLOT_UNIT * (max(row[SIGNS] + 1.0, 0.0) if sampled == 0 else 0.0)
             code += (INSIDE_BIT if inside else 0.0) + (WEAK_BIT if row[WEAKEST] < WEAK else 0.0)
             q[m.n + ERROR_AT] = math.hypot(row[ERROR] * floats[LENGTH], row[ERROR + 1])
             q[m.n + CODE] = code
@@ -221,7 +222,7 @@ def begin(d, target, near, locked):
 def end(d, count, near, out, slots, sort):
     """Number of rows written."""
     for i in range(6):
-        if d.ints[ROLES + i] == REST:  # a line at rest is a double zero of its own equation
+        if d.ints[ROLES + i] != JOINT:  # lines that stand for no joint have double zeros, or two ways, of their own
             for k in range(count):
                 row = beyond(d.found.rows, (SOLUTION + d.n) * k)
                 row[TURNS] = min(row[TURNS], 2.0)

@@ -58,6 +58,16 @@ def distance(m, a, b):
     return size
 
 
+@device
+def sampled_already(found, count, slot):
+    """Whether there is a sample of the family of this slot: one is enough."""
+    for k in range(count):
+        row = beyond(found.rows, (SOLUTION + found.model.n) * k)
+        if row[TURNS] == 0.0 and row[SIGNS] == slot:
+            return True
+    return False
+
+
 @routine
 def add(found, count, theta, slot, kind):
     """New number of solutions, after a candidate was polished in place and judged.
@@ -91,7 +101,7 @@ def add(found, count, theta, slot, kind):
         if kind == ROOT and min(weak, row[WEAKEST]) < MERGED:  # where the Jacobian is regular a root is simple
             row[TURNS] += 1.0
         return count
-    if count >= MOST_SOLUTIONS:
+    if count >= MOST_SOLUTIONS or (kind == SAMPLED and sampled_already(found, count, slot)):
         return count
     row = beyond(found.rows, stride * count)
     row[ERROR], row[ERROR + 1], row[TURNS], row[SIGNS] = linear, angular, 0.0 if kind == SAMPLED else 1.0, slot

@@ -13,7 +13,10 @@ from kempe.kernels._jit import device, routine
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.lines import cross, dot, mapped, minus, plus, rotated, turned, unmapped
 from kempe.kernels.outer import NOTHING, VALUE_STRIDE, VOID, cone, one_unknown, put, put_angle
-from kempe.kernels.subproblems import align, orbit
+from kempe.kernels.subproblems import align, orbit, triangle, trig_roots_of
+
+LOST = -1
+"""In place of a number of solutions: parallel slides leave none or infinitely many, which is not decided here."""
 
 ANY = 1e3
 """How far beyond its edge the equation of the inner joints is tried where an outer joint is a sample: others may do."""
@@ -75,7 +78,7 @@ def planar_point(h, ka, ha, oa, kb, hb, ob, p, goal, wide, work, out):
         d, n = flat(h, minus(goal, p)), cross(ha, hb)
         det = dot(h, n)
         if abs(det) <= VOID:
-            return 0
+            return LOST
         x, y = dot(h, cross(d, hb)) / det, dot(h, cross(ha, d)) / det
         put(out, 0, x, x * x, x, 0.0)
         put(out, 1, y, y * y, y, 0.0)
@@ -89,8 +92,13 @@ def planar_point(h, ka, ha, oa, kb, hb, ob, p, goal, wide, work, out):
     else:
         m, u, w = orbit(hb, minus(p, ob))
         r, g = flat(h, plus(minus(m, oa), 1.0, ob)), flat(h, minus(goal, oa))
-        k = dot(g, g) - dot(r, r) - dot(u, u)
-        count = one_unknown(False, 2.0 * dot(r, u), 2.0 * dot(r, w), k, wide, work)
+        r1, r2, rho2 = math.sqrt(dot(r, r)), math.sqrt(dot(u, u)), dot(g, g)
+        a, b, k = 2.0 * dot(r, u), 2.0 * dot(r, w), rho2 - r1 * r1 - r2 * r2
+        count = one_unknown(False, a, b, k, wide, work)
+        if count == 2:
+            c0, s0, c1, s1, _ = trig_roots_of(a, b, k, triangle(r1, r2, rho2))
+            put_angle(work, 0, c0, s0, 0.0)
+            put_angle(work, 1, c1, s1, 0.0)
     for k in range(count):
         a, b = value(work, k)
         at = VALUE_STRIDE * k
@@ -142,7 +150,7 @@ def planar_backward(h, ha, oa, kb, hb, ob, hc, oc, d, wide, work, out):
 
 @routine
 def planar_swing(h, ha, hb, ob, hc, d, out):
-    """The one way to write the planar motion d by a slide, a turn and a slide; 0 where the slides are parallel."""
+    """The one way to write the planar motion d by a slide, a turn and a slide; LOST where the slides are parallel."""
     r = across(hb)
     put_turn(hb, r, rotated(d, r), out, 1)
     c, s = value(out, 1)
@@ -150,7 +158,7 @@ def planar_swing(h, ha, hb, ob, hc, d, out):
     shift = flat(h, minus(mapped(d, ob), ob))
     det = dot(h, cross(ha, v))
     if abs(det) <= VOID:
-        return 0
+        return LOST
     x, y = dot(h, cross(shift, v)) / det, dot(h, cross(ha, shift)) / det
     put(out, 0, x, x * x, x, 0.0)
     put(out, 2, y, y * y, y, 0.0)

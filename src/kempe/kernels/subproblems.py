@@ -48,6 +48,15 @@ def trig_roots_of(a, b, k, d2):
     return (a * k - b * d) * n, (b * k + a * d) * n, (a * k + b * d) * n, (b * k - a * d) * n, d2
 
 
+@device
+def triangle(r1, r2, rho2):
+    """(2 r1 r2)^2 - (rho2 - r1^2 - r2^2)^2, the discriminant of a two-link arm, by Heron's formula.
+
+    rho2 is the square of the third side: with r1 = r2 and a target at the base no digits are lost.
+    """
+    return ((r1 + r2) * (r1 + r2) - rho2) * (rho2 - (r1 - r2) * (r1 - r2))
+
+
 # ---- subproblem 1: turn u about h onto v
 
 

@@ -1,11 +1,10 @@
 """Short vectors of float64 as a type of compiled code: `Vec`, its operators, loads, stores and shuffles.
 
-LLVM's loop vectoriser gives up on most loops over two-dimensional arrays, and Numba leaves straight-line code
-scalar. Here a kernel says outright what is one vector: four columns of a matrix row (`load4`, `pack4`) or
-`LANES` configurations side by side (`load_lanes`, `gather`).
-Formulas written with + - * / abs and `where` hold for plain floats too, so that none is written twice.
-Loads and stores take the pointer that `raw` makes of a C-contiguous array, and a flat index: arrays handed
-from function to function cost reference counting in loops, pointers nothing. Nothing checks bounds.
+LLVM's loop vectoriser gives up on most loops over two-dimensional arrays, and straight-line code stays scalar. Here
+a kernel says outright what is one vector: four columns of a matrix row (`load4`, `pack4`) or `LANES` configurations
+side by side (`load_lanes`, `gather`). Formulas written with + - * / abs and `where` hold for plain floats too, so that
+none is written twice. Loads and stores take the pointer that `raw` makes of a C-contiguous array, and a flat index:
+arrays handed on cost reference counting in loops, pointers nothing. Nothing checks bounds.
 """
 
 from __future__ import annotations

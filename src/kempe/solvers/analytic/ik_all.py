@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -23,6 +22,7 @@ from kempe.solvers.analytic.question import (
     axis_of,
     frame_of,
     held,
+    in_plane,
     near_of,
     points_along,
     targets_of,
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 TOLERANCE = 1e-9
 """Largest position error [m] and rotation angle [rad] of a solution."""
 
+EPSILON = float(np.finfo(float).eps)
 CHUNK, SERIAL_BELOW = 256, 4096
 
 
@@ -55,13 +56,15 @@ def ik_all(
     Solutions are sorted: inside the limits first, then by nearness to `near` (nq,), which also chooses among turns;
     with `inside_only` others are dropped, with `expand_turns` every turn inside the limits is listed.
 
-    Each solution is verified by the forward model to `tolerance` [m, rad]. What is not reached has no solutions and a
+    Each solution is verified by the forward model to `tolerance` [m, rad] (or to rounding, far away). What is not reached has no solutions and a
     `status` that says why; `throw=True` raises `NoSolutionError` for it. Errors: `UnsupportedError` for chains with
     loops, quaternions or shared coordinates, `InputError`, `UnknownNameError`.
 
     Method: see `ik_plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
     """
     name = system.frame_name(frame)
+    if system.dim == 2 and points_along(task):
+        target, task = in_plane(target, task, axis)
     targets, lead, is_position = targets_of(system, target, task)
     task = task_of(task, is_position, bool(system.table.at[name][2]))
     direction = axis_of(axis) if points_along(task) else Z_AXIS
@@ -69,7 +72,8 @@ def ik_all(
     values = held(name, lines.names, fixed, fixed_by_name)
     plan = plan_for(system, name, lines, task, direction, tuple(values))
     single = lead == ()
-    question = Question(system, name, task, direction, targets, None if single else lead, within(tolerance))
+    sure = max(within(tolerance), attainable(targets, lines))
+    question = Question(system, name, task, direction, targets, None if single else lead, sure)
     if single and not np.isfinite(targets).all():
         raise InputError("target has entries that are not finite")
     if single and task == "pose" and plan.side_by_side and ("all", name) not in system._queries:
@@ -118,6 +122,13 @@ def bind(system: System, frame: str) -> Bound | None:
     return bound
 
 
+def attainable(targets: Array, lines: Lines) -> float:
+    """The error [m] that rounding leaves, given the size of targets and chain: far away it is above the tolerance."""
+    size = np.abs(targets[:, :3, 3])
+    far = float(size[np.isfinite(size)].max(initial=0.0))
+    return 16.0 * EPSILON * (far + lines.length * (1.0 + float(np.abs(lines.tip[:3, 3]).max())))
+
+
 def chain_lines(system: System, frame: str, axis: tuple[float, float, float]) -> Lines:
     """The lines of the frame's chain, its tip turned so that its z axis is the tool's `axis`; made once."""
     key = ("lines", frame, axis)
@@ -153,7 +164,9 @@ def _choose(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) -> Pl
     if extra <= 0:
         return make(lines, task, fixed, planar)
     best = None
-    for choice in itertools.islice(itertools.combinations(reversed(unknown), extra), 60):
+    # the last joints are held, but not where they are what turns the tip
+    order = unknown if task in ("orientation", "direction") else unknown[::-1]
+    for choice in itertools.islice(itertools.combinations(order, extra), 60):
         left = [i for i in unknown if i not in choice]
         if freedoms(lines, free, left) < rank:
             continue
@@ -183,7 +196,7 @@ def solve(
     if plan.method == "search":
         from kempe.solvers.analytic.search import search
 
-        search(question, plan, chain_near, locked, out, counts)
+        search(question, plan, chain_near, locked, out, counts, np.arange(n))
         return Solutions(question, plan, base, out, counts, question.lead)
     side_by_side = side_by_side_of(plan) if len(locked) == 1 or not plan.locked else None
     if side_by_side and not plan.locked:
@@ -205,6 +218,11 @@ def solve(
         return 0
 
     over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+    lost = np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0))
+    if len(lost):  # the equations said nothing: starts may
+        from kempe.solvers.analytic.search import search
+
+        search(question, plan, chain_near, locked, out, counts, lost)
     return Solutions(question, plan, base, out, counts, question.lead)
 
 
@@ -227,9 +245,8 @@ def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Ar
             raise InputError(
                 f"{lines.names[i]} is held at values of shape {given.shape}; it must be a number or {lead}"
             ) from None
-    out = np.ascontiguousarray(out)
-    if not np.isfinite(out[:, list(plan.locked)]).all() and not math.prod(question.lead or (2,)) > 1:
+    if question.lead is None and not np.isfinite(out[:, list(plan.locked)]).all():
         raise InputError("a joint is held at a value that is not finite")
-    return out
+    return np.ascontiguousarray(out)
 
 

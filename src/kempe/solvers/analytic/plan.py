@@ -213,9 +213,15 @@ def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
     """Rank of the Jacobian of the unknown joints and the free lines at random configurations."""
     if not unknown:
         return len(free.kinds)
-    J = jacobians(lines, spread(lines, np.random.default_rng(7), 4))[:, :, unknown]
-    at_tip = np.broadcast_to(screws(free, lines.tip), (len(J), 6, len(free.kinds)))
-    values = np.linalg.svd(np.concatenate([J, at_tip], axis=2), compute_uv=False)
+    T, h, o = sweep(lines, spread(lines, np.random.default_rng(7), 4))
+    X = T @ spatial.inverse(lines.tip)
+    turns = np.concatenate([lines.kinds[unknown], free.kinds]) != SLIDE
+    h = np.concatenate([h[:, unknown], np.einsum("mij,kj->mki", X[:, :3, :3], free.h)], axis=1)
+    moved = np.einsum("mij,kj->mki", X[:, :3, :3], free.o) + X[:, None, :3, 3]
+    o = np.concatenate([o[:, unknown], moved], axis=1)
+    J = np.concatenate([np.where(turns[:, None], np.cross(o, h), h), np.where(turns[:, None], h, 0.0)], axis=2)
+    J = J / np.linalg.norm(J, axis=2, keepdims=True)  # seen from the chain, whatever the tool
+    values = np.linalg.svd(J, compute_uv=False)
     return int((values > RANK * values[:, :1]).sum(axis=1).max())
 
 
@@ -223,7 +229,7 @@ def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool) -> Plan
     """The plan for a chain of which so many joints are locked that the others are not redundant."""
     unknown = [i for i in range(len(lines)) if i not in locked]
     if not unknown:
-        raise UnsupportedError("no joint is left to move: all joints of the chain are held, or do nothing for this task")
+        raise UnsupportedError("no joint is left to move: all of the chain are held, or do nothing for this task")
     free = free_lines(lines, task, planar)
     tried = []
     for rest in resting(lines, free, unknown, planar):

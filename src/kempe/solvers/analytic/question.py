@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 Z_AXIS = (0.0, 0.0, 1.0)
 
+FARTHEST = 1e5
+"""Largest coordinate of `near`: beyond, an angle with its turns has lost the digits that solutions have."""
+
 
 @dataclass(frozen=True, eq=False)
 class Question:
@@ -58,7 +61,7 @@ def axis_of(axis: object) -> tuple[float, float, float]:
         v = np.asarray(axis, dtype=float)
     except (TypeError, ValueError):
         v = np.zeros(0)
-    size = float(np.linalg.norm(v)) if v.shape == (3,) and np.isfinite(v).all() else 0.0
+    size = float(np.linalg.norm(v)) if v.shape == (3,) and np.all(np.abs(v) < 1e100) else 0.0
     if size == 0.0:
         raise InputError(f"axis is {axis!r}; it must be three numbers, not all zero: a direction in the tool's frame")
     x, y, z = (v / size).tolist()
@@ -80,9 +83,12 @@ def targets_of(system: System, target: Any, task: str | None) -> tuple[Array, tu
     Besides poses and positions: directions (..., 3) for the task "direction", rotations (..., 3, 3) for "orientation",
     and (..., 6), position and direction, for "position_axis"; directions are those of the tool's axis.
     """
-    shape = np.shape(target)
+    try:
+        shape = np.shape(target)
+    except ValueError:
+        raise InputError("target is ragged; it must be an array of real numbers") from None
     width = {"direction": 3, "position_axis": 6}.get(task or "")
-    if task == "orientation" and shape[-2:] == (3, 3):
+    if task == "orientation" and shape[-2:] == (3, 3) and system.dim == 3:
         out = np.zeros((*shape[:-2], 4, 4))
         out[..., :3, :3], out[..., 3, 3] = target, 1.0
         return parse_targets(system, out)
@@ -102,7 +108,32 @@ def targets_of(system: System, target: Any, task: str | None) -> tuple[Array, tu
     return out, shape[:-1], False
 
 
-def points_along(task: str) -> bool:
+def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
+    """Target and task of a planar system where an axis of the tool is pointed: the angle of the frame is then given.
+
+    Directions have two or three numbers, positions too; poses are left as they are.
+    """
+    full = "orientation" if task == "direction" else "pose"
+    shape, widths = np.shape(target), (2, 3) if task == "direction" else (4, 6)
+    if shape[-2:] in ((4, 4), (3, 3)) or shape[-1:] not in [(w,) for w in widths]:
+        return target, full
+    x, y, _ = axis_of(axis)
+    values = np.asarray(target, dtype=float)
+    k = shape[-1] // (1 if task == "direction" else 2)
+    d = values[..., -k:]
+    if math.hypot(x, y) < 1e-9 or (k == 3 and np.any(np.abs(d[..., 2]) > 1e-9)):
+        raise InputError("in a planar system the axis of the tool and its direction must lie in the plane")
+    angle = np.arctan2(d[..., 1], d[..., 0]) - math.atan2(y, x)
+    out = np.zeros((*shape[:-1], 4, 4))
+    out[..., 0, 0] = out[..., 1, 1] = np.cos(angle)
+    out[..., 1, 0], out[..., 0, 1] = np.sin(angle), -np.sin(angle)
+    out[..., 2, 2] = out[..., 3, 3] = 1.0
+    if task != "direction":
+        out[..., :k, 3] = values[..., :k]
+    return out, full
+
+
+def points_along(task: str | None) -> bool:
     """Whether the task reads one axis of the tool only."""
     return task in ("direction", "position_axis")
 
@@ -115,10 +146,10 @@ def held(frame: str, names: tuple[str, ...], fixed: object, more: Mapping[str, A
     for name, value in {**(fixed or {}), **more}.items():
         if name not in names:
             raise UnknownNameError("joint", str(name), names, f"the chain of {frame!r}")
-        x = np.asarray(value, dtype=float)
-        if x.ndim and x.dtype.kind != "f":
-            raise InputError(f"{name} is held at {value!r}; it must be a number")
-        out[name] = x
+        try:
+            out[name] = np.asarray(value, dtype=float)
+        except (TypeError, ValueError):
+            raise InputError(f"{name} is held at {value!r}; it must be a number, or one for each target") from None
     return out
 
 
@@ -130,8 +161,8 @@ def near_of(system: System, near: Any, lead: tuple[int, ...] | None) -> Array | 
     if q.ndim > 1 and q.shape[:-1] != (lead or ()):
         each = f" or {(*lead, system.nq)}" if lead else ""
         raise InputError(f"near has shape {q.shape}; it must be ({system.nq},){each}")
-    if not np.isfinite(q).all():
-        raise InputError("near has entries that are not finite")
+    if not np.all(np.abs(q) < FARTHEST):
+        raise InputError(f"near has entries that are not finite, or beyond {FARTHEST:g}: turns cannot be counted there")
     return q.reshape(math.prod(q.shape[:-1]), system.nq)
 
 

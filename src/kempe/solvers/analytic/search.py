@@ -21,12 +21,13 @@ APART = 1e-6
 
 
 def search(
-    question: Question, plan: Plan, near: Array, locked: Array, out: Array, counts: np.ndarray
+    question: Question, plan: Plan, near: Array, locked: Array, out: Array, counts: np.ndarray, which: np.ndarray
 ) -> None:
-    """Fill the rows `out` (N, K, n + 2) and `counts` (N, 2), target by target."""
-    out[..., -A.INFO + A.CODE] = A.UNUSED
-    counts[:, 1] = 1
-    for i, target in enumerate(question.targets):
+    """Fill the rows `out` (N, K, n + 2) and `counts` (N, 2) of the targets whose numbers are in `which`."""
+    out[which, :, -A.INFO + A.CODE] = A.UNUSED
+    counts[which, 1] = 1
+    for i in which:
+        target = question.targets[i]
         if not np.isfinite(target).all():
             counts[i, 0] = -1
             continue
@@ -63,7 +64,7 @@ def _solutions(question: Question, plan: Plan, target: Array, locked: Array) -> 
         if all(np.abs(g).max() > APART for g in gaps):
             found.append(theta[k])
             error.append(size[k] * max(lines.length, 1.0))
-        if len(found) == A.SLOTS:
+        if len(found) == plan.slots:
             break
     return np.array(found).reshape(-1, len(lines)), np.array(error)
 

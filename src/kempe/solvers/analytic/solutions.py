@@ -39,6 +39,7 @@ class Solutions:
     ):  # fmt: skip
         self._asked, self.plan = question, plan
         self._base, self._rows, self._counts, self._lead, self._count = base, rows, counts, lead, used
+        self._whole: Solutions | None = None  # the answer before some of it was chosen: what is said is about that
 
     @cached_property
     def question(self) -> Question:
@@ -210,6 +211,8 @@ class Solutions:
         """The sentence for one target; an array of sentences for a batch. Made when asked for."""
         from kempe.solvers.analytic.explain import status
 
+        if self._whole is not None:
+            return self._whole.status
         if self._lead is None:
             return status(self, 0)
         out = np.empty(len(self._rows), dtype=object)
@@ -240,7 +243,9 @@ class Solutions:
             rows = inside_rows(rows, self.single)
         if expand_turns:
             rows = expanded(rows, self.plan.lines)
-        return Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead)
+        chosen = Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead)
+        chosen._whole = self
+        return chosen
 
     def along(self) -> Solutions:
         """The same batch with its rows in the order in which branches continue along the last axis of the targets.

@@ -39,7 +39,7 @@ def expanded(rows: Array, lines: Lines) -> Array:
 
     Errors: `InputError` where one target would have more than MOST_ROWS.
     """
-    for i in range(len(lines)):
+    for i in range(len(lines) if rows.size else 0):
         low, high = lines.limits[:, i]
         period = 2.0 * math.pi / abs(lines.multiplier[i])
         if lines.kinds[i] == SLIDE or not high - low < math.inf or high - low < period - 1e-9:
