@@ -21,7 +21,8 @@ def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, w
     ints, floats: plan, see `analytic_layout`. targets: (N, 4, 4). near: (1 or N, n), of each angle the turn nearest to
     it is given. locked: (1 or N, n) coordinates of which those of locked joints are read. tol_linear [m], tol_angular:
     largest errors of a solution. sort: 1 for rows in order, nearest first, else each is in the row of its slot. out:
-    (N, K, n + INFO) coordinates, error, code. counts: (N, 2) rows in use, -1 for a target that is no pose, and 1 in doubt.
+    (N, K, n + INFO) coordinates, error, code. counts: (N, 2) rows in use, -1 for a target that is no pose, and whether
+    in doubt.
     """
     n, slots = ints[N_JOINTS], out.shape[1]
     block, flags = np.empty(desk_scratch(n) + SCRATCH), np.empty(6 + slots, np.int64)

@@ -56,9 +56,9 @@ def ik_all(
     Solutions are sorted: inside the limits first, then by nearness to `near` (nq,), which also chooses among turns;
     with `inside_only` others are dropped, with `expand_turns` every turn inside the limits is listed.
 
-    Each solution is verified by the forward model to `tolerance` [m, rad] (or to rounding, far away). What is not reached has no solutions and a
-    `status` that says why; `throw=True` raises `NoSolutionError` for it. Errors: `UnsupportedError` for chains with
-    loops, quaternions or shared coordinates, `InputError`, `UnknownNameError`.
+    Each solution is verified by the forward model to `tolerance` [m, rad] (or to rounding, far away). What is not
+    reached has no solutions and a `status` that says why; `throw=True` raises `NoSolutionError` for it. Errors:
+    `UnsupportedError` for chains with loops, quaternions or shared coordinates, `InputError`, `UnknownNameError`.
 
     Method: see `ik_plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
     """
