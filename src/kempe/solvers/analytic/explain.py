@@ -55,8 +55,10 @@ def status(solutions: Solutions, index: int) -> str:
     spare, reached = _spare(plan), math.hypot(position, angle) <= REACHED
     held = f" with {_held(solutions, index, spare)}" if spare and reached else ""
     text = f"no solution{held}: {_why(solutions, index)}"
+    if reached and not held:
+        return f"no solution, though one comes within {REACHED:g} of the target: see nearest()"
     if reached:
-        return f"{text}; {'other values of what is held reach it' if held else 'a search finds one'}"
+        return f"{text}; other values of what is held reach it"
     missed = [] if question.task in ("orientation", "direction") else [f"{position:.6g} m"]
     missed += [] if question.task == "position" else [f"{angle:.2g} rad"]
     limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""
@@ -89,7 +91,7 @@ def _reached(solutions: Solutions, index: int) -> str:
         text = "no isolated solution"
     elif plan.method == "elimination":
         text += " by elimination"
-    text += _completeness(plan, k)
+    text += _completeness(plan, k, bool(solutions._counts[index, 1]), bool(spare))
     text += _merged(code[alone])
     if inside < k:
         text += f", {inside or 'none'} inside the limits"
@@ -104,9 +106,13 @@ def _reached(solutions: Solutions, index: int) -> str:
     return text
 
 
-def _completeness(plan: Plan, k: int) -> str:
+def _completeness(plan: Plan, k: int, doubt: bool, spare: bool) -> str:
     if k == 0:
         return ""
+    if doubt:
+        return " found, there may be more"
+    if spare:
+        return " for what is held"
     if plan.method == "closed":
         return ", all of them" if k > 1 else ", the only one"
     return ", all there are" if plan.method == "elimination" else " found, there may be more"

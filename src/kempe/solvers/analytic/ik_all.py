@@ -65,9 +65,9 @@ def ik_all(
     name = system.frame_name(frame)
     if system.dim == 2 and points_along(task):
         target, task = in_plane(target, task, axis)
-    targets, lead, is_position = targets_of(system, target, task)
-    task = task_of(task, is_position, bool(system.table.at[name][2]))
     direction = axis_of(axis) if points_along(task) else Z_AXIS
+    targets, lead, is_position = targets_of(system, target, task, direction)
+    task = task_of(task, is_position, bool(system.table.at[name][2]))
     lines = chain_lines(system, name, direction)
     values = held(name, lines.names, fixed, fixed_by_name)
     plan = plan_for(system, name, lines, task, direction, tuple(values))
@@ -151,7 +151,8 @@ def plan_for(
     plan = system._queries.get(key)
     if plan is None:
         at = tuple(sorted(lines.names.index(n) for n in fixed))
-        plan = system._queries[key] = replace(_choose(lines, task, at, system.dim == 2), fixed=at)
+        planar = system.dim == 2
+        plan = system._queries[key] = replace(_choose(lines, task, at, planar), fixed=at, planar=planar)
     return plan
 
 
@@ -197,7 +198,7 @@ def solve(
         from kempe.solvers.analytic.search import search
 
         search(question, plan, chain_near, locked, out, counts, np.arange(n))
-        return Solutions(question, plan, base, out, counts, question.lead)
+        return Solutions(question, plan, base, out, counts, question.lead, locked=locked)
     side_by_side = side_by_side_of(plan) if len(locked) == 1 or not plan.locked else None
     if side_by_side and not plan.locked:
         locked = locked[:1]
@@ -218,12 +219,18 @@ def solve(
         return 0
 
     over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+    none = np.flatnonzero(counts[:, 0] == 0)
+    if plan.rests and len(none) and (other := plan.other) is not None:  # two completions have to agree
+        kernel_of(other)(
+            other.ints, other.floats, targets, chain_near, locked, question.tolerance, question.tolerance,
+            int(single), none, out, counts,
+        )  # fmt: skip
     lost = np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0))
     if len(lost):  # the equations said nothing: starts may
         from kempe.solvers.analytic.search import search
 
         search(question, plan, chain_near, locked, out, counts, lost)
-    return Solutions(question, plan, base, out, counts, question.lead)
+    return Solutions(question, plan, base, out, counts, question.lead, locked=locked)
 
 
 def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Array]) -> Array:

@@ -64,6 +64,18 @@ class Plan:
     ints: np.ndarray = field(repr=False)
     floats: np.ndarray = field(repr=False)
     fixed: tuple[int, ...] = ()
+    planar: bool = False
+
+    @property
+    def rests(self) -> bool:
+        """Whether the chain has fewer joints than the task equations: lines that must stay at rest stand in."""
+        return bool(np.any(self.extra.roles == A.REST)) and not self.planar
+
+    @cached_property
+    def other(self) -> Plan | None:
+        """Another plan for the same, with other lines at rest; None where there is none."""
+        found = make(self.lines, self.task, self.locked, self.planar, self.extra)
+        return found if found.method != "search" else None
 
     @cached_property
     def side_by_side(self) -> bool:
@@ -225,8 +237,11 @@ def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
     return int((values > RANK * values[:, :1]).sum(axis=1).max())
 
 
-def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool) -> Plan:
-    """The plan for a chain of which so many joints are locked that the others are not redundant."""
+def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None) -> Plan:
+    """The plan for a chain of which so many joints are locked that the others are not redundant.
+
+    but: lines that complete it in a plan that is known; then another one is made.
+    """
     unknown = [i for i in range(len(lines)) if i not in locked]
     if not unknown:
         raise UnsupportedError("no joint is left to move: all of the chain are held, or do nothing for this task")
@@ -234,6 +249,8 @@ def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool) -> Plan
     tried = []
     for rest in resting(lines, free, unknown, planar):
         extra = Extra(*(np.concatenate([a, b]) for a, b in zip(_parts(free), _parts(rest), strict=True)))
+        if but is not None and np.array_equal(extra.h, but.h) and np.array_equal(extra.o, but.o):
+            continue
         tried.append(extra)
         for way in _ways(lines, unknown, locked, extra):
             plan = pack(lines, task, locked, extra, way)

@@ -77,7 +77,9 @@ def frame_of(z: Array) -> Array:
     return np.asarray(np.stack([x, np.cross(z, x), z], axis=-1), dtype=float)
 
 
-def targets_of(system: System, target: Any, task: str | None) -> tuple[Array, tuple[int, ...], bool]:
+def targets_of(
+    system: System, target: Any, task: str | None, axis: tuple[float, float, float]
+) -> tuple[Array, tuple[int, ...], bool]:
     """Targets (N, 4, 4), their leading shape, and whether positions were given. Errors: `InputError`.
 
     Besides poses and positions: directions (..., 3) for the task "direction", rotations (..., 3, 3) for "orientation",
@@ -101,7 +103,8 @@ def targets_of(system: System, target: Any, task: str | None) -> tuple[Array, tu
         raise InputError("the direction of the target must be finite and not zero")
     out = np.zeros((math.prod(shape[:-1]), 4, 4))
     with np.errstate(invalid="ignore", divide="ignore"):
-        out[:, :3, :3] = frame_of(d / size).reshape(-1, 3, 3)
+        R = frame_of(d / size)
+        out[:, :3, :3] = (R if axis == Z_AXIS else R @ frame_of(np.array(axis)).T).reshape(-1, 3, 3)
     out[:, 3, 3] = 1.0
     if width == 6:
         out[:, :3, 3] = values[..., :3].reshape(-1, 3)

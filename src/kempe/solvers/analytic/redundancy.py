@@ -60,11 +60,11 @@ def ik_sweep(
     [0.252, -0.341, -0.177, -1.3, 0.474, -0.535, -0.241]
     """
     name = system.frame_name(frame)
-    targets, lead, is_position = targets_of(system, target, task)
+    direction = axis_of(axis) if task is not None and points_along(task) else Z_AXIS
+    targets, lead, is_position = targets_of(system, target, task, direction)
     if lead != () or not np.isfinite(targets).all():
         raise InputError("a sweep needs one target, of finite numbers")
     task = task_of(task, is_position, bool(system.table.at[name][2]))
-    direction = axis_of(axis) if points_along(task) else Z_AXIS
     base = near_of(system, near, None)
     base = system.neutral if base is None else base[0]
     lines = chain_lines(system, name, Z_AXIS)

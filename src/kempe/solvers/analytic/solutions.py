@@ -35,10 +35,11 @@ class Solutions:
 
     def __init__(
         self, question: Question | tuple[Bound, Array], plan: Plan, base: Array, rows: Array, counts: np.ndarray,
-        lead: tuple[int, ...] | None, used: int | None = None,
+        lead: tuple[int, ...] | None, used: int | None = None, locked: Array | None = None,
     ):  # fmt: skip
         self._asked, self.plan = question, plan
         self._base, self._rows, self._counts, self._lead, self._count = base, rows, counts, lead, used
+        self._locked = locked
         self._whole: Solutions | None = None  # the answer before some of it was chosen: what is said is about that
 
     @cached_property
@@ -243,7 +244,7 @@ class Solutions:
             rows = inside_rows(rows, self.single)
         if expand_turns:
             rows = expanded(rows, self.plan.lines)
-        chosen = Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead)
+        chosen = Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead, None, self._locked)
         chosen._whole = self
         return chosen
 
@@ -258,7 +259,7 @@ class Solutions:
         if self._lead is None or not self._lead:
             return self
         rows = followed(self._rows, self.plan.lines, self._lead[-1])
-        return Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead)
+        return Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead, None, self._locked)
 
     # ---- as a sequence
 
