@@ -239,14 +239,14 @@ def take_candidates(d, order, candidates, kind, count):
         row = beyond(d.candidates, CANDIDATE * k)
         for i in range(d.n):
             d.theta[i] = d.fixed[i]
-        sound = True
+        sound, sampled = True, row[SAMPLE] != 0.0
         for i in range(6):
             j = order[i]
             if j < d.n:
                 d.theta[j] = row[i]
-            elif d.ints[ROLES + i] == REST:
+            elif d.ints[ROLES + i] == REST and not sampled:
                 sound = sound and abs(row[i]) <= OFF_ZERO
             sound = sound and abs(row[i]) < 1e15
         if sound:
-            count = add(d.found, count, d.theta, row[CANDIDATE_SLOT], SAMPLED if row[SAMPLE] != 0.0 else kind)
+            count = add(d.found, count, d.theta, row[CANDIDATE_SLOT], SAMPLED if sampled else kind)
     return count

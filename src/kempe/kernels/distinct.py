@@ -11,9 +11,9 @@ from kempe.kernels.layout import SLIDE
 from kempe.kernels.polish import Model, error_at, polish, weakest
 from kempe.kernels.scratch import beyond
 
-SAME, NEAR, INDISTINCT = 1e-7, 2e-3, 5e-15
-"""Solutions nearer than SAME are one. So are those nearer than NEAR whose midpoint solves the target to INDISTINCT:
-roots that merge cannot be told apart at the square root of rounding, their mean is right to rounding."""
+EQUAL, SAME, NEAR, INDISTINCT = 1e-9, 1e-6, 2e-3, 5e-15
+"""Solutions nearer than SAME are one, and those nearer than NEAR whose midpoint solves the target to INDISTINCT: roots
+that merge cannot be told apart at the square root of rounding. Their mean stands for both, unless they are EQUAL."""
 
 MERGED = 1e-8
 """Bound of the smallest singular value squared of a solution in which roots may have merged."""
@@ -79,6 +79,8 @@ def add(found, count, theta, slot, kind):
     if not (linear <= found.linear and angular <= found.angular):
         return count
     weak = weakest(m)
+    if kind == SAMPLED and weak > MERGED:  # a free joint that was not free after all: polishing has found its value
+        kind = AGAIN
     spare = beyond(found.rows, stride * MOST_SOLUTIONS)
     for k in range(count):
         row = beyond(found.rows, stride * k)
@@ -86,11 +88,11 @@ def add(found, count, theta, slot, kind):
         d = distance(m, theta, other)
         if d > NEAR:
             continue
-        if d > SAME:
+        if d > EQUAL:
             for i in range(m.n):
                 spare[i] = other[i] + 0.5 * gap(m.kinds[i] == SLIDE, theta[i], other[i])
             middle_linear, middle_angular = error_at(m, spare)
-            if max(middle_linear, middle_angular) > max(INDISTINCT, 2.0 * max(row[ERROR], row[ERROR + 1])):
+            if d > SAME and max(middle_linear, middle_angular) > max(INDISTINCT, 2.0 * max(row[ERROR], row[ERROR + 1])):
                 continue
             share = 1.0 / (row[TURNS] + 1.0)
             for i in range(m.n):

@@ -32,10 +32,11 @@ def eliminated(d, scratch, thetas):
             row[CANDIDATE_SLOT], row[SAMPLE] = -1.0, 0.0
         before = count
         count = take_candidates(d, beyond(d.ints, ORDER), k, ROOT if f == 0 else AGAIN, count)
-        if suspect == 0 and (f == 0 or count == before):
+        enough = count > 0 or f >= 2  # that there is no solution has to be said thrice
+        if suspect == 0 and enough and (f == 0 or count == before):
             doubt = 0
             break
-        if f > 0 and count == before and count % 2 == 0:  # two formulations agree
+        if f > 0 and enough and count == before and count % 2 == 0:  # two formulations agree
             doubt = 0
             break
     return count, doubt

@@ -166,10 +166,10 @@ class Solutions:
         J = self.jacobian
         used = self.mask[..., None, None]
         inverse = np.linalg.pinv(np.where(used, J, 0.0), rcond=1e-12)
-        R = self.question.targets[..., :3, :3]
+        R = self.system.fk(np.where(self.mask[..., None], self.q, 0.0), self.question.frame)[..., :3, :3]
         if self.question.axis != Z_AXIS:
             R = R @ frame_of(np.array(self.question.axis))
-        R = self._pick(np.broadcast_to(np.swapaxes(R, -1, -2)[:, None], (*self._used.shape, 3, 3)))
+        R = np.swapaxes(R, -1, -2)
         body = np.concatenate([inverse[..., :3] @ R, inverse[..., 3:] @ R], axis=-1)
         out = np.zeros((*J.shape[:-2], self.system.nv, 6))
         out[..., self.plan.lines.v_index, :] = body
