@@ -76,6 +76,8 @@ class Family:
         for name in values:
             if name not in names:
                 raise UnknownNameError("joint", name, names, "the chain")
+        if not all(np.isfinite(np.asarray(v, dtype=float)).all() for v in values.values()):
+            raise InputError("values of joints must be finite")
         if self.dimension > 1:
             return self._full(self._hold({n: float(np.asarray(v)) for n, v in values.items()}))
         (name, value), = values.items()

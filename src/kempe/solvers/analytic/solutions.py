@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.errors import InputError
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.layout import SLIDE
 from kempe.solvers.analytic.plan import TASKS
@@ -233,6 +234,8 @@ class Solutions:
         """
         from kempe.solvers.analytic.nearest import nearest
 
+        if not 0 <= index < len(self._rows):
+            raise InputError(f"index is {index}; there are {len(self._rows)} targets")
         return nearest(self, index)
 
     def chosen(self, expand_turns: bool, inside_only: bool) -> Solutions:
