@@ -158,7 +158,8 @@ def closed_side_by_side(ints, floats, targets, near, locked, sort, out, left):
 
     ints, floats: plan, see `analytic_layout`, of six unknown turning joints with an equation in one unknown. targets:
     (N, 4, 4). near: (1 or N, n), at least LANES rows if not one. locked: (1, n), of which the locked joints count.
-    sort: 1 for rows in order; if none are left, `left` then has the number of rows in use. out: (N, SLOTS, n + INFO).
+    sort: 1 for rows in order; if none are left, -1 less the rows in use of the last target is returned. out:
+    (N, SLOTS, n + INFO).
     """
     scratch = np.empty(ROWS * LANES + (16 + SLOTS * ROW) * LANES + SIX)
     n_targets, n = targets.shape[0], ints[N_JOINTS]
@@ -173,7 +174,7 @@ def closed_side_by_side(ints, floats, targets, near, locked, sort, out, left):
         for i in range(LANES if n_targets > 0 else 0):
             for j in range(16):
                 goals[16 * i + j] = raw(targets)[16 * min(i, n_targets - 1) + j]
-    count = 0
+    count, done = 0, 0
     for i in range(0, n_targets, LANES):
         at = 0 if few else min(i, n_targets - LANES)
         pr = problem_of(raw(ints), raw(floats), six, lanes, beyond(raw(out), SLOTS * ROW * at) if direct else answers,
@@ -193,6 +194,6 @@ def closed_side_by_side(ints, floats, targets, near, locked, sort, out, left):
         for i in range(n_targets):
             used = arrange(n, joints, beyond(raw(near), step * i), beyond(raw(out), SLOTS * (n + INFO) * i), SLOTS)
             if count == 0:
-                left[i] = used
+                done = -1 - used
     keep(scratch)
-    return count
+    return count if count > 0 else done

@@ -61,9 +61,9 @@ ROUNDING, EDGE = 1e-12, 1e-10
 SLOTS, ROW = 8, 8
 """Slots of a target, and numbers of each: six coordinates, error, code."""
 
-AT_ANGLES = LANE_ROWS
-ROWS = LANE_ROWS + 6
-"""Rows of scratch: those of `closed_lanes`, and the angles of the joints."""
+AT_COORDINATES, AT_FITS = LANE_ROWS, LANE_ROWS + 6
+ROWS = LANE_ROWS + 12
+"""Rows of scratch: those of `closed_lanes`, the joints' coordinates, and whether these are inside the limits."""
 
 
 class Problem(NamedTuple):
@@ -109,19 +109,15 @@ def coordinate(pr, joint, theta, near):
 
 @routine
 def write_row(pr, at, slot, valid, error):
-    """Nothing; one slot of all lanes, from the angles in the scratch."""
+    """Nothing; one slot of all lanes, from the coordinates in the scratch."""
     place = at * SLOTS * ROW + slot * ROW
-    inside = spread_lanes(1.0)
-    q0, f0 = coordinate(pr, 0, load_lanes(pr.lanes, AT_ANGLES * LANES), near_of(pr, at, 0))
-    q1, f1 = coordinate(pr, 1, load_lanes(pr.lanes, (AT_ANGLES + 1) * LANES), near_of(pr, at, 1))
-    q2, f2 = coordinate(pr, 2, load_lanes(pr.lanes, (AT_ANGLES + 2) * LANES), near_of(pr, at, 2))
-    q3, f3 = coordinate(pr, 3, load_lanes(pr.lanes, (AT_ANGLES + 3) * LANES), near_of(pr, at, 3))
-    q4, f4 = coordinate(pr, 4, load_lanes(pr.lanes, (AT_ANGLES + 4) * LANES), near_of(pr, at, 4))
-    q5, f5 = coordinate(pr, 5, load_lanes(pr.lanes, (AT_ANGLES + 5) * LANES), near_of(pr, at, 5))
-    inside = inside * f0 * f1 * f2 * f3 * f4 * f5
+    inside = load_lanes(pr.lanes, AT_FITS * LANES)
+    for joint in range(1, 6):
+        inside = inside * load_lanes(pr.lanes, (AT_FITS + joint) * LANES)
     code = where(valid > 0.5, MULTIPLICITY_UNIT + SLOT_UNIT * (slot + 1) + INSIDE_BIT * inside, UNUSED)
-    store_columns(pr.out, place, SLOTS * ROW, q0, q1, q2, q3)
-    store_columns(pr.out, place + 4, SLOTS * ROW, q4, q5, error, code)
+    q, last = load3(pr.lanes, AT_COORDINATES), load3(pr.lanes, AT_COORDINATES + 3)
+    store_columns(pr.out, place, SLOTS * ROW, q[0], q[1], q[2], last[0])
+    store_columns(pr.out, place + 4, SLOTS * ROW, last[1], last[2], error, code)
 
 
 @device
@@ -132,11 +128,13 @@ def near_of(pr, at, joint):
     return gather(pr.near, pr.near_step * at + pr.order[joint], pr.near_step)
 
 
-@device
-def put_angle(lanes, joint, c, s):
-    """Write cosine, sine and angle of a joint."""
-    put_cs(lanes, joint, c, s)
-    store(lanes, (AT_ANGLES + joint) * LANES, atan2(s, c))
+@routine
+def put_angle(pr, at, joint, c, s):
+    """Write cosine and sine of a joint, its coordinate and whether that is inside the limits."""
+    put_cs(pr.lanes, joint, c, s)
+    q, fits = coordinate(pr, joint, atan2(s, c), near_of(pr, at, joint))
+    store(pr.lanes, (AT_COORDINATES + joint) * LANES, q)
+    store(pr.lanes, (AT_FITS + joint) * LANES, fits)
 
 
 @routine
@@ -193,9 +191,9 @@ def inner_pair(pr, at, slot, valid, clear):
         ca, sa_, size_a = align(ha, u, goal)
         back = turned(hb, turned(ha, dr, ca, -sa_), c, -s)
         cc, sc, _ = align(hc, r, back)
-        put_angle(pr.lanes, pr.k, ca, sa_)
-        put_angle(pr.lanes, pr.k + 1, c, s)
-        put_angle(pr.lanes, pr.k + 2, cc, sc)
+        put_angle(pr, at, pr.k, ca, sa_)
+        put_angle(pr, at, pr.k + 1, c, s)
+        put_angle(pr, at, pr.k + 2, cc, sc)
         error = error_of(pr, (ca, sa_), (c, s), (cc, sc), w, dr, dp, r)
         fine = where(ROUNDING > error, where(size_a > FAR * FAR, one, 0.0), 0.0)
         clear = clear * where(valid > 0.5, fine, 1.0)
@@ -227,13 +225,13 @@ def second_pair(pr, at, slot, c, s, valid, clear):
         other = on_orbit(lanes, second, c2, s2)
         if pr.mode == X_FIRST:
             cy, sy, size = align(hy, other, v)
-            put_angle(lanes, x, c, s)
-            put_angle(lanes, z, c2, s2)
+            put_angle(pr, at, x, c, s)
+            put_angle(pr, at, z, c2, s2)
         else:
             cy, sy, size = align(hy, v, other)
-            put_angle(lanes, z, c, s)
-            put_angle(lanes, x, c2, s2)
-        put_angle(lanes, y, cy, sy)
+            put_angle(pr, at, z, c, s)
+            put_angle(pr, at, x, c2, s2)
+        put_angle(pr, at, y, cy, sy)
         clear = clear * where(valid > 0.5, where(size > FAR * FAR, 1.0, spread_lanes(0.0)), 1.0)
         clear = inner_pair(pr, at, slot + 2 * i, valid, clear)
     return clear

@@ -94,6 +94,8 @@ def add(found, count, theta, slot, kind):
             middle_linear, middle_angular = error_at(m, spare)
             if d > SAME and max(middle_linear, middle_angular) > max(INDISTINCT, 2.0 * max(row[ERROR], row[ERROR + 1])):
                 continue
+            if kind != ROOT:  # what was met before moves nothing
+                return count
             share = 1.0 / (row[TURNS] + 1.0)
             for i in range(m.n):
                 spare[i] = other[i] + share * gap(m.kinds[i] == SLIDE, theta[i], other[i])

@@ -96,6 +96,8 @@ class Bound:
         self.base = system.neutral[None]
         self.near = np.ascontiguousarray(self.base[:, plan.lines.q_index])
         self.counts = np.zeros((1, 2), dtype=np.int64)
+        self.ints, self.floats = plan.ints, plan.floats
+        self.left = np.zeros(1, dtype=np.int64)  # written, never read
         self.shape = (1, plan.slots, len(plan.lines) + A.INFO)
 
     def question(self, target: Array) -> Question:
@@ -106,10 +108,11 @@ class Bound:
         """All solutions for a pose (4, 4), None where the target wants the careful path."""
         if target.dtype != np.float64 or not target.flags.c_contiguous:
             return None
-        rows, used, plan = np.empty(self.shape), np.empty(1, dtype=np.int64), self.plan
-        if self.kernel(plan.ints, plan.floats, target.reshape(1, 4, 4), self.near, self.near, 1, rows, used):
+        rows, plan = np.empty(self.shape), self.plan
+        used = self.kernel(self.ints, self.floats, target.reshape(1, 4, 4), self.near, self.near, 1, rows, self.left)
+        if used >= 0:
             return None
-        return Solutions((self, target.copy()), plan, self.base, rows, self.counts, None, int(used[0]))
+        return Solutions((self, target.copy()), plan, self.base, rows, self.counts, None, -1 - used)
 
 
 def bind(system: System, frame: str) -> Bound | None:
@@ -209,7 +212,7 @@ def solve(
         if side_by_side:
             padded = np.resize(some, (LANES, len(lines))) if 1 < len(some) < LANES else some
             left = side_by_side(plan.ints, plan.floats, targets[i:j], padded, locked, int(single), out[i:j], which)
-            if left == 0:
+            if left <= 0:
                 return 0
             which = which[:left].copy()
         held_at = locked[i:j] if len(locked) > 1 else locked
