@@ -35,7 +35,7 @@ def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, w
         if sound:
             k, doubt = closed_candidates(d.kinds, d.six, d.goal, ints[INNER], ints[WHAT], ints[MODE], ints[MEASURE],
                                          ints[OPTION], scratch, d.candidates)  # fmt: skip
-            count = take_candidates(d, beyond(d.ints, ORDER), k, ROOT, 0)
+            count = take_candidates(d, beyond(d.ints, ORDER), 0, k, ROOT, 0)
         written = end(d, count, close_to, beyond(raw(out), slots * (n + INFO) * i), slots, sort)
         counts[i, 0], counts[i, 1] = written if sound else -1, int(doubt)
     keep(block)

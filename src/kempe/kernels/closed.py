@@ -28,6 +28,7 @@ from kempe.kernels.lines import (
 from kempe.kernels.outer import (
     AT_REST,
     COUPLED,
+    OPEN,
     PLANE,
     POINT,
     SAMPLED,
@@ -37,16 +38,18 @@ from kempe.kernels.outer import (
     first_values,
     middle_values,
     outer_of,
+    put_samples,
     second_values,
     x_terms,
     z_terms,
 )
-from kempe.kernels.quartic import coupled_pairs, steadiness
+from kempe.kernels.quartic import coupled_pairs, faint, steadiness
 from kempe.kernels.scratch import beyond
 from kempe.kernels.vectors import keep, raw
 
 CANDIDATE, SLOT, SAMPLE = 8, 6, 7
-"""Numbers of a candidate: six variables; its slot by signs; 1 if it has a sample of a free joint."""
+"""Numbers of a candidate: six variables; its slot by signs; 1 if it has a sample of a free joint, less if that may lead
+to a root."""
 
 DEPENDENT = 1e-7
 """Steadiness of both outer joints below which their two equations are nearly one."""
@@ -55,8 +58,9 @@ MOST_CANDIDATES = 192
 """Candidates at most."""
 
 AT_LINES, AT_TERMS, AT_X, AT_Z, AT_Y, AT_INNER = 0, 48, 60, 84, 108, 132
-AT_WORK, AT_MOTION, AT_DOUBT, SCRATCH = 204, 228, 240, 241
-"""Places in the scratch: lines round the loop, terms, values of x, z, y and the inner joints, work, a motion, doubt."""
+AT_WORK, AT_MOTION, AT_DOUBT, AT_SOME, SCRATCH = 204, 228, 240, 241, 265
+"""Places in the scratch: lines round the loop, terms, values of x, z, y and the inner joints, work, a motion, doubt,
+samples."""
 
 
 @device
@@ -142,7 +146,7 @@ def emit(kinds, lines, goal, k, what, x, y, z, slot, scratch, out, count):
             sampled += inner[VALUE_STRIDE * (3 * i + j) + SAMPLED]
         out[at + (k + 3) % 6], out[at + (k + 4) % 6], out[at + (k + 5) % 6] = x[2], y[2], z[2]
         out[at + SLOT] = 2 * slot + i % 2
-        out[at + SAMPLE] = 1.0 if sampled > 0.0 else 0.0
+        out[at + SAMPLE] = min(sampled, 1.0)
         count += 1
     return count
 
@@ -187,6 +191,15 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
             x, z = beyond(xs, VALUE_STRIDE * i), beyond(zs, VALUE_STRIDE * i)
             # the roots of a quartic have no names: a slot below zero
             count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
+            some = beyond(scratch, AT_SOME)
+            if faint(tx):
+                for j in range(put_samples(outer.kx == SLIDE, 0, some, OPEN)):
+                    x = beyond(some, VALUE_STRIDE * j)
+                    count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
+            elif faint(tz):
+                for j in range(put_samples(outer.kz == SLIDE, 0, some, OPEN)):
+                    z = beyond(some, VALUE_STRIDE * j)
+                    count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
         dependent = max(steadiness(tx), steadiness(tz)) < DEPENDENT
         return count, dependent or scratch[AT_DOUBT] != 0.0
     firsts = zs if mode == Z_FIRST else xs

@@ -34,6 +34,7 @@ from kempe.kernels.analytic_layout import ERROR as ERROR_AT
 from kempe.kernels.closed import CANDIDATE, MOST_CANDIDATES, SAMPLE
 from kempe.kernels.closed import SLOT as CANDIDATE_SLOT
 from kempe.kernels.distinct import (
+    AGAIN,
     ERROR,
     MOST_SOLUTIONS,
     SAMPLED,
@@ -233,13 +234,15 @@ def end(d, count, near, out, slots, sort):
 
 
 @routine
-def take_candidates(d, order, candidates, kind, count):
-    """New number of solutions after that many candidates; `kind` as in `distinct.add`."""
-    for k in range(candidates):
+def take_candidates(d, order, first, last, kind, count):
+    """New number of solutions after the candidates from `first` to before `last`; `kind` as in `distinct.add`."""
+    for k in range(first, last):
         row = beyond(d.candidates, CANDIDATE * k)
         for i in range(d.n):
             d.theta[i] = d.fixed[i]
-        sound, sampled = True, row[SAMPLE] != 0.0
+        sound, sampled, of = True, row[SAMPLE] != 0.0, kind
+        if sampled:
+            of = SAMPLED if row[SAMPLE] == 1.0 else AGAIN
         for i in range(6):
             j = order[i]
             if j < d.n:
@@ -248,5 +251,5 @@ def take_candidates(d, order, candidates, kind, count):
                 sound = sound and abs(row[i]) <= OFF_ZERO
             sound = sound and abs(row[i]) < 1e15
         if sound:
-            count = add(d.found, count, d.theta, row[CANDIDATE_SLOT], SAMPLED if sampled else kind)
+            count = add(d.found, count, d.theta, row[CANDIDATE_SLOT], of)
     return count

@@ -8,15 +8,17 @@ from typing import NamedTuple
 from kempe.kernels._jit import device, routine
 from kempe.kernels.analytic_layout import CODE, FACTOR, GAUGE, HIGH, INFO, JOINT_FLOATS, LOW
 from kempe.kernels.layout import SLIDE
-from kempe.kernels.polish import Model, error_at, polish, weakest
+from kempe.kernels.polish import Model, error_at, polish, sharpen, weakest
 from kempe.kernels.scratch import beyond
 
-EQUAL, SAME, NEAR, INDISTINCT = 1e-9, 1e-6, 2e-3, 5e-15
+EQUAL, SAME, NEAR, INDISTINCT = 1e-9, 1e-6, 2e-3, 1e-15
 """Solutions nearer than SAME are one, and those nearer than NEAR whose midpoint solves the target to INDISTINCT: roots
 that merge cannot be told apart at the square root of rounding. Their mean stands for both, unless they are EQUAL."""
 
-MERGED = 1e-8
-"""Bound of the smallest singular value squared of a solution in which roots may have merged."""
+MERGED, CLOSE, UNSURE = 1e-8, 1e-4, 1e-12
+"""Bound of the smallest singular value squared of a solution in which roots may have merged, or that lies near a curve
+of solutions; error up to which such a candidate is worth undamped steps, for the damped ones may have been too short;
+error from which it may still be on its way along the curve."""
 
 MOST_SOLUTIONS = 48
 ERROR, TURNS, SIGNS, WEAKEST, SOLUTION = 0, 2, 3, 4, 6
@@ -76,9 +78,16 @@ def add(found, count, theta, slot, kind):
     """
     m, stride = found.model, SOLUTION + found.model.n
     linear, angular = polish(m, theta)
-    if not (linear <= found.linear and angular <= found.angular):
+    if not max(linear, angular) <= max(CLOSE, found.linear, found.angular):
         return count
     weak = weakest(m)
+    if weak < MERGED:
+        linear, angular = sharpen(m, theta)
+        weak = weakest(m)
+    if not (linear <= found.linear and angular <= found.angular):
+        return count
+    if kind == AGAIN and weak < MERGED and max(linear, angular) > UNSURE:
+        return count
     if kind == SAMPLED and weak > MERGED:  # a free joint that was not free after all: polishing has found its value
         kind = AGAIN
     spare = beyond(found.rows, stride * MOST_SOLUTIONS)

@@ -13,6 +13,7 @@ useless. `elimination_score` tells which formulations suit a chain.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from kempe.kernels._jit import device, routine
 from kempe.kernels.eigen import EIGEN_SCRATCH, balance, hessenberg, shifted_qr
@@ -54,11 +55,14 @@ from kempe.kernels.scratch import beyond
 CANDIDATES = 24
 """Candidates at most; 16 postures are possible."""
 
-ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, SINGULAR = (2**k for k in range(9))
+ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, SINGULAR, FREE = (
+    2**k for k in range(10)
+)
 """Bits of `suspect`: an odd number of candidates; a pair of roots so nearly real that two postures may have been lost;
 eigenvalues not found; leading matrix nearly singular; more than two null vectors, two that cannot be told apart, or too
 many candidates; a real root that led to no posture; two that led to the same; no independent equations; a singular
-posture, where others may merge with it or be connected with it by a self-motion."""
+posture, where others may merge with it or be connected with it by a self-motion; a hidden joint that is nearly free, as
+on a self-motion, or near one, where the eigenvalues are those of noise."""
 
 DEGENERATE = NO_EIGENVALUES | ILL_LEAD | ILL_NULL | UNUSABLE
 """Bits of doubts that a goal nearby may not raise."""
@@ -67,10 +71,14 @@ DISTURBANCE, WIDER = 1e-4, 100.0
 """How far, in radians and units of the chain's length, a disturbed goal is from the goal; and how much larger the
 imaginary parts of postures that merge are there: as the root of that."""
 
+NEARLY_FREE, CLOSE = 1e-5, 0.1
+"""Pivot ratio of the leading matrix below which all values of the hidden joint are roots, or nearly; error before
+Newton's steps up to which a candidate that they lead astray is a stray."""
+
 STEPS = 12
 """Newton steps of a candidate at most; two or three are usual, where postures merge each halves the distance."""
 
-REAL, DOUBT, NEARLY = 1e-7, 1e-4, 1e-3
+REAL, DOUBT, NEARLY = 1e-7, 1e-3, 1e-2
 """Imaginary parts of angles: up to the first a root is real; up to the second a pair of postures that are about to
 merge may hide behind it; up to the third it is tried."""
 
@@ -245,20 +253,64 @@ def disturb(goal, out):
     out[3], out[7], out[11] = out[3] - z, out[7] + x, out[11] + y
 
 
+class Search(NamedTuple):
+    """A chain with its goal, the goal whose roots are taken, the formulation, scratch and result; pointers."""
+
+    kinds: object
+    lines: object
+    goal: object
+    near: object
+    w: object
+    out: object
+    formulation: int
+
+
+@routine
+def _add(s, u, w_, imaginary, twins, count, strays):
+    """(postures, strays, suspicion) with those of the hidden joint's root (u, w_) added.
+
+    A stray is a start that was close, but Newton's steps led astray: written to `out`, from its end.
+    """
+    found, work = beyond(s.w, FOUNDLINGS), beyond(s.w, _WORK)
+    vectors, suspect = _vectors_at(u, w_, s.w)
+    for k in range(vectors):
+        if count == CANDIDATES:
+            return count, strays, suspect | ILL_NULL
+        theta = beyond(found, FOUND * count)
+        _posture(s.kinds, s.lines, s.near, s.formulation, 2.0 * math.atan2(w_, u), k, theta, s.w)
+        state, doubt = _settle(s.kinds, s.lines, s.goal, found, count, work)
+        suspect |= doubt
+        if state < 0:
+            suspect |= ASTRAY if imaginary < REAL else (NEARLY_REAL if imaginary < DOUBT else 0)
+            if theta[RAW_ERROR] < CLOSE and strays < CANDIDATES:
+                strays += 1
+                for j in range(6):
+                    s.out[6 * (CANDIDATES - strays) + j] = theta[START + j]
+            continue
+        merging = vectors == 1 and (imaginary > 0.0 or (state == 0 and twins))
+        source, count = count, count + state
+        if merging and count < CANDIDATES:
+            state, doubt = _twin(s.kinds, s.lines, s.goal, found, source, count, work)
+            suspect |= doubt | (TWICE if state < 1 and imaginary < DOUBT else 0)
+            count += max(state, 0)
+    return count, strays, suspect
+
+
 @routine
 def eliminate(kinds, lines, goal, formulation, w, out):
-    """(count, suspect); writes `count` candidates, six coordinates each, angles in (-pi, pi].
+    """(count, strays, suspect); writes `count` candidates, six coordinates each, angles in (-pi, pi].
 
     kinds, lines: the chain, LINE_STRIDE numbers a joint. goal: rows of G (12 numbers). w: ELIMINATION_SCRATCH numbers.
-    out: room for CANDIDATES candidates. Each candidate fulfils the equation to ACCEPT, and no two are the same.
-    `suspect` is 0 or tells by its bits (ODD and others) why postures may be missing: then another formulation may
-    find them. A chain or goal that is not finite gives no candidates.
+    out: room for CANDIDATES candidates. Each candidate fulfils the equation to ACCEPT, and no two are the same; after
+    them follow `strays` starts near which Newton's steps found nothing, though more careful ones may. `suspect` is 0
+    or tells by its bits (ODD and others) why postures may be missing: then another formulation may find them. A chain
+    or goal that is not finite gives no candidates.
 
     A goal can make the equations dependent, or give several postures the same hidden coordinate, though hardly any
     goal nearby does. Then a disturbed goal's postures are where Newton's steps begin.
     """
-    found, work = beyond(w, FOUNDLINGS), beyond(w, _WORK)
-    count, suspect = 0, DEGENERATE
+    found = beyond(w, FOUNDLINGS)
+    count, strays, suspect, least = 0, 0, DEGENERATE, 1.0
     for disturbed in range(2):
         if suspect & DEGENERATE == 0:
             break
@@ -266,39 +318,26 @@ def eliminate(kinds, lines, goal, formulation, w, out):
         if disturbed == 1:
             near = beyond(w, _GOAL)
             disturb(goal, near)
+        s = Search(kinds, lines, goal, near, w, out, formulation)
         n, half, ratio = matrix_of(kinds, lines, near, formulation, w)
         suspect = UNUSABLE | suspect & SINGULAR
+        least = min(least, ratio)
         if not ratio > NO_MATRIX:
             continue
         suspect = suspect & SINGULAR | (0 if ratio > GOOD_LEAD else ILL_LEAD)
         suspect |= NO_EIGENVALUES if _eigenvalues(n, w) > 0 else 0
-        c, s = math.cos(half), math.sin(half)
+        c, sine = math.cos(half), math.sin(half)
         for i in range(n):
             t, y = w[_REAL_PARTS + i], w[_IMAGINARY_PARTS + i]
             imaginary = 2.0 * y / (1.0 + t * t) / (1.0 if disturbed == 0 else WIDER)
-            if not 0.0 <= imaginary < NEARLY:  # of a pair of conjugates the first is enough
-                continue
-            u, w_ = c - s * t, s + c * t
-            vectors, doubt = _vectors_at(u, w_, w)
-            suspect |= doubt
-            for k in range(vectors):
-                if count == CANDIDATES:
-                    suspect |= ILL_NULL
-                    break
-                theta = beyond(found, FOUND * count)
-                _posture(kinds, lines, near, formulation, 2.0 * math.atan2(w_, u), k, theta, w)
-                state, doubt = _settle(kinds, lines, goal, found, count, work)
+            if 0.0 <= imaginary < NEARLY:  # of a pair of conjugates the first is enough
+                count, strays, doubt = _add(s, c - sine * t, sine + c * t, imaginary, disturbed == 0, count, strays)
                 suspect |= doubt
-                if state < 0:
-                    suspect |= ASTRAY if imaginary < REAL else (NEARLY_REAL if imaginary < DOUBT else 0)
-                    continue
-                merging = vectors == 1 and (imaginary > 0.0 or (state == 0 and disturbed == 0))
-                source, count = count, count + state
-                if merging and count < CANDIDATES:
-                    state, doubt = _twin(kinds, lines, goal, found, source, count, work)
-                    suspect |= doubt | (TWICE if state < 1 and imaginary < DOUBT else 0)
-                    count += max(state, 0)
-    for k in range(count):
+    strays = min(strays, CANDIDATES - count)
+    for k in range(strays):  # those that came first stand last
+        for j in range(6):
+            found[FOUND * (count + k) + j] = out[6 * (CANDIDATES - 1 - k) + j]
+    for k in range(count + strays):
         for j in range(6):
             out[6 * k + j] = found[FOUND * k + j]
-    return count, suspect | (ODD if count % 2 == 1 else 0)
+    return count, strays, suspect | (ODD if count % 2 == 1 else 0) | (FREE if least < NEARLY_FREE else 0)

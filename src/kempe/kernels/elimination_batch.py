@@ -24,7 +24,7 @@ def eliminate_each(kinds, lines, goals, formulation, thetas, counts, suspects):
     out = beyond(w, ELIMINATION_SCRATCH)
     doubted, room = 0, thetas.shape[1]
     for g in range(goals.shape[0]):
-        count, suspect = eliminate(raw(kinds), raw(lines), beyond(raw(goals), 12 * g), formulation, w, out)
+        count, _, suspect = eliminate(raw(kinds), raw(lines), beyond(raw(goals), 12 * g), formulation, w, out)
         doubted += int(suspect != 0)
         counts[g], suspects[g] = min(count, room), suspect
         for k in range(min(count, room)):

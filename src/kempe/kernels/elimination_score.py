@@ -95,7 +95,7 @@ def score(kinds, lines, scores):
             if misses > 1:
                 break
             _known(k, h, i, theta, goal, work)
-            count, suspect = eliminate(k, h, goal, f, w, out)
+            count, _, suspect = eliminate(k, h, goal, f, w, out)
             credit = _credit(k, theta, w, count)
             misses += int(credit == 0.0)
             sum_ += credit if suspect == 0 else SUSPECT * credit

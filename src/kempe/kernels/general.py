@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import types
 
@@ -10,36 +12,103 @@ from kempe.kernels.analytic_layout import FORMS, INFO, N_FORMS, N_JOINTS, ORDER,
 from kempe.kernels.closed import CANDIDATE, SAMPLE
 from kempe.kernels.closed import SLOT as CANDIDATE_SLOT
 from kempe.kernels.desk import begin, desk_of, desk_scratch, end, take_candidates
-from kempe.kernels.distinct import AGAIN, ROOT, SOLUTION, TURNS, WEAKEST
-from kempe.kernels.elimination import CANDIDATES, ELIMINATION_SCRATCH, eliminate
+from kempe.kernels.distinct import (
+    AGAIN,
+    CLOSE,
+    MERGED,
+    ROOT,
+    SOLUTION,
+    TURNS,
+    UNSURE,
+    WEAKEST,
+    add,
+    distance,
+)
+from kempe.kernels.elimination import CANDIDATES, DEGENERATE, ELIMINATION_SCRATCH, FREE, eliminate
+from kempe.kernels.layout import SLIDE
+from kempe.kernels.polish import error_at, polish, tangent
+from kempe.kernels.random import mix, unit
 from kempe.kernels.scratch import beyond
 from kempe.kernels.vectors import keep, raw
+
+STARTS, PACES, PACE = 64, 40, 0.3
+"""Starts where a joint is nearly free; steps of a walk along what is nearly a self-motion, and their length."""
 
 FOLD = 1e-4
 """Bound of the smallest singular value squared of a solution in which two roots may have merged."""
 
 
 @routine
+def searched(d, count):
+    """New number of solutions after a few starts anywhere: it is hard to miss a self-motion."""
+    for i in range(STARTS):
+        row, key = beyond(d.candidates, CANDIDATE * i), mix(np.uint64(0), np.uint64(i))
+        for j in range(6):
+            x = 2.0 * unit(mix(key, np.uint64(j))) - 1.0
+            row[j] = x if d.kinds[j] == SLIDE else math.pi * x
+        row[CANDIDATE_SLOT], row[SAMPLE] = -1.0, 0.0
+    return take_candidates(d, beyond(d.ints, ORDER), 0, STARTS, AGAIN, count)
+
+
+@routine
+def walked(d, count):
+    """New number of solutions, those added that lie on the same nearly closed way of nearly singular postures.
+
+    A goal next to one that has a curve of solutions has a few, anywhere along it: damped steps lead back to the curve,
+    undamped ones along it. A true self-motion is left alone.
+    """
+    m, k = d.found.model, 0
+    here, ahead, before = d.candidates, beyond(d.candidates, d.n), beyond(d.candidates, 2 * d.n)
+    while k < count:
+        row = beyond(d.found.rows, (SOLUTION + d.n) * k)
+        k += 1
+        for i in range(d.n if row[WEAKEST] < MERGED else 0):
+            here[i], before[i] = row[SOLUTION + i], 0.0
+        for pace in range(PACES if row[WEAKEST] < MERGED else 0):
+            error_at(m, here)
+            if not tangent(m, ahead):
+                break
+            cosine = 0.0
+            for i in range(d.n):
+                cosine += ahead[i] * before[i]
+            for i in range(d.n):
+                before[i] = -ahead[i] if cosine < 0.0 else ahead[i]
+                d.theta[i] = here[i] + PACE * before[i]
+            linear, angular = polish(m, d.theta)
+            moved = distance(m, d.theta, here)
+            if not UNSURE < max(linear, angular) < CLOSE or not 0.2 * PACE < moved < 2.0 * PACE:
+                break
+            for i in range(d.n):
+                here[i] = d.theta[i]
+            count = add(d.found, count, d.theta, -1.0, AGAIN)
+            if pace > 1 and distance(m, here, beyond(row, SOLUTION)) < 0.5 * PACE:
+                break
+    return count
+
+
+@routine
 def eliminated(d, scratch, thetas):
     """(number of solutions, doubt): formulations are tried until the answer of one of them is beyond doubt."""
-    count, doubt = 0, 1
+    count, doubt, free = 0, 1, False
     for f in range(d.ints[N_FORMS]):
-        k, suspect = eliminate(d.kinds, d.six, d.goal, d.ints[FORMS + f], scratch, thetas)
-        for i in range(k):
+        k, strays, suspect = eliminate(d.kinds, d.six, d.goal, d.ints[FORMS + f], scratch, thetas)
+        for i in range(k + strays):
             row = beyond(d.candidates, CANDIDATE * i)
             for j in range(6):
                 row[j] = thetas[6 * i + j]
             row[CANDIDATE_SLOT], row[SAMPLE] = -1.0, 0.0
-        before = count
-        count = take_candidates(d, beyond(d.ints, ORDER), k, ROOT if f == 0 else AGAIN, count)
+        before, free = count, free or suspect & FREE != 0
+        count = take_candidates(d, beyond(d.ints, ORDER), 0, k, ROOT if f == 0 else AGAIN, count)
+        count = take_candidates(d, beyond(d.ints, ORDER), k, k + strays, AGAIN, count)
         enough = count > 0 or f >= 2  # that there is no solution has to be said thrice
-        if suspect == 0 and enough and (f == 0 or count == before):
+        if suspect & ~FREE == 0 and enough and (f == 0 or count == before):
             doubt = 0
             break
-        if f > 0 and enough and count == before and count % 2 == 0:  # two formulations agree
+        # two formulations agree
+        if f > 0 and enough and count == before and count % 2 == 0 and suspect & DEGENERATE == 0:
             doubt = 0
             break
-    return count, doubt
+    return walked(d, searched(d, count)) if free else count, doubt
 
 
 @routine

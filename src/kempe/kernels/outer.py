@@ -32,9 +32,13 @@ VOID, NOTHING, WIDE = 1e-10, 1e-13, 1e-5
 is; how far beyond its edge an equation is still tried (the residual decides)."""
 
 VALUE_STRIDE, SAMPLED = 4, 3
-"""A value of a joint: cosine and sine, or slide and its square; the variable; 1 if it was free and is a sample."""
+"""A value of a joint: cosine and sine, or slide and its square; the variable; 1 if it was free and is a sample, or
+OPEN if there is a root that it may lead to."""
 
-SAMPLES, MOST = 4, 6
+FAINT = 1e-5
+"""Size below which the square root of rounding leaves open what a joint does between others: values are tried."""
+
+SAMPLES, MOST, OPEN = 4, 6, 0.25
 """Samples of a joint that is free; values of one joint at most: samples after roots."""
 
 
@@ -127,14 +131,14 @@ def put_angle(out, k, c, s, sampled):
 
 
 @routine
-def put_samples(slides, count, out):
+def put_samples(slides, count, out, mark):
     """New number of values of a joint that is free: a few more, of which no two differ by half a turn."""
     for k in range(SAMPLES):
         x = 0.35 - 1.3 * k + 0.37 * (k // 2)
         if slides:
-            put(out, count + k, x, x * x, x, 1.0)
+            put(out, count + k, x, x * x, x, mark)
         else:
-            put_angle(out, count + k, math.cos(x), math.sin(x), 1.0)
+            put_angle(out, count + k, math.cos(x), math.sin(x), mark)
     return count + SAMPLES
 
 
@@ -162,7 +166,7 @@ def one_unknown(slides, a, b, k, wide, out):
             put_angle(out, 0, c0, s0, 0.0)
             put_angle(out, 1, c1, s1, 0.0)
             count = 2
-    return put_samples(slides, count, out) if size <= VOID else count
+    return put_samples(slides, count, out, 1.0) if size <= VOID else count
 
 
 @routine
@@ -179,7 +183,7 @@ def cone(k, h, n, w, sign, wide, out):
         put_angle(out, 0, c0, sign * s0, 0.0)
         put_angle(out, 1, c1, sign * s1, 0.0)
         count = 2
-    return put_samples(False, count, out) if size <= VOID else count
+    return put_samples(False, count, out, 1.0) if size <= VOID else count
 
 
 class Outer(NamedTuple):
@@ -274,7 +278,7 @@ def middle_values(o, x, z, out):
         if o.what == PLANE:
             slope = dot(left.n, o.hy)
             if abs(slope) <= VOID:
-                return put_samples(True, 0, out)
+                return put_samples(True, 0, out, 1.0)
             t = dot(left.n, d) / slope
         else:
             t = dot(o.hy, d)
@@ -286,4 +290,6 @@ def middle_values(o, x, z, out):
     if size > NOTHING:
         put_angle(out, 0, c, s, 0.0)
         count = 1
-    return put_samples(False, count, out) if size <= VOID else count
+    if size > FAINT:
+        return count
+    return put_samples(False, count, out, OPEN if size > VOID else 1.0)

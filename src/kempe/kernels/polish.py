@@ -27,8 +27,8 @@ from kempe.kernels.lines import (
 from kempe.kernels.residual import logarithm
 from kempe.kernels.scratch import beyond
 
-STEPS, EXACT, LONGEST = 40, 3e-15, 0.5
-"""Steps at most; the error at which nothing is left to do; the longest step of a variable."""
+STEPS, IDLE, EXACT, LONGEST = 40, 10, 3e-15, 0.5
+"""Steps at most; those in a row that bring nothing; the error at which nothing is left to do; the longest step."""
 
 FLOOR, DAMPING = 1e-15, 1e-3
 """Damping of the normal equations: FLOOR + DAMPING times the square of the error."""
@@ -56,8 +56,8 @@ AT_POSE, AT_HERE, AT_ERROR, AT_AXES = 0, 12, 24, 30
 
 @device
 def model_scratch(n):
-    """Numbers of scratch for a chain of n joints: axes, Jacobian, normal equations, right side, kept variables."""
-    return AT_AXES + 6 * n + 6 * n + n * n + 2 * n
+    """Numbers of scratch for a chain of n joints: axes, Jacobian, equations, right side, order, kept variables."""
+    return AT_AXES + 6 * n + 6 * n + n * n + 3 * n
 
 
 @routine
@@ -186,6 +186,109 @@ def polish(m, theta):
             break
         more = max(1e3 * more, 1e3)
     return linear, angular
+
+
+@routine
+def orthogonal_step(m, n, along):
+    """Whether there is one; the undamped step of the unknowns is left in the scratch, the Jacobian is lost.
+
+    Gram-Schmidt's method, modified, the longest column first: the normal equations would square what is small. With
+    `along` it is not the step to the target, but one that moves the tip least, as if the Jacobian had no full rank.
+    """
+    e, jacobian = beyond(m.scratch, AT_ERROR), beyond(m.scratch, AT_AXES + 6 * m.n)
+    r = beyond(m.scratch, AT_AXES + 12 * m.n)
+    step, order = beyond(r, m.n * m.n), beyond(r, m.n * m.n + m.n)
+    for i in range(n):
+        order[i] = float(i)
+    for k in range(n):
+        longest, place = -1.0, k
+        for i in range(k, n):
+            size = product(jacobian, 6 * int(order[i]), jacobian, 6 * int(order[i]))
+            if size > longest:
+                longest, place = size, i
+        if not longest > 0.0:
+            return False
+        order[k], order[place] = order[place], order[k]
+        pivot = 6 * int(order[k])
+        for i in range(k + 1, n):
+            column = 6 * int(order[i])
+            f = product(jacobian, pivot, jacobian, column) / longest
+            r[n * int(order[k]) + int(order[i])] = f
+            for j in range(6):
+                jacobian[column + j] -= f * jacobian[pivot + j]
+        f = product(jacobian, pivot, e, 0) / longest
+        step[int(order[k])] = (1.0 if k == n - 1 else 0.0) if along else f
+        for j in range(6):
+            e[j] -= f * jacobian[pivot + j]
+    for back_ in range(n):
+        k = n - 1 - back_
+        for i in range(k + 1, n):
+            step[int(order[k])] -= r[n * int(order[k]) + int(order[i])] * step[int(order[i])]
+    return True
+
+
+@device
+def product(a, i, b, j):
+    """The scalar product of six numbers at a[i:] and at b[j:]."""
+    return a[i] * b[j] + a[i + 1] * b[j + 1] + a[i + 2] * b[j + 2] + a[i + 3] * b[j + 3] + (
+        a[i + 4] * b[j + 4] + a[i + 5] * b[j + 5])  # fmt: skip
+
+
+@routine
+def sharpen(m, theta):
+    """(linear, angular) errors after undamped steps; theta is replaced by the nearest met, given up after IDLE steps.
+
+    For a theta that is polished but close to where roots meet: there it is off by the square root of its error. Near a
+    curve of solutions too, along which the root may be far. On the way a step may bring the tip farther away: damped
+    steps make that good, which lead back to the curve or valley but hardly along it.
+    """
+    step, kept = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n), beyond(m.scratch, AT_AXES + 14 * m.n + m.n * m.n)
+    linear, angular = error_at(m, theta)
+    least, idle = math.hypot(linear, angular), 0
+    for i in range(m.n):
+        kept[i] = theta[i]
+    for _ in range(STEPS):
+        n, k, size = columns_at(m), 0, 0.0
+        if not orthogonal_step(m, n, False):
+            break
+        for i in range(n):
+            size = max(size, abs(step[i]))
+        if not size < math.inf:
+            break
+        for i in range(m.n):
+            if m.moves[i] != 0:
+                theta[i] += step[k] * (LONGEST / max(size, LONGEST))
+                k += 1
+        linear, angular = error_at(m, theta)
+        if math.hypot(linear, angular) > least:
+            linear, angular = polish(m, theta)
+        idle += 1
+        if math.hypot(linear, angular) < least:
+            least, idle = math.hypot(linear, angular), 0
+            for i in range(m.n):
+                kept[i] = theta[i]
+        elif idle == IDLE:
+            break
+    for i in range(m.n):
+        theta[i] = kept[i]
+    return error_at(m, theta)
+
+
+@routine
+def tangent(m, out):
+    """Whether there is one; writes the unit vector of motion (n) that moves the tip least. It has to be placed."""
+    n, k, square = columns_at(m), 0, 0.0
+    if not orthogonal_step(m, n, True):
+        return False
+    step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
+    for i in range(n):
+        square += step[i] * step[i]
+    for i in range(m.n):
+        out[i] = 0.0
+        if m.moves[i] != 0:
+            out[i] = step[k] / math.sqrt(square)
+            k += 1
+    return True
 
 
 @routine

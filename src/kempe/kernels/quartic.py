@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from kempe.kernels._jit import device, routine
-from kempe.kernels.outer import VOID, put, put_angle
+from kempe.kernels.outer import FAINT, VOID, put, put_angle
+from kempe.kernels.subproblems import TINY
 
 TURNS, ENOUGH = 60, 1e-15
 """Iterations at most, and the relative change at which they end."""
@@ -84,6 +85,12 @@ def steadiness(t):
     return abs(t[1] * t[5] - t[2] * t[4]) / size if size > 0.0 else 0.0
 
 
+@device
+def faint(t):
+    """Whether a joint hardly moves what is measured: rounding of the square roots then leaves its value open."""
+    return math.hypot(t[1], t[2]) + math.hypot(t[4], t[5]) < FAINT
+
+
 @routine
 def pairs_of(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
     """Number of pairs of values that satisfy both equations, the joint `gone` eliminated; up to four.
@@ -127,7 +134,7 @@ def pairs_of(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
                 f, g = -g, f
         u, v = p0[0] + p1[0] * f + p2[0] * g, p0[1] + p1[1] * f + p2[1] * g
         size = math.hypot(u, v)
-        if not gone_slides and size < 0.5:
+        if not gone_slides and size < 0.5 and not faint(gone):
             continue
         at = out_kept
         if kept_slides:
@@ -137,7 +144,7 @@ def pairs_of(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
         if gone_slides:
             put(out_gone, found, u, u * u, u, 0.0)
         else:
-            put_angle(out_gone, found, u / size, v / size, 0.0)
+            put_angle(out_gone, found, u / max(size, TINY), v / max(size, TINY), 0.0)
         found += 1
     return found
 
