@@ -24,7 +24,7 @@ from kempe.kernels.distinct import (
     add,
     distance,
 )
-from kempe.kernels.elimination import CANDIDATES, DEGENERATE, ELIMINATION_SCRATCH, FREE, eliminate
+from kempe.kernels.elimination import CANDIDATES, ELIMINATION_SCRATCH, FREE, eliminate
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.polish import error_at, polish, tangent
 from kempe.kernels.random import mix, unit
@@ -104,8 +104,7 @@ def eliminated(d, scratch, thetas):
         if suspect & ~FREE == 0 and enough and (f == 0 or count == before):
             doubt = 0
             break
-        # two formulations agree
-        if f > 0 and enough and count == before and count % 2 == 0 and suspect & DEGENERATE == 0:
+        if f > 0 and enough and count == before and count % 2 == 0:  # two formulations agree
             doubt = 0
             break
     return walked(d, searched(d, count)) if free else count, doubt

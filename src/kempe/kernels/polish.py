@@ -30,6 +30,10 @@ from kempe.kernels.scratch import beyond
 STEPS, IDLE, EXACT, LONGEST = 40, 10, 3e-15, 0.5
 """Steps at most; those in a row that bring nothing; the error at which nothing is left to do; the longest step."""
 
+LEAST, NOISE, SHORTEST = 1e-26, 1e-14, 1e-4
+"""Square of the smallest singular value, over that of the largest, below which there is no undamped step; the error
+from which one may be long, and how long it may be below that: there rounding is no reason to go far."""
+
 FLOOR, DAMPING = 1e-15, 1e-3
 """Damping of the normal equations: FLOOR + DAMPING times the square of the error."""
 
@@ -192,12 +196,13 @@ def polish(m, theta):
 def orthogonal_step(m, n, along):
     """Whether there is one; the undamped step of the unknowns is left in the scratch, the Jacobian is lost.
 
-    Gram-Schmidt's method, modified, the longest column first: the normal equations would square what is small. With
-    `along` it is not the step to the target, but one that moves the tip least, as if the Jacobian had no full rank.
+    There is none for want of rank. Gram-Schmidt's method, modified, the longest column first: the normal equations
+    would square what is small. With `along` it is not the step to the target, but one that moves the tip least.
     """
     e, jacobian = beyond(m.scratch, AT_ERROR), beyond(m.scratch, AT_AXES + 6 * m.n)
     r = beyond(m.scratch, AT_AXES + 12 * m.n)
     step, order = beyond(r, m.n * m.n), beyond(r, m.n * m.n + m.n)
+    first = 0.0
     for i in range(n):
         order[i] = float(i)
     for k in range(n):
@@ -206,7 +211,8 @@ def orthogonal_step(m, n, along):
             size = product(jacobian, 6 * int(order[i]), jacobian, 6 * int(order[i]))
             if size > longest:
                 longest, place = size, i
-        if not longest > 0.0:
+        first = max(first, longest)
+        if not longest > (0.0 if along else LEAST * first):
             return False
         order[k], order[place] = order[place], order[k]
         pivot = 6 * int(order[k])
@@ -255,9 +261,10 @@ def sharpen(m, theta):
             size = max(size, abs(step[i]))
         if not size < math.inf:
             break
+        longest = LONGEST if least > NOISE else SHORTEST
         for i in range(m.n):
             if m.moves[i] != 0:
-                theta[i] += step[k] * (LONGEST / max(size, LONGEST))
+                theta[i] += step[k] * (longest / max(size, longest))
                 k += 1
         linear, angular = error_at(m, theta)
         if math.hypot(linear, angular) > least:
