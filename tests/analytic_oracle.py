@@ -130,6 +130,26 @@ class Model:
         return np.linalg.svd(rows, compute_uv=False)[:, -1].reshape(theta.shape[:-1])
 
 
+    def curvature(self, theta, task: str = "pose", axis=(0, 0, 1), step: float = 1e-4) -> np.ndarray:
+        """How fast the smallest singular value (...) grows along its own motion, by central differences.
+
+        Along that motion, near a fold, the error is half of it times the square of the distance to the fold.
+        """
+        theta = np.asarray(theta, dtype=float)
+        scale = np.where(self.kinds == SLIDE, self.size, 1.0)
+
+        def rows(points):
+            J = self.jacobian(points)
+            J[..., :3, :] /= self.size
+            R = self.pose(points).reshape(-1, 4, 4)[:, :3, :3]
+            return _rows((J * scale).reshape(-1, 6, self.n), R, task, axis).reshape(*theta.shape[:-1], -1, self.n)
+
+        u, _, vt = np.linalg.svd(rows(theta))
+        left, right = u[..., :, vt.shape[-1] - 1], vt[..., -1, :]
+        change = (rows(theta + step * scale * right) - rows(theta - step * scale * right)) / (2.0 * step)
+        return np.abs(np.einsum("...i,...ij,...j->...", left, change, right))
+
+
 def skew(v) -> np.ndarray:
     x, y, z = v
     return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0.0]])

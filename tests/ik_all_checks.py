@@ -110,8 +110,11 @@ def nearest(arm: Arm, found, theta) -> float:
     return float(arm.model.apart(arm.model.theta(found), theta).min(initial=math.inf))
 
 
-def assert_found(arm: Arm, answer, q, within=SAME) -> None:
-    """The configurations (N, nq) that gave the targets are among the answers, `within` (N,), or on their families."""
+def assert_found(arm: Arm, answer, q, within=SAME, missed: int = 0) -> None:
+    """The configurations (N, nq) that gave the targets are among the answers, `within` (N,), or on their families.
+
+    All but `missed`.
+    """
     q = np.atleast_2d(q)
     within = np.broadcast_to(within, len(q))
     missing = []
@@ -119,7 +122,7 @@ def assert_found(arm: Arm, answer, q, within=SAME) -> None:
         d = nearest(arm, found, arm.model.theta(x))
         if d > within[i] and not on_a_family(answer, i, x):
             missing.append((i, d))
-    assert not missing, f"{arm.name}: {len(missing)} of {len(q)} not found, such as {missing[:3]}"
+    assert len(missing) <= missed, f"{arm.name}: {len(missing)} of {len(q)} not found, such as {missing[:3]}"
 
 
 def on_a_family(answer, i: int, q) -> bool:
@@ -173,11 +176,20 @@ def near_singular(arm: Arm, seed: int, number: int, sizes) -> tuple[np.ndarray, 
     return np.array(out), np.array(curves)
 
 
-def allowed(arm: Arm, theta, curve) -> np.ndarray:
-    """How far (...) from theta (..., n) its solution may be found.
+ROUNDING = 1e-15
+"""Rounding of a target, in radians and lengths of the arm."""
 
-    Where two solutions meet, the square root of rounding bounds it: 1e-6. Near a curve of solutions rounding of the
-    target moves the solution along the curve by its size over the smallest singular value, whoever solves it.
+
+def allowed(arm: Arm, theta, curve) -> np.ndarray:
+    """How far (...) from theta (..., n) its solution may be found: how far rounding of the target moves it.
+
+    Where two solutions meet, the square root of rounding over the curvature of the fold. Near a curve of solutions
+    rounding moves the solution along the curve by its size over the smallest singular value.
     """
     weak = arm.model.condition(theta, arm.task, arm.axis)
-    return SAME + np.where(curve, 1e-14 / np.maximum(weak, 1e-16), 0.0)
+    fold = np.sqrt(8.0 * ROUNDING / np.maximum(arm.model.curvature(theta, arm.task, arm.axis), 1e-12))
+    return SAME + np.where(curve, 10.0 * ROUNDING / np.maximum(weak, 1e-16), fold) * _unit(arm)
+
+
+def _unit(arm: Arm) -> float:
+    return max(1.0, arm.model.size) if (arm.model.kinds == oracle.SLIDE).any() else 1.0

@@ -6,6 +6,8 @@ outer ones. Nothing is decided here: candidates are polished and judged by whoev
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import types
 
@@ -28,6 +30,8 @@ from kempe.kernels.lines import (
 from kempe.kernels.outer import (
     AT_REST,
     COUPLED,
+    FAINT,
+    NOTHING,
     OPEN,
     PLANE,
     POINT,
@@ -160,6 +164,13 @@ def with_middles(kinds, lines, goal, k, outer, x, z, slot, scratch, out, count):
     return count
 
 
+@device
+def nearly_silent(t):
+    """Whether an equation says hardly anything of a joint: that there is no solution is then not to be trusted."""
+    a, b = math.hypot(t[1], t[2]), math.hypot(t[4], t[5])
+    return NOTHING < a < FAINT or NOTHING < b < FAINT
+
+
 @routine
 def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratch, out):
     """(number of candidates, doubt) for E_1 ... E_6 = G, CANDIDATE numbers each in out.
@@ -211,7 +222,8 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
             x, z = (second, first) if mode == Z_FIRST else (first, second)
             slot = (0 if first[SAMPLED] != 0.0 else 2 * (i % 2)) + (0 if second[SAMPLED] != 0.0 else j % 2)
             count = with_middles(kinds, lines, goal, k, outer, x, z, slot, scratch, out, count)
-    return count, scratch[AT_DOUBT] != 0.0
+    unsure = count == 0 and (nearly_silent(tx) or nearly_silent(tz))
+    return count, unsure or scratch[AT_DOUBT] != 0.0
 
 
 @kernel(types.void(I1, F1, F1, types.int64, types.int64, types.int64, OUT1))

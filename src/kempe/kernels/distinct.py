@@ -97,11 +97,19 @@ def add(found, count, theta, slot, kind):
         d = distance(m, theta, other)
         if d > NEAR:
             continue
+        this, that = max(linear, angular), max(row[ERROR], row[ERROR + 1])
+        if d > EQUAL and this > 10.0 * max(that, INDISTINCT):  # stuck between two roots
+            return count
+        if d > EQUAL and that > 10.0 * max(this, INDISTINCT):
+            row[ERROR], row[ERROR + 1], row[WEAKEST] = linear, angular, weak
+            for i in range(m.n):
+                other[i] = theta[i]
+            return count
         if d > EQUAL:
             for i in range(m.n):
                 spare[i] = other[i] + 0.5 * gap(m.kinds[i] == SLIDE, theta[i], other[i])
             middle_linear, middle_angular = error_at(m, spare)
-            if d > SAME and max(middle_linear, middle_angular) > max(INDISTINCT, 2.0 * max(row[ERROR], row[ERROR + 1])):
+            if d > SAME and max(middle_linear, middle_angular) > max(INDISTINCT, 2.0 * that):
                 continue
             if kind != ROOT:  # what was met before moves nothing
                 return count
