@@ -73,12 +73,13 @@ def assert_true(arm: Arm, answer, X) -> None:
 
 
 def assert_distinct(arm: Arm, answer) -> None:
-    """No two solutions of a target are the same."""
+    """No two solutions of a target are the same, slides in lengths of the arm."""
+    same = SAME * min(1.0, 0.5 * arm.model.size) if (arm.model.kinds == oracle.SLIDE).any() else SAME
     q, mask = padded(answer)
     theta = arm.model.theta(np.where(mask[..., None], q, 0.0))
     for j, k in itertools.combinations(range(q.shape[1]), 2):
         apart = arm.model.apart(theta[:, j], theta[:, k])
-        near = np.flatnonzero(mask[:, j] & mask[:, k] & (apart <= SAME))
+        near = np.flatnonzero(mask[:, j] & mask[:, k] & (apart <= same))
         assert not len(near), f"{arm.name}, {len(near)} targets: solutions {j}, {k} of {near[0]}: {apart[near[0]]:.1e}"
 
 
@@ -187,7 +188,7 @@ def allowed(arm: Arm, theta, curve) -> np.ndarray:
     rounding moves the solution along the curve by its size over the smallest singular value.
     """
     weak = arm.model.condition(theta, arm.task, arm.axis)
-    fold = np.sqrt(8.0 * ROUNDING / np.maximum(arm.model.curvature(theta, arm.task, arm.axis), 1e-12))
+    fold = np.sqrt(32.0 * ROUNDING / np.maximum(arm.model.curvature(theta, arm.task, arm.axis), 1e-12))
     return SAME + np.where(curve, 10.0 * ROUNDING / np.maximum(weak, 1e-16), fold) * _unit(arm)
 
 

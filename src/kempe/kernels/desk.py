@@ -34,9 +34,9 @@ from kempe.kernels.analytic_layout import ERROR as ERROR_AT
 from kempe.kernels.closed import CANDIDATE, MOST_CANDIDATES, SAMPLE
 from kempe.kernels.closed import SLOT as CANDIDATE_SLOT
 from kempe.kernels.distinct import (
-    AGAIN,
     ERROR,
     MOST_SOLUTIONS,
+    OPENED,
     SAMPLED,
     SIGNS,
     SOLUTION,
@@ -46,6 +46,7 @@ from kempe.kernels.distinct import (
     add,
     arrange,
     coordinates,
+    united,
 )
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.lines import (
@@ -222,6 +223,7 @@ def begin(d, target, near, locked):
 @routine
 def end(d, count, near, out, slots, sort):
     """Number of rows written."""
+    count = united(d.found, count)
     for i in range(6):
         if d.ints[ROLES + i] != JOINT:  # lines that stand for no joint have double zeros, or two ways, of their own
             for k in range(count):
@@ -242,7 +244,7 @@ def take_candidates(d, order, first, last, kind, count):
             d.theta[i] = d.fixed[i]
         sound, sampled, of = True, row[SAMPLE] != 0.0, kind
         if sampled:
-            of = SAMPLED if row[SAMPLE] == 1.0 else AGAIN
+            of = SAMPLED if row[SAMPLE] == 1.0 else OPENED
         for i in range(6):
             j = order[i]
             if j < d.n:

@@ -15,17 +15,19 @@ EQUAL, SAME, NEAR, INDISTINCT = 1e-9, 1e-6, 2e-3, 1e-15
 """Solutions nearer than SAME are one, and those nearer than NEAR whose midpoint solves the target to INDISTINCT: roots
 that merge cannot be told apart at the square root of rounding. Their mean stands for both, unless they are EQUAL."""
 
-MERGED, CLOSE, UNSURE = 1e-8, 1e-4, 1e-12
+MERGED, CLOSE, UNSURE, STUCK = 1e-8, 1e-4, 1e-12, 1e-13
 """Bound of the smallest singular value squared of a solution in which roots may have merged, or that lies near a curve
 of solutions; error up to which such a candidate is worth undamped steps, for the damped ones may have been too short;
-error from which it may still be on its way along the curve."""
+error from which it may still be on its way along the curve; and from which it may be stuck halfway between two roots,
+if one of them is there."""
 
 MOST_SOLUTIONS = 48
 ERROR, TURNS, SIGNS, WEAKEST, SOLUTION = 0, 2, 3, 4, 6
 """A solution: errors (2), multiplicity, slot, bound of the smallest singular value squared, then the variables."""
 
-ROOT, AGAIN, SAMPLED = 0, 1, 2
-"""Kinds of candidates: a root; one of another formulation, where it may be a root met before; from a free joint."""
+ROOT, AGAIN, SAMPLED, OPENED = 0, 1, 2, 3
+"""Kinds of candidates: a root; one of another formulation, where it may be a root met before; from a free joint; from a
+joint that is nearly free: a sample if it is on target as it is, else it may lead to a root."""
 
 EDGE = 1e-10
 """How far beyond a limit rounding may push a coordinate: it is put on the limit."""
@@ -81,6 +83,8 @@ def add(found, count, theta, slot, kind):
     if not max(linear, angular) <= max(CLOSE, found.linear, found.angular):
         return count
     weak = weakest(m)
+    if kind == OPENED:
+        kind = SAMPLED if max(linear, angular) <= UNSURE else AGAIN
     if weak < MERGED:
         linear, angular = sharpen(m, theta)
         weak = weakest(m)
@@ -91,20 +95,22 @@ def add(found, count, theta, slot, kind):
     if kind == SAMPLED and weak > MERGED:  # a free joint that was not free after all: polishing has found its value
         kind = AGAIN
     spare = beyond(found.rows, stride * MOST_SOLUTIONS)
-    for k in range(count):
+    k = -1
+    while k + 1 < count:
+        k += 1
         row = beyond(found.rows, stride * k)
         other = beyond(row, SOLUTION)
         d = distance(m, theta, other)
         if d > NEAR:
             continue
         this, that = max(linear, angular), max(row[ERROR], row[ERROR + 1])
-        if d > EQUAL and this > 10.0 * max(that, INDISTINCT):  # stuck between two roots
+        if d > EQUAL and this > max(STUCK, 10.0 * that):
             return count
-        if d > EQUAL and that > 10.0 * max(this, INDISTINCT):
-            row[ERROR], row[ERROR + 1], row[WEAKEST] = linear, angular, weak
-            for i in range(m.n):
-                other[i] = theta[i]
-            return count
+        if d > EQUAL and that > max(STUCK, 10.0 * this):
+            drop(found, count, k)
+            count -= 1
+            k -= 1
+            continue
         if d > EQUAL:
             for i in range(m.n):
                 spare[i] = other[i] + 0.5 * gap(m.kinds[i] == SLIDE, theta[i], other[i])
@@ -130,6 +136,32 @@ def add(found, count, theta, slot, kind):
     for i in range(m.n):
         row[SOLUTION + i] = theta[i]
     return count + 1
+
+
+@routine
+def united(found, count):
+    """New number of solutions: those that came to be the same, as means of roots that merge moved, are one."""
+    m, stride, k = found.model, SOLUTION + found.model.n, 1
+    while k < count:
+        row, same = beyond(found.rows, stride * k), -1
+        for j in range(k if row[WEAKEST] < MERGED else 0):
+            if distance(m, beyond(row, SOLUTION), beyond(found.rows, stride * j + SOLUTION)) <= SAME:
+                same = j
+        if same < 0:
+            k += 1
+            continue
+        found.rows[stride * same + TURNS] += row[TURNS]
+        drop(found, count, k)
+        count -= 1
+    return count
+
+
+@device
+def drop(found, count, k):
+    """Nothing; the last solution takes the place of solution k."""
+    stride = SOLUTION + found.model.n
+    for i in range(stride):
+        found.rows[stride * k + i] = found.rows[stride * (count - 1) + i]
 
 
 @device
