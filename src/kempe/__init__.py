@@ -58,9 +58,11 @@ def warmup() -> float:
     import kempe.analysis.local
     import kempe.kernels.all_solutions
     import kempe.kernels.closed_blocks
+    import kempe.kernels.closest
     import kempe.kernels.dyads
     import kempe.kernels.elimination_score
     import kempe.kernels.general
+    import kempe.kernels.solve
     import kempe.kinematics.forward
     import kempe.solvers.assembly
     import kempe.solvers.inverse  # noqa: F401

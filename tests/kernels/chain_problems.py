@@ -8,10 +8,16 @@ import numpy as np
 from primitive_tables import Row, Table, pose
 from scipy.spatial.transform import Rotation
 
+from kempe.kernels.closest import approach
+from kempe.kernels.job import ANSWER, STATUS
 from kempe.kernels.layout import BALL, SLIDE, TURN
-from kempe.kernels.solve import ik
+from kempe.kernels.search import reach
+from kempe.kernels.solve import reach_one_by_one
 
 POSE, POSITION, PLANAR, POINT = (1, 1, 1, 1, 1, 1), (1, 1, 1, 0, 0, 0), (1, 1, 0, 0, 0, 1), (1, 1, 0, 0, 0, 0)
+ORIENTATION, DIRECTION, POSITION_AXIS = (0, 0, 0, 1, 1, 1), (0, 0, 0, 1, 1, 1, 1), (1, 1, 1, 1, 1, 1, 1)
+"""Rows of a task that count; a seventh number 1 says that of the orientation only the tip's z axis does."""
+
 TOLERANCE = 1e-6
 
 
@@ -58,33 +64,40 @@ class Answers:
 
 
 def solve(
-    chain, targets, mask=POSE, seeds=None, seed=1, offset=0, starts=100, steps=20, tol=TOLERANCE, length=0.0
+    chain, targets, mask=POSE, seeds=None, seed=1, offset=0, starts=100, steps=20, tol=TOLERANCE, length=0.0, slow=False
 ):
-    """What the kernel writes for targets (N, 4, 4); seeds (1 or N, K, nq)."""
+    """What the kernels write for targets (N, 4, 4); seeds (1 or N, K, nq). slow: starts one at a time."""
     n, nq = len(targets), chain.table.nq
     seeds = np.empty((1, 0, nq)) if seeds is None else np.asarray(seeds, dtype=float)
     limits = np.array([chain.lower, chain.upper], dtype=float)
-    q, residual, info = np.full((n, nq), 7.0), np.full((n, 2), 7.0), np.full((n, 3), 7, dtype=np.int64)
-    missed = ik(
-        *chain.table.pack(), limits, chain.circular, np.array(mask),
-        np.ascontiguousarray(targets), seeds, seed, offset,
-        starts, steps, tol, tol, length, q, residual, info,
+    out = np.full((n, nq + ANSWER), 7.0)
+    task = np.r_[np.array((*mask, 0)[:7]), chain.circular]
+    arguments = (
+        *chain.table.pack(), limits, task, np.ascontiguousarray(targets), seeds, seed, offset, starts, steps, tol, tol,
+        length, out,
     )  # fmt: skip
+    balls = any(r.kind == BALL for r in chain.table.rows)
+    if (reach_one_by_one if balls or slow else reach)(*arguments):
+        approach(*arguments)
+    missed = int((out[:, nq + STATUS] != 0).sum())
+    q, residual, info = out[:, :nq].copy(), out[:, nq : nq + STATUS].copy(), out[:, nq + STATUS :].astype(np.int64)
     return Answers(missed, q, residual, *info.T.copy())
 
 
 def distance(chain, q, target, mask=POSE):
     """Linear and angular distance of the tip at q from the target, in the rows of the task."""
     tip, rows = chain.forward(q), np.array(mask, dtype=float)
+    if len(mask) == 7:
+        a, b = tip[:3, 2], target[:3, 2]
+        angle = np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)
+        return np.linalg.norm((target - tip)[:3, 3] * rows[:3]), angle
     turn = Rotation.from_matrix(target[:3, :3] @ tip[:3, :3].T).as_rotvec()
-    return np.linalg.norm((target - tip)[:3, 3] * rows[:3]), np.linalg.norm(turn * rows[3:])
+    return np.linalg.norm((target - tip)[:3, 3] * rows[:3]), np.linalg.norm(turn * rows[3:6])
 
 
 def judge(chain, answers, targets, mask=POSE, tol=TOLERANCE):
     """Which answers reach their targets inside the limits (N,); fails if the kernel's own word differs."""
-    found = np.array([distance(chain, q, t, mask) for q, t in zip(answers.q, targets, strict=True)]).reshape(
-        -1, 2
-    )
+    found = np.array([distance(chain, q, t, mask) for q, t in zip(answers.q, targets, strict=True)]).reshape(-1, 2)
     right = (found <= tol).all(axis=1) & np.array([chain.within_limits(q) for q in answers.q], dtype=bool)
     assert np.array_equal(right, answers.status == 0) and answers.missed == (~right).sum()
     assert np.abs(found - answers.residual).max(initial=0.0) < 1e-7 * (1.0 + np.abs(found).max(initial=0.0))
@@ -130,8 +143,7 @@ def floating_arm():
     )
     placements = [pose(to_x), pose(to_x.T @ to_y), pose(to_y.T), pose()]
     rows = [
-        Row(k, i - 1, i, i, X)
-        for i, (k, X) in enumerate(zip((SLIDE, SLIDE, SLIDE, BALL), placements, strict=True))
+        Row(k, i - 1, i, i, X) for i, (k, X) in enumerate(zip((SLIDE, SLIDE, SLIDE, BALL), placements, strict=True))
     ]
     rows += [Row(TURN, i + 3, i + 7, i + 6, pose(to_y, (0.3, 0.0, 0.1))) for i in range(3)]
     table = Table(rows, [(6, False, pose(p=(0.1, 0.05, 0.0)))], 10, 9, True, [(3, 3)])

@@ -20,14 +20,12 @@ from primitive_tables import Row, Table, pose, random_pose, random_table
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
+from kempe.kernels.job import BAD_INPUT, NOT_FOUND, SOLVED
 from kempe.kernels.layout import BALL, SLIDE, TURN
-from kempe.kernels.solve import BAD_INPUT, NOT_FOUND, SOLVED
 
 
 def same(a, b):
-    return all(
-        np.array_equal(x, y, equal_nan=True) for x, y in zip(vars(a).values(), vars(b).values(), strict=True)
-    )
+    return all(np.array_equal(x, y, equal_nan=True) for x, y in zip(vars(a).values(), vars(b).values(), strict=True))
 
 
 def rows_of(answers, chosen):
@@ -93,17 +91,13 @@ def test_nearest_when_a_limit_blocks():
 
 def test_nearest_of_three_slides_is_the_nearest_corner_of_the_box():
     gantry = floating_arm().table.rows[:3]
-    chain = limited(
-        Table(gantry, [(2, False, pose(gantry[2].X[:3, :3] @ gantry[0].X[:3, :3]))], 3, 3, True), -1.0, 2.0
-    )
+    chain = limited(Table(gantry, [(2, False, pose(gantry[2].X[:3, :3] @ gantry[0].X[:3, :3]))], 3, 3, True), -1.0, 2.0)
     wanted = np.random.default_rng(0).uniform(-5, 5, (50, 3))
     targets = points(wanted)
     targets[:, :3, :3] = chain.forward(np.zeros(3))[:3, :3]
     for mask in (POSITION, POSE):
         answers = solve(chain, targets, mask)
-        axes = np.array(
-            [chain.forward(x)[:3, 3] for x in np.eye(3)]
-        )  # each slide moves along one axis of the ground
+        axes = np.array([chain.forward(x)[:3, 3] for x in np.eye(3)])  # each slide moves along one axis of the ground
         best = np.clip(wanted, *np.sort([-axes.sum(axis=0), 2 * axes.sum(axis=0)], axis=0))
         assert np.allclose(answers.residual[:, 0], np.linalg.norm(wanted - best, axis=1), rtol=0, atol=1e-12)
         judge(chain, answers, targets, mask)
@@ -123,9 +117,7 @@ def descend_elsewhere(chain, target, mask, length, q0):
 
     bounds = list(zip(chain.lower, chain.upper, strict=True))
     options = {"ftol": 1e-15, "gtol": 1e-10, "maxiter": 2000, "maxfun": 4000}
-    return np.sqrt(
-        2 * minimize(cost, q0[:nv], jac=True, method="L-BFGS-B", bounds=bounds, options=options).fun
-    )
+    return np.sqrt(2 * minimize(cost, q0[:nv], jac=True, method="L-BFGS-B", bounds=bounds, options=options).fun)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -141,9 +133,7 @@ def test_nearest_is_a_local_minimum_of_the_distance(seed, mask):
     for target, q, (linear, angular) in zip(targets, answers.q, answers.residual, strict=True):
         reached = np.hypot(linear / 0.7, angular)
         assert descend_elsewhere(chain, target, mask, 0.7, q) > reached - 1e-9
-        elsewhere = min(
-            descend_elsewhere(chain, target, mask, 0.7, rng.uniform(-1.5, 1.5, table.nq)) for _ in range(5)
-        )
+        elsewhere = min(descend_elsewhere(chain, target, mask, 0.7, rng.uniform(-1.5, 1.5, table.nq)) for _ in range(5))
         assert elsewhere > reached - 1e-7
 
 
@@ -216,9 +206,7 @@ def test_a_seed_that_solves_is_the_answer():
 def test_seeds_outside_the_limits_are_brought_inside():
     chain = limited(planar_arm(0.5, 0.3).table, -1.0, 1.0)
     answers = solve(chain, points([[0.1, 0.1, 0.0]]), POSITION, seeds=[[[7.0, -9.0]]], starts=1)
-    assert judge(chain, answers, points([[0.1, 0.1, 0.0]]), POSITION).sum() == 0 and chain.within_limits(
-        answers.q[0]
-    )
+    assert judge(chain, answers, points([[0.1, 0.1, 0.0]]), POSITION).sum() == 0 and chain.within_limits(answers.q[0])
 
 
 def test_later_seeds_are_tried_when_the_first_fails():
@@ -260,9 +248,7 @@ def spoil(pose_, how):
         pose_[how[0], how[1]] = how[2]
 
 
-@pytest.mark.parametrize(
-    "how", ["scaled", "mirrored", (0, 3, np.nan), (1, 3, np.inf), (2, 2, np.nan), (0, 3, 1e200)]
-)
+@pytest.mark.parametrize("how", ["scaled", "mirrored", (0, 3, np.nan), (1, 3, np.inf), (2, 2, np.nan), (0, 3, 1e200)])
 def test_a_bad_target_becomes_nan_and_leaves_the_others_alone(how):
     chain, rng = random_chain(1)
     targets, _ = chain.reachable(rng, 9)
@@ -325,10 +311,7 @@ def test_equal_and_huge_limits():
     chain = planar_arm(0.5, 0.3, 0.2)
     limits = limited(chain.table, [-1.7e308, 0.3, -1e308], [1.7e308, 0.3, np.inf])
     targets = np.array(
-        [
-            limits.forward(q)
-            for q in np.random.default_rng(0).uniform(-2, 2, (20, 3)) * [1, 0, 1] + [0, 0.3, 0]
-        ]
+        [limits.forward(q) for q in np.random.default_rng(0).uniform(-2, 2, (20, 3)) * [1, 0, 1] + [0, 0.3, 0]]
     )
     answers = solve(limits, targets, POINT)
     assert judge(limits, answers, targets, POINT).all() and (answers.q[:, 1] == 0.3).all()
@@ -340,6 +323,4 @@ def test_unlimited_random_chains_need_few_starts():
         chain = free(chain)
         targets, _ = chain.reachable(rng, 100)
         answers = solve(chain, targets)
-        assert (
-            judge(chain, answers, targets).all() and answers.starts.mean() < 1.5 and answers.steps.mean() < 20
-        )
+        assert judge(chain, answers, targets).all() and answers.starts.mean() < 1.5 and answers.steps.mean() < 20

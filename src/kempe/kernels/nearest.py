@@ -12,16 +12,19 @@ import numpy as np
 
 from kempe.kernels._jit import device, routine
 from kempe.kernels.linear import back, factor
+from kempe.kernels.lines import cross, dot, minus, mix3, plus
 from kempe.kernels.residual import (
     BOX_STRIDE,
     COLUMN_INTS,
     FREE,
     JACOBIAN_STRIDE,
     OWNER,
+    POINTS,
     SCALE,
     STEP,
     WEIGHTS,
     along,
+    column,
     column_at,
     energy,
     error,
@@ -43,50 +46,53 @@ LAST = 1e-16
 
 
 @device
-def cross(a, b):
-    """The cross product of two triples."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+def turning_part(chain, e, tip, a):
+    """m, such that m.b is the rotation's part of the Hessian for a turn about a and a later one about b.
 
-
-@device
-def dot(a, b):
-    """The scalar product of two triples."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    With phi the rotation error, r its size and gamma = r/2 cot(r/2), m = gamma a + (1 - gamma)/r^2 (phi.a) phi -
+    phi x a / 2, from the inverse Jacobian of the exponential (Bullo and Murray 1995). Where only the direction c of
+    the z axis counts, g being the goal's and n = c x g, the error is e = r/sin r n and by its derivative
+    m = r/sin r ((c.g) a - (a.g) c) + (sin r - r cos r)/sin^3 r (n.a) n - e x a.
+    """
+    g, phi = chain.goal, (e[3], e[4], e[5])
+    square = dot(phi, phi)
+    angle = math.sqrt(square)
+    small = angle < 1e-3
+    if g[POINTS] != 0.0:
+        c, goal = column(tip[2]), (g[2], g[6], g[10])
+        sine = max(math.sin(min(angle, math.pi)), 1e-3 * angle)
+        f = 1.0 + square / 6.0 if small else angle / sine
+        s = (1.0 + 0.4 * square) / 3.0 if small else (sine - angle * math.cos(angle)) / sine**3
+        n = cross(c, goal)
+        m = mix3(a, f * dot(c, goal), c, -f * dot(a, goal), n, s * dot(n, a))
+        return minus(m, cross(phi, a))
+    u = (g[WEIGHTS + 3], g[WEIGHTS + 4], g[WEIGHTS + 5])
+    gamma = 1.0 - square / 12.0 if small else 0.5 * angle / math.tan(0.5 * angle)
+    rest = 1.0 / 12.0 if small else (1.0 - gamma) / square
+    m = (gamma * u[0] * a[0], gamma * u[1] * a[1], gamma * u[2] * a[2])
+    return plus(plus(m, rest * dot(phi, a), phi), -0.5, cross(phi, a))
 
 
 @routine
-def fill_hessian(chain, e, p, h):
-    """Write the Hessian (nv, nv) of the energy at the configuration traced last, its tip at p, its error e.
+def fill_hessian(chain, e, tip, h):
+    """Write the Hessian (nv, nv) of the energy at the configuration traced last, its error e.
 
     For columns j before i of a chain, with axes a and tip velocities t: the tip's second derivative is a_j x
-    t_i (0 if j slides). With phi the rotation error, n its direction and gamma = |phi|/2 cot(|phi|/2), the
-    part of the rotation is a_i (gamma I + (1 - gamma) n n^T) a_j - phi (a_j x a_i) / 2, from the inverse
-    Jacobian of the exponential (Bullo and Murray 1995).
+    t_i (0 if j slides). The part of the rotation is `turning_part`.
     """
     w = (chain.goal[WEIGHTS], chain.goal[WEIGHTS + 1], chain.goal[WEIGHTS + 2])
-    u = (chain.goal[WEIGHTS + 3], chain.goal[WEIGHTS + 4], chain.goal[WEIGHTS + 5])
-    force, phi = (w[0] * e[0], w[1] * e[1], w[2] * e[2]), (e[3], e[4], e[5])
-    angle = math.sqrt(dot(phi, phi))
-    small = angle < 1e-3
-    gamma = 1.0 - angle * angle / 12.0 if small else 0.5 * angle / math.tan(0.5 * angle)
-    rest = 1.0 / 12.0 if small else (1.0 - gamma) / (angle * angle)
+    force = (w[0] * e[0], w[1] * e[1], w[2] * e[2])
     for k in range(chain.nv * chain.nv):
         h[k] = 0.0
     for j in range(chain.columns):
-        a, t, turns = column_at(chain, j, p)
-        f = cross(force, a) if turns else (0.0, 0.0, 0.0)
-        m = (0.5 * (phi[1] * a[2] - phi[2] * a[1]), 0.5 * (phi[2] * a[0] - phi[0] * a[2]),
-             0.5 * (phi[0] * a[1] - phi[1] * a[0]))  # fmt: skip
+        a, t, turns = column_at(chain, j, tip)
+        f, m = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        if turns:
+            f, m = cross(force, a), turning_part(chain, e, tip, a)
         t = (w[0] * w[0] * t[0] - f[0], w[1] * w[1] * t[1] - f[1], w[2] * w[2] * t[2] - f[2])
-        s = rest * dot(phi, a)
-        m = (
-            gamma * u[0] * a[0] + s * phi[0] - m[0],
-            gamma * u[1] * a[1] + s * phi[1] - m[1],
-            gamma * u[2] * a[2] + s * phi[2] - m[2],
-        )
         row = chain.notes[COLUMN_INTS * j + OWNER]
         for i in range(j, chain.columns):
-            b, v, also = column_at(chain, i, p)
+            b, v, also = column_at(chain, i, tip)
             value = dot(t, v)
             if turns and also:
                 value += dot(m, b)
@@ -197,8 +203,8 @@ def descend(chain, limit, kept):
             best, e_best = new, e
             for k in range(chain.nq):
                 kept[k] = chain.q[k]
-            fill_jacobian(chain, tip[3])
-            fill_hessian(chain, e, tip[3], h)
+            fill_jacobian(chain, tip)
+            fill_hessian(chain, e, tip, h)
         else:
             damping *= 8.0
         if best < ENOUGH or square <= LAST or steps >= limit or damping > DAMPING_LIMIT:

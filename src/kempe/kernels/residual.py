@@ -2,9 +2,10 @@
 
 The error is e = W [p* - p; log(R* R^T)] in ground axes. The geometric Jacobian then gives the exact gradient
 of E = |e|^2 / 2: dE/dv = -(W J)^T e, for the logarithm's own Jacobian leaves the logarithm alone (Bullo and
-Murray 1995). W holds 0 or 1 for each row of the task, divided by the chain's length L in the linear rows, so
-that lengths weigh against angles whatever the unit. For the same reason slides move in multiples of L: column
-i of the Jacobian belongs to v[i] / scale[i].
+Murray 1995). Where only the direction of the tip's z axis counts, the rotation error is the shortest one that
+corrects it, and J lacks what turns about that axis. W holds 0 or 1 for each row of the task, divided by the
+chain's length L in the linear rows, so that lengths weigh against angles whatever the unit. For the same
+reason slides move in multiples of L: column i of the Jacobian belongs to v[i] / scale[i].
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ from kempe.kernels.layout import (
     SIN_GAUGE,
     TURN,
 )
+from kempe.kernels.lines import cross, dot, plus
 from kempe.kernels.trig import atan2, sincos_any
-from kempe.kernels.vectors import entry, pack4, store
+from kempe.kernels.vectors import entry, pack4, square_root, store, where
 
 AXIS, POINT, FACTOR, AXES_STRIDE = 0, 4, 8, 9
 """A column, in `Chain.axes`: its axis times FACTOR, a point on it, FACTOR (multiplier times scale)."""
@@ -44,8 +46,8 @@ LOW, HIGH, SCALE, BOX_STRIDE = 0, 1, 2, 4
 FREE, STEP, JACOBIAN_STRIDE = 6, 7, 8
 """A velocity coordinate, in `Chain.jacobian`: six rows of its column, whether it may move, the step."""
 
-WEIGHTS, GOAL_SIZE = 12, 18
-"""Where the six weights follow the 3x4 pose in `Chain.goal`, and its size."""
+WEIGHTS, POINTS, GOAL_SIZE = 12, 18, 19
+"""Places in `Chain.goal`, after the 3x4 pose: six weights; 1 if of rotations only the direction of z counts."""
 
 
 class Chain(NamedTuple):
@@ -170,19 +172,47 @@ def logarithm(m):
 
 
 @device
-def error(goal, tip):
-    """The six weighted errors [linear; angular] of a tip as `trace` gives it."""
-    g, w = goal, WEIGHTS
-    a, b, c, p = tip
+def pointing_error(a, c, goal):
+    """The shortest rotation vector that turns direction c to the goal's; about a where they are opposite.
+
+    For floats and vectors alike.
+    """
+    n, cosine = cross(c, goal), dot(c, goal)
+    sine = square_root(dot(n, n))
+    vague = 1e-12 > sine
+    factor = where(vague, 1.0, atan2(sine, cosine) / where(vague, 1.0, sine))
+    opposite = where(vague, where(0.0 > cosine, math.pi, 0.0), 0.0)
+    return plus((factor * n[0], factor * n[1], factor * n[2]), opposite, a)
+
+
+@device
+def column(v):
+    """The first three entries of a vector."""
+    return entry(v, 0), entry(v, 1), entry(v, 2)
+
+
+@device
+def turn_error(g, a, b, c):
+    """Rotation vector from the tip's rotation, by columns, to the goal's; of z alone where only that counts."""
+    if g[POINTS] != 0.0:
+        return pointing_error(column(a), column(c), (g[2], g[6], g[10]))
     x = mixed(g[0], a, g[1], b, g[2], c)
     y = mixed(g[4], a, g[5], b, g[6], c)
     z = mixed(g[8], a, g[9], b, g[10], c)
-    turn = logarithm(
+    return logarithm(
         (
             entry(x, 0), entry(x, 1), entry(x, 2), entry(y, 0), entry(y, 1), entry(y, 2),
             entry(z, 0), entry(z, 1), entry(z, 2),
         )
     )  # fmt: skip
+
+
+@device
+def error(goal, tip):
+    """The six weighted errors [linear; angular] of a tip as `trace` gives it."""
+    g, w = goal, WEIGHTS
+    a, b, c, p = tip
+    turn = turn_error(g, a, b, c)
     return (
         g[w] * (g[3] - entry(p, 0)), g[w + 1] * (g[7] - entry(p, 1)), g[w + 2] * (g[11] - entry(p, 2)),
         g[w + 3] * turn[0], g[w + 4] * turn[1], g[w + 5] * turn[2],
@@ -203,29 +233,32 @@ def distances(chain, e):
 
 
 @device
-def column_at(chain, column, p):
-    """Axis of a column, the velocity that it gives the tip, and whether it turns; p: the tip's position."""
-    k, a = AXES_STRIDE * column, chain.axes
+def column_at(chain, number, tip):
+    """Axis of a column, the velocity that it gives the tip, and whether it turns."""
+    k, a, p = AXES_STRIDE * number, chain.axes, tip[3]
     x, y, z = a[k], a[k + 1], a[k + 2]
-    if chain.notes[COLUMN_INTS * column + TURNS] == 0:
+    if chain.notes[COLUMN_INTS * number + TURNS] == 0:
         return (x, y, z), (x, y, z), False
     u, v, w = entry(p, 0) - a[k + POINT], entry(p, 1) - a[k + POINT + 1], entry(p, 2) - a[k + POINT + 2]
     return (x, y, z), (y * w - z * v, z * u - x * w, x * v - y * u), True
 
 
 @device
-def fill_jacobian(chain, p):
-    """Write the weighted Jacobian at the configuration traced last, tip at p; shared coordinates add up."""
+def fill_jacobian(chain, tip):
+    """Write the weighted Jacobian at the configuration traced last; shared coordinates add up."""
     jacobian, g = chain.jacobian, chain.goal
     for v in range(chain.nv):
         for i in range(6):
             jacobian[JACOBIAN_STRIDE * v + i] = 0.0
-    for column in range(chain.columns):
-        k = JACOBIAN_STRIDE * chain.notes[COLUMN_INTS * column + OWNER]
-        axis, velocity, turns = column_at(chain, column, p)
+    for number in range(chain.columns):
+        k = JACOBIAN_STRIDE * chain.notes[COLUMN_INTS * number + OWNER]
+        axis, velocity, turns = column_at(chain, number, tip)
         for i in range(3):
             jacobian[k + i] += g[WEIGHTS + i] * velocity[i]
         if turns:
+            if g[POINTS] != 0.0:
+                c = column(tip[2])
+                axis = plus(axis, -dot(c, axis), c)
             for i in range(3):
                 jacobian[k + 3 + i] += g[WEIGHTS + 3 + i] * axis[i]
 

@@ -154,11 +154,16 @@ class System(Compiled):
 
         return closure_error(self, q)
 
-    def ik(self, target: ArrayLike, frame: FrameLike, **options: Any) -> Solution:
+    def ik(self, target: Any, frame: FrameLike, seed: Any = None, **options: Any) -> Solution:
         """A configuration in which the frame reaches the target pose; see `kempe.solvers.inverse.ik`."""
+        if not options and target.__class__ is np.ndarray and frame.__class__ is str:
+            bound = self._queries.get(("one", frame))
+            answer = bound(target, seed) if bound is not None else None
+            if answer is not None:
+                return answer
         from kempe.solvers.inverse import ik
 
-        return ik(self, target, frame, **options)
+        return ik(self, target, frame, seed, **options)
 
     def ik_all(self, target: Any, frame: FrameLike, **options: Any) -> Solutions:
         """Every configuration in which the frame reaches the target; see `kempe.solvers.analytic.ik_all.ik_all`."""

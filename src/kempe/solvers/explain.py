@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from kempe.solvers.inverse import POSITION, Task, outside, run
+from kempe.solvers.inverse import Task, chain_of, outside, run
 from kempe.solvers.solution import BAD_INPUT, OUT_OF_REACH, SOLVED, Solution
+from kempe.solvers.targets import Z_AXIS, frame_of
 
 RANK_TOLERANCE = 1e-9
 """Singular values below this fraction of the largest count as zero when the freedoms of a chain are counted."""
@@ -22,12 +23,12 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     code, position, angle, starts, steps = (np.asarray(x)[index].item() for x in figures)
     if code == SOLVED:
         work = f"{_count(steps, 'step')}, {_count(starts, 'start')}" if starts else "analytically"
-        return f"reached: position error {position:.1e} m{_angle(task, angle)} ({work})"
+        return f"reached: {_errors(task, f'position error {position:.1e} m', angle)} ({work})"
     if code == BAD_INPUT:
         return "target or seed is not a finite pose"
     at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
     target = task.targets[at : at + 1]
-    near = f"the nearest configuration found misses it by {position:.6g} m{_angle(task, angle)}"
+    near = f"the nearest configuration found misses it by {_errors(task, f'{position:.6g} m', angle)}"
     if code == OUT_OF_REACH:
         beyond = outside(task, target)[0]
         if task.system.dim == 2 and abs(target[0, 2, 3]) > task.tolerance[0]:
@@ -37,8 +38,9 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     return f"not reached after {_count(starts, 'start')}: {reason}; {near}"
 
 
-def _angle(task: Task, angle: float) -> str:
-    return "" if task.position_only else f", {angle:.2g} rad"
+def _errors(task: Task, position: str, angle: float) -> str:
+    parts = [position] * bool(any(task.mask[:3])) + [f"{angle:.2g} rad"] * bool(any(task.mask[3:]))
+    return ", ".join(parts)
 
 
 def _count(n: int, what: str) -> str:
@@ -55,17 +57,20 @@ def _over_determined(task: Task, target: np.ndarray) -> str:
 
     rows = [i for i, used in enumerate(task.mask) if used]
     system = task.system
-    J = jacobian(system, system.random(0, 16), task.frame)[:, rows]
+    J = jacobian(system, system.random(0, 16), task.frame, "body")
+    J[:, 3:] = frame_of(np.array(task.axis)).T @ J[:, 3:]
+    J = J[:, rows]
     if J.shape[-1] == 0:
         return f"no joint moves frame {task.frame!r}"
     values = np.linalg.svd(J, compute_uv=False)
     freedoms = int((values > RANK_TOLERANCE * values[:, :1]).sum(axis=1).max())
-    wanted = (2 if task.position_only else 3) if system.dim == 2 else len(rows)
+    wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else len(rows)
     if freedoms >= wanted:
         return ""
     text = f"the task has {wanted} equations, but the chain moves this frame in {freedoms} freedoms only"
-    if not task.position_only:
-        other = "can" if _solved(replace(task, mask=POSITION), target) else "cannot"
+    if task.name in ("pose", "position_axis"):
+        position = replace(task, name="position", axis=Z_AXIS, chain=chain_of(system, task.frame))
+        other = "can" if _solved(position, target) else "cannot"
         text += f" (its position alone {other} be reached)"
     return text
 
@@ -91,5 +96,7 @@ def _limits(task: Task, target: np.ndarray) -> str:
 
 
 def _why(task: Task) -> str:
+    if not any(task.mask[:3]):
+        return "the orientation seems out of reach"
     lengths = "the target seems outside the workspace"
-    return lengths if task.position_only else f"{lengths}, or not reachable with this orientation"
+    return f"{lengths}, or not reachable with this orientation" if any(task.mask[3:]) else lengths

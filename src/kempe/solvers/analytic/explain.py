@@ -16,7 +16,8 @@ from kempe.solvers.analytic.nearest import aim_of, fixed_joints, held_coordinate
 from kempe.solvers.analytic.plan import Plan, carried_lines, free_lines
 from kempe.solvers.analytic.plan import freedoms as rank_of
 from kempe.solvers.analytic.structure import Axes, Way
-from kempe.solvers.inverse import POSE, Task, chain_of, outside
+from kempe.solvers.inverse import Task, chain_of, outside
+from kempe.solvers.targets import Z_AXIS
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -180,7 +181,8 @@ def _why(solutions: Solutions, index: int) -> str:
         if system.dim == 2 and abs(target[0, 2, 3]) > tolerance:
             return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m"
         chain = chain_of(system, question.frame)
-        far = float(outside(Task(system, question.frame, target, POSE, (tolerance, tolerance), 1, 0, chain), target)[0])
+        task = Task(system, question.frame, target, "position", Z_AXIS, (tolerance, tolerance), 1, 0, chain)
+        far = float(outside(task, target)[0])
         if far > tolerance:
             reasons.append(f"outside the workspace by at least {far:.6g} m, by the lengths of the links")
     failed = _without_root(solutions, index) if plan.method == "closed" else ""

@@ -8,9 +8,10 @@ from kempe import spatial
 from kempe.errors import InputError, UnsupportedError
 from kempe.solvers.analytic.ik_all import TOLERANCE, chain_lines, plan_for, solve
 from kempe.solvers.analytic.plan import Plan
-from kempe.solvers.analytic.question import Z_AXIS, Question
-from kempe.solvers.inverse import POSE, POSITION, Task, run
+from kempe.solvers.analytic.question import Question
+from kempe.solvers.inverse import Task, run
 from kempe.solvers.solution import SOLVED
+from kempe.solvers.targets import points_along
 from kempe.spatial import Array
 
 METHODS = ("numeric", "analytic", "auto")
@@ -20,9 +21,9 @@ def plan_of(task: Task, method: str) -> Plan | None:
     """The plan that answers a task, None where numbers have to. Errors: `InputError`, `UnsupportedError`."""
     if method not in METHODS:
         raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
-    name = "position" if task.mask == POSITION else "pose"
+    lines = chain_lines(task.system, task.frame, task.axis)
     try:
-        plan = plan_for(task.system, task.frame, chain_lines(task.system, task.frame, Z_AXIS), name, Z_AXIS, ())
+        plan = plan_for(task.system, task.frame, lines, task.name, task.axis, ())
     except UnsupportedError:
         if method == "analytic":
             raise
@@ -38,8 +39,8 @@ def plan_of(task: Task, method: str) -> Plan | None:
 def answer(task: Task, plan: Plan, near: Array, seeds: Array, threads: int | None) -> tuple[Array, Array, np.ndarray]:
     """As `inverse.run`: the solution inside the limits nearest to `near` (1 or N, nq); where there is none, numbers."""
     n, chain = len(task.targets), task.chain
-    name = "pose" if task.mask == POSE else "position"
-    question = Question(task.system, task.frame, name, Z_AXIS, task.targets, (n,), min(*task.tolerance, TOLERANCE))
+    within = min(*task.tolerance, TOLERANCE)
+    question = Question(task.system, task.frame, task.name, task.axis, task.targets, (n,), within)
     found = solve(question, plan, near, {}, threads)
     own, inside = found._rows[..., : len(plan.lines)], found.inside
     unit = np.abs(plan.lines.multiplier)
@@ -66,7 +67,11 @@ def _measure(task: Task, near: Array, q: Array, there: np.ndarray, residual: Arr
     full = np.array(np.broadcast_to(near, (len(q), task.system.nq)))
     full[:, task.chain.q_index] = q
     X, T = task.system.fk(full[there], task.frame), task.targets[there]
-    residual[there, 0] = np.linalg.norm(X[:, :3, 3] - T[:, :3, 3], axis=-1)
-    if task.mask == POSE:
+    if any(task.mask[:3]):
+        residual[there, 0] = np.linalg.norm(X[:, :3, 3] - T[:, :3, 3], axis=-1)
+    if points_along(task.name):
+        a, b = (Y[:, :3, :3] @ np.array(task.axis) for Y in (X, T))
+        residual[there, 1] = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
+    elif any(task.mask[3:]):
         turn = np.swapaxes(X[:, :3, :3], 1, 2) @ T[:, :3, :3]
         residual[there, 1] = np.linalg.norm(spatial.log_so3(turn), axis=-1)

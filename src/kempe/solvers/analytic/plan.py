@@ -16,13 +16,8 @@ from kempe.kernels.layout import SLIDE, TURN
 from kempe.kernels.outer import X_FIRST, Z_FIRST
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.structure import Axes, Way, ways
+from kempe.solvers.targets import TASKS as TASKS
 from kempe.spatial import Array
-
-TASKS = {
-    "pose": (1, 1, 1, 1, 1, 1), "position": (1, 1, 1, 0, 0, 0), "orientation": (0, 0, 0, 1, 1, 1),
-    "direction": (0, 0, 0, 1, 1, 0), "position_axis": (1, 1, 1, 1, 1, 0),
-}  # fmt: skip
-"""Tasks, and which errors [linear; angular] in the frame of the tip count; the direction is that of its z axis."""
 
 TRIALS = 24
 """Random configurations that a plan must find again before it is used."""

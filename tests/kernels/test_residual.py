@@ -1,0 +1,108 @@
+"""The error of the inverse kinematics, its Jacobian and the Hessian of its energy, against finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chain_problems import DIRECTION, ORIENTATION, POSE, POSITION, POSITION_AXIS, distance, floating_arm, limited
+from numba import types
+from primitive_tables import pose, random_table
+from scipy.spatial.transform import Rotation
+
+from kempe.kernels._jit import F1, F2, F3, I1, OUT1, OUT2, kernel
+from kempe.kernels.job import aim, count_columns, job_floats, job_ints, job_of
+from kempe.kernels.layout import SLIDE, TURN
+from kempe.kernels.nearest import fill_hessian
+from kempe.kernels.residual import JACOBIAN_STRIDE, error, fill_jacobian, trace
+from kempe.kernels.vectors import keep, raw
+
+LENGTH = 0.7
+
+
+@kernel(types.void(I1, F1, F2, I1, F3, F3, OUT2, OUT1, OUT2, OUT2))
+def probe(ints, floats, limits, task, targets, q, out, e, J, H):
+    """Error (6,), Jacobian (6, nv) and Hessian (nv, nv) at one configuration q (1, 1, nq)."""
+    columns, nq, nv = count_columns(raw(ints)), ints[2], ints[3]
+    notes, block = np.empty(job_ints(columns, nv), np.int64), np.empty(job_floats(columns, nq, nv))
+    job = job_of(
+        ints, floats, limits, task, targets, q, 0, 0, 1, 1, 1e-6, 1e-6, 0.7, out, columns, raw(notes), raw(block)
+    )
+    chain = job.chain
+    aim(chain, job.targets, 0)
+    for i in range(nq):
+        chain.q[i] = q[0, 0, i]
+    tip = trace(chain)
+    found = error(chain.goal, tip)
+    fill_jacobian(chain, tip)
+    fill_hessian(chain, found, tip, raw(H))
+    for i in range(6):
+        e[i] = found[i]
+        for v in range(nv):
+            J[i, v] = chain.jacobian[JACOBIAN_STRIDE * v + i]
+    keep(notes)
+    keep(block)
+
+
+def looked_at(chain, q, target, mask):
+    nq, nv = chain.table.nq, chain.table.nv
+    e, J, H, out = np.zeros(6), np.zeros((6, nv)), np.zeros((nv, nv)), np.zeros((1, nq + 5))
+    task, limits = np.r_[np.array((*mask, 0)[:7]), chain.circular], np.array([chain.lower, chain.upper])
+    probe(*chain.table.pack(), limits, task, target[None], q[None, None], out, e, J, H)
+    return e, J, H
+
+
+def scales(chain):
+    """Units of the velocity coordinates: a radian, or the chain's length for those that only slide."""
+    turning = {v for r in chain.table.rows if r.kind != SLIDE for v in range(r.iv, r.iv + (1 if r.kind == TURN else 3))}
+    return np.array([1.0 if v in turning else LENGTH for v in range(chain.table.nv)])
+
+
+def energy(chain, q, target, mask):
+    linear, angular = distance(chain, q, target, mask)
+    return 0.5 * ((linear / LENGTH) ** 2 + angular**2)
+
+
+CHAINS = {
+    "turns and slides": lambda: limited(
+        random_table(np.random.default_rng(3), 7, chain=True, kinds=(TURN, TURN, SLIDE)), -2.0, 2.0
+    ),
+    "floating": floating_arm,
+}
+
+
+@pytest.mark.parametrize("mask", [POSE, POSITION, ORIENTATION, DIRECTION, POSITION_AXIS])
+@pytest.mark.parametrize("name", CHAINS)
+def test_gradient_and_hessian_are_those_of_the_distance(name, mask):
+    chain, rng = CHAINS[name](), np.random.default_rng(0)
+    unit, nv, h = scales(chain), chain.table.nv, 1e-4
+    for _ in range(4):
+        q = chain.random_q(rng, 1)[0]
+        target = pose(Rotation.random(random_state=rng).as_matrix(), rng.normal(size=3))
+        e, J, H = looked_at(chain, q, target, mask)
+        assert np.allclose(0.5 * e @ e, energy(chain, q, target, mask), rtol=1e-9)
+
+        def at(v, q=q, target=target):
+            return energy(chain, chain.table.moved(q, v * unit), target, mask)
+
+        steps = np.eye(nv) * h
+        gradient = np.array([(at(s) - at(-s)) / (2 * h) for s in steps])
+        assert np.allclose(-J.T @ e, gradient, atol=1e-6 * (1 + np.abs(gradient).max()))
+        if name == "floating":
+            continue  # along a ball second differences depend on the path
+        second = np.array([[at(a + b) - at(a - b) - at(b - a) + at(-a - b) for a in steps] for b in steps]) / (
+            4 * h * h
+        )
+        assert np.allclose(H, second, atol=2e-4 * (1 + np.abs(second).max()))
+
+
+@pytest.mark.parametrize("angle", [1e-5, 1e-3, 0.0])
+def test_hessian_near_the_goal(angle):
+    """There it is J^T J, in which turns about the pointed axis do not count."""
+    chain, rng = CHAINS["turns and slides"](), np.random.default_rng(1)
+    q = chain.random_q(rng, 1)[0]
+    target = chain.forward(q)
+    target[:3, :3] = Rotation.from_rotvec([angle, 0, 0]).as_matrix() @ target[:3, :3]
+    e, J, H = looked_at(chain, q, target, DIRECTION)
+    assert np.linalg.norm(e) <= 1.001 * angle + 1e-15 and np.allclose(H, J.T @ J, atol=4 * angle + 1e-12)
+    axis = chain.forward(q)[:3, 2]
+    assert np.abs(axis @ J[3:]).max() < 1e-14
