@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from kempe.solvers.charts import Chart
     from kempe.solvers.dyads import Incomplete, Plan
     from kempe.solvers.modes import Modes
+    from kempe.solvers.self_motion import SelfMotion
     from kempe.solvers.solution import Solution
 
 __all__ = ["FrameLike", "System"]
@@ -154,8 +155,15 @@ class System(Compiled):
 
         return closure_error(self, q)
 
-    def ik(self, target: ArrayLike, frame: FrameLike, **options: Any) -> Solution:
-        """A configuration in which the frame reaches the target pose; see `kempe.solvers.inverse.ik`."""
+    def ik(self, target: Any, frame: FrameLike | None = None, **options: Any) -> Solution:
+        """A configuration in which the frame reaches the target pose; see `kempe.solvers.inverse.ik`.
+
+        Without a frame, `target` is a task of `kempe.tasks` or several of them; see `kempe.solvers.tasks.reach`.
+        """
+        if frame is None:
+            from kempe.solvers.tasks import reach
+
+            return reach(self, target, **options)
         from kempe.solvers.inverse import ik
 
         return ik(self, target, frame, **options)
@@ -182,6 +190,12 @@ class System(Compiled):
         from kempe.solvers.analytic.redundancy import ik_sweep
 
         return ik_sweep(self, target, frame, parameter, **options)
+
+    def self_motion(self, q: Any, tasks: Any, **options: Any) -> SelfMotion:
+        """The configurations reached from q while a frame or tasks stay; see `kempe.solvers.self_motion`."""
+        from kempe.solvers.self_motion import self_motion
+
+        return self_motion(self, q, tasks, **options)
 
     def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
         """Arm angle (...) of seven joints with spherical shoulder and wrist; see `kempe.solvers.analytic.arm_angle`."""

@@ -16,7 +16,7 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.gauge import regauge
 from kempe.model.table import local_chain
-from kempe.solvers.arguments import seed_number, start_count
+from kempe.solvers.arguments import seed_number, start_count, tolerances
 from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, SOLVED, Solution
 from kempe.spatial import Array
 
@@ -100,7 +100,7 @@ def ik(
     if mask is POSE and system.table.at[name][2]:
         mask = _of_particle(targets, name)
     base, seeds = _seeds(system, chain, seed, lead)
-    task = Task(system, name, targets, mask, _tolerance(tolerance), start_count(starts), seed_number(rng), chain)
+    task = Task(system, name, targets, mask, tolerances(tolerance), start_count(starts), seed_number(rng), chain)
     plan = None
     if method != "numeric":
         from kempe.solvers.analytic import hand_over
@@ -318,16 +318,6 @@ def _refuse_target(target: Array, seed: Array) -> None:
     if not np.isfinite(seed).all():
         raise InputError("seed has entries that are not finite")
     raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
-
-
-def _tolerance(tolerance: Any) -> tuple[float, float]:
-    try:
-        linear, angular = (tolerance, tolerance) if np.ndim(tolerance) == 0 else tolerance
-        if 0.0 < linear < math.inf and 0.0 < angular < math.inf:
-            return float(linear), float(angular)
-    except (TypeError, ValueError):
-        pass
-    raise InputError(f"tolerance is {tolerance!r}; it must be one or two positive numbers, in metres and radians")
 
 
 def _answer(
