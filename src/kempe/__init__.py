@@ -15,7 +15,8 @@ from kempe.model.system import System
 
 __version__ = "0.1.0"
 __all__ = [
-    "KempeError", "Mechanism", "System", "errors", "from_dh", "from_screws", "load", "read", "spatial", "warmup",
+    "KempeError", "Mechanism", "System", "errors", "from_dh", "from_screws", "load", "read", "spatial",
+    "tasks", "warmup",
 ]  # fmt: skip
 
 
@@ -47,6 +48,10 @@ def __getattr__(name: str):
         from kempe.description import dh
 
         return getattr(dh, name)
+    if name == "tasks":
+        from kempe.kinematics import tasks
+
+        return tasks
     raise AttributeError(f"module 'kempe' has no attribute {name!r}")
 
 
@@ -65,6 +70,7 @@ def warmup() -> float:
     import kempe.kernels.solve
     import kempe.kinematics.forward
     import kempe.solvers.assembly
-    import kempe.solvers.inverse  # noqa: F401
+    import kempe.solvers.inverse
+    import kempe.solvers.tasks  # noqa: F401
 
     return time.perf_counter() - start

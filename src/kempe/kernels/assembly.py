@@ -16,6 +16,7 @@ from numba import types
 from kempe.kernels import loop_layout as L
 from kempe.kernels._jit import F1, F2, I1, OUT1, OUT2, OUTI2, kernel, routine
 from kempe.kernels.envelope import add_product, factor, normal, product, solve
+from kempe.kernels.goals import fill
 from kempe.kernels.layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.layout import NQ, NV
 from kempe.kernels.loop_coordinates import (
@@ -35,7 +36,7 @@ from kempe.kernels.rows import poses_at, row_poses, scratch_size
 from kempe.kernels.scratch import beyond
 from kempe.kernels.starts import copy
 from kempe.kernels.step import turn_ball
-from kempe.kernels.ties import Loops, fill
+from kempe.kernels.ties import Loops
 from kempe.kernels.vectors import keep, raw
 
 SOLVED, NOT_CLOSED, BAD_INPUT = 0, 1, 2

@@ -8,19 +8,21 @@ from numba import types
 from kempe.kernels import loop_layout as L
 from kempe.kernels._jit import F1, F2, I1, OUT2, OUT3, kernel
 from kempe.kernels.envelope import add_product
+from kempe.kernels.goals import fill
 from kempe.kernels.layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.layout import NQ, NV
 from kempe.kernels.rows import poses_at, row_poses, scratch_size
 from kempe.kernels.scratch import beyond
-from kempe.kernels.ties import Loops, fill
+from kempe.kernels.ties import Loops
 from kempe.kernels.vectors import keep, raw
 
 
-@kernel(types.void(I1, F1, I1, F1, F2, types.boolean, OUT2, OUT3))
-def equations(ints, floats, plan, weights, q, with_jacobian, residual, jacobian):
+@kernel(types.void(I1, F1, I1, F1, F2, F2, types.boolean, OUT2, OUT3))
+def equations(ints, floats, plan, weights, pins, q, with_jacobian, residual, jacobian):
     """Write the residual (N, m) at q (N, nq) and, if asked, the Jacobian (N, m, nv), both scaled as `weights` say.
 
-    ints, floats: the table; plan, weights: the loops (`loop_layout`), without pins.
+    ints, floats: the table; plan, weights: the loops, and pins (N or 1, k): as in
+    `loop_layout`.
     """
     nq, nv, n_rows, m = ints[NQ], ints[NV], ints[TABLE_ROWS], plan[L.N_ROWS]
     sweep = scratch_size(n_rows)
@@ -29,10 +31,10 @@ def equations(ints, floats, plan, weights, q, with_jacobian, residual, jacobian)
     error = beyond(scratch, sweep)
     column = beyond(error, m)
     blocks = beyond(column, m)
-    no_pins = raw(weights)
     for i in range(q.shape[0]):
         start = beyond(raw(q), i * nq)
-        loops = Loops(raw(ints), raw(floats), raw(plan), raw(weights), no_pins, start, scratch,
+        pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
+        loops = Loops(raw(ints), raw(floats), raw(plan), raw(weights), pin, start, scratch,
                       beyond(scratch, poses_at(n_rows)), error, blocks, n_rows, nq, nv)  # fmt: skip
         row_poses(loops.ints, loops.floats, start, 0, scratch)
         fill(loops, with_jacobian)

@@ -4,24 +4,33 @@ Besides the primitive table, whose outputs 2k and 2k + 1 are the frames A and B 
 `weights` (float64):
 
     plan     head, then, from the places that the head gives:
-             a tie:      MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, LOCALS, LOCAL, BLOCK, PIN
+             a tie:      MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, LOCALS, LOCAL, BLOCK, PIN, LENGTHS, NUMBER,
+                         BOUND, CENTRE, DATA
              an entry:   row of the table, local column of the tie
              a local:    velocity coordinate, or for a LINEAR tie its place in q
              a velocity: where its uses begin; a use: tie, local column
              a matrix row: its first column and where it begins in the envelope
              a reading:  code, place in q, tie; a velocity: place in q, sort, held
     weights  1/length, length; scales, lower, upper, low and high ends to draw from of all velocities; a number for each
-             tie; a factor for each entry (for a LINEAR tie for each local)
+             tie; a factor for each entry (for a LINEAR tie for each local); low and high of each row of a tie with
+             BOUND; for each CENTRE and each row of the table its mass, first moment (3) in its axes and the mass of all
+             that it moves, then the first moment (3) of what stands
+    pins     (an argument) the poses (3x4) of pinned ties, then the numbers of ties with NUMBER
 """
 
 N_TIES, N_ROWS, N_READINGS, N_PINS, BLOCKS, ENVELOPE = 0, 1, 2, 3, 4, 5
 AT_TIES, AT_ENTRIES, AT_LOCALS, AT_VARS, AT_USES, AT_ROWS, AT_READINGS, AT_PLACES = 6, 7, 8, 9, 10, 11, 12, 13
-AT_NUMBERS, AT_FACTORS = 14, 15
-HEAD = 16
+AT_NUMBERS, AT_FACTORS, AT_BOUNDS, AT_CENTRES, BASE_TIE, BASE_ROW = 14, 15, 16, 17, 18, 19
+HEAD = 20
 """Places in the head of `plan`, and its size."""
 
 MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, LOCALS, LOCAL, BLOCK, PIN = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
-TIE_INTS, ENTRY_INTS, USE_INTS, ENVELOPE_INTS, READING_INTS, PLACE_INTS = 10, 2, 2, 2, 3, 3
+LENGTHS, NUMBER, BOUND, CENTRE, DATA = 10, 11, 12, 13, 14
+TIE_INTS, ENTRY_INTS, USE_INTS, ENVELOPE_INTS, READING_INTS, PLACE_INTS = 15, 2, 2, 2, 3, 3
+"""A tie: LENGTHS counts its first rows, which are lengths; NUMBER, BOUND and CENTRE are -1 where it has none; DATA is
+the velocity coordinate of an OWN tie and the address of the function of a FUNCTION tie."""
+
+CENTRE_FLOATS = 5
 
 INVERSE_LENGTH, LENGTH, SCALES = 0, 1, 2
 """Places in `weights`; the five lists of velocities follow from SCALES on."""
@@ -29,12 +38,10 @@ INVERSE_LENGTH, LENGTH, SCALES = 0, 1, 2
 SLIDE, BOUND_TURN, CIRCLE, BALL_FIRST, BALL_MORE = 0, 1, 2, 3, 4
 """Sorts of velocity coordinates: a slide; an angle; one that a turn brings back; the first and the others of a ball."""
 
-NO_TURN, ANGLE, ALIGN, CROSS, FULL, DISTANCE, LINEAR = 0, 1, 2, 3, 4, 5, 6
+NO_TURN, ANGLE, ALIGN, CROSS, FULL, DISTANCE, LINEAR, LOOK, OWN, FUNCTION = range(10)
 """What of the rotation of B in A a tie holds: nothing; the angle about z; z parallel to z; y of B normal to x of A;
-all. DISTANCE and LINEAR are ties of another kind: one row each."""
-
-TURN_ROWS = (0, 1, 2, 1, 3, 1, 1)
-"""How many rows each kind of TURNS adds."""
+all. LOOK: z of B towards the origin of A. The others are of another kind: DISTANCE and LINEAR have one row each; OWN
+holds one coordinate, or a quaternion, at given values; FUNCTION has the rows of a function of q."""
 
 READ_X, READ_Y, READ_Z, READ_ANGLE, READ_RX, READ_RY, READ_QUATERNION, READ_YAW, READ_PITCH, READ_ROLL = range(10)
 """How a coordinate of a cut joint follows from the pose of B in A: a slide, the turn about z, the turns of a cross

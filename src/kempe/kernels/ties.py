@@ -30,7 +30,7 @@ from kempe.kernels.layout import (
 from kempe.kernels.residual import logarithm
 from kempe.kernels.rows import placed, placement
 from kempe.kernels.trig import atan2
-from kempe.kernels.vectors import entry, pack4
+from kempe.kernels.vectors import entry, last_of, pack4
 
 ANTIPODE = 1e-9
 """1 + cosine below which two axes count as opposite: the direction back is arbitrary there, its length is not."""
@@ -107,13 +107,22 @@ def relative(r, s):
 
 
 @device
+def on(row, a, b, c):
+    """The row `row` of [...] @ [a; b; c; 0 0 0 1]."""
+    return entry(row, 0) * a + (entry(row, 1) * b + (entry(row, 2) * c + last_of(row)))
+
+
+@routine
 def ends_of(loops, k):
     """Rotation of A, position of A, rotation and position of B of tie k, as numbers."""
     pin = loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.PIN]
-    if pin >= 0:
-        a, b, c = placement(loops.pins, 12 * pin)
-    else:
+    if pin < 0:
         a, b, c = frame_of(loops, 2 * k)
+    else:
+        a, b, c = placement(loops.pins, 12 * pin)
+        if loops.ints[HEADER + ROW_INTS * loops.n_rows + OUTPUT_INTS * 2 * k] >= 0:  # pinned to a body that moves
+            d, e, f = frame_of(loops, 2 * k)
+            a, b, c = on(d, a, b, c), on(e, a, b, c), on(f, a, b, c)
     d, e, f = frame_of(loops, 2 * k + 1)
     return (
         matrix(a, b, c), (entry(a, 3), entry(b, 3), entry(c, 3)), matrix(d, e, f),
@@ -128,8 +137,19 @@ def tilt(r):
 
 
 @device
+def sight(p, r):
+    """Distance from B to A, the unit vector there in axes of B, and its scale, as of a tilt."""
+    x, y, z = back(r, -p[0], -p[1], -p[2])
+    far = max(math.sqrt(x * x + y * y + z * z), 1e-300)
+    return far, x / far, y / far, z / far, math.sqrt(2.0 / max(1.0 + z / far, ANTIPODE))
+
+
+@routine
 def write_error(loops, tie, at, p, r):
-    """Write the equations of one tie, p and R the pose of B in A; returns the rotation vector, where all is held."""
+    """Write the equations of one tie, p and R the pose of B in A; returns what `add_rates` needs of it.
+
+    That is the rotation vector where all is held, and p where B looks at A.
+    """
     e, short = loops.error, loops.weights[L.INVERSE_LENGTH]
     mask, turns = loops.plan[tie + L.MASK], loops.plan[tie + L.TURNS]
     phi = (0.0, 0.0, 0.0)
@@ -147,6 +167,10 @@ def write_error(loops, tie, at, p, r):
         e[at] = atan2(r[3] - r[1], r[0] + r[4])
     elif turns == L.CROSS:
         e[at] = r[1]
+    elif turns == L.LOOK:
+        phi = p
+        _, x, y, _, k = sight(p, r)
+        e[at], e[at + 1] = x * k, y * k
     return phi
 
 
@@ -191,6 +215,14 @@ def add_rates(loops, tie, at, r, phi, v, w):
         j[at] += w[2]
     elif turns == L.CROSS:
         j[at] += w[1] * r[7] - w[2] * r[4]
+    elif turns == L.LOOK:
+        far, x, y, z, k = sight(phi, r)
+        c = (w[1] * phi[2] - w[2] * phi[1], w[2] * phi[0] - w[0] * phi[2], w[0] * phi[1] - w[1] * phi[0])
+        dx, dy, dz = back(r, (c[0] - v[0]) / far, (c[1] - v[1]) / far, (c[2] - v[2]) / far)
+        along = x * dx + y * dy + z * dz
+        change = -0.5 * k / max(1.0 + z, ANTIPODE) * (dz - along * z)
+        j[at] += (dx - along * x) * k + x * change
+        j[at + 1] += (dy - along * y) * k + y * change
 
 
 @device
@@ -203,6 +235,18 @@ def axes_of(loops, row):
             a, b, c = placed(loops.poses, OUTPUT_FLOATS * loops.ints[k + PARENT], a, b, c)
         return a, b, c
     return placement(loops.poses, OUTPUT_FLOATS * row)
+
+
+@device
+def lever(loops, tie, row, sign, a, b, c, p_b):
+    """Which part of B the row moves, all or its share of the mass, and that part times the arm from the row's point."""
+    centre = loops.plan[tie + L.CENTRE]
+    if centre < 0 or sign < 0.0:
+        return 1.0, (p_b[0] - entry(a, 3), p_b[1] - entry(b, 3), p_b[2] - entry(c, 3))
+    at = loops.plan[L.AT_CENTRES] + (L.CENTRE_FLOATS * loops.n_rows + 3) * centre
+    share, s = loops.weights[at + L.CENTRE_FLOATS * row + 4], loops.scratch
+    return share, (s[3 * row] - share * entry(a, 3), s[3 * row + 1] - share * entry(b, 3),
+                   s[3 * row + 2] - share * entry(c, 3))  # fmt: skip
 
 
 @routine
@@ -221,33 +265,18 @@ def fill_block(loops, k, r_a, p_b, r, phi):
         kind, multiplier = loops.ints[HEADER + ROW_INTS * row + KIND], loops.floats[f]
         factor = weights[plan[L.AT_FACTORS] + i] * multiplier
         a, b, c = axes_of(loops, row)
-        arm = (p_b[0] - entry(a, 3), p_b[1] - entry(b, 3), p_b[2] - entry(c, 3))
+        share, arm = lever(loops, tie, row, weights[plan[L.AT_FACTORS] + i], a, b, c, p_b)
         there = block + rows * column
         if kind != BALL:
             factor *= weights[L.SCALES + plan[local + column]]
         for n in range(0 if kind == BALL else 2, 3):  # a ball turns about three axes, all others are about z
             x, y, z = factor * entry(a, n), factor * entry(b, n), factor * entry(c, n)
             if kind == SLIDE:
-                v, w = (x, y, z), (0.0, 0.0, 0.0)
+                v, w = (share * x, share * y, share * z), (0.0, 0.0, 0.0)
             else:
                 v, w = (y * arm[2] - z * arm[1], z * arm[0] - x * arm[2], x * arm[1] - y * arm[0]), (x, y, z)
             add_rates(loops, tie, there, r, phi, back(r_a, v[0], v[1], v[2]), back(r_a, w[0], w[1], w[2]))
             there += rows
-
-
-@device
-def fill_distance(loops, k, at, with_blocks):
-    """Write the equation, and the block, of a rod: (|p_B - p_A| - length) / L."""
-    plan, short = loops.plan, loops.weights[L.INVERSE_LENGTH]
-    _, p_a, _, p_b = ends_of(loops, k)
-    d = (p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
-    far = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-    loops.error[at] = (far - loops.weights[plan[L.AT_NUMBERS] + k]) * short
-    if with_blocks:
-        far = max(far, 1e-300)
-        x, y, z = d[0] / far, d[1] / far, d[2] / far
-        # the rate of the distance is the first row of a frame whose x points from A to B
-        fill_along(loops, k, (x, y, z), p_b)
 
 
 @routine
@@ -264,7 +293,7 @@ def fill_along(loops, k, x, p_b):
         kind, multiplier = loops.ints[HEADER + ROW_INTS * row + KIND], loops.floats[ROW_FLOATS * row + MULTIPLIER]
         factor = weights[plan[L.AT_FACTORS] + i] * multiplier * weights[L.INVERSE_LENGTH]
         a, b, c = axes_of(loops, row)
-        arm = (p_b[0] - entry(a, 3), p_b[1] - entry(b, 3), p_b[2] - entry(c, 3))
+        share, arm = lever(loops, tie, row, weights[plan[L.AT_FACTORS] + i], a, b, c, p_b)
         # x . (z x arm) = z . (arm x x)
         m = (arm[1] * x[2] - arm[2] * x[1], arm[2] * x[0] - arm[0] * x[2], arm[0] * x[1] - arm[1] * x[0])
         if kind == BALL:
@@ -273,45 +302,6 @@ def fill_along(loops, k, x, p_b):
                 loops.blocks[block + column + n] += factor * rate
             continue
         if kind != TURN:
-            m = x
+            m = (share * x[0], share * x[1], share * x[2])
         factor *= weights[L.SCALES + plan[local + column]]
         loops.blocks[block + column] += factor * (entry(a, 2) * m[0] + entry(b, 2) * m[1] + entry(c, 2) * m[2])
-
-
-@device
-def fill_linear(loops, k, at, with_blocks):
-    """Write the equation, and the block, of a linear relation."""
-    plan, weights = loops.plan, loops.weights
-    tie = plan[L.AT_TIES] + L.TIE_INTS * k
-    entry_at, local = plan[tie + L.ENTRY], plan[L.AT_LOCALS] + plan[tie + L.LOCAL]
-    value = -weights[plan[L.AT_NUMBERS] + k]
-    for i in range(plan[tie + L.ENTRIES]):
-        factor = weights[plan[L.AT_FACTORS] + entry_at + i]
-        value += factor * loops.q[plan[plan[L.AT_ENTRIES] + L.ENTRY_INTS * (entry_at + i)]]
-        if with_blocks:
-            loops.blocks[plan[tie + L.BLOCK] + i] = factor * weights[L.SCALES + plan[local + i]]
-    loops.error[at] = value
-
-
-@routine
-def fill(loops, with_blocks):
-    """Square of the residual at the poses last written; writes it and, if asked, the Jacobian's blocks."""
-    plan = loops.plan
-    for k in range(plan[L.N_TIES]):
-        tie = plan[L.AT_TIES] + L.TIE_INTS * k
-        at, turns = plan[tie + L.FIRST_ROW], plan[tie + L.TURNS]
-        if turns == L.LINEAR:
-            fill_linear(loops, k, at, with_blocks)
-        elif turns == L.DISTANCE:
-            fill_distance(loops, k, at, with_blocks)
-        else:
-            r_a, p_a, r_b, p_b = ends_of(loops, k)
-            p = back(r_a, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
-            r = relative(r_a, r_b)
-            phi = write_error(loops, tie, at, p, r)
-            if with_blocks:
-                fill_block(loops, k, r_a, p_b, r, phi)
-    square = 0.0
-    for i in range(plan[L.N_ROWS]):
-        square += loops.error[i] * loops.error[i]
-    return square

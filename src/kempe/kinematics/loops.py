@@ -50,7 +50,8 @@ def evaluate(system: System, q: Any, with_jacobian: bool = True, scaled: bool = 
     flat = q.reshape(math.prod(lead), system.nq)
     out = np.empty((len(flat), m))
     columns = np.empty((len(flat) if with_jacobian else 0, m, system.nv))
-    equations(loops.ints, loops.floats, loops.plan, loops.weights, flat, with_jacobian, out, columns)
+    pins = np.zeros((1, 0))
+    equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat, with_jacobian, out, columns)
     return out.reshape(*lead, m), columns.reshape(*lead, m, system.nv) if with_jacobian else columns
 
 

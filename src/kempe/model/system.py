@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from kempe.solvers.charts import Chart
     from kempe.solvers.dyads import Incomplete, Plan
     from kempe.solvers.modes import Modes
+    from kempe.solvers.self_motion import SelfMotion
     from kempe.solvers.solution import Solution
 
 __all__ = ["FrameLike", "System"]
@@ -154,13 +155,20 @@ class System(Compiled):
 
         return closure_error(self, q)
 
-    def ik(self, target: Any, frame: FrameLike, seed: Any = None, **options: Any) -> Solution:
-        """A configuration in which the frame reaches the target pose; see `kempe.solvers.inverse.ik`."""
+    def ik(self, target: Any, frame: FrameLike | None = None, seed: Any = None, **options: Any) -> Solution:
+        """A configuration in which the frame reaches the target pose; see `kempe.solvers.inverse.ik`.
+
+        Without a frame, `target` is a task of `kempe.tasks` or several of them; see `kempe.solvers.tasks.reach`.
+        """
         if not options and target.__class__ is np.ndarray and frame.__class__ is str:
             bound = self._queries.get(("one", frame))
             answer = bound(target, seed) if bound is not None else None
             if answer is not None:
                 return answer
+        if frame is None:
+            from kempe.solvers.tasks import reach
+
+            return reach(self, target, seed=seed, **options)
         from kempe.solvers.inverse import ik
 
         return ik(self, target, frame, seed, **options)
@@ -187,6 +195,12 @@ class System(Compiled):
         from kempe.solvers.analytic.redundancy import ik_sweep
 
         return ik_sweep(self, target, frame, parameter, **options)
+
+    def self_motion(self, q: Any, tasks: Any, **options: Any) -> SelfMotion:
+        """The configurations reached from q while a frame or tasks stay; see `kempe.solvers.self_motion`."""
+        from kempe.solvers.self_motion import self_motion
+
+        return self_motion(self, q, tasks, **options)
 
     def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
         """Arm angle (...) of seven joints with spherical shoulder and wrist; see `kempe.solvers.analytic.arm_angle`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +31,17 @@ def seed_number(rng: object) -> int:
     if isinstance(rng, bool) or not isinstance(rng, (int, np.integer)) or not 0 <= rng < 2**62:
         raise InputError(f"rng is {rng!r}; it must be a generator or a whole number, not negative")
     return int(rng)
+
+
+def tolerances(tolerance: Any) -> tuple[float, float]:
+    """Largest errors in metres and radians, of one number or two. Errors: `InputError`."""
+    try:
+        linear, angular = (tolerance, tolerance) if np.ndim(tolerance) == 0 else tolerance
+        if 0.0 < linear < math.inf and 0.0 < angular < math.inf:
+            return float(linear), float(angular)
+    except (TypeError, ValueError):
+        pass
+    raise InputError(f"tolerance is {tolerance!r}; it must be one or two positive numbers, in metres and radians")
 
 
 def place_of(system: System, frame: str, place: Any, whole: bool) -> Array:

@@ -128,7 +128,7 @@ class Assembler:
         """Configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3) from starts (N, nq)."""
         loops, n = loops or self.loops, len(starts)
         q, residual, info = np.empty((n, self.system.nq)), np.empty(n), np.empty((n, 3), dtype=np.int64)
-        weights = loops.weights if limits else _limitless(self.system, loops)
+        weights = loops.weights if limits else limitless(self.system, loops)
 
         def work(i: int, j: int) -> int:
             return kernel.assemble(
@@ -294,7 +294,7 @@ class Assembler:
         return np.any((x < self.low) | (x > self.high), axis=-1)
 
 
-def _limitless(system: System, loops: Loops) -> Array:
+def limitless(system: System, loops: Loops) -> Array:
     """The weights of loops without limits."""
     weights, nv = loops.weights.copy(), system.nv
     weights[L.SCALES + nv : L.SCALES + 2 * nv], weights[L.SCALES + 2 * nv : L.SCALES + 3 * nv] = -np.inf, np.inf

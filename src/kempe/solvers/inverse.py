@@ -15,7 +15,7 @@ from kempe.kernels.job import ANSWER, LINEAR, STATUS
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
-from kempe.solvers.arguments import seed_number, start_count
+from kempe.solvers.arguments import seed_number, start_count, tolerances
 from kempe.solvers.chain import Chain, chain_of, inside
 from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, SOLVED, Solution
 from kempe.solvers.targets import (
@@ -96,7 +96,7 @@ def ik(
     asked, targets, lead = _asked(system, name, target, _task_name(task, position_only), axis)
     chain = chain_of(system, name, asked[1])
     base, seeds = _seeds(system, chain, seed, lead)
-    question = Task(system, name, targets, *asked, _tolerance(tolerance), start_count(starts), seed_number(rng), chain)
+    question = Task(system, name, targets, *asked, tolerances(tolerance), start_count(starts), seed_number(rng), chain)
     plan = None
     if method != "numeric":
         from kempe.solvers.analytic import hand_over
@@ -284,16 +284,6 @@ def _refuse_target(target: Array, seed: Array) -> None:
     if not np.isfinite(seed).all():
         raise InputError("seed has entries that are not finite")
     raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
-
-
-def _tolerance(tolerance: Any) -> tuple[float, float]:
-    try:
-        linear, angular = (tolerance, tolerance) if np.ndim(tolerance) == 0 else tolerance
-        if 0.0 < linear < math.inf and 0.0 < angular < math.inf:
-            return float(linear), float(angular)
-    except (TypeError, ValueError):
-        pass
-    raise InputError(f"tolerance is {tolerance!r}; it must be one or two positive numbers, in metres and radians")
 
 
 def _answer(

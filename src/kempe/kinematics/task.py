@@ -1,0 +1,364 @@
+"""What a task is: frames held at, in or near places, as ties for the kernels and as a measure by the forward model."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from kempe import spatial
+from kempe.errors import InputError
+from kempe.kernels import loop_layout as L
+from kempe.kinematics.configuration import as_q
+from kempe.kinematics.forward import fk
+from kempe.model.loops import Centre, Loops, Tie, pack
+from kempe.model.table import Table
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+_LAST = np.array([0.0, 0.0, 0.0, 1.0])
+GROUND = (-1, np.eye(4), False)
+RIGID = 1e-6
+"""How far a pose may be from a rigid motion."""
+
+
+Goals = list[tuple[Array | None, Array | None]]
+"""For each tie of a task the pose (..., 4, 4) that it is pinned at and the numbers (..., k) that it is given."""
+
+
+HERE = tuple(np.eye(4).ravel().tolist())
+"""The frame itself."""
+
+
+class Hold(NamedTuple):
+    """One tie of a task: frame `b`, with `X_B` (4, 4, as a tuple) on it, in the goal, which hangs on `a` or stands."""
+
+    b: str
+    X_B: tuple[float, ...]
+    mask: int
+    turns: int = L.NO_TURN
+    a: str | None = None
+    bounds: tuple[tuple[float, float], ...] = ()
+    given: bool = False
+    """Whether it has a number, such as a distance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task(ABC):
+    """Something asked of a configuration; see `kempe.kinematics.tasks`.
+
+    Without a `weight` it is hard: it must hold. With one it is soft: the sum of weight times squared error, in radians
+    and characteristic lengths of the system, is made least. Tasks of a lower `priority` number come first: the others
+    act only in what these leave free. `tolerance` is the largest error of a hard task, a number or (metres, radians);
+    default: that of the call. `name` is how answers call it.
+    """
+
+    weight: float | None = field(default=None, kw_only=True)
+    priority: int = field(default=0, kw_only=True)
+    tolerance: float | tuple[float, float] | None = field(default=None, kw_only=True)
+    name: str = field(default="", kw_only=True)
+
+    lengths: ClassVar[bool] = True
+    """Whether its error has a part in metres."""
+    angles: ClassVar[bool] = False
+    """Whether its error has a part in radians."""
+    lasting: ClassVar[bool] = True
+    """Whether its ties can be kept for the next task of the same structure."""
+
+    @property
+    @abstractmethod
+    def about(self) -> str:
+        """What it is about: the frames."""
+
+    @property
+    def label(self) -> str:
+        """How answers call it."""
+        return self.name or f"{type(self).__name__} of {self.about}"
+
+    @abstractmethod
+    def structure(self, system: System) -> Hashable:
+        """All that decides its ties but the goal. Errors: `UnknownNameError` and others for what does not fit."""
+
+    @abstractmethod
+    def ties(self, system: System, table: Table) -> list[Tie]:
+        """Its ties for the kernels."""
+
+    @abstractmethod
+    def goals(self, system: System) -> Goals:
+        """The goal of each of its ties."""
+
+    def coordinates(self, system: System) -> set[str]:
+        """Names of the velocity coordinates in which a whole turn is not nothing to it."""
+        return set()
+
+    @abstractmethod
+    def measure(self, system: System, q: Array, goals: Goals | None = None) -> tuple[Array, Array]:
+        """How far (...) it is missed at q (..., nq), in metres and in radians, by the forward model.
+
+        `goals` are its own, where they are at hand.
+        """
+
+    def m(self, system: System) -> int:
+        """Number of equations, inequalities included."""
+        return Packed(system, [self]).count([0], True)
+
+    def error(self, system: System, q: Any) -> Array:
+        """Its equations (..., m) at q (..., nq), in metres and radians, before bounds; zero where an equality holds."""
+        return Packed(system, [self], length=1.0).evaluate(q)[0]
+
+    def jacobian(self, system: System, q: Any) -> Array:
+        """Derivatives (..., m, nv) of `error` by the velocity coordinates, exact."""
+        return Packed(system, [self], length=1.0).evaluate(q)[1]
+
+
+class Placed(Task):
+    """A task on where one frame, or a centre, is in the goal. Subclasses say what is held and how it is measured."""
+
+    @abstractmethod
+    def hold(self, system: System) -> Hold:
+        """The tie."""
+
+    @abstractmethod
+    def goal(self, system: System) -> Array:
+        """The pose (..., 4, 4) of the goal in the ground, or in the frame that it hangs on."""
+
+    @abstractmethod
+    def miss(self, X: Array) -> tuple[Array, Array]:
+        """How far (...) it is missed in metres and radians, from the pose X (..., 4, 4) of the frame in the goal."""
+
+    @property
+    def number(self) -> Array | None:
+        """The number (...) that the tie is given."""
+        return None
+
+    def structure(self, system: System) -> Hashable:
+        """Its tie."""
+        return self.hold(system)
+
+    def ties(self, system: System, table: Table) -> list[Tie]:
+        """Its tie."""
+        h = self.hold(system)
+        a = GROUND if h.a is None else table.at[h.a]
+        row, X, particle = table.at[h.b]
+        b = (row, X @ np.reshape(h.X_B, (4, 4)), particle)
+        tie = Tie(self.label, a, b, h.mask, h.turns, pin=True, given=h.given, bounds=h.bounds, centre=self.centre(
+            system, table))  # fmt: skip
+        turned = h.turns not in (L.NO_TURN, L.DISTANCE) or any(h.X_B[k] for k in (3, 7, 11))
+        leaned = a[2] and (h.turns != L.DISTANCE or np.any(self.goal(system)[..., :3, 3]))
+        if (particle and turned) or leaned:
+            name = h.b if particle and turned else h.a
+            raise InputError(f"{name!r} is a particle, which has no axes: {self.label} cannot be asked of it")
+        return [tie]
+
+    def centre(self, system: System, table: Table) -> Centre | None:
+        """The centre that takes the place of frame B, if any."""
+        return None
+
+    def goals(self, system: System) -> Goals:
+        """The goal's pose and its number."""
+        number = self.number
+        return [(self.goal(system), None if number is None else np.asarray(number, dtype=float)[..., None])]
+
+    def place(self, system: System, q: Array, hold: Hold | None = None) -> Array:
+        """Where (..., 4, 4) the frame is in the ground, by the forward model."""
+        h = hold or self.hold(system)
+        X = fk(system, q, h.b)
+        return X if h.X_B is HERE else X @ np.reshape(h.X_B, (4, 4))
+
+    def measure(self, system: System, q: Array, goals: Goals | None = None) -> tuple[Array, Array]:
+        """How far (...) it is missed at q (..., nq), in metres and in radians, by the forward model."""
+        hold, given = self.hold(system), None if goals is None else goals[0][0]
+        goal = self.goal(system) if given is None else given
+        if hold.a is not None:
+            goal = fk(system, q, hold.a) @ goal
+        return self.apart(goal, self.place(system, q, hold))
+
+    def apart(self, goal: Array, X: Array) -> tuple[Array, Array]:
+        """How far (...) the frame at X (..., 4, 4) misses the goal, both seen from the ground."""
+        return self.miss(spatial.inverse(goal) @ X)
+
+
+# ---- reading arguments
+
+
+def poses_of(x: Any, dim: int, what: str) -> Array:
+    """Poses (..., 4, 4) as given, in the plane also (..., 3, 3); kernels check rotations. Errors: `InputError`."""
+    X = numbers_of(x, what)
+    if dim == 2 and X.ndim >= 2 and X.shape[-2:] == (3, 3):
+        flat, X = X, np.zeros((*X.shape[:-2], 4, 4))
+        X[..., :2, :2], X[..., :2, 3], X[..., 2, 2], X[..., 3, 3] = flat[..., :2, :2], flat[..., :2, 2], 1.0, 1.0
+    if X.ndim < 2 or X.shape[-2:] != (4, 4):
+        raise InputError(f"{what} has shape {X.shape}; it must be a pose (..., 4, 4)")
+    if not np.all((X[..., 3, :] == _LAST) | np.isnan(X[..., 3, :])):
+        raise InputError(f"{what} is no pose: its last row is {X[..., 3, :].tolist()}; it must be 0 0 0 1")
+    return X
+
+
+def refuse(goals: Goals, what: str) -> None:
+    """Say what is wrong with goals that a kernel refused. Errors: `InputError`."""
+    for pose, number in goals:
+        if pose is not None and np.isfinite(pose).all():
+            R = pose[..., :3, :3]
+            if np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0.0) > RIGID or np.any(
+                np.linalg.det(R) < 0.0
+            ):
+                raise InputError(f"the goal of {what} is no pose: its rotation must be orthonormal with determinant +1")
+        if any(x is not None and not np.isfinite(x).all() for x in (pose, number)):
+            raise InputError(f"the goal of {what} has entries that are not finite")
+
+
+def points_of(x: Any, dim: int, what: str) -> Array:
+    """Points (..., 3) as given, in the plane also (..., 2). Errors: `InputError`."""
+    p = numbers_of(x, what)
+    if dim == 2 and p.ndim and p.shape[-1] == 2:
+        p = np.concatenate([p, np.zeros((*p.shape[:-1], 1))], axis=-1)
+    if p.ndim == 0 or p.shape[-1] != 3:
+        raise InputError(f"{what} has shape {p.shape}; it must be (..., {dim})")
+    return p
+
+
+def directions_of(x: Any, dim: int, what: str) -> Array:
+    """Unit vectors (..., 3) along those given. Errors: `InputError` for a zero one."""
+    p = points_of(x, dim, what)
+    if np.any(np.all(p == 0.0, axis=-1)):
+        raise InputError(f"{what} is zero; it must have a direction")
+    return spatial.unit(p)
+
+
+def numbers_of(x: Any, what: str) -> Array:
+    """Real numbers as an array. Errors: `InputError`."""
+    try:
+        given = np.asarray(x)
+        if given.dtype.kind not in "fiu":
+            raise TypeError
+        return np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} is {x!r}; it must be an array of real numbers") from None
+
+
+def along(z: Array, dim: int) -> Array:
+    """Rotations (..., 3, 3) whose z is along unit vectors (..., 3); in the plane their x is the plane's normal."""
+    if dim == 3:
+        return spatial.align_z(z)
+    x = np.broadcast_to([0.0, 0.0, 1.0], z.shape)
+    return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
+def flat(X: Array) -> tuple[float, ...]:
+    """A pose as something that can be a key."""
+    return tuple(X.ravel().tolist())
+
+
+# ---- several tasks, packed
+
+
+def lead_of(goals: Sequence[Goals]) -> tuple[int, ...]:
+    """The leading shape of goals. Errors: `InputError` where shapes do not fit together."""
+    shapes = [x.shape[:-k] for g in goals for pair in g for x, k in zip(pair, (2, 1), strict=True) if x is not None]
+    try:
+        return np.broadcast_shapes(*shapes)
+    except ValueError:
+        raise InputError(f"the goals have leading shapes that do not fit together: {sorted(set(shapes))}") from None
+
+
+def _wide(system: System, tasks: Sequence[Task]) -> np.ndarray:
+    """Angles (nv,) with limits a whole turn apart or more, which a whole turn does not change in anything else."""
+    table, c = system.table, system.coordinates
+    with np.errstate(invalid="ignore"):
+        wide = c.turning & np.isfinite(c.upper - c.lower) & (c.upper - c.lower >= 2.0 * np.pi)
+    for v in np.flatnonzero(wide):
+        rows = table.iv == v
+        wide[v] = np.sum(rows) == 1 and abs(table.multiplier[rows][0]) == 1.0
+    bound = {n for r in system.relations for n in (r.of, *r.sources)}
+    for task in tasks:
+        bound |= task.coordinates(system)
+    return wide & [name not in bound for name in system.velocity_names]
+
+
+class Packed:
+    """Tasks of a system as ties, together with its loops and relations, which always hold.
+
+    Lengths are measured in `length` (default: the characteristic length). `owner` (ties,) is the number of the task of
+    each tie, -1 for a loop. With `turns`, angles with limits a whole turn apart or more count as having none (`wide`):
+    `inside` brings them back.
+    """
+
+    def __init__(self, system: System, tasks: Sequence[Task], length: float | None = None, turns: bool = False):
+        self.system, self.tasks = system, tuple(tasks)
+        owner: dict[int, tuple[int, int]] = {}
+        made: list[Tie] = []
+
+        def further(table: Table) -> list[Tie]:
+            for i, task in enumerate(self.tasks):
+                for j, tie in enumerate(task.ties(system, table)):
+                    owner[id(tie)] = i, j
+                    made.append(tie)
+            return made
+
+        self.wide = _wide(system, self.tasks) if turns else np.zeros(system.nv, dtype=bool)
+        carried = frozenset(system.closures)
+        self.loops: Loops = pack(system, carried, length=length, further=further, wide=self.wide)
+        self.stages: dict[Hashable, Any] = {}
+        """What solvers have worked out of weights and priorities."""
+        self.scale: Array = self.loops.weights[L.SCALES : L.SCALES + system.nv]
+        for tie in self.loops.ties:
+            if tie.function is not None:
+                tie.function.scale = self.scale
+        self.slots = [owner.get(id(t), (-1, 0)) for t in self.loops.ties]
+        self.owner = np.array([i for i, _ in self.slots], dtype=np.int64)
+        self.rows = np.repeat(self.owner, [len(t.rows) for t in self.loops.ties])
+
+    def inside(self, q: Array) -> Array:
+        """The configurations (N, nq) with wide angles brought into their limits by whole turns, in place."""
+        v = self.system.layout.vector_v
+        at, low, high = self.wide[v], self.system.lower[v], self.system.upper[v]
+        for i, a, b in zip(self.system.layout.vector_q[at], low[at], high[at], strict=True):
+            x = q[:, i]
+            x -= 2.0 * np.pi * np.ceil(np.maximum(x - b, 0.0) / (2.0 * np.pi))
+            x += 2.0 * np.pi * np.ceil(np.maximum(a - x, 0.0) / (2.0 * np.pi))
+        return q
+
+    def count(self, tasks: Sequence[int], bounded: bool = False) -> int:
+        """Number of equations of some of the tasks; in the plane, those that hold of themselves do not count."""
+        trivial = {L.ALIGN, L.LOOK} if self.system.dim == 2 else ()
+        ties = [t for t, i in zip(self.loops.ties, self.owner, strict=True) if i in tasks and (bounded or not t.bounds)]
+        return sum(len(t.rows) - (t.turns in trivial) for t in ties)
+
+    def pins(self, goals: Sequence[Goals], lead: tuple[int, ...] = ()) -> Array:
+        """What the kernels need (N or 1, k) of the goals of tasks of this structure."""
+        n, poses, numbers = math.prod(lead), [], []
+        for tie, (i, j) in zip(self.loops.ties, self.slots, strict=True):
+            if i < 0:
+                continue
+            pose, number = goals[i][j]
+            if pose is not None:
+                fixed = tie.a is not GROUND and tie.a[0] < 0  # a frame that stands; kernels put the pin in its place
+                top = np.broadcast_to(tie.a[1] @ pose if fixed else pose, (*lead, 4, 4))[..., :3, :].copy()
+                if tie.a is GROUND:
+                    top[..., 3] -= self.loops.origin
+                poses.append(top.reshape(n, 12))
+            if number is not None:
+                numbers.append(np.broadcast_to(number, (*lead, number.shape[-1])).reshape(n, number.shape[-1]))
+        return np.concatenate([*poses, *numbers, np.empty((n, 0))], axis=1)
+
+    def evaluate(self, q: Any, pins: Array | None = None, closures: bool = False) -> tuple[Array, Array]:
+        """The tasks' equations (..., m) and Jacobian (..., m, nv) at q (..., nq); with `closures` those of loops."""
+        from kempe.kernels.equations import equations
+
+        q = as_q(self.system, q)
+        lead, loops, m = q.shape[:-1], self.loops, len(self.rows)
+        flat_q = q.reshape(math.prod(lead), self.system.nq)
+        if pins is None:
+            goals = [t.goals(self.system) for t in self.tasks]
+            pins = self.pins(goals, lead if lead_of(goals) else ())
+        out, J = np.empty((len(flat_q), m)), np.empty((len(flat_q), m, self.system.nv))
+        equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J)
+        use = self.rows < 0 if closures else self.rows >= 0
+        out, J = out[:, use], J[:, use]
+        return out.reshape(*lead, out.shape[1]), J.reshape(*lead, *J.shape[1:])

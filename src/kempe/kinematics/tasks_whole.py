@@ -1,0 +1,297 @@
+"""Tasks on the whole configuration: coordinates, centres of mass and of points, functions of the user."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.errors import InputError
+from kempe.kernels import loop_layout as L
+from kempe.kinematics.configuration import as_q, circles
+from kempe.kinematics.forward import fk
+from kempe.kinematics.task import GROUND, Goals, Hold, Placed, Task, flat, numbers_of, points_of
+from kempe.kinematics.zoo import UserConstraint, user_constraint
+from kempe.model.loops import Centre, Tie
+from kempe.model.table import Table
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+AXES = {"xyz": 7, "xy": 3, "xz": 5, "yz": 6, "x": 1, "y": 2, "z": 4}
+
+
+@dataclass(frozen=True, eq=False)
+class Posture(Task):
+    """Coordinates near values: a configuration `q` (..., nq), or a dict by coordinate name of those that count.
+
+    It is soft unless `weight` is None. A quaternion counts as a whole, by the angle between the two orientations.
+    """
+
+    q: Any
+    weight: float | None = field(default=1.0, kw_only=True)
+    angles = True
+
+    @property
+    def about(self) -> str:
+        """What coordinates."""
+        if isinstance(self.q, Mapping):
+            return ", ".join(map(repr, self.q))
+        return "all coordinates"
+
+    def _values(self, system: System) -> tuple[Array, list[tuple[str, int, int, bool]]]:
+        """The values as (..., nq), and for each tie its name, place in q, velocity coordinate, whether it is a ball."""
+        layout = system.layout
+        items = [(system.coordinate_names[i], int(i), int(v), False)
+                 for i, v in zip(layout.vector_q, layout.vector_v, strict=True)]  # fmt: skip
+        items += [(system.coordinate_names[i], int(i), int(v), True)
+                  for i, v in zip(layout.quaternion_q, layout.quaternion_v, strict=True)]  # fmt: skip
+        items.sort(key=lambda item: item[1])
+        if not isinstance(self.q, Mapping):
+            return as_q(system, self.q), items
+        system.q(dict.fromkeys(self.q, 0.0))  # refuses names that are none, or follow others
+        named, index = set(self.q), {n: i for i, n in enumerate(system.coordinate_names)}
+        values = [numbers_of(x, f"{k!r} of {self.label}") for k, x in self.q.items()]
+        out = np.empty((*np.broadcast_shapes(*(x.shape for x in values)), system.nq))
+        out[:] = system.neutral
+        for name, x in zip(self.q, values, strict=True):
+            out[..., index[name]] = x
+        whole = [(n, i, v, ball) for n, i, v, ball in items if ball and {*system.coordinate_names[i : i + 4]} & named]
+        for _, i, _, _ in whole:
+            missing = [n for n in system.coordinate_names[i : i + 4] if n not in named]
+            if missing:
+                raise InputError(f"a quaternion is given as a whole; missing are {', '.join(missing)}")
+        return out, [item for item in items if (item in whole if item[3] else item[0] in named)]
+
+    def structure(self, system: System) -> Hashable:
+        """The coordinates."""
+        return tuple(name for name, *_ in self._values(system)[1])
+
+    def ties(self, system: System, table: Table) -> list[Tie]:
+        """One for each coordinate or quaternion."""
+        return [Tie(self.label, GROUND, GROUND, turns=L.OWN, given=True, own=v, ball=ball)
+                for _, _, v, ball in self._values(system)[1]]  # fmt: skip
+
+    def coordinates(self, system: System) -> set[str]:
+        """Its own."""
+        return {system.velocity_names[v] for _, _, v, _ in self._values(system)[1]}
+
+    def goals(self, system: System) -> Goals:
+        """The values."""
+        values, items = self._values(system)
+        out: Goals = []
+        for name, i, _, ball in items:
+            x = values[..., i : i + (4 if ball else 1)]
+            if ball and np.any(np.linalg.norm(x, axis=-1) == 0.0):
+                raise InputError(f"the quaternion at {name!r} of {self.label} is zero")
+            out.append((None, x / np.linalg.norm(x, axis=-1, keepdims=True) if ball else x))
+        return out
+
+    def measure(self, system: System, q: Array, goals: Goals | None = None) -> tuple[Array, Array]:
+        """The largest difference of a slide and of a turn."""
+        values, items = self._values(system)
+        d = np.abs(system.difference(np.broadcast_to(values, q.shape), q))
+        round_ = circles(system)
+        d[..., round_] = np.abs(d[..., round_] - 2.0 * np.pi * np.round(d[..., round_] / (2.0 * np.pi)))
+        turning = system.coordinates.turning
+        slides = [v for _, _, v, ball in items if not ball and not turning[v]]
+        turns = [v for _, _, v, ball in items if not ball and turning[v]]
+        balls = [np.linalg.norm(d[..., v : v + 3], axis=-1) for _, _, v, ball in items if ball]
+        angle = np.max(np.stack([d[..., turns].max(axis=-1, initial=0.0), *balls]), axis=0)
+        return d[..., slides].max(axis=-1, initial=0.0), angle
+
+
+class _Centred(Placed):
+    """A centre at a position."""
+
+    target: Any
+    axes: str
+    within: Any
+
+    def _points(self, system: System) -> list[tuple[str, tuple[float, ...], float]]:
+        """Frames, points on them and their masses, whose sum is 1."""
+        raise NotImplementedError
+
+    def hold(self, system: System) -> Hold:
+        """The axes that count, within bounds where given."""
+        if self.axes not in AXES:
+            raise InputError(f"axes of {self.label} are {self.axes!r}; allowed are {', '.join(AXES)}")
+        mask = AXES[self.axes] & (3 if system.dim == 2 else 7)
+        n = mask.bit_count()
+        w = np.broadcast_to(numbers_of(self.within, f"within of {self.label}"), (n,))
+        bounds = tuple((-x, x) for x in w.tolist()) if np.any(w > 0.0) else ()
+        return Hold(system.body_names[0], flat(np.eye(4)), mask, bounds=bounds)
+
+    def structure(self, system: System) -> Hashable:
+        """Its tie and its points."""
+        return self.hold(system), tuple(self._points(system))
+
+    def goal(self, system: System) -> Array:
+        """The target."""
+        return spatial.pose(p=points_of(self.target, system.dim, f"target of {self.label}"))
+
+    def centre(self, system: System, table: Table) -> Centre:
+        """The masses on the rows of the table."""
+        rows, rest = np.zeros((len(table.kind), 4)), np.zeros(3)
+        for frame, point, mass in self._points(system):
+            row, X, _ = table.at[frame]
+            p = X[:3, :3] @ point + X[:3, 3]
+            if row < 0:
+                rest += mass * p
+            else:
+                rows[row] += mass, *(mass * p)
+        return Centre(rows, rest)
+
+    def place(self, system: System, q: Array, hold: Hold | None = None) -> Array:
+        """The centre, by the forward model."""
+        points = self._points(system)
+        X = fk(system, q, [f for f, _, _ in points])
+        p = np.einsum("...kij,kj->...ki", X[..., :3, :3], np.array([p for _, p, _ in points])) + X[..., :3, 3]
+        return spatial.pose(p=np.einsum("...ki,k->...i", p, np.array([m for _, _, m in points])))
+
+    def miss(self, X: Array) -> tuple[Array, Array]:
+        """Distance, along the axes that count, beyond the bounds."""
+        mask = AXES[self.axes]
+        p = np.stack([X[..., i, 3] for i in range(3) if mask >> i & 1], axis=-1)
+        w = np.broadcast_to(np.asarray(self.within, dtype=float), p.shape[-1:])
+        return np.linalg.norm(np.maximum(np.abs(p) - w, 0.0), axis=-1), np.zeros(X.shape[:-2])
+
+
+@dataclass(frozen=True, eq=False)
+class CentreOfMass(_Centred):
+    """The centre of mass at a position `target` (..., 3), along `axes` ("xyz", or "xy", ...), or `within` (m) of it.
+
+    Masses and centres are those of the bodies, as files give them.
+    """
+
+    target: Any
+    axes: str = "xyz"
+    within: Any = 0.0
+
+    @property
+    def about(self) -> str:
+        """The system."""
+        return "the system"
+
+    def _points(self, system: System) -> list[tuple[str, tuple[float, ...], float]]:
+        bodies = system.mechanism.bodies
+        heavy = [(n, tuple(bodies[n].center or (0.0, 0.0, 0.0)), float(bodies[n].mass or 0.0)) for n in bodies]
+        total = sum(mass for _, _, mass in heavy)
+        if not total > 0.0:
+            raise InputError(f"{system.name} has no masses: it has no centre of mass")
+        return [(n, p, mass / total) for n, p, mass in heavy if mass > 0.0]
+
+
+@dataclass(frozen=True, eq=False)
+class CentreOfPoints(_Centred):
+    """The mean of the origins of frames at a position `target` (..., 3); `frames` is a list, or a dict of weights."""
+
+    frames: Sequence[str] | Mapping[str, float]
+    target: Any
+    axes: str = "xyz"
+    within: Any = 0.0
+
+    @property
+    def about(self) -> str:
+        """The frames."""
+        return ", ".join(repr(str(f)) for f in self.frames)
+
+    def _points(self, system: System) -> list[tuple[str, tuple[float, ...], float]]:
+        weights = self.frames if isinstance(self.frames, Mapping) else dict.fromkeys(self.frames, 1.0)
+        total = float(sum(weights.values()))
+        if not weights or any(not w > 0.0 for w in weights.values()):
+            raise InputError(f"frames of {self.label} are {self.frames!r}; needed are some, with weights above 0")
+        return [(system.frame_name(f), (0.0, 0.0, 0.0), w / total) for f, w in weights.items()]
+
+
+class Callback:
+    """A function of q (nq,) that gives values (rows,) and derivatives (rows, nv), as kernels call it.
+
+    See `kempe.model.loops.Function`. What it raises is kept in `error`, for no exception passes through a kernel.
+    `scale` (nv,) are the units of the velocities.
+    """
+
+    def __init__(self, system: System, rows: int, function: Callable[[Array], tuple[Any, Array]]):
+        number = ctypes.POINTER(ctypes.c_double)
+        kind = ctypes.CFUNCTYPE(None, number, number, number, ctypes.c_int64)
+        self.rows, self.error, self.scale = rows, None, np.ones(system.nv)
+        nq, shape = system.nq, (system.nv, rows)
+
+        def work(q: Any, value: Any, columns: Any, _: int) -> None:
+            out = np.ctypeslib.as_array(value, (rows,))
+            out[:] = np.nan  # what stays where it raises
+            with self:
+                found, J = function(np.ctypeslib.as_array(q, (nq,)).copy())
+                np.ctypeslib.as_array(columns, shape)[:] = (J * self.scale).T
+                out[:] = found
+
+        self._kept = kind(work)
+        self.address = int(ctypes.cast(self._kept, ctypes.c_void_p).value or 0)
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool:
+        self.error = self.error or error
+        return True
+
+
+@dataclass(frozen=True, eq=False)
+class Function(Task):
+    """A function of q (nq,), a number or (m,), at zero, or between `low` and `high` (m,).
+
+    `derivative` gives its derivatives (m, nv) by the velocity coordinates, and is checked; else they are by complex
+    steps or central differences. Its error is compared with the tolerance of angles.
+    """
+
+    function: Callable[[Array], Any]
+    derivative: Callable[[Array], Any] | None = None
+    low: Any = 0.0
+    high: Any = 0.0
+    lengths, angles, lasting = False, True, False
+
+    @property
+    def about(self) -> str:
+        """The function's name."""
+        return getattr(self.function, "__name__", repr(self.function))
+
+    def structure(self, system: System) -> Hashable:
+        """The function itself."""
+        return self.function
+
+    def _bounds(self, m: int) -> tuple[tuple[float, float], ...]:
+        try:
+            low, high = (np.broadcast_to(numbers_of(x, f"bound of {self.label}"), (m,)) for x in (self.low, self.high))
+        except ValueError:
+            raise InputError(f"bounds of {self.label} must be numbers or have {m} entries") from None
+        if np.any(low > high):
+            raise InputError(f"bounds of {self.label} leave nothing: low must not be above high")
+        return tuple(zip(low.tolist(), high.tolist(), strict=True)) if np.any(low) or np.any(high) else ()
+
+    def ties(self, system: System, table: Table) -> list[Tie]:
+        """The function, as kernels call it."""
+        rows: UserConstraint = user_constraint(system, self.label, self.function, self.derivative)
+        call = Callback(system, rows.count, lambda q: (rows.residual(system, q), rows.jacobian(system, q)))
+        bounds = self._bounds(rows.count)
+        return [Tie(self.label, GROUND, GROUND, turns=L.FUNCTION, function=call, bounds=bounds)]
+
+    def coordinates(self, system: System) -> set[str]:
+        """All."""
+        return set(system.velocity_names)
+
+    def goals(self, system: System) -> Goals:
+        """None."""
+        return [(None, None)]
+
+    def measure(self, system: System, q: Array, goals: Goals | None = None) -> tuple[Array, Array]:
+        """How far its values are from where they must be."""
+        lead = q.shape[:-1]
+        out = np.zeros(lead)
+        for index in np.ndindex(lead):
+            value = np.atleast_1d(np.asarray(self.function(q[index]), dtype=float))
+            out[index] = np.linalg.norm(value - np.clip(value, self.low, self.high))
+        return np.zeros(lead), out

@@ -1,0 +1,305 @@
+"""Ties, packed for the kernels as `kempe.kernels.loop_layout` says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from kempe.description.parts import Joint
+from kempe.joints import P, Q, R
+from kempe.kernels import loop_layout as L
+from kempe.kernels.layout import HEADER, OUTPUT_INTS, ROW_INTS
+from kempe.model.coordinates import Relation, coordinate_names, returning
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+TURN_NAMES = {
+    L.NO_TURN: (), L.ANGLE: ("rz",), L.ALIGN: ("rx", "ry"), L.CROSS: ("x.y",), L.FULL: ("rx", "ry", "rz"),
+    L.LOOK: ("rx", "ry"),
+}  # fmt: skip
+ONE_ROW = {L.DISTANCE: "distance", L.LINEAR: "relation"}
+
+
+class Function(Protocol):
+    """A function of q in compiled form: `address` of void(double* q, double* value, double* columns, int64 flag).
+
+    It writes its `rows` values at q, and with the flag the columns (nv, rows) of its Jacobian in scaled velocities.
+    """
+
+    rows: int
+    address: int
+    scale: np.ndarray
+    """Units (nv,) of the velocities: radians, or the length that equations are measured in."""
+
+
+@dataclass(frozen=True, eq=False)
+class Centre:
+    """A centre of masses whose sum is 1: for each row of the table (n, 4) mass and first moment in its axes.
+
+    `rest` (3,) is the first moment of what stands on the ground.
+    """
+
+    rows: np.ndarray
+    rest: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Tie:
+    """One constraint: what it is called, its frames (row, placement, particle), what it holds of B in A, a number."""
+
+    name: str
+    a: tuple[int, np.ndarray, bool]
+    b: tuple[int, np.ndarray, bool]
+    mask: int = 0
+    turns: int = L.NO_TURN
+    number: float = 0.0
+    relation: Relation | None = None
+    pin: bool = False
+    joint: Joint | None = None
+    """The joint whose coordinates are read off where B is in A."""
+    given: bool = False
+    """Whether its number, or its four of a quaternion, come with the call."""
+    bounds: tuple[tuple[float, float], ...] = ()
+    """For each row, in metres or radians, between what it is held; without them at zero."""
+    centre: Centre | None = None
+    """In place of frame B."""
+    own: int = -1
+    """The velocity coordinate that an OWN tie holds, the first of a `ball`."""
+    ball: bool = False
+    function: Function | None = None
+
+    @property
+    def rows(self) -> list[str]:
+        """Names of its equations."""
+        if self.turns in ONE_ROW:
+            return [ONE_ROW[self.turns]]
+        if self.function is not None:
+            return [str(i) for i in range(self.function.rows)]
+        if self.turns == L.OWN:
+            return ["rx", "ry", "rz"] if self.ball else ["value"]
+        return [x for i, x in enumerate("xyz") if self.mask >> i & 1] + list(TURN_NAMES[self.turns])
+
+
+@dataclass(frozen=True, eq=False)
+class Loops:
+    """The ties of a system, packed. `ints` and `floats` are its table; the other arrays are as in `loop_layout`."""
+
+    ties: tuple[Tie, ...]
+    names: tuple[tuple[str, str], ...]
+    """For each equation the name of its tie and what it is of it."""
+    ints: np.ndarray
+    floats: np.ndarray
+    plan: np.ndarray
+    weights: np.ndarray
+    unknown: np.ndarray
+    """Velocity coordinates (k,) that are solved for."""
+    length: float
+    origin: np.ndarray
+    """Where (3,) the origin of the table is in the ground: pins are placed from there."""
+
+
+def _readings(system: System, joint: Joint) -> list[tuple[int, int]]:
+    """For each coordinate of a joint how it is read off the pose of M in F, and its place in q."""
+    particle = system.mechanism.bodies[joint.child].particle
+    names = coordinate_names(system.mechanism, joint)
+    _, primitives = joint.type.layout(system.dim, particle)
+    turns = [p for p in primitives if p.kind == R]
+    codes = {1: (L.READ_ANGLE,), 2: (L.READ_RX, L.READ_RY), 3: (L.READ_YAW, L.READ_PITCH, L.READ_ROLL)}.get(len(turns))
+    flat_slider = system.dim == 2 and joint.type.type_name == "prismatic"
+    out = []
+    for p in primitives:
+        if p.kind == P:
+            code = L.READ_X if flat_slider else "xyz".index(p.axis)
+        elif p.kind == Q:
+            code = L.READ_QUATERNION
+        else:
+            assert codes is not None
+            code = codes[turns.index(p)]
+        out.append((code, system.coordinates.first[names[p.coordinate]][0]))
+    return out
+
+
+def moving(a: int, b: int, parent: np.ndarray) -> list[tuple[float, int]]:
+    """Rows that move row b against row a, with the sign of their motion; -1 is the ground."""
+    ways = []
+    for row in (a, b):
+        way = []
+        while row >= 0:
+            way.append(row)
+            row = int(parent[row])
+        ways.append(way)
+    common = set(ways[0]) & set(ways[1])
+    return [(sign, r) for sign, way in zip((-1.0, 1.0), ways, strict=True) for r in way if r not in common]
+
+
+class Plan:
+    """The integers and numbers of `loop_layout`, being collected."""
+
+    def __init__(self, system: System, ties: list[Tie], ints: np.ndarray, held: frozenset[str], length: float,
+                 scaled: bool, wide: np.ndarray | None = None):  # fmt: skip
+        self.system, self.ties, self.length, self.scaled = system, ties, length, scaled
+        self.number = [t.number for t in ties]
+        n = int(ints[0])
+        self.rows = ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
+        self.outputs = ints[HEADER + ROW_INTS * n :].reshape(-1, OUTPUT_INTS)
+        self.held = np.array([name in held for name in system.velocity_names], dtype=bool)
+        c = system.coordinates
+        self.turns = c.turning.copy()
+        for iv in system.layout.quaternion_v:
+            self.turns[iv : iv + 3] = True
+        self.turns[self.rows[self.rows[:, 0] == R, 3]] = True  # what slides and turns together counts as a turn
+        self.scale = np.where(self.turns, 1.0, length)
+        self.place, self.sort = np.full(system.nv, -1, dtype=np.int64), np.full(system.nv, L.SLIDE, dtype=np.int64)
+        self.place[system.layout.vector_v] = system.layout.vector_q
+        self.place[system.layout.quaternion_v] = system.layout.quaternion_q
+        self.sort[self.turns] = L.BOUND_TURN
+        self.sort[returning(system.mechanism, c)] = L.CIRCLE
+        self.wide = np.zeros(system.nv, dtype=bool) if wide is None else wide
+        self.sort[self.wide] = L.CIRCLE
+        for iv in system.layout.quaternion_v:
+            self.sort[iv : iv + 3] = L.BALL_FIRST, L.BALL_MORE, L.BALL_MORE
+        self.entries: list[tuple[int, int]] = []
+        self.factors: list[float] = []
+        self.locals: list[int] = []
+        self.uses: list[list[tuple[int, int]]] = [[] for _ in range(system.nv)]
+
+    def tie(self, k: int, tie: Tie) -> list[int]:
+        """The integers of tie k; appends its entries and locals."""
+        entry, local = len(self.entries), len(self.locals)
+        columns: dict[int, int] = {}
+        if tie.relation is not None:
+            self._linear(k, tie.relation, columns)
+        elif tie.turns == L.OWN:
+            columns.update({tie.own + n: n for n in range(3 if tie.ball else 1)})
+        elif tie.function is not None:
+            columns.update({v: v for v in range(self.system.nv)})
+        else:
+            for sign, row in self._rows(k, tie):
+                kind, iv = int(self.rows[row, 0]), int(self.rows[row, 3])
+                if self.held[iv]:
+                    continue
+                first = columns.setdefault(iv, len(columns))
+                for more in range(1, 3 if kind == Q else 1):
+                    columns.setdefault(iv + more, len(columns))
+                self.entries.append((row, first))
+                self.factors.append(sign)
+        self.locals += list(columns)
+        for v, column in columns.items():
+            if not self.held[v]:
+                self.uses[v].append((k, column))
+        return [len(self.entries) - entry, entry, len(columns), local]
+
+    def _linear(self, k: int, relation: Relation, columns: dict[int, int]) -> None:
+        first = self.system.coordinates.first
+        terms = {relation.of: 1.0}
+        for name, m in relation.sources.items():
+            terms[name] = terms.get(name, 0.0) - m
+        self.number[k] /= (norm := max(abs(m) * self.scale[first[n][1]] for n, m in terms.items()) ** self.scaled)
+        for name, factor in terms.items():
+            columns[first[name][1]] = len(columns)  # held ones, too: their values count
+            self.entries.append((first[name][0], 0))
+            self.factors.append(factor / norm)
+
+    def _rows(self, k: int, tie: Tie) -> list[tuple[float, int]]:
+        """The rows that move B against A, with signs; a centre is moved by all that carry mass, and A moves apart."""
+        if tie.centre is None:
+            return self._moving(k)
+        share = self._shares(tie.centre)
+        return [(-s, r) for s, r in moving(int(self.outputs[2 * k, 0]), -1, self.rows[:, 1])] + [
+            (1.0, r) for r in range(len(share)) if share[r] > 0.0
+        ]
+
+    def _shares(self, centre: Centre) -> np.ndarray:
+        """For each row (n,) the mass of all that it moves."""
+        share = centre.rows[:, 0].copy()
+        for r in range(len(share) - 1, -1, -1):
+            if self.rows[r, 1] >= 0:
+                share[self.rows[r, 1]] += share[r]
+        return share
+
+    def _moving(self, k: int) -> list[tuple[float, int]]:
+        return moving(int(self.outputs[2 * k, 0]), int(self.outputs[2 * k + 1, 0]), self.rows[:, 1])
+
+    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        """The two arrays."""
+        ties, first_row, block, pin, given = [], 0, 0, 0, 0
+        bounds: list[float] = []
+        centres: list[np.ndarray] = []
+        for k, tie in enumerate(self.ties):
+            n_entries, entry, n_locals, local = self.tie(k, tie)
+            rows = len(tie.rows)
+            data = tie.function.address if tie.function is not None else tie.own
+            ties.append([
+                tie.mask, tie.turns, rows, first_row, n_entries, entry, n_locals, local, block, pin if tie.pin else -1,
+                self._lengths(tie), given if tie.given else -1, len(bounds) if tie.bounds else -1,
+                len(centres) if tie.centre is not None else -1, data,
+            ])  # fmt: skip
+            pin, given = pin + tie.pin, given + (4 if tie.ball else 1) * tie.given
+            first_row, block = first_row + rows, block + rows * n_locals
+            unit = self.length if self._lengths(tie) else 1.0
+            bounds += [x / unit for low, high in tie.bounds for x in (low, high)]
+            if tie.centre is not None:
+                rows_ = np.column_stack([tie.centre.rows, self._shares(tie.centre)])
+                centres += [np.concatenate([rows_.ravel(), tie.centre.rest])]
+        reading = [(code, iq, k) for k, t in enumerate(self.ties) if t.joint is not None
+                   for code, iq in _readings(self.system, t.joint)]  # fmt: skip
+        envelope, size = self._envelope(ties, first_row)
+        starts = np.concatenate([[0], np.cumsum([len(u) for u in self.uses])])
+        lists = [
+            ties, self.entries, self.locals, starts, [x for u in self.uses for x in u], envelope, reading,
+            np.stack([self.place, self.sort, self.held], axis=1),
+        ]  # fmt: skip
+        flat = [np.asarray(x, dtype=np.int64).ravel() for x in lists]
+        places = L.HEAD + np.concatenate([[0], np.cumsum([len(x) for x in flat])])
+        head = [len(ties), first_row, len(reading), pin, block, size, *places[:8].tolist()]
+        lists = [[1.0 / self.length, self.length], [*self.scale, *self._ranges()], self.number, self.factors, bounds]
+        at = np.cumsum([len(x) for x in lists])
+        head += [*at[1:].tolist(), *self._base()]
+        weights = np.concatenate([np.array(x, dtype=float) for x in (*lists, *centres)])
+        return np.concatenate([np.array(head, dtype=np.int64), *flat]), weights
+
+    def _lengths(self, tie: Tie) -> int:
+        """How many of its rows, the first ones, are lengths."""
+        if tie.turns == L.OWN:
+            return int(self.sort[tie.own] == L.SLIDE)
+        return tie.mask.bit_count() + (tie.turns == L.DISTANCE)
+
+    def _base(self) -> tuple[int, int]:
+        """A tie that holds, in the ground, a frame of what a free joint moves, and the first of that joint's rows."""
+        if len(self.rows) < 4 or self.rows[:4, 0].tolist() != [P, P, P, Q] or np.any(self.rows[:4, 1] != range(-1, 3)):
+            return -1, -1
+        for turns in (L.FULL, L.NO_TURN):
+            for k, tie in enumerate(self.ties):
+                held = tie.mask == 7 and tie.turns == turns and not tie.bounds and tie.centre is None
+                way = [r for _, r in self._moving(k)] if tie.pin and held else []
+                if self.outputs[2 * k, 0] < 0 and set(range(4)) <= set(way):
+                    return k, 0
+        return -1, -1
+
+    def _ranges(self) -> list[float]:
+        """Limits, and where to draw random coordinates from."""
+        low, high = self.system.coordinates.lower, self.system.coordinates.upper
+        reach = np.where(self.turns, np.pi, self.length)
+        far, near = np.where(np.isfinite(low), low, -np.inf), np.where(np.isfinite(high), high, np.inf)
+        draw_low = np.where(np.isfinite(low), low, np.where(np.isfinite(high), near - 2.0 * reach, -reach))
+        draw_high = np.where(np.isfinite(high), high, np.where(np.isfinite(low), far + 2.0 * reach, reach))
+        return [*np.where(self.wide, -np.inf, low), *np.where(self.wide, np.inf, high), *draw_low, *draw_high]
+
+    def _envelope(self, ties: list[list[int]], m: int) -> tuple[list[tuple[int, int]], int]:
+        """For each row of J J^T its first column that is not zero, and where the row begins."""
+        own = [t[L.FIRST_ROW] for t in ties]
+        first = own.copy()
+        for use in self.uses:
+            if use:
+                least = min(own[k] for k, _ in use)
+                for k, _ in use:
+                    first[k] = min(first[k], least)
+        out, at = [], 0
+        for k, t in enumerate(ties):
+            for r in range(t[L.ROWS]):
+                out.append((first[k], at))
+                at += t[L.FIRST_ROW] + r - first[k] + 1
+        return out, at

@@ -1,0 +1,128 @@
+"""Why tasks do not hold: which fail and by how much, which contradict each other, whether limits or counting forbid it.
+
+Found out by asking again: each hard task alone, two at a time, all without the limits.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.solvers.reached import Reached, analyse
+from kempe.solvers.solution import BAD_INPUT, SOLVED
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.kinematics.task import Task
+    from kempe.solvers.tasks import Problem
+
+MOST_PAIRS = 45
+"""Pairs of tasks that are tried before they are no longer asked for."""
+
+
+def sentence(answer: Reached, index: tuple[int, ...]) -> str:
+    """The sentence for one problem of an answer."""
+    figures = (answer.code, answer.iterations, answer.starts)
+    code, steps, starts = (int(np.asarray(x)[index]) for x in figures)
+    if code == BAD_INPUT:
+        return "goals or seed are not finite"
+    row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
+    problem, q = answer.task.of(row), answer.q[index]
+    misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}
+    soft = [f"{t.label!r} stays off by {_amount(t, misses[t.label])}" for t in problem.tasks if t.weight is not None]
+    more = "; " + ", ".join(soft) if soft else ""
+    if code == SOLVED:
+        work = f"{_count(steps, 'step')}, {_count(starts, 'start')}"
+        hard = [t for t in problem.tasks if t.weight is None]
+        if not hard:
+            return f"lowered as far as the system allows ({work}){more}"
+        worst = f"errors up to {_amounts(hard, misses)}"
+        return f"all hard tasks hold: {worst} ({work}); {_freedoms(problem, q)}{more}"
+    failing = [t for t in problem.tasks if t.weight is None and not _within(problem, t, misses[t.label])]
+    what = ", ".join(f"{t.label!r} is missed by {_amount(t, misses[t.label])}" for t in failing)
+    what = what or "the hard tasks hold, but not with closed loops"
+    return f"not reached after {_count(starts, 'start')}: {what}; {_reason(problem, q)}; q is the nearest found{more}"
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def _amount(task: Task, error: Array) -> str:
+    parts = [f"{error[0]:.6g} m"] if task.lengths else []
+    return " and ".join([*parts, f"{error[1]:.3g} rad"] if task.angles else parts)
+
+
+def _amounts(tasks: list[Task], misses: dict[str, Array]) -> str:
+    worst = np.max([misses[t.label] for t in tasks], axis=0)
+    parts = [f"{worst[0]:.1e} m"] if any(t.lengths for t in tasks) else []
+    return ", ".join([*parts, f"{worst[1]:.1e} rad"] if any(t.angles for t in tasks) else parts)
+
+
+def _within(problem: Problem, task: Task, error: Array) -> bool:
+    linear, angular = problem.tolerance_of(task)
+    return bool(error[0] <= linear * 1.000001 and error[1] <= angular * 1.000001)
+
+
+def _freedoms(problem: Problem, q: Array) -> str:
+    """How many freedoms are left, or that there are more equations than freedoms."""
+    m, n, rank, _ = analyse(problem, q)
+    left = f"{_count(n - rank, 'freedom')} left" if n > rank else "no freedom is left"
+    return f"{left}, though {m} equations meet {_count(n, 'freedom')}" if m > n else left
+
+
+def _solved(problem: Problem, q: Array, tasks: list[int], limits: bool = True) -> Array | None:
+    """A configuration (nq,) that holds only these hard tasks, or None."""
+    found, info = problem.only(tasks, limits).run(q[None])
+    return found[0] if info[0, 0] == SOLVED else None
+
+
+def _reason(problem: Problem, q: Array) -> str:
+    """Why the hard tasks of one problem do not hold together; q (nq,) is the nearest found."""
+    hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
+    free = _solved(problem, q, hard, False)
+    if free is not None and (names := outside(problem, free)):
+        return f"blocked by the limits of {', '.join(map(repr, names))}: without limits all are reached"
+    alone = [i for i in hard if len(hard) == 1 or _solved(problem, q, [i]) is None]
+    if alone:
+        return "; ".join(_alone(problem, q, i, len(hard) > 1) for i in alone)
+    if len(hard) * (len(hard) - 1) // 2 <= MOST_PAIRS:
+        labels = [t.label for t in problem.tasks]
+        against = [(i, j) for i, j in combinations(hard, 2) if _solved(problem, q, [i, j]) is None]
+        if against:
+            pairs = ", ".join(f"{labels[i]!r} and {labels[j]!r}" for i, j in against)
+            return f"contradictory: {pairs}, each reached alone, but not both together{_more(problem, q, hard)}"
+        if len(hard) > 2:
+            return f"any two of the {len(hard)} hard tasks are reached, but not all together{_more(problem, q, hard)}"
+    return f"each hard task is reached alone, but not all together{_more(problem, q, hard)}"
+
+
+def _alone(problem: Problem, q: Array, i: int, among: bool) -> str:
+    """Why one task is not reached even alone."""
+    label = repr(problem.tasks[i].label)
+    free = _solved(problem, q, [i], False)
+    if free is not None and (names := outside(problem, free)):
+        return f"{label} is blocked by the limits of {', '.join(map(repr, names))}: without limits it is reached"
+    said = f"{label} is not found even alone" if among else "no configuration was found"
+    return f"{said}{_more(problem, q, [i])}"
+
+
+def _more(problem: Problem, q: Array, tasks: list[int]) -> str:
+    """Whether tasks have more equations than the system has freedoms."""
+    m, n, _, _ = analyse(problem.only(tasks), q)
+    return f" ({m} equations, but {_count(n, 'freedom')})" if m > n else ""
+
+
+def outside(problem: Problem, q: Array) -> list[str]:
+    """Coordinates that are outside their limits at q (nq,), whatever whole turns are added."""
+    system, names = problem.system, []
+    for i, v in zip(system.layout.vector_q, system.layout.vector_v, strict=True):
+        low, high, x = system.lower[v], system.upper[v], q[i]
+        if system.coordinates.turning[v]:
+            x -= 2.0 * np.pi * np.ceil((x - high) / (2.0 * np.pi)) if x > high else 0.0
+            x += 2.0 * np.pi * np.ceil((low - x) / (2.0 * np.pi)) if x < low else 0.0
+        if not low - 1e-9 <= x <= high + 1e-9:
+            names.append(system.velocity_names[v])
+    return names

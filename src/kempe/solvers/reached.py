@@ -1,0 +1,93 @@
+"""The answer for several tasks: the configuration, what each task misses, and what freedoms are left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.errors import InputError
+from kempe.solvers.solution import Solution
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.solvers.tasks import Problem
+
+RANK_TOLERANCE = 1e-8
+"""Singular values below this fraction of the largest count as zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reached(Solution):
+    """Answer of `System.ik` for tasks.
+
+    As `Solution`; `position_error` and `orientation_error` are the largest among the hard tasks. `errors` gives for
+    each task, by its label, how far it is missed (..., 2) in metres and radians.
+    """
+
+    what = "problems solved"
+
+    task: Problem = field(repr=False)
+    errors: dict[str, Array]
+
+    @cached_property
+    def _local(self) -> tuple[int, int, int, Array]:
+        """Equations of the hard tasks, freedoms under the loops, rank of the tasks in these, basis of self-motions."""
+        if np.ndim(self.success):
+            raise InputError("m, n, rank and self_motion are those of one answer: ask for one problem, not for a batch")
+        return analyse(self.task, self.q)
+
+    @property
+    def m(self) -> int:
+        """Number of equations of the hard tasks, inequalities left out."""
+        return self._local[0]
+
+    @property
+    def n(self) -> int:
+        """Freedoms of the system at the answer: velocity coordinates, less what loops and relations take."""
+        return self._local[1]
+
+    @property
+    def rank(self) -> int:
+        """Rank of the hard tasks' Jacobian in these freedoms, at the answer."""
+        return self._local[2]
+
+    @property
+    def redundancy(self) -> int:
+        """Freedoms that the hard tasks leave, n - rank."""
+        return self.n - self.rank
+
+    @property
+    def self_motion(self) -> Array:
+        """Orthonormal basis (nv, k) of velocities that keep loops and tasks, in radians and characteristic lengths."""
+        return self._local[3]
+
+    def sentence(self, index: tuple[int, ...]) -> str:
+        """The sentence for one problem."""
+        from kempe.solvers.explain_tasks import sentence
+
+        return sentence(self, index)
+
+
+def analyse(problem: Problem, q: Array) -> tuple[int, int, int, Array]:
+    """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions at q (nq,), scaled."""
+    packed = problem.packed
+    hard = [i for i, t in enumerate(problem.tasks) if t.weight is None and problem.use[i]]
+    ties = packed.loops.ties
+    equal = np.repeat([not t.bounds for t in ties], [len(t.rows) for t in ties])[packed.rows >= 0]
+    own = packed.rows[packed.rows >= 0]
+    J = packed.evaluate(q, problem.pins)[1][np.isin(own, hard) & equal]
+    N = null(packed.evaluate(q, problem.pins, closures=True)[1])
+    rest = N @ null(J @ N)
+    m = packed.count(hard)
+    return m, N.shape[1], N.shape[1] - rest.shape[1], rest
+
+
+def null(J: Array) -> Array:
+    """Orthonormal basis (n, k) of the null space of J (m, n)."""
+    if not J.size:
+        return np.eye(J.shape[1])
+    _, s, Vt = np.linalg.svd(J, full_matrices=True)
+    return Vt[int((s > RANK_TOLERANCE * max(1.0, s.max(initial=0.0))).sum()) :].T

@@ -1,0 +1,280 @@
+"""The inverse geometric model for several tasks on any frames of any system: trees, loops, relations, free bases."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.errors import InputError, NoSolutionError
+from kempe.kernels import reach as kernel
+from kempe.kinematics.configuration import as_q
+from kempe.kinematics.parallel import over_chunks
+from kempe.kinematics.task import Goals, Packed, Task, lead_of, refuse
+from kempe.kinematics.tasks_whole import Callback
+from kempe.solvers.arguments import seed_number, start_count, tolerances
+from kempe.solvers.assembly import TOLERANCE as CLOSED
+from kempe.solvers.assembly import limitless
+from kempe.solvers.home import home_of
+from kempe.solvers.reached import Reached
+from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, SOLVED
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+TOLERANCE = (1e-6, 1e-6)
+"""Largest error in metres and radians of a hard task that has no tolerance of its own."""
+STARTS = 60
+"""Starts before tasks are given up."""
+STEPS = 60
+"""Steps of one start; those that succeed need 5 to 20."""
+CHUNK, SERIAL_BELOW = 16, 32
+SLACK = 1.0 + 1e-6
+"""By which part of a tolerance the check by the forward model may differ from the solver's own: rounding."""
+PREFER = ("nearest", "mid")
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What was asked: kept with the answer, so that it can say why it failed.
+
+    `pins` (N or 1, k) are the goals, `use` (tasks,) says which count, `limits` whether limits do.
+    """
+
+    system: System
+    tasks: tuple[Task, ...]
+    packed: Packed = field(repr=False)
+    goals: tuple[Goals, ...] = field(repr=False)
+    pins: Array = field(repr=False)
+    lead: tuple[int, ...]
+    tolerance: tuple[float, float]
+    starts: int
+    rng: int
+    use: tuple[bool, ...]
+    mode: int = kernel.NOTHING
+    aim: Array | None = field(default=None, repr=False)
+    """Configurations (N or 1, nq) that the last stage leads towards."""
+    callback: Callback | None = field(default=None, repr=False)
+    limits: bool = True
+    loose: bool = False
+    """Whether nobody named a seed, so that a free base may be moved before the first start."""
+
+    def tolerance_of(self, task: Task) -> tuple[float, float]:
+        """Largest error of a hard task in metres and radians."""
+        return self.tolerance if task.tolerance is None else tolerances(task.tolerance)
+
+    def of(self, index: int) -> Problem:
+        """The problem of one row of a batch."""
+        pins = self.pins[index : index + 1] if len(self.pins) > 1 else self.pins
+        aim = self.aim[index : index + 1] if self.aim is not None and len(self.aim) > 1 else self.aim
+        goals = tuple(_row(g, index, self.lead) for g in self.goals)
+        return replace(self, goals=goals, pins=pins, aim=aim, lead=())
+
+    def only(self, tasks: Sequence[int], limits: bool = True) -> Problem:
+        """The same with only these tasks, and nothing preferred."""
+        use = tuple(i in tasks for i in range(len(self.tasks)))
+        return replace(self, use=use, limits=limits, mode=kernel.NOTHING)
+
+    def run(self, starts: Array, threads: int | None = 1) -> tuple[Array, np.ndarray]:
+        """Configurations (N, nq) and (status, steps, starts) (N, 3) from starts (N or 1, nq)."""
+        loops, n = self.packed.loops, math.prod(self.lead)
+        stages, strengths = self._stages()
+        weights = loops.weights if self.limits else limitless(self.system, loops)
+        q, info = np.empty((n, self.system.nq)), np.empty((n, 3), dtype=np.int64)
+        aim = starts if self.aim is None else self.aim
+
+        def part(x: Array, i: int, j: int) -> Array:
+            return x[i:j] if len(x) > 1 else x
+
+        def work(i: int, j: int) -> int:
+            return kernel.solve(
+                loops.ints, loops.floats, loops.plan, weights, stages, strengths, part(starts, i, j), part(aim, i, j),
+                part(self.pins, i, j), self.starts, STEPS, self.mode, self.loose, self.rng, i, q[i:j], info[i:j],
+            )  # fmt: skip
+
+        over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+        callbacks = [t.function for t in loops.ties if t.function is not None] + [self.callback]
+        for callback in callbacks:
+            if isinstance(callback, Callback) and callback.error is not None:
+                error, callback.error = callback.error, None
+                raise error
+        return self.packed.inside(q) if self.limits else q, info
+
+    def _stages(self) -> tuple[np.ndarray, Array]:
+        """Stage of each tie and whether it is hard (2 ties,), and weight and tolerances (ties, 3)."""
+        asked = (self.use, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
+        if asked not in self.packed.stages:
+            self.packed.stages[asked] = self._staged()
+        return self.packed.stages[asked]
+
+    def _staged(self) -> tuple[np.ndarray, Array]:
+        keys = [(t.priority, t.weight is not None) for t in self.tasks]
+        order = sorted({k for k, used in zip(keys, self.use, strict=True) if used})
+        top = {k: max(t.weight or 0.0 for t, key in zip(self.tasks, keys, strict=True) if key == k) for k in keys}
+        ties, length = self.packed.loops.ties, self.packed.loops.length
+        stages, strengths = np.zeros((2, len(ties)), dtype=np.int64), np.ones((len(ties), 3))
+        stages[1], strengths[:, 1:] = 1, CLOSED
+        for k, i in enumerate(self.packed.owner):
+            if i < 0:
+                continue
+            task, key = self.tasks[i], keys[i]
+            stages[:, k] = order.index(key) + 1 if self.use[i] else -1, task.weight is None
+            linear, angular = self.tolerance_of(task)
+            strengths[k] = 1.0 if task.weight is None else task.weight / top[key], linear / length, angular
+        return stages.ravel(), strengths
+
+
+def reach(
+    system: System, wanted: Task | Sequence[Task], seed: Any = None, *,
+    prefer: str | Callable[[Array], Any] | None = None,
+    tolerance: float | tuple[float, float] = TOLERANCE, starts: int = STARTS, rng: int | np.random.Generator = 0,
+    threads: int | None = None, throw: bool = False,
+) -> Reached:  # fmt: skip
+    """A configuration that holds several tasks at once (the inverse geometric model of any system).
+
+    `wanted` are tasks of `kempe.tasks`, hard or soft and in strict priorities; goals with leading axes make a batch.
+    Joint limits, couplings, relations and closed loops hold, too. `seed` (nq,) or (..., nq), or a dict by name, is the
+    first start (default: the posture 'closed' of the file, else the middle of the limits); up to `starts` are tried,
+    drawn from `rng`: the same arguments give the same answer, whatever the `threads`. `prefer` says what is made least
+    in the freedoms that all tasks leave: "nearest" (distance to the seed), "mid" (distance to the middle of the
+    limits), "manipulability" (its inverse, of the hard tasks), or a function of q (nq,). `tolerance` is the largest
+    error of a hard task in metres and radians.
+
+    A success is checked by the forward model: hard tasks, limits and loops. Else the answer says what fails and why,
+    and `throw=True` raises `NoSolutionError`. Method: damped least squares with an active set of limits and restarts
+    (Levenberg, 1944; Sugihara, 2011), then the lower levels in the null space of the higher ones (Siciliano and
+    Slotine, 1991). Errors: `InputError`, `UnknownNameError`.
+    """
+    turns = prefer is None or prefer == "nearest"
+    problem, base = pose_problem(system, wanted, seed, tolerance, starts, rng, turns)
+    if prefer == "manipulability" and problem.lead:  # it depends on the goal, of which each row has its own
+        rows = [_preferring(problem.of(i), prefer, base) for i in range(math.prod(problem.lead))]
+        each = [row.run(base[i : i + 1] if len(base) > 1 else base) for i, row in enumerate(rows)]
+        q, info = (np.concatenate([x[k] for x in each] or [np.empty((0, n))]) for k, n in ((0, system.nq), (1, 3)))
+    else:
+        problem = problem if prefer is None else _preferring(problem, prefer, base)
+        q, info = problem.run(base, threads)
+    answer = judge(problem, q, info)
+    if not problem.lead and answer.code == BAD_INPUT:
+        for task, goals in zip(problem.tasks, problem.goals, strict=True):
+            refuse(goals, task.label)
+        raise InputError("the seed has entries that are not finite, or a quaternion that is zero")
+    if throw and not answer:
+        raise NoSolutionError(answer)
+    return answer
+
+
+def pose_problem(
+    system: System, wanted: Task | Sequence[Task], seed: Any = None, tolerance: Any = TOLERANCE, starts: int = STARTS,
+    rng: Any = 0, turns: bool = False,
+) -> tuple[Problem, Array]:  # fmt: skip
+    """The problem, checked and packed, and its first starts (N or 1, nq); `turns` as in `Packed`."""
+    tasks = _distinct(wanted)
+    goals = tuple(t.goals(system) for t in tasks)
+    base = _home(system) if seed is None else as_q(system, seed)
+    lead = lead_of(goals)
+    if base.ndim > 1:
+        try:
+            lead = np.broadcast_shapes(lead, base.shape[:-1])
+        except ValueError:
+            raise InputError(f"seed has shape {base.shape}, the goals have the leading shape {lead}") from None
+        base = np.broadcast_to(base, (*lead, system.nq)).reshape(math.prod(lead), system.nq)
+    packed = _packed(system, tasks, turns)
+    pins = packed.pins(goals, lead if lead_of(goals) else ())
+    base = np.ascontiguousarray(base.reshape(-1, system.nq))
+    use = (True,) * len(tasks)
+    return Problem(
+        system, tasks, packed, goals, pins, lead, tolerances(tolerance), start_count(starts), seed_number(rng), use,
+        loose=seed is None,
+    ), base  # fmt: skip
+
+
+def _home(system: System) -> Array:
+    """Where one starts who is told nothing, looked up once."""
+    found = system._queries.get("tasks home")
+    if found is None:
+        found = system._queries["tasks home"] = home_of(system)
+    return found
+
+
+def _distinct(wanted: Any) -> tuple[Task, ...]:
+    """The tasks, checked, with labels that differ."""
+    tasks = (wanted,) if isinstance(wanted, Task) else tuple(wanted) if isinstance(wanted, (list, tuple)) else ()
+    if not tasks or not all(isinstance(t, Task) for t in tasks):
+        raise InputError(
+            f"without a frame the target must be a task of kempe.tasks or a list of them; it is {type(wanted).__name__}"
+        )
+    seen: dict[str, int] = {}
+    out = []
+    for task in tasks:
+        if isinstance(task.priority, bool) or not isinstance(task.priority, (int, np.integer)):
+            raise InputError(f"priority of {task.label} is {task.priority!r}; it must be a whole number")
+        if task.weight is not None and not 0.0 < task.weight < math.inf:
+            raise InputError(f"weight of {task.label} is {task.weight!r}; it must be a positive number, or None")
+        seen[task.label] = count = seen.get(task.label, 0) + 1
+        out.append(task if count == 1 else replace(task, name=f"{task.label} ({count})"))
+    return tuple(out)
+
+
+def _row(goals: Goals, index: int, lead: tuple[int, ...]) -> Goals:
+    """The goals of one row of a batch."""
+    cores = ((4, 4), (-1,))
+    out: Any = []
+    for pair in goals:
+        row = [None if x is None else np.broadcast_to(x, (*lead, *x.shape[-len(c) :])).reshape(-1, *x.shape[-len(c) :])[
+            index] for x, c in zip(pair, cores, strict=True)]  # fmt: skip
+        out.append(tuple(row))
+    return out
+
+
+def _packed(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
+    """The packed ties of tasks, made once for each structure."""
+    key = ("tasks", turns, *((type(t), t.label, t.structure(system)) for t in tasks))
+    found = system._queries.get(key)
+    if found is None:
+        found = Packed(system, tasks, turns=turns)
+        if all(t.lasting for t in tasks):
+            system._queries[key] = found
+    return found
+
+
+def _preferring(problem: Problem, prefer: Any, base: Array) -> Problem:
+    """The problem with what is to be made least last."""
+    if prefer == "nearest":
+        return replace(problem, mode=kernel.AHEAD, aim=base)
+    if prefer == "mid":
+        return replace(problem, mode=kernel.AHEAD, aim=problem.system.mid[None])
+    from kempe.solvers.preferences import least
+
+    callback = least(problem, prefer)
+    return replace(problem, mode=callback.address, callback=callback)
+
+
+def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
+    """The answer, each configuration checked by the forward model, the limits and the loops."""
+    from kempe.kinematics.loops import evaluate
+
+    system, lead = problem.system, problem.lead
+    bad = info[:, 0] == kernel.BAD_INPUT
+    sound = (np.where(bad[:, None], system.neutral, q) if bad.any() else q).reshape(*lead, system.nq)
+    hard = [i for i, (t, used) in enumerate(zip(problem.tasks, problem.use, strict=True)) if used and t.weight is None]
+    every = np.empty((len(problem.tasks), *lead, 2))
+    for error, task, goals in zip(every, problem.tasks, problem.goals, strict=True):
+        error[..., 0], error[..., 1] = task.measure(system, sound, goals)
+    allowed = np.array([problem.tolerance_of(problem.tasks[i]) for i in hard]).reshape(-1, *[1] * len(lead), 2)
+    good = (every[hard] <= allowed * SLACK).all(axis=(0, -1))
+    worst = every[hard].max(axis=0, initial=0.0)
+    if problem.limits:
+        v, x = system.layout.vector_v, sound[..., system.layout.vector_q]
+        good &= ((x >= system.lower[v] - 1e-9) & (x <= system.upper[v] + 1e-9)).all(axis=-1)
+    if len(problem.packed.rows) > np.sum(problem.packed.rows >= 0):
+        good &= np.linalg.norm(evaluate(system, sound, False, True)[0], axis=-1) <= 10.0 * CLOSED
+    code = np.where(bad.reshape(lead), BAD_INPUT, np.where(good, SOLVED, NOT_FOUND))
+    columns = (code == SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1].reshape(lead), info[:, 2].reshape(lead))
+    fields = [x if lead else x.item() for x in columns]
+    errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}
+    return Reached(q.reshape(*lead, system.nq), *fields, task=problem, errors=errors)

@@ -1,0 +1,205 @@
+"""Every task of the zoo: derivatives by finite differences, errors against the forward model, masses by Pinocchio."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from graphs import graphs
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from robots import urdf_files
+
+import kempe
+from kempe import Mechanism, System, spatial, tasks
+from kempe.errors import InputError, UnknownNameError
+from kempe.kinematics.task import Packed
+
+STEP = 1e-6
+
+
+def zoo(s: System, frame: str, other: str, rng: np.random.Generator) -> list[tasks.Task]:
+    """All tasks that can be asked of two bodies of a system."""
+    dim = s.dim
+
+    def p() -> np.ndarray:
+        return rng.uniform(-1, 1, dim)
+
+    X = spatial.exp_se3(rng.normal(size=6)) if dim == 3 else spatial.pose(spatial.rot_z(rng.normal()), [*p(), 0.0])
+    particles = {n for n, (_, _, particle) in s.table.at.items() if particle}
+    out: list[tasks.Task] = [
+        tasks.Position(frame, p()), tasks.OnLine(frame, p(), p()), tasks.OnPlane(frame, p(), p()),
+        tasks.HalfSpace(frame, p(), p(), margin=0.3), tasks.OnSphere(frame, p() + 3.0, 0.7),
+        tasks.InBox(frame, -abs(p()), abs(p()), X), tasks.Distance(frame, other, 0.4),
+        tasks.CentreOfPoints([frame, other], p()), tasks.CentreOfPoints({frame: 1.0, other: 3.0, "ground": 2.0}, p()),
+        tasks.Posture(s.random(rng)), tasks.Function(lambda q: np.array([np.sum(np.sin(q)), q[0] * q[-1]])),
+    ]  # fmt: skip
+    if frame not in particles:
+        out += [
+            tasks.Pose(frame, X), tasks.Orientation(frame, X[:3, :3]), tasks.Pointing(frame, p(), p()),
+            tasks.LookAt(frame, p() + 3.0, p()), tasks.Position(frame, p(), point=p()),
+            tasks.OnLine(frame, p(), p(), point=p()), tasks.OnSphere(frame, p() + 3.0, 0.7, point=p()),
+        ]  # fmt: skip
+    if not {frame, other} & particles:
+        out += [
+            tasks.RelativePose(frame, other, X), tasks.RelativePosition(frame, other, p(), point=p()),
+            tasks.Distance(frame, other, 0.4, point=p(), other_point=p() + 2.0),
+            tasks.Distance(frame, other, at_least=0.2, at_most=0.3, point=p() + 2.0),
+        ]  # fmt: skip
+    return out
+
+
+def by_differences(task: tasks.Task, s: System, q: np.ndarray) -> np.ndarray:
+    ends = [task.error(s, s.integrate(q, x * STEP * np.eye(s.nv))) for x in (1, -1)]
+    return (ends[0] - ends[1]).T / (2 * STEP)
+
+
+def check(task: tasks.Task, s: System, q: np.ndarray) -> None:
+    """The battery for one task at one configuration."""
+    meters, radians = (float(x) for x in task.measure(s, q))
+    if radians > 3.0 and not isinstance(task, tasks.Posture):
+        return  # near a half turn derivatives grow without bounds
+    e, J = task.error(s, q), task.jacobian(s, q)
+    assert J.shape == (*e.shape, s.nv), task.label
+    np.testing.assert_allclose(J, by_differences(task, s, q), atol=3e-7 * (1 + np.abs(J).max(initial=0)),
+                               err_msg=task.label)  # fmt: skip
+    loops = Packed(s, [task], length=1.0).loops
+    tie = next(t for t in loops.ties if t.name == task.label)
+    if isinstance(task, (tasks.Pose, tasks.RelativePose)):
+        assert math.hypot(meters, radians) == pytest.approx(np.linalg.norm(e), abs=1e-7)
+    elif isinstance(task, (tasks.Pointing, tasks.LookAt)):
+        assert 2.0 * math.sin(radians / 2) == pytest.approx(np.linalg.norm(e), abs=1e-9)
+    elif isinstance(task, tasks.Orientation):
+        assert radians == pytest.approx(np.linalg.norm(e), abs=1e-7)
+    elif not isinstance(task, tasks.Posture):
+        low, high = np.array(tie.bounds).reshape(-1, 2).T if tie.bounds else (0.0, 0.0)
+        assert math.hypot(meters, radians) == pytest.approx(np.linalg.norm(e - np.clip(e, low, high)), abs=1e-9)
+
+
+@given(graphs(most=6, loops=2), st.integers(0, 2**32))
+@settings(deadline=None, max_examples=25)
+def test_the_zoo_on_random_graphs(graph, seed):
+    """Trees and loops, in the plane and in space, with balls, screws, particles, gears and locked joints."""
+    s = graph.mechanism().build()
+    if s.nv == 0:
+        return
+    rng = np.random.default_rng(seed)
+    frame, other = rng.choice(s.body_names, 2)
+    if frame == "ground":
+        frame, other = other, frame
+    with pytest.raises(InputError, match="particle") if "p" in frame else contextlib.nullcontext():
+        tasks.Pose(str(frame), np.eye(4)).error(s, s.neutral)
+    for task in zoo(s, str(frame), str(other), rng):
+        if isinstance(task, tasks.Distance) and task.measure(s, s.neutral)[0] == pytest.approx(0.4):
+            continue  # the two are one point: the distance has no derivative
+        check(task, s, s.random(rng))
+
+
+def test_one_axis_and_dict_of_coordinates():
+    s = kempe.load("ball")
+    q = s.random(3)
+    check(tasks.Posture(s.q_dict(s.random(4))), s, q)
+    with pytest.raises(InputError, match="as a whole"):
+        tasks.Posture({s.coordinate_names[3]: 1.0}).error(s, q)
+    with pytest.raises(UnknownNameError):
+        tasks.Posture({"nothing": 1.0}).error(s, q)
+
+
+def weighed() -> System:
+    """A tree with a floating base, a ball, a coupling, a particle and masses off their frames, the ground's too."""
+    m = Mechanism("weighed")
+    m.bodies["ground"] = type(m.ground)("ground", False, 2.0, (0.1, 0.2, 0.3))
+    rng = np.random.default_rng(1)
+    for k, (kind, parent) in enumerate([("free", "ground"), ("revolute", "b0"), ("spherical", "b1"), ("revolute", "b0"),
+                                        ("prismatic", "ground")]):  # fmt: skip
+        m.joint(f"j{k}", kind, parent, m.body(f"b{k}", 1.0 + k, rng.uniform(-1, 1, 3)), at=rng.uniform(-1, 1, 3),
+                rpy=rng.uniform(-1, 1, 3))  # fmt: skip
+    m.translation("p", "b1", m.particle("p", 0.5), at=rng.uniform(-1, 1, 3))
+    m.gear("j3", "j1", -2.0, 0.3)
+    return m.build()
+
+
+def test_centre_of_mass_against_its_definition():
+    s = weighed()
+    q = s.random(1)
+    bodies = s.mechanism.bodies
+    total = sum(b.mass for b in bodies.values())
+    expected = sum(
+        b.mass * (s.fk(q, n) @ [*(b.center or (0, 0, 0)), 1.0])[:3] for n, b in bodies.items()
+    ) / total  # fmt: skip
+    target = np.array([0.3, -0.2, 0.5])
+    task = tasks.CentreOfMass(target)
+    np.testing.assert_allclose(task.error(s, q), expected - target, atol=1e-14)
+    for more in ({}, {"axes": "xz"}, {"axes": "z"}, {"within": 0.1}, {"within": [0.1, 0.2, 0.3]}):
+        check(tasks.CentreOfMass(target, **more), s, q)
+    with pytest.raises(InputError, match="no masses"):
+        tasks.CentreOfMass(target).error(kempe.load("four_bar"), kempe.load("four_bar").neutral)
+    with pytest.raises(InputError, match="axes"):
+        tasks.CentreOfMass(target, "up").error(s, q)
+
+
+def test_masses_survive_files(tmp_path: Path):
+    """Written to TOML and read again, a robot keeps its centre of mass; Pinocchio says the same of URDF below."""
+    m = weighed().mechanism
+    m.bodies["ground"] = type(m.ground)("ground")
+    del m.couplings["j3"]
+    del m.joints["p"], m.bodies["p"]
+    s = m.build()
+    q = s.random(2)
+    expected = tasks.CentreOfMass([0, 0, 0]).error(s, q)
+    again = kempe.load(s.save(tmp_path / "robot.toml"))
+    np.testing.assert_allclose(tasks.CentreOfMass([0, 0, 0]).error(again, again.q(s.q_dict(q))), expected, atol=1e-14)
+
+
+@pytest.mark.skipif(not urdf_files(), reason="the package example-robot-data is not installed")
+@pytest.mark.parametrize("name", ["g1_29dof_rev_1_0.urdf", "talos_reduced.urdf"])
+def test_centre_of_mass_and_its_jacobian_against_pinocchio(name):
+    pinocchio = pytest.importorskip("pinocchio")
+    path = next(p for n, p in urdf_files().items() if n.endswith(name))
+    s, model = kempe.load(path), pinocchio.buildModelFromUrdf(str(path))
+    data = model.createData()
+    q = s.random(5)
+    theirs = pinocchio.neutral(model)
+    joints = [(model.joints[i], n) for i, n in enumerate(model.names) if i and n in s.coordinate_names]
+    order = [s.coordinate_names.index(n) for _, n in joints]
+    for joint, n in joints:
+        assert joint.nq == joint.nv == 1
+        theirs[joint.idx_q] = q[s.coordinate_names.index(n)]
+    assert len(order) == s.nq == model.nq > 20
+    task = tasks.CentreOfMass([0.0, 0.0, 0.0])
+    # Pinocchio leaves out what is fixed to the ground, so masses on the root link are compared with it put back
+    ground = s.mechanism.bodies[s.body_names[0]]
+    fixed = [n for n in s.body_names if s.table.at[n][0] < 0]
+    rest = [(s.mechanism.bodies[n].mass or 0.0, s.fk(q, n), s.mechanism.bodies[n].center or (0, 0, 0)) for n in fixed]
+    moving, com = sum(i.mass for i in model.inertias[1:]), pinocchio.centerOfMass(model, data, theirs)
+    total = moving + sum(m for m, _, _ in rest)
+    expected = (moving * com + sum(m * (X @ [*c, 1.0])[:3] for m, X, c in rest)) / total
+    assert ground.name == s.body_names[0]
+    np.testing.assert_allclose(task.error(s, q), expected, atol=1e-12)
+    J = pinocchio.jacobianCenterOfMass(model, data, theirs) * moving / total
+    np.testing.assert_allclose(task.jacobian(s, q)[:, order], J[:, [j.idx_v for j, _ in joints]], atol=1e-12)
+
+
+def test_what_is_refused():
+    s = kempe.load("panda")
+    q, X = s.neutral, np.eye(4)
+    frame = s.body_names[-1]
+    for bad, match in (
+        (tasks.Pose(frame, np.eye(3)), "shape"), (tasks.Pose(frame, X.T + np.eye(4, k=-3)), "last row"),
+        (tasks.Position(frame, [1, 2]), "shape"), (tasks.Position(frame, "here"), "real numbers"),
+        (tasks.Pointing(frame, [0, 0, 0]), "zero"), (tasks.OnSphere(frame, [0, 0, 0], -1.0), "negative"),
+        (tasks.InBox(frame, [1, 1, 1], [0, 0, 0]), "low <= high"), (tasks.Distance(frame, "panda_link1"), "needs"),
+        (tasks.Distance(frame, "panda_link1", at_least=2, at_most=1), "leave nothing"),
+        (tasks.CentreOfPoints([], [0, 0, 0]), "needed"), (tasks.Function(lambda q: q, low=[1, 2]), "bound"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=match):
+            bad.error(s, q)
+    with pytest.raises(UnknownNameError, match="panda_link7"):
+        tasks.Pose("panda_link77", X).error(s, q)
+    m = Mechanism("dust")
+    m.translation("p", m.ground, m.particle("dust"))
+    with pytest.raises(InputError, match="particle"):
+        tasks.Pose("dust", X).error(m.build(), np.zeros(3))
