@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from kempe import errors, spatial
 from kempe.description.mechanism import Mechanism
@@ -43,7 +44,7 @@ def read(
     return read_mechanism(source, format=format, base=base, root=root, package_dirs=tuple(package_dirs), xacro=xacro)
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> Any:
     if name in ("from_dh", "from_screws"):
         from kempe.description import dh
 

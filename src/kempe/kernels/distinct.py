@@ -73,27 +73,38 @@ def sampled_already(found, count, slot):
 
 
 @routine
-def add(found, count, theta, slot, kind):
-    """New number of solutions, after a candidate was polished in place and judged.
+def made_exact(found, theta, kind):
+    """(linear, angular, bound of the smallest singular value squared, kind) of a candidate that is polished in place.
 
-    kind: ROOT, each counts towards the multiplicity of a solution; AGAIN, roots that were counted before; SAMPLED.
+    Errors are infinite for one that is still on its way.
     """
-    m, stride = found.model, SOLUTION + found.model.n
+    m = found.model
     linear, angular = polish(m, theta)
     if not max(linear, angular) <= max(CLOSE, found.linear, found.angular):
-        return count
+        return math.inf, math.inf, 0.0, kind
     weak = weakest(m)
     if kind == OPENED:
         kind = SAMPLED if max(linear, angular) <= UNSURE else AGAIN
     if weak < MERGED:
         linear, angular = sharpen(m, theta)
         weak = weakest(m)
-    if not (linear <= found.linear and angular <= found.angular):
-        return count
     if kind == AGAIN and weak < MERGED and max(linear, angular) > UNSURE:
-        return count
+        return math.inf, math.inf, 0.0, kind
     if kind == SAMPLED and weak > MERGED:  # a free joint that was not free after all: polishing has found its value
         kind = AGAIN
+    return linear, angular, weak, kind
+
+
+@routine
+def add(found, count, theta, slot, kind):
+    """New number of solutions, after a candidate was polished in place and judged.
+
+    kind: ROOT, each counts towards the multiplicity of a solution; AGAIN, roots that were counted before; SAMPLED.
+    """
+    m, stride = found.model, SOLUTION + found.model.n
+    linear, angular, weak, kind = made_exact(found, theta, kind)
+    if not (linear <= found.linear and angular <= found.angular):
+        return count
     spare = beyond(found.rows, stride * MOST_SOLUTIONS)
     k = -1
     while k + 1 < count:

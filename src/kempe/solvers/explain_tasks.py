@@ -29,7 +29,7 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     if code == BAD_INPUT:
         return "goals or seed are not finite"
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
-    problem, q = answer.task.of(row), answer.q[index]
+    problem, q = answer.asked.of(row), answer.q[index]
     misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}
     soft = [f"{t.label!r} stays off by {_amount(t, misses[t.label])}" for t in problem.tasks if t.weight is not None]
     more = "; " + ", ".join(soft) if soft else ""

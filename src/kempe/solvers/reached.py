@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -29,7 +29,6 @@ class Reached(Solution):
 
     what = "problems solved"
 
-    task: Problem = field(repr=False)
     errors: dict[str, Array]
 
     @cached_property
@@ -37,7 +36,7 @@ class Reached(Solution):
         """Equations of the hard tasks, freedoms under the loops, rank of the tasks in these, basis of self-motions."""
         if np.ndim(self.success):
             raise InputError("m, n, rank and self_motion are those of one answer: ask for one problem, not for a batch")
-        return analyse(self.task, self.q)
+        return analyse(self.asked, self.q)
 
     @property
     def m(self) -> int:

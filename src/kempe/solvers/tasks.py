@@ -277,4 +277,4 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     columns = (code == SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1].reshape(lead), info[:, 2].reshape(lead))
     fields = [x if lead else x.item() for x in columns]
     errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}
-    return Reached(q.reshape(*lead, system.nq), *fields, task=problem, errors=errors)
+    return Reached(q.reshape(*lead, system.nq), *fields, asked=problem, errors=errors)
