@@ -249,9 +249,8 @@ FIVE = ["ik", "so101", "--frame", "tool", "--target", "0.2,0,0.1,0,0,0", "--all"
 @pytest.mark.parametrize(
     ("command", "said"),
     [
-        ([*ALL, "--task", "position"], "add --all"),
         ([*ALL, "--hold", "q1=0"], "add --all"),
-        ([*ALL, "--axis", "0,0,1"], "add --all"),
+        ([*ALL, "--axis", "0,0,1"], "--axis is for the tasks direction and position_axis"),
         ([*ALL, "--all", "--rng", "1"], "leave --all out"),
         ([*ALL, "--all", "--task", "positions"], "'positions'"),
         ([*ALL, "--all", "--task", "pose"], "needs a target with an orientation"),

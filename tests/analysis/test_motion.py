@@ -94,7 +94,7 @@ def test_peaucellier_draws_a_straight_line():
     path = trace(system, "Q", np.zeros(system.nq))
     assert path.closed
     D = path.curve("D*")
-    assert np.abs(D[:, 0] - (3.0**2 - 1.6**2) / 2.0).max() < 1e-12
+    assert np.abs(D[:, 0] - (3.0**2 - 1.6**2) / 2.0).max() < 1e-11  # closed to 1e-12, where the cell is stretched
     assert np.ptp(D[:, 1]) == pytest.approx(2.0 * math.sqrt(4.6**2 - 3.22**2), abs=1e-9)  # as far as the cell reaches
 
 

@@ -70,9 +70,9 @@ _ALL = "All solutions"
 All = Annotated[bool, option("--all", "All configurations that reach the target, in closed form.", None, _ALL)]
 Task = Annotated[
     str | None,
-    option("--task", "What counts: pose, position, orientation, direction or position_axis.", "TASK", _ALL),
+    option("--task", "What counts: pose, position, orientation, direction or position_axis.", "TASK"),
 ]
-Axis = Annotated[str | None, option("--axis", "Axis of the tool for the last two tasks (0,0,1).", "X,Y,Z", _ALL)]
+Axis = Annotated[str | None, option("--axis", "Axis of the tool for the last two tasks (0,0,1).", "X,Y,Z")]
 Hold = Annotated[
     list[str] | None, option("--hold", "Hold a joint of a redundant chain; can be repeated.", "NAME=VALUE", _ALL)
 ]

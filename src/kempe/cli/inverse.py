@@ -52,7 +52,7 @@ def ik(
 
     Example: kempe ik panda.urdf --frame panda_hand_tcp --target 0.4,0.1,0.5,180,0,0 --deg
     """
-    given = {"--task": task, "--axis": axis, "--hold": hold} if not all else {"--rng": rng}
+    given = {"--hold": hold} if not all else {"--rng": rng}
     wrong = [name for name, value in given.items() if value is not None]
     if wrong:
         raise InputError(f"{wrong[0]} is for {'all solutions: add --all' if not all else 'a search: leave --all out'}")
@@ -64,12 +64,12 @@ def ik(
     X, position = rows.target(system, target, deg)
     start = None if seed is None else rows.configuration(system, seed, None, deg)
     position = position or position_only
+    task = _task(task, position)
     if all:
-        _all(system, X, frame, _task(task, position), axis, hold, start, tolerance, deg, out, json)
+        _all(system, X, frame, task, axis, hold, start, tolerance, deg, out, json)
         return
-    answer = system.ik(
-        X, frame, seed=start, position_only=position, tolerance=rows.tolerance(tolerance or "1e-6"), rng=rng or 0
-    )
+    asked = _asked(task, axis)
+    answer = system.ik(X, frame, seed=start, tolerance=rows.tolerance(tolerance or "1e-6"), rng=rng or 0, **asked)
     if out is not None:
         rows.write_configurations(out, system, answer.q, deg)
     if json:
@@ -100,7 +100,7 @@ def _all(
     from kempe.views import ik_report
 
     more = {} if tolerance is None else {"tolerance": ik_report.tolerance(tolerance)}
-    answer = system.ik_all(X, frame, near=near, **_asked(system, task, axis, hold, deg), **more)
+    answer = system.ik_all(X, frame, near=near, **_held(system, hold, deg), **_asked(task, axis), **more)
     if out is not None:
         ik_report.write(out, answer, deg)
     if json:
@@ -113,11 +113,18 @@ def _all(
         raise typer.Exit(INCOMPLETE)
 
 
-def _asked(system: System, task: str | None, axis: str | None, hold: list[str] | None, deg: bool) -> dict[str, Any]:
-    """Arguments for all solutions and for their plan, as the command line has them."""
-    from kempe.views import given, ik_report
+def _held(system: System, hold: list[str] | None, deg: bool) -> dict[str, Any]:
+    """Joints that are held, as arguments for all solutions and for their plan."""
+    from kempe.views import given
 
-    out: dict[str, Any] = {"task": task, "fixed": given.known(system, hold or [], deg, frames=False)}
+    return {"fixed": given.known(system, hold or [], deg, frames=False)}
+
+
+def _asked(task: str | None, axis: str | None) -> dict[str, Any]:
+    """What of the target counts, as arguments for inverse models."""
+    from kempe.views import ik_report
+
+    out: dict[str, Any] = {"task": task}
     if axis is not None:
         if task not in ("direction", "position_axis"):
             raise InputError("--axis is for the tasks direction and position_axis")
@@ -145,5 +152,5 @@ def plan(
 
     system.frame_name(frame)
     words = [w if "=" in w else f"{w}=0" for w in hold or []]
-    answer = ik_plan(system, frame, **_asked(system, task, axis, words, False))
+    answer = ik_plan(system, frame, **_held(system, words, False), **_asked(task, axis))
     print_json(answer.data()) if json else show(ik_report.plan(answer))
