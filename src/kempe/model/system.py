@@ -156,7 +156,7 @@ class System(Compiled):
         return closure_error(self, q)
 
     def ik(self, target: Any, frame: FrameLike | None = None, seed: Any = None, **options: Any) -> Solution:
-        """A configuration that brings `frame` to a target (`solvers.inverse.ik`) or holds tasks (`solvers.tasks.reach`)."""
+        """A configuration that reaches a target or holds tasks; see `solvers.inverse.ik` and `solvers.tasks.reach`."""
         if not options and target.__class__ is np.ndarray and frame.__class__ is str:
             bound = self._queries.get(("one", frame))
             answer = bound(target, seed) if bound is not None else None
