@@ -2,8 +2,8 @@
 
     python benchmarks/run.py
 
-It takes about five minutes. The file is written after each section, so an interruption keeps what is done. Single
-sections: `kempe bench --only batch`.
+It takes about seven minutes. The file is written after each section, so an interruption keeps what is done. Single
+sections: `kempe bench --only batch`; more targets: `kempe bench --only numeric --targets 10000`.
 """
 
 from __future__ import annotations

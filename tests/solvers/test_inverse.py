@@ -246,7 +246,7 @@ def test_a_frame_that_nothing_moves():
     assert not s.success and s.position_error == pytest.approx(2.0)
 
 
-def test_loops_are_refused_but_their_neighbours_are_not():
+def test_loops_and_relations_hold_where_the_frame_moves_with_them():
     m = Mechanism("four-bar and arm", dim=2)
     a, b, c, arm = (m.body(n) for n in ("a", "b", "c", "arm"))
     m.revolute("A", m.ground, a)
@@ -256,12 +256,20 @@ def test_loops_are_refused_but_their_neighbours_are_not():
     m.revolute("E", m.ground, arm, at=(0, 5))
     m.frame("tip", arm, at=(1, 0))
     robot = m.build()
-    with pytest.raises(UnsupportedError, match="loop"):
-        robot.ik([0.0, 1.0], "b")
+    pose = robot.fk(robot.assemble({"A": 0.7}).q, "b")
+    s = robot.ik(pose, "b")
+    assert s.success and np.abs(robot.closure_error(s.q)).max() < 1e-9
+    assert robot.q_dict(s.q)["A"] == pytest.approx(0.7, abs=1e-6)
+    assert not robot.ik([0.0, 1.5], "b")
     assert robot.ik([0.0, 6.0], "tip").success
+    with pytest.raises(UnsupportedError, match="loop"):
+        robot.ik(pose, "b", method="analytic")
     m.couple("E", {"A": 1.0, "B": 1.0})
-    with pytest.raises(UnsupportedError, match="several"):
-        m.build().ik([0.0, 6.0], "tip")
+    robot = m.build()
+    s = robot.ik([math.cos(0.5), 5.0 + math.sin(0.5)], "tip")
+    q = robot.q_dict(s.q)
+    assert s.success and q["A"] + q["B"] == pytest.approx(0.5, abs=1e-6) == q["E"]
+    assert not robot.ik([0.0, 6.0], "tip")  # the coupler of this bar turns by 60 degrees at most
 
 
 def test_scale_of_the_robot_does_not_matter():

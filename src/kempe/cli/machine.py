@@ -39,6 +39,9 @@ def library(
 def bench(
     only: Annotated[list[str] | None, option("--only", "A section to run; can be repeated.", "SECTION")] = None,
     peer: Annotated[list[str] | None, option("--peer", "A library to compare with; can be repeated.", "NAME")] = None,
+    targets: Annotated[
+        int | None, option("--targets", "Targets of each robot in the numeric sections; 10000 takes ten minutes.", "N")
+    ] = None,
     out: Annotated[
         Path | None, option("-o,--out", "Write the tables to a Markdown file, section by section.", "FILE")
     ] = None,
@@ -51,7 +54,7 @@ def bench(
     from kempe.views import benchmark, report
 
     tables: list[benchmark.Table] = []
-    for table in benchmark.benchmark(only, peer, progress):
+    for table in benchmark.benchmark(only, peer, progress, targets):
         tables.append(table)
         if out is not None:
             out.write_text(benchmark.page(tables, peer), encoding="utf-8")

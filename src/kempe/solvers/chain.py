@@ -78,14 +78,13 @@ def _refuse_closed(system: System, name: str, used: set[str]) -> None:
     for closure in system.closures:
         if used & loop_coordinates(system, closure):
             raise UnsupportedError(
-                f"frame {name!r} moves with the loop that joint {closure!r} closes: `ik` is for open chains; "
-                f"assemble({{{name!r}: target}}) closes the loops with the frame in place"
+                f"frame {name!r} moves with the loop that joint {closure!r} closes: no chain of its own leads there"
             )
     for relation in system.relations:
         if used & {relation.of, *relation.sources}:
             raise UnsupportedError(
-                f"frame {name!r} moves with coordinate {relation.of!r}, which follows several others: `ik` is for "
-                f"open chains; assemble({{{name!r}: target}}) keeps such relations"
+                f"frame {name!r} moves with coordinate {relation.of!r}, which follows several others: no chain of its "
+                f"own leads there"
             )
 
 

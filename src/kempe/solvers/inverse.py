@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.errors import InputError, NoSolutionError
+from kempe.errors import InputError, NoSolutionError, UnsupportedError
 from kempe.kernels import search
 from kempe.kernels.job import ANSWER, LINEAR, STATUS
 from kempe.kernels.layout import HAS_QUATERNION
@@ -85,8 +85,9 @@ def ik(
     whatever the `threads`, and a seed that leads to the target is preferred to all else.
 
     The answer says by `success` and `status` whether it was reached and if not, why; `throw=True` raises
-    `NoSolutionError` instead. A NaN in a single target is an `InputError`, in a batch it gives a NaN row. Systems whose
-    loops or relations involve the frame's joints are refused (`UnsupportedError`).
+    `NoSolutionError` instead. A NaN in a single target is an `InputError`, in a batch it gives a NaN row. A frame that
+    moves with closed loops, or with relations of several coordinates, is a case for `kempe.solvers.tasks.reach`, which
+    holds these: the answer then is `Reached`.
 
     `method`: "numeric", damped least squares with an active set of limits and restarts (Sugihara, 2011; Chan and
     Lawrence, 1988); "analytic", of all solutions that `ik_all` finds the one nearest to `seed`; "auto", that where the
@@ -94,7 +95,16 @@ def ik(
     """
     name = system.frame_name(frame)
     asked, targets, lead = _asked(system, name, target, _task_name(task, position_only), axis)
-    chain = chain_of(system, name, asked[1])
+    try:
+        chain = chain_of(system, name, asked[1])
+    except UnsupportedError:
+        if method == "analytic":
+            raise
+        from kempe.solvers.tasks import reach
+
+        wanted = _tasks(name, asked, targets.reshape(*lead, 4, 4))
+        more = {} if starts == STARTS else {"starts": starts}
+        return reach(system, wanted, seed, tolerance=tolerance, rng=rng, threads=threads, throw=throw, **more)
     base, seeds = _seeds(system, chain, seed, lead)
     question = Task(system, name, targets, *asked, tolerances(tolerance), start_count(starts), seed_number(rng), chain)
     plan = None
@@ -106,21 +116,45 @@ def ik(
         q, residual, info = run(question, seeds, threads)
     else:
         q, residual, info = hand_over.answer(question, plan, base, seeds, threads)
-    full = np.empty((len(targets), system.nq))
-    full[:] = base
-    full[:, chain.q_index] = q
-    code = info[:, 0]
-    if code.any():
-        _look_closer(question, code)
-        full[code == BAD_INPUT] = math.nan
-    if not lead and code[0] == BAD_INPUT:
-        _refuse_target(targets[0], base[0])
-    solution = _answer(question, full, code, residual, info, lead)
+    solution = _judged(question, base, q, residual, info, lead)
     if not lead and asked[0] == "pose" and not chain.ints[HAS_QUATERNION] and ("one", name) not in system._queries:
         system._queries[("one", name)] = Bound(system, name, chain)
     if throw and not solution:
         raise NoSolutionError(solution)
     return solution
+
+
+def _judged(
+    question: Task, base: Array, q: Array, residual: Array, info: np.ndarray, lead: tuple[int, ...]
+) -> Solution:  # fmt: skip
+    """The answer, from the chain's configurations (N, n), residuals (N, 2) and status, steps and starts (N, 3)."""
+    system, targets, code = question.system, question.targets, info[:, 0]
+    full = np.empty((len(targets), system.nq))
+    full[:] = base
+    full[:, question.chain.q_index] = q
+    if code.any():
+        _look_closer(question, code)
+        full[code == BAD_INPUT] = math.nan
+    if not lead and code[0] == BAD_INPUT:
+        _refuse_target(targets[0], base[0])
+    return _answer(question, full, code, residual, info, lead)
+
+
+def _tasks(frame: str, asked: tuple[str, tuple[float, float, float]], X: Array) -> list[Any]:
+    """The tasks that a target (..., 4, 4) stands for."""
+    from kempe.kinematics import tasks
+
+    name, axis = asked
+    out: list[Any] = []
+    if name == "pose":
+        out.append(tasks.Pose(frame, X))
+    if points_along(name):
+        out.append(tasks.Pointing(frame, X[..., :3, :3] @ np.array(axis), axis=axis))
+    if name == "orientation":
+        out.append(tasks.Orientation(frame, X[..., :3, :3]))
+    if name in ("position", "position_axis"):
+        out.append(tasks.Position(frame, X[..., :3, 3]))
+    return out
 
 
 def _task_name(task: str | None, position_only: bool) -> str | None:

@@ -6,13 +6,15 @@ import datetime
 from collections.abc import Callable, Iterable, Iterator
 
 from kempe.errors import UnknownNameError
-from kempe.views.benchmark import analytic, cranks, forward, freedoms, inverse, loops, peers, process, trees
+from kempe.views.benchmark import analytic, cranks, forward, freedoms, inverse, loops, numeric, peers, process, trees
 from kempe.views.benchmark.bench import Bench
 from kempe.views.benchmark.timing import Table
 
 SECTIONS: dict[str, Callable[[Bench], Table | None]] = {
     "batch": forward.batch, "single": forward.single, "tree": trees.humanoid, "threads": forward.threads,
-    "growth": trees.growth, "inverse": inverse.single, "closed": analytic.closed, "general": analytic.general,
+    "growth": trees.growth, "inverse": inverse.single,
+    "numeric": numeric.random, "numeric_limits": numeric.limits, "numeric_warm": numeric.warm,
+    "closed": analytic.closed, "general": analytic.general,
     "assembly": loops.assembly, "success": loops.success,
     "dyads": cranks.dyads, "row": cranks.row, "dof": freedoms.dof, "mobility": freedoms.mobility,
     "startup": process.startup, "memory": process.memory,
@@ -24,17 +26,19 @@ def benchmark(
     sections: Iterable[str] | None = None,
     wanted: list[str] | None = None,
     say: Callable[[str], None] = lambda text: None,
+    targets: int | None = None,
 ) -> Iterator[Table]:
     """Measured tables, one by one as they are done, so that an interruption loses only the section in work.
 
-    `sections` picks some of `SECTIONS`, `wanted` some of the peers; `say` is told what is being measured.
+    `sections` picks some of `SECTIONS`, `wanted` some of the peers; `say` is told what is being measured. `targets` of
+    each robot are given to the numerical inverse model, instead of as many as fit into a minute or two.
     Errors: `UnknownNameError`.
     """
     names = list(SECTIONS if sections is None else sections)
     for name in names:
         if name not in SECTIONS:
             raise UnknownNameError("section", name, SECTIONS)
-    bench = Bench(wanted, say)
+    bench = Bench(wanted, say, targets)
     for i, name in enumerate(names, start=1):
         section = SECTIONS[name]
         say(f"{i}/{len(names)} {name}: {(section.__doc__ or '').strip().splitlines()[0]}")

@@ -13,11 +13,20 @@ from kempe.views.benchmark import peers
 
 
 class Bench:
-    """One run: `versions` of the peers that take part, the arm for all, and `say` to tell of progress."""
+    """One run: `versions` of the peers that take part, the arm for all, and `say` to tell of progress.
 
-    def __init__(self, wanted: list[str] | None = None, say: Callable[[str], None] = lambda text: None):
+    `targets` of each robot are given to the numerical inverse model, where that is not left to the sections.
+    """
+
+    def __init__(
+        self,
+        wanted: list[str] | None = None,
+        say: Callable[[str], None] = lambda text: None,
+        targets: int | None = None,
+    ):
         self.versions = peers.installed(wanted)
         self.say = say
+        self.targets = targets
 
     @cached_property
     def _folder(self) -> tempfile.TemporaryDirectory[str]:

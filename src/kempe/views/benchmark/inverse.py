@@ -104,6 +104,5 @@ def reached(arm: peers.Arm, q: np.ndarray, targets: np.ndarray) -> np.ndarray:
     X = arm.pose(q)
     position = np.linalg.norm(X[:, :3, 3] - targets[:, :3, 3], axis=-1)
     turn = np.linalg.norm(spatial.log_so3(np.swapaxes(X[:, :3, :3], -1, -2) @ targets[:, :3, :3]), axis=-1)
-    limits = np.array([link.limits for link in arm.links])
-    inside = ((q >= limits[:, 0] - 1e-12) & (q <= limits[:, 1] + 1e-12)).all(axis=-1)
+    inside = ((q >= arm.limits[:, 0] - 1e-12) & (q <= arm.limits[:, 1] + 1e-12)).all(axis=-1)
     return (position <= 1.0001 * TOLERANCE) & (turn <= 1.0001 * TOLERANCE) & inside

@@ -24,6 +24,8 @@ PEERS = {
     "pin": "pinocchio", "mujoco": "mujoco", "roboticstoolbox-python": "roboticstoolbox", "ikpy": "ikpy",
     "pytorch-kinematics": "pytorch_kinematics", "exudyn": "exudyn", "drake": "pydrake", "pylinkage": "pylinkage",
     "EAIK": "eaik", "ik-geo": "ik_geo", "ssik": "ssik", "py-opw-kinematics": "py_opw_kinematics",
+    "optik-py": "optik", "pytracik": "pytracik", "roboplan": "roboplan", "klampt": "klampt", "mink": "mink",
+    "pin-pink": "pink", "placo": "placo",
 }  # fmt: skip
 """Package name and module name of each peer."""
 
@@ -106,6 +108,11 @@ class Arm:
             out = out @ link.X @ motion
         return out @ self.tool
 
+    @property
+    def limits(self) -> spatial.Array:
+        """Bounds (number of joints, 2)."""
+        return np.array([link.limits for link in self.links])
+
     def random(self, n: int) -> spatial.Array:
         """Configurations (n, number of joints), uniform inside the limits, the same ones each time."""
         return self.system.random(1, n)
@@ -121,8 +128,8 @@ def arm_of(system: System, frame: str, file: Path) -> Arm:
         number = system.parent[number - 1]
     path.reverse()
     beside = set(system.coordinate_names) - {j.name for j in path}
-    system = system.lock({n: 0.0 for n in beside})
     limits = dict(zip(system.coordinate_names, system.limits.tolist(), strict=True))
+    system = system.lock({n: float(np.clip(0.0, *limits[n])) for n in beside})
     links, X = [], np.eye(4)
     for joint in path:
         X = X @ joint.X_PF.evaluate(system.parameters)

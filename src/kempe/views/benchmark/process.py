@@ -18,7 +18,8 @@ from kempe.views.benchmark.timing import Row, Table
 REPEATS = 3
 MEMORY_POSES = 1_000_000
 
-_MODULES = {"ikpy": "ikpy.chain", "drake": "pydrake.multibody.inverse_kinematics", "EAIK": "eaik.IK_Homogeneous"}
+_MODULES = {"ikpy": "ikpy.chain", "drake": "pydrake.multibody.inverse_kinematics", "EAIK": "eaik.IK_Homogeneous",
+            "roboplan": "roboplan.simple_ik"}  # fmt: skip
 """What to import of packages that are empty at the top."""
 
 _FIRST = """
