@@ -31,8 +31,10 @@ if TYPE_CHECKING:
     from kempe.solvers.assembly import Assembler, Assembly
     from kempe.solvers.charts import Chart
     from kempe.solvers.dyads import Incomplete, Plan
+    from kempe.solvers.following import IkPath
     from kempe.solvers.modes import Modes
     from kempe.solvers.self_motion import SelfMotion
+    from kempe.solvers.servo import IkStep
     from kempe.solvers.solution import Solution
 
 __all__ = ["FrameLike", "System"]
@@ -192,6 +194,18 @@ class System(Compiled):
         from kempe.solvers.analytic.redundancy import ik_sweep
 
         return ik_sweep(self, target, frame, parameter, **options)
+
+    def ik_path(self, targets: Any, frame: FrameLike | None = None, seed: Any = None, **options: Any) -> IkPath:
+        """Configurations that follow a sequence of targets without a jump; see `kempe.solvers.following.ik_path`."""
+        from kempe.solvers.following import ik_path
+
+        return ik_path(self, targets, frame, seed, **options)
+
+    def ik_step(self, q: Any, wanted: Any, frame: FrameLike, dt: float, **options: Any) -> IkStep:
+        """Velocities that give a frame a twist, within all limits; see `kempe.solvers.servo.ik_step`."""
+        from kempe.solvers.servo import ik_step
+
+        return ik_step(self, q, wanted, frame, dt, **options)
 
     def self_motion(self, q: Any, tasks: Any, **options: Any) -> SelfMotion:
         """The configurations reached from q while a frame or tasks stay; see `kempe.solvers.self_motion`."""

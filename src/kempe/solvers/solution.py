@@ -70,6 +70,13 @@ class Solution(Answer):
         """The system that was asked."""
         return self.task.system
 
+    @cached_property
+    def derivative(self) -> Array:
+        """dq (..., nv, 6) for a twist [linear; angular] of the target; see `kempe.solvers.derivative`."""
+        from kempe.solvers.derivative import derivative
+
+        return derivative(self)
+
     def sentence(self, index: tuple[int, ...]) -> str:
         """The sentence for one configuration."""
         from kempe.solvers.explain import sentence

@@ -1,0 +1,179 @@
+"""Steps of velocities, against scipy's bounded least squares, linear programs, closed forms and finite differences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog, lsq_linear
+
+import kempe
+from kempe import Mechanism, System, spatial
+from kempe.errors import InputError, UnsupportedError
+from kempe.solvers.servo import bounded
+
+HAND = "panda_link7"
+DT = 0.01
+
+
+@pytest.fixture(scope="module")
+def panda() -> System:
+    return kempe.load("panda")
+
+
+@pytest.fixture(scope="module")
+def six(panda) -> System:
+    """Six joints, no redundancy."""
+    return panda.lock({"panda_joint3": 0.4})
+
+
+def box(system: System, q: np.ndarray, speed: float) -> tuple[np.ndarray, np.ndarray]:
+    low, high = np.maximum(-speed, (system.lower - q) / DT), np.minimum(speed, (system.upper - q) / DT)
+    return low, high
+
+
+def test_bounded_least_squares_is_that_of_scipy():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        m, n = rng.integers(1, 9, 2)
+        A, b = np.concatenate([rng.normal(size=(m, n)), 1e-3 * np.eye(n)]), rng.normal(size=m + n)
+        low = rng.normal(size=n) - 0.3
+        high = low + rng.uniform(0.0, 1.0, n) * (rng.random(n) < 0.9)
+        x = bounded(A, b, low, high, np.linalg.lstsq(A, b, rcond=None)[0])
+        wide = high > low
+        oracle = low.copy()
+        if wide.any():
+            rest = b - A[:, ~wide] @ low[~wide]
+            oracle[wide] = lsq_linear(A[:, wide], rest, (low[wide], high[wide]), tol=1e-15, method="bvls").x
+        assert np.linalg.norm(A @ x - b) <= np.linalg.norm(A @ oracle - b) + 1e-9
+        np.testing.assert_allclose(x, oracle, atol=1e-6)
+
+
+def test_the_twist_is_had_to_first_order(panda):
+    rng = np.random.default_rng(1)
+    for q in panda.random(rng, 30) * 0.8:
+        if np.linalg.svd(panda.jacobian(q, HAND), compute_uv=False)[-1] < 0.06:
+            continue
+        q, twist, h = np.clip(q, panda.lower + 0.1, panda.upper - 0.1), rng.normal(size=6) * 0.1, 1e-6
+        s = panda.ik_step(q, twist, HAND, h)
+        X, Y = panda.fk(q, HAND), panda.fk(s.q, HAND)
+        moved = np.concatenate([Y[:3, 3] - X[:3, 3], spatial.log_so3(Y[:3, :3] @ X[:3, :3].T)]) / h
+        np.testing.assert_allclose(moved, twist, atol=1e-5)
+        np.testing.assert_allclose(s.velocity, np.linalg.pinv(panda.jacobian(q, HAND)) @ twist, atol=1e-9)
+        np.testing.assert_allclose(s.q, q + h * s.velocity, atol=1e-15)
+        assert s.saturated == () and abs(s.fraction - 1.0) < 1e-9
+
+
+def test_limits_are_those_of_a_bounded_least_squares_problem(six):
+    rng, met = np.random.default_rng(2), 0
+    for q in six.random(rng, 200):
+        q = np.where(rng.random(6) < 0.3, np.where(rng.random(6) < 0.5, six.lower, six.upper), q)
+        J, twist = six.jacobian(q, HAND), rng.normal(size=6) * 0.5
+        if np.linalg.svd(J, compute_uv=False)[-1] < 0.06:
+            continue
+        s = six.ik_step(q, twist, HAND, DT, velocity_limits=0.8)
+        low, high = box(six, q, 0.8)
+        oracle = lsq_linear(J, twist, (low, high), tol=1e-15, method="bvls")
+        np.testing.assert_allclose(s.velocity, oracle.x, atol=1e-6)
+        np.testing.assert_allclose(s.twist, J @ s.velocity, atol=1e-12)
+        assert np.all(s.q >= six.lower) and np.all(s.q <= six.upper)
+        at = (s.velocity <= low) | (s.velocity >= high)
+        assert s.saturated == tuple(np.array(six.velocity_names)[at])
+        met += at.any()
+    assert met > 10
+
+
+def test_other_joints_take_over_where_the_arm_is_redundant(panda):
+    rng, met = np.random.default_rng(3), 0
+    for q in 0.5 * (panda.random(rng, 120) + panda.mid):
+        J, twist = panda.jacobian(q, HAND), rng.normal(size=6) * 0.3
+        values = np.linalg.svd(J, compute_uv=False)
+        fast = 0.9 * np.abs(np.linalg.pinv(J) @ twist).max()
+        low, high = box(panda, q, fast)
+        oracle = lsq_linear(J, twist, (low, high), tol=1e-15)
+        if values[-1] < 0.06:
+            continue
+        s = panda.ik_step(q, twist, HAND, DT, velocity_limits=fast)
+        assert np.linalg.norm(s.twist - twist) <= np.linalg.norm(J @ oracle.x - twist) + 1e-7
+        met += np.linalg.norm(s.twist - twist) < 1e-7
+    assert met > 5  # the null space saves the whole twist
+
+
+def test_the_direction_is_kept_and_the_part_of_it_the_largest(panda):
+    """The largest part is that of a linear program."""
+    rng, met = np.random.default_rng(4), 0
+    for q in panda.random(rng, 40):
+        J, twist = panda.jacobian(q, HAND), rng.normal(size=6)
+        if np.linalg.svd(J, compute_uv=False)[-1] < 0.06:
+            continue
+        s = panda.ik_step(q, twist, HAND, DT, velocity_limits=0.7, keep_direction=True)
+        low, high = box(panda, q, 0.7)
+        best = linprog(
+            np.append(np.zeros(7), -1.0), A_eq=np.column_stack([J, -twist]), b_eq=np.zeros(6),
+            bounds=[*zip(low, high, strict=True), (0.0, 1.0)],
+        )  # fmt: skip
+        np.testing.assert_allclose(s.twist, s.fraction * twist, atol=1e-5)
+        assert abs(s.fraction - best.x[-1]) < 1e-5
+        met += 0.01 < s.fraction < 0.99
+    assert met > 10
+
+
+def arm() -> System:
+    m = Mechanism("arm", dim=2)
+    m.revolute("a", "ground", m.body("u"), at=(0, 0), limits=(-2.0, 2.0), velocity=3.0)
+    m.revolute("b", "u", m.body("v"), at=(1, 0), limits=(-2.0, 2.0))
+    m.frame("tip", "v", at=(1, 0))
+    return m.build()
+
+
+POSITION = [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]
+
+
+def test_damping_near_a_singularity():
+    """The velocities are those of the damped singular values (Maciejewski and Klein, 1988)."""
+    s = arm()
+    for b in (1e-8, 1e-3, 0.02, 0.5):
+        J = s.jacobian([0.3, b], "tip")[:2]
+        U, values, Vt = np.linalg.svd(J)
+        hard = np.where(values < 0.05, 0.05 * np.sqrt(np.maximum(1.0 - (values / 0.05) ** 2, 0.0)), 0.0)
+        wish = np.array([0.01, -0.02])
+        v = Vt.T @ (values / (values**2 + hard**2) * (U.T @ wish))
+        got = s.ik_step([0.3, b], [*wish, 0, 0, 0, 0], "tip", DT, weights=POSITION)
+        np.testing.assert_allclose(got.velocity, v, atol=1e-9)
+    outwards = s.ik_step([0.3, 0.0], [math.cos(0.3), math.sin(0.3), 0, 0, 0, 0], "tip", DT, weights=POSITION)
+    assert np.abs(outwards.velocity).max() < 1e-9 and abs(outwards.fraction) < 1e-9
+    free = s.ik_step([0.3, 1e-3], [*wish, 0, 0, 0, 0], "tip", DT, weights=POSITION, damping=0.0, velocity_limits=1e9)
+    np.testing.assert_allclose(free.twist[:2], wish, atol=1e-9)
+
+
+def test_limits_of_the_description_hold_and_what_is_outside_comes_back():
+    s = arm()
+    fast = s.ik_step([0.0, 1.0], [0.0, 9.0, 0, 0, 0, 0], "tip", DT, weights=POSITION)
+    assert fast.velocity[0] == 3.0 and fast.saturated == ("a",)
+    back = s.ik_step([2.5, 1.0], np.zeros(6), "tip", DT)
+    assert back.velocity[0] == -3.0 and back.q[0] == pytest.approx(2.47) and back.saturated == ("a",)
+    stays = s.ik_step([2.0, 1.0], [-5.0, -5.0, 0, 0, 0, 0], "tip", DT, weights=POSITION)
+    assert stays.q[0] <= 2.0 and stays.q[1] <= 2.0
+
+
+def test_steps_towards_a_pose_arrive(panda):
+    q = panda.mid
+    target = panda.fk(q + 0.2, HAND)
+    for _ in range(200):
+        q = panda.ik_step(q, target, HAND, DT, velocity_limits=1.0).q
+    np.testing.assert_allclose(panda.fk(q, HAND), target, atol=1e-9)
+
+
+def test_bad_input_is_refused(panda):
+    q = panda.mid
+    for wanted, dt, options in (
+        (np.zeros(5), DT, {}), (np.full(6, np.nan), DT, {}), (np.zeros(6), 0.0, {}),
+        (np.zeros(6), DT, {"damping": -1.0}),
+        (np.zeros(6), DT, {"velocity_limits": [1.0, 2.0]}), (np.zeros(6), DT, {"weights": -1.0}),
+    ):  # fmt: skip
+        with pytest.raises(InputError):
+            panda.ik_step(q, wanted, HAND, dt, **options)
+    with pytest.raises(UnsupportedError):
+        stewart = kempe.load("stewart")
+        stewart.ik_step(stewart.neutral, np.zeros(6), "platform", DT)
