@@ -103,7 +103,7 @@ def ik(
         from kempe.solvers.tasks import reach
 
         wanted = _tasks(name, asked, targets.reshape(*lead, 4, 4))
-        more = {} if starts == STARTS else {"starts": starts}
+        more: dict[str, Any] = {} if starts == STARTS else {"starts": starts}
         return reach(system, wanted, seed, tolerance=tolerance, rng=rng, threads=threads, throw=throw, **more)
     base, seeds = _seeds(system, chain, seed, lead)
     question = Task(system, name, targets, *asked, tolerances(tolerance), start_count(starts), seed_number(rng), chain)

@@ -48,7 +48,8 @@ class SelfMotion:
 
     def __str__(self) -> str:
         how = "it comes back to its start" if self.closed else f"from {self.ends[0]} to {self.ends[1]}"
-        return f"{len(self.q)} configurations of a self-motion with {self.freedoms} freedoms: {how}"
+        freedoms = "1 freedom" if self.freedoms == 1 else f"{self.freedoms} freedoms"
+        return f"{len(self.q)} configurations of a self-motion with {freedoms}: {how}"
 
 
 def self_motion(
