@@ -59,8 +59,10 @@ def _turned(chain: Chain, axis: tuple[float, float, float]) -> Chain:
 
 
 def _chain(system: System, name: str) -> Chain:
+    refusal = obstacle(system, name)
+    if refusal is not None:
+        raise UnsupportedError(refusal)
     table, q_index, v_index = local_chain(system.table, name)
-    _refuse_closed(system, name, {system.velocity_names[i] for i in v_index})
     packed = table.pack([name], table.path(name))
     limits = np.ascontiguousarray(system.limits[v_index].T)
     ints, floats = regauge(*packed)
@@ -74,18 +76,26 @@ def _chain(system: System, name: str) -> Chain:
     return Chain(ints, floats, q_index, v_index, limits, circular, base, no_seed, bounds)
 
 
-def _refuse_closed(system: System, name: str, used: set[str]) -> None:
+def obstacle(system: System, name: str) -> str | None:
+    """Why no chain of its own leads to a frame: a loop or a relation that moves it; None if one does. Found once."""
+    key = ("obstacle", name)
+    if key not in system._queries:
+        _, _, v_index = local_chain(system.table, name)
+        system._queries[key] = _obstacle(system, name, {system.velocity_names[i] for i in v_index})
+    return system._queries[key]
+
+
+def _obstacle(system: System, name: str, used: set[str]) -> str | None:
     for closure in system.closures:
         if used & loop_coordinates(system, closure):
-            raise UnsupportedError(
-                f"frame {name!r} moves with the loop that joint {closure!r} closes: no chain of its own leads there"
-            )
+            return f"frame {name!r} moves with the loop that joint {closure!r} closes: no chain of its own leads there"
     for relation in system.relations:
         if used & {relation.of, *relation.sources}:
-            raise UnsupportedError(
+            return (
                 f"frame {name!r} moves with coordinate {relation.of!r}, which follows several others: no chain of its "
                 f"own leads there"
             )
+    return None
 
 
 def loop_coordinates(system: System, closure: str) -> set[str]:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.errors import InputError, NoSolutionError, UnsupportedError
+from kempe.errors import InputError, NoSolutionError
 from kempe.kernels import search
 from kempe.kernels.job import ANSWER, LINEAR, STATUS
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers.arguments import seed_number, start_count, tolerances
-from kempe.solvers.chain import Chain, chain_of, inside
+from kempe.solvers.chain import Chain, chain_of, inside, obstacle
 from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, SOLVED, Solution
 from kempe.solvers.targets import (
     TASKS,
@@ -95,16 +95,13 @@ def ik(
     """
     name = system.frame_name(frame)
     asked, targets, lead = _asked(system, name, target, _task_name(task, position_only), axis)
-    try:
-        chain = chain_of(system, name, asked[1])
-    except UnsupportedError:
-        if method == "analytic":
-            raise
+    if method != "analytic" and obstacle(system, name):
         from kempe.solvers.tasks import reach
 
         wanted = _tasks(name, asked, targets.reshape(*lead, 4, 4))
         more: dict[str, Any] = {} if starts == STARTS else {"starts": starts}
         return reach(system, wanted, seed, tolerance=tolerance, rng=rng, threads=threads, throw=throw, **more)
+    chain = chain_of(system, name, asked[1])
     base, seeds = _seeds(system, chain, seed, lead)
     question = Task(system, name, targets, *asked, tolerances(tolerance), start_count(starts), seed_number(rng), chain)
     plan = None
