@@ -13,10 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command import Result
 
 import kempe
-from kempe.cli import app
 from kempe.library import names as library_models
 
 ARM = """\
@@ -82,18 +81,6 @@ parent = "ground"
 child = "rocker"
 at = [2.0, 0.0]
 """
-
-
-class Result:
-    """What one run of the command printed, and its exit code."""
-
-    def __init__(self, *arguments: object):
-        done = CliRunner().invoke(app, [str(a) for a in arguments])
-        self.code, self.out, self.err = done.exit_code, done.stdout, done.stderr
-        assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
-
-    def json(self) -> dict:
-        return json.loads(self.out)
 
 
 @pytest.fixture

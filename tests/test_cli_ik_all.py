@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command import Result
 
 import kempe
-from kempe.cli import app
 
 L1, L2 = 0.5, 0.4
 LIMITED = """\
@@ -35,16 +34,8 @@ limits = [0, 3]
 """
 
 
-class Result:
-    """What one run of the command printed, and its exit code."""
-
-    def __init__(self, *arguments: object):
-        done = CliRunner().invoke(app, [str(a) for a in arguments])
-        self.code, self.out, self.err = done.exit_code, done.stdout, done.stderr
-        assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
-
-    def json(self) -> dict:
-        return json.loads(self.out)
+class Table(Result):
+    """A run of the command that prints solutions."""
 
     def table(self) -> list[list[str]]:
         """The words of the lines that begin with a number."""
@@ -73,11 +64,11 @@ def lecture(x: float, y: float) -> list[list[float]]:
 
 
 def test_the_arm_of_the_lecture():
-    result = Result("ik", "two_link", "--frame", "e", "--target", "0.5,0.3", "--all")
+    result = Table("ik", "two_link", "--frame", "e", "--target", "0.5,0.3", "--all")
     rows = [[float(x) for x in row[3:]] for row in result.table()]
     assert result.code == 0 and result.out.startswith("2 solutions")
     np.testing.assert_allclose(sorted(rows, key=lambda r: r[1]), lecture(0.5, 0.3), atol=1e-6)
-    data = Result("ik", "two_link", "--frame", "e", "--target", "0.5,0.3", "--all", "--json").json()
+    data = Table("ik", "two_link", "--frame", "e", "--target", "0.5,0.3", "--all", "--json").json()
     assert data["complete"] is True and data["success"] is True and data["families"] == []
     found = sorted(([s["q"]["q1"], s["q"]["q2"]] for s in data["solutions"]), key=lambda q: q[1])
     np.testing.assert_allclose(found, lecture(0.5, 0.3), atol=1e-12)
@@ -89,7 +80,7 @@ def test_degrees_and_nearness():
     up, down = np.degrees(lecture(0.5, 0.3))
     for near in (up, down):
         seed = ",".join(map(str, near))
-        result = Result("ik", "two_link", "--frame", "e", "--target", "0.5,0.3", "--all", "--deg", "--seed", seed)
+        result = Table("ik", "two_link", "--frame", "e", "--target", "0.5,0.3", "--all", "--deg", "--seed", seed)
         np.testing.assert_allclose([float(x) for x in result.table()[0][3:]], near, atol=1e-4)
         assert "[deg]" in result.out
         q = [float(x) for x in result.out.splitlines()[-1].removeprefix("--q ").split(",")]
@@ -97,7 +88,7 @@ def test_degrees_and_nearness():
 
 
 def test_a_puma_has_eight():
-    result = Result("ik", "puma560", "--frame", "tool", "--target", "0.5,0.2,0.1,0,90,0", "--deg", "--all")
+    result = Table("ik", "puma560", "--frame", "tool", "--target", "0.5,0.2,0.1,0,90,0", "--deg", "--all")
     table = result.table()
     assert result.code == 0 and len(table) == 8
     assert [row[1] for row in table] == sorted((row[1] for row in table), reverse=True)  # "yes" before "no"
@@ -112,21 +103,21 @@ def test_a_puma_has_eight():
 
 def test_limits(limited):
     """Elbow-up breaks the limit: it is listed, but does not count."""
-    result = Result("ik", limited, "--frame", "tip", "--target", "0.5,0.3", "--all")
+    result = Table("ik", limited, "--frame", "tip", "--target", "0.5,0.3", "--all")
     assert result.code == 0 and [row[1] for row in result.table()] == ["yes", "no"]
     path = limited.with_name("tight.toml")
     path.write_text(LIMITED.replace("limits = [0, 3]", "limits = [0, 1]"))
-    result = Result("ik", path, "--frame", "tip", "--target", "0.5,0.3", "--all")
+    result = Table("ik", path, "--frame", "tip", "--target", "0.5,0.3", "--all")
     assert result.code == 1 and [row[1] for row in result.table()] == ["no", "no"] and "--q" not in result.out
-    assert Result("ik", path, "--frame", "tip", "--target", "0.5,0.3", "--all", "--json").json()["success"] is False
+    assert Table("ik", path, "--frame", "tip", "--target", "0.5,0.3", "--all", "--json").json()["success"] is False
 
 
 def test_boundary_and_beyond():
-    edge = Result("ik", "two_link", "--frame", "e", "--target", f"{L1 + L2},0", "--all")
+    edge = Table("ik", "two_link", "--frame", "e", "--target", f"{L1 + L2},0", "--all")
     assert edge.code == 0 and len(edge.table()) == 1 and "times" in edge.out and edge.table()[0][2] == "2"
-    beyond = Result("ik", "two_link", "--frame", "e", "--target", "1.5,0", "--all")
+    beyond = Table("ik", "two_link", "--frame", "e", "--target", "1.5,0", "--all")
     assert beyond.code == 1 and beyond.table() == [] and "0.6 m" in beyond.out
-    data = Result("ik", "two_link", "--frame", "e", "--target", "1.5,0", "--all", "--json").json()
+    data = Table("ik", "two_link", "--frame", "e", "--target", "1.5,0", "--all", "--json").json()
     assert data["solutions"] == [] and data["success"] is False and "0.6 m" in data["status"]
 
 
@@ -134,9 +125,9 @@ def test_families(tmp_path):
     """With equal links and the tip at the base, every shoulder angle will do."""
     path = tmp_path / "equal.toml"
     path.write_text(LIMITED.replace("at = [0.4, 0]", "at = [0.5, 0]").replace("limits = [0, 3]", ""))
-    result = Result("ik", path, "--frame", "tip", "--target", "0,0", "--all")
+    result = Table("ik", path, "--frame", "tip", "--target", "0,0", "--all")
     assert result.code == 0 and "family: " in result.out and "shoulder" in result.out
-    data = Result("ik", path, "--frame", "tip", "--target", "0,0", "--all", "--deg", "--json").json()
+    data = Table("ik", path, "--frame", "tip", "--target", "0,0", "--all", "--deg", "--json").json()
     (family,) = data["families"]
     assert family["dimension"] == 1 and family["joints"] == ["shoulder"] and family["closed"] is True
     q = np.array(family["q"])
@@ -146,7 +137,7 @@ def test_families(tmp_path):
 
 def test_held_joints():
     command = ("ik", "panda", "--frame", "panda_hand_tcp", "--target", "0.5,0.2,0.3,180,0,0", "--deg", "--all")
-    data = Result(*command, "--hold", "panda_joint7=30", "--json").json()
+    data = Table(*command, "--hold", "panda_joint7=30", "--json").json()
     assert len(data["solutions"]) == 4 and data["complete"] is True
     robot = kempe.load("panda")
     for s in data["solutions"]:
@@ -158,7 +149,7 @@ def test_held_joints():
 def test_tasks():
     five = ("ik", "so101", "--frame", "tool", "--target", "0.25,0.05,0.1,0,90,0", "--deg", "--all")
     robot = kempe.load("so101")
-    data = Result(*five, "--task", "position_axis", "--axis", "1,0,0", "--json").json()
+    data = Table(*five, "--task", "position_axis", "--axis", "1,0,0", "--json").json()
     assert data["task"] == "position_axis" and data["solutions"]
     for s in data["solutions"]:
         X = robot.fk(robot.q({n: math.radians(x) for n, x in s["q"].items()}), "tool")
@@ -166,7 +157,7 @@ def test_tasks():
         np.testing.assert_allclose(X[:3, 0], [0.0, 0.0, -1.0], atol=1e-8)
     for more in (["--position-only"], ["--task", "position"]):
         assert (
-            Result(*five, *more, "--hold", "wrist_flex=0", "--hold", "wrist_roll=0", "--json").json()["task"]
+            Table(*five, *more, "--hold", "wrist_flex=0", "--hold", "wrist_roll=0", "--json").json()["task"]
             == "position"
         )
 
@@ -177,7 +168,7 @@ def test_many_coordinates_are_columns(tmp_path):
     bodies = ", ".join(f'{{name = "wheel{k}"}}' for k in range(8))
     path = tmp_path / "wheels.toml"
     path.write_text(LIMITED.replace('{name = "lower"}', f'{{name = "lower"}}, {bodies}') + "".join(joints))
-    result = Result("ik", path, "--frame", "tip", "--target", "0.5,0.3", "--all")
+    result = Table("ik", path, "--frame", "tip", "--target", "0.5,0.3", "--all")
     rows = {words[0]: words[1:] for words in map(str.split, result.out.splitlines()) if words}
     assert rows["inside"] == ["limits", "yes", "no"]
     found = np.array([rows["shoulder"][1:], rows["elbow"][1:]], dtype=float).T
@@ -191,30 +182,30 @@ def test_many_coordinates_are_columns(tmp_path):
 def test_files(tmp_path):
     targets, out = tmp_path / "targets.csv", tmp_path / "q.csv"
     np.savetxt(targets, [[0.5, 0.3], [1.5, 0.0], [0.2, -0.4]], delimiter=",")
-    result = Result("ik", "two_link", "--frame", "e", "--target", targets, "--all", "-o", out)
+    result = Table("ik", "two_link", "--frame", "e", "--target", targets, "--all", "-o", out)
     assert result.code == 1 and "2 of 3 targets reached, 4 solutions" in result.out and "row 1: " in result.out
     found = np.genfromtxt(out, delimiter=",", names=True)
     assert found["target"].tolist() == [0, 0, 2, 2]
     wanted = sorted(lecture(0.5, 0.3)) + sorted(lecture(0.2, -0.4))
     rows = [[r["q1"], r["q2"]] for r in found]
     np.testing.assert_allclose(sorted(rows[:2]) + sorted(rows[2:]), wanted, atol=1e-9)
-    data = Result("ik", "two_link", "--frame", "e", "--target", targets, "--all", "--json").json()
+    data = Table("ik", "two_link", "--frame", "e", "--target", targets, "--all", "--json").json()
     assert [len(t["solutions"]) for t in data["targets"]] == [2, 0, 2]
     assert [t["success"] for t in data["targets"]] == [True, False, True]
     np.testing.assert_allclose(
         sorted(list(s["q"].values()) for s in data["targets"][0]["solutions"]), wanted[:2], atol=1e-9
     )
     array = tmp_path / "q.npy"
-    Result("ik", "two_link", "--frame", "e", "--target", targets, "--all", "-o", array)
+    Table("ik", "two_link", "--frame", "e", "--target", targets, "--all", "-o", array)
     q = np.load(array)
     assert q.shape[0] == 3 and q.shape[2] == 2 and np.isnan(q[1]).all() and np.isfinite(q[0]).all(axis=-1).sum() == 2
 
 
 def test_what_is_written_is_read_by_fk(tmp_path):
     out = tmp_path / "q.csv"
-    result = Result("ik", "puma560", "--frame", "tool", "--target", "0.5,0.2,0.1,0,90,0", "--deg", "--all", "-o", out)
+    result = Table("ik", "puma560", "--frame", "tool", "--target", "0.5,0.2,0.1,0,90,0", "--deg", "--all", "-o", out)
     assert result.code == 0 and f"written to {out}" in result.out
-    poses = Result("fk", "puma560", "--frame", "tool", "--q", out, "--deg", "--json").json()["configurations"]
+    poses = Table("fk", "puma560", "--frame", "tool", "--q", out, "--deg", "--json").json()["configurations"]
     assert len(poses) == 8
     for pose in poses:
         np.testing.assert_allclose(pose["xyz"], [0.5, 0.2, 0.1], atol=1e-9)
@@ -224,19 +215,19 @@ def test_what_is_written_is_read_by_fk(tmp_path):
 
 
 def test_plan():
-    result = Result("plan", "puma560", "--frame", "tool")
+    result = Table("plan", "puma560", "--frame", "tool")
     assert result.code == 0 and result.out.startswith("inverse model of tool of puma560, task pose\n")
     assert "the axes of q4, q5 and q6 meet in one point" in result.out and "8 isolated configurations" in result.out
-    data = Result("plan", "puma560", "--frame", "tool", "--json").json()
+    data = Table("plan", "puma560", "--frame", "tool", "--json").json()
     assert data["most"] == 8 and data["method"] == "closed form" and len(data["relations"]) == 4
     assert data == json.loads(json.dumps(kempe.load("puma560").ik_plan("tool").data()))
 
 
 def test_plan_of_tasks_and_held_joints():
-    data = Result("plan", "panda", "--frame", "panda_hand_tcp", "--hold", "panda_joint7", "--json").json()
+    data = Table("plan", "panda", "--frame", "panda_hand_tcp", "--hold", "panda_joint7", "--json").json()
     assert data["held"] == ["panda_joint7"] and data["most"] == 8
-    assert Result("plan", "panda", "--frame", "panda_hand_tcp", "--hold", "panda_joint7=0.3", "--json").json() == data
-    data = Result("plan", "so101", "--frame", "tool", "--task", "position_axis", "--axis", "1,0,0", "--json").json()
+    assert Table("plan", "panda", "--frame", "panda_hand_tcp", "--hold", "panda_joint7=0.3", "--json").json() == data
+    data = Table("plan", "so101", "--frame", "tool", "--task", "position_axis", "--axis", "1,0,0", "--json").json()
     assert data["task"] == "position_axis" and data["held"] == []
 
 
@@ -269,7 +260,7 @@ FIVE = ["ik", "so101", "--frame", "tool", "--target", "0.2,0,0.1,0,0,0", "--all"
     ],
 )  # fmt: skip
 def test_wrong_use(command, said):
-    result = Result(*command)
+    result = Table(*command)
     assert result.code == 2 and said in result.err and result.err.count("\n") == 1, result.err + result.out
-    data = Result(*command, "--json")
+    data = Table(*command, "--json")
     assert data.code == 2 and said in data.json()["error"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 import os
 import re
@@ -13,10 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command import Result
 
 import kempe
-from kempe.cli import app
 from kempe.views import loop_report, report
 
 CRANK_SLIDER = """\
@@ -92,21 +90,6 @@ parent = "ground"
 child = "slider"
 axis = [1, 0]
 """
-
-
-class Result:
-    """What one run of the command printed, and its exit code."""
-
-    def __init__(self, *arguments: object):
-        done = CliRunner().invoke(app, [str(a) for a in arguments])
-        self.code, self.out, self.err = done.exit_code, done.stdout, done.stderr
-        assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
-
-    def json(self) -> dict:
-        def refuse(name: str) -> None:
-            raise AssertionError(f"{name} is not JSON")
-
-        return json.loads(self.out, parse_constant=refuse)
 
 
 @pytest.fixture

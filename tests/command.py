@@ -1,0 +1,26 @@
+"""The command, run in this process."""
+
+from __future__ import annotations
+
+import json
+
+from typer.testing import CliRunner
+
+from kempe.cli import app
+
+
+class Result:
+    """What one run of the command printed, and its exit code."""
+
+    def __init__(self, *arguments: object):
+        done = CliRunner().invoke(app, [str(a) for a in arguments])
+        self.code, self.out, self.err = done.exit_code, done.stdout, done.stderr
+        assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+
+    def json(self) -> dict:
+        """The output, which has to be JSON: without NaN and infinities."""
+
+        def refuse(name: str) -> None:
+            raise AssertionError(f"{name} is not JSON")
+
+        return json.loads(self.out, parse_constant=refuse)
