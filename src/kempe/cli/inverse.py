@@ -84,7 +84,7 @@ def ik(
 
 def _task(task: str | None, position: bool) -> str | None:
     """The task, for which a target that is a position may be enough."""
-    from kempe.solvers.analytic.question import task_of
+    from kempe.solvers.targets import task_of
 
     task_of(task, position, False)  # a wrong name is told first
     if position and task not in (None, "position"):

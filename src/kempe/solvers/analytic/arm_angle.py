@@ -35,8 +35,8 @@ from kempe.kinematics.configuration import as_q
 from kempe.solvers.analytic.ik_all import chain_lines
 from kempe.solvers.analytic.intervals import arcs, joined
 from kempe.solvers.analytic.lines import Lines
-from kempe.solvers.analytic.question import Z_AXIS
 from kempe.solvers.analytic.structure import Axes, keeps_point, meeting
+from kempe.solvers.targets import Z_AXIS
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

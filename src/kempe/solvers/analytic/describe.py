@@ -14,7 +14,8 @@ from kempe.kernels.layout import SLIDE
 from kempe.solvers.analytic.describe_axes import relations
 from kempe.solvers.analytic.describe_path import METHODS, most, path
 from kempe.solvers.analytic.ik_all import chain_lines, plan_for
-from kempe.solvers.analytic.question import Z_AXIS, axis_of, held, points_along, task_of
+from kempe.solvers.analytic.question import held
+from kempe.solvers.targets import Z_AXIS, axis_of, points_along, task_of
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System

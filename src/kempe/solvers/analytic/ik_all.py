@@ -16,20 +16,9 @@ from kempe.kernels.vectors import LANES
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers.analytic.lines import Lines, lines_of
 from kempe.solvers.analytic.plan import Plan, free_lines, freedoms, kernel_of, make, side_by_side_of
-from kempe.solvers.analytic.question import (
-    Z_AXIS,
-    Question,
-    axis_of,
-    frame_of,
-    held,
-    in_plane,
-    near_of,
-    points_along,
-    targets_of,
-    task_of,
-    within,
-)
+from kempe.solvers.analytic.question import Question, held, near_of, within
 from kempe.solvers.analytic.solutions import Solutions
+from kempe.solvers.targets import Z_AXIS, axis_of, frame_of, in_plane, points_along, targets_of, task_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from kempe import spatial
 from kempe.kernels.layout import SLIDE
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.plan import TASKS, Plan
-from kempe.solvers.analytic.question import Z_AXIS, frame_of
+from kempe.solvers.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

@@ -11,13 +11,6 @@ import numpy as np
 
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
-from kempe.solvers.targets import Z_AXIS as Z_AXIS
-from kempe.solvers.targets import axis_of as axis_of
-from kempe.solvers.targets import frame_of as frame_of
-from kempe.solvers.targets import in_plane as in_plane
-from kempe.solvers.targets import points_along as points_along
-from kempe.solvers.targets import targets_of as targets_of
-from kempe.solvers.targets import task_of as task_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

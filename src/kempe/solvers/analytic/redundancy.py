@@ -15,10 +15,11 @@ from kempe.kernels.layout import SLIDE
 from kempe.solvers.analytic.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, required_arm
 from kempe.solvers.analytic.ik_all import chain_lines, ik_all
 from kempe.solvers.analytic.lines import Lines
-from kempe.solvers.analytic.question import Z_AXIS, axis_of, held, near_of, points_along, targets_of, task_of
+from kempe.solvers.analytic.question import held, near_of
 from kempe.solvers.analytic.sweep import Sweep
 from kempe.solvers.analytic.sweep_curves import Arc, Motion
 from kempe.solvers.analytic.sweep_net import arcs_through
+from kempe.solvers.targets import Z_AXIS, axis_of, points_along, targets_of, task_of
 from kempe.spatial import Array, log_so3
 
 if TYPE_CHECKING:

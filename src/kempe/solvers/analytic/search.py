@@ -10,7 +10,8 @@ from kempe.kernels import analytic_layout as A
 from kempe.kernels.layout import SLIDE
 from kempe.solvers.analytic.nearest import Aim
 from kempe.solvers.analytic.plan import TASKS, Plan
-from kempe.solvers.analytic.question import Z_AXIS, Question, frame_of
+from kempe.solvers.analytic.question import Question
+from kempe.solvers.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 
 STARTS, STEPS, LONGEST = 400, 80, 0.7

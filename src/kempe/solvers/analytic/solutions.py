@@ -12,7 +12,7 @@ from kempe.errors import InputError
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.layout import SLIDE
 from kempe.solvers.analytic.plan import TASKS
-from kempe.solvers.analytic.question import Z_AXIS, frame_of
+from kempe.solvers.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from kempe.kernels.layout import SLIDE
 from kempe.model.system import System
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.plan import TASKS
-from kempe.solvers.analytic.question import frame_of, points_along
+from kempe.solvers.targets import frame_of, points_along
 from kempe.spatial import Array
 
 LONGEST, SHORTEST, MOST_STEPS = 0.15, 1e-6, 4000
