@@ -169,7 +169,7 @@ def test_plain_calls_are_answered_as_careful_ones():
     X = robot.fk(robot.random(0, 30), frame)
     many = robot.ik(X[:1], frame)
     first, again = robot.ik(X[0], frame), robot.ik(X[0], frame)
-    assert ("one", frame) in robot._queries
+    assert ("one", frame, "None", 2) in robot._queries
     assert np.array_equal(first.q, many.q[0]) and np.array_equal(again.q, first.q) and again.success is True
     for X_, q in zip(X, robot.random(1, 30), strict=True):
         short, careful = robot.ik(X_, frame, seed=q), robot.ik(X_.tolist(), frame, seed=list(q))
@@ -181,6 +181,33 @@ def test_plain_calls_are_answered_as_careful_ones():
     outside = np.full(robot.nq, 50.0)
     a, b = robot.ik(X[0], frame, seed=outside), robot.ik(X[0].tolist(), frame, seed=outside.tolist())
     assert np.array_equal(a.q, b.q) and inside(robot, a.q)
+
+
+@pytest.mark.parametrize("options", [{}, {"task": "position"}], ids=["told by the shape", "told by name"])
+def test_plain_calls_for_points_are_answered_as_careful_ones(options):
+    for robot in map(kempe.load, ("panda", "ur5", "youbot")):
+        frame = robot.frame_names[-1]
+        p = np.ascontiguousarray(robot.fk(robot.random(0, 30), frame)[:, :3, 3])
+        for p_, q in zip(p, robot.random(1, 30), strict=True):
+            for seed in (None, q, q + 40.0):
+                short = robot.ik(p_, frame, seed, **options)
+                careful = robot.ik(p_.tolist(), frame, None if seed is None else seed.tolist(), **options)
+                assert np.array_equal(short.q, careful.q) and short.status == careful.status
+                assert (short.iterations, short.residual) == (careful.iterations, careful.residual)
+                assert short and inside(robot, short.q)
+                assert np.linalg.norm(robot.fk(short.q, frame)[:3, 3] - p_) < 1e-6
+        assert ("one", frame, str(options.get("task")), 1) in robot._queries
+
+
+def test_plain_calls_after_unusual_ones_are_usual():
+    robot, frame = robot_of("panda")
+    X = robot.fk(robot.random(0, 20), frame)
+    usual = [robot.ik(x, frame).q for x in X]
+    for options in ({"starts": 1}, {"tolerance": 0.1}, {"rng": 3}, {"position_only": True}, {"task": "direction"}):
+        other, _ = robot_of("panda")
+        other.ik(X[0], frame, **options)
+        for x, q in zip(X, usual, strict=True):
+            assert np.array_equal(other.ik(x, frame).q, q)
 
 
 def test_plain_calls_say_what_is_wrong():

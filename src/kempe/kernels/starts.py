@@ -118,8 +118,8 @@ def wrap(chain, limits, circular, home):
     for v in range(chain.nv):
         i, low, high = place_of(chain, v), limits[v], limits[chain.nv + v]
         if circular[v] != 0 and i >= 0:
-            x = chain.q[i]
-            x -= 2.0 * math.pi * math.ceil((x - home[i]) / (2.0 * math.pi) - 0.5)
+            x, near = chain.q[i], min(max(home[i], low), high)
+            x -= 2.0 * math.pi * math.ceil((x - near) / (2.0 * math.pi) - 0.5)
             if x > high:
                 x -= 2.0 * math.pi
             elif x < low:

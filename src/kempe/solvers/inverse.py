@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -114,8 +114,8 @@ def ik(
     else:
         q, residual, info = hand_over.answer(question, plan, base, seeds, threads)
     solution = _judged(question, base, q, residual, info, lead)
-    if not lead and asked[0] == "pose" and not chain.ints[HAS_QUATERNION] and ("one", name) not in system._queries:
-        system._queries[("one", name)] = Bound(system, name, chain)
+    if not lead:
+        _bind(question, _task_name(task, position_only), np.shape(target))
     if throw and not solution:
         raise NoSolutionError(solution)
     return solution
@@ -223,44 +223,61 @@ def _approach(*arguments: Any) -> int:
     return approach(*arguments)
 
 
-class Bound:
-    """`ik` of single poses for one frame, with all that can be looked up looked up: the way of plain calls."""
+def _bind(question: Task, task: str | None, shape: tuple[int, ...]) -> None:
+    """Nothing; calls like this one go by a `Bound` from now on, if they are plain enough."""
+    system, chain, key = question.system, question.chain, ("one", question.frame, str(task), len(shape))
+    point = question.name == "position" and (task is not None or shape != (4, 4))  # a turned particle is an error
+    plain = shape in ((4, 4), (3,), (2,)) if point else (shape == (4, 4) and question.name != "position")
+    if plain and question.axis == Z_AXIS and not chain.ints[HAS_QUATERNION] and key not in system._queries:
+        usual = replace(question, tolerance=TOLERANCE, starts=STARTS, rng=0)
+        system._queries[key] = Bound(usual, shape)
 
-    def __init__(self, system: System, frame: str, chain: Chain):
-        self.system, self.frame, self.chain = system, frame, chain
-        self.rows = _kernel_task(self.task(np.zeros((4, 4))))
-        self.size = len(chain.q_index)
-        first = int(chain.q_index[0]) if self.size else 0
-        in_a_row = np.array_equal(chain.q_index, np.arange(first, first + self.size))
-        self.part = slice(first, first + self.size) if in_a_row else chain.q_index
+
+class Bound:
+    """`ik` of single targets for one frame and task, with all looked up that can be: the way of plain calls."""
+
+    def __init__(self, question: Task, shape: tuple[int, ...]):
+        self.asked, self.chain, self.rows = question, question.chain, _kernel_task(question)
+        system, self.size = question.system, len(question.chain.q_index)
+        self.nq = system.nq
+        first = int(self.chain.q_index[0]) if self.size else 0
+        in_a_row = np.array_equal(self.chain.q_index, np.arange(first, first + self.size))
+        self.part = slice(first, first + self.size) if in_a_row else self.chain.q_index
+        self.whole = in_a_row and self.size == system.nq
+        """Whether the chain has all coordinates of the system."""
         self.plain = system.nq == system.nv == len(system.layout.vector_q)
         """Whether entry i of q and of the limits belong together."""
-        self.lower, self.upper = system.lower, system.upper
+        self.lower, self.upper, self.unmoved = system.lower, system.upper, np.eye(4)[None]
+        self.shape = shape
 
     def task(self, target: Array) -> Task:
         """What was asked."""
-        return Task(self.system, self.frame, target[None], "pose", Z_AXIS, TOLERANCE, STARTS, 0, self.chain)
+        return replace(self.asked, targets=self._poses(target))
+
+    def _poses(self, target: Array) -> Array:
+        """Target as (1, 4, 4)."""
+        if len(self.shape) == 2:
+            return target.reshape(1, 4, 4)
+        X = self.unmoved.copy()
+        X[0, : self.shape[0], 3] = target
+        return X
 
     def __call__(self, target: Array, seed: Any) -> Solution | None:
-        """The answer for a pose (4, 4), None where target or seed want the careful path."""
-        system, chain, n = self.system, self.chain, self.size
-        if target.shape != (4, 4) or target.dtype != np.float64 or not target.flags.c_contiguous:
+        """The answer for a target, None where target or seed want the careful path."""
+        if target.shape != self.shape or target.dtype != np.float64 or not target.flags.c_contiguous:
             return None
+        chain, n = self.chain, self.size
         if seed is None:
-            q, seeds = chain.base[0].copy(), chain.no_seed
+            base, seeds = chain.base[0], chain.no_seed
         else:
-            if seed.__class__ is not np.ndarray or seed.dtype != np.float64 or seed.shape != (system.nq,):
+            if seed.__class__ is not np.ndarray or seed.dtype != np.float64 or seed.shape != (self.nq,):
                 return None
-            if not self.plain:
+            if not (self.plain and seed.flags.c_contiguous):
                 return None
-            q = np.maximum(seed, self.lower)
-            np.minimum(q, self.upper, out=q)
-            if not math.isfinite(q.dot(q)):
-                return None
-            seeds = q[self.part].reshape(1, 1, n)
+            base, seeds = seed, seed[self.part].reshape(1, 1, n)
         out = np.empty((1, n + ANSWER))
         arguments = (
-            chain.ints, chain.floats, chain.limits, self.rows, target.reshape(1, 4, 4), seeds, 0, 0, STARTS, ITERATIONS,
+            chain.ints, chain.floats, chain.limits, self.rows, self._poses(target), seeds, 0, 0, STARTS, ITERATIONS,
             *TOLERANCE, 0.0, out,
         )  # fmt: skip
         if search.reach(*arguments):
@@ -269,7 +286,13 @@ class Bound:
         linear, angular, code, steps, starts = row[n:].tolist()
         if code == BAD_INPUT:
             return None
-        q[self.part] = row[:n]
+        if self.whole:
+            q = row[:n]
+        else:
+            q = np.minimum(np.maximum(base, self.lower), self.upper) if self.plain else base.copy()
+            q[self.part] = row[:n]
+            if not math.isfinite(q.dot(q)):
+                return None
         if code == SOLVED:
             return Solution.reached((self, target), q, linear, angular, int(steps), int(starts))
         task, codes = self.task(target), np.array([NOT_FOUND])
@@ -305,8 +328,8 @@ def _seeds(system: System, chain: Chain, seed: Any, lead: tuple[int, ...]) -> tu
     base = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq))
     if not lead and not np.isfinite(base).all():
         raise InputError("seed has entries that are not finite")
-    base = inside(system, base)
-    return base, np.ascontiguousarray(base[:, None, chain.q_index])
+    seeds = np.ascontiguousarray(base[:, None, chain.q_index])  # the kernel brings them inside, circles by turns
+    return inside(system, base), seeds
 
 
 def _refuse_target(target: Array, seed: Array) -> None:
