@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import kempe
 from kempe import Mechanism
 from kempe.errors import InputError, NoSolutionError, UnknownNameError, UnsupportedError
+from kempe.solvers.chain import chain_of
 from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, SOLVED
 
 
@@ -92,6 +94,56 @@ def test_a_limit_that_blocks_is_named():
     assert -2.0 <= s.q[1] <= -0.5
     s = two_link(limits=(-2.0, -0.5)).ik([9.0, 0.0], "tip")
     assert "outside the workspace" in s.status and s.q[1] == pytest.approx(-0.5)
+
+
+def three_links(limits):
+    m = Mechanism("three links", dim=2)
+    last = m.ground
+    for i, (length, bounds) in enumerate(zip((0.0, 1.0, 0.7), limits, strict=True)):
+        link = m.body(f"link{i}")
+        m.revolute(f"q{i}", last, link, at=(length, 0.0), limits=bounds)
+        last = link
+    m.frame("tip", last, at=(0.2, 0.0))
+    return m.build()
+
+
+def test_limits_that_block_together_are_named():
+    """A pose has two solutions, elbow up and down; each limit that is lifted alone leaves both of them shut off."""
+    up = np.array([0.3, 0.9, -0.4])
+    free = three_links([(-3.0, 3.0)] * 3)
+    X = free.fk(up, "tip")
+    down = free.ik(X, "tip", seed=[1.0, -0.9, 0.7]).q
+    assert np.abs(down - up).min() > 0.1
+    limits = [(-3.0, 3.0)] * 3
+    limits[0] = tuple(0.5 * (up[0] + down[0]) + np.array([-0.05, 0.05]))  # shuts both off
+    limits[1] = (down[1] + 0.05, 3.0)  # the second one
+    limits[2] = (up[2] + 0.05, 3.0) if down[2] > up[2] else (-3.0, up[2] - 0.05)  # the first one
+    s = three_links(limits).ik(X, "tip")
+    assert s.code == NOT_FOUND and not s
+    assert "blocked by the limits of 'q0' and 'q2' together" in s.status
+
+
+@pytest.mark.parametrize("name, radius", [("iiwa14", 0.82), ("stanford", None), ("ur10e", None)])
+def test_a_pose_may_be_proven_out_of_reach_by_its_last_axis(name, radius):
+    """Shoulder and wrist centre of the iiwa are never farther apart than 0.42 m + 0.4 m."""
+    robot = kempe.load(name)
+    frame = robot.frame_names[-1]
+    X = robot.fk(robot.random(0, 500), frame)
+    chain = chain_of(robot, frame)
+    assert robot.ik(X, frame).success.all()  # no proof against what can be reached
+    if radius is None:
+        return
+    bound = min(b.largest for b in chain.bounds)
+    assert bound == pytest.approx(radius, abs=1e-12)
+    far = np.eye(4)
+    far[:3, 3] = [0.0, 0.0, 0.36 + radius + 0.126 - 0.01]  # the wrist 0.01 m below the sphere: inside
+    assert robot.ik(far, frame).success
+    far[:3, :3] = np.diag([1.0, -1.0, -1.0])  # looking down, the wrist is 0.126 m above the flange
+    s = robot.ik(far, frame)
+    assert s.code == OUT_OF_REACH
+    assert f"outside the workspace with this orientation by at least {2 * 0.126 - 0.01:g} m" in s.status
+    position = robot.ik(far[:3, 3].copy(), frame)
+    assert position.success
 
 
 def test_more_equations_than_freedoms_is_said():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,17 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+
+
+class ReachBound(NamedTuple):
+    """What lengths alone say: how far and how near a point of the frame can be to a point of the ground."""
+
+    centre: Array
+    """The point of the ground (3,)."""
+    largest: float
+    smallest: float
+    point: Array
+    """The point of the frame (3,), in its axes: its origin, or one of the last turning axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +46,7 @@ class Chain:
     base: Array
     """Where (1, nq) coordinates rest that no seed names: neutral, inside the limits."""
     no_seed: Array
-    bounds: tuple[tuple[Array, float, float], ...]
-    """Reach bounds: the frame is never farther than the second number, nor nearer than the third, from the point."""
+    bounds: tuple[ReachBound, ...]
 
 
 def chain_of(system: System, name: str, axis: tuple[float, float, float] = Z_AXIS) -> Chain:
@@ -52,9 +62,9 @@ def chain_of(system: System, name: str, axis: tuple[float, float, float] = Z_AXI
 
 
 def _turned(chain: Chain, axis: tuple[float, float, float]) -> Chain:
-    floats = chain.floats.copy()
+    floats, turn = chain.floats.copy(), frame_of(np.array(axis))
     tip = floats[ROW_FLOATS * int(chain.ints[N_ROWS]) :][:12].reshape(3, 4)
-    tip[:, :3] = tip[:, :3] @ frame_of(np.array(axis))
+    tip[:, :3] = tip[:, :3] @ turn
     return replace(chain, floats=floats)
 
 
@@ -71,7 +81,7 @@ def _chain(system: System, name: str) -> Chain:
     for iv in range(len(v_index)):
         rows = table.multiplier[table.iv == iv]
         circular[iv] = wide[iv] and len(rows) == 1 and abs(rows[0]) == 1.0 and table.kind[table.iv == iv][0] == TURN
-    bounds = tuple(_reach(*arrays, limits) for arrays in (packed, (ints, floats)))
+    bounds = tuple(b for arrays in (packed, (ints, floats)) for b in _reach(*arrays, limits))
     base, no_seed = inside(system, system.neutral[None]), np.empty((1, 0, len(q_index)))
     return Chain(ints, floats, q_index, v_index, limits, circular, base, no_seed, bounds)
 
@@ -119,26 +129,27 @@ def loop_coordinates(system: System, closure: str) -> set[str]:
     return names
 
 
-def _reach(ints: np.ndarray, floats: np.ndarray, limits: Array) -> tuple[Array, float, float]:
-    """A point and the largest and smallest distance that the tip can have from it, by lengths alone."""
-    n = int(ints[0])
-    lengths = []
-    for k in range(1, n + 1):  # the last one is the output's placement
-        at = ROW_FLOATS * k
-        lengths.append(float(np.linalg.norm(floats[[at + 3, at + 7, at + 11]])))
-    for row in range(n):
-        at = HEADER + ROW_INTS * row
-        kind, iv, m = ints[at + KIND], ints[at + V_INDEX], floats[ROW_FLOATS * row + MULTIPLIER]
-        if kind == SLIDE:
-            far = float(np.max(np.abs(m * limits[:, iv])))
-            lengths.append(far)
-            if not math.isfinite(far):
-                return np.zeros(3), math.inf, 0.0
+def _reach(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[ReachBound]:
+    """Bounds for the tip, and for the last joint if it turns: a pose of the tip says where that is, by less lengths."""
+    n = int(ints[N_ROWS])
     start = floats[[3, 7, 11]]
-    slides = np.any(ints[HEADER + KIND : HEADER + ROW_INTS * n : ROW_INTS] == SLIDE)
-    total = sum(lengths)
-    longest = 0.0 if slides or not lengths else max(lengths)
-    return start, total, max(0.0, 2.0 * longest - total)
+    kinds = ints[HEADER + KIND : HEADER + ROW_INTS * n : ROW_INTS] if n else ints[:0]
+    lengths = [float(np.linalg.norm(floats[ROW_FLOATS * k :][[3, 7, 11]])) for k in range(1, n + 1)]
+    slides = [0.0] * n
+    for row in np.flatnonzero(kinds == SLIDE):
+        iv = ints[HEADER + ROW_INTS * row + V_INDEX]
+        slides[row] = float(np.max(np.abs(floats[ROW_FLOATS * row + MULTIPLIER] * limits[:, iv])))
+    out = []
+    for count in (n, n - 1):  # lengths passed on the way to the tip, or to the last joint
+        if count < 0 or (count < n and kinds[-1] == SLIDE):
+            continue
+        tip = floats[ROW_FLOATS * n :][:12].reshape(3, 4)
+        point = np.zeros(3) if count == n else -tip[:, :3].T @ tip[:, 3]
+        total, any_slide = sum(lengths[:count]) + sum(slides), bool(np.any(kinds[:count] == SLIDE))
+        longest = 0.0 if any_slide else max(lengths[:count], default=0.0)
+        if math.isfinite(total):
+            out.append(ReachBound(start, total, max(0.0, 2.0 * longest - total), point))
+    return out
 
 
 def inside(system: System, q: Array) -> Array:

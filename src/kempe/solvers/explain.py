@@ -33,7 +33,8 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
         beyond = outside(task, target)[0]
         if task.system.dim == 2 and abs(target[0, 2, 3]) > task.tolerance[0]:
             return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m; {near}"
-        return f"outside the workspace by at least {beyond:.6g} m, by the lengths of the links; {near}"
+        turned = "" if outside(replace(task, name="position"), target)[0] else " with this orientation"
+        return f"outside the workspace{turned} by at least {beyond:.6g} m, by the lengths of the links; {near}"
     reason = _limits(task, target) or _over_determined(task, target) or _why(task)
     return f"not reached after {_count(starts, 'start')}: {reason}; {near}"
 
@@ -91,7 +92,15 @@ def _limits(task: Task, target: np.ndarray) -> str:
     if alone:
         which = f"the limit of {' or of '.join(alone)}"
     else:
-        which = "the limits of several joints together"
+        limits, together = open_, []
+        for i in limited:  # what is left cannot be done without
+            closed = limits.copy()
+            closed[:, i] = chain.limits[:, i]
+            if _solved(task, target, closed):
+                limits = closed
+            else:
+                together.append(repr(names[chain.v_index[i]]))
+        which = f"the limits of {' and '.join(together)} together" if together else "limits"
     return f"blocked by {which}; without limits it is reachable"
 
 

@@ -303,17 +303,28 @@ class Bound:
 def _look_closer(task: Task, code: np.ndarray) -> None:
     """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
     failed = np.flatnonzero(code == NOT_FOUND)
-    code[failed[outside(task, task.targets[failed]) > task.tolerance[0]]] = OUT_OF_REACH
+    code[failed[outside(task, task.targets[failed]) > 0.0]] = OUT_OF_REACH
 
 
 def outside(task: Task, targets: Array) -> Array:
-    """How far (N,) targets are outside the reach bounds, in metres: a proven lower bound of the position error."""
+    """How far (N,) targets are outside the reach bounds, in metres, for a point of the frame that each one fixes.
+
+    Zero within what the tolerances allow. With the target's orientation, it is a lower bound of the position error.
+    """
+    linear, angular = task.tolerance
     if not task.mask[0]:
         return np.zeros(len(targets))
     out = np.abs(targets[:, 2, 3]) if task.system.dim == 2 else np.zeros(len(targets))
-    for point, largest, smallest in task.chain.bounds:
-        distance = np.linalg.norm(targets[:, :3, 3] - point, axis=-1)
-        out = np.maximum(out, np.maximum(distance - largest, smallest - distance))
+    out[out <= linear] = 0.0
+    can_turn = len(task.chain.v_index) >= (3 if task.system.dim == 2 else sum(task.mask))  # else that is the reason
+    for centre, largest, smallest, point in task.chain.bounds:
+        arm = float(np.linalg.norm(point))
+        along = points_along(task.name) and float(np.linalg.norm(np.cross(point, task.axis))) < 1e-12 * arm
+        if arm > 0.0 and not (can_turn and (all(task.mask) or along)):
+            continue
+        distance = np.linalg.norm(targets[:, :3, 3] + targets[:, :3, :3] @ point - centre, axis=-1)
+        beyond = np.maximum(distance - largest, smallest - distance)
+        out = np.where(beyond > linear + arm * angular, np.maximum(out, beyond), out)
     return out
 
 
