@@ -64,7 +64,7 @@ class Answers:
 
 
 def solve(
-    chain, targets, mask=POSE, seeds=None, seed=1, offset=0, starts=100, steps=20, tol=TOLERANCE, length=0.0, slow=False
+    chain, targets, mask=POSE, seeds=None, seed=1, first=0, starts=100, steps=20, tol=TOLERANCE, length=0.0, slow=False
 ):
     """What the kernels write for targets (N, 4, 4); seeds (1 or N, K, nq). slow: starts one at a time."""
     n, nq = len(targets), chain.table.nq
@@ -73,7 +73,7 @@ def solve(
     out = np.full((n, nq + ANSWER), 7.0)
     task = np.r_[np.array((*mask, 0)[:7]), chain.circular]
     arguments = (
-        *chain.table.pack(), limits, task, np.ascontiguousarray(targets), seeds, seed, offset, starts, steps, tol, tol,
+        *chain.table.pack(), limits, task, np.ascontiguousarray(targets), seeds, seed, first, starts, steps, tol, tol,
         length, out,
     )  # fmt: skip
     balls = any(r.kind == BALL for r in chain.table.rows)

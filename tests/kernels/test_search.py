@@ -114,12 +114,18 @@ def test_the_answer_is_that_of_the_first_start_that_reaches_the_goal():
         limits, task = np.array([chain.lower, chain.upper]), np.r_[np.array((*POSE, 0)), chain.circular]
         for tries, expected in ((n - 1, NOT_FOUND), (n, SOLVED), (n + 1, SOLVED), (10 * n, SOLVED)):
             reach(
-                *chain.table.pack(), limits, task, targets[i : i + 1], np.empty((1, 0, nq)), 1, i, tries, 20,
+                *chain.table.pack(), limits, task, targets[i : i + 1], np.empty((1, 0, nq)), 1, 0, tries, 20,
                 1e-6, 1e-6, 0.0, out,
             )  # fmt: skip
             assert out[0, nq + 2] == expected
             if expected == SOLVED:
                 assert np.array_equal(out[0], whole[i])
+        for first in range(n):  # starts that have been tried are left out
+            reach(
+                *chain.table.pack(), limits, task, targets[i : i + 1], np.empty((1, 0, nq)), 1, first, 100, 20,
+                1e-6, 1e-6, 0.0, out,
+            )  # fmt: skip
+            assert np.array_equal(out[0, :nq], whole[i, :nq]) and out[0, -1] == n - first
 
 
 def test_a_seed_that_leads_to_the_goal_is_preferred():

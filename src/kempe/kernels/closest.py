@@ -60,14 +60,14 @@ def answer_nearest(job, i):
 
 @kernel(ARGUMENTS)
 def approach(
-    ints, floats, limits, task, targets, seeds, seed, offset, start_limit, iteration_limit, tol_linear, tol_angular,
+    ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
     length, out,
 ):  # fmt: skip
     """Number of goals not reached; those NOT_FOUND in `out`, as `search.reach` left it, get the nearest q instead."""
     columns, nq, nv = count_columns(raw(ints)), ints[NQ], ints[NV]
     notes, block = np.empty(job_ints(columns, nv), np.int64), np.empty(job_floats(columns, nq, nv))
     job = job_of(
-        ints, floats, limits, task, targets, seeds, seed, offset, start_limit, iteration_limit, tol_linear, tol_angular,
+        ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
         length, out, columns, raw(notes), raw(block),
     )  # fmt: skip
     missed = 0

@@ -84,7 +84,8 @@ class Job(NamedTuple):
     seed_step: int
     """How far the seeds of one goal are from those of the next, 0 where all share them."""
     seed: int
-    offset: int
+    first: int
+    """Number of the first start: those before have been tried."""
     tries: int
     iteration_limit: int
     tol_linear: float
@@ -150,19 +151,20 @@ def write(job, i, status, linear, angular, steps, starts):
 
 
 @device
-def key_of(job, i):
-    """What the random numbers of goal i are drawn from."""
-    return mix(mix(np.uint64(0), np.uint64(job.seed)), np.uint64(job.offset + i))
+def key_of(job):
+    """What random numbers are drawn from, for all goals alike: an answer does not depend on the place in a batch."""
+    return mix(np.uint64(0), np.uint64(job.seed))
 
 
 @routine
 def go_to(job, i, start, home):
-    """Nothing; q of the chain is start number `start` of goal i: a seed, or drawn."""
-    if start < job.seed_count:
-        take(job.chain, job.seeds, job.seed_step * i + start * job.chain.nq)
+    """Nothing; q of the chain is start `start` of this call for goal i: a seed, or drawn."""
+    number = job.first + start
+    if number < job.seed_count:
+        take(job.chain, job.seeds, job.seed_step * i + number * job.chain.nq)
     else:
-        spread = spread_of(start - job.seed_count) if start < job.tries else 1.0
-        draw(job.chain, home, mix(key_of(job, i), np.uint64(start)), spread)
+        spread = spread_of(number - job.seed_count) if start < job.tries else 1.0
+        draw(job.chain, home, mix(key_of(job), np.uint64(number)), spread)
 
 
 @routine
@@ -245,7 +247,7 @@ def prepare(chain, limits, circular, task):
 
 @device
 def job_of(
-    ints, floats, limits, task, targets, seeds, seed, offset, start_limit, iteration_limit, tol_linear, tol_angular,
+    ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
     length, out, columns, notes, block,
 ):  # fmt: skip
     """The job for the arguments of a kernel, in scratch of `job_ints` and `job_floats`; and `home` for one goal."""
@@ -264,6 +266,6 @@ def job_of(
         middle(chain, bounds, rest)
     seed_step = seeds.shape[1] * nq if seeds.shape[0] > 1 else 0
     return Job(
-        chain, bounds, circular, raw(targets), raw(seeds), rest, kept, home, seeds.shape[1], seed_step, seed, offset,
+        chain, bounds, circular, raw(targets), raw(seeds), rest, kept, home, seeds.shape[1], seed_step, seed, first,
         max(start_limit, 1), iteration_limit, tol_linear, tol_angular, raw(out),
     )  # fmt: skip

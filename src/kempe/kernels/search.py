@@ -335,7 +335,7 @@ def search(h):
     """Nothing; all goals are answered, as far as starts do it."""
     job, queue, busy, alone, changed = h.job, np.int64(0), 0, 0, True
     linear, angular = (job.tol_linear / job.chain.length) ** 2, job.tol_angular**2
-    hold = HOLD if job.seed_count > 0 else 0
+    hold = HOLD if job.seed_count > job.first else 0
     while True:
         if changed or alone == hold:
             for lane in range(LANES):
@@ -357,19 +357,19 @@ def search(h):
 
 @kernel(ARGUMENTS)
 def reach(
-    ints, floats, limits, task, targets, seeds, seed, offset, start_limit, iteration_limit, tol_linear, tol_angular,
+    ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
     length, out,
 ):  # fmt: skip
-    """Number of goals not reached; each answer is a pure function of the goal's number and the arguments.
+    """Number of goals not reached; each answer is a pure function of its goal, its seeds and the other arguments.
 
     ints, floats: table of a chain with one output, without balls. limits: (2, nv), lower and upper, infinite where
     there is none; ignored for balls. task: (7 + nv,), 1 for each row [linear; angular] (ground axes) that counts; 1 if
     of the orientation only the direction of the tip's z axis counts; 1 for each coordinate of a single turning row with
     multiplier +-1 whose range is at least a turn. targets: (N, 4, 4). seeds: (1 or N, K, nq), the first K starts.
-    seed, offset: goal i draws its random numbers from (seed, offset + i). start_limit: starts at most, seeds
-    included. iteration_limit: steps of a start. tol_linear, tol_angular: largest norm of the error's linear and angular
-    part. length: what weighs as much as a radian, 0 for a part of the chain's. out: (N, nq + 5): q, linear and angular
-    error, status, steps, starts.
+    seed: what random numbers are drawn from. first: number of the first start, those before have been tried.
+    start_limit: starts at most, seeds included. iteration_limit: steps of a start. tol_linear, tol_angular: largest
+    norm of the error's linear and angular part. length: what weighs as much as a radian, 0 for a part of the chain's.
+    out: (N, nq + 5): q, linear and angular error, status, steps, starts.
 
     Starts are tried in order, the answer is that of the first that reaches the goal. SOLVED is judged at the q
     written, which is always inside the limits. With NOT_FOUND it is where a start came nearest, and the linear error is
@@ -380,7 +380,7 @@ def reach(
     whole, size = job_ints(columns, nv), job_floats(columns, nq, nv)
     notes, block = np.empty(whole + hall_ints(columns), np.int64), np.empty(size + hall_floats(columns, nq, nv))
     job = job_of(
-        ints, floats, limits, task, targets, seeds, seed, offset, start_limit, iteration_limit, tol_linear, tol_angular,
+        ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
         length, out, columns, raw(notes), raw(block),
     )  # fmt: skip
     search(hall(job, beyond(raw(notes), whole), beyond(raw(block), size), targets.shape[0]))

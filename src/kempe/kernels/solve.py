@@ -84,14 +84,14 @@ def one_by_one(job, i):
 
 @kernel(ARGUMENTS)
 def reach_one_by_one(
-    ints, floats, limits, task, targets, seeds, seed, offset, start_limit, iteration_limit, tol_linear, tol_angular,
+    ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
     length, out,
 ):  # fmt: skip
     """As `search.reach`, for all chains, but slower."""
     columns, nq, nv = count_columns(raw(ints)), ints[NQ], ints[NV]
     notes, block = np.empty(job_ints(columns, nv), np.int64), np.empty(job_floats(columns, nq, nv))
     job = job_of(
-        ints, floats, limits, task, targets, seeds, seed, offset, start_limit, iteration_limit, tol_linear, tol_angular,
+        ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
         length, out, columns, raw(notes), raw(block),
     )  # fmt: skip
     missed = 0

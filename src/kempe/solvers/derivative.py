@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kempe.errors import InputError
-from kempe.solvers.inverse import Task
+from kempe.solvers.rounds import Task
 from kempe.solvers.solution import Solution
 from kempe.solvers.targets import Z_AXIS, frame_of
 from kempe.spatial import Array

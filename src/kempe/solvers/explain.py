@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from kempe.solvers.inverse import Task, chain_of, outside, run
+from kempe.solvers.chain import Chain, chain_of
+from kempe.solvers.inverse import run
+from kempe.solvers.rounds import MOST, Task, outside
 from kempe.solvers.solution import BAD_INPUT, OUT_OF_REACH, SOLVED, Solution
 from kempe.solvers.targets import Z_AXIS, frame_of
+from kempe.spatial import Array
 
+AT_LIMIT = 1e-9
+"""How near to a limit a coordinate is at it."""
+FEW_LIMITS = 12
+"""Limits up to which each is lifted in turn; of more, only those that a configuration touches."""
+STARTS = 250
+"""Starts of a search without some limits, which begins where the target is reached without any."""
+ROUNDING = 1e-14
+"""What rounding makes of a configuration that reaches a target, in parts of its size."""
 RANK_TOLERANCE = 1e-9
 """Singular values below this fraction of the largest count as zero when the freedoms of a chain are counted."""
 
@@ -35,7 +48,11 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
             return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m; {near}"
         turned = "" if outside(replace(task, name="position"), target)[0] else " with this orientation"
         return f"outside the workspace{turned} by at least {beyond:.6g} m, by the lengths of the links; {near}"
-    reason = _limits(task, target) or _over_determined(task, target) or _why(task)
+    q = np.asarray(solution.q)[index][task.chain.q_index]
+    size = 1.0 + float(np.linalg.norm(target[0, :3, 3]))
+    if position <= ROUNDING * size and angle <= ROUNDING:
+        return f"the tolerance is finer than rounding: {near}"
+    reason = _limits(task, target, q) or _over_determined(task, target) or _why(task)
     return f"not reached after {_count(starts, 'start')}: {reason}; {near}"
 
 
@@ -48,11 +65,14 @@ def _count(n: int, what: str) -> str:
     return f"{n} {what}{'' if n == 1 else 's'}"
 
 
-def _solved(task: Task, target: np.ndarray, limits: np.ndarray | None = None) -> bool:
-    return bool(run(task, task.chain.no_seed, 1, limits, target)[2][0, 0] == SOLVED)
+def _solved(task: Task, target: Array, limits: Array | None = None, near: Array | None = None) -> Array | None:
+    """The configuration (n,) of the chain that reaches a target (1, 4, 4), from `near` first; None if none does."""
+    seeds = task.chain.no_seed if near is None else near.reshape(1, 1, -1)
+    q, _, info = run(task, seeds, 1, limits, target)
+    return q[0] if info[0, 0] == SOLVED else None
 
 
-def _over_determined(task: Task, target: np.ndarray) -> str:
+def _over_determined(task: Task, target: Array) -> str:
     """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random configurations."""
     from kempe.kinematics.forward import jacobian  # only here: a success needs no forward kernels
 
@@ -71,37 +91,52 @@ def _over_determined(task: Task, target: np.ndarray) -> str:
     text = f"the task has {wanted} equations, but the chain moves this frame in {freedoms} freedoms only"
     if task.name in ("pose", "position_axis"):
         position = replace(task, name="position", axis=Z_AXIS, chain=chain_of(system, task.frame))
-        other = "can" if _solved(position, target) else "cannot"
+        other = "cannot" if _solved(position, target) is None else "can"
         text += f" (its position alone {other} be reached)"
     return text
 
 
-def _limits(task: Task, target: np.ndarray) -> str:
-    """Which limits block the target, by solving without them."""
+def _limits(task: Task, target: Array, nearest: Array) -> str:
+    """Which limits block the target, by solving without them; `nearest` (n,) is where the solver came nearest.
+
+    Or that they do not, for all starts may fail where there is an answer.
+    """
     chain, names = task.chain, task.system.velocity_names
-    limited = np.flatnonzero(np.isfinite(chain.limits).any(axis=0))
+    bounded = np.flatnonzero(np.isfinite(chain.limits).any(axis=0) & (chain.circular == 0))
     open_ = np.stack([np.full(len(chain.v_index), -np.inf), np.full(len(chain.v_index), np.inf)])
-    if limited.size == 0 or not _solved(task, target, open_):
+    many = replace(task, starts=max(MOST, task.starts))
+    free = _solved(many, target, open_) if bounded.size else None
+    if free is None:
         return ""
-    alone = []
-    for i in limited:
+    if _solved(replace(many, rng=task.rng + 1), target, None, free) is not None:
+        return "more starts find an answer"
+    suspects = list(bounded if len(bounded) <= FEW_LIMITS else _suspects(chain, bounded, nearest, free))
+    few = replace(task, starts=min(task.starts, STARTS))
+
+    def without(lifted: Sequence[Any]) -> bool:
         limits = chain.limits.copy()
-        limits[:, i] = open_[:, i]
-        if _solved(task, target, limits):
-            alone.append(repr(names[chain.v_index[i]]))
+        limits[:, lifted] = open_[:, lifted]
+        return _solved(few, target, limits, free) is not None
+
+    alone = [i for i in suspects if without([i])]
     if alone:
-        which = f"the limit of {' or of '.join(alone)}"
-    else:
-        limits, together = open_, []
-        for i in limited:  # what is left cannot be done without
-            closed = limits.copy()
-            closed[:, i] = chain.limits[:, i]
-            if _solved(task, target, closed):
-                limits = closed
-            else:
-                together.append(repr(names[chain.v_index[i]]))
-        which = f"the limits of {' and '.join(together)} together" if together else "limits"
-    return f"blocked by {which}; without limits it is reachable"
+        which = f"the limit of {' or of '.join(repr(names[chain.v_index[i]]) for i in alone)}"
+        return f"blocked by {which}; without limits it is reachable"
+    lifted = suspects if len(suspects) < len(bounded) and without(suspects) else list(bounded)
+    for i in list(lifted):  # what is left cannot be done without
+        rest = [k for k in lifted if k != i]
+        lifted = rest if without(rest) else lifted
+    together = " and ".join(repr(names[chain.v_index[i]]) for i in lifted)
+    return f"blocked by the limits of {together} together; without limits it is reachable"
+
+
+def _suspects(chain: Chain, bounded: np.ndarray, nearest: Array, free: Array) -> np.ndarray:
+    """Of the bounded coordinates those that are at a limit in `nearest`, or beyond one in `free`."""
+    if len(chain.q_index) != len(chain.v_index):
+        return bounded
+    low, high = chain.limits
+    at = (nearest <= low + AT_LIMIT) | (nearest >= high - AT_LIMIT) | (free < low) | (free > high)
+    return bounded[at[bounded]]
 
 
 def _why(task: Task) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,15 +15,15 @@ from kempe.kernels.job import ANSWER, LINEAR, STATUS
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
+from kempe.solvers import rounds
 from kempe.solvers.arguments import seed_number, start_count, tolerances
 from kempe.solvers.chain import Chain, chain_of, inside, obstacle
+from kempe.solvers.rounds import FEW, ITERATIONS, MOST, TOLERANCE, Task, outside
 from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, SOLVED, Solution
 from kempe.solvers.targets import (
-    TASKS,
     Z_AXIS,
     axis_of,
     check_particle,
-    frame_of,
     in_plane,
     points_along,
     targets_of,
@@ -34,42 +34,13 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
-STARTS = 250
-"""Starts before a target is given up. Most succeed with the first; one in a hundred thousand needs more than 100."""
-ITERATIONS = 40
-"""Steps of one start; those that converge need 5 to 9, few as many as 40, and hopeless ones are given up before."""
-TOLERANCE = (1e-6, 1e-6)
-"""Largest position error [m] and rotation angle [rad] of a success."""
 CHUNK, SERIAL_BELOW = 256, 1024
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """What was asked of the solver: kept with the answer, so that it can say why it failed."""
-
-    system: System
-    frame: str
-    targets: Array = field(repr=False)
-    name: str
-    """One of `TASKS`."""
-    axis: tuple[float, float, float]
-    """The direction of the tool that is pointed, for tasks that point one."""
-    tolerance: tuple[float, float]
-    starts: int
-    rng: int
-    chain: Chain = field(repr=False)
-    """The chain of the frame, its z axis turned to `axis`."""
-
-    @property
-    def mask(self) -> tuple[int, ...]:
-        """Which errors [linear; angular] in the frame of the tip count, its z axis being `axis`."""
-        return TASKS[self.name]
 
 
 def ik(
     system: System, target: ArrayLike, frame: FrameLike, seed: Any = None, *, task: str | None = None,
     axis: ArrayLike = Z_AXIS, position_only: bool = False, tolerance: float | tuple[float, float] = TOLERANCE,
-    starts: int = STARTS, rng: int | np.random.Generator = 0, threads: int | None = None, throw: bool = False,
+    starts: int = MOST, rng: int | np.random.Generator = 0, threads: int | None = None, throw: bool = False,
     method: str = "numeric",
 ) -> Solution:  # fmt: skip
     """A configuration in which `frame` reaches `target` (the inverse geometric model), always inside the limits.
@@ -99,10 +70,11 @@ def ik(
         from kempe.solvers.tasks import reach
 
         wanted = _tasks(name, asked, targets.reshape(*lead, 4, 4))
-        more: dict[str, Any] = {} if starts == STARTS else {"starts": starts}
+        more: dict[str, Any] = {} if starts == MOST else {"starts": starts}
         return reach(system, wanted, seed, tolerance=tolerance, rng=rng, threads=threads, throw=throw, **more)
     chain = chain_of(system, name, asked[1])
     base, seeds = _seeds(system, chain, seed, lead)
+    targets = targets.copy() if np.may_share_memory(targets, target) else targets  # the answer keeps them
     question = Task(system, name, targets, *asked, tolerances(tolerance), start_count(starts), seed_number(rng), chain)
     plan = None
     if method != "numeric":
@@ -177,50 +149,22 @@ def _asked(
     return (name, direction), targets, lead
 
 
-def _kernel_task(task: Task) -> np.ndarray:
-    """What the kernel is told of a task: six rows, whether an axis is pointed, circular coordinates."""
-    pointed = points_along(task.name)
-    rows = (*task.mask[:5], 1, 1) if pointed else (*task.mask, 0)
-    return np.concatenate([np.array(rows, dtype=np.int64), task.chain.circular])
-
-
 def run(
     task: Task, seeds: Array, threads: int | None = 1, limits: Array | None = None, targets: Array | None = None
 ) -> tuple[Array, Array, np.ndarray]:
     """Chain configurations, residuals (N, 2) and (status, steps, starts) of all targets, in fixed chunks."""
     chain = task.chain
     goals = task.targets if targets is None else targets
-    if task.axis != Z_AXIS:
-        goals = goals.copy()
-        goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(task.axis))
     n, nq = len(goals), len(chain.q_index)
     out = np.empty((n, nq + ANSWER))
     bounds = chain.limits if limits is None else limits
-    rows = _kernel_task(task)
 
     def work(i: int, j: int) -> int:
         first = seeds[i:j] if len(seeds) > 1 else seeds
-        arguments = (
-            chain.ints, chain.floats, bounds, rows, goals[i:j], first, task.rng, i, task.starts, ITERATIONS,
-            *task.tolerance, 0.0, out[i:j],
-        )  # fmt: skip
-        if chain.ints[HAS_QUATERNION]:
-            from kempe.kernels.solve import reach_one_by_one  # what few chains need is compiled for them alone
-
-            missed = reach_one_by_one(*arguments)
-        else:
-            missed = search.reach(*arguments)
-        return _approach(*arguments) if missed else 0
+        return rounds.answered(task, goals[i:j], first, bounds, out[i:j])
 
     over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
     return out[:, :nq], out[:, nq + LINEAR : nq + STATUS], out[:, nq + STATUS :].astype(np.int64)
-
-
-def _approach(*arguments: Any) -> int:
-    """What `search.reach` did not reach, answered by the nearest configurations."""
-    from kempe.kernels.closest import approach  # a success needs none of this
-
-    return approach(*arguments)
 
 
 def _bind(question: Task, task: str | None, shape: tuple[int, ...]) -> None:
@@ -229,7 +173,7 @@ def _bind(question: Task, task: str | None, shape: tuple[int, ...]) -> None:
     point = question.name == "position" and (task is not None or shape != (4, 4))  # a turned particle is an error
     plain = shape in ((4, 4), (3,), (2,)) if point else (shape == (4, 4) and question.name != "position")
     if plain and question.axis == Z_AXIS and not chain.ints[HAS_QUATERNION] and key not in system._queries:
-        usual = replace(question, tolerance=TOLERANCE, starts=STARTS, rng=0)
+        usual = replace(question, tolerance=TOLERANCE, starts=MOST, rng=0)
         system._queries[key] = Bound(usual, shape)
 
 
@@ -237,7 +181,7 @@ class Bound:
     """`ik` of single targets for one frame and task, with all looked up that can be: the way of plain calls."""
 
     def __init__(self, question: Task, shape: tuple[int, ...]):
-        self.asked, self.chain, self.rows = question, question.chain, _kernel_task(question)
+        self.asked, self.chain, self.rows = question, question.chain, rounds.rows_of(question)
         system, self.size = question.system, len(question.chain.q_index)
         self.nq = system.nq
         first = int(self.chain.q_index[0]) if self.size else 0
@@ -250,14 +194,14 @@ class Bound:
         self.lower, self.upper, self.unmoved = system.lower, system.upper, np.eye(4)[None]
         self.shape = shape
 
-    def task(self, target: Array) -> Task:
-        """What was asked."""
-        return replace(self.asked, targets=self._poses(target))
+    def task(self, X: Array) -> Task:
+        """What was asked, for poses (1, 4, 4)."""
+        return replace(self.asked, targets=X)
 
-    def _poses(self, target: Array) -> Array:
-        """Target as (1, 4, 4)."""
+    def _pose(self, target: Array) -> Array:
+        """A target as (1, 4, 4), of its own: the answer keeps it."""
         if len(self.shape) == 2:
-            return target.reshape(1, 4, 4)
+            return target.reshape(1, 4, 4).copy()
         X = self.unmoved.copy()
         X[0, : self.shape[0], 3] = target
         return X
@@ -276,12 +220,10 @@ class Bound:
                 return None
             base, seeds = seed, seed[self.part].reshape(1, 1, n)
         out = np.empty((1, n + ANSWER))
-        arguments = (
-            chain.ints, chain.floats, chain.limits, self.rows, self._poses(target), seeds, 0, 0, STARTS, ITERATIONS,
-            *TOLERANCE, 0.0, out,
-        )  # fmt: skip
-        if search.reach(*arguments):
-            _approach(*arguments)
+        X = self._pose(target)
+        head = (chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0)
+        if search.reach(*head, 0, FEW, ITERATIONS, *TOLERANCE, 0.0, out):
+            rounds.go_on(self.task(X), X, head, out)
         row = out[0]
         linear, angular, code, steps, starts = row[n:].tolist()
         if code == BAD_INPUT:
@@ -291,11 +233,11 @@ class Bound:
         else:
             q = np.minimum(np.maximum(base, self.lower), self.upper) if self.plain else base.copy()
             q[self.part] = row[:n]
-            if not math.isfinite(q.dot(q)):
+            if not math.isfinite(base.dot(base)):
                 return None
         if code == SOLVED:
-            return Solution.reached((self, target), q, linear, angular, int(steps), int(starts))
-        task, codes = self.task(target), np.array([NOT_FOUND])
+            return Solution.reached((self, X), q, linear, angular, int(steps), int(starts))
+        task, codes = self.task(X), np.array([NOT_FOUND])
         _look_closer(task, codes)
         return Solution(q, False, codes.item(), linear, angular, int(steps), int(starts), task)
 
@@ -304,28 +246,6 @@ def _look_closer(task: Task, code: np.ndarray) -> None:
     """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
     failed = np.flatnonzero(code == NOT_FOUND)
     code[failed[outside(task, task.targets[failed]) > 0.0]] = OUT_OF_REACH
-
-
-def outside(task: Task, targets: Array) -> Array:
-    """How far (N,) targets are outside the reach bounds, in metres, for a point of the frame that each one fixes.
-
-    Zero within what the tolerances allow. With the target's orientation, it is a lower bound of the position error.
-    """
-    linear, angular = task.tolerance
-    if not task.mask[0]:
-        return np.zeros(len(targets))
-    out = np.abs(targets[:, 2, 3]) if task.system.dim == 2 else np.zeros(len(targets))
-    out[out <= linear] = 0.0
-    can_turn = len(task.chain.v_index) >= (3 if task.system.dim == 2 else sum(task.mask))  # else that is the reason
-    for centre, largest, smallest, point in task.chain.bounds:
-        arm = float(np.linalg.norm(point))
-        along = points_along(task.name) and float(np.linalg.norm(np.cross(point, task.axis))) < 1e-12 * arm
-        if arm > 0.0 and not (can_turn and (all(task.mask) or along)):
-            continue
-        distance = np.linalg.norm(targets[:, :3, 3] + targets[:, :3, :3] @ point - centre, axis=-1)
-        beyond = np.maximum(distance - largest, smallest - distance)
-        out = np.where(beyond > linear + arm * angular, np.maximum(out, beyond), out)
-    return out
 
 
 def _seeds(system: System, chain: Chain, seed: Any, lead: tuple[int, ...]) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.inverse import Task
+    from kempe.solvers.rounds import Task
 
 SOLVED, NOT_FOUND, BAD_INPUT, OUT_OF_REACH = 0, 1, 2, 3
 """Codes of `Solution.code`; `status` has the sentences."""

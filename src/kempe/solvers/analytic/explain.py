@@ -16,7 +16,8 @@ from kempe.solvers.analytic.nearest import aim_of, fixed_joints, held_coordinate
 from kempe.solvers.analytic.plan import Plan, carried_lines, free_lines
 from kempe.solvers.analytic.plan import freedoms as rank_of
 from kempe.solvers.analytic.structure import Axes, Way
-from kempe.solvers.inverse import Task, chain_of, outside
+from kempe.solvers.chain import chain_of
+from kempe.solvers.rounds import Task, outside
 from kempe.solvers.targets import Z_AXIS
 from kempe.spatial import Array
 

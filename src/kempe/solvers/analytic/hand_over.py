@@ -9,7 +9,8 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.solvers.analytic.ik_all import TOLERANCE, chain_lines, plan_for, solve
 from kempe.solvers.analytic.plan import Plan
 from kempe.solvers.analytic.question import Question
-from kempe.solvers.inverse import Task, run
+from kempe.solvers.inverse import run
+from kempe.solvers.rounds import Task
 from kempe.solvers.solution import SOLVED
 from kempe.solvers.targets import points_along
 from kempe.spatial import Array

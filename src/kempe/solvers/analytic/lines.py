@@ -22,7 +22,7 @@ from kempe.kernels.layout import (
     SIN_GAUGE,
     SLIDE,
 )
-from kempe.solvers.inverse import chain_of
+from kempe.solvers.chain import chain_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

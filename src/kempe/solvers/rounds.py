@@ -1,0 +1,150 @@
+"""The search for configurations that reach single targets: rounds of starts, then what is nearest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.kernels import search
+from kempe.kernels.job import ANSWER, LINEAR, STARTS, STATUS, STEPS
+from kempe.kernels.layout import HAS_QUATERNION
+from kempe.solvers.chain import Chain
+from kempe.solvers.solution import NOT_FOUND, SOLVED
+from kempe.solvers.targets import TASKS, Z_AXIS, frame_of, points_along
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+MOST = 1000
+"""Starts before a target is given up. Most succeed with the first; one in a hundred thousand needs more than 100."""
+FEW = 250
+"""Starts after which it is asked whether lengths put a target out of reach: then it is given up."""
+ITERATIONS = 40
+"""Steps of one start; those that converge need 5 to 9, few as many as 40, and hopeless ones are given up before."""
+TOLERANCE = (1e-6, 1e-6)
+"""Largest position error [m] and rotation angle [rad] of a success."""
+LOOSE = 1e-4
+"""Tolerance from which the nearest configuration may be the wrong one: another, farther off, may be within it."""
+SHARES = (1.0, 0.2, 5.0)
+"""How the two tolerances are weighed against each other where they are loose."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What was asked of the solver: kept with the answer, so that it can say why it failed."""
+
+    system: System
+    frame: str
+    targets: Array = field(repr=False)
+    name: str
+    """One of `TASKS`."""
+    axis: tuple[float, float, float]
+    """The direction of the tool that is pointed, for tasks that point one."""
+    tolerance: tuple[float, float]
+    starts: int
+    rng: int
+    chain: Chain = field(repr=False)
+    """The chain of the frame, its z axis turned to `axis`."""
+
+    @property
+    def mask(self) -> tuple[int, ...]:
+        """Which errors [linear; angular] in the frame of the tip count, its z axis being `axis`."""
+        return TASKS[self.name]
+
+
+def rows_of(task: Task) -> np.ndarray:
+    """What the kernel is told of a task: six rows, whether an axis is pointed, circular coordinates."""
+    pointed = points_along(task.name)
+    rows = (*task.mask[:5], 1, 1) if pointed else (*task.mask, 0)
+    return np.concatenate([np.array(rows, dtype=np.int64), task.chain.circular])
+
+
+def answered(task: Task, targets: Array, seeds: Array, limits: Array, out: Array) -> int:
+    """Number of targets (N, 4, 4) not reached; writes the answers (N, n + ANSWER) as `search.reach` does.
+
+    seeds: (1 or N, K, n); limits: (2, nv).
+    """
+    goals = targets
+    if task.axis != Z_AXIS:
+        goals = goals.copy()
+        goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(task.axis))
+    chain = task.chain
+    head = (chain.ints, chain.floats, limits, rows_of(task), goals, seeds, task.rng)
+    if not _search(chain)(*head, 0, min(task.starts, FEW), ITERATIONS, *task.tolerance, 0.0, out):
+        return 0
+    return go_on(task, targets, head, out)
+
+
+def go_on(task: Task, targets: Array, head: tuple[Any, ...], out: Array) -> int:
+    """Number of targets not reached in the end, of those that the first round left.
+
+    head: the first arguments of the kernels. Where tolerances are loose, starts that weigh position and orientation
+    by them; more starts, unless lengths prove that they cannot help; at last, the nearest configurations.
+    """
+    from kempe.kernels.closest import approach  # a success needs none of this
+
+    *chain, goals, seeds, rng = head
+    n, search_ = out.shape[1] - ANSWER, _search(task.chain)
+
+    def some(rows: np.ndarray, first: int, count: int, length: float) -> Array:
+        own = seeds[rows] if len(seeds) > 1 else seeds
+        found = np.empty((len(rows), out.shape[1]))
+        search_(*chain, goals[rows], own, rng, first, count, ITERATIONS, *task.tolerance, length, found)
+        return found
+
+    left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
+    left = left[outside(task, targets[left]) == 0.0]
+    linear, angular = task.tolerance
+    if max(linear, angular) > LOOSE and any(task.mask[:3]) and any(task.mask[3:]):
+        for share in SHARES:
+            left = left[out[left, n + STATUS] == NOT_FOUND]
+            found = some(left, 0, min(task.starts, FEW), share * linear / angular)
+            found[:, n + STEPS :] += out[left, n + STEPS :]
+            good = found[:, n + STATUS] == SOLVED
+            out[left[good]] = found[good]
+    left = left[out[left, n + STATUS] == NOT_FOUND]
+    if task.starts > FEW and len(left):
+        found = some(left, FEW, task.starts - FEW, 0.0)
+        found[:, n + STARTS] += FEW
+        found[:, n + STEPS] += out[left, n + STEPS]
+        better = (found[:, n + STATUS] == SOLVED) | (found[:, n + LINEAR] < out[left, n + LINEAR])
+        work = found[:, n + STEPS :]
+        out[left[better]] = found[better]
+        out[left, n + STEPS :] = work
+    nearest: Callable[..., int] = approach
+    return nearest(*head, 0, task.starts, ITERATIONS, *task.tolerance, 0.0, out)
+
+
+def _search(chain: Chain) -> Callable[..., int]:
+    """The kernel that searches for a chain."""
+    if chain.ints[HAS_QUATERNION]:
+        from kempe.kernels.solve import reach_one_by_one  # what few chains need is compiled for them alone
+
+        return reach_one_by_one
+    return search.reach
+
+
+def outside(task: Task, targets: Array) -> Array:
+    """How far (N,) targets are outside the reach bounds, in metres, for a point of the frame that each one fixes.
+
+    Zero within what the tolerances allow. With the target's orientation, it is a lower bound of the position error.
+    """
+    linear, angular = task.tolerance
+    if not task.mask[0]:
+        return np.zeros(len(targets))
+    out = np.abs(targets[:, 2, 3]) if task.system.dim == 2 else np.zeros(len(targets))
+    out[out <= linear] = 0.0
+    can_turn = len(task.chain.v_index) >= (3 if task.system.dim == 2 else sum(task.mask))  # else that is the reason
+    for centre, largest, smallest, point in task.chain.bounds:
+        arm = float(np.linalg.norm(point))
+        along = points_along(task.name) and float(np.linalg.norm(np.cross(point, task.axis))) < 1e-12 * arm
+        if arm > 0.0 and not (can_turn and (all(task.mask) or along)):
+            continue
+        distance = np.linalg.norm(targets[:, :3, 3] + targets[:, :3, :3] @ point - centre, axis=-1)
+        beyond = np.maximum(distance - largest, smallest - distance)
+        out = np.where(beyond > linear + arm * angular, np.maximum(out, beyond), out)
+    return out
