@@ -2,7 +2,7 @@
 
     python benchmarks/run.py
 
-It takes about seven minutes. The file is written after each section, so an interruption keeps what is done. Single
+It takes about ten minutes. The file is written after each section, so an interruption keeps what is done. Single
 sections: `kempe bench --only batch`; more targets: `kempe bench --only numeric --targets 10000`.
 """
 

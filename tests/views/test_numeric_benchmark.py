@@ -161,9 +161,9 @@ def test_no_answer_is_no_success(arm_of):
 
 def test_a_single_failure_is_seen():
     hit = np.ones(10_000, dtype=bool)
-    assert numeric._percent(hit) == 100.0
+    assert numeric.percent(hit) == 100.0
     hit[7] = False
-    assert numeric._percent(hit) == pytest.approx(99.9)
+    assert numeric.percent(hit) == pytest.approx(99.9)
 
 
 # ---- processes

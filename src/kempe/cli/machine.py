@@ -40,7 +40,7 @@ def bench(
     only: Annotated[list[str] | None, option("--only", "A section to run; can be repeated.", "SECTION")] = None,
     peer: Annotated[list[str] | None, option("--peer", "A library to compare with; can be repeated.", "NAME")] = None,
     targets: Annotated[
-        int | None, option("--targets", "Targets of each robot in the numeric sections; 10000 takes ten minutes.", "N")
+        int | None, option("--targets", "Targets of each robot in the numeric and whole_body sections.", "N")
     ] = None,
     out: Annotated[
         Path | None, option("-o,--out", "Write the tables to a Markdown file, section by section.", "FILE")

@@ -6,7 +6,20 @@ import datetime
 from collections.abc import Callable, Iterable, Iterator
 
 from kempe.errors import UnknownNameError
-from kempe.views.benchmark import analytic, cranks, forward, freedoms, inverse, loops, numeric, peers, process, trees
+from kempe.views.benchmark import (
+    analytic,
+    cranks,
+    forward,
+    freedoms,
+    inverse,
+    loops,
+    numeric,
+    parallel,
+    peers,
+    process,
+    trees,
+    whole,
+)  # fmt: skip
 from kempe.views.benchmark.bench import Bench
 from kempe.views.benchmark.timing import Table
 
@@ -14,6 +27,7 @@ SECTIONS: dict[str, Callable[[Bench], Table | None]] = {
     "batch": forward.batch, "single": forward.single, "tree": trees.humanoid, "threads": forward.threads,
     "growth": trees.growth, "inverse": inverse.single,
     "numeric": numeric.random, "numeric_limits": numeric.limits, "numeric_warm": numeric.warm,
+    "whole_body": whole.anywhere, "whole_body_near": whole.standing, "parallel": parallel.platforms,
     "closed": analytic.closed, "general": analytic.general,
     "assembly": loops.assembly, "success": loops.success,
     "dyads": cranks.dyads, "row": cranks.row, "dof": freedoms.dof, "mobility": freedoms.mobility,
@@ -31,7 +45,8 @@ def benchmark(
     """Measured tables, one by one as they are done, so that an interruption loses only the section in work.
 
     `sections` picks some of `SECTIONS`, `wanted` some of the peers; `say` is told what is being measured. `targets` of
-    each robot are given to the numerical inverse model, instead of as many as fit into a minute or two.
+    each robot are given to the numerical inverse model, of chains and whole bodies, instead of as many as fit into a
+    minute or two.
     Errors: `UnknownNameError`.
     """
     names = list(SECTIONS if sections is None else sections)

@@ -166,18 +166,18 @@ def _batch(name: str, arm: peers.Arm, targets: Array, starts: Array | None) -> l
         start = time.perf_counter()
         q = arm.system.ik(targets, TIP, seed=starts, threads=1).q
         turns.append(1e6 * (time.perf_counter() - start) / len(targets))
-    success = _percent(reached(arm, q, targets))
+    success = percent(reached(arm, q, targets))
     return [Row(BATCH, f"{name}: {SUCCESS}", success), Row(BATCH, f"{name}: {MEDIAN}", float(np.median(turns)))]
 
 
-def _percent(hit: np.ndarray) -> float:
+def percent(hit: np.ndarray) -> float:
     """Successes, rounded down: a single failure is seen."""
     return 0.1 * (1_000 * int(np.sum(hit)) // len(hit))
 
 
 def _rows(library: str, name: str, hit: np.ndarray, answer: Answers) -> list[Row]:
     us = 1e-3 * answer.nanoseconds
-    figures = {SUCCESS: _percent(hit), MEDIAN: np.median(us), P99: np.percentile(us, 99)}
+    figures = {SUCCESS: percent(hit), MEDIAN: np.median(us), P99: np.percentile(us, 99)}
     return [Row(library, f"{name}: {figure}", float(value)) for figure, value in figures.items()]
 
 

@@ -1,8 +1,9 @@
 """One library's answers to many targets, in a process of its own: `python -m kempe.views.benchmark.numeric_worker JOB`.
 
 The job is a JSON file: the package, and cases. A case is a URDF file, a folder with `targets.npy` (n, 4, 4) and
-`starts.npy` (n, number of joints), whether the starts are near the answers, and the seconds that it may take. Answers
-are written as they come, so that what is done survives when the library ends the process.
+`starts.npy` (n, number of joints), whether the starts are near the answers, and the seconds that it may take. A whole
+body has goals of several frames (n, k, 4, 4), and is asked more. Answers are written as they come, so that what is done
+survives when the library ends the process.
 """
 
 from __future__ import annotations
@@ -17,14 +18,16 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import kempe
 from kempe.spatial import Array
 from kempe.views.benchmark import peers
-from kempe.views.benchmark.numeric_peers import LIMIT, SOLVERS
+from kempe.views.benchmark.numeric_peers import LIMIT, SOLVERS, Solver
 from kempe.views.benchmark.numeric_robots import TIP
+from kempe.views.benchmark.whole_peers import WholeBody, prepared
 
 FEWEST = 20
 """Targets that a library gets however long they take."""
@@ -36,12 +39,16 @@ ALONE = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_
 
 @dataclass(frozen=True)
 class Case:
-    """The targets of one robot: its URDF file, their folder, whether starts are near, seconds that it may take."""
+    """The targets of one robot: its URDF file, their folder, whether starts are near, seconds that it may take.
+
+    `asked` is what `whole_peers.prepared` is told of a whole body; a chain has none.
+    """
 
     file: str
     folder: str
     near: bool
     seconds: float
+    asked: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -104,11 +111,16 @@ def _path(case: Case, *names: str) -> Path:
 # ---- in the process
 
 
+def _solver(package: str, case: Case) -> Solver | WholeBody:
+    file = Path(case.file)
+    if case.asked is not None:
+        return prepared(package, file, **case.asked)
+    return SOLVERS[package][1](peers.arm_of(kempe.load(file), TIP, file))
+
+
 def work(package: str, case: Case) -> None:
     """Solve a case, write what comes out."""
-    file = Path(case.file)
-    arm = peers.arm_of(kempe.load(file), TIP, file)
-    solver = SOLVERS[package][1](arm)
+    solver = _solver(package, case)
     starts = np.load(_path(case, "starts.npy"))
     targets = solver.ready(np.load(_path(case, "targets.npy")))
     given = list(starts) if case.near or not solver.seedless else [None] * len(starts)
