@@ -516,6 +516,10 @@ def test_examples_of_the_documentation(tmp_path, monkeypatch):
     Path("arm.toml").write_text(arm[1])
     Path("broken.toml").write_text(arm[1].replace('"upper"\nlimits', '"uper"\nlimits'))
     Path("many.csv").write_text("0,0\n1,1\n")
+    Path("way.csv").write_text("1.2,0.5,0\n1.1,0.6,0\n1.0,0.7,0\n")
+    tasks = re.search(r"```text\n(# tasks.toml\n.*?)```", page, re.DOTALL)
+    assert tasks is not None
+    Path("tasks.toml").write_text(tasks[1])
     blocks = re.findall(r"```console\n(.*?)```", page, re.DOTALL)
     examples = [
         e for block in blocks for e in re.findall(r"^\$ kempe (.*?)\n(.*?)(?=^\$|\Z)", block, re.DOTALL | re.MULTILINE)

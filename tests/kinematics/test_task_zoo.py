@@ -203,3 +203,80 @@ def test_what_is_refused():
     m.translation("p", m.ground, m.particle("dust"))
     with pytest.raises(InputError, match="particle"):
         tasks.Pose("dust", X).error(m.build(), np.zeros(3))
+
+
+def ends(rng: np.random.Generator, p: np.ndarray, q: np.ndarray) -> dict[str, tuple[type, dict]]:
+    """Tasks between ends with their parameters, those that have an entry for each of the points (n, 3) as arrays."""
+    width = rng.uniform(0.02, 0.1, (len(p), 3))
+    far = np.linalg.norm(p - q, axis=1)
+    return {
+        "box": (tasks.InBox, {"frame": "panda_link7", "low": p - width, "high": p + 0.5 * width}),
+        "one corner": (tasks.InBox, {"frame": "panda_link7", "low": p - width, "high": np.full(3, np.inf)}),
+        "margin": (tasks.HalfSpace, {"frame": "panda_link7", "origin": np.zeros(3), "normal": [0, 0, 1.0],
+                                     "margin": p[:, 2]}),
+        "at least": (tasks.Distance, {"frame": "panda_link7", "other": "panda_link4", "at_least": far}),
+        "at most": (tasks.Distance, {"frame": "panda_link7", "other": "panda_link4", "at_most": far}),
+        "both": (tasks.Distance, {"frame": "panda_link7", "other": "panda_link4", "at_least": 0.98 * far,
+                                  "at_most": 1.02 * far}),
+        "sphere": (tasks.OnSphere, {"frame": "panda_link7", "center": np.zeros(3),
+                                    "radius": np.linalg.norm(p, axis=1)}),
+        "within": (tasks.CentreOfPoints, {"frames": ["panda_link7"], "target": p, "within": width[:, :2],
+                                          "axes": "xy"}),
+        "within all": (tasks.CentreOfPoints, {"frames": ["panda_link7"], "target": p, "within": width[:, :1]}),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", list(ends(np.random.default_rng(0), np.ones((2, 3)), np.zeros((2, 3)))))
+def test_ends_that_differ_from_target_to_target(name):
+    """Each target of a batch is measured and solved as alone, and as the ends are written down here."""
+    panda, rng, n = kempe.load("panda"), np.random.default_rng(3), 6
+    q = panda.random(rng, n)
+    p, other = (panda.fk(q, f)[:, :3, 3] for f in ("panda_link7", "panda_link4"))
+    kind, asked = ends(rng, p, other)[name]
+    many = kind(**asked)
+    at = panda.random(rng, n)
+    got = many.measure(panda, at)[0] + many.measure(panda, at)[1]
+    answer = panda.ik(many, seed=at)
+    assert answer.success.all()
+    for i in range(n):
+        one = kind(**{k: v[i] if isinstance(v, np.ndarray) and len(v) == n else v for k, v in asked.items()})
+        assert sum(one.measure(panda, at[i])) == pytest.approx(got[i], abs=1e-12)
+        assert max(one.measure(panda, answer.q[i])) <= 1.001e-6
+    x = panda.fk(at, "panda_link7")[:, :3, 3]
+    if name == "box":
+        np.testing.assert_allclose(got, np.linalg.norm(x - np.clip(x, asked["low"], asked["high"]), axis=1))
+    if name == "margin":
+        np.testing.assert_allclose(got, np.maximum(asked["margin"] - x[:, 2], 0.0), atol=1e-12)
+    if name == "both":
+        d = np.linalg.norm(x - panda.fk(at, "panda_link4")[:, :3, 3], axis=1)
+        np.testing.assert_allclose(got, np.abs(d - np.clip(d, asked["at_least"], asked["at_most"])), atol=1e-12)
+    if name == "within":
+        off = np.maximum(np.abs(x - p)[:, :2] - asked["within"], 0.0)
+        np.testing.assert_allclose(got, np.linalg.norm(off, axis=1), atol=1e-12)
+
+
+def test_derivatives_of_ends_that_differ():
+    panda, rng = kempe.load("panda"), np.random.default_rng(4)
+    q = panda.random(rng)
+    p, other = (panda.fk(q, f)[None, :3, 3] for f in ("panda_link7", "panda_link4"))
+    for kind, parameters in ends(rng, p, other).values():
+        task = kind(**parameters)
+        np.testing.assert_allclose(task.jacobian(panda, q[None])[0], by_differences_of_rows(task, panda, q), atol=1e-6)
+
+
+def by_differences_of_rows(task: tasks.Task, s: System, q: np.ndarray) -> np.ndarray:
+    out = [[task.error(s, s.integrate(q, x * STEP * e)[None])[0] for x in (1, -1)] for e in np.eye(s.nv)]
+    return np.array([(a - b) / (2 * STEP) for a, b in out]).T
+
+
+def test_why_a_row_with_its_own_ends_fails():
+    panda = kempe.load("panda")
+    low = np.array([[0.3, 0.0, 0.4], [2.0, 0.0, 0.4]])
+    answer = panda.ik(tasks.InBox("panda_link7", low, low + 0.1), starts=5)
+    assert list(answer.success) == [True, False] and "missed by" in answer.status[1]
+    many = tasks.OnSphere("panda_link7", [0, 0, 0.3], [0.5, 9.0])
+    assert "missed by" in panda.ik(many, starts=5).status[1]
+    posture = tasks.Posture(np.array([panda.mid, panda.mid + 9.0]), weight=None)
+    assert "missed by" in panda.ik(posture, starts=5).status[1]
+    with pytest.raises(InputError, match="low <= high"):
+        panda.ik(tasks.InBox("panda_link7", low, low - 0.1))

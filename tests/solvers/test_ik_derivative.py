@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe import System, spatial, tasks
+from kempe import System, spatial
 from kempe.errors import InputError
 
 HAND, H = "panda_link7", 1e-5
@@ -122,5 +122,3 @@ def test_batches_and_failures(panda):
         np.testing.assert_allclose(D[i], panda.ik(X[i], HAND, q[i]).derivative, atol=1e-9)
     with pytest.raises(InputError, match="not reached"):
         _ = panda.ik(X[2], HAND).derivative
-    with pytest.raises(InputError, match="one frame"):
-        _ = panda.ik(tasks.Position(HAND, X[0, :3, 3])).derivative

@@ -532,3 +532,38 @@ def test_the_whole_body_of_a_humanoid(with_mass, least_found):
     for f in frames:
         assert np.abs(s.fk(answer.q, f) - s.fk(q, f))[answer.success].max() < 2e-3
     assert inside(s, answer.q)
+
+
+def mobile(planar: bool) -> System:
+    """An arm of four joints on a base that drives over the ground: a planar joint, or slides and a turn."""
+    m = Mechanism("mobile")
+    if planar:
+        m.joint("drive", "planar", m.ground, m.body("base"))
+    else:
+        m.prismatic("x", "ground", m.body("rail"), axis=(1, 0, 0))
+        m.prismatic("y", "rail", m.body("cart"), axis=(0, 1, 0))
+        m.revolute("yaw", "cart", m.body("base"))
+    before, at = "base", (0.0, 0.0, 0.5)
+    for k in range(4):
+        m.revolute(f"j{k}", before, m.body(f"l{k}"), at=at, rpy=(math.pi / 2 * (-1) ** k, 0, 0), limits=(-2.5, 2.5))
+        before, at = f"l{k}", (0.02, 0.0, 0.2)
+    m.frame("tool", before, at=at)
+    return m.build()
+
+
+@pytest.mark.parametrize("planar", [True, False])
+def test_a_base_that_drives_begins_beside_its_target(planar):
+    s, rng = mobile(planar), np.random.default_rng(0)
+    q = s.random(rng, 20)
+    q[:, :2] += rng.normal(size=(20, 2)) * 2000.0
+    X = s.fk(q, "tool")
+    answer = s.ik(tasks.Pose("tool", X), tolerance=1e-6)
+    assert answer.success.all() and answer.starts.max() <= 20
+    np.testing.assert_allclose(s.fk(answer.q, "tool"), X, atol=3e-6)
+    one = s.ik([tasks.Posture(s.neutral), tasks.Position("tool", X[0, :3, 3])])
+    assert one.success and one.starts == 1
+    with pytest.raises(InputError, match="finite"):
+        s.ik(tasks.Position("tool", [math.nan, 0.0, 0.0]))
+    mixed = s.ik(tasks.Position("tool", [[0.2, 0.1, 0.9], [9e3, 0.0, 0.9], [math.nan, 0.0, 0.0]]))
+    np.testing.assert_array_equal(mixed.success, [True, True, False])
+    np.testing.assert_array_equal(mixed.q[0], s.ik(tasks.Position("tool", [0.2, 0.1, 0.9])).q)

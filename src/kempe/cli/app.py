@@ -55,9 +55,17 @@ Posture = Annotated[
     str | None,
     option("--posture", "A posture of FILE, 'neutral' or 'mid'; --q name=value changes it.", "NAME"),
 ]
-Frame = Annotated[str, option("--frame", "Body or frame that shall reach the target.", "NAME")]
-Target = Annotated[
-    str, option("--target", "x,y,z,roll,pitch,yaw (fixed axes) or x,y,z; or a .csv or .npy file.", "VALUES")
+_ROWS = "x,y,z,roll,pitch,yaw (fixed axes) or x,y,z; or a .csv or .npy file."
+FrameOrTasks = Annotated[str | None, option("--frame", "Body or frame that shall reach the target.", "NAME")]
+TargetOrTasks = Annotated[str | None, option("--target", _ROWS, "VALUES")]
+PathTargets = Annotated[
+    str | None, option("--targets,--target", "A .csv or .npy file, a target a row, as for ik.", "FILE")
+]
+Tasks = Annotated[
+    Path | None, option("--tasks", "Several tasks in place of a frame and its target: a .toml file.", "FILE")
+]
+Prefer = Annotated[
+    str | None, option("--prefer", "What tasks leave free: 'nearest', 'mid' or 'manipulability'.", "WHAT")
 ]
 PositionOnly = Annotated[bool, option("--position-only", "Leave the orientation free.")]
 Seed = Annotated[str | None, option("--seed", "Configuration to start from, as --q of fk.", "VALUES")]
@@ -65,6 +73,9 @@ Rng = Annotated[int | None, option("--rng", "Number that fixes the random starts
 Tolerance = Annotated[
     str | None,
     option("--tolerance", "Largest errors accepted, metres and radians (1e-6; with --all 1e-9).", "M[,RAD]"),
+]
+PathTolerance = Annotated[
+    str | None, option("--tolerance", "Largest errors accepted, metres and radians (1e-10).", "M[,RAD]")
 ]
 _ALL = "All solutions"
 All = Annotated[bool, option("--all", "All configurations that reach the target, in closed form.", None, _ALL)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,16 +17,20 @@ from kempe.cli.app import (
     Deg,
     Dirs,
     File,
-    Frame,
+    FrameOrTasks,
     Hold,
     Json,
     Out,
+    PathTargets,
+    PathTolerance,
     PositionOnly,
+    Prefer,
     Rng,
     Root,
     Seed,
-    Target,
+    TargetOrTasks,
     Task,
+    Tasks,
     Tolerance,
     Xacro,
     app,
@@ -34,21 +40,28 @@ from kempe.cli.app import (
     told,
 )
 from kempe.errors import InputError
-from kempe.views.terminal import INCOMPLETE, guarded, print_json, show
+from kempe.views.terminal import INCOMPLETE, UsageError, guarded, print_json, show
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+    from kempe.views.task_file import Asked
+
+SLICE, TASK_SLICE = 4096, 256
+"""Targets that are solved at once: between them the work shows how far it is, and can be stopped."""
 
 
 @app.command(rich_help_panel=OPEN)
 @guarded
 def ik(
-    file: File, frame: Frame, target: Target, position_only: PositionOnly = False, seed: Seed = None,
+    file: File, frame: FrameOrTasks = None, target: TargetOrTasks = None, tasks: Tasks = None,
+    position_only: PositionOnly = False, seed: Seed = None,
     rng: Rng = None, tolerance: Tolerance = None, all: All = False, task: Task = None, axis: Axis = None,
-    hold: Hold = None, deg: Deg = False, out: Out = None, json: Json = False,
+    hold: Hold = None, prefer: Prefer = None, deg: Deg = False, out: Out = None, json: Json = False,
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
 ) -> None:  # fmt: skip
-    """Find a configuration that brings a frame to a pose, or all of them (inverse model).
+    """Find a configuration that brings a frame to a pose, or all of them, or one that holds several tasks.
+
+    Targets of a file are solved in slices; Ctrl-C ends the work with what was done.
 
     Example: kempe ik panda.urdf --frame panda_hand_tcp --target 0.4,0.1,0.5,180,0,0 --deg
     """
@@ -56,11 +69,23 @@ def ik(
     wrong = [name for name, value in given.items() if value is not None]
     if wrong:
         raise InputError(f"{wrong[0]} is for {'all solutions: add --all' if not all else 'a search: leave --all out'}")
+    single = {"--frame": frame, "--target": target}
+    _one_way(tasks, single, {"--task": task, "--axis": axis, "--position-only": position_only, "--all": all})
+    if prefer is not None and tasks is None:
+        raise InputError("--prefer is for --tasks: it says what is made least in what they leave free")
     system = load(file, base, root, package_dir, xacro)
-    from kempe.views import facts, report, rows
+    from kempe.views import rows
 
-    system.frame_name(frame)  # a wrong name is told before kernels are compiled
     results(out)
+    if frame is None or target is None:
+        asked = _read_tasks(system, tasks, deg)
+        start = None if seed is None else rows.configuration(system, seed, None, deg)
+        options = {"rng": rng or 0, **({} if prefer is None else {"prefer": prefer})}
+        _answer(system, asked.count, TASK_SLICE, lambda i, j: system.ik(
+            asked.tasks(i, j), seed=_part(start, i, j), tolerance=rows.tolerance(tolerance or "1e-6"), **options
+        ), deg, out, json)  # fmt: skip
+        return
+    system.frame_name(frame)  # a wrong name is told before kernels are compiled
     X, position = rows.target(system, target, deg)
     start = None if seed is None else rows.configuration(system, seed, None, deg)
     position = position or position_only
@@ -68,8 +93,47 @@ def ik(
     if all:
         _all(system, X, frame, task, axis, hold, start, tolerance, deg, out, json)
         return
-    asked = _asked(task, axis)
-    answer = system.ik(X, frame, seed=start, tolerance=rows.tolerance(tolerance or "1e-6"), rng=rng or 0, **asked)
+    wanted = {"tolerance": rows.tolerance(tolerance or "1e-6"), "rng": rng or 0, **_asked(task, axis)}
+    _answer(system, len(X) if X.ndim > 2 else None, SLICE, lambda i, j: system.ik(
+        X[i:j] if X.ndim > 2 else X, frame, seed=_part(start, i, j), **wanted), deg, out, json)  # fmt: skip
+
+
+def _one_way(tasks: Path | None, single: dict[str, Any], more: dict[str, Any]) -> None:
+    """Refuse what does not go together: a frame with its target, or a file of tasks."""
+    if tasks is not None:
+        wrong = [name for name, value in {**single, **more}.items() if value]
+        if wrong:
+            raise InputError(f"--tasks says all that is wanted: leave {wrong[0]} out")
+        return
+    missing = [name for name, value in single.items() if value is None]
+    if missing:
+        raise UsageError(f"Missing option '{missing[0]}', or '--tasks' in place of both.")
+
+
+def _read_tasks(system: System, path: Path | None, deg: bool) -> Asked:
+    from kempe.views import task_file
+
+    assert path is not None
+    return task_file.read(system, path, deg)
+
+
+def _part(seed: Any, i: int, j: int | None) -> Any:
+    """The seeds of targets i to j."""
+    return seed[i:j] if seed is not None and seed.ndim > 1 else seed
+
+
+def _answer(
+    system: System, count: int | None, size: int, solve: Callable[[int, int | None], Any], deg: bool, out: Path | None,
+    json: bool,
+) -> None:  # fmt: skip
+    """Solve, for one target or `count` of them, and print or write the answer."""
+    from kempe.views import facts, report, rows, slices
+
+    if count is None or count <= size:
+        answer = solve(0, count)
+    else:
+        with slices.progress(sys.stderr, count) as said:
+            answer = slices.in_slices(system, count, size, solve, said)
     if out is not None:
         rows.write_configurations(out, system, answer.q, deg)
     if json:
@@ -79,6 +143,59 @@ def ik(
         if out is not None:
             told(out, json)
     if not answer:
+        raise typer.Exit(INCOMPLETE)
+
+
+@app.command(rich_help_panel=OPEN)
+@guarded
+def path(
+    file: File, frame: FrameOrTasks = None, target: PathTargets = None, tasks: Tasks = None, seed: Seed = None,
+    position_only: PositionOnly = False,
+    max_step: Annotated[
+        float | None, option("--max-step", "Largest step, radians and characteristic lengths (0.5).", "X")
+    ] = None,
+    restart: Annotated[bool, option("--restart", "Where it must jump, go on instead of stopping.")] = False,
+    branches: Annotated[bool, option("--branches", "Try several starts; the best path is the answer.")] = False,
+    rng: Rng = None, tolerance: PathTolerance = None, deg: Deg = False, out: Out = None, json: Json = False,
+    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+) -> None:  # fmt: skip
+    """Follow a sequence of targets without a jump, or say where and why that cannot be.
+
+    Ctrl-C ends the work with what was done.
+
+    Example: kempe path panda.urdf --frame panda_hand_tcp --targets weld.csv -o q.csv
+    """
+    _one_way(tasks, {"--frame": frame, "--targets": target}, {"--position-only": position_only})
+    system = load(file, base, root, package_dir, xacro)
+    from kempe.views import follow_report, rows, slices
+
+    results(out)
+    start = None if seed is None else rows.configuration(system, seed, None, deg)
+    wanted: Any
+    if frame is None or target is None:
+        asked = _read_tasks(system, tasks, deg)
+        wanted, count = asked.tasks(), asked.count
+    else:
+        system.frame_name(frame)
+        wanted, position = rows.target(system, target, deg)
+        count = len(wanted) if wanted.ndim > 2 else None
+        wanted = wanted[..., :3, 3] if position or position_only else wanted
+    if count is None:
+        raise InputError("a path needs a .csv or .npy file of targets, one a row")
+    options: dict[str, Any] = {"restart": restart, "branches": branches, "rng": rng or 0}
+    options |= {} if max_step is None else {"max_step": max_step}
+    options |= {} if tolerance is None else {"tolerance": rows.tolerance(tolerance)}
+    with slices.progress(sys.stderr, count) as said:
+        answer = system.ik_path(wanted, frame, start, progress=said, **options)
+    if out is not None:
+        rows.write_configurations(out, system, answer.q, deg)
+    if json:
+        print_json({**follow_report.path_facts(answer, deg), "written": [str(out)] if out is not None else []})
+    else:
+        show(follow_report.path(answer, deg))
+        if out is not None:
+            told(out, json)
+    if not answer or answer.interrupted:
         raise typer.Exit(INCOMPLETE)
 
 

@@ -137,13 +137,19 @@ class Placed(Task):
         """The number (...) that the tie is given."""
         return None
 
+    def holds(self, system: System) -> list[Hold]:
+        """All its ties."""
+        return [self.hold(system)]
+
     def structure(self, system: System) -> Hashable:
-        """Its tie."""
-        return self.hold(system)
+        """Its ties."""
+        return tuple(self.holds(system))
 
     def ties(self, system: System, table: Table) -> list[Tie]:
-        """Its tie."""
-        h = self.hold(system)
+        """Its ties."""
+        return [self._tie(system, table, h) for h in self.holds(system)]
+
+    def _tie(self, system: System, table: Table, h: Hold) -> Tie:
         a = GROUND if h.a is None else table.at[h.a]
         row, X, particle = table.at[h.b]
         b = (row, X @ np.reshape(h.X_B, (4, 4)), particle)
@@ -154,7 +160,7 @@ class Placed(Task):
         if (particle and turned) or leaned:
             name = h.b if particle and turned else h.a
             raise InputError(f"{name!r} is a particle, which has no axes: {self.label} cannot be asked of it")
-        return [tie]
+        return tie
 
     def centre(self, system: System, table: Table) -> Centre | None:
         """The centre that takes the place of frame B, if any."""

@@ -17,6 +17,7 @@ from kempe import spatial
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.task import HERE, Hold, Placed, Task, along, directions_of, flat, numbers_of, points_of, poses_of
+from kempe.kinematics.task_between import Between, pair
 from kempe.kinematics.tasks_whole import CentreOfMass, CentreOfPoints, Function, Posture
 from kempe.spatial import Array
 
@@ -214,7 +215,7 @@ class OnLine(_OneFrame):
 
 
 @dataclass(frozen=True, eq=False)
-class OnPlane(_OneFrame):
+class OnPlane(Between, _OneFrame):
     """A point of a frame on the plane through `origin` (..., 3) with the normal `normal` (..., 3)."""
 
     origin: Any
@@ -230,28 +231,29 @@ class OnPlane(_OneFrame):
         z = directions_of(self.normal, system.dim, f"normal of {self.label}")
         return spatial.pose(along(z, system.dim), points_of(self.origin, system.dim, f"origin of {self.label}"))
 
-    def miss(self, X: Array) -> tuple[Array, Array]:
-        """Distance from the plane."""
-        return np.abs(X[..., 2, 3]), _none(X)
+    def values(self, X: Array) -> Array:
+        """What is along the normal."""
+        return X[..., 2:3, 3]
 
 
 @dataclass(frozen=True, eq=False)
 class HalfSpace(OnPlane):
-    """A point of a frame on the side of a plane to which its `normal` points, at least `margin` metres from it."""
+    """A point of a frame on that side of a plane to which its `normal` points, at least `margin` (...) m from it."""
 
-    margin: float = 0.0
+    margin: Any = 0.0
 
-    def hold(self, system: System) -> Hold:
-        """What is along the normal, from the margin on."""
-        return super().hold(system)._replace(bounds=((float(self.margin), math.inf),))
+    def goal(self, system: System) -> Array:
+        """A frame that far from the plane, z along the normal."""
+        X, margin = super().goal(system), numbers_of(self.margin, f"margin of {self.label}")
+        return X @ spatial.pose(p=margin[..., None] * np.array(Z)) if np.any(margin) else X
 
-    def miss(self, X: Array) -> tuple[Array, Array]:
-        """How far it is beyond."""
-        return np.maximum(self.margin - X[..., 2, 3], 0.0), _none(X)
+    def ends(self, system: System) -> tuple[Array, Array]:
+        """Above the plane."""
+        return np.zeros(1), np.full(1, math.inf)
 
 
 @dataclass(frozen=True, eq=False)
-class OnSphere(_OneFrame):
+class OnSphere(Between, _OneFrame):
     """A point of a frame at the distance `radius` (...) from `center` (..., 3): on a sphere, in the plane a circle."""
 
     center: Any
@@ -271,41 +273,41 @@ class OnSphere(_OneFrame):
         """The radius."""
         return _positive(self.radius, f"radius of {self.label}")
 
-    def miss(self, X: Array) -> tuple[Array, Array]:
-        """Distance from the sphere."""
-        return np.abs(_size(X[..., :3, 3]) - self.number), _none(X)
+    def values(self, X: Array) -> Array:
+        """The distance."""
+        return _size(X[..., :3, 3])[..., None]
 
 
 @dataclass(frozen=True, eq=False)
-class InBox(_OneFrame):
-    """A point of a frame between the corners `low` and `high` (3,) of a box whose frame is at `pose` (..., 4, 4)."""
+class InBox(Between, _OneFrame):
+    """A point of a frame between the corners `low` and `high` (..., 3) of a box that is at `pose` (..., 4, 4)."""
 
     low: Any
     high: Any
     pose: Any = field(default_factory=lambda: np.eye(4))
     point: Any = ORIGIN
 
-    def _corners(self, dim: int) -> tuple[tuple[float, float], ...]:
-        ends = [numbers_of(x, f"corner of {self.label}") for x in (self.low, self.high)]
-        if any(e.shape not in ((dim,), (3,)) for e in ends) or np.any(ends[0][:dim] > ends[1][:dim]):
-            raise InputError(
-                f"corners of {self.label} are {self.low!r}, {self.high!r}; needed are low <= high, ({dim},)"
-            )
-        return tuple(zip(ends[0][:dim].tolist(), ends[1][:dim].tolist(), strict=True))
-
     def hold(self, system: System) -> Hold:
-        """Each direction between its ends."""
-        return self._hold(system, _mask(system.dim), point=self.point, bounds=self._corners(system.dim))
+        """All directions."""
+        return self._hold(system, _mask(system.dim), point=self.point)
 
     def goal(self, system: System) -> Array:
         """The box's frame."""
         return poses_of(self.pose, system.dim, f"pose of {self.label}")
 
-    def miss(self, X: Array) -> tuple[Array, Array]:
-        """Distance from the box."""
-        corners = np.array(self._corners(2 if np.shape(self.low) == (2,) else 3))
-        p = X[..., : len(corners), 3]
-        return _size(p - np.clip(p, corners[:, 0], corners[:, 1])), _none(X)
+    def values(self, X: Array) -> Array:
+        """Where the point is in the box's frame; in the plane, within it."""
+        return X[..., : 2 if np.shape(self.low)[-1] == 2 else 3, 3]
+
+    def ends(self, system: System) -> tuple[Array, Array]:
+        """The corners."""
+        what = f"corners of {self.label}"
+        low, high = (points_of(x, system.dim, what)[..., : system.dim] for x in (self.low, self.high))
+        return pair(low, high, what)
+
+    def from_end(self, system: System, goal: Array, end: Array) -> tuple[Array, Array | None]:
+        """The box's frame at a corner."""
+        return goal @ spatial.pose(p=points_of(end, system.dim, f"corner of {self.label}")), None
 
 
 def _positive(x: Any, what: str) -> Array:
@@ -356,30 +358,33 @@ class RelativePosition(_TwoFrames):
 
 
 @dataclass(frozen=True, eq=False)
-class Distance(_TwoFrames):
-    """The distance of a `point` of a frame from `other_point` of another: `value` (...), or between bounds."""
+class Distance(Between, _TwoFrames):
+    """The distance of a `point` of a frame from `other_point` of another: `value` (...), or between bounds (...)."""
 
     value: Any = None
-    at_least: float | None = None
-    at_most: float | None = None
+    at_least: Any = None
+    at_most: Any = None
     point: Any = ORIGIN
     other_point: Any = ORIGIN
 
-    def _bounds(self) -> tuple[tuple[float, float], ...]:
+    def hold(self, system: System) -> Hold:
+        """The distance."""
+        return self._hold(system, 0, L.DISTANCE, point=self.point, a=system.frame_name(self.other), given=True)
+
+    def ends(self, system: System) -> tuple[Array, Array] | None:
+        """The bounds, if any."""
         if (self.value is None) == (self.at_least is None and self.at_most is None):
             raise InputError(f"{self.label} needs a value, or at_least or at_most")
         if self.value is not None:
-            return ()
-        low, high = self.at_least or 0.0, math.inf if self.at_most is None else self.at_most
-        if not 0.0 <= low <= high:
-            raise InputError(f"{self.label}: at_least {low!r} and at_most {high!r} leave nothing")
-        return ((float(low), float(high)),)
+            return None
+        low, high = (default if x is None else _positive(x, f"a bound of {self.label}")
+                     for x, default in ((self.at_least, 0.0), (self.at_most, math.inf)))  # fmt: skip
+        low, high = pair(low, high, f"at_least and at_most of {self.label}")
+        return low[..., None], high[..., None]
 
-    def hold(self, system: System) -> Hold:
-        """The distance."""
-        return self._hold(
-            system, 0, L.DISTANCE, point=self.point, a=system.frame_name(self.other), bounds=self._bounds(), given=True
-        )
+    def from_end(self, system: System, goal: Array, end: Array) -> tuple[Array, Array]:
+        """The point, and the bound."""
+        return goal, end[..., 0]
 
     def goal(self, system: System) -> Array:
         """The point of the other frame."""
@@ -390,10 +395,6 @@ class Distance(_TwoFrames):
         """The distance, or what bounds are measured from."""
         return np.zeros(()) if self.value is None else _positive(self.value, f"value of {self.label}")
 
-    def miss(self, X: Array) -> tuple[Array, Array]:
-        """How much too long or too short."""
-        far = _size(X[..., :3, 3])
-        if self.value is not None:
-            return np.abs(far - self.number), _none(X)
-        low, high = self._bounds()[0]
-        return np.abs(far - np.clip(far, low, high)), _none(X)
+    def values(self, X: Array) -> Array:
+        """The distance."""
+        return _size(X[..., :3, 3])[..., None]

@@ -14,7 +14,8 @@ from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q, circles
 from kempe.kinematics.forward import fk
-from kempe.kinematics.task import GROUND, Goals, Hold, Placed, Task, flat, numbers_of, points_of
+from kempe.kinematics.task import GROUND, Goals, Hold, Task, flat, numbers_of, points_of
+from kempe.kinematics.task_between import Between
 from kempe.kinematics.zoo import UserConstraint, user_constraint
 from kempe.model.loops import Centre, Tie
 from kempe.model.table import Table
@@ -95,6 +96,11 @@ class Posture(Task):
     def measure(self, system: System, q: Array, goals: Goals | None = None) -> tuple[Array, Array]:
         """The largest difference of a slide and of a turn."""
         values, items = self._values(system)
+        if goals is not None:  # of one row of a batch, it may be
+            values = np.broadcast_to(system.neutral, q.shape).copy()
+            for (_, i, _, ball), (_, x) in zip(items, goals, strict=True):
+                assert x is not None
+                values[..., i : i + (4 if ball else 1)] = x
         d = np.abs(system.difference(np.broadcast_to(values, q.shape), q))
         round_ = circles(system)
         d[..., round_] = np.abs(d[..., round_] - 2.0 * np.pi * np.round(d[..., round_] / (2.0 * np.pi)))
@@ -106,7 +112,7 @@ class Posture(Task):
         return d[..., slides].max(axis=-1, initial=0.0), angle
 
 
-class _Centred(Placed):
+class _Centred(Between):
     """A centre at a position."""
 
     target: Any
@@ -121,15 +127,35 @@ class _Centred(Placed):
         """The axes that count, within bounds where given."""
         if self.axes not in AXES:
             raise InputError(f"axes of {self.label} are {self.axes!r}; allowed are {', '.join(AXES)}")
-        mask = AXES[self.axes] & (3 if system.dim == 2 else 7)
-        n = mask.bit_count()
-        w = np.broadcast_to(numbers_of(self.within, f"within of {self.label}"), (n,))
-        bounds = tuple((-x, x) for x in w.tolist()) if np.any(w > 0.0) else ()
-        return Hold(system.body_names[0], flat(np.eye(4)), mask, bounds=bounds)
+        return Hold(system.body_names[0], flat(np.eye(4)), AXES[self.axes] & (3 if system.dim == 2 else 7))
+
+    def values(self, X: Array) -> Array:
+        """Where the centre is along the axes that count."""
+        return X[..., self._axes(3), 3]
+
+    def _axes(self, dim: int) -> list[int]:
+        return [i for i in range(dim) if AXES[self.axes] >> i & 1]
+
+    def ends(self, system: System) -> tuple[Array, Array] | None:
+        """As far as it may be to either side, if it may."""
+        n = len(self._axes(system.dim))
+        w = numbers_of(self.within, f"within of {self.label}")
+        if w.shape[-1:] not in ((), (1,), (n,)) or np.any(w < 0.0):
+            raise InputError(f"within of {self.label} is {self.within!r}; it must be a distance, or (..., {n})")
+        if not np.any(w):
+            return None
+        w = np.broadcast_to(w, (*w.shape[:-1], n))
+        return -w, w
+
+    def from_end(self, system: System, goal: Array, end: Array) -> tuple[Array, Array | None]:
+        """The target at an end."""
+        p = np.zeros((*end.shape[:-1], 3))
+        p[..., self._axes(system.dim)] = end
+        return goal @ spatial.pose(p=p), None
 
     def structure(self, system: System) -> Hashable:
         """Its tie and its points."""
-        return self.hold(system), tuple(self._points(system))
+        return super().structure(system), tuple(self._points(system))
 
     def goal(self, system: System) -> Array:
         """The target."""
@@ -154,18 +180,12 @@ class _Centred(Placed):
         p = np.einsum("...kij,kj->...ki", X[..., :3, :3], np.array([p for _, p, _ in points])) + X[..., :3, 3]
         return spatial.pose(p=np.einsum("...ki,k->...i", p, np.array([m for _, _, m in points])))
 
-    def miss(self, X: Array) -> tuple[Array, Array]:
-        """Distance, along the axes that count, beyond the bounds."""
-        mask = AXES[self.axes]
-        p = np.stack([X[..., i, 3] for i in range(3) if mask >> i & 1], axis=-1)
-        w = np.broadcast_to(np.asarray(self.within, dtype=float), p.shape[-1:])
-        return np.linalg.norm(np.maximum(np.abs(p) - w, 0.0), axis=-1), np.zeros(X.shape[:-2])
-
 
 @dataclass(frozen=True, eq=False)
 class CentreOfMass(_Centred):
     """The centre of mass at a position `target` (..., 3), along `axes` ("xyz", or "xy", ...), or `within` (m) of it.
 
+    `within` is one number, or (..., n) for the n axes, from target to target where it has leading axes.
     Masses and centres are those of the bodies, as files give them.
     """
 

@@ -201,8 +201,10 @@ class System(Compiled):
 
         return ik_path(self, targets, frame, seed, **options)
 
-    def ik_step(self, q: Any, wanted: Any, frame: FrameLike, dt: float, **options: Any) -> IkStep:
-        """Velocities that give a frame a twist, within all limits; see `kempe.solvers.servo.ik_step`."""
+    def ik_step(
+        self, q: Any, wanted: Any, frame: FrameLike | None = None, dt: float = 0.0, **options: Any
+    ) -> IkStep:  # fmt: skip
+        """Velocities for a frame's twist or for tasks, within all limits; see `kempe.solvers.servo.ik_step`."""
         from kempe.solvers.servo import ik_step
 
         return ik_step(self, q, wanted, frame, dt, **options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -47,7 +48,8 @@ class IkPath:
     """Configurations `q` (n, nq) that follow n targets, NaN where not `success` (n,).
 
     `jumps` are the targets that are reached, but not continuously from the one before; `status` says where and why the
-    path jumps or stops. It is true where all targets are reached without a jump.
+    path jumps or stops. It is true where all targets are reached without a jump. An interrupt (Ctrl-C) leaves what was
+    done (`interrupted`).
     """
 
     system: System
@@ -55,6 +57,7 @@ class IkPath:
     success: np.ndarray
     jumps: tuple[int, ...]
     status: str
+    interrupted: bool = False
 
     def __len__(self) -> int:
         return len(self.q)
@@ -69,7 +72,7 @@ class IkPath:
 def ik_path(
     system: System, targets: Any, frame: FrameLike | None = None, seed: Any = None, *, max_step: float = 0.5,
     restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] = TOLERANCE,
-    starts: int = STARTS, rng: int | np.random.Generator = 0,
+    starts: int = STARTS, rng: int | np.random.Generator = 0, progress: Callable[[int], None] | None = None,
 ) -> IkPath:  # fmt: skip
     """Configurations in which a frame follows targets, each reached continuously from the one before.
 
@@ -82,7 +85,8 @@ def ik_path(
     Where the smallest part of it cannot be gone, the path must jump: it stops, or, with `restart`, goes on from the
     nearest configuration found at the next target that can be reached. With `branches`, paths from several start
     configurations are tried, those of `ik_all` among them where it applies: the answer is the one that gets farthest,
-    then the one with fewest jumps, then the shortest. Errors: `InputError`, `UnknownNameError`.
+    then the one with fewest jumps, then the shortest. `progress` is told how many targets are done.
+    Errors: `InputError`, `UnknownNameError`.
     """
     if not 0.0 < max_step < math.inf:
         raise InputError(f"max_step is {max_step!r}; it must be a positive number")
@@ -93,7 +97,7 @@ def ik_path(
                          f"targets and one seed ({system.nq},)")  # fmt: skip
     for task, goals in zip(problem.tasks, problem.goals, strict=True):
         refuse(goals, task.label)
-    way = _Way(problem, max_step)
+    way = _Way(problem, max_step, progress)
     q0, info = way.rows[0].run(first)
     if info[0, 0] != SOLVED:
         status = f"the path does not begin: target 0 is {judge(way.rows[0], q0, info).status}"
@@ -117,10 +121,10 @@ def _held(system: System, targets: Any, frame: FrameLike) -> Pose | Position:
 class _Way:
     """The targets of a path, all that lies between them, and steps along it."""
 
-    def __init__(self, problem: Problem, max_step: float):
+    def __init__(self, problem: Problem, max_step: float, progress: Callable[[int], None] | None = None):
         tasks = tuple(replace(t, tolerance=None) for t in problem.tasks)
         self.problem, self.max_step = replace(problem, tasks=tasks), max_step
-        self.system, self.scale = problem.system, problem.packed.scale
+        self.system, self.scale, self.progress = problem.system, problem.packed.scale, progress
         self.rows = [self.problem.of(i) for i in range(problem.lead[0])]
         packed = problem.packed
         equal = np.repeat([not t.bounds for t in packed.loops.ties], [len(t.rows) for t in packed.loops.ties])
@@ -220,8 +224,21 @@ class _Way:
         """The path from q, which holds the first target."""
         n = len(self.rows)
         out, jumps, said = np.full((n, self.system.nq), np.nan), [], []
-        out[0], broken, before = q, False, np.zeros(self.system.nv)
-        for i in range(1, n):
+        out[0], interrupted = q, False
+        try:
+            self._go(out, jumps, said, restart)
+        except KeyboardInterrupt:
+            interrupted = True
+            said.append("interrupted: this is the part that was done")
+        success = self._checked(out)
+        status = f"{success.sum()} of {n} targets followed"
+        jumped = f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
+        return IkPath(self.system, out, success, tuple(jumps), "; ".join([status + jumped, *said]), interrupted)
+
+    def _go(self, out: Array, jumps: list[int], said: list[str], restart: bool) -> None:
+        """Write the path from its first configuration on, and what there is to say."""
+        q, broken, before = out[0], False, np.zeros(self.system.nv)
+        for i in range(1, len(out)):
             found, part = (q, 0.0) if broken else self.follow(i, q, before)
             if part < 1.0:
                 why = ""
@@ -238,10 +255,8 @@ class _Way:
                 found, q = others[0], others[0]
             before, q = self.system.difference(q, found) / self.scale, found
             out[i] = q
-        success = self._checked(out)
-        status = f"{success.sum()} of {n} targets followed"
-        jumped = f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
-        return IkPath(self.system, out, success, tuple(jumps), "; ".join([status + jumped, *said]))
+            if self.progress is not None:
+                self.progress(i + 1)
 
     def _checked(self, q: Array) -> np.ndarray:
         """Which configurations (n,) hold, by the forward model; the others become NaN, in place."""

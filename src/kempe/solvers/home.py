@@ -1,4 +1,4 @@
-"""Where assemblies start: at home, or anywhere."""
+"""Where searches start: at home, beside a target, or anywhere."""
 
 from __future__ import annotations
 
@@ -6,11 +6,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.joints import P
+from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import sampling_box
+from kempe.kinematics.task import Placed
+from kempe.kinematics.tasks import Pose, Position
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+    from kempe.solvers.tasks import Problem
+
+FAR = 10.0
+"""Characteristic lengths from a frame to its target from which on a base is moved before the first start."""
 
 
 def home_of(system: System) -> Array:
@@ -18,6 +26,44 @@ def home_of(system: System) -> Array:
     if "closed" in system.posture_names:
         return system.posture("closed")
     return system.mid
+
+
+def beside(problem: Problem, home: Array) -> Array:
+    """Homes (N or 1, nq) moved by a base that slides without limits to where the first hard task holds a frame.
+
+    So a drive over the plane begins beside its target; what is near stays. A base that flies is moved by the kernels.
+    """
+    system, base = problem.system, _slides(problem.system)
+    for k, task in enumerate(problem.tasks):
+        placed = isinstance(task, (Pose, Position)) and task.weight is None
+        at = problem.packed.owner.tolist().index(k) if placed and len(base) else -1
+        if at < 0 or problem.packed.loops.plan[L.BASE_TIE] >= 0:
+            continue
+        assert isinstance(task, Placed)
+        J = system.jacobian(home, task.hold(system).b)[:3, base]
+        away = task.goal(system)[..., :3, 3] - task.place(system, home)[:3, 3]
+        far = np.linalg.norm(away, axis=-1, keepdims=True) > FAR * problem.packed.loops.length
+        if not J.any() or not far.any():
+            continue
+        dx = away @ np.linalg.pinv(J, rcond=1e-9).T
+        moved = np.tile(home, (*dx.shape[:-1], 1))
+        places = dict(zip(system.layout.vector_v.tolist(), system.layout.vector_q.tolist(), strict=True))
+        moved[..., [places[v] for v in base]] += dx
+        moved = np.where(far & np.isfinite(dx).all(axis=-1, keepdims=True), moved, home)
+        return np.broadcast_to(moved, (*(problem.lead if dx.ndim > 1 else ()), system.nq)).reshape(-1, system.nq).copy()
+    return home[None]
+
+
+def _slides(system: System) -> list[int]:
+    """Velocity coordinates without limits that slide along axes that nothing turns."""
+    table, out = system.table, []
+    straight: set[int] = {-1}
+    for row, (kind, parent, v) in enumerate(zip(table.kind, table.parent, table.iv, strict=True)):
+        if kind == P and int(parent) in straight:
+            straight.add(row)
+            if np.isinf(system.lower[v]) and np.isinf(system.upper[v]) and np.sum(table.iv == v) == 1:
+                out.append(int(v))
+    return out
 
 
 def scatter(system: System, n: int, rng: np.random.Generator) -> Array:

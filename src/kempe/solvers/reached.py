@@ -63,6 +63,13 @@ class Reached(Solution):
         """Orthonormal basis (nv, k) of velocities that keep loops and tasks, in radians and characteristic lengths."""
         return self._local[3]
 
+    @cached_property
+    def derivative(self) -> dict[str, Array]:
+        """For each task, by its label, dq (..., nv, k) for motions of its goal; see `solvers.derivative_tasks`."""
+        from kempe.solvers.derivative_tasks import derivative
+
+        return derivative(self)
+
     def sentence(self, index: tuple[int, ...]) -> str:
         """The sentence for one problem."""
         from kempe.solvers.explain_tasks import sentence

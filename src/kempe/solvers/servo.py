@@ -11,28 +11,24 @@ import numpy as np
 from kempe import spatial
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q
-from kempe.solvers.chain import chain_of
+from kempe.kinematics.forward import refuse_bad
+from kempe.solvers.chain import chain_of, obstacle
+from kempe.solvers.least_squares import damped, scaled
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
-NEAR = 0.05
-"""Singular values below it are damped, those at zero fully."""
-FLAT = 1e-13
-"""Singular values below this fraction of the largest are zero: freedoms that the frame does not see."""
-LEAST = 1e-5
-"""Weight of small velocities against the twist, so that the best ones are unique."""
-SHRINK, LEAST_SCALED = 1e-4, 1e-8
-"""Weights, against the direction of a twist, of having it in full and of small velocities."""
-INWARD = 1e-14
-"""Gradients below this fraction of what is asked release no bound: rounding."""
+NONE = np.zeros(0)
+BESIDE = 1e-12
+"""How near to a bound a velocity is at it, where it is a sum of others."""
 
 
 @dataclass(frozen=True, eq=False)
 class IkStep:
     """Velocities of one step: `q` (nq,) after it, `velocity` (nv,), and the `twist` (6,) that they give the frame.
 
+    For tasks, `twist` are the rates (m,) of the equations of the hard ones, in radians and characteristic lengths.
     `fraction` is the part of the wanted twist in that, 1 where it is had in full; `saturated` names the coordinates
     that are at a limit of position or velocity.
     """
@@ -84,42 +80,87 @@ class Servo:
 
 
 def ik_step(
-    system: System, q: Any, wanted: Any, frame: FrameLike, dt: float, *, velocity_limits: Any = None,
-    damping: float = 0.05, keep_direction: bool = False, weights: Any = None,
+    system: System, q: Any, wanted: Any, frame: FrameLike | None = None, dt: float = 0.0, *,
+    velocity_limits: Any = None, damping: float = 0.05, keep_direction: bool = False, weights: Any = None,
 ) -> IkStep:  # fmt: skip
     """The step that gives a frame the wanted twist for the time dt [s], as nearly as limits allow.
 
     `wanted` is a twist (6,), [linear; angular] of the frame's origin in ground axes, or a pose (4, 4) to be reached in
-    dt. The velocities make the squared error of the twist least (`weights` (6,) of its rows, zero where a row does not
+    dt; without a frame, tasks of `kempe.tasks` to be reached in dt, hard or soft and in strict priorities. The
+    velocities make the squared error of the twist least (`weights` (6,) of its rows, zero where a row does not
     count) and, among those that do, their own size; near singularities the directions that are hard to move in are
     damped, by at most `damping` (Maciejewski and Klein, 1988). They stay in `velocity_limits` (a number or (nv,),
     default: those of the system), and no coordinate leaves its limits within dt: bounds are met by an active set, so
     that other joints take over (Stark and Parker, 1995). With `keep_direction` the twist is scaled instead of bent:
     what is had is the largest part of it that the limits allow, from 0 to 1, and that takes the place of damping.
-    Errors: `InputError`, and `UnsupportedError` where loops or relations move the frame.
+
+    Loops and relations of several coordinates stay closed, those of the whole system for tasks and for a frame that
+    they move: to first order by the velocities, and then in `q`, which is closed again (q may be open a little, as by
+    drift). There sizes are measured in radians and characteristic lengths, and damping relative to the largest
+    singular value. Errors: `InputError`, also where the loops are open.
     """
-    name = system.frame_name(frame)
-    servo = system._queries.get(("step", name))
-    if servo is None:
-        servo = system._queries[("step", name)] = Servo(system, name)
     q = as_q(system, q)
     if q.ndim != 1 or not (0.0 < dt < math.inf and 0.0 <= damping < math.inf):
         raise InputError(f"q has shape {q.shape}, dt is {dt!r}, damping {damping!r}; needed are one configuration "
                          f"({system.nq},), a positive time and a number not negative")  # fmt: skip
+    speed = system.velocity_limits if velocity_limits is None else _numbers(velocity_limits, system.nv,
+                                                                           "velocity_limits")  # fmt: skip
+    w = _numbers(weights, 6, "weights") if weights is not None else None
+    if frame is None:
+        if keep_direction or w is not None:
+            raise InputError("keep_direction and weights are for the twist of a frame; tasks have weights of their own")
+        return _held_step(system, q, wanted, None, dt, speed, damping, False, None)
+    name = system.frame_name(frame)
+    if obstacle(system, name):
+        return _held_step(system, q, wanted, name, dt, speed, damping, keep_direction, w)
+    servo = system._queries.get(("step", name))
+    if servo is None:
+        servo = system._queries[("step", name)] = Servo(system, name)
     pose, J = servo.query.pose_and_jacobian(q)
     J = J[:, servo.v]
     twist = _twist(wanted, pose, dt)
-    w = _numbers(weights, 6, "weights") if weights is not None else None
     A, b = (J, twist) if w is None else (w[:, None] * J, w * twist)
-    speed = servo.speed if velocity_limits is None else _numbers(velocity_limits, system.nv, "velocity_limits")[servo.v]
-    low, high = servo.box(q, dt, speed)
+    low, high = servo.box(q, dt, speed[servo.v])
     velocity = np.zeros(system.nv)
-    own = _scaled(A, b, low, high) if keep_direction else _bent(A, b, low, high, damping)
+    own = scaled(A, b, low, high) if keep_direction else damped(A, b, low, high, damping)
     velocity[servo.v] = own
-    had, square = J @ own, float(b @ b)
-    fraction = float(b @ (A @ own)) / square if square else 1.0
     at = ((own <= low) | (own >= high)).nonzero()[0]
-    return IkStep(servo.after(q, velocity, dt), velocity, had, fraction, tuple(servo.names[i] for i in at))
+    return IkStep(servo.after(q, velocity, dt), velocity, J @ own, _part(A @ own, b), tuple(servo.names[i] for i in at))
+
+
+def _held_step(
+    system: System, q: Array, wanted: Any, frame: str | None, dt: float, speed: Array, damping: float, direction: bool,
+    weights: Array | None,
+) -> IkStep:  # fmt: skip
+    """A step for a frame, or for tasks, while the system's loops and relations stay closed."""
+    from kempe.solvers.servo_closed import Closed, posed, stages_of
+
+    if not np.isfinite(q).all():
+        refuse_bad(system, q)
+    closed = system._queries.get(("step", None))
+    if closed is None:
+        closed = system._queries[("step", None)] = Closed(system)
+    if frame is None:
+        stages = stages_of(posed(system, wanted, q), q, dt)
+    else:
+        pose, J = system.query(frame).pose_and_jacobian(q)
+        stages = [closed.twist(J, _twist(wanted, pose, dt), np.ones(6) if weights is None else weights)]
+    low, high = closed.box(q, dt, speed)
+    u = closed.velocity(q, stages, low, high, damping, direction)
+    after, u = closed.after(q, u, dt, low, high)
+    velocity = u * closed.scale
+    near = BESIDE * np.maximum(1.0, np.abs(u))
+    at = ((u <= low + near) | (u >= high - near)).nonzero()[0]
+    asked = np.concatenate([NONE, *(s.b for s in stages if s.hard)])
+    had = np.concatenate([NONE, *(s.A @ u for s in stages if s.hard)])
+    twist = had if frame is None else J @ velocity
+    return IkStep(after, velocity, twist, _part(had, asked), tuple(system.velocity_names[i] for i in at))
+
+
+def _part(had: Array, asked: Array) -> float:
+    """Which part of what is asked is had."""
+    square = float(asked @ asked)
+    return float(asked @ had) / square if square else 1.0
 
 
 def _twist(wanted: Any, pose: Array, dt: float) -> Array:
@@ -142,71 +183,3 @@ def _numbers(x: Any, n: int, what: str) -> Array:
     if not (out >= 0.0).all():
         raise InputError(f"{what} is {x!r}; it must be a number or ({n},) numbers, none negative")
     return out
-
-
-def _bent(A: Array, b: Array, low: Array, high: Array, damping: float) -> Array:
-    """Velocities (n,) in the box that make |A v - b| least, damped and small."""
-    n = A.shape[1]
-    U, s, Vt = np.linalg.svd(A, full_matrices=True)
-    seen = s > FLAT * s[:1].max(initial=0.0)
-    hard = np.where(seen & (s < NEAR), damping * np.sqrt(np.maximum(1.0 - (s / NEAR) ** 2, 0.0)), 0.0)
-    k = len(s)
-    part = np.where(seen, s / np.where(seen, s * s + hard * hard, 1.0), 0.0)
-    v = Vt[:k].T @ (part * (U[:, :k].T @ b))
-    if (v >= low).all() and (v <= high).all():
-        return v
-    rows = np.full(n, LEAST)
-    rows[:k][seen] = np.maximum(hard[seen], LEAST * (s[seen] < NEAR))
-    kept = rows > 0.0
-    return bounded(np.concatenate([A, rows[kept, None] * Vt[kept]]), np.concatenate([b, np.zeros(kept.sum())]), low,
-                   high, v)  # fmt: skip
-
-
-def _scaled(A: Array, b: Array, low: Array, high: Array) -> Array:
-    """Velocities (n,) in the box that give the largest part of b, its direction kept, and are small."""
-    size, n = math.sqrt(b @ b), A.shape[1]
-    inside = np.minimum(np.maximum(0.0, low), high)
-    if not size:
-        return inside
-    # the part of b is one more unknown, in [0, 1], wished to be 1 with little weight
-    B = np.zeros((7 + n, n + 1))
-    B[:6, :n], B[:6, n], B[6, n] = A / size, -b / size, SHRINK
-    B[range(7, 7 + n), range(n)] = LEAST_SCALED / size
-    wish = np.zeros(7 + n)
-    wish[6] = SHRINK
-    x: Array = np.asarray(np.linalg.lstsq(B, wish, rcond=None)[0], dtype=float)
-    if (x[:n] < low).any() or (x[:n] > high).any():
-        x = bounded(B, wish, np.append(low, 0.0), np.append(high, 1.0), x)
-    return x[:n]
-
-
-def bounded(A: Array, b: Array, low: Array, high: Array, first: Array) -> Array:
-    """The x (n,) in a box that makes |A x - b| least, for A of full column rank: active set (Stark and Parker, 1995).
-
-    `first` (n,) says which bounds are tried first: those that it violates.
-    """
-    x = np.minimum(np.maximum(first, low), high)
-    held = (first <= low) | (first >= high)
-    for _ in range(10 * len(x) + 10):
-        free = ~held
-        if free.any():
-            z = x.copy()
-            z[free] = np.linalg.lstsq(A[:, free], b - A[:, held] @ x[held], rcond=None)[0]
-            over = free & ((z < low) | (z > high))
-            if over.any():
-                step, way = np.inf, z - x
-                ratio = np.where(way < 0.0, low - x, high - x)[over] / way[over]
-                step = min(max(float(ratio.min()), 0.0), 1.0)
-                x = np.where(free, np.minimum(np.maximum(x + step * way, low), high), x)
-                block = np.flatnonzero(over)[ratio <= step]
-                x[block] = np.where(way[block] < 0.0, low[block], high[block])
-                held[block] = True
-                continue
-            x = z
-        slope = A.T @ (A @ x - b)
-        pull = np.where(held & (low < high), np.where(x <= low, -slope, slope), 0.0)
-        worst = int(np.argmax(pull))
-        if pull[worst] <= INWARD * max(1.0, float(np.abs(b).max())):
-            break
-        held[worst] = False
-    return x

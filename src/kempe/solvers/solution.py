@@ -71,7 +71,7 @@ class Solution(Answer):
         return self.task.system
 
     @cached_property
-    def derivative(self) -> Array:
+    def derivative(self) -> Any:
         """dq (..., nv, 6) for a twist [linear; angular] of the target; see `kempe.solvers.derivative`."""
         from kempe.solvers.derivative import derivative
 

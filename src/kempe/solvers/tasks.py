@@ -18,7 +18,7 @@ from kempe.kinematics.tasks_whole import Callback
 from kempe.solvers.arguments import seed_number, start_count, tolerances
 from kempe.solvers.assembly import TOLERANCE as CLOSED
 from kempe.solvers.assembly import limitless
-from kempe.solvers.home import home_of
+from kempe.solvers.home import beside, home_of
 from kempe.solvers.reached import Reached
 from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, SOLVED
 from kempe.spatial import Array
@@ -82,7 +82,7 @@ class Problem:
     def run(self, starts: Array, threads: int | None = 1) -> tuple[Array, np.ndarray]:
         """Configurations (N, nq) and (status, steps, starts) (N, 3) from starts (N or 1, nq)."""
         loops, n = self.packed.loops, math.prod(self.lead)
-        stages, strengths = self._stages()
+        stages, strengths = self.levels()
         weights = loops.weights if self.limits else limitless(self.system, loops)
         q, info = np.empty((n, self.system.nq)), np.empty((n, 3), dtype=np.int64)
         aim = starts if self.aim is None else self.aim
@@ -104,7 +104,7 @@ class Problem:
                 raise error
         return self.packed.inside(q) if self.limits else q, info
 
-    def _stages(self) -> tuple[np.ndarray, Array]:
+    def levels(self) -> tuple[np.ndarray, Array]:
         """Stage of each tie and whether it is hard (2 ties,), and weight and tolerances (ties, 3)."""
         asked = (self.use, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
         if asked not in self.packed.stages:
@@ -185,12 +185,13 @@ def pose_problem(
         base = np.broadcast_to(base, (*lead, system.nq)).reshape(math.prod(lead), system.nq)
     packed = _packed(system, tasks, turns)
     pins = packed.pins(goals, lead if lead_of(goals) else ())
-    base = np.ascontiguousarray(base.reshape(-1, system.nq))
     use = (True,) * len(tasks)
-    return Problem(
+    problem = Problem(
         system, tasks, packed, goals, pins, lead, tolerances(tolerance), start_count(starts), seed_number(rng), use,
         loose=seed is None,
-    ), base  # fmt: skip
+    )  # fmt: skip
+    starts_at = beside(problem, base) if seed is None else base.reshape(-1, system.nq)
+    return problem, np.ascontiguousarray(starts_at)
 
 
 def _home(system: System) -> Array:
@@ -245,7 +246,7 @@ def _packed(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
 def _preferring(problem: Problem, prefer: Any, base: Array) -> Problem:
     """The problem with what is to be made least last."""
     if prefer == "nearest":
-        return replace(problem, mode=kernel.AHEAD, aim=base)
+        return replace(problem, mode=kernel.AHEAD, aim=_home(problem.system)[None] if problem.loose else base)
     if prefer == "mid":
         return replace(problem, mode=kernel.AHEAD, aim=problem.system.mid[None])
     from kempe.solvers.preferences import least

@@ -19,7 +19,7 @@ from kempe.model.coordinates import Follower, relation_text
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.solution import Solution
+    from kempe.solvers.answer import Answer
 
 DEGREE = math.pi / 180.0
 CLOSED = 1e-5
@@ -184,7 +184,7 @@ def poses_facts(system: System, frame: str | None, X: spatial.Array, degrees: bo
     return unit | {"configurations": [one(Y) for Y in X]}
 
 
-def solution_facts(system: System, answer: Solution, degrees: bool = False) -> dict[str, Any]:
+def solution_facts(system: System, answer: Answer, degrees: bool = False) -> dict[str, Any]:
     """An answer of `ik`: configuration by name, how well it reaches, and the sentence; lists for a batch."""
     names = system.coordinate_names
     q = jsonable(in_degrees(answer.q, names, units(system), degrees))

@@ -21,7 +21,7 @@ from kempe.views import facts
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.solution import Solution
+    from kempe.solvers.answer import Answer
     from kempe.views import benchmark
 
 WIDE = 100_000
@@ -316,7 +316,7 @@ def matrix(X: spatial.Array) -> str:
     return "\n".join("  ".join(f"{number(x):>10}" for x in row) for row in np.asarray(X).tolist())
 
 
-def solution(system: System, answer: Solution, degrees: bool = False) -> RenderableType:
+def solution(system: System, answer: Answer, degrees: bool = False) -> RenderableType:
     """An answer of `ik`: its sentence, and the configuration by name; of many targets a line for each."""
     coordinates = facts.coordinates(system, degrees)
     q = facts.in_degrees(answer.q, system.coordinate_names, facts.units(system), degrees)
@@ -334,16 +334,14 @@ def solution(system: System, answer: Solution, degrees: bool = False) -> Rendera
     return Group(*shown)
 
 
-def outcome(answer: Solution) -> Text:
+def outcome(answer: Answer) -> Text:
     """The sentence of an answer of `ik`, or how many of a batch of targets are reached and which are not."""
-    from kempe.solvers.explain import sentence
-
     if np.ndim(answer.success) == 0:
         return Text(clean(answer.status), style="bold green" if answer.success else "bold red")
     missed = np.flatnonzero(~np.asarray(answer.success)).tolist()
     text = Text(str(answer), style="bold red" if missed else "bold green")
     for row in missed[:REASON_LIMIT]:
-        text.append(f"\nrow {row}: {clean(sentence(answer, (row,)))}", "red")
+        text.append(f"\nrow {row}: {clean(answer.sentence((row,)))}", "red")
     if len(missed) > REASON_LIMIT:
         text.append(f"\nand {rows_text(missed[REASON_LIMIT:])}", "red")
     return text
@@ -355,7 +353,7 @@ def rows_text(numbers: Sequence[int]) -> str:
     return f"row{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers[:12]))}{more}"
 
 
-def _configurations(coordinates: list[dict[str, Any]], q: spatial.Array, answer: Solution) -> Table:
+def _configurations(coordinates: list[dict[str, Any]], q: spatial.Array, answer: Answer) -> Table:
     columns = (
         ">target",
         "reached",

@@ -1,0 +1,44 @@
+"""Paths of configurations that follow targets, for people and for programs: as tables and data."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from kempe.views import facts, report
+
+if TYPE_CHECKING:
+    from kempe.solvers.following import IkPath
+
+
+def path(answer: IkPath, degrees: bool = False) -> RenderableType:
+    """The sentence of a path, and the range of each coordinate on it, with the largest step between two targets."""
+    system = answer.system
+    style = "bold green" if answer else "bold yellow" if answer.success.all() else "bold red"
+    shown: list[RenderableType] = [Text(report.clean(answer.status), style=style)]
+    if answer.success.any():
+        q = facts.in_degrees(answer.q, system.coordinate_names, facts.units(system), degrees)
+        steps = np.abs(np.diff(q, axis=0))
+        lines = []
+        for i, c in enumerate(facts.coordinates(system, degrees)):
+            most = np.nanmax(steps[:, i]) if np.isfinite(steps[:, i]).any() else 0.0
+            values = (np.nanmin(q[:, i]), np.nanmax(q[:, i]), most)
+            lines.append((c["name"], *(report.number(x, 4 if c["unit"] == "deg" else 6) for x in values), c["unit"]))
+        shown += ["", report.table(("coordinate", ">least", ">largest", ">largest step", "=unit"), lines)]
+    return Group(*shown)
+
+
+def path_facts(answer: IkPath, degrees: bool = False) -> dict[str, Any]:
+    """A path as plain data: q by name for each target, None where it is not followed."""
+    system, names = answer.system, answer.system.coordinate_names
+    q = facts.jsonable(facts.in_degrees(answer.q, names, facts.units(system), degrees))
+    return {
+        "system": system.name, "angle_unit": "deg" if degrees else "rad", "success": bool(answer),
+        "status": answer.status, "followed": answer.success.tolist(), "jumps": list(answer.jumps),
+        "interrupted": answer.interrupted,
+        "q": [dict(zip(names, row, strict=True)) if good else None
+              for row, good in zip(q, answer.success, strict=True)],
+    }  # fmt: skip

@@ -1,0 +1,90 @@
+"""Batches of targets in slices: so that the work shows how far it is, and can be stopped with what was done."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, TextIO
+
+import numpy as np
+
+from kempe.solvers.answer import Answer
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.solvers.solution import Solution
+
+FIELDS = ("q", "success", "code", "position_error", "orientation_error", "residual", "iterations", "starts")
+
+
+class Slices(Answer):
+    """The answers of slices of a batch, one after the other, with the fields of a `Solution`.
+
+    `asked` is the number of targets; fewer are answered where the work was `interrupted`.
+    """
+
+    q: Array
+
+    def __init__(self, answers: list[Solution], asked: int, system: System):
+        self.answers, self.asked, self._system = answers, asked, system
+        self.first = np.cumsum([0, *(len(a) for a in answers)])
+        for name in FIELDS:
+            empty = np.zeros((0, system.nq) if name == "q" else 0, dtype=bool if name == "success" else float)
+            setattr(self, name, np.concatenate([getattr(a, name) for a in answers]) if answers else empty)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether targets are left."""
+        return len(self) < self.asked
+
+    @property
+    def system(self) -> System:
+        """The system that was asked."""
+        return self._system
+
+    def sentence(self, index: tuple[int, ...]) -> str:
+        """The sentence for one target."""
+        k = int(np.searchsorted(self.first, index[0], side="right")) - 1
+        return self.answers[k].sentence((index[0] - int(self.first[k]),))
+
+    def __bool__(self) -> bool:
+        return super().__bool__() and not self.interrupted
+
+    def __str__(self) -> str:
+        what = self.answers[0].what if self.answers else "targets reached"
+        left = f" (interrupted: {self.asked - len(self)} targets were not asked)" if self.interrupted else ""
+        return f"{int(np.sum(self.success))} of {len(self)} {what}{left}"
+
+
+def in_slices(
+    system: System, count: int, size: int, solve: Callable[[int, int], Solution],
+    said: Callable[[int], None] | None = None,
+) -> Slices:  # fmt: skip
+    """The answers of `count` targets, `size` at a time; an interrupt (Ctrl-C) ends it with what was done.
+
+    solve: answers targets from a first to before a last. said: is told how many are done.
+    """
+    answers: list[Solution] = []
+    with contextlib.suppress(KeyboardInterrupt):
+        for start in range(0, count, size):
+            stop = min(start + size, count)
+            answers.append(solve(start, stop))
+            if said is not None:
+                said(stop)
+    return Slices(answers, count, system)
+
+
+@contextlib.contextmanager
+def progress(file: TextIO, count: int, what: str = "targets") -> Iterator[Callable[[int], None] | None]:
+    """A bar that counts what is done of `count`; nothing where `file` is no terminal."""
+    if not file.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns: Any = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(file=file), transient=True) as bar:
+        task = bar.add_task(what, total=count)
+        yield lambda done: bar.update(task, completed=done)
