@@ -14,7 +14,7 @@ from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q, circles
 from kempe.kinematics.forward import fk
-from kempe.kinematics.task import GROUND, Goals, Hold, Placed, Task, flat, numbers_of, points_of
+from kempe.kinematics.task import GROUND, HERE, Goals, Hold, Placed, Task, numbers_of, points_of
 from kempe.kinematics.zoo import UserConstraint, user_constraint
 from kempe.model.loops import Centre, Tie
 from kempe.model.table import Table
@@ -23,6 +23,7 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
+HERE_POSE = np.eye(4)
 AXES = {"xyz": 7, "xy": 3, "xz": 5, "yz": 6, "x": 1, "y": 2, "z": 4}
 
 
@@ -123,13 +124,19 @@ class _Centred(Placed):
             raise InputError(f"axes of {self.label} are {self.axes!r}; allowed are {', '.join(AXES)}")
         mask = AXES[self.axes] & (3 if system.dim == 2 else 7)
         n = mask.bit_count()
+        if self.within.__class__ is float and self.within == 0.0:
+            return Hold(system.body_names[0], HERE, mask)
         w = np.broadcast_to(numbers_of(self.within, f"within of {self.label}"), (n,))
         bounds = tuple((-x, x) for x in w.tolist()) if np.any(w > 0.0) else ()
-        return Hold(system.body_names[0], flat(np.eye(4)), mask, bounds=bounds)
+        return Hold(system.body_names[0], HERE, mask, bounds=bounds)
 
     def structure(self, system: System) -> Hashable:
         """Its tie and its points."""
-        return self.hold(system), tuple(self._points(system))
+        return self.hold(system), self._own()
+
+    def _own(self) -> Hashable:
+        """What its points depend on, of one system."""
+        raise NotImplementedError
 
     def goal(self, system: System) -> Array:
         """The target."""
@@ -149,17 +156,30 @@ class _Centred(Placed):
 
     def place(self, system: System, q: Array, hold: Hold | None = None) -> Array:
         """The centre, by the forward model."""
-        points = self._points(system)
-        X = fk(system, q, [f for f, _, _ in points])
-        p = np.einsum("...kij,kj->...ki", X[..., :3, :3], np.array([p for _, p, _ in points])) + X[..., :3, 3]
-        return spatial.pose(p=np.einsum("...ki,k->...i", p, np.array([m for _, _, m in points])))
+        key = ("centre", type(self), self._own())
+        found = system._queries.get(key)
+        if found is None:
+            points = self._points(system)
+            frames = [f for f, _, _ in points]
+            names = list(dict.fromkeys([*system.body_names, *frames]))  # all bodies at once are quicker than some
+            moments = np.zeros((len(names), 4))
+            for f, p, mass in points:
+                moments[names.index(f)] += *(mass * x for x in p), mass
+            found = system._queries[key] = None if len(names) == len(system.body_names) else names, moments
+        X = fk(system, q, found[0])
+        return spatial.pose(p=np.einsum("...kij,kj->...i", X[..., :3, :], found[1]))
 
     def miss(self, X: Array) -> tuple[Array, Array]:
         """Distance, along the axes that count, beyond the bounds."""
-        mask = AXES[self.axes]
-        p = np.stack([X[..., i, 3] for i in range(3) if mask >> i & 1], axis=-1)
-        w = np.broadcast_to(np.asarray(self.within, dtype=float), p.shape[-1:])
-        return np.linalg.norm(np.maximum(np.abs(p) - w, 0.0), axis=-1), np.zeros(X.shape[:-2])
+        return self.apart(HERE_POSE, X)
+
+    def apart(self, goal: Array, X: Array) -> tuple[Array, Array]:
+        """Distance, along the axes that count, beyond the bounds."""
+        p = X[..., :3, 3] - goal[..., :3, 3]
+        if self.axes != "xyz":
+            p = p[..., [i for i in range(3) if AXES[self.axes] >> i & 1]]
+        beyond = np.maximum(np.abs(p) - self.within, 0.0)
+        return np.sqrt(np.vecdot(beyond, beyond)), np.zeros(p.shape[:-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +197,9 @@ class CentreOfMass(_Centred):
     def about(self) -> str:
         """The system."""
         return "the system"
+
+    def _own(self) -> Hashable:
+        return None
 
     def _points(self, system: System) -> list[tuple[str, tuple[float, ...], float]]:
         bodies = system.mechanism.bodies
@@ -200,6 +223,10 @@ class CentreOfPoints(_Centred):
     def about(self) -> str:
         """The frames."""
         return ", ".join(repr(str(f)) for f in self.frames)
+
+    def _own(self) -> Hashable:
+        weights = self.frames if isinstance(self.frames, Mapping) else dict.fromkeys(self.frames, 1.0)
+        return tuple(weights.items())
 
     def _points(self, system: System) -> list[tuple[str, tuple[float, ...], float]]:
         weights = self.frames if isinstance(self.frames, Mapping) else dict.fromkeys(self.frames, 1.0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from kempe.solvers.inverse import Task, chain_of, outside, run
-from kempe.solvers.solution import BAD_INPUT, OUT_OF_REACH, SOLVED, Solution
+from kempe.solvers.solution import BAD_INPUT, OUT_OF_REACH, OUT_OF_TIME, SOLVED, Solution
 from kempe.solvers.targets import Z_AXIS, frame_of
 
 RANK_TOLERANCE = 1e-9
@@ -34,6 +34,9 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
         if task.system.dim == 2 and abs(target[0, 2, 3]) > task.tolerance[0]:
             return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m; {near}"
         return f"outside the workspace by at least {beyond:.6g} m, by the lengths of the links; {near}"
+    if code == OUT_OF_TIME:
+        tried = f"{starts} of {_count(task.starts, 'start')}"
+        return f"not reached within the time limit of {task.time_limit:g} s, after {tried}; {near}"
     reason = _limits(task, target) or _over_determined(task, target) or _why(task)
     return f"not reached after {_count(starts, 'start')}: {reason}; {near}"
 

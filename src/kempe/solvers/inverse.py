@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +16,9 @@ from kempe.kernels.job import ANSWER, LINEAR, STATUS
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
-from kempe.solvers.arguments import seed_number, start_count, tolerances
+from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.solvers.chain import Chain, chain_of, inside, obstacle
-from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, SOLVED, Solution
+from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED, Solution
 from kempe.solvers.targets import (
     TASKS,
     Z_AXIS,
@@ -59,6 +60,10 @@ class Task:
     rng: int
     chain: Chain = field(repr=False)
     """The chain of the frame, its z axis turned to `axis`."""
+    iterations: int = ITERATIONS
+    time_limit: float | None = None
+    end: float = math.inf
+    """When the time is up, by `time.monotonic`."""
 
     @property
     def mask(self) -> tuple[int, ...]:
@@ -69,8 +74,8 @@ class Task:
 def ik(
     system: System, target: ArrayLike, frame: FrameLike, seed: Any = None, *, task: str | None = None,
     axis: ArrayLike = Z_AXIS, position_only: bool = False, tolerance: float | tuple[float, float] = TOLERANCE,
-    starts: int = STARTS, rng: int | np.random.Generator = 0, threads: int | None = None, throw: bool = False,
-    method: str = "numeric",
+    starts: int = STARTS, iterations: int = ITERATIONS, time_limit: float | None = None,
+    rng: int | np.random.Generator = 0, threads: int | None = None, throw: bool = False, method: str = "numeric",
 ) -> Solution:  # fmt: skip
     """A configuration in which `frame` reaches `target` (the inverse geometric model), always inside the limits.
 
@@ -82,7 +87,9 @@ def ik(
 
     Starts are tried in order, the seed or the middle of the limits first, up to `starts` of them, the others drawn from
     `rng`; the answer is that of the first start that reaches the target. So the same arguments give the same answer,
-    whatever the `threads`, and a seed that leads to the target is preferred to all else.
+    whatever the `threads`, and a seed that leads to the target is preferred to all else. `iterations` are the steps of
+    one start, at most. `time_limit` [s] is for the whole call, looked at after each 32 starts (so their sequence is
+    another one): an answer that it ended says so, and is the only one that depends on the machine.
 
     The answer says by `success` and `status` whether it was reached and if not, why; `throw=True` raises
     `NoSolutionError` instead. A NaN in a single target is an `InputError`, in a batch it gives a NaN row. A frame that
@@ -100,10 +107,15 @@ def ik(
 
         wanted = _tasks(name, asked, targets.reshape(*lead, 4, 4))
         more: dict[str, Any] = {} if starts == STARTS else {"starts": starts}
+        more |= {} if iterations == ITERATIONS else {"iterations": iterations}
+        more |= {} if time_limit is None else {"time_limit": time_limit}
         return reach(system, wanted, seed, tolerance=tolerance, rng=rng, threads=threads, throw=throw, **more)
     chain = chain_of(system, name, asked[1])
     base, seeds = _seeds(system, chain, seed, lead)
-    question = Task(system, name, targets, *asked, tolerances(tolerance), start_count(starts), seed_number(rng), chain)
+    question = Task(
+        system, name, targets, *asked, tolerances(tolerance), start_count(starts), seed_number(rng), chain,
+        step_count(iterations), time_limit, deadline(time_limit),
+    )  # fmt: skip
     plan = None
     if method != "numeric":
         from kempe.solvers.analytic import hand_over
@@ -201,19 +213,27 @@ def run(
     def work(i: int, j: int) -> int:
         first = seeds[i:j] if len(seeds) > 1 else seeds
         arguments = (
-            chain.ints, chain.floats, bounds, rows, goals[i:j], first, task.rng, i, task.starts, ITERATIONS,
+            chain.ints, chain.floats, bounds, rows, goals[i:j], first, task.rng, i, task.starts, task.iterations,
             *task.tolerance, 0.0, out[i:j],
         )  # fmt: skip
-        if chain.ints[HAS_QUATERNION]:
-            from kempe.kernels.solve import reach_one_by_one  # what few chains need is compiled for them alone
+        search_ = _search(chain)
+        if task.time_limit is not None:
+            from kempe.solvers.rounds import in_time
 
-            missed = reach_one_by_one(*arguments)
-        else:
-            missed = search.reach(*arguments)
-        return _approach(*arguments) if missed else 0
+            return in_time(task, search_, _approach, arguments)
+        return _approach(*arguments) if search_(*arguments) else 0
 
-    over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+    over_chunks(work, n, CHUNK, threads, SERIAL_BELOW if task.time_limit is None else CHUNK)
     return out[:, :nq], out[:, nq + LINEAR : nq + STATUS], out[:, nq + STATUS :].astype(np.int64)
+
+
+def _search(chain: Chain) -> Callable[..., int]:
+    """The kernel that searches for a chain."""
+    if chain.ints[HAS_QUATERNION]:
+        from kempe.kernels.solve import reach_one_by_one  # what few chains need is compiled for them alone
+
+        return reach_one_by_one
+    return search.reach
 
 
 def _approach(*arguments: Any) -> int:
@@ -279,7 +299,7 @@ class Bound:
 
 def _look_closer(task: Task, code: np.ndarray) -> None:
     """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
-    failed = np.flatnonzero(code == NOT_FOUND)
+    failed = np.flatnonzero((code == NOT_FOUND) | (code == OUT_OF_TIME))
     code[failed[outside(task, task.targets[failed]) > task.tolerance[0]]] = OUT_OF_REACH
 
 
