@@ -229,16 +229,17 @@ def test_levels_are_optima_of_a_nested_optimisation(seed):
 
 
 def test_a_lower_level_disturbs_no_higher_one():
+    """From where the higher levels end: they are lowered on, if at all."""
     s = two_arms()
     rng = np.random.default_rng(1)
-    q = s.random(rng)
-    higher = [tasks.Pose("left", s.fk(q, "left")), tasks.Position("left", [5.0, 0.0, 0.0], weight=1.0),
-              tasks.Position("right", [5.0, 0.0, 0.0], weight=1.0, priority=1)]  # fmt: skip
-    alone = s.ik(higher, seed=q)
-    both = s.ik([*higher, tasks.Posture(s.random(rng), priority=2)], seed=q)
-    for task in higher:
-        np.testing.assert_allclose(both.errors[task.label], alone.errors[task.label], atol=1e-6)
-    assert not np.allclose(both.q, alone.q, atol=1e-2)
+    for q in s.random(rng, 4):
+        higher = [tasks.Pose("left", s.fk(q, "left")), tasks.Position("left", [5.0, 0.0, 0.0], weight=1.0),
+                  tasks.Position("right", [5.0, 0.0, 0.0], weight=1.0, priority=1)]  # fmt: skip
+        alone = s.ik(higher, seed=q)
+        both = s.ik([*higher, tasks.Posture(s.random(rng), priority=2)], seed=alone.q)
+        for task in higher:
+            assert np.all(both.errors[task.label] <= alone.errors[task.label] + 1e-6)
+        assert not np.allclose(both.q, alone.q, atol=1e-2)
 
 
 def test_contradictory_hard_levels_keep_the_first():

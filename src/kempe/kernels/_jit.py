@@ -17,10 +17,13 @@ import threading
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numba
 from numba import types
 from numba.core import config
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.typing.templates import Signature
 
 FLAGS = {"contract", "nsz", "arcp"}
@@ -111,9 +114,8 @@ def kernel(*signatures: Signature, nogil: bool = True) -> Callable:
             before = getattr(config, "CACHE_DIR", "")
             setattr(config, "CACHE_DIR", str(folder) if folder else before)  # noqa: B010
             try:
-                dispatcher = numba.njit(
-                    nogil=nogil, fastmath=FLAGS, error_model="numpy", cache=folder is not None
-                )(function)
+                keep = folder is not None
+                dispatcher = numba.njit(nogil=nogil, fastmath=FLAGS, error_model="numpy", cache=keep)(function)
             finally:
                 setattr(config, "CACHE_DIR", before)  # noqa: B010
             timer = threading.Timer(_SECONDS_BEFORE_NOTICE, _say_once)
@@ -133,7 +135,38 @@ def kernel(*signatures: Signature, nogil: bool = True) -> Callable:
     return wrap
 
 
+class _Draft(JITCodeLibrary):
+    """The code of a helper as it was written down: it is optimised and translated with the kernel that calls it, once.
+
+    Numba would do both for the helper, with all that it calls, and again for each caller up to the kernel.
+    """
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+
+    def _optimize_final_module(self) -> None: ...
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class _Drafter(Compiler):
+    """Numba's compiler for helpers, which nobody calls from Python."""
+
+    def __init__(self, typing: Any, target: Any, library: Any, args: Any, returned: Any, flags: Any, given: Any):
+        flags.no_compile = True
+        super().__init__(typing, target, _Draft(target.codegen(), "helper"), args, returned, flags, given)
+
+    def compile_extra(self, func: Callable) -> Any:
+        """The helper's code, told to those who call it; Numba wants a C function of its own for its name."""
+        done = super().compile_extra(func)._replace(entry_point=[].append)
+        self.state.targetctx.insert_user_function(done.entry_point, done.fndesc, [done.library])
+        return done
+
+
 _HELPER = {
+    "pipeline_class": _Drafter,
     "nogil": True,
     "fastmath": FLAGS,
     "error_model": "numpy",
@@ -150,6 +183,10 @@ def device(function: Callable) -> Callable:
 def routine(function: Callable) -> Callable:
     """Decorator: a helper too large to be copied into callers; compiled once a kernel, never cached alone.
 
-    `forceinline` is said aloud, for Numba hands a `device`'s wish to be copied down to all that it calls.
+    `forceinline` is said aloud, for Numba hands a `device`'s wish to be copied down to all that it calls. Constants
+    among its arguments are numbers like others: Numba would compile it again for each of them.
     """
-    return numba.njit(forceinline=False, **_HELPER)(function)
+    helper: Any = numba.njit(forceinline=False, **_HELPER)(function)
+    template = helper.get_call_template
+    helper.get_call_template = lambda args, kws: template([types.unliteral(x) for x in args], kws)
+    return helper

@@ -5,6 +5,7 @@ from __future__ import annotations
 from kempe.kernels import loop_layout as L
 from kempe.kernels._jit import device, routine
 from kempe.kernels.scratch import beyond
+from kempe.kernels.vectors import entry, load4, pack4
 
 
 @device
@@ -78,14 +79,14 @@ def normal(loops, step, damping, a, column):
 
 @device
 def dot(a, b, n):
-    """The scalar product of n numbers each, in two sums."""
-    even, odd = 0.0, 0.0
-    for k in range(n // 2):
-        even += a[2 * k] * b[2 * k]
-        odd += a[2 * k + 1] * b[2 * k + 1]
-    if n % 2:
-        even += a[n - 1] * b[n - 1]
-    return even + odd
+    """The scalar product of n numbers each, in four sums."""
+    sums, whole = pack4(0.0, 0.0, 0.0, 0.0), n & ~3
+    for k in range(0, whole, 4):
+        sums = sums + load4(a, k) * load4(b, k)
+    total = (entry(sums, 0) + entry(sums, 1)) + (entry(sums, 2) + entry(sums, 3))
+    for k in range(whole, n):
+        total += a[k] * b[k]
+    return total
 
 
 @routine

@@ -41,7 +41,17 @@ from kempe.kernels.layout import (
     V_INDEX,
 )
 from kempe.kernels.layout import N_ROWS as TABLE_ROWS
-from kempe.kernels.loop_coordinates import LARGEST, distance, draw, number, read_off, sound
+from kempe.kernels.loop_coordinates import (
+    LARGEST,
+    distance,
+    draw,
+    is_held,
+    number,
+    place_of,
+    read_off,
+    sort_of,
+    sound,
+)
 from kempe.kernels.random import mix
 from kempe.kernels.residual import logarithm
 from kempe.kernels.rows import placement, poses_at, row_poses, scratch_size
@@ -53,18 +63,23 @@ from kempe.kernels.vectors import entry, keep, raw
 
 SOLVED, NOT_FOUND, BAD_INPUT = 0, 1, 2
 """Status of one problem."""
+LATE = 4
+"""Added to the status where the time was up before all was done."""
 DAMPING, MOST_DAMPING = 0.1, 0.1
 """Damping by the square of the residual, and its largest."""
 STALL, WORTH = 4, 0.95
 """Steps without a decrease of the squared residual to this part of it, after which a start is given up."""
 PASSES = 2
 """Solves of one step: the second with what the first led out of its bounds."""
-NEAR = 0.6
-"""Part of the ranges about the first start from which every other one is drawn."""
+NEAR, WHOLE = 0.6, 8
+"""Part of the ranges, about the first start and about their middles in turn, from which starts are drawn; and every how
+many starts one is drawn from all of them. What is far from all limits leads to more answers."""
 STREAK = 3
 """Steps that must succeed after one that did not, before the damping falls again."""
-TIGHT = 1e-22
-"""Square of the residual to which earlier stages are closed again."""
+TIGHT, ROUNDING = 1e-22, 1e-25
+"""Square of the residual to which earlier stages are closed again at each step, and at the end what holds."""
+CLOSING, MORE = 6, 3
+"""Steps that they may take for that."""
 NOTHING, AHEAD = 0, 1
 """What the last stage lowers: nothing; the distance to `goal`. Anything else is the address of a function."""
 
@@ -73,7 +88,8 @@ NOTHING, AHEAD = 0, 1
 def descend(loops, work, ask, last, enough, limit):
     """Least square of what stages 0 to last miss, from q on, whether it is enough, and steps; `kept` is where.
 
-    Enough is a square, or 0 for the tolerances of the hard ties, which then alone count.
+    Enough is a square, or 0 for the tolerances of the hard ties, which then alone count; once these are met, some steps
+    more make the error as small as it gets.
     """
     best, before, steps, idle, good = np.inf, np.inf, 0, 0, False
     hard_only = enough == 0.0
@@ -84,15 +100,19 @@ def descend(loops, work, ask, last, enough, limit):
         square = square_of(loops, ask, 0, last, hard_only)
         if not square < LARGEST:
             break
-        good = missed(loops, ask, 0, last) <= 1.0 if hard_only else square <= enough
-        if square < best or good:
+        met = missed(loops, ask, 0, last) <= 1.0 if hard_only else square <= enough
+        if met and not good:
+            good, best, limit = True, np.inf, min(limit, steps + MORE) if hard_only else steps
+        if square < best and met == good:
             best = square
             copy(work.kept, loops.q, 0, loops.nq)
+        elif good:
+            break
         if square > WORTH * before:
             idle += 1
         else:
             idle, before = 0, square
-        if good or steps >= limit or idle >= STALL:
+        if (good and square <= ROUNDING) or steps >= limit or idle >= STALL:
             break
         damping = min(DAMPING * square, MOST_DAMPING) + 10.0 * LEAST
         count_in(loops, work, ask, last + 1, damping, OFF, hard_only)
@@ -101,6 +121,24 @@ def descend(loops, work, ask, last, enough, limit):
         take(loops, work)
         steps += 1
     return best, good, steps
+
+
+@routine
+def close(loops, work, ask, last, enough, limit):
+    """Least square of what stages 0 to last miss near q, where q ends, assessed."""
+    square, _, _ = descend(loops, work, ask, last, enough, limit)
+    copy(loops.q, work.kept, 0, loops.nq)
+    assess(loops, work)
+    return square
+
+
+@routine
+def is_late(loops, work, stop):
+    """Whether the time is up, as the function at the address `stop` says; 0 is none."""
+    work.ahead[0] = 0.0
+    if stop != 0:
+        call(stop, loops.q, work.ahead, work.wish, 0)
+    return work.ahead[0] != 0.0
 
 
 @routine
@@ -140,21 +178,22 @@ def slope_of(loops, work, ask, stage, mode, part):
 
 
 @routine
-def lower(loops, work, ask, stage, limit, mode):
-    """Steps taken from q that lower what a stage misses (mode 0) or the aim, all earlier stages held; ends in q.
+def lower(loops, work, ask, stage, limit, mode, stop):
+    """Steps taken from q that lower what a stage misses (mode 0) or the aim, all earlier stages held, and whether the
+    time was up; ends in q.
 
     Gauss-Newton in the null space with a damping that follows the success (Marquardt, 1963), for an aim the projected
     gradient (Luenberger, 1972). A step that is much too long or too short is tried once more with the length that a
     parabola through its ends suggests.
     """
-    square, _, _ = descend(loops, work, ask, stage - 1, TIGHT, 8)
-    enough = max(TIGHT, 4.0 * square)
-    copy(loops.q, work.kept, 0, loops.nq)
-    copy(work.best, work.kept, 0, loops.nq)
-    assess(loops, work)
-    damping, part, steps, idle, streak = 1e-3, 1.0, 0, 0, 0
+    enough = max(TIGHT, 4.0 * close(loops, work, ask, stage - 1, TIGHT, CLOSING))
+    copy(work.best, loops.q, 0, loops.nq)
+    damping, part, steps, idle, streak, late = 1e-3, 1.0, 0, 0, 0, False
     best = square_of(loops, ask, stage, stage, False) if mode == NOTHING else aim(loops, work, mode, part)
     while steps < limit and best == best and not (mode == NOTHING and best <= TIGHT):
+        late = is_late(loops, work, stop)
+        if late:
+            break
         steps += 1
         for v in range(loops.nv):
             work.wish[v] = 0.0
@@ -172,7 +211,7 @@ def lower(loops, work, ask, stage, limit, mode):
                 for v in range(loops.nv):
                     work.step[v] = share * work.way[v]
                 take(loops, work)
-            _, held, _ = descend(loops, work, ask, stage - 1, enough, 6)
+            _, held, _ = descend(loops, work, ask, stage - 1, enough, CLOSING)
             found = square_of(loops, ask, stage, stage, False) if mode == NOTHING else aim(loops, work, mode, part)
             if held and found < least:
                 least = found
@@ -195,8 +234,8 @@ def lower(loops, work, ask, stage, limit, mode):
         copy(loops.q, work.best, 0, loops.nq)
         assess(loops, work)
     copy(loops.q, work.best, 0, loops.nq)
-    assess(loops, work)
-    return steps
+    close(loops, work, ask, stage - 1, ROUNDING, MORE)
+    return steps, late
 
 
 @routine
@@ -228,19 +267,33 @@ def settle_base(loops, ask):
 
 
 @routine
-def reach(loops, work, ask, key, tries, limit, mode):
-    """Whether all hard tasks are met, steps and starts; q is the answer, or the nearest found.
+def to_middle(loops, home, to):
+    """Write a configuration in the middle of all ranges to `to`; balls and what is no unknown as at `home`."""
+    copy(to, home, 0, loops.nq)
+    for v in range(loops.nv):
+        if sort_of(loops, v) < L.BALL_FIRST and not is_held(loops, v):
+            to[place_of(loops, v)] = 0.5 * (number(loops, 3, v) + number(loops, 4, v))
+
+
+@routine
+def reach(loops, work, ask, key, tries, limit, mode, stop):
+    """Status, steps and starts; q is the answer, or the nearest found.
 
     First all hard tasks at once; where that fails, those of fewer and fewer stages.
     """
     unbind(loops, work)
-    last, good, steps, most = ask.stages, False, 0, 0
-    while not good and last > 0:
+    to_middle(loops, work.home, work.trial)
+    last, good, late, steps, most = ask.stages, False, False, 0, 0
+    while not (good or late) and last > 0:
         copy(loops.q, work.home, 0, loops.nq)
         best, count = np.inf, 0
         while count < tries and not good:
+            late = is_late(loops, work, stop)
+            if late:
+                break
             if count > 0:
-                draw(loops, work.home, 1.0 if count % 2 else NEAR, mix(key, np.uint64(count)))
+                about = work.trial if count % 2 else work.home
+                draw(loops, about, NEAR if count % WHOLE else 1.0, mix(key, np.uint64(count)))
             if count > 0 or ask.loose:
                 settle_base(loops, ask)
             square, good, used = descend(loops, work, ask, last, 0.0, limit)
@@ -254,22 +307,24 @@ def reach(loops, work, ask, key, tries, limit, mode):
             last -= 1
             while last > 0 and not is_hard(loops, ask, last):
                 last -= 1
-    for s in range(1, ask.stages + 1):
-        if s > last or not is_hard(loops, ask, s):
-            steps += lower(loops, work, ask, s, 4 * limit, NOTHING)
+    for s in range(1, ask.stages + (1 if mode == NOTHING else 2)):
+        if not late and (s > last or not is_hard(loops, ask, s)):
+            used, late = lower(loops, work, ask, s, 4 * limit, mode if s > ask.stages else NOTHING, stop)
+            steps += used
             freeze(loops, work, ask, s)
-    if mode != NOTHING:
-        steps += lower(loops, work, ask, ask.stages + 1, 4 * limit, mode)
-    read_off(loops, work.home)
     unbind(loops, work)
     assess(loops, work)
-    return missed(loops, ask, 0, ask.stages) <= 1.0, steps, most
+    read_off(loops, work.home)
+    if loops.plan[L.N_READINGS] > 0:
+        assess(loops, work)
+    good = missed(loops, ask, 0, ask.stages) <= 1.0
+    return (SOLVED if good else NOT_FOUND) + (LATE if late else 0), steps, most
 
 
-@kernel(types.int64(I1, F1, I1, F1, I1, F2, F2, F2, F2, types.int64, types.int64, types.int64, types.boolean,
-                    types.int64, types.int64, OUT2, OUTI2))  # fmt: skip
+@kernel(types.int64(I1, F1, I1, F1, I1, F2, F2, F2, F2, types.int64, types.int64, types.int64, types.int64,
+                    types.boolean, types.int64, types.int64, OUT2, OUTI2))  # fmt: skip
 def solve(
-    ints, floats, plan, weights, stages, strengths, starts, goals, pins, tries, limit, mode, loose,
+    ints, floats, plan, weights, stages, strengths, starts, goals, pins, tries, limit, mode, stop, loose,
     seed, offset, out_q, info
 ):  # fmt: skip
     """Number of problems whose hard tasks are not met.
@@ -278,7 +333,8 @@ def solve(
     stage of each tie and 1 if it is hard. strengths (ties, 3): weight, tolerance of its lengths, in characteristic
     lengths, and of its other rows. starts (N or 1, nq); goals (N or 1, nq): where the last stage leads in mode 1.
     tries: starts at most, drawn from (seed, offset + row). limit: steps of a start. mode: NOTHING, AHEAD, or the
-    address of a function to lower. loose: whether a free base may be moved before the first start, too.
+    address of a function to lower. stop: address of a function that writes whether the time is up, or 0: it is asked
+    before each start and each step of a lower stage. loose: whether a free base may be moved before the first start.
     out_q: (N, nq). info: (N, 3) status, steps, starts.
     """
     nq, nv, n_rows, m, ties = ints[NQ], ints[NV], ints[TABLE_ROWS], plan[L.N_ROWS], plan[L.N_TIES]
@@ -308,17 +364,17 @@ def solve(
                       beyond(scratch, poses_at(n_rows)), rows, blocks, n_rows, nq, nv)  # fmt: skip
         copy(q, beyond(raw(starts), i * nq if starts.shape[0] > 1 else 0), 0, nq)
         copy(work.goal, beyond(raw(goals), i * nq if goals.shape[0] > 1 else 0), 0, nq)
-        good, steps, count, fine = False, 0, 0, sound(loops, work.home)
+        status, steps, count, fine = BAD_INPUT, 0, 0, sound(loops, work.home)
         for j in range(pins.shape[1]):
             fine = fine and abs(pin[j]) < LARGEST
         for j in range(plan[L.N_PINS]):
             fine = fine and rigid(pin, 12 * j)
         if fine:
             key = mix(mix(np.uint64(0), np.uint64(seed)), np.uint64(offset + i))
-            good, steps, count = reach(loops, work, ask, key, tries, limit, mode)
+            status, steps, count = reach(loops, work, ask, key, tries, limit, mode, stop)
         for k in range(nq):
             out_q[i, k] = q[k] if fine else math.nan
-        info[i, 0], info[i, 1], info[i, 2] = SOLVED if good else (NOT_FOUND if fine else BAD_INPUT), steps, count
-        missing += int(not good)
+        info[i, 0], info[i, 1], info[i, 2] = status, steps, count
+        missing += int(status % LATE != SOLVED)
     keep(block)
     return missing

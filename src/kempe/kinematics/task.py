@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
 
 _LAST = np.array([0.0, 0.0, 0.0, 1.0])
 GROUND = (-1, np.eye(4), False)
-RIGID = 1e-6
-"""How far a pose may be from a rigid motion."""
+RIGID, ROUNDING = 1e-6, 1e-9
+"""How far a pose may be from a rigid motion, and a coordinate outside its limits."""
 
 
 Goals = list[tuple[Array | None, Array | None]]
@@ -76,7 +77,7 @@ class Task(ABC):
     def about(self) -> str:
         """What it is about: the frames."""
 
-    @property
+    @cached_property
     def label(self) -> str:
         """How answers call it."""
         return self.name or f"{type(self).__name__} of {self.about}"
@@ -201,7 +202,8 @@ def poses_of(x: Any, dim: int, what: str) -> Array:
         X[..., :2, :2], X[..., :2, 3], X[..., 2, 2], X[..., 3, 3] = flat[..., :2, :2], flat[..., :2, 2], 1.0, 1.0
     if X.ndim < 2 or X.shape[-2:] != (4, 4):
         raise InputError(f"{what} has shape {X.shape}; it must be a pose (..., 4, 4)")
-    if not np.all((X[..., 3, :] == _LAST) | np.isnan(X[..., 3, :])):
+    last = X[..., 3, :]
+    if not (last == _LAST).all() and not np.all((last == _LAST) | np.isnan(last)):
         raise InputError(f"{what} is no pose: its last row is {X[..., 3, :].tolist()}; it must be 0 0 0 1")
     return X
 
@@ -241,6 +243,8 @@ def numbers_of(x: Any, what: str) -> Array:
     """Real numbers as an array. Errors: `InputError`."""
     try:
         given = np.asarray(x)
+        if given.dtype == float:
+            return given
         if given.dtype.kind not in "fiu":
             raise TypeError
         return np.asarray(given, dtype=float)
@@ -266,11 +270,11 @@ def flat(X: Array) -> tuple[float, ...]:
 
 def lead_of(goals: Sequence[Goals]) -> tuple[int, ...]:
     """The leading shape of goals. Errors: `InputError` where shapes do not fit together."""
-    shapes = [x.shape[:-k] for g in goals for pair in g for x, k in zip(pair, (2, 1), strict=True) if x is not None]
+    shapes = {x.shape[:-k] for g in goals for pair in g for x, k in zip(pair, (2, 1), strict=True) if x is not None}
     try:
-        return np.broadcast_shapes(*shapes)
+        return shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*shapes)
     except ValueError:
-        raise InputError(f"the goals have leading shapes that do not fit together: {sorted(set(shapes))}") from None
+        raise InputError(f"the goals have leading shapes that do not fit together: {sorted(shapes)}") from None
 
 
 def _wide(system: System, tasks: Sequence[Task]) -> np.ndarray:
@@ -319,12 +323,17 @@ class Packed:
         self.slots = [owner.get(id(t), (-1, 0)) for t in self.loops.ties]
         self.owner = np.array([i for i, _ in self.slots], dtype=np.int64)
         self.rows = np.repeat(self.owner, [len(t.rows) for t in self.loops.ties])
+        self.closed = bool(np.any(self.rows < 0))
+        """Whether loops or relations hold, too."""
+        at, v = system.layout.vector_q, system.layout.vector_v
+        self.limits = at, system.lower[v] - ROUNDING, system.upper[v] + ROUNDING
+        """Places in q of what has limits, and these."""
+        wide = self.wide[v]
+        self._turning = list(zip(at[wide], system.lower[v][wide], system.upper[v][wide], strict=True))
 
     def inside(self, q: Array) -> Array:
         """The configurations (N, nq) with wide angles brought into their limits by whole turns, in place."""
-        v = self.system.layout.vector_v
-        at, low, high = self.wide[v], self.system.lower[v], self.system.upper[v]
-        for i, a, b in zip(self.system.layout.vector_q[at], low[at], high[at], strict=True):
+        for i, a, b in self._turning:
             x = q[:, i]
             x -= 2.0 * np.pi * np.ceil(np.maximum(x - b, 0.0) / (2.0 * np.pi))
             x += 2.0 * np.pi * np.ceil(np.maximum(a - x, 0.0) / (2.0 * np.pi))
@@ -338,20 +347,22 @@ class Packed:
 
     def pins(self, goals: Sequence[Goals], lead: tuple[int, ...] = ()) -> Array:
         """What the kernels need (N or 1, k) of the goals of tasks of this structure."""
-        n, poses, numbers = math.prod(lead), [], []
-        for tie, (i, j) in zip(self.loops.ties, self.slots, strict=True):
-            if i < 0:
-                continue
-            pose, number = goals[i][j]
-            if pose is not None:
-                fixed = tie.a is not GROUND and tie.a[0] < 0  # a frame that stands; kernels put the pin in its place
-                top = np.broadcast_to(tie.a[1] @ pose if fixed else pose, (*lead, 4, 4))[..., :3, :].copy()
-                if tie.a is GROUND:
-                    top[..., 3] -= self.loops.origin
-                poses.append(top.reshape(n, 12))
-            if number is not None:
-                numbers.append(np.broadcast_to(number, (*lead, number.shape[-1])).reshape(n, number.shape[-1]))
-        return np.concatenate([*poses, *numbers, np.empty((n, 0))], axis=1)
+        given = [(tie, goals[i][j]) for tie, (i, j) in zip(self.loops.ties, self.slots, strict=True) if i >= 0]
+        poses = [(tie, pose) for tie, (pose, _) in given if pose is not None]
+        numbers = [x for _, (_, x) in given if x is not None]
+        out = np.empty((*lead, 12 * len(poses) + sum(x.shape[-1] for x in numbers)))
+        at = 0
+        for tie, pose in poses:
+            top = out[..., at : at + 12].reshape(*lead, 3, 4)  # a view
+            fixed = tie.a is not GROUND and tie.a[0] < 0  # a frame that stands; kernels put the pin in its place
+            top[...] = (tie.a[1] @ pose if fixed else pose)[..., :3, :]
+            if tie.a is GROUND:
+                top[..., 3] -= self.loops.origin
+            at += 12
+        for x in numbers:
+            out[..., at : at + x.shape[-1]] = x
+            at += x.shape[-1]
+        return out.reshape(math.prod(lead), out.shape[-1])
 
     def evaluate(self, q: Any, pins: Array | None = None, closures: bool = False) -> tuple[Array, Array]:
         """The tasks' equations (..., m) and Jacobian (..., m, nv) at q (..., nq); with `closures` those of loops."""

@@ -45,13 +45,14 @@ def _turns(dim: int) -> int:
 
 
 def _size(p: Array) -> Array:
-    return np.sqrt(np.einsum("...i,...i->...", p, p))
+    return np.sqrt(np.vecdot(p, p))
 
 
 def _between(R: Array, S: Array) -> Array:
     """Angle (...) between two rotations, by how far their entries are apart: sqrt(8) times the sine of its half."""
     d = R - S
-    return 2.0 * np.arcsin(np.minimum(np.sqrt(np.einsum("...ij,...ij->...", d, d) / 8.0), 1.0))
+    d = d.reshape(*d.shape[:-2], 9)
+    return 2.0 * np.arcsin(np.minimum(np.sqrt(np.vecdot(d, d) / 8.0), 1.0))
 
 
 def _none(X: Array) -> Array:

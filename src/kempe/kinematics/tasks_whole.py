@@ -14,7 +14,7 @@ from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q, circles
 from kempe.kinematics.forward import fk
-from kempe.kinematics.task import GROUND, Goals, Hold, Task, flat, numbers_of, points_of
+from kempe.kinematics.task import GROUND, HERE, Goals, Hold, Task, numbers_of, points_of
 from kempe.kinematics.task_between import Between
 from kempe.kinematics.zoo import UserConstraint, user_constraint
 from kempe.model.loops import Centre, Tie
@@ -24,6 +24,7 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
+HERE_POSE = np.eye(4)
 AXES = {"xyz": 7, "xy": 3, "xz": 5, "yz": 6, "x": 1, "y": 2, "z": 4}
 
 
@@ -127,7 +128,7 @@ class _Centred(Between):
         """The axes that count, within bounds where given."""
         if self.axes not in AXES:
             raise InputError(f"axes of {self.label} are {self.axes!r}; allowed are {', '.join(AXES)}")
-        return Hold(system.body_names[0], flat(np.eye(4)), AXES[self.axes] & (3 if system.dim == 2 else 7))
+        return Hold(system.body_names[0], HERE, AXES[self.axes] & (3 if system.dim == 2 else 7))
 
     def values(self, X: Array) -> Array:
         """Where the centre is along the axes that count."""
@@ -155,7 +156,11 @@ class _Centred(Between):
 
     def structure(self, system: System) -> Hashable:
         """Its tie and its points."""
-        return super().structure(system), tuple(self._points(system))
+        return super().structure(system), self._own()
+
+    def _own(self) -> Hashable:
+        """What its points depend on, of one system."""
+        raise NotImplementedError
 
     def goal(self, system: System) -> Array:
         """The target."""
@@ -175,10 +180,18 @@ class _Centred(Between):
 
     def place(self, system: System, q: Array, hold: Hold | None = None) -> Array:
         """The centre, by the forward model."""
-        points = self._points(system)
-        X = fk(system, q, [f for f, _, _ in points])
-        p = np.einsum("...kij,kj->...ki", X[..., :3, :3], np.array([p for _, p, _ in points])) + X[..., :3, 3]
-        return spatial.pose(p=np.einsum("...ki,k->...i", p, np.array([m for _, _, m in points])))
+        key = ("centre", type(self), self._own())
+        found = system._queries.get(key)
+        if found is None:
+            points = self._points(system)
+            frames = [f for f, _, _ in points]
+            names = list(dict.fromkeys([*system.body_names, *frames]))  # all bodies at once are quicker than some
+            moments = np.zeros((len(names), 4))
+            for f, p, mass in points:
+                moments[names.index(f)] += *(mass * x for x in p), mass
+            found = system._queries[key] = None if len(names) == len(system.body_names) else names, moments
+        X = fk(system, q, found[0])
+        return spatial.pose(p=np.einsum("...kij,kj->...i", X[..., :3, :], found[1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +210,9 @@ class CentreOfMass(_Centred):
     def about(self) -> str:
         """The system."""
         return "the system"
+
+    def _own(self) -> Hashable:
+        return None
 
     def _points(self, system: System) -> list[tuple[str, tuple[float, ...], float]]:
         bodies = system.mechanism.bodies
@@ -220,6 +236,10 @@ class CentreOfPoints(_Centred):
     def about(self) -> str:
         """The frames."""
         return ", ".join(repr(str(f)) for f in self.frames)
+
+    def _own(self) -> Hashable:
+        weights = self.frames if isinstance(self.frames, Mapping) else dict.fromkeys(self.frames, 1.0)
+        return tuple(weights.items())
 
     def _points(self, system: System) -> list[tuple[str, tuple[float, ...], float]]:
         weights = self.frames if isinstance(self.frames, Mapping) else dict.fromkeys(self.frames, 1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +23,25 @@ def start_count(starts: object) -> int:
     if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or not 1 <= starts < 2**62:
         raise InputError(f"starts is {starts!r}; it must be a whole number, at least 1")
     return int(starts)
+
+
+def step_count(iterations: object) -> int:
+    """The number of steps of a start. Errors: `InputError`."""
+    if isinstance(iterations, bool) or not isinstance(iterations, (int, np.integer)) or not 1 <= iterations < 2**31:
+        raise InputError(f"iterations is {iterations!r}; it must be a whole number, at least 1")
+    return int(iterations)
+
+
+def deadline(time_limit: Any) -> float:
+    """When a search that begins now must end, by the clock `time.monotonic`; never without a limit [s].
+
+    Errors: `InputError`.
+    """
+    if time_limit is None:
+        return math.inf
+    if isinstance(time_limit, bool) or not isinstance(time_limit, (int, float)) or not time_limit > 0.0:
+        raise InputError(f"time_limit is {time_limit!r}; it must be a positive number of seconds, or None")
+    return time.monotonic() + time_limit
 
 
 def seed_number(rng: object) -> int:

@@ -108,7 +108,7 @@ def _active(problem: Problem, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
     packed = problem.packed
     error, _ = packed.evaluate(q, problem.pins)
     low, high = ends_of_rows(packed)
-    levels, strengths = problem.levels()
+    levels, strengths, *_ = problem.levels
     counts = [len(t.rows) for t in packed.loops.ties]
     own = packed.rows >= 0
     level, hard = (np.repeat(x, counts)[own] for x in levels.reshape(2, -1))

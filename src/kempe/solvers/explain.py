@@ -11,7 +11,7 @@ import numpy as np
 from kempe.solvers.chain import Chain, chain_of
 from kempe.solvers.inverse import run
 from kempe.solvers.rounds import MOST, Task, outside
-from kempe.solvers.solution import BAD_INPUT, OUT_OF_REACH, SOLVED, Solution
+from kempe.solvers.solution import BAD_INPUT, OUT_OF_REACH, OUT_OF_TIME, SOLVED, Solution
 from kempe.solvers.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 
@@ -48,6 +48,9 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
             return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m; {near}"
         turned = "" if outside(replace(task, name="position"), target)[0] else " with this orientation"
         return f"outside the workspace{turned} by at least {beyond:.6g} m, by the lengths of the links; {near}"
+    if code == OUT_OF_TIME:
+        tried = f"{starts} of {_count(task.starts, 'start')}"
+        return f"not reached within the time limit of {task.time_limit:g} s, after {tried}; {near}"
     q = np.asarray(solution.q)[index][task.chain.q_index]
     size = 1.0 + float(np.linalg.norm(target[0, :3, 3]))
     if position <= ROUNDING * size and angle <= ROUNDING:

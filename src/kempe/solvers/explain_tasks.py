@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.solvers.reached import Reached, analyse
-from kempe.solvers.solution import BAD_INPUT, SOLVED
+from kempe.solvers.solution import BAD_INPUT, OUT_OF_TIME, SOLVED
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -33,16 +33,24 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}
     soft = [f"{t.label!r} stays off by {_amount(t, misses[t.label])}" for t in problem.tasks if t.weight is not None]
     more = "; " + ", ".join(soft) if soft else ""
+    limit = f"the time limit of {problem.time_limit:g} s" if np.asarray(answer.late)[index] else ""
     if code == SOLVED:
         work = f"{_count(steps, 'step')}, {_count(starts, 'start')}"
         hard = [t for t in problem.tasks if t.weight is None]
-        if not hard:
+        if limit:
+            more = f"; {limit} ended it before all was lowered as far as can be{more}"
+        elif not hard:
             return f"lowered as far as the system allows ({work}){more}"
+        if not hard:
+            return f"no hard tasks ({work}){more}"
         worst = f"errors up to {_amounts(hard, misses)}"
         return f"all hard tasks hold: {worst} ({work}); {_freedoms(problem, q)}{more}"
     failing = [t for t in problem.tasks if t.weight is None and not _within(problem, t, misses[t.label])]
     what = ", ".join(f"{t.label!r} is missed by {_amount(t, misses[t.label])}" for t in failing)
     what = what or "the hard tasks hold, but not with closed loops"
+    if code == OUT_OF_TIME:
+        tried = f"{starts} of {_count(problem.starts, 'start')}"
+        return f"not reached within {limit}, after {tried}: {what}; q is the nearest found{more}"
     return f"not reached after {_count(starts, 'start')}: {what}; {_reason(problem, q)}; q is the nearest found{more}"
 
 

@@ -55,7 +55,10 @@ def beside(problem: Problem, home: Array) -> Array:
 
 
 def _slides(system: System) -> list[int]:
-    """Velocity coordinates without limits that slide along axes that nothing turns."""
+    """Velocity coordinates without limits that slide along axes that nothing turns, looked up once."""
+    found = system._queries.get("slides")
+    if found is not None:
+        return found
     table, out = system.table, []
     straight: set[int] = {-1}
     for row, (kind, parent, v) in enumerate(zip(table.kind, table.parent, table.iv, strict=True)):
@@ -63,6 +66,7 @@ def _slides(system: System) -> list[int]:
             straight.add(row)
             if np.isinf(system.lower[v]) and np.isinf(system.upper[v]) and np.sum(table.iv == v) == 1:
                 out.append(int(v))
+    system._queries["slides"] = out
     return out
 
 

@@ -16,10 +16,10 @@ from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers import rounds
-from kempe.solvers.arguments import seed_number, start_count, tolerances
+from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.solvers.chain import Chain, chain_of, inside, obstacle
 from kempe.solvers.rounds import FEW, ITERATIONS, MOST, TOLERANCE, Task, outside
-from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, SOLVED, Solution
+from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED, Solution
 from kempe.solvers.targets import (
     Z_AXIS,
     axis_of,
@@ -40,8 +40,8 @@ CHUNK, SERIAL_BELOW = 256, 1024
 def ik(
     system: System, target: ArrayLike, frame: FrameLike, seed: Any = None, *, task: str | None = None,
     axis: ArrayLike = Z_AXIS, position_only: bool = False, tolerance: float | tuple[float, float] = TOLERANCE,
-    starts: int = MOST, rng: int | np.random.Generator = 0, threads: int | None = None, throw: bool = False,
-    method: str = "numeric",
+    starts: int = MOST, iterations: int = ITERATIONS, time_limit: float | None = None,
+    rng: int | np.random.Generator = 0, threads: int | None = None, throw: bool = False, method: str = "numeric",
 ) -> Solution:  # fmt: skip
     """A configuration in which `frame` reaches `target` (the inverse geometric model), always inside the limits.
 
@@ -53,7 +53,9 @@ def ik(
 
     Starts are tried in order, the seed or the middle of the limits first, up to `starts` of them, the others drawn from
     `rng`; the answer is that of the first start that reaches the target. So the same arguments give the same answer,
-    whatever the `threads`, and a seed that leads to the target is preferred to all else.
+    whatever the `threads`, and a seed that leads to the target is preferred to all else. `iterations` are the steps of
+    one start, at most. `time_limit` [s] is for the whole call, looked at after each 32 starts: an answer that it
+    ended says so, and is the only one that depends on the machine.
 
     The answer says by `success` and `status` whether it was reached and if not, why; `throw=True` raises
     `NoSolutionError` instead. A NaN in a single target is an `InputError`, in a batch it gives a NaN row. A frame that
@@ -71,11 +73,16 @@ def ik(
 
         wanted = _tasks(name, asked, targets.reshape(*lead, 4, 4))
         more: dict[str, Any] = {} if starts == MOST else {"starts": starts}
+        more |= {} if iterations == ITERATIONS else {"iterations": iterations}
+        more |= {} if time_limit is None else {"time_limit": time_limit}
         return reach(system, wanted, seed, tolerance=tolerance, rng=rng, threads=threads, throw=throw, **more)
     chain = chain_of(system, name, asked[1])
     base, seeds = _seeds(system, chain, seed, lead)
     targets = targets.copy() if np.may_share_memory(targets, target) else targets  # the answer keeps them
-    question = Task(system, name, targets, *asked, tolerances(tolerance), start_count(starts), seed_number(rng), chain)
+    question = Task(
+        system, name, targets, *asked, tolerances(tolerance), start_count(starts), seed_number(rng), chain,
+        step_count(iterations), time_limit, deadline(time_limit),
+    )  # fmt: skip
     plan = None
     if method != "numeric":
         from kempe.solvers.analytic import hand_over
@@ -163,7 +170,7 @@ def run(
         first = seeds[i:j] if len(seeds) > 1 else seeds
         return rounds.answered(task, goals[i:j], first, bounds, out[i:j])
 
-    over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+    over_chunks(work, n, CHUNK, threads, SERIAL_BELOW if task.time_limit is None else CHUNK)
     return out[:, :nq], out[:, nq + LINEAR : nq + STATUS], out[:, nq + STATUS :].astype(np.int64)
 
 
@@ -223,7 +230,7 @@ class Bound:
         X = self._pose(target)
         head = (chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0)
         if search.reach(*head, 0, FEW, ITERATIONS, *TOLERANCE, 0.0, out):
-            rounds.go_on(self.task(X), X, head, out)
+            rounds.go_on(self.task(X), X, head, FEW, out)
         row = out[0]
         linear, angular, code, steps, starts = row[n:].tolist()
         if code == BAD_INPUT:
@@ -244,7 +251,7 @@ class Bound:
 
 def _look_closer(task: Task, code: np.ndarray) -> None:
     """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
-    failed = np.flatnonzero(code == NOT_FOUND)
+    failed = np.flatnonzero((code == NOT_FOUND) | (code == OUT_OF_TIME))
     code[failed[outside(task, task.targets[failed]) > 0.0]] = OUT_OF_REACH
 
 

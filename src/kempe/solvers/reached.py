@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,12 +24,14 @@ class Reached(Solution):
     """Answer of `System.ik` for tasks.
 
     As `Solution`; `position_error` and `orientation_error` are the largest among the hard tasks. `errors` gives for
-    each task, by its label, how far it is missed (..., 2) in metres and radians.
+    each task, by its label, how far it is missed (..., 2) in metres and radians. `late` (...) says where the time limit
+    ended the search, or the lowering of soft tasks and preferences.
     """
 
     what = "problems solved"
 
     errors: dict[str, Array]
+    late: Any
 
     @cached_property
     def _local(self) -> tuple[int, int, int, Array]:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe import spatial
 from kempe.kernels import search
 from kempe.kernels.job import ANSWER, LINEAR, STARTS, STATUS, STEPS
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.solvers.chain import Chain
-from kempe.solvers.solution import NOT_FOUND, SOLVED
+from kempe.solvers.solution import NOT_FOUND, OUT_OF_TIME, SOLVED
 from kempe.solvers.targets import TASKS, Z_AXIS, frame_of, points_along
 from kempe.spatial import Array
 
@@ -27,6 +30,8 @@ ITERATIONS = 40
 """Steps of one start; those that converge need 5 to 9, few as many as 40, and hopeless ones are given up before."""
 TOLERANCE = (1e-6, 1e-6)
 """Largest position error [m] and rotation angle [rad] of a success."""
+ROUND = 32
+"""Starts of a round, after which one looks at the clock, where there is a time limit."""
 LOOSE = 1e-4
 """Tolerance from which the nearest configuration may be the wrong one: another, farther off, may be within it."""
 SHARES = (1.0, 0.2, 5.0)
@@ -49,6 +54,10 @@ class Task:
     rng: int
     chain: Chain = field(repr=False)
     """The chain of the frame, its z axis turned to `axis`."""
+    iterations: int = ITERATIONS
+    time_limit: float | None = None
+    end: float = math.inf
+    """When the time is up, by `time.monotonic`."""
 
     @property
     def mask(self) -> tuple[int, ...]:
@@ -74,16 +83,23 @@ def answered(task: Task, targets: Array, seeds: Array, limits: Array, out: Array
         goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(task.axis))
     chain = task.chain
     head = (chain.ints, chain.floats, limits, rows_of(task), goals, seeds, task.rng)
-    if not _search(chain)(*head, 0, min(task.starts, FEW), ITERATIONS, *task.tolerance, 0.0, out):
-        return 0
-    return go_on(task, targets, head, out)
+    count = min(task.starts, FEW if task.time_limit is None else ROUND)
+    if time.monotonic() < task.end:
+        if not _search(chain)(*head, 0, count, task.iterations, *task.tolerance, 0.0, out):
+            return 0
+        return go_on(task, targets, head, count, out)
+    n = out.shape[1] - ANSWER
+    out[:, :n], out[:, n:] = seeds[:, 0] if seeds.shape[1] else chain.base[:, chain.q_index], 0.0
+    _end(task, targets, np.arange(len(out)), out)
+    return len(out)
 
 
-def go_on(task: Task, targets: Array, head: tuple[Any, ...], out: Array) -> int:
-    """Number of targets not reached in the end, of those that the first round left.
+def go_on(task: Task, targets: Array, head: tuple[Any, ...], done: int, out: Array) -> int:
+    """Number of targets not reached in the end, of those that the first `done` starts left.
 
     head: the first arguments of the kernels. Where tolerances are loose, starts that weigh position and orientation
-    by them; more starts, unless lengths prove that they cannot help; at last, the nearest configurations.
+    by them; more starts, unless lengths prove that they cannot help or the time is up; at last, the nearest
+    configurations.
     """
     from kempe.kernels.closest import approach  # a success needs none of this
 
@@ -93,7 +109,7 @@ def go_on(task: Task, targets: Array, head: tuple[Any, ...], out: Array) -> int:
     def some(rows: np.ndarray, first: int, count: int, length: float) -> Array:
         own = seeds[rows] if len(seeds) > 1 else seeds
         found = np.empty((len(rows), out.shape[1]))
-        search_(*chain, goals[rows], own, rng, first, count, ITERATIONS, *task.tolerance, length, found)
+        search_(*chain, goals[rows], own, rng, first, count, task.iterations, *task.tolerance, length, found)
         return found
 
     left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
@@ -107,16 +123,44 @@ def go_on(task: Task, targets: Array, head: tuple[Any, ...], out: Array) -> int:
             good = found[:, n + STATUS] == SOLVED
             out[left[good]] = found[good]
     left = left[out[left, n + STATUS] == NOT_FOUND]
-    if task.starts > FEW and len(left):
-        found = some(left, FEW, task.starts - FEW, 0.0)
-        found[:, n + STARTS] += FEW
+    while done < task.starts and len(left) and time.monotonic() < task.end:
+        count = task.starts - done if task.time_limit is None else min(ROUND, task.starts - done)
+        found = some(left, done, count, 0.0)
+        found[:, n + STARTS] += done
         found[:, n + STEPS] += out[left, n + STEPS]
         better = (found[:, n + STATUS] == SOLVED) | (found[:, n + LINEAR] < out[left, n + LINEAR])
         work = found[:, n + STEPS :]
         out[left[better]] = found[better]
         out[left, n + STEPS :] = work
+        left, done = left[out[left, n + STATUS] == NOT_FOUND], done + count
+    if done < task.starts:
+        _end(task, targets, left, out)
     nearest: Callable[..., int] = approach
-    return nearest(*head, 0, task.starts, ITERATIONS, *task.tolerance, 0.0, out)
+    return nearest(*head, 0, task.starts, task.iterations, *task.tolerance, 0.0, out)
+
+
+def _end(task: Task, targets: Array, left: np.ndarray, out: Array) -> None:
+    """Nothing; the time is up for these rows: they are measured as they are."""
+    n = out.shape[1] - ANSWER
+    out[left, n + STATUS] = OUT_OF_TIME
+    out[left, n : n + STATUS] = misses(task, targets[left], out[left, :n])
+
+
+def misses(task: Task, targets: Array, q: Array) -> Array:
+    """Linear and angular errors (N, 2), by the forward model, of a chain's configurations (N, n)."""
+    from kempe.kinematics.forward import fk
+
+    full = np.repeat(task.chain.base, len(q), axis=0)
+    full[:, task.chain.q_index] = q
+    X, out = fk(task.system, full, task.frame, threads=1), np.zeros((len(q), 2))
+    if any(task.mask[:3]):
+        out[:, 0] = np.linalg.norm(X[:, :3, 3] - targets[:, :3, 3], axis=-1)
+    if points_along(task.name):
+        a, b = (Y[:, :3, :3] @ np.array(task.axis) for Y in (X, targets))
+        out[:, 1] = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
+    elif any(task.mask[3:]):
+        out[:, 1] = np.linalg.norm(spatial.log_so3(np.swapaxes(X[:, :3, :3], 1, 2) @ targets[:, :3, :3]), axis=-1)
+    return out
 
 
 def _search(chain: Chain) -> Callable[..., int]:

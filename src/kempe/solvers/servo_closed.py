@@ -166,7 +166,7 @@ def stages_of(problem: Problem, q: Array, dt: float) -> list[Stage]:
     """What tasks ask of the velocities at q (nq,), level by level: that what they miss is gone after dt."""
     packed, loops = problem.packed, problem.packed.loops
     error, J = packed.evaluate(q, problem.pins)
-    levels, strengths = problem.levels()
+    levels, strengths, *_ = problem.levels
     counts = np.array([len(t.rows) for t in loops.ties])
     own = packed.rows >= 0
     level, hard = (np.repeat(x, counts)[own] for x in levels.reshape(2, -1))

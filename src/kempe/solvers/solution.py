@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.rounds import Task
 
-SOLVED, NOT_FOUND, BAD_INPUT, OUT_OF_REACH = 0, 1, 2, 3
+SOLVED, NOT_FOUND, BAD_INPUT, OUT_OF_REACH, OUT_OF_TIME = 0, 1, 2, 3, 4
 """Codes of `Solution.code`; `status` has the sentences."""
 
 

@@ -15,12 +15,13 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.kinematics.task import Goals, Packed, Task, lead_of, refuse
 from kempe.kinematics.tasks_whole import Callback
-from kempe.solvers.arguments import seed_number, start_count, tolerances
+from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.solvers.assembly import TOLERANCE as CLOSED
 from kempe.solvers.assembly import limitless
+from kempe.solvers.clock import Clock
 from kempe.solvers.home import beside, home_of
 from kempe.solvers.reached import Reached
-from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, SOLVED
+from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_TIME, SOLVED
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -62,6 +63,10 @@ class Problem:
     limits: bool = True
     loose: bool = False
     """Whether nobody named a seed, so that a free base may be moved before the first start."""
+    iterations: int = STEPS
+    time_limit: float | None = None
+    end: float = math.inf
+    """When the time is up, by `time.monotonic`."""
 
     def tolerance_of(self, task: Task) -> tuple[float, float]:
         """Largest error of a hard task in metres and radians."""
@@ -75,17 +80,17 @@ class Problem:
         return replace(self, goals=goals, pins=pins, aim=aim, lead=())
 
     def only(self, tasks: Sequence[int], limits: bool = True) -> Problem:
-        """The same with only these tasks, and nothing preferred."""
+        """The same with only these tasks, nothing preferred, and no limit of time."""
         use = tuple(i in tasks for i in range(len(self.tasks)))
-        return replace(self, use=use, limits=limits, mode=kernel.NOTHING)
+        return replace(self, use=use, limits=limits, mode=kernel.NOTHING, end=math.inf)
 
     def run(self, starts: Array, threads: int | None = 1) -> tuple[Array, np.ndarray]:
         """Configurations (N, nq) and (status, steps, starts) (N, 3) from starts (N or 1, nq)."""
         loops, n = self.packed.loops, math.prod(self.lead)
-        stages, strengths = self.levels()
+        stages, strengths, *_ = self.levels
         weights = loops.weights if self.limits else limitless(self.system, loops)
         q, info = np.empty((n, self.system.nq)), np.empty((n, 3), dtype=np.int64)
-        aim = starts if self.aim is None else self.aim
+        aim, clock = starts if self.aim is None else self.aim, Clock(self.end)
 
         def part(x: Array, i: int, j: int) -> Array:
             return x[i:j] if len(x) > 1 else x
@@ -93,7 +98,8 @@ class Problem:
         def work(i: int, j: int) -> int:
             return kernel.solve(
                 loops.ints, loops.floats, loops.plan, weights, stages, strengths, part(starts, i, j), part(aim, i, j),
-                part(self.pins, i, j), self.starts, STEPS, self.mode, self.loose, self.rng, i, q[i:j], info[i:j],
+                part(self.pins, i, j), self.starts, self.iterations, self.mode, clock.address, self.loose, self.rng, i,
+                q[i:j], info[i:j],
             )  # fmt: skip
 
         over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
@@ -104,12 +110,17 @@ class Problem:
                 raise error
         return self.packed.inside(q) if self.limits else q, info
 
-    def levels(self) -> tuple[np.ndarray, Array]:
-        """Stage of each tie and whether it is hard (2 ties,), and weight and tolerances (ties, 3)."""
+    @property
+    def levels(self) -> tuple[np.ndarray, Array, list[int], Array]:
+        """For kernels the stage of each tie and whether it is hard (2 ties,), and weight and tolerances (ties, 3); the
+        tasks that are hard, and their tolerances (hard, 2)."""
         asked = (self.use, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
-        if asked not in self.packed.stages:
-            self.packed.stages[asked] = self._staged()
-        return self.packed.stages[asked]
+        found = self.packed.stages.get(asked)
+        if found is None:
+            hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
+            allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
+            found = self.packed.stages[asked] = (*self._staged(), hard, allowed)
+        return found
 
     def _staged(self) -> tuple[np.ndarray, Array]:
         keys = [(t.priority, t.weight is not None) for t in self.tasks]
@@ -131,8 +142,9 @@ class Problem:
 def reach(
     system: System, wanted: Task | Sequence[Task], seed: Any = None, *,
     prefer: str | Callable[[Array], Any] | None = None,
-    tolerance: float | tuple[float, float] = TOLERANCE, starts: int = STARTS, rng: int | np.random.Generator = 0,
-    threads: int | None = None, throw: bool = False,
+    tolerance: float | tuple[float, float] = TOLERANCE, starts: int = STARTS, iterations: int = STEPS,
+    time_limit: float | None = None, rng: int | np.random.Generator = 0, threads: int | None = None,
+    throw: bool = False,
 ) -> Reached:  # fmt: skip
     """A configuration that holds several tasks at once (the inverse geometric model of any system).
 
@@ -142,7 +154,10 @@ def reach(
     drawn from `rng`: the same arguments give the same answer, whatever the `threads`. `prefer` says what is made least
     in the freedoms that all tasks leave: "nearest" (distance to the seed), "mid" (distance to the middle of the
     limits), "manipulability" (its inverse, of the hard tasks), or a function of q (nq,). `tolerance` is the largest
-    error of a hard task in metres and radians.
+    error of a hard task in metres and radians; what is reached is then closed to rounding where it converges.
+    `iterations` are the steps of one start, at most, and four times as many those of a lower level. `time_limit` [s] is
+    for the whole call, looked at before each start: an answer that it ended says so, and is the only one that
+    depends on the machine.
 
     A success is checked by the forward model: hard tasks, limits and loops. Else the answer says what fails and why,
     and `throw=True` raises `NoSolutionError`. Method: damped least squares with an active set of limits and restarts
@@ -151,6 +166,9 @@ def reach(
     """
     turns = prefer is None or prefer == "nearest"
     problem, base = pose_problem(system, wanted, seed, tolerance, starts, rng, turns)
+    if iterations != STEPS or time_limit is not None:
+        end = deadline(time_limit)
+        problem = replace(problem, iterations=step_count(iterations), time_limit=time_limit, end=end)
     if prefer == "manipulability" and problem.lead:  # it depends on the goal, of which each row has its own
         rows = [_preferring(problem.of(i), prefer, base) for i in range(math.prod(problem.lead))]
         each = [row.run(base[i : i + 1] if len(base) > 1 else base) for i, row in enumerate(rows)]
@@ -176,7 +194,7 @@ def pose_problem(
     tasks = _distinct(wanted)
     goals = tuple(t.goals(system) for t in tasks)
     base = _home(system) if seed is None else as_q(system, seed)
-    lead = lead_of(goals)
+    lead = own = lead_of(goals)
     if base.ndim > 1:
         try:
             lead = np.broadcast_shapes(lead, base.shape[:-1])
@@ -184,7 +202,7 @@ def pose_problem(
             raise InputError(f"seed has shape {base.shape}, the goals have the leading shape {lead}") from None
         base = np.broadcast_to(base, (*lead, system.nq)).reshape(math.prod(lead), system.nq)
     packed = _packed(system, tasks, turns)
-    pins = packed.pins(goals, lead if lead_of(goals) else ())
+    pins = packed.pins(goals, lead if own else ())
     use = (True,) * len(tasks)
     problem = Problem(
         system, tasks, packed, goals, pins, lead, tolerances(tolerance), start_count(starts), seed_number(rng), use,
@@ -257,25 +275,30 @@ def _preferring(problem: Problem, prefer: Any, base: Array) -> Problem:
 
 def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     """The answer, each configuration checked by the forward model, the limits and the loops."""
-    from kempe.kinematics.loops import evaluate
-
-    system, lead = problem.system, problem.lead
-    bad = info[:, 0] == kernel.BAD_INPUT
+    system, lead, packed, status = problem.system, problem.lead, problem.packed, info[:, 0]
+    bad = status == kernel.BAD_INPUT
     sound = (np.where(bad[:, None], system.neutral, q) if bad.any() else q).reshape(*lead, system.nq)
-    hard = [i for i, (t, used) in enumerate(zip(problem.tasks, problem.use, strict=True)) if used and t.weight is None]
+    hard, allowed = problem.levels[2:]
     every = np.empty((len(problem.tasks), *lead, 2))
     for error, task, goals in zip(every, problem.tasks, problem.goals, strict=True):
         error[..., 0], error[..., 1] = task.measure(system, sound, goals)
-    allowed = np.array([problem.tolerance_of(problem.tasks[i]) for i in hard]).reshape(-1, *[1] * len(lead), 2)
-    good = (every[hard] <= allowed * SLACK).all(axis=(0, -1))
-    worst = every[hard].max(axis=0, initial=0.0)
+    allowed = allowed.reshape(-1, *[1] * len(lead), 2)
+    of_hard = every if len(hard) == len(every) else every[hard]
+    good = (of_hard <= allowed * SLACK).all(axis=(0, -1))
+    worst = of_hard.max(axis=0, initial=0.0)
     if problem.limits:
-        v, x = system.layout.vector_v, sound[..., system.layout.vector_q]
-        good &= ((x >= system.lower[v] - 1e-9) & (x <= system.upper[v] + 1e-9)).all(axis=-1)
-    if len(problem.packed.rows) > np.sum(problem.packed.rows >= 0):
+        at, low, high = packed.limits
+        x = sound[..., at]
+        good &= ((x >= low) & (x <= high)).all(axis=-1)
+    if packed.closed:
+        from kempe.kinematics.loops import evaluate
+
         good &= np.linalg.norm(evaluate(system, sound, False, True)[0], axis=-1) <= 10.0 * CLOSED
-    code = np.where(bad.reshape(lead), BAD_INPUT, np.where(good, SOLVED, NOT_FOUND))
-    columns = (code == SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1].reshape(lead), info[:, 2].reshape(lead))
-    fields = [x if lead else x.item() for x in columns]
+    late = status >= kernel.LATE
+    code = np.where(good.ravel(), SOLVED, np.where(late, OUT_OF_TIME, NOT_FOUND))
+    code[bad] = BAD_INPUT
+    columns = (code == SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
+    fields = [x.reshape(lead) if lead else x.item() for x in columns]
     errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}
-    return Reached(q.reshape(*lead, system.nq), *fields, asked=problem, errors=errors)
+    *fields, out_of_time = fields
+    return Reached(q.reshape(*lead, system.nq), *fields, asked=problem, errors=errors, late=out_of_time)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from kempe import spatial
 from kempe.errors import InputError, UnsupportedError
 from kempe.solvers.analytic.ik_all import TOLERANCE, chain_lines, plan_for, solve
 from kempe.solvers.analytic.plan import Plan
 from kempe.solvers.analytic.question import Question
 from kempe.solvers.inverse import run
-from kempe.solvers.rounds import Task
+from kempe.solvers.rounds import Task, misses
 from kempe.solvers.solution import SOLVED
-from kempe.solvers.targets import points_along
 from kempe.spatial import Array
 
 METHODS = ("numeric", "analytic", "auto")
@@ -52,27 +50,10 @@ def answer(task: Task, plan: Plan, near: Array, seeds: Array, threads: int | Non
     info = np.zeros((n, 3), dtype=np.int64)
     at = {int(x): i for i, x in enumerate(plan.lines.q_index)}
     q[:] = own[np.arange(n), best][:, [at[int(x)] for x in chain.q_index]]
-    _measure(task, near, q, there, residual)
+    residual[there] = misses(task, task.targets[there], q[there])
     info[:, 0] = SOLVED
     rest = np.flatnonzero(~there)
     if len(rest):
         some = seeds[rest] if len(seeds) > 1 else seeds
         q[rest], residual[rest], info[rest] = run(task, some, threads, targets=task.targets[rest])
     return q, residual, info
-
-
-def _measure(task: Task, near: Array, q: Array, there: np.ndarray, residual: Array) -> None:
-    """Fill in the errors of position [m] and orientation [rad] of what was found, by the forward model."""
-    if not there.any():
-        return
-    full = np.array(np.broadcast_to(near, (len(q), task.system.nq)))
-    full[:, task.chain.q_index] = q
-    X, T = task.system.fk(full[there], task.frame), task.targets[there]
-    if any(task.mask[:3]):
-        residual[there, 0] = np.linalg.norm(X[:, :3, 3] - T[:, :3, 3], axis=-1)
-    if points_along(task.name):
-        a, b = (Y[:, :3, :3] @ np.array(task.axis) for Y in (X, T))
-        residual[there, 1] = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
-    elif any(task.mask[3:]):
-        turn = np.swapaxes(X[:, :3, :3], 1, 2) @ T[:, :3, :3]
-        residual[there, 1] = np.linalg.norm(spatial.log_so3(turn), axis=-1)

@@ -1,0 +1,209 @@
+"""What a search may take, steps and time, and how exact its answers are: counted, with Pinocchio as a judge."""
+
+from __future__ import annotations
+
+import itertools
+import types
+
+import numpy as np
+import pytest
+from robots import urdf_files
+from test_tasks import inside, two_arms
+
+import kempe
+from kempe import Mechanism, spatial, tasks
+from kempe.errors import InputError, NoSolutionError
+from kempe.solvers import clock, rounds
+from kempe.solvers.solution import NOT_FOUND, OUT_OF_TIME
+
+ROUNDING = 1e-12
+HAND = "panda_link7"
+
+
+@pytest.fixture
+def looks(monkeypatch):
+    """A clock whose time is up at look number n, counted from 0: ``looks(n)``."""
+
+    def at(n: int) -> None:
+        count = itertools.count()
+        fake = types.SimpleNamespace(monotonic=lambda: np.inf if next(count) >= n else -np.inf)
+        monkeypatch.setattr(clock, "time", fake)
+        monkeypatch.setattr(rounds, "time", fake)
+
+    return at
+
+
+# ---- answers end at rounding
+
+
+@pytest.mark.skipif(not urdf_files(), reason="the package example-robot-data is not installed")
+def test_a_whole_body_is_exact_to_rounding_for_pinocchio():
+    """Feet and hands of a Unitree G1 at targets that Pinocchio makes, whatever the tolerance, judged by Pinocchio."""
+    pinocchio = pytest.importorskip("pinocchio")
+    path = next(p for n, p in urdf_files().items() if n.endswith("g1_29dof_rev_1_0.urdf"))
+    s = kempe.load(path, base="free")
+    model = pinocchio.buildModelFromUrdf(str(path), pinocchio.JointModelFreeFlyer())
+    data = model.createData()
+    frames = ["left_ankle_roll_link", "right_ankle_roll_link", "left_rubber_hand", "right_rubber_hand"]
+    order = [model.joints[model.getJointId(n)].idx_q for n in s.coordinate_names[7:]]
+
+    def poses(q: np.ndarray) -> list[np.ndarray]:
+        theirs = np.empty(model.nq)
+        theirs[:3], theirs[3:6], theirs[6], theirs[order] = q[:3], q[4:7], q[3], q[7:]
+        pinocchio.framesForwardKinematics(model, data, theirs)
+        return [data.oMf[model.getFrameId(f)].homogeneous.copy() for f in frames]
+
+    worst = []
+    for q in s.random(1, 20):
+        targets = poses(q)
+        answer = s.ik([tasks.Pose(f, X) for f, X in zip(frames, targets, strict=True)], tolerance=(1e-4, 1e-3))
+        assert answer.success and inside(s, answer.q)
+        worst.append(np.abs(np.array(poses(answer.q)) - targets).max())
+    assert np.median(worst) < 1e-14 and np.mean(np.array(worst) < ROUNDING) >= 0.9
+
+
+def test_rounding_costs_two_steps_at_most():
+    """Against the same starts with a tolerance so small that the search itself must get there."""
+    s = two_arms()
+    for q in s.random(7, 20):
+        wanted = [tasks.Pose("left", s.fk(q, "left")), tasks.Position("right", s.fk(q, "right")[:3, 3])]
+        loose, tight = s.ik(wanted, tolerance=1e-6), s.ik(wanted, tolerance=1e-11)
+        assert loose.success and tight.success and loose.starts <= tight.starts
+        if loose.starts == tight.starts:
+            assert loose.iterations <= tight.iterations + 2
+            assert max(loose.position_error, loose.orientation_error) < ROUNDING
+
+
+def test_rounding_keeps_limits_one_sided_rows_and_levels():
+    s = two_arms()
+    rng = np.random.default_rng(11)
+    for q in s.random(rng, 8):
+        at = rng.random(14) < 0.3
+        q[7:][at] = np.where(rng.random(14) < 0.5, s.lower[6:], s.upper[6:])[at]
+        L, R = s.fk(q, "left"), s.fk(q, "right")
+        wall = tasks.HalfSpace("right", R[:3, 3], [0.0, 0.0, 1.0], priority=1, name="wall")
+        pose = tasks.Pose("left", L)
+        answer = s.ik([pose, wall, tasks.Posture(s.random(rng), priority=2)])
+        assert answer.success and inside(s, answer.q)
+        assert (answer.errors[pose.label] < ROUNDING).all() and answer.errors["wall"][0] < ROUNDING
+    contradictory = s.ik([tasks.Position("left", L[:3, 3]), tasks.Position("left", R[:3, 3], priority=1, name="too")])
+    assert not contradictory.success and contradictory.errors["Position of 'left'"][0] < ROUNDING
+
+
+# ---- steps
+
+
+def test_iterations_are_the_steps_of_a_start():
+    s = two_arms()
+    q = s.random(3)
+    wanted = [tasks.Pose("left", s.fk(q, "left")), tasks.Pose("right", s.fk(q, "right"))]
+    few = s.ik(wanted, iterations=7)
+    assert few.success and few.iterations <= 7 * few.starts and s.ik(wanted).iterations > 7
+    assert not s.ik(wanted, starts=1, iterations=1)
+    panda = kempe.load("panda")
+    X = panda.fk(panda.random(0), HAND)
+    assert panda.ik(X, HAND, iterations=8).iterations <= 8 * panda.ik(X, HAND, iterations=8).starts
+    assert not panda.ik(X, HAND, starts=1, iterations=1).success
+
+
+def test_bad_budgets_are_refused():
+    s = kempe.load("panda")
+    X = s.fk(s.random(0), HAND)
+    for more in ({"iterations": 0}, {"iterations": 2.5}, {"time_limit": 0.0}, {"time_limit": "1"}):
+        for call in (lambda m=more: s.ik(X, HAND, **m), lambda m=more: s.ik(tasks.Pose(HAND, X), **m)):
+            with pytest.raises(InputError, match=next(iter(more))):
+                call()
+
+
+# ---- time
+
+
+def test_a_limit_that_does_not_bite_changes_nothing():
+    s, arms = kempe.load("panda"), two_arms()
+    q = s.random(0, 100)
+    X = s.fk(q, HAND)
+    free, limited = s.ik(X, HAND), s.ik(X, HAND, time_limit=1e6)
+    same = free.starts <= rounds.ROUND
+    assert limited.success.all() and same.mean() > 0.9
+    np.testing.assert_array_equal(limited.q[same], free.q[same])
+    np.testing.assert_array_equal(s.ik(X, HAND, time_limit=1e6, threads=3).q, limited.q)
+    L = arms.fk(arms.random(1, 5), "left")
+    wanted = [tasks.Pose("left", L), tasks.Posture(arms.neutral)]
+    free, limited = arms.ik(wanted), arms.ik(wanted, time_limit=1e6)
+    np.testing.assert_array_equal(limited.q, free.q)
+    assert not limited.late.any() and list(limited.status) == list(free.status)
+
+
+def test_tasks_stop_when_the_time_is_up(looks):
+    """The clock is looked at before each start: at look n, n starts have been tried."""
+    s = kempe.load("panda")
+    far = tasks.Position(HAND, [3.0, 0.0, 0.0])
+    for n in (0, 1, 5):
+        looks(n)
+        answer = s.ik(far, time_limit=2.0)
+        assert (answer.code, answer.starts, answer.late, answer.success) == (OUT_OF_TIME, n, True, False)
+        assert f"not reached within the time limit of 2 s, after {n} of 60 starts" in answer.status
+        missed = np.linalg.norm(s.fk(answer.q, HAND)[:3, 3] - [3.0, 0.0, 0.0])
+        assert inside(s, answer.q) and answer.position_error == pytest.approx(missed, abs=1e-12)
+    looks(10**9)
+    assert s.ik(far, time_limit=2.0).code == NOT_FOUND
+    looks(3)
+    with pytest.raises(NoSolutionError, match="time limit"):
+        s.ik(far, time_limit=2.0, throw=True)
+
+
+def test_a_batch_shares_the_time(looks):
+    s = kempe.load("panda")
+    p = np.tile([3.0, 0.0, 0.0], (4, 1))
+    p[0] = s.fk(s.mid, HAND)[:3, 3]
+    looks(11)
+    answer = s.ik(tasks.Position(HAND, p), starts=5, time_limit=1.0, threads=1)
+    assert answer.starts.tolist()[0] == 1 and answer.starts.tolist()[3] == 0 and np.isfinite(answer.q).all()
+    assert answer.code[0] == 0 and answer.code[3] == OUT_OF_TIME
+
+
+def test_what_is_lowered_is_said_to_be_cut_short(looks):
+    s = kempe.load("panda")
+    X, posture = s.fk(s.random(2), HAND), tasks.Posture(s.random(1))
+    whole = s.ik([tasks.Pose(HAND, X), posture])
+    looks(whole.starts + 2)
+    cut = s.ik([tasks.Pose(HAND, X), posture], time_limit=1.0)
+    assert cut.success and cut.late and "time limit of 1 s ended it before all was lowered" in cut.status
+    assert cut.errors[posture.label][1] >= whole.errors[posture.label][1] and cut.iterations < whole.iterations
+    assert cut.position_error < ROUNDING and not whole.late
+
+
+def stiff_arm() -> kempe.System:
+    """Six joints of 0.3 rad to either side: most of what its lengths allow is out of reach."""
+    m = Mechanism("stiff")
+    before: object = m.ground
+    for k in range(6):
+        m.revolute(f"j{k}", before, m.body(f"b{k}"), at=(0.0, 0.05, 0.3), rpy=(np.pi / 2 * (-1) ** k, 0.0, 0.0),
+                   limits=(-0.3, 0.3))  # fmt: skip
+        before = f"b{k}"
+    m.frame("tip", "b5", at=(0.0, 0.0, 0.2))
+    return m.build()
+
+
+@pytest.mark.parametrize("task", ["pose", "position", "direction", "position_axis", "orientation"])
+def test_single_targets_stop_when_the_time_is_up(looks, task):
+    """Rounds of starts, then what is nearest so far, with its errors: looked at before each round."""
+    s, axis = stiff_arm(), np.array([0.6, 0.0, 0.8])
+    home = s.fk(s.neutral, "tip")
+    X = spatial.pose(home[:3, :3] @ spatial.rot_x(2.5), 0.4 * home[:3, 3])
+    pointed = {"axis": axis} if task in ("direction", "position_axis") else {}
+    for n in (0, 2):
+        looks(n)
+        answer = s.ik(X, "tip", task=task, time_limit=3.0, **pointed)
+        assert (answer.code, answer.starts, answer.success) == (OUT_OF_TIME, 32 * n, False)
+        assert f"not reached within the time limit of 3 s, after {32 * n} of 250 starts" in answer.status
+        there = s.fk(answer.q, "tip")
+        far, turn = np.linalg.norm(there[:3, 3] - X[:3, 3]), spatial.log_so3(X[:3, :3].T @ there[:3, :3])
+        angle = np.linalg.norm(turn)
+        if pointed:
+            angle = np.arccos((there[:3, :3] @ axis) @ (X[:3, :3] @ axis))
+        assert answer.position_error == pytest.approx(0.0 if task in ("direction", "orientation") else far, abs=1e-12)
+        assert answer.orientation_error == pytest.approx(0.0 if task == "position" else angle, abs=1e-9)
+        assert inside(s, answer.q)
+    looks(10**9)
+    assert s.ik(X, "tip", task=task, time_limit=3.0, **pointed).code == NOT_FOUND
