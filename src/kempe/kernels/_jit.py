@@ -8,13 +8,15 @@ interpreter's; Numba itself adds the processor. Without a writable folder kernel
 from __future__ import annotations
 
 import atexit
+import gc
 import hashlib
 import os
 import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 
@@ -22,6 +24,8 @@ import numba
 from numba import types
 from numba.core import config
 from numba.core.typing.templates import Signature
+
+from kempe.kernels._link import HelperCompiler
 
 FLAGS = {"contract", "nsz", "arcp"}
 """Fast-math flags under which NaN and infinity survive and sums are not reassociated."""
@@ -99,6 +103,18 @@ def _say_once() -> None:
         print(f"kempe: compiling kernels for this machine, once ({where}) ...", file=sys.stderr, flush=True)
 
 
+@contextmanager
+def _garbage_stays() -> Iterator[None]:
+    """Collect no garbage meanwhile: the compiler's many objects live on, and to walk them takes a tenth of its time."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
 def kernel(*signatures: Signature, nogil: bool = True) -> Callable:
     """Decorator: compile an entry point now, for exactly these signatures, or load it from the cache.
 
@@ -112,7 +128,10 @@ def kernel(*signatures: Signature, nogil: bool = True) -> Callable:
             setattr(config, "CACHE_DIR", str(folder) if folder else before)  # noqa: B010
             try:
                 dispatcher = numba.njit(
-                    nogil=nogil, fastmath=FLAGS, error_model="numpy", cache=folder is not None
+                    nogil=nogil,
+                    fastmath=FLAGS,
+                    error_model="numpy",
+                    cache=folder is not None,
                 )(function)
             finally:
                 setattr(config, "CACHE_DIR", before)  # noqa: B010
@@ -120,8 +139,9 @@ def kernel(*signatures: Signature, nogil: bool = True) -> Callable:
             timer.daemon = True
             timer.start()
             try:
-                for signature in signatures:
-                    dispatcher.compile(signature)
+                with _garbage_stays():
+                    for signature in signatures:
+                        dispatcher.compile(signature)
             finally:
                 timer.cancel()
             dispatcher.disable_compile()
@@ -139,6 +159,7 @@ _HELPER = {
     "error_model": "numpy",
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
+    "pipeline_class": HelperCompiler,
 }
 
 
