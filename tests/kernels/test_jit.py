@@ -16,30 +16,42 @@ from kempe.kernels import _jit
 
 CALLER = """
 from numba import types
-from mini._jit import F1, kernel
-from mini.callee import double
+from mini._jit import F1, kernel, routine
+from mini.callee import double, twice
+
+@routine
+def four_times(x):
+    return twice(twice(x))
 
 @kernel(types.float64(F1))
 def total(x):
     return double(x[0])
+
+@kernel(types.float64(F1))
+def fourfold(x):
+    return four_times(x[0])
 """
 CALLEE = """
-from mini._jit import device
+from mini._jit import device, routine
 
 @device
 def double(x):
     return {factor} * x
+
+@routine
+def twice(x):
+    return double(x)
 """
 MAIN = """
 import numpy as np
 from mini import caller, _jit
-print(caller.total(np.ones(1)), dict(_jit.compiled), _jit.cache_folder() is not None)
+print(caller.total(np.ones(1)), caller.fourfold(np.ones(1)), dict(_jit.compiled), _jit.cache_folder() is not None)
 """
 
 
 @pytest.fixture
 def mini(tmp_path):
-    """A package with the wrapper, a kernel and its helper in two files; call it to run it in a new process."""
+    """A package with the wrapper, two kernels and their helpers in two files; call it to run it in a new process."""
     package = tmp_path / "mini"
     package.mkdir()
     shutil.copy(Path(_jit.__file__), package / "_jit.py")
@@ -48,7 +60,8 @@ def mini(tmp_path):
 
     def run(factor=2, **environment):
         (package / "callee.py").write_text(CALLEE.format(factor=factor))
-        settings = {"KEMPE_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path), **environment}
+        path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+        settings = {"KEMPE_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": path, **environment}
         done = subprocess.run(
             [sys.executable, "-B", "-c", MAIN],
             env={**os.environ, **settings}, capture_output=True, text=True, timeout=120,
@@ -60,14 +73,14 @@ def mini(tmp_path):
 
 
 def test_second_process_loads_and_an_edited_callee_recompiles(mini):
-    assert mini() == "2.0 {'total': 1} True"
-    assert mini() == "2.0 {} True"
-    assert mini(factor=3) == "3.0 {'total': 1} True"
-    assert mini(factor=2) == "2.0 {} True"
+    assert mini() == "2.0 4.0 {'total': 1, 'fourfold': 1} True"
+    assert mini() == "2.0 4.0 {} True"
+    assert mini(factor=3) == "3.0 9.0 {'total': 1, 'fourfold': 1} True"
+    assert mini(factor=2) == "2.0 4.0 {} True"
 
 
 def test_without_a_writable_folder_it_compiles_in_memory(mini):
-    assert mini(KEMPE_CACHE_DIR="/proc/nowhere") == "2.0 {'total': 1} False"
+    assert mini(KEMPE_CACHE_DIR="/proc/nowhere") == "2.0 4.0 {'total': 1, 'fourfold': 1} False"
 
 
 def test_no_home_makes_no_folder_called_tilde(monkeypatch):

@@ -8,13 +8,15 @@ interpreter's; Numba itself adds the processor. Without a writable folder kernel
 from __future__ import annotations
 
 import atexit
+import gc
 import hashlib
 import os
 import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,9 +24,9 @@ from typing import Any
 import numba
 from numba import types
 from numba.core import config
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
 from numba.core.typing.templates import Signature
+
+from kempe.kernels._link import HelperCompiler
 
 FLAGS = {"contract", "nsz", "arcp"}
 """Fast-math flags under which NaN and infinity survive and sums are not reassociated."""
@@ -102,6 +104,35 @@ def _say_once() -> None:
         print(f"kempe: compiling kernels for this machine, once ({where}) ...", file=sys.stderr, flush=True)
 
 
+@contextmanager
+def _notice(dispatcher: Any) -> Iterator[None]:
+    """Tell the user if a kernel is not loaded but compiled, and that takes its time."""
+    done = threading.Event()
+
+    def watch() -> None:
+        while not done.wait(_SECONDS_BEFORE_NOTICE):
+            if sum(dispatcher.stats.cache_misses.values()) or cache_folder() is None:
+                _say_once()
+
+    threading.Thread(target=watch, daemon=True).start()
+    try:
+        yield
+    finally:
+        done.set()
+
+
+@contextmanager
+def _garbage_stays() -> Iterator[None]:
+    """Collect no garbage meanwhile: the compiler's many objects live on, and to walk them takes a tenth of its time."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
 def kernel(*signatures: Signature, nogil: bool = True) -> Callable:
     """Decorator: compile an entry point now, for exactly these signatures, or load it from the cache.
 
@@ -114,18 +145,17 @@ def kernel(*signatures: Signature, nogil: bool = True) -> Callable:
             before = getattr(config, "CACHE_DIR", "")
             setattr(config, "CACHE_DIR", str(folder) if folder else before)  # noqa: B010
             try:
-                keep = folder is not None
-                dispatcher = numba.njit(nogil=nogil, fastmath=FLAGS, error_model="numpy", cache=keep)(function)
+                dispatcher = numba.njit(
+                    nogil=nogil,
+                    fastmath=FLAGS,
+                    error_model="numpy",
+                    cache=folder is not None,
+                )(function)
             finally:
                 setattr(config, "CACHE_DIR", before)  # noqa: B010
-            timer = threading.Timer(_SECONDS_BEFORE_NOTICE, _say_once)
-            timer.daemon = True
-            timer.start()
-            try:
+            with _notice(dispatcher), _garbage_stays():
                 for signature in signatures:
                     dispatcher.compile(signature)
-            finally:
-                timer.cancel()
             dispatcher.disable_compile()
         hits = sum(dispatcher.stats.cache_hits.values()) if folder else 0
         if hits < len(signatures):
@@ -135,43 +165,13 @@ def kernel(*signatures: Signature, nogil: bool = True) -> Callable:
     return wrap
 
 
-class _Draft(JITCodeLibrary):
-    """The code of a helper as it was written down: it is optimised and translated with the kernel that calls it, once.
-
-    Numba would do both for the helper, with all that it calls, and again for each caller up to the kernel.
-    """
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        ll_module.data_layout = self._codegen._data_layout
-
-    def _optimize_final_module(self) -> None: ...
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-
-class _Drafter(Compiler):
-    """Numba's compiler for helpers, which nobody calls from Python."""
-
-    def __init__(self, typing: Any, target: Any, library: Any, args: Any, returned: Any, flags: Any, given: Any):
-        flags.no_compile = True
-        super().__init__(typing, target, _Draft(target.codegen(), "helper"), args, returned, flags, given)
-
-    def compile_extra(self, func: Callable) -> Any:
-        """The helper's code, told to those who call it; Numba wants a C function of its own for its name."""
-        done = super().compile_extra(func)._replace(entry_point=[].append)
-        self.state.targetctx.insert_user_function(done.entry_point, done.fndesc, [done.library])
-        return done
-
-
 _HELPER = {
-    "pipeline_class": _Drafter,
     "nogil": True,
     "fastmath": FLAGS,
     "error_model": "numpy",
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
+    "pipeline_class": HelperCompiler,
 }
 
 
