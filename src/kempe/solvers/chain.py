@@ -27,7 +27,7 @@ class ReachBound(NamedTuple):
     largest: float
     smallest: float
     point: Array
-    """The point of the frame (3,), in its axes: its origin, or one of the last turning axis."""
+    """The point of the frame (3,), in its axes: its origin, or one of the last axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ def _chain(system: System, name: str) -> Chain:
     for iv in range(len(v_index)):
         rows = table.multiplier[table.iv == iv]
         circular[iv] = wide[iv] and len(rows) == 1 and abs(rows[0]) == 1.0 and table.kind[table.iv == iv][0] == TURN
-    bounds = tuple(b for arrays in (packed, (ints, floats)) for b in _reach(*arrays, limits))
+    bounds = tuple(b for arrays in (packed, (ints, floats)) for b in reach_bounds(*arrays, limits))
     base, no_seed = inside(system, system.neutral[None]), np.empty((1, 0, len(q_index)))
     return Chain(ints, floats, q_index, v_index, limits, circular, base, no_seed, bounds)
 
@@ -129,27 +129,41 @@ def loop_coordinates(system: System, closure: str) -> set[str]:
     return names
 
 
-def _reach(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[ReachBound]:
-    """Bounds for the tip, and for the last joint if it turns: a pose of the tip says where that is, by less lengths."""
+def reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[ReachBound]:
+    """Bounds for the tip, and for the last axis if it turns: a pose of the tip says where that is, by less lengths.
+
+    Of an axis that turns the best point counts: of the first the one nearest to the second joint, of the last the one
+    nearest to the joint before.
+    """
     n = int(ints[N_ROWS])
-    start = floats[[3, 7, 11]]
+    rows = np.array([floats[ROW_FLOATS * k :][:12] for k in range(n + 1)]).reshape(n + 1, 3, 4)
+    R, p = rows[..., :3], rows[..., 3].copy()
     kinds = ints[HEADER + KIND : HEADER + ROW_INTS * n : ROW_INTS] if n else ints[:0]
-    lengths = [float(np.linalg.norm(floats[ROW_FLOATS * k :][[3, 7, 11]])) for k in range(1, n + 1)]
-    slides = [0.0] * n
+    start, slides = p[0], 0.0
     for row in np.flatnonzero(kinds == SLIDE):
         iv = ints[HEADER + ROW_INTS * row + V_INDEX]
-        slides[row] = float(np.max(np.abs(floats[ROW_FLOATS * row + MULTIPLIER] * limits[:, iv])))
-    out = []
-    for count in (n, n - 1):  # lengths passed on the way to the tip, or to the last joint
-        if count < 0 or (count < n and kinds[-1] == SLIDE):
-            continue
-        tip = floats[ROW_FLOATS * n :][:12].reshape(3, 4)
-        point = np.zeros(3) if count == n else -tip[:, :3].T @ tip[:, 3]
-        total, any_slide = sum(lengths[:count]) + sum(slides), bool(np.any(kinds[:count] == SLIDE))
-        longest = 0.0 if any_slide else max(lengths[:count], default=0.0)
-        if math.isfinite(total):
-            out.append(ReachBound(start, total, max(0.0, 2.0 * longest - total), point))
-    return out
+        slides += float(np.max(np.abs(floats[ROW_FLOATS * row + MULTIPLIER] * limits[:, iv])))
+    if n and kinds[0] != SLIDE:
+        start = start + p[1, 2] * R[0, :, 2]
+        p[1, 2] = 0.0
+    out = [_bound(start, p[1:], slides, bool(np.any(kinds == SLIDE)), np.zeros(3))]
+    if n and kinds[-1] == TURN:
+        along = 0.0
+        if n > 2:
+            axis = R[n - 1, :, 2]
+            along = -float(p[n - 1] @ axis)
+            p[n - 1] = p[n - 1] + along * axis
+        point = R[n].T @ (np.array([0.0, 0.0, along]) - rows[n, :, 3])
+        out.append(_bound(start, p[1:n], slides, bool(np.any(kinds[:-1] == SLIDE)), point))
+    return [b for b in out if math.isfinite(b.largest)]
+
+
+def _bound(start: Array, p: Array, slides: float, any_slide: bool, point: Array) -> ReachBound:
+    """The bound by the lengths of steps p (n, 3), of which a single long one may keep the point away."""
+    lengths = np.sqrt((p * p).sum(axis=-1))
+    total = float(lengths.sum()) + slides
+    longest = 0.0 if any_slide else float(lengths.max(initial=0.0))
+    return ReachBound(start, total, max(0.0, 2.0 * longest - total), point)
 
 
 def inside(system: System, q: Array) -> Array:

@@ -35,7 +35,7 @@ def derivative(solution: Solution) -> Array:
     S = np.zeros((*R.shape[:-2], 6, 6))  # from ground axes to those rows in the axes of the tip that count
     S[..., :3, :3] = S[..., 3:, 3:] = np.swapaxes(R, -1, -2)
     S *= np.array(task.mask, dtype=float)[:, None]
-    J = S @ J
+    J = np.where(system.upper > system.lower, 1.0, 0.0)[chain.v_index] * (S @ J)  # what has no room moves nothing
     x, v = np.full((*q.shape[:-1], system.nv), np.nan), system.layout.vector_v
     x[..., v] = q[..., system.layout.vector_q]
     held = ((x <= system.lower + AT_LIMIT) | (x >= system.upper - AT_LIMIT))[..., chain.v_index]

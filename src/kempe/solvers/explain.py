@@ -21,6 +21,8 @@ FEW_LIMITS = 12
 """Limits up to which each is lifted in turn; of more, only those that a configuration touches."""
 STARTS = 250
 """Starts of a search without some limits, which begins where the target is reached without any."""
+TILTED = 1e-7
+"""Angle between a pose and the plane that is not rounding [rad]."""
 ROUNDING = 1e-14
 """What rounding makes of a configuration that reaches a target, in parts of its size."""
 RANK_TOLERANCE = 1e-9
@@ -48,6 +50,9 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
             return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m; {near}"
         turned = "" if outside(replace(task, name="position"), target)[0] else " with this orientation"
         return f"outside the workspace{turned} by at least {beyond:.6g} m, by the lengths of the links; {near}"
+    tilt = float(np.arccos(np.clip(target[0, 2, 2], -1.0, 1.0))) if task.system.dim == 2 and any(task.mask[3:]) else 0.0
+    if tilt > max(task.tolerance[1], TILTED):
+        return f"tilted out of the plane of the system by {tilt:.2g} rad; {near}"
     if code == OUT_OF_TIME:
         tried = f"{starts} of {_count(task.starts, 'start')}"
         return f"not reached within the time limit of {task.time_limit:g} s, after {tried}; {near}"
@@ -114,7 +119,7 @@ def _limits(task: Task, target: Array, nearest: Array) -> str:
     if _solved(replace(many, rng=task.rng + 1), target, None, free) is not None:
         return "more starts find an answer"
     suspects = list(bounded if len(bounded) <= FEW_LIMITS else _suspects(chain, bounded, nearest, free))
-    few = replace(task, starts=min(task.starts, STARTS))
+    few = replace(task, starts=min(task.starts, STARTS * FEW_LIMITS // max(FEW_LIMITS, len(suspects))))
 
     def without(lifted: Sequence[Any]) -> bool:
         limits = chain.limits.copy()

@@ -92,6 +92,8 @@ def ik_path(
         raise InputError(f"max_step is {max_step!r}; it must be a positive number")
     wanted = targets if frame is None else _held(system, targets, frame)
     problem, first = pose_problem(system, wanted, seed, tolerance, starts, rng)
+    if not np.isfinite(first).all():
+        raise InputError("seed has entries that are not finite")
     if len(problem.lead) != 1 or not problem.lead[0] or len(first) > 1:
         raise InputError(f"targets have the leading shape {problem.lead}, the seed {first.shape}; needed are (n,) "
                          f"targets and one seed ({system.nq},)")  # fmt: skip
@@ -99,19 +101,24 @@ def ik_path(
         refuse(goals, task.label)
     way = _Way(problem, max_step, progress)
     q0, info = way.rows[0].run(first)
+    begin, n = 0, problem.lead[0]
+    while restart and info[0, 0] != SOLVED and begin + 1 < n:
+        begin += 1
+        q0, info = way.rows[begin].run(first)
     if info[0, 0] != SOLVED:
-        status = f"the path does not begin: target 0 is {judge(way.rows[0], q0, info).status}"
-        n = problem.lead[0]
+        status = f"the path does not begin: target {begin} is {judge(way.rows[begin], q0, info).status}"
         return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status)
     if not branches:
-        return way.path(q0[0], restart)
-    begins = _distinct([q0[0], *way.elsewhere(0, q0[0]), *_all(system, targets, frame, way.rows[0])])
-    paths = [way.path(q, restart) for q in begins]
+        return way.path(q0[0], restart, begin)
+    begins = _distinct([q0[0], *way.elsewhere(begin, q0[0]), *_all(system, targets, frame, way.rows[begin], begin)])
+    paths = [way.path(q, restart, begin) for q in begins]
     return min(paths, key=lambda p: (-_farthest(p), -np.sum(p.success), len(p.jumps), _length(p)))
 
 
 def _held(system: System, targets: Any, frame: FrameLike) -> Pose | Position:
     poses, lead, is_position = parse_targets(system, targets)
+    for i in np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2)))[:1]:
+        raise InputError(f"target {i} is not finite, or no pose, whose last row must be 0 0 0 1")
     poses = poses.reshape(*lead, 4, 4)
     name = system.frame_name(frame)
     is_position = is_position or bool(system.table.at[name][2])
@@ -220,13 +227,15 @@ class _Way:
         good = found[info[:, 0] == SOLVED]
         return sorted(good, key=lambda x: float(np.linalg.norm(self.system.difference(q, x) / self.scale)))
 
-    def path(self, q: Array, restart: bool) -> IkPath:
-        """The path from q, which holds the first target."""
+    def path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
+        """The path from q, which holds target `begin`; those before cannot be reached."""
         n = len(self.rows)
         out, jumps, said = np.full((n, self.system.nq), np.nan), [], []
-        out[0], interrupted = q, False
+        out[begin], interrupted = q, False
+        if begin:
+            said.append(f"no answer was found for {'targets 0 to ' if begin > 1 else 'target '}{begin - 1}")
         try:
-            self._go(out, jumps, said, restart)
+            self._go(out, jumps, said, restart, begin)
         except KeyboardInterrupt:
             interrupted = True
             said.append("interrupted: this is the part that was done")
@@ -235,10 +244,10 @@ class _Way:
         jumped = f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
         return IkPath(self.system, out, success, tuple(jumps), "; ".join([status + jumped, *said]), interrupted)
 
-    def _go(self, out: Array, jumps: list[int], said: list[str], restart: bool) -> None:
-        """Write the path from its first configuration on, and what there is to say."""
-        q, broken, before = out[0], False, np.zeros(self.system.nv)
-        for i in range(1, len(out)):
+    def _go(self, out: Array, jumps: list[int], said: list[str], restart: bool, begin: int) -> None:
+        """Write the path from its configuration at target `begin` on, and what there is to say."""
+        q, broken, before = out[begin], False, np.zeros(self.system.nv)
+        for i in range(begin + 1, len(out)):
             found, part = (q, 0.0) if broken else self.follow(i, q, before)
             if part < 1.0:
                 why = ""
@@ -291,12 +300,12 @@ def _sentence(system: System, i: int, why: str, q: Array, others: list[Array], r
     return f"{where}; target {i} is reached by a jump of {change[far]:.3g} in {system.velocity_names[far]!r}"
 
 
-def _all(system: System, targets: Any, frame: FrameLike | None, row: Problem) -> list[Array]:
-    """What `ik_all` finds for the first target, inside the limits."""
+def _all(system: System, targets: Any, frame: FrameLike | None, row: Problem, begin: int) -> list[Array]:
+    """What `ik_all` finds for target `begin`, inside the limits."""
     if frame is None:
         return []
     try:
-        found = system.ik_all(np.asarray(targets, dtype=float)[0], frame)
+        found = system.ik_all(np.asarray(targets, dtype=float)[begin], frame)
     except UnsupportedError:
         return []
     answers = [row.run(q[None]) for q in found.q[found.inside]]

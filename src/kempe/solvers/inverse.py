@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, NoSolutionError
 from kempe.kernels import search
-from kempe.kernels.job import ANSWER, LINEAR, STATUS
+from kempe.kernels.job import ANSWER, LINEAR, ROTATION_TOLERANCE, STATUS
 from kempe.kernels.layout import HAS_QUATERNION
+from kempe.kernels.starts import LARGEST
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers import rounds
@@ -275,7 +276,13 @@ def _refuse_target(target: Array, seed: Array) -> None:
         raise InputError("target has entries that are not finite")
     if not np.isfinite(seed).all():
         raise InputError("seed has entries that are not finite")
-    raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
+    R = target[:3, :3]
+    if np.abs(R.T @ R - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0.0:
+        raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
+    for what, x in (("target", target), ("seed", seed)):
+        if np.abs(x).max(initial=0.0) >= LARGEST:
+            raise InputError(f"{what} has an entry of {np.abs(x).max():.3g}; allowed are numbers below {LARGEST:g}")
+    raise InputError("seed has a quaternion that is zero")
 
 
 def _answer(

@@ -13,7 +13,7 @@ from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import refuse_bad
 from kempe.solvers.chain import chain_of, obstacle
-from kempe.solvers.least_squares import damped, scaled
+from kempe.solvers.least_squares import NEAR, damped, scaled
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -45,7 +45,10 @@ class Servo:
 
     def __init__(self, system: System, frame: str):
         self.system, self.frame, self.query = system, frame, system.query(frame)
-        self.v = chain_of(system, frame).v_index
+        chain = chain_of(system, frame)
+        self.v, reach = chain.v_index, min((b.largest for b in chain.bounds), default=math.inf)
+        self.near = NEAR * min(1.0, reach) if reach > 0.0 else NEAR
+        """Singular values to be damped: metres, so less where the whole chain is shorter than one."""
         layout = system.layout
         place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
         limited = [(k, place[v]) for k, v in enumerate(self.v.tolist()) if v in place]
@@ -122,7 +125,7 @@ def ik_step(
     A, b = (J, twist) if w is None else (w[:, None] * J, w * twist)
     low, high = servo.box(q, dt, speed[servo.v])
     velocity = np.zeros(system.nv)
-    own = scaled(A, b, low, high) if keep_direction else damped(A, b, low, high, damping)
+    own = scaled(A, b, low, high) if keep_direction else damped(A, b, low, high, damping, near=servo.near)
     velocity[servo.v] = own
     at = ((own <= low) | (own >= high)).nonzero()[0]
     return IkStep(servo.after(q, velocity, dt), velocity, J @ own, _part(A @ own, b), tuple(servo.names[i] for i in at))

@@ -70,14 +70,14 @@ def targets_of(
         shape = np.shape(target)
     except ValueError:
         raise InputError("target is ragged; it must be an array of real numbers") from None
-    width = {"direction": 3, "position_axis": 6}.get(task or "")
+    width = 3 if task == "direction" else 6 if task == "position_axis" else None
     if task == "orientation" and shape[-2:] == (3, 3) and system.dim == 3:
         out = np.zeros((*shape[:-2], 4, 4))
-        out[..., :3, :3], out[..., 3, 3] = target, 1.0
+        out[..., :3, :3], out[..., 3, 3] = numbers_of(target), 1.0
         return parse_targets(system, out)
     if width is None or shape[-1:] != (width,) or shape[-2:] == (4, 4):
         return parse_targets(system, target)
-    values = np.asarray(target, dtype=float)
+    values = numbers_of(target)
     d = values[..., -3:]
     size = np.linalg.norm(d, axis=-1, keepdims=True)
     if not shape[:-1] and not (np.isfinite(values).all() and size.item() > 0.0):
@@ -102,9 +102,11 @@ def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
     if shape[-2:] in ((4, 4), (3, 3)) or shape[-1:] not in [(w,) for w in widths]:
         return target, full
     x, y, _ = axis_of(axis)
-    values = np.asarray(target, dtype=float)
+    values = numbers_of(target)
     k = shape[-1] // (1 if task == "direction" else 2)
     d = values[..., -k:]
+    if not shape[:-1] and not np.any(d):
+        raise InputError("the direction of the target must be finite and not zero")
     if math.hypot(x, y) < 1e-9 or (k == 3 and np.any(np.abs(d[..., 2]) > 1e-9)):
         raise InputError("in a planar system the axis of the tool and its direction must lie in the plane")
     angle = np.arctan2(d[..., 1], d[..., 0]) - math.atan2(y, x)
@@ -122,18 +124,22 @@ def points_along(task: str | None) -> bool:
     return task in ("direction", "position_axis")
 
 
+def numbers_of(target: Any) -> Array:
+    """A target as an array of real numbers. Errors: `InputError`."""
+    if target.__class__ is np.ndarray and target.dtype == np.float64:
+        return target
+    try:
+        given = np.asarray(target)
+        if given.dtype.kind == "c":
+            raise TypeError
+        return np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"target is {type(target).__name__}; it must be an array of real numbers") from None
+
+
 def parse_targets(system: System, target: Any) -> tuple[Array, tuple[int, ...], bool]:
     """Targets (N, 4, 4), their leading shape, and whether they are positions."""
-    if target.__class__ is np.ndarray and target.dtype == np.float64:
-        array = target
-    else:
-        try:
-            given = np.asarray(target)
-            if given.dtype.kind == "c":
-                raise TypeError
-            array = np.asarray(given, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"target is {type(target).__name__}; it must be an array of real numbers") from None
+    array = numbers_of(target)
     planar = system.dim == 2
     is_pose = array.ndim >= 2 and array.shape[-2:] == (4, 4)
     if planar and array.ndim >= 2 and array.shape[-2:] == (3, 3) and np.all(array[..., 2, :] == [0.0, 0.0, 1.0]):
