@@ -16,7 +16,8 @@ import numpy as np
 from kempe import spatial
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
-from kempe.kinematics.task import HERE, Hold, Placed, Task, along, directions_of, flat, numbers_of, points_of, poses_of
+from kempe.kinematics.task import HERE, Hold, Placed, Task, along, numbers_of, poses_of
+from kempe.kinematics.task_input import at_point, corners_of, directions_of, ends_of, points_of, tilt_of, with_axis
 from kempe.kinematics.tasks_whole import CentreOfMass, CentreOfPoints, Function, Posture
 from kempe.spatial import Array
 
@@ -69,8 +70,12 @@ class _OneFrame(Placed):
         return repr(str(self.frame))
 
     def _hold(self, system: System, mask: int, turns: int = L.NO_TURN, point: Any = ORIGIN, **more: Any) -> Hold:
-        X = HERE if point is ORIGIN else flat(spatial.pose(p=points_of(point, system.dim, f"point of {self.label}")))
+        X = HERE if point is ORIGIN else at_point(point, system.dim, f"point of {self.label}")
         return Hold(system.frame_name(self.frame), X, mask, turns, **more)
+
+    def _hold_axis(self, system: System, turns: int, axis: Any) -> Hold:
+        X = with_axis(axis, system.dim, f"axis of {self.label}")
+        return Hold(system.frame_name(self.frame), X, 0, turns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,9 +135,8 @@ class Orientation(_OneFrame):
 
     def goal(self, system: System) -> Array:
         """The target."""
-        X, what = numbers_of(self.target, f"target of {self.label}"), f"target of {self.label}"
-        X = spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X
-        return poses_of(X, 3, what)
+        X = numbers_of(self.target, what := f"target of {self.label}")
+        return poses_of(spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X, system.dim, what)
 
     def miss(self, X: Array) -> tuple[Array, Array]:
         """Angle."""
@@ -141,15 +145,15 @@ class Orientation(_OneFrame):
 
 @dataclass(frozen=True, eq=False)
 class Pointing(_OneFrame):
-    """An `axis` of a frame (default z) along a `direction` (..., 3) of the ground."""
+    """An `axis` of a frame (default z, in the plane x) along a `direction` (..., 3) of the ground."""
 
     direction: Any
-    axis: Any = Z
+    axis: Any = None
     lengths, angles = False, True
 
     def hold(self, system: System) -> Hold:
         """The axis."""
-        return _axis_hold(self, system, 0, L.ALIGN)
+        return self._hold_axis(system, L.ALIGN, self.axis)
 
     def goal(self, system: System) -> Array:
         """A frame whose z is the direction."""
@@ -158,37 +162,29 @@ class Pointing(_OneFrame):
 
     def miss(self, X: Array) -> tuple[Array, Array]:
         """Angle between the two."""
-        return _none(X), np.arctan2(np.hypot(X[..., 0, 2], X[..., 1, 2]), X[..., 2, 2])
+        return _none(X), tilt_of(X[..., :3, 2])
 
 
 @dataclass(frozen=True, eq=False)
 class LookAt(_OneFrame):
-    """An `axis` of a frame (default z) towards a point `target` (..., 3), as a camera looks at it."""
+    """An `axis` of a frame (default z, in the plane x) towards a point `target` (..., 3), as a camera looks at it."""
 
     target: Any
-    axis: Any = Z
+    axis: Any = None
     lengths, angles = False, True
 
     def hold(self, system: System) -> Hold:
         """The axis."""
-        return _axis_hold(self, system, 0, L.LOOK)
+        return self._hold_axis(system, L.LOOK, self.axis)
 
     def goal(self, system: System) -> Array:
         """The point."""
         return spatial.pose(p=points_of(self.target, system.dim, f"target of {self.label}"))
 
     def miss(self, X: Array) -> tuple[Array, Array]:
-        """Angle between the axis and the direction to the point."""
+        """Angle between the axis and the direction to the point; pi where that is the frame's origin."""
         d = np.einsum("...ji,...j->...i", X[..., :3, :3], -X[..., :3, 3])
-        return _none(X), np.arctan2(np.hypot(d[..., 0], d[..., 1]), d[..., 2])
-
-
-def _axis_hold(task: Any, system: System, mask: int, turns: int) -> Hold:
-    """A frame with z along the axis of the task."""
-    z = directions_of(task.axis, system.dim, f"axis of {task.label}")
-    if z.ndim != 1:
-        raise InputError(f"axis of {task.label} has shape {np.shape(task.axis)}; it must be ({system.dim},)")
-    return Hold(system.frame_name(task.frame), flat(spatial.pose(along(z, system.dim))), mask, turns)
+        return _none(X), tilt_of(d)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +239,8 @@ class HalfSpace(OnPlane):
 
     def hold(self, system: System) -> Hold:
         """What is along the normal, from the margin on."""
-        return super().hold(system)._replace(bounds=((float(self.margin), math.inf),))
+        margin = ends_of(self.margin, math.inf, f"margin of {self.label}", 1)[0].item()
+        return super().hold(system)._replace(bounds=((margin, math.inf),))
 
     def miss(self, X: Array) -> tuple[Array, Array]:
         """How far it is beyond."""
@@ -286,12 +283,9 @@ class InBox(_OneFrame):
     point: Any = ORIGIN
 
     def _corners(self, dim: int) -> tuple[tuple[float, float], ...]:
-        ends = [numbers_of(x, f"corner of {self.label}") for x in (self.low, self.high)]
-        if any(e.shape not in ((dim,), (3,)) for e in ends) or np.any(ends[0][:dim] > ends[1][:dim]):
-            raise InputError(
-                f"corners of {self.label} are {self.low!r}, {self.high!r}; needed are low <= high, ({dim},)"
-            )
-        return tuple(zip(ends[0][:dim].tolist(), ends[1][:dim].tolist(), strict=True))
+        what = f"corners of {self.label}"
+        low, high = ends_of(*corners_of(self.low, self.high, dim, what), what, dim)
+        return tuple(zip(low.tolist(), high.tolist(), strict=True))
 
     def hold(self, system: System) -> Hold:
         """Each direction between its ends."""
@@ -370,10 +364,9 @@ class Distance(_TwoFrames):
             raise InputError(f"{self.label} needs a value, or at_least or at_most")
         if self.value is not None:
             return ()
-        low, high = self.at_least or 0.0, math.inf if self.at_most is None else self.at_most
-        if not 0.0 <= low <= high:
-            raise InputError(f"{self.label}: at_least {low!r} and at_most {high!r} leave nothing")
-        return ((float(low), float(high)),)
+        low, high = (default if x is None else x for x, default in ((self.at_least, 0.0), (self.at_most, math.inf)))
+        low, high = ends_of(low, high, f"at_least and at_most of {self.label}", 1)
+        return ((float(_positive(low, f"at_least of {self.label}")[0]), float(high[0])),)
 
     def hold(self, system: System) -> Hold:
         """The distance."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,8 @@ from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q, circles
 from kempe.kinematics.forward import fk
-from kempe.kinematics.task import GROUND, Goals, Hold, Placed, Task, flat, numbers_of, points_of
+from kempe.kinematics.task import GROUND, Goals, Hold, Placed, Task, flat, numbers_of
+from kempe.kinematics.task_input import ends_of, fixed, points_of
 from kempe.kinematics.zoo import UserConstraint, user_constraint
 from kempe.model.loops import Centre, Tie
 from kempe.model.table import Table
@@ -119,11 +120,12 @@ class _Centred(Placed):
 
     def hold(self, system: System) -> Hold:
         """The axes that count, within bounds where given."""
-        if self.axes not in AXES:
-            raise InputError(f"axes of {self.label} are {self.axes!r}; allowed are {', '.join(AXES)}")
-        mask = AXES[self.axes] & (3 if system.dim == 2 else 7)
+        mask = AXES.get(self.axes, 0) & (3 if system.dim == 2 else 7) if isinstance(self.axes, str) else 0
+        if not mask:
+            allowed = ", ".join(a for a in AXES if system.dim == 3 or a != "z")
+            raise InputError(f"axes of {self.label} are {self.axes!r}; allowed are {allowed}")
         n = mask.bit_count()
-        w = np.broadcast_to(numbers_of(self.within, f"within of {self.label}"), (n,))
+        w = ends_of(0.0, self.within, f"within of {self.label}", n)[1]
         bounds = tuple((-x, x) for x in w.tolist()) if np.any(w > 0.0) else ()
         return Hold(system.body_names[0], flat(np.eye(4)), mask, bounds=bounds)
 
@@ -202,8 +204,9 @@ class CentreOfPoints(_Centred):
         return ", ".join(repr(str(f)) for f in self.frames)
 
     def _points(self, system: System) -> list[tuple[str, tuple[float, ...], float]]:
-        weights = self.frames if isinstance(self.frames, Mapping) else dict.fromkeys(self.frames, 1.0)
-        total = float(sum(weights.values()))
+        given = self.frames if isinstance(self.frames, Mapping) else dict.fromkeys(self.frames, 1.0)
+        weights = {f: float(fixed(numbers_of(w, what := f"a weight of {self.label}"), what)) for f, w in given.items()}
+        total = sum(weights.values())
         if not weights or any(not w > 0.0 for w in weights.values()):
             raise InputError(f"frames of {self.label} are {self.frames!r}; needed are some, with weights above 0")
         return [(system.frame_name(f), (0.0, 0.0, 0.0), w / total) for f, w in weights.items()]
@@ -263,20 +266,24 @@ class Function(Task):
         """The function itself."""
         return self.function
 
-    def _bounds(self, m: int) -> tuple[tuple[float, float], ...]:
-        try:
-            low, high = (np.broadcast_to(numbers_of(x, f"bound of {self.label}"), (m,)) for x in (self.low, self.high))
-        except ValueError:
-            raise InputError(f"bounds of {self.label} must be numbers or have {m} entries") from None
-        if np.any(low > high):
-            raise InputError(f"bounds of {self.label} leave nothing: low must not be above high")
-        return tuple(zip(low.tolist(), high.tolist(), strict=True)) if np.any(low) or np.any(high) else ()
-
     def ties(self, system: System, table: Table) -> list[Tie]:
         """The function, as kernels call it."""
+        if not callable(self.function):
+            raise InputError(f"{self.label} is given {self.function!r}; it must be a function of q ({system.nq},)")
         rows: UserConstraint = user_constraint(system, self.label, self.function, self.derivative)
-        call = Callback(system, rows.count, lambda q: (rows.residual(system, q), rows.jacobian(system, q)))
-        bounds = self._bounds(rows.count)
+        if not rows.count:
+            raise InputError(f"{self.label} gives no numbers at all; it must give one or more")
+
+        def steady(q: Array) -> Any:
+            found = self.function(q)
+            if np.size(found) != rows.count:
+                raise InputError(f"{self.label} gives {np.size(found)} numbers, but gave {rows.count} before")
+            return found
+
+        rows = replace(rows, function=steady)
+        call = Callback(system, rows.count, lambda q: (rows.residual(system, q.copy()), rows.jacobian(system, q)))
+        low, high = ends_of(self.low, self.high, f"bounds of {self.label}", rows.count)
+        bounds = tuple(zip(low.tolist(), high.tolist(), strict=True)) if np.any(low) or np.any(high) else ()
         return [Tie(self.label, GROUND, GROUND, turns=L.FUNCTION, function=call, bounds=bounds)]
 
     def coordinates(self, system: System) -> set[str]:
@@ -292,6 +299,6 @@ class Function(Task):
         lead = q.shape[:-1]
         out = np.zeros(lead)
         for index in np.ndindex(lead):
-            value = np.atleast_1d(np.asarray(self.function(q[index]), dtype=float))
+            value = np.atleast_1d(np.asarray(self.function(q[index].copy()), dtype=float))
             out[index] = np.linalg.norm(value - np.clip(value, self.low, self.high))
         return np.zeros(lead), out

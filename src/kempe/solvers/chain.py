@@ -81,7 +81,7 @@ def _chain(system: System, name: str) -> Chain:
     for iv in range(len(v_index)):
         rows = table.multiplier[table.iv == iv]
         circular[iv] = wide[iv] and len(rows) == 1 and abs(rows[0]) == 1.0 and table.kind[table.iv == iv][0] == TURN
-    bounds = tuple(b for arrays in (packed, (ints, floats)) for b in _reach(*arrays, limits))
+    bounds = tuple(b for arrays in (packed, (ints, floats)) for b in reach_bounds(*arrays, limits))
     base, no_seed = inside(system, system.neutral[None]), np.empty((1, 0, len(q_index)))
     return Chain(ints, floats, q_index, v_index, limits, circular, base, no_seed, bounds)
 
@@ -129,7 +129,7 @@ def loop_coordinates(system: System, closure: str) -> set[str]:
     return names
 
 
-def _reach(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[ReachBound]:
+def reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[ReachBound]:
     """Bounds for the tip, and for the last joint if it turns: a pose of the tip says where that is, by less lengths."""
     n = int(ints[N_ROWS])
     start = floats[[3, 7, 11]]

@@ -19,8 +19,9 @@ from kempe.solvers.arguments import seed_number, start_count, tolerances
 from kempe.solvers.assembly import TOLERANCE as CLOSED
 from kempe.solvers.assembly import limitless
 from kempe.solvers.home import home_of
+from kempe.solvers.lengths import unreachable
 from kempe.solvers.reached import Reached
-from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, SOLVED
+from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, SOLVED
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ STARTS = 60
 STEPS = 60
 """Steps of one start; those that succeed need 5 to 20."""
 CHUNK, SERIAL_BELOW = 16, 32
+KEPT = 64
+"""Structures of tasks whose packed ties a system keeps, and sets of weights and tolerances kept with each."""
 SLACK = 1.0 + 1e-6
 """By which part of a tolerance the check by the forward model may differ from the solver's own: rounding."""
 PREFER = ("nearest", "mid")
@@ -107,9 +110,8 @@ class Problem:
     def _stages(self) -> tuple[np.ndarray, Array]:
         """Stage of each tie and whether it is hard (2 ties,), and weight and tolerances (ties, 3)."""
         asked = (self.use, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
-        if asked not in self.packed.stages:
-            self.packed.stages[asked] = self._staged()
-        return self.packed.stages[asked]
+        found = self.packed.stages.get(asked)
+        return _keep(self.packed.stages, asked, self._staged()) if found is None else found
 
     def _staged(self) -> tuple[np.ndarray, Array]:
         keys = [(t.priority, t.weight is not None) for t in self.tasks]
@@ -130,6 +132,7 @@ class Problem:
 
 def reach(
     system: System, wanted: Task | Sequence[Task], seed: Any = None, *,
+    task: None = None,
     prefer: str | Callable[[Array], Any] | None = None,
     tolerance: float | tuple[float, float] = TOLERANCE, starts: int = STARTS, rng: int | np.random.Generator = 0,
     threads: int | None = None, throw: bool = False,
@@ -149,6 +152,8 @@ def reach(
     (Levenberg, 1944; Sugihara, 2011), then the lower levels in the null space of the higher ones (Siciliano and
     Slotine, 1991). Errors: `InputError`, `UnknownNameError`.
     """
+    if task is not None:
+        raise InputError(f"task is {task!r}; it belongs to a target of one frame, tasks say themselves what they ask")
     turns = prefer is None or prefer == "nearest"
     problem, base = pose_problem(system, wanted, seed, tolerance, starts, rng, turns)
     if prefer == "manipulability" and problem.lead:  # it depends on the goal, of which each row has its own
@@ -160,9 +165,9 @@ def reach(
         q, info = problem.run(base, threads)
     answer = judge(problem, q, info)
     if not problem.lead and answer.code == BAD_INPUT:
-        for task, goals in zip(problem.tasks, problem.goals, strict=True):
-            refuse(goals, task.label)
-        raise InputError("the seed has entries that are not finite, or a quaternion that is zero")
+        for each, goals in zip(problem.tasks, problem.goals, strict=True):
+            refuse(goals, each.label)
+        raise InputError("the seed has entries that are not finite or too large, or a quaternion that is zero")
     if throw and not answer:
         raise NoSolutionError(answer)
     return answer
@@ -208,16 +213,24 @@ def _distinct(wanted: Any) -> tuple[Task, ...]:
         raise InputError(
             f"without a frame the target must be a task of kempe.tasks or a list of them; it is {type(wanted).__name__}"
         )
-    seen: dict[str, int] = {}
-    out = []
+    out: dict[str, Task] = {}
     for task in tasks:
         if isinstance(task.priority, bool) or not isinstance(task.priority, (int, np.integer)):
             raise InputError(f"priority of {task.label} is {task.priority!r}; it must be a whole number")
-        if task.weight is not None and not 0.0 < task.weight < math.inf:
+        number = isinstance(task.weight, (int, float, np.integer, np.floating)) and not isinstance(task.weight, bool)
+        if task.weight is not None and not (number and 0.0 < task.weight < math.inf):
             raise InputError(f"weight of {task.label} is {task.weight!r}; it must be a positive number, or None")
-        seen[task.label] = count = seen.get(task.label, 0) + 1
-        out.append(task if count == 1 else replace(task, name=f"{task.label} ({count})"))
-    return tuple(out)
+        if not isinstance(task.name, str):
+            raise InputError(f"name of a task is {task.name!r}; it must be text")
+        if task.tolerance is not None:
+            allowed = tolerances(task.tolerance)
+            task = task if task.tolerance.__class__ in (int, float) else replace(task, tolerance=allowed)
+        label, count = task.label, 1
+        while label in out:
+            count += 1
+            label = f"{task.label} ({count})"
+        out[label] = task if count == 1 else replace(task, name=label)
+    return tuple(out.values())
 
 
 def _row(goals: Goals, index: int, lead: tuple[int, ...]) -> Goals:
@@ -232,14 +245,23 @@ def _row(goals: Goals, index: int, lead: tuple[int, ...]) -> Goals:
 
 
 def _packed(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
-    """The packed ties of tasks, made once for each structure."""
-    key = ("tasks", turns, *((type(t), t.label, t.structure(system)) for t in tasks))
-    found = system._queries.get(key)
+    """The packed ties of tasks, made once for each structure; the last few are kept."""
+    key = (turns, *((type(t), t.label, t.structure(system)) for t in tasks))
+    kept = system._queries.setdefault("tasks", {})
+    found = kept.get(key)
     if found is None:
         found = Packed(system, tasks, turns=turns)
         if all(t.lasting for t in tasks):
-            system._queries[key] = found
+            _keep(kept, key, found)
     return found
+
+
+def _keep(kept: dict[Any, Any], key: Any, value: Any) -> Any:
+    """The value, kept in place of the oldest where there are many."""
+    while len(kept) >= KEPT:
+        kept.pop(next(iter(list(kept)), None), None)
+    kept[key] = value
+    return value
 
 
 def _preferring(problem: Problem, prefer: Any, base: Array) -> Problem:
@@ -271,9 +293,11 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     if problem.limits:
         v, x = system.layout.vector_v, sound[..., system.layout.vector_q]
         good &= ((x >= system.lower[v] - 1e-9) & (x <= system.upper[v] + 1e-9)).all(axis=-1)
-    if len(problem.packed.rows) > np.sum(problem.packed.rows >= 0):
+    if np.any(problem.packed.rows == -1):
         good &= np.linalg.norm(evaluate(system, sound, False, True)[0], axis=-1) <= 10.0 * CLOSED
     code = np.where(bad.reshape(lead), BAD_INPUT, np.where(good, SOLVED, NOT_FOUND))
+    if problem.limits and np.any(code == NOT_FOUND):
+        code = np.where((code == NOT_FOUND) & unreachable(problem), OUT_OF_REACH, code)
     columns = (code == SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1].reshape(lead), info[:, 2].reshape(lead))
     fields = [x if lead else x.item() for x in columns]
     errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}
