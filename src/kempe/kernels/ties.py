@@ -32,8 +32,10 @@ from kempe.kernels.rows import placed, placement
 from kempe.kernels.trig import atan2
 from kempe.kernels.vectors import entry, last_of, pack4
 
-ANTIPODE = 1e-9
-"""1 + cosine below which two axes count as opposite: the direction back is arbitrary there, its length is not."""
+ANTIPODE = 1e-12
+"""Square of the sine below which two axes count as opposite: the way back is arbitrary there, its length is not."""
+MEETS = 1e-12
+"""Distance in metres below which there is no direction from one point to another."""
 
 
 class Loops(NamedTuple):
@@ -131,17 +133,46 @@ def ends_of(loops, k):
 
 
 @device
-def tilt(r):
-    """Scale of the tilt of z, by which (-R12, R02) is a vector as long as twice the sine of half the angle."""
-    return math.sqrt(2.0 / max(1.0 + r[8], ANTIPODE))
+def lengthening(x, y, c):
+    """What makes (x, y), as long as the sine of an angle of cosine c, as long as twice the sine of its half.
+
+    Zero where the axes are opposite: there (2, 0) takes its place.
+    """
+    if c >= 0.0:
+        return math.sqrt(2.0 / (1.0 + c))
+    square = x * x + y * y
+    if square < ANTIPODE:
+        return 0.0
+    return math.sqrt(2.0 * (1.0 - c) / square)
+
+
+@device
+def lengthened(x, y, c):
+    """The vector of a tilt: as long as twice the sine of half the angle."""
+    k = lengthening(x, y, c)
+    if k == 0.0:
+        return 2.0, 0.0
+    return x * k, y * k
+
+
+@device
+def lengthened_rates(x, y, c, dx, dy, dc):
+    """The rates of `lengthened`; where the axes are opposite, those of a way back that no simple mechanism lacks."""
+    k = lengthening(x, y, c)
+    if k == 0.0:
+        return 0.8 * dx + 0.6 * dy, 0.8 * dy - 0.6 * dx
+    change = -0.25 * k * k * k * dc
+    return dx * k + x * change, dy * k + y * change
 
 
 @device
 def sight(p, r):
-    """Distance from B to A, the unit vector there in axes of B, and its scale, as of a tilt."""
+    """Distance from B to A and the unit vector there in axes of B; where they meet, the axis counts as opposite."""
     x, y, z = back(r, -p[0], -p[1], -p[2])
-    far = max(math.sqrt(x * x + y * y + z * z), 1e-300)
-    return far, x / far, y / far, z / far, math.sqrt(2.0 / max(1.0 + z / far, ANTIPODE))
+    far = math.sqrt(x * x + y * y + z * z)
+    if far < MEETS:
+        return 1.0, 0.0, 0.0, -1.0
+    return far, x / far, y / far, z / far
 
 
 @routine
@@ -161,16 +192,15 @@ def write_error(loops, tie, at, p, r):
         phi = logarithm(r)
         e[at], e[at + 1], e[at + 2] = phi[0], phi[1], phi[2]
     elif turns == L.ALIGN:
-        k = tilt(r)
-        e[at], e[at + 1] = -r[5] * k, r[2] * k
+        e[at], e[at + 1] = lengthened(-r[5], r[2], r[8])
     elif turns == L.ANGLE:
         e[at] = atan2(r[3] - r[1], r[0] + r[4])
     elif turns == L.CROSS:
         e[at] = r[1]
     elif turns == L.LOOK:
         phi = p
-        _, x, y, _, k = sight(p, r)
-        e[at], e[at + 1] = x * k, y * k
+        _, x, y, z = sight(p, r)
+        e[at], e[at + 1] = lengthened(-y, x, z)
     return phi
 
 
@@ -206,23 +236,22 @@ def add_rates(loops, tie, at, r, phi, v, w):
         j[at + 1] += rate[1]
         j[at + 2] += rate[2]
     elif turns == L.ALIGN:
-        k = tilt(r)
         x, y, z = w[1] * r[8] - w[2] * r[5], w[2] * r[2] - w[0] * r[8], w[0] * r[5] - w[1] * r[2]
-        change = -0.5 * k / max(1.0 + r[8], ANTIPODE) * z
-        j[at] += -y * k - r[5] * change
-        j[at + 1] += x * k + r[2] * change
+        rates = lengthened_rates(-r[5], r[2], r[8], -y, x, z)
+        j[at] += rates[0]
+        j[at + 1] += rates[1]
     elif turns == L.ANGLE:
         j[at] += w[2]
     elif turns == L.CROSS:
         j[at] += w[1] * r[7] - w[2] * r[4]
     elif turns == L.LOOK:
-        far, x, y, z, k = sight(phi, r)
+        far, x, y, z = sight(phi, r)
         c = (w[1] * phi[2] - w[2] * phi[1], w[2] * phi[0] - w[0] * phi[2], w[0] * phi[1] - w[1] * phi[0])
         dx, dy, dz = back(r, (c[0] - v[0]) / far, (c[1] - v[1]) / far, (c[2] - v[2]) / far)
         along = x * dx + y * dy + z * dz
-        change = -0.5 * k / max(1.0 + z, ANTIPODE) * (dz - along * z)
-        j[at] += (dx - along * x) * k + x * change
-        j[at + 1] += (dy - along * y) * k + y * change
+        rates = lengthened_rates(-y, x, z, along * y - dy, dx - along * x, dz - along * z)
+        j[at] += rates[0]
+        j[at + 1] += rates[1]
 
 
 @device

@@ -35,6 +35,10 @@ Goals = list[tuple[Array | None, Array | None]]
 
 HERE = tuple(np.eye(4).ravel().tolist())
 """The frame itself."""
+LARGEST = 1e100
+"""Numbers above this are too large for the kernels."""
+TILTS = (L.ALIGN, L.LOOK)
+"""Ties on an axis, whose second equation holds of itself in the plane."""
 
 
 class Hold(NamedTuple):
@@ -182,9 +186,10 @@ class Placed(Task):
         """How far (...) it is missed at q (..., nq), in metres and in radians, by the forward model."""
         hold, given = self.hold(system), None if goals is None else goals[0][0]
         goal = self.goal(system) if given is None else given
-        if hold.a is not None:
-            goal = fk(system, q, hold.a) @ goal
-        return self.apart(goal, self.place(system, q, hold))
+        with np.errstate(invalid="ignore", over="ignore"):  # of goals that are not finite
+            if hold.a is not None:
+                goal = fk(system, q, hold.a) @ goal
+            return self.apart(goal, self.place(system, q, hold))
 
     def apart(self, goal: Array, X: Array) -> tuple[Array, Array]:
         """How far (...) the frame at X (..., 4, 4) misses the goal, both seen from the ground."""
@@ -205,6 +210,8 @@ def poses_of(x: Any, dim: int, what: str) -> Array:
     last = X[..., 3, :]
     if not (last == _LAST).all() and not np.all((last == _LAST) | np.isnan(last)):
         raise InputError(f"{what} is no pose: its last row is {X[..., 3, :].tolist()}; it must be 0 0 0 1")
+    if dim == 2 and (np.any(np.abs(X[..., 2, 3]) > RIGID) or np.any(1.0 - X[..., 2, 2] > RIGID)):
+        raise InputError(f"{what} leaves the plane of the system")
     return X
 
 
@@ -217,26 +224,8 @@ def refuse(goals: Goals, what: str) -> None:
                 np.linalg.det(R) < 0.0
             ):
                 raise InputError(f"the goal of {what} is no pose: its rotation must be orthonormal with determinant +1")
-        if any(x is not None and not np.isfinite(x).all() for x in (pose, number)):
-            raise InputError(f"the goal of {what} has entries that are not finite")
-
-
-def points_of(x: Any, dim: int, what: str) -> Array:
-    """Points (..., 3) as given, in the plane also (..., 2). Errors: `InputError`."""
-    p = numbers_of(x, what)
-    if dim == 2 and p.ndim and p.shape[-1] == 2:
-        p = np.concatenate([p, np.zeros((*p.shape[:-1], 1))], axis=-1)
-    if p.ndim == 0 or p.shape[-1] != 3:
-        raise InputError(f"{what} has shape {p.shape}; it must be (..., {dim})")
-    return p
-
-
-def directions_of(x: Any, dim: int, what: str) -> Array:
-    """Unit vectors (..., 3) along those given. Errors: `InputError` for a zero one."""
-    p = points_of(x, dim, what)
-    if np.any(np.all(p == 0.0, axis=-1)):
-        raise InputError(f"{what} is zero; it must have a direction")
-    return spatial.unit(p)
+        if any(x is not None and not np.all(np.abs(x) < LARGEST) for x in (pose, number)):
+            raise InputError(f"the goal of {what} has entries that are not finite, or too large")
 
 
 def numbers_of(x: Any, what: str) -> Array:
@@ -323,7 +312,10 @@ class Packed:
         self.slots = [owner.get(id(t), (-1, 0)) for t in self.loops.ties]
         self.owner = np.array([i for i, _ in self.slots], dtype=np.int64)
         self.rows = np.repeat(self.owner, [len(t.rows) for t in self.loops.ties])
-        self.closed = bool(np.any(self.rows < 0))
+        """Task of each equation; -1 for loops, -2 for what holds of itself."""
+        ends = np.cumsum([len(t.rows) for t in self.loops.ties], dtype=np.int64) - 1
+        self.rows[ends[[system.dim == 2 and t.turns in TILTS for t in self.loops.ties]]] = -2
+        self.closed = bool(np.any(self.rows == -1))
         """Whether loops or relations hold, too."""
         at, v = system.layout.vector_q, system.layout.vector_v
         self.limits = at, system.lower[v] - ROUNDING, system.upper[v] + ROUNDING
@@ -341,7 +333,7 @@ class Packed:
 
     def count(self, tasks: Sequence[int], bounded: bool = False) -> int:
         """Number of equations of some of the tasks; in the plane, those that hold of themselves do not count."""
-        trivial = {L.ALIGN, L.LOOK} if self.system.dim == 2 else ()
+        trivial = TILTS if self.system.dim == 2 else ()
         ties = [t for t, i in zip(self.loops.ties, self.owner, strict=True) if i in tasks and (bounded or not t.bounds)]
         return sum(len(t.rows) - (t.turns in trivial) for t in ties)
 
@@ -376,6 +368,6 @@ class Packed:
             pins = self.pins(goals, lead if lead_of(goals) else ())
         out, J = np.empty((len(flat_q), m)), np.empty((len(flat_q), m, self.system.nv))
         equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J)
-        use = self.rows < 0 if closures else self.rows >= 0
+        use = self.rows == -1 if closures else self.rows >= 0
         out, J = out[:, use], J[:, use]
         return out.reshape(*lead, out.shape[1]), J.reshape(*lead, *J.shape[1:])

@@ -48,6 +48,9 @@ class Between(Placed):
         if ends is None:
             return [h]
         if ends[0].ndim == 1:
+            if not np.all((ends[0] <= ends[1]) & (ends[0] < math.inf) & (ends[1] > -math.inf)):
+                low, high = (x.tolist() for x in ends)
+                raise InputError(f"{self.label} holds between {low} and {high}, which is nothing")
             return [h._replace(bounds=tuple(zip(ends[0].tolist(), ends[1].tolist(), strict=True)))]
         n = ends[0].shape[-1]
         return [h._replace(bounds=(bound,) * n) for bound, _ in _sides(*ends)]
@@ -72,6 +75,7 @@ class Between(Placed):
             seen = self.values(spatial.inverse(goal if h.a is None else fk(system, q, h.a) @ goal) @ X)
             seen = seen if number is None else seen - number
             low, high = np.array(h.bounds).T if h.bounds else (0.0, 0.0)
+            seen = seen[..., : len(h.bounds)] if h.bounds else seen  # a box in the plane may be given in space
             square = square + np.sum((seen - np.clip(seen, low, high)) ** 2, axis=-1)
         return np.sqrt(square), np.zeros(np.shape(square))
 

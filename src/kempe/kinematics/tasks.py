@@ -16,8 +16,9 @@ import numpy as np
 from kempe import spatial
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
-from kempe.kinematics.task import HERE, Hold, Placed, Task, along, directions_of, flat, numbers_of, points_of, poses_of
+from kempe.kinematics.task import HERE, Hold, Placed, Task, along, numbers_of, poses_of
 from kempe.kinematics.task_between import Between, pair
+from kempe.kinematics.task_input import at_point, corners_of, directions_of, points_of, tilt_of, with_axis
 from kempe.kinematics.tasks_whole import CentreOfMass, CentreOfPoints, Function, Posture
 from kempe.spatial import Array
 
@@ -71,8 +72,12 @@ class _OneFrame(Placed):
         return repr(str(self.frame))
 
     def _hold(self, system: System, mask: int, turns: int = L.NO_TURN, point: Any = ORIGIN, **more: Any) -> Hold:
-        X = HERE if point is ORIGIN else flat(spatial.pose(p=points_of(point, system.dim, f"point of {self.label}")))
+        X = HERE if point is ORIGIN else at_point(point, system.dim, f"point of {self.label}")
         return Hold(system.frame_name(self.frame), X, mask, turns, **more)
+
+    def _hold_axis(self, system: System, turns: int, axis: Any) -> Hold:
+        X = with_axis(axis, system.dim, f"axis of {self.label}")
+        return Hold(system.frame_name(self.frame), X, 0, turns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +137,8 @@ class Orientation(_OneFrame):
 
     def goal(self, system: System) -> Array:
         """The target."""
-        X, what = numbers_of(self.target, f"target of {self.label}"), f"target of {self.label}"
-        X = spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X
-        return poses_of(X, 3, what)
+        X = numbers_of(self.target, what := f"target of {self.label}")
+        return poses_of(spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X, system.dim, what)
 
     def miss(self, X: Array) -> tuple[Array, Array]:
         """Angle."""
@@ -143,15 +147,15 @@ class Orientation(_OneFrame):
 
 @dataclass(frozen=True, eq=False)
 class Pointing(_OneFrame):
-    """An `axis` of a frame (default z) along a `direction` (..., 3) of the ground."""
+    """An `axis` of a frame (default z, in the plane x) along a `direction` (..., 3) of the ground."""
 
     direction: Any
-    axis: Any = Z
+    axis: Any = None
     lengths, angles = False, True
 
     def hold(self, system: System) -> Hold:
         """The axis."""
-        return _axis_hold(self, system, 0, L.ALIGN)
+        return self._hold_axis(system, L.ALIGN, self.axis)
 
     def goal(self, system: System) -> Array:
         """A frame whose z is the direction."""
@@ -160,37 +164,29 @@ class Pointing(_OneFrame):
 
     def miss(self, X: Array) -> tuple[Array, Array]:
         """Angle between the two."""
-        return _none(X), np.arctan2(np.hypot(X[..., 0, 2], X[..., 1, 2]), X[..., 2, 2])
+        return _none(X), tilt_of(X[..., :3, 2])
 
 
 @dataclass(frozen=True, eq=False)
 class LookAt(_OneFrame):
-    """An `axis` of a frame (default z) towards a point `target` (..., 3), as a camera looks at it."""
+    """An `axis` of a frame (default z, in the plane x) towards a point `target` (..., 3), as a camera looks at it."""
 
     target: Any
-    axis: Any = Z
+    axis: Any = None
     lengths, angles = False, True
 
     def hold(self, system: System) -> Hold:
         """The axis."""
-        return _axis_hold(self, system, 0, L.LOOK)
+        return self._hold_axis(system, L.LOOK, self.axis)
 
     def goal(self, system: System) -> Array:
         """The point."""
         return spatial.pose(p=points_of(self.target, system.dim, f"target of {self.label}"))
 
     def miss(self, X: Array) -> tuple[Array, Array]:
-        """Angle between the axis and the direction to the point."""
+        """Angle between the axis and the direction to the point; pi where that is the frame's origin."""
         d = np.einsum("...ji,...j->...i", X[..., :3, :3], -X[..., :3, 3])
-        return _none(X), np.arctan2(np.hypot(d[..., 0], d[..., 1]), d[..., 2])
-
-
-def _axis_hold(task: Any, system: System, mask: int, turns: int) -> Hold:
-    """A frame with z along the axis of the task."""
-    z = directions_of(task.axis, system.dim, f"axis of {task.label}")
-    if z.ndim != 1:
-        raise InputError(f"axis of {task.label} has shape {np.shape(task.axis)}; it must be ({system.dim},)")
-    return Hold(system.frame_name(task.frame), flat(spatial.pose(along(z, system.dim))), mask, turns)
+        return _none(X), tilt_of(d)
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,8 +299,7 @@ class InBox(Between, _OneFrame):
     def ends(self, system: System) -> tuple[Array, Array]:
         """The corners."""
         what = f"corners of {self.label}"
-        low, high = (points_of(x, system.dim, what)[..., : system.dim] for x in (self.low, self.high))
-        return pair(low, high, what)
+        return pair(*corners_of(self.low, self.high, system.dim, what), what)
 
     def from_end(self, system: System, goal: Array, end: Array) -> tuple[Array, Array | None]:
         """The box's frame at a corner."""

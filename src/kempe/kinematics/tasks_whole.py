@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +14,9 @@ from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q, circles
 from kempe.kinematics.forward import fk
-from kempe.kinematics.task import GROUND, HERE, Goals, Hold, Task, numbers_of, points_of
+from kempe.kinematics.task import GROUND, HERE, Goals, Hold, Task, numbers_of
 from kempe.kinematics.task_between import Between
+from kempe.kinematics.task_input import ends_of, fixed, points_of
 from kempe.kinematics.zoo import UserConstraint, user_constraint
 from kempe.model.loops import Centre, Tie
 from kempe.model.table import Table
@@ -126,22 +127,25 @@ class _Centred(Between):
 
     def hold(self, system: System) -> Hold:
         """The axes that count, within bounds where given."""
-        if self.axes not in AXES:
-            raise InputError(f"axes of {self.label} are {self.axes!r}; allowed are {', '.join(AXES)}")
-        return Hold(system.body_names[0], HERE, AXES[self.axes] & (3 if system.dim == 2 else 7))
+        return Hold(system.body_names[0], HERE, sum(1 << i for i in self._axes(system.dim)))
 
     def values(self, X: Array) -> Array:
         """Where the centre is along the axes that count."""
         return X[..., self._axes(3), 3]
 
     def _axes(self, dim: int) -> list[int]:
-        return [i for i in range(dim) if AXES[self.axes] >> i & 1]
+        mask = AXES.get(self.axes, 0) if isinstance(self.axes, str) else 0
+        axes = [i for i in range(dim) if mask >> i & 1]
+        if not axes:
+            allowed = ", ".join(a for a in AXES if dim == 3 or a != "z")
+            raise InputError(f"axes of {self.label} are {self.axes!r}; allowed are {allowed}")
+        return axes
 
     def ends(self, system: System) -> tuple[Array, Array] | None:
         """As far as it may be to either side, if it may."""
         n = len(self._axes(system.dim))
         w = numbers_of(self.within, f"within of {self.label}")
-        if w.shape[-1:] not in ((), (1,), (n,)) or np.any(w < 0.0):
+        if w.shape[-1:] not in ((), (1,), (n,)) or not np.all(w >= 0.0):
             raise InputError(f"within of {self.label} is {self.within!r}; it must be a distance, or (..., {n})")
         if not np.any(w):
             return None
@@ -242,8 +246,9 @@ class CentreOfPoints(_Centred):
         return tuple(weights.items())
 
     def _points(self, system: System) -> list[tuple[str, tuple[float, ...], float]]:
-        weights = self.frames if isinstance(self.frames, Mapping) else dict.fromkeys(self.frames, 1.0)
-        total = float(sum(weights.values()))
+        given = self.frames if isinstance(self.frames, Mapping) else dict.fromkeys(self.frames, 1.0)
+        weights = {f: float(fixed(numbers_of(w, what := f"a weight of {self.label}"), what)) for f, w in given.items()}
+        total = sum(weights.values())
         if not weights or any(not w > 0.0 for w in weights.values()):
             raise InputError(f"frames of {self.label} are {self.frames!r}; needed are some, with weights above 0")
         return [(system.frame_name(f), (0.0, 0.0, 0.0), w / total) for f, w in weights.items()]
@@ -303,20 +308,24 @@ class Function(Task):
         """The function itself."""
         return self.function
 
-    def _bounds(self, m: int) -> tuple[tuple[float, float], ...]:
-        try:
-            low, high = (np.broadcast_to(numbers_of(x, f"bound of {self.label}"), (m,)) for x in (self.low, self.high))
-        except ValueError:
-            raise InputError(f"bounds of {self.label} must be numbers or have {m} entries") from None
-        if np.any(low > high):
-            raise InputError(f"bounds of {self.label} leave nothing: low must not be above high")
-        return tuple(zip(low.tolist(), high.tolist(), strict=True)) if np.any(low) or np.any(high) else ()
-
     def ties(self, system: System, table: Table) -> list[Tie]:
         """The function, as kernels call it."""
+        if not callable(self.function):
+            raise InputError(f"{self.label} is given {self.function!r}; it must be a function of q ({system.nq},)")
         rows: UserConstraint = user_constraint(system, self.label, self.function, self.derivative)
-        call = Callback(system, rows.count, lambda q: (rows.residual(system, q), rows.jacobian(system, q)))
-        bounds = self._bounds(rows.count)
+        if not rows.count:
+            raise InputError(f"{self.label} gives no numbers at all; it must give one or more")
+
+        def steady(q: Array) -> Any:
+            found = self.function(q)
+            if np.size(found) != rows.count:
+                raise InputError(f"{self.label} gives {np.size(found)} numbers, but gave {rows.count} before")
+            return found
+
+        rows = replace(rows, function=steady)
+        call = Callback(system, rows.count, lambda q: (rows.residual(system, q.copy()), rows.jacobian(system, q)))
+        low, high = ends_of(self.low, self.high, f"bounds of {self.label}", rows.count)
+        bounds = tuple(zip(low.tolist(), high.tolist(), strict=True)) if np.any(low) or np.any(high) else ()
         return [Tie(self.label, GROUND, GROUND, turns=L.FUNCTION, function=call, bounds=bounds)]
 
     def coordinates(self, system: System) -> set[str]:
@@ -332,6 +341,6 @@ class Function(Task):
         lead = q.shape[:-1]
         out = np.zeros(lead)
         for index in np.ndindex(lead):
-            value = np.atleast_1d(np.asarray(self.function(q[index]), dtype=float))
+            value = np.atleast_1d(np.asarray(self.function(q[index].copy()), dtype=float))
             out[index] = np.linalg.norm(value - np.clip(value, self.low, self.high))
         return np.zeros(lead), out

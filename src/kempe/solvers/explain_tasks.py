@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.solvers.lengths import beyond
 from kempe.solvers.reached import Reached, analyse
 from kempe.solvers.solution import BAD_INPUT, OUT_OF_TIME, SOLVED
+from kempe.solvers.tasks import judge
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     figures = (answer.code, answer.iterations, answer.starts)
     code, steps, starts = (int(np.asarray(x)[index]) for x in figures)
     if code == BAD_INPUT:
-        return "goals or seed are not finite"
+        return "goals or seed are not finite, or no poses"
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
     problem, q = answer.asked.of(row), answer.q[index]
     misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}
@@ -83,8 +85,9 @@ def _freedoms(problem: Problem, q: Array) -> str:
 
 def _solved(problem: Problem, q: Array, tasks: list[int], limits: bool = True) -> Array | None:
     """A configuration (nq,) that holds only these hard tasks, or None."""
-    found, info = problem.only(tasks, limits).run(q[None])
-    return found[0] if info[0, 0] == SOLVED else None
+    part = problem.only(tasks, limits)
+    found, info = part.run(q[None])
+    return found[0] if judge(part, found, info) else None
 
 
 def _reason(problem: Problem, q: Array) -> str:
@@ -93,6 +96,8 @@ def _reason(problem: Problem, q: Array) -> str:
     free = _solved(problem, q, hard, False)
     if free is not None and (names := outside(problem, free)):
         return f"blocked by the limits of {', '.join(map(repr, names))}: without limits all are reached"
+    if far := [proof for i in hard if (proof := _out_of_reach(problem, i))]:
+        return "; ".join(far)
     alone = [i for i in hard if len(hard) == 1 or _solved(problem, q, [i]) is None]
     if alone:
         return "; ".join(_alone(problem, q, i, len(hard) > 1) for i in alone)
@@ -105,6 +110,16 @@ def _reason(problem: Problem, q: Array) -> str:
         if len(hard) > 2:
             return f"any two of the {len(hard)} hard tasks are reached, but not all together{_more(problem, q, hard)}"
     return f"each hard task is reached alone, but not all together{_more(problem, q, hard)}"
+
+
+def _out_of_reach(problem: Problem, i: int) -> str:
+    """That lengths put a task out of reach, and how far; empty if they do not."""
+    place, turned = beyond(problem, problem.tasks[i], problem.goals[i]).reshape(-1, 2)[0]
+    how, far = ("", place) if place > 0.0 else (" with this orientation", turned)
+    if not far > 0.0:
+        return ""
+    label = repr(problem.tasks[i].label)
+    return f"{label} is outside the workspace{how} by at least {far:.6g} m, by the lengths of the links"
 
 
 def _alone(problem: Problem, q: Array, i: int, among: bool) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.task import Task
+from kempe.kinematics.task import Task, numbers_of
 from kempe.kinematics.tasks import Pose
 from kempe.solvers.reached import analyse
 from kempe.solvers.solution import SOLVED
@@ -24,6 +24,8 @@ TOLERANCE = 1e-10
 """Largest error of the tasks along the way, in metres and radians."""
 AT_LIMIT = 1e-6
 """How near to a limit a coordinate is at it."""
+PARTS = (1.0, 0.1, 1e-2, 1e-3, 1e-4)
+"""Parts of a step that are tried, one after the other, before the way ends."""
 LEAST_PART = 0.05
 """Part of the wished direction that the freedoms must still have for the way to go on."""
 
@@ -70,16 +72,19 @@ def self_motion(
     q = as_q(system, q)
     if q.ndim != 1:
         raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
-    if not 0.0 < step <= 0.5 or isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+    whole = isinstance(steps, (int, np.integer)) and not isinstance(steps, bool)
+    if not whole or steps < 1 or not isinstance(step, (int, float, np.floating)) or not 0.0 < step <= 0.5:
         raise InputError(f"steps is {steps!r}, step {step!r}; needed are a whole number from 1 on, and 0 < step <= 0.5")
     wanted: Any = tasks
     if not isinstance(tasks, (Task, list, tuple)):
         name = system.frame_name(tasks)  # type: ignore[arg-type]
         wanted = Pose(name, system.fk(q, name))
     problem, start = pose_problem(system, wanted, q, TOLERANCE, 1)
+    if problem.lead:
+        raise InputError(f"the goals have the leading shape {problem.lead}; needed are those of one problem")
     problem = replace(problem, tasks=tuple(replace(t, tolerance=None) for t in problem.tasks))
     at = judge(replace(problem, tolerance=(1e-6, 1e-6)), start, np.zeros((1, 3), dtype=np.int64))
-    if problem.lead or not at:
+    if not at:
         raise InputError(f"the tasks do not hold at q: they are missed by {at.position_error} m, "
                          f"{at.orientation_error} rad")  # fmt: skip
     q0, info = problem.run(start)
@@ -105,7 +110,7 @@ def _wish(system: System, direction: Any, freedoms: int, problem: Problem) -> Ar
         if direction not in system.velocity_names:
             raise UnknownNameError("coordinate", direction, system.velocity_names, system.name)
         return np.eye(system.nv)[system.velocity_names.index(direction)]
-    wish = np.asarray(direction, dtype=float)
+    wish = numbers_of(direction, "direction")
     if wish.shape != (system.nv,) or not np.isfinite(wish).all() or not wish.any():
         raise InputError(f"direction has shape {wish.shape}; it must be a velocity ({system.nv},), not zero")
     return wish / scale / np.linalg.norm(wish / scale)
@@ -127,13 +132,13 @@ def _follow(
             return out, False, "where the tasks leave nothing of this direction"
         t /= np.linalg.norm(t)
         first = t if first is None else first
-        found, info = problem.run(system.integrate(q, step * t * scale)[None])
-        if info[0, 0] != SOLVED:
-            found, info = problem.run(system.integrate(q, 0.1 * step * t * scale)[None])
-        moved = system.difference(q, found[0]) / scale
-        if info[0, 0] != SOLVED or moved @ t < 0.01 * step:
-            names = _at_limits(system, q, t)
-            return out, False, f"the limit of {names[0]!r}" if names else "a point where it cannot be followed"
+        for part in PARTS:
+            found, info = problem.run(system.integrate(q, part * step * t * scale)[None])
+            moved = system.difference(q, found[0]) / scale
+            if info[0, 0] == SOLVED and moved @ t >= 0.01 * part * step:
+                break
+        else:
+            return out, False, _stop(problem, q, t, 10.0 * PARTS[-1] * step)
         home = _short(system, found[0], start) / scale
         if n > 2 and np.linalg.norm(home) < step and t @ first > 0.5 and home @ t >= 0.0 and not wished:
             return [*out, found[0]], True, ""
@@ -142,6 +147,20 @@ def _follow(
         if names := _at_limits(system, q, t):
             return out, False, f"the limit of {names[0]!r}"
     return out, False, f"the last of {steps} steps"
+
+
+def _stop(problem: Problem, q: Array, t: Array, ahead: float) -> str:
+    """What stands in the way of going on from q along t: a limit, or the bound of a task, not farther than `ahead`."""
+    system, scale = problem.system, problem.packed.scale
+    if names := _at_limits(system, q, t, ahead * scale):
+        return f"the limit of {names[0]!r}"
+    there = system.integrate(q, ahead * t * scale)
+    owner, ties = problem.packed.owner, problem.packed.loops.ties
+    for i in sorted({int(k) for k, tie in zip(owner, ties, strict=True) if tie.bounds and k >= 0}):
+        task, goals = problem.tasks[i], problem.goals[i]
+        if max(task.measure(system, there, goals)) > 0.01 * ahead:
+            return f"the bound of {task.label!r}"
+    return "a point where it cannot be followed"
 
 
 def _short(system: System, a: Array, b: Array) -> Array:
@@ -153,9 +172,10 @@ def _short(system: System, a: Array, b: Array) -> Array:
     return v
 
 
-def _at_limits(system: System, q: Array, t: Array) -> list[str]:
-    """Coordinates at a limit that the direction t (nv,) pushes outwards."""
+def _at_limits(system: System, q: Array, t: Array, ahead: Array | float = 0.0) -> list[str]:
+    """Coordinates at a limit that the direction t (nv,) pushes outwards, or takes there within `ahead` (nv,)."""
     v, x = system.layout.vector_v, q[system.layout.vector_q]
-    low = (x <= system.lower[v] + AT_LIMIT) & (t[v] < 0.0)
-    high = (x >= system.upper[v] - AT_LIMIT) & (t[v] > 0.0)
+    near = AT_LIMIT + np.abs(ahead * t)[v]
+    low = (x <= system.lower[v] + near) & (t[v] < 0.0)
+    high = (x >= system.upper[v] - near) & (t[v] > 0.0)
     return [system.velocity_names[v[i]] for i in np.flatnonzero(low | high)]

@@ -20,8 +20,9 @@ from kempe.solvers.assembly import TOLERANCE as CLOSED
 from kempe.solvers.assembly import limitless
 from kempe.solvers.clock import Clock
 from kempe.solvers.home import beside, home_of
+from kempe.solvers.lengths import unreachable
 from kempe.solvers.reached import Reached
-from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_TIME, SOLVED
+from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ STARTS = 60
 STEPS = 60
 """Steps of one start; those that succeed need 5 to 20."""
 CHUNK, SERIAL_BELOW = 16, 32
+KEPT = 64
+"""Structures of tasks whose packed ties a system keeps, and sets of weights and tolerances kept with each."""
 SLACK = 1.0 + 1e-6
 """By which part of a tolerance the check by the forward model may differ from the solver's own: rounding."""
 PREFER = ("nearest", "mid")
@@ -119,7 +122,7 @@ class Problem:
         if found is None:
             hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
             allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
-            found = self.packed.stages[asked] = (*self._staged(), hard, allowed)
+            found = _keep(self.packed.stages, asked, (*self._staged(), hard, allowed))
         return found
 
     def _staged(self) -> tuple[np.ndarray, Array]:
@@ -141,6 +144,7 @@ class Problem:
 
 def reach(
     system: System, wanted: Task | Sequence[Task], seed: Any = None, *,
+    task: None = None,
     prefer: str | Callable[[Array], Any] | None = None,
     tolerance: float | tuple[float, float] = TOLERANCE, starts: int = STARTS, iterations: int = STEPS,
     time_limit: float | None = None, rng: int | np.random.Generator = 0, threads: int | None = None,
@@ -164,6 +168,8 @@ def reach(
     (Levenberg, 1944; Sugihara, 2011), then the lower levels in the null space of the higher ones (Siciliano and
     Slotine, 1991). Errors: `InputError`, `UnknownNameError`.
     """
+    if task is not None:
+        raise InputError(f"task is {task!r}; it belongs to a target of one frame, tasks say themselves what they ask")
     turns = prefer is None or prefer == "nearest"
     problem, base = pose_problem(system, wanted, seed, tolerance, starts, rng, turns)
     if iterations != STEPS or time_limit is not None:
@@ -178,9 +184,9 @@ def reach(
         q, info = problem.run(base, threads)
     answer = judge(problem, q, info)
     if not problem.lead and answer.code == BAD_INPUT:
-        for task, goals in zip(problem.tasks, problem.goals, strict=True):
-            refuse(goals, task.label)
-        raise InputError("the seed has entries that are not finite, or a quaternion that is zero")
+        for each, goals in zip(problem.tasks, problem.goals, strict=True):
+            refuse(goals, each.label)
+        raise InputError("the seed has entries that are not finite or too large, or a quaternion that is zero")
     if throw and not answer:
         raise NoSolutionError(answer)
     return answer
@@ -227,16 +233,24 @@ def _distinct(wanted: Any) -> tuple[Task, ...]:
         raise InputError(
             f"without a frame the target must be a task of kempe.tasks or a list of them; it is {type(wanted).__name__}"
         )
-    seen: dict[str, int] = {}
-    out = []
+    out: dict[str, Task] = {}
     for task in tasks:
         if isinstance(task.priority, bool) or not isinstance(task.priority, (int, np.integer)):
             raise InputError(f"priority of {task.label} is {task.priority!r}; it must be a whole number")
-        if task.weight is not None and not 0.0 < task.weight < math.inf:
+        number = isinstance(task.weight, (int, float, np.integer, np.floating)) and not isinstance(task.weight, bool)
+        if task.weight is not None and not (number and 0.0 < task.weight < math.inf):
             raise InputError(f"weight of {task.label} is {task.weight!r}; it must be a positive number, or None")
-        seen[task.label] = count = seen.get(task.label, 0) + 1
-        out.append(task if count == 1 else replace(task, name=f"{task.label} ({count})"))
-    return tuple(out)
+        if not isinstance(task.name, str):
+            raise InputError(f"name of a task is {task.name!r}; it must be text")
+        if task.tolerance is not None:
+            allowed = tolerances(task.tolerance)
+            task = task if task.tolerance.__class__ in (int, float) else replace(task, tolerance=allowed)
+        label, count = task.label, 1
+        while label in out:
+            count += 1
+            label = f"{task.label} ({count})"
+        out[label] = task if count == 1 else replace(task, name=label)
+    return tuple(out.values())
 
 
 def _row(goals: Goals, index: int, lead: tuple[int, ...]) -> Goals:
@@ -251,14 +265,23 @@ def _row(goals: Goals, index: int, lead: tuple[int, ...]) -> Goals:
 
 
 def _packed(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
-    """The packed ties of tasks, made once for each structure."""
-    key = ("tasks", turns, *((type(t), t.label, t.structure(system)) for t in tasks))
-    found = system._queries.get(key)
+    """The packed ties of tasks, made once for each structure; the last few are kept."""
+    key = (turns, *((type(t), t.label, t.structure(system)) for t in tasks))
+    kept = system._queries.setdefault("tasks", {})
+    found = kept.get(key)
     if found is None:
         found = Packed(system, tasks, turns=turns)
         if all(t.lasting for t in tasks):
-            system._queries[key] = found
+            _keep(kept, key, found)
     return found
+
+
+def _keep(kept: dict[Any, Any], key: Any, value: Any) -> Any:
+    """The value, kept in place of the oldest where there are many."""
+    while len(kept) >= KEPT:
+        kept.pop(next(iter(list(kept)), None), None)
+    kept[key] = value
+    return value
 
 
 def _preferring(problem: Problem, prefer: Any, base: Array) -> Problem:
@@ -297,6 +320,8 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     late = status >= kernel.LATE
     code = np.where(good.ravel(), SOLVED, np.where(late, OUT_OF_TIME, NOT_FOUND))
     code[bad] = BAD_INPUT
+    if problem.limits and np.any(code == NOT_FOUND):
+        code = np.where((code == NOT_FOUND) & unreachable(problem).ravel(), OUT_OF_REACH, code)
     columns = (code == SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
     fields = [x.reshape(lead) if lead else x.item() for x in columns]
     errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}

@@ -1,0 +1,88 @@
+"""What tasks are given, checked: points, directions, and what cannot change from target to target."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.errors import InputError
+from kempe.kinematics.task import LARGEST, RIGID, along, flat, numbers_of
+from kempe.spatial import Array
+
+MEETS = 1e-12
+"""Distance in metres below which there is no direction from one point to another."""
+
+
+def points_of(x: Any, dim: int, what: str) -> Array:
+    """Points (..., 3) as given, in the plane also (..., 2). Errors: `InputError`."""
+    return _in_plane(_vectors(x, dim, what), dim, what)
+
+
+def directions_of(x: Any, dim: int, what: str) -> Array:
+    """Unit vectors (..., 3) along those given. Errors: `InputError` for a zero one."""
+    p = _vectors(x, dim, what)
+    if np.any(np.all(p == 0.0, axis=-1)):
+        raise InputError(f"{what} is zero; it must have a direction")
+    return _in_plane(spatial.unit(p), dim, what)
+
+
+def fixed(x: Array, what: str, shape: tuple[int, ...] = ()) -> Array:
+    """What is part of a task's structure: finite, and one for all targets. Errors: `InputError`."""
+    if x.shape != shape:
+        raise InputError(f"{what} has shape {x.shape}; it must have {shape or 'none: a number'}, one for all targets")
+    if not np.all(np.abs(x) < LARGEST):
+        raise InputError(f"{what} is {x.tolist()}; it must be finite")
+    return x
+
+
+def at_point(point: Any, dim: int, what: str) -> tuple[float, ...]:
+    """The pose of a point of a frame, as a key. Errors: `InputError`."""
+    return flat(spatial.pose(p=fixed(points_of(point, dim, what), what, (3,))))
+
+
+def with_axis(axis: Any, dim: int, what: str) -> tuple[float, ...]:
+    """A turn of a frame whose z is along its axis (default z, in the plane x), as a key. Errors: `InputError`."""
+    usual = (1.0, 0.0, 0.0) if dim == 2 else (0.0, 0.0, 1.0)
+    z = fixed(directions_of(usual if axis is None else axis, dim, what), what, (3,))
+    return flat(spatial.pose(along(z, dim)))
+
+
+def tilt_of(d: Array) -> Array:
+    """Angle (...) between z and vectors (..., 3); pi for a vector that has no direction."""
+    across = np.hypot(d[..., 0], d[..., 1])
+    return np.where(np.hypot(across, d[..., 2]) < MEETS, np.pi, np.arctan2(across, d[..., 2]))
+
+
+def ends_of(low: Any, high: Any, what: str, n: int) -> tuple[Array, Array]:
+    """Low and high ends (n,); low may be -inf, high inf. Errors: `InputError` where they leave nothing."""
+    a, b = (numbers_of(x, f"an end of {what}") for x in (low, high))
+    if any(x.shape not in ((), (n,)) for x in (a, b)):
+        raise InputError(f"{what}: {low!r} and {high!r} must be numbers, or have {n} entries each")
+    if not np.all((a <= b) & (a < np.inf) & (b > -np.inf)):
+        raise InputError(f"{what}: {low!r} and {high!r} leave nothing; needed is low <= high")
+    return np.broadcast_to(a, n), np.broadcast_to(b, n)
+
+
+def corners_of(low: Any, high: Any, dim: int, what: str) -> tuple[Array, Array]:
+    """Two corners (..., dim) of a box; in the plane, of a box that it goes through. Errors: `InputError`."""
+    a, b = (_vectors(x, dim, what) for x in (low, high))
+    if dim == 2 and (np.any(a[..., 2] > 0.0) or np.any(b[..., 2] < 0.0)):
+        raise InputError(f"{what} are {low!r} and {high!r}: the box leaves the plane of the system")
+    return a[..., :dim], b[..., :dim]
+
+
+def _vectors(x: Any, dim: int, what: str) -> Array:
+    p = numbers_of(x, what)
+    if dim == 2 and p.ndim and p.shape[-1] == 2:
+        p = np.concatenate([p, np.zeros((*p.shape[:-1], 1))], axis=-1)
+    if p.ndim == 0 or p.shape[-1] != 3:
+        raise InputError(f"{what} has shape {p.shape}; it must be (..., {dim})")
+    return p
+
+
+def _in_plane(p: Array, dim: int, what: str) -> Array:
+    if dim == 2 and np.any(np.abs(p[..., 2]) > RIGID):
+        raise InputError(f"{what} leaves the plane of the system: its z is up to {np.nanmax(np.abs(p[..., 2])):.6g}")
+    return p

@@ -1,0 +1,78 @@
+"""Which tasks lengths alone put out of reach: how far a frame can be from where its chain begins, loops or not.
+
+A loop, a relation or another task only takes away from what the chain from the ground to the frame can reach.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.kernels import loop_layout as L
+from kempe.kinematics.task import Goals, Hold, Task
+from kempe.kinematics.tasks import OnLine, OnPlane, Pose, Position, RelativePose, RelativePosition
+from kempe.model.gauge import regauge
+from kempe.model.table import local_chain
+from kempe.solvers.chain import ReachBound, reach_bounds
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.solvers.tasks import Problem
+
+PLACES = (Pose, Position, OnLine, OnPlane, RelativePose, RelativePosition)
+"""Tasks that hold a point of a frame at a point, on a line or on a plane."""
+
+
+def unreachable(problem: Problem) -> np.ndarray:
+    """Which problems (...) have a hard task that is out of reach."""
+    out = np.zeros(problem.lead, dtype=bool)
+    for i, (task, goals) in enumerate(zip(problem.tasks, problem.goals, strict=True)):
+        if problem.use[i] and task.weight is None:
+            out = out | beyond(problem, task, goals).any(axis=-1)
+    return out
+
+
+def beyond(problem: Problem, task: Task, goals: Goals) -> Array:
+    """How far (..., 2) in metres a task is out of reach, as to its place, and together with its orientation.
+
+    It is a lower bound of the error in its place; zero where lengths say nothing, or within the tolerances.
+    """
+    system, (goal, _) = problem.system, goals[0]
+    none = np.zeros((1, 2))
+    if type(task) not in PLACES or goal is None:
+        return none
+    assert isinstance(task, PLACES)
+    hold = task.hold(system)
+    if hold.a is not None:
+        row, X, particle = system.table.at[hold.a]
+        if row >= 0 or particle:
+            return none
+        goal = X @ goal
+    linear, angular = problem.tolerance_of(task)
+    axes = [i for i in range(3) if hold.mask >> i & 1]
+    bounds, freedoms = _bounds(system, hold)
+    turned = hold.turns in (L.FULL, L.ANGLE) and freedoms >= (3 if system.dim == 2 else 6)  # else that is the reason
+    out = np.zeros((*goal.shape[:-2], 2))
+    for centre, largest, smallest, point in bounds:
+        arm = float(np.linalg.norm(point))
+        if arm > 0.0 and not turned:
+            continue
+        R = goal[..., :3, :3]
+        away = np.einsum("...ji,...j->...i", R, goal[..., :3, 3] + R @ point - centre)[..., axes]
+        far = np.sqrt(np.sum(away * away, axis=-1))
+        off = far - largest if len(axes) < system.dim else np.maximum(far - largest, smallest - far)
+        k = int(arm > 0.0)
+        out[..., k] = np.where(off > linear + arm * angular, np.maximum(out[..., k], off), out[..., k])
+    return out
+
+
+def _bounds(system: System, hold: Hold) -> tuple[list[ReachBound], int]:
+    """Bounds for the point that a task holds, and how many coordinates move it."""
+    table, _, v_index = local_chain(system.table, hold.b)
+    row, X, particle = table.at[hold.b]
+    table = replace(table, at={hold.b: (row, X @ np.reshape(hold.X_B, (4, 4)), particle)})
+    packed, limits = table.pack([hold.b]), system.limits[v_index].T
+    return [b for arrays in (packed, regauge(*packed)) for b in reach_bounds(*arrays, limits)], len(v_index)
