@@ -73,9 +73,8 @@ def ik(
         from kempe.solvers.tasks import reach
 
         wanted = _tasks(name, asked, targets.reshape(*lead, 4, 4))
-        more: dict[str, Any] = {} if starts == MOST else {"starts": starts}
-        more |= {} if iterations == ITERATIONS else {"iterations": iterations}
-        more |= {} if time_limit is None else {"time_limit": time_limit}
+        given = {"starts": (starts, MOST), "iterations": (iterations, ITERATIONS), "time_limit": (time_limit, None)}
+        more: dict[str, Any] = {name: value for name, (value, usual) in given.items() if value != usual}
         return reach(system, wanted, seed, tolerance=tolerance, rng=rng, threads=threads, throw=throw, **more)
     chain = chain_of(system, name, asked[1])
     base, seeds = _seeds(system, chain, seed, lead)
