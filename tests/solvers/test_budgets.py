@@ -14,7 +14,7 @@ import kempe
 from kempe import Mechanism, spatial, tasks
 from kempe.errors import InputError, NoSolutionError
 from kempe.solvers import clock, rounds
-from kempe.solvers.solution import NOT_FOUND, OUT_OF_TIME
+from kempe.solvers.solution import NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME
 
 ROUNDING = 1e-12
 HAND = "panda_link7"
@@ -146,7 +146,7 @@ def test_tasks_stop_when_the_time_is_up(looks):
         missed = np.linalg.norm(s.fk(answer.q, HAND)[:3, 3] - [3.0, 0.0, 0.0])
         assert inside(s, answer.q) and answer.position_error == pytest.approx(missed, abs=1e-12)
     looks(10**9)
-    assert s.ik(far, time_limit=2.0).code == NOT_FOUND
+    assert s.ik(far, time_limit=2.0).code == OUT_OF_REACH
     looks(3)
     with pytest.raises(NoSolutionError, match="time limit"):
         s.ik(far, time_limit=2.0, throw=True)
