@@ -206,3 +206,20 @@ def test_joints_without_room_have_no_derivative():
     robot = arm([(0.3, 0.3)] * 2)
     s = robot.ik(robot.fk([0.3, 0.3], "tip")[:2, 3], "tip")
     assert s.success and not s.derivative.any()
+
+
+@pytest.mark.parametrize("task, m", [("pose", 6), ("position", 3), ("position_axis", 5), ("orientation", 3)])
+def test_freedoms_that_a_target_leaves_are_counted(task, m):
+    """The lecture's m and n: rank and null space are those of the Jacobian's rows that count."""
+    robot = kempe.load("panda")
+    frame = robot.frame_names[-1]
+    s = robot.ik(robot.fk(robot.random(2), frame), frame, task=task)
+    assert (s.m, s.n, s.rank, s.redundancy) == (m, 7, m, 7 - m)
+    rows = {"pose": 6, "position": 3, "position_axis": 5, "orientation": 6}[task]
+    J = robot.jacobian(s.q, frame, "body")[3 if task == "orientation" else 0 : rows]
+    assert s.self_motion.shape == (7, 7 - m) and np.abs(J @ s.self_motion).max() < 1e-9
+    with pytest.raises(InputError, match="one answer"):
+        _ = robot.ik(robot.fk(robot.random(2, 3), frame), frame).redundancy
+    flat = arm([(-3.0, 3.0)] * 4, (1.0, 0.7, 0.2, 0.3))
+    t = flat.ik(flat.fk([0.3, 0.4, -0.2, 0.1], "tip"), "tip")
+    assert (t.m, t.n, t.redundancy) == (3, 4, 1)

@@ -72,7 +72,7 @@ def ik(
     if method != "analytic" and obstacle(system, name):
         from kempe.solvers.tasks import reach
 
-        wanted = _tasks(name, asked, targets.reshape(*lead, 4, 4))
+        wanted = tasks_of(name, asked, targets.reshape(*lead, 4, 4))
         given = {"starts": (starts, MOST), "iterations": (iterations, ITERATIONS), "time_limit": (time_limit, None)}
         more: dict[str, Any] = {name: value for name, (value, usual) in given.items() if value != usual}
         return reach(system, wanted, seed, tolerance=tolerance, rng=rng, threads=threads, throw=throw, **more)
@@ -116,7 +116,7 @@ def _judged(
     return _answer(question, full, code, residual, info, lead)
 
 
-def _tasks(frame: str, asked: tuple[str, tuple[float, float, float]], X: Array) -> list[Any]:
+def tasks_of(frame: str, asked: tuple[str, tuple[float, float, float]], X: Array) -> list[Any]:
     """The tasks that a target (..., 4, 4) stands for."""
     from kempe.kinematics import tasks
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.errors import InputError
 from kempe.solvers.solution import Solution
 from kempe.spatial import Array
 
@@ -33,37 +32,8 @@ class Reached(Solution):
     errors: dict[str, Array]
     late: Any
 
-    @cached_property
-    def _local(self) -> tuple[int, int, int, Array]:
-        """Equations of the hard tasks, freedoms under the loops, rank of the tasks in these, basis of self-motions."""
-        if np.ndim(self.success):
-            raise InputError("m, n, rank and self_motion are those of one answer: ask for one problem, not for a batch")
+    def _analysed(self) -> tuple[int, int, int, Array]:
         return analyse(self.asked, self.q)
-
-    @property
-    def m(self) -> int:
-        """Number of equations of the hard tasks, inequalities left out."""
-        return self._local[0]
-
-    @property
-    def n(self) -> int:
-        """Freedoms of the system at the answer: velocity coordinates, less what loops and relations take."""
-        return self._local[1]
-
-    @property
-    def rank(self) -> int:
-        """Rank of the hard tasks' Jacobian in these freedoms, at the answer."""
-        return self._local[2]
-
-    @property
-    def redundancy(self) -> int:
-        """Freedoms that the hard tasks leave, n - rank."""
-        return self.n - self.rank
-
-    @property
-    def self_motion(self) -> Array:
-        """Orthonormal basis (nv, k) of velocities that keep loops and tasks, in radians and characteristic lengths."""
-        return self._local[3]
 
     @cached_property
     def derivative(self) -> dict[str, Array]:

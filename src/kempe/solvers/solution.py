@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.errors import InputError
 from kempe.solvers.answer import Answer
 from kempe.spatial import Array
 
@@ -69,6 +70,47 @@ class Solution(Answer):
     def system(self) -> System:
         """The system that was asked."""
         return self.task.system
+
+    @cached_property
+    def _local(self) -> tuple[int, int, int, Array]:
+        """Equations of what was asked, freedoms, rank of the equations in these, basis of self-motions."""
+        if np.ndim(self.success):
+            raise InputError("m, n, rank and self_motion are those of one answer: ask for one problem, not for a batch")
+        return self._analysed()
+
+    def _analysed(self) -> tuple[int, int, int, Array]:
+        from kempe.solvers.inverse import tasks_of
+        from kempe.solvers.reached import analyse
+        from kempe.solvers.tasks import pose_problem
+
+        task = self.task
+        problem, _ = pose_problem(task.system, tasks_of(task.frame, (task.name, task.axis), task.targets[0]), self.q)
+        return analyse(problem, self.q)
+
+    @property
+    def m(self) -> int:
+        """Number of equations of the hard tasks, inequalities left out."""
+        return self._local[0]
+
+    @property
+    def n(self) -> int:
+        """Freedoms of the system at the answer: velocity coordinates, less what loops and relations take."""
+        return self._local[1]
+
+    @property
+    def rank(self) -> int:
+        """Rank of the hard tasks' Jacobian in these freedoms, at the answer."""
+        return self._local[2]
+
+    @property
+    def redundancy(self) -> int:
+        """Freedoms that the hard tasks leave, n - rank."""
+        return self.n - self.rank
+
+    @property
+    def self_motion(self) -> Array:
+        """Orthonormal basis (nv, k) of velocities that keep loops and tasks, in radians and characteristic lengths."""
+        return self._local[3]
 
     @cached_property
     def derivative(self) -> Any:
