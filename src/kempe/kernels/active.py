@@ -23,7 +23,7 @@ OFF = 1e30
 LEAST = 1e-14
 """The D of a row that holds, and the least pivot: it stands in where rows depend on each other."""
 LONGEST = 0.7
-"""Longest turn of a coordinate in a step, in radians."""
+"""Longest turn of a coordinate in a step, in radians, where nothing says that the way is straight."""
 SLIP = 1e-9
 """Multipliers and violations below this are rounding."""
 
@@ -52,10 +52,12 @@ class Work(NamedTuple):
     column: object
     a: object
     home: object
-    """Configurations: where the search starts, three to keep, and where the last stage leads."""
+    """Configurations: where the search starts, five to keep, and where the last stage leads."""
     kept: object
     best: object
     trial: object
+    rest: object
+    aside: object
     goal: object
 
 
@@ -188,14 +190,14 @@ def step_to(loops, work, passes, between, exact):
 
 
 @routine
-def take(loops, work):
-    """Size of the step, in radians and characteristic lengths; shortens it to the longest and takes it."""
+def take(loops, work, longest):
+    """Size of the step, in radians and characteristic lengths, and which part of it is taken: turns up to `longest`."""
     size, turn = 0.0, 0.0
     for v in range(loops.nv):
         size = max(size, abs(work.step[v]))
         if sort_of(loops, v) != L.SLIDE:
             turn = max(turn, abs(work.step[v]))
-    part = min(1.0, LONGEST / max(turn, 1e-300))
+    part = min(1.0, longest / max(turn, 1e-300))
     q = loops.q
     for v in range(loops.nv):
         work.step[v] *= part
@@ -206,4 +208,4 @@ def take(loops, work):
         elif sort != L.BALL_MORE:
             x = q[i] + work.step[v] * number(loops, 0, v)
             q[i] = min(max(x, number(loops, 1, v)), number(loops, 2, v))
-    return size
+    return size, part

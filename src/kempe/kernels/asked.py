@@ -20,7 +20,10 @@ RIGID = 1e-6
 class Ask(NamedTuple):
     """What is asked of the ties: pointers to their stage (-1: nothing), 1 if hard, weight, two tolerances."""
 
+    given: object
+    """Stages as they are given, then whether hard."""
     stage: object
+    """The same now: a stage may be held before its turn, a soft one tried as a hard one."""
     hard: object
     weight: object
     tolerance: object
@@ -144,3 +147,36 @@ def rigid(pin, k):
     x, y, z = b * f - c * e - pin[k + 8], c * d - a * f - pin[k + 9], a * e - b * d - pin[k + 10]
     off = max(abs(a * a + b * b + c * c - 1.0), abs(d * d + e * e + f * f - 1.0))
     return max(off, max(abs(a * d + b * e + c * f), max(abs(x), max(abs(y), abs(z))))) <= RIGID
+
+
+@routine
+def restore(loops, ask):
+    """Ask again what is given."""
+    ties = loops.plan[L.N_TIES]
+    for k in range(ties):
+        ask.stage[k], ask.hard[k] = ask.given[k], ask.given[ties + k]
+
+
+@routine
+def harden(loops, ask, last):
+    """Whether soft stages stand before the last hard one up to `last`; makes them hard."""
+    while last > 0 and not is_hard(loops, ask, last):
+        last -= 1
+    changed = False
+    for k in range(loops.plan[L.N_TIES]):
+        if 0 < ask.stage[k] < last and ask.hard[k] == 0:
+            ask.hard[k], changed = 1, True
+    return changed
+
+
+@routine
+def hold_ahead(loops, ask, stage):
+    """Whether hard stages after this one are met at q; holds them with the loops."""
+    changed = False
+    for s in range(stage + 1, ask.stages + 1):
+        if is_hard(loops, ask, s) and missed(loops, ask, s, s) <= 1.0:
+            changed = True
+            for k in range(loops.plan[L.N_TIES]):
+                if ask.stage[k] == s:
+                    ask.stage[k] = 0
+    return changed

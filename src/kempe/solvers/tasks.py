@@ -101,7 +101,7 @@ class Problem:
         def work(i: int, j: int) -> int:
             return kernel.solve(
                 loops.ints, loops.floats, loops.plan, weights, stages, strengths, part(starts, i, j), part(aim, i, j),
-                part(self.pins, i, j), self.starts, self.iterations, self.mode, clock.address, self.loose, self.rng, i,
+                part(self.pins, i, j), self.starts, self.iterations, self.mode, clock.address, self.loose, self.rng,
                 q[i:j], info[i:j],
             )  # fmt: skip
 
