@@ -161,7 +161,7 @@ def reach(
     error of a hard task in metres and radians; what is reached is then closed to rounding where it converges.
     `iterations` are the steps of one start, at most, and four times as many those of a lower level. `time_limit` [s] is
     for the whole call, looked at before each start: an answer that it ended says so, and is the only one that
-    depends on the machine.
+    depends on the machine. Soft tasks alone are lowered from up to five starts, the least counts.
 
     A success is checked by the forward model: hard tasks, limits and loops. Else the answer says what fails and why,
     and `throw=True` raises `NoSolutionError`. Method: damped least squares with an active set of limits and restarts
