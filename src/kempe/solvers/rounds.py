@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 MOST = 1000
 """Starts before a target is given up. Most succeed with the first; one in a hundred thousand needs more than 100."""
-FEW = 250
+FEW = 64
 """Starts after which it is asked whether lengths put a target out of reach: then it is given up."""
 ITERATIONS = 40
 """Steps of one start; those that converge need 5 to 9, few as many as 40, and hopeless ones are given up before."""
@@ -118,7 +118,7 @@ def go_on(task: Task, targets: Array, head: tuple[Any, ...], done: int, out: Arr
     if max(linear, angular) > LOOSE and any(task.mask[:3]) and any(task.mask[3:]):
         for share in SHARES:
             left = left[out[left, n + STATUS] == NOT_FOUND]
-            found = some(left, 0, min(task.starts, FEW), share * linear / angular)
+            found = some(left, 0, min(task.starts, 4 * FEW), share * linear / angular)
             found[:, n + STEPS :] += out[left, n + STEPS :]
             good = found[:, n + STATUS] == SOLVED
             out[left[good]] = found[good]
