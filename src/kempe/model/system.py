@@ -159,8 +159,8 @@ class System(Compiled):
 
     def ik(self, target: Any, frame: FrameLike | None = None, seed: Any = None, **options: Any) -> Solution:
         """A configuration that reaches a target or holds tasks; see `solvers.inverse.ik` and `solvers.tasks.reach`."""
-        if frame.__class__ is str and target.__class__ is np.ndarray and options.keys() <= {"task"}:
-            bound = self._queries.get(("one", frame, str(options.get("task")), target.ndim))
+        if frame.__class__ is str and target.__class__ is np.ndarray and (not options or options.keys() == {"task"}):
+            bound = self._queries.get(("one", frame, str(options["task"]) if options else "None", target.ndim))
             answer = bound(target, seed) if bound is not None else None
             if answer is not None:
                 return answer

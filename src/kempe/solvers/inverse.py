@@ -199,16 +199,14 @@ class Bound:
         self.plain = system.nq == system.nv == len(system.layout.vector_q)
         """Whether entry i of q and of the limits belong together."""
         self.lower, self.upper, self.unmoved = system.lower, system.upper, np.eye(4)[None]
-        self.shape = shape
+        self.shape, self.posed = shape, len(shape) == 2
 
     def task(self, X: Array) -> Task:
         """What was asked, for poses (1, 4, 4)."""
         return replace(self.asked, targets=X)
 
     def _pose(self, target: Array) -> Array:
-        """A target as (1, 4, 4), of its own: the answer keeps it."""
-        if len(self.shape) == 2:
-            return target.reshape(1, 4, 4).copy()
+        """A position as (1, 4, 4)."""
         X = self.unmoved.copy()
         X[0, : self.shape[0], 3] = target
         return X
@@ -225,9 +223,9 @@ class Bound:
                 return None
             if not (self.plain and seed.flags.c_contiguous):
                 return None
-            base, seeds = seed, seed[self.part].reshape(1, 1, n)
+            base, seeds = seed, (seed if self.whole else seed[self.part]).reshape(1, 1, n)
         out = np.empty((1, n + ANSWER))
-        X = self._pose(target)
+        X = target.copy().reshape(1, 4, 4) if self.posed else self._pose(target)  # the answer keeps it
         head = (chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0)
         if search.reach(*head, 0, FEW, ITERATIONS, *TOLERANCE, 0.0, out):
             rounds.go_on(self.task(X), X, head, FEW, out)
