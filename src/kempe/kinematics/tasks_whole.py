@@ -25,7 +25,6 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-HERE_POSE = np.eye(4)
 AXES = {"xyz": 7, "xy": 3, "xz": 5, "yz": 6, "x": 1, "y": 2, "z": 4}
 
 

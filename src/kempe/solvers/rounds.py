@@ -133,7 +133,7 @@ def go_on(task: Task, targets: Array, head: tuple[Any, ...], done: int, out: Arr
         out[left[better]] = found[better]
         out[left, n + STEPS :] = work
         left, done = left[out[left, n + STATUS] == NOT_FOUND], done + count
-    if done < task.starts:
+    if done < task.starts and len(left):
         _end(task, targets, left, out)
     nearest: Callable[..., int] = approach
     return nearest(*head, 0, task.starts, task.iterations, *task.tolerance, 0.0, out)

@@ -15,7 +15,7 @@ from kempe.views.benchmark import peers
 from kempe.views.benchmark.bench import Bench
 from kempe.views.benchmark.numeric_peers import KEMPE, LIMIT, SOLVERS, TOLERANCE
 from kempe.views.benchmark.numeric_robots import ROBOTS, TIP
-from kempe.views.benchmark.numeric_worker import FEWEST, Answers, Case, answers
+from kempe.views.benchmark.numeric_worker import FEWEST, Case, answers
 from kempe.views.benchmark.timing import Grid, Row
 
 TARGETS = 2_000
@@ -26,7 +26,7 @@ OFF = 0.05
 """How far each joint of a near start is from the configuration that the target was made from [rad, m]."""
 SLACK = 1e-9
 """How far beyond a limit an answer may be [rad, m]."""
-SUCCESS, MEDIAN, P99 = "success, %", "median, us", "99th percentile, us"
+FIGURES = SUCCESS, MEDIAN, P99 = "success, %", "median, us", "99th percentile, us"
 BATCH = "Kempe, batch"
 Draw = Callable[[peers.Arm, int], tuple[Array, Array]]
 
@@ -128,11 +128,11 @@ def _section(bench: Bench, title: str, draw: Draw, share: float, near: bool) -> 
             for (name, arm), answer in zip(arms.items(), found, strict=True):
                 hit = reached(arm, answer.q, targets[name][: len(answer.q)])
                 if len(hit) >= FEWEST:
-                    table.rows += _rows(library, name, hit, answer)
+                    table.rows += rows_of(library, name, hit, 1e-3 * answer.nanoseconds, FIGURES)
                     tried[library].append(len(hit))
                 if answer.trouble:
                     table.remarks.append(f"{library} fails on {name}: {answer.trouble[:100]}")
-    _sort(table, list(arms))
+    sort(table, list(arms), FIGURES, [SOLVERS[KEMPE][0], BATCH, *(title for title, _ in SOLVERS.values())])
     worst = min(r.value for r in table.rows if r.library in ("Kempe", BATCH) and r.call.endswith(SUCCESS))
     goal = 99.9 if draw is at_limits else 100.0
     table.at_least(f"Kempe reaches at least {goal:g} % of the targets of each robot", worst, goal)
@@ -175,16 +175,15 @@ def percent(hit: np.ndarray) -> float:
     return 0.1 * (1_000 * int(np.sum(hit)) // len(hit))
 
 
-def _rows(library: str, name: str, hit: np.ndarray, answer: Answers) -> list[Row]:
-    us = 1e-3 * answer.nanoseconds
-    figures = {SUCCESS: percent(hit), MEDIAN: np.median(us), P99: np.percentile(us, 99)}
-    return [Row(library, f"{name}: {figure}", float(value)) for figure, value in figures.items()]
+def rows_of(library: str, name: str, hit: np.ndarray, times: Array, figures: tuple[str, str, str]) -> list[Row]:
+    """How often a library succeeds, and median and 99th percentile of its times, under their figures' names."""
+    values = (percent(hit), np.median(times), np.percentile(times, 99))
+    return [Row(library, f"{name}: {figure}", float(value)) for figure, value in zip(figures, values, strict=True)]
 
 
-def _sort(table: Grid, names: list[str]) -> None:
-    """Figure by figure, the robots below each other; Kempe first."""
-    calls = [f"{name}: {figure}" for figure in (SUCCESS, MEDIAN, P99) for name in names]
-    libraries = [SOLVERS[KEMPE][0], BATCH, *(title for title, _ in SOLVERS.values())]
+def sort(table: Grid, names: list[str], figures: tuple[str, str, str], libraries: list[str]) -> None:
+    """Figure by figure, the names below each other; the libraries in their order."""
+    calls = [f"{name}: {figure}" for figure in figures for name in names]
     table.rows.sort(key=lambda row: (calls.index(row.call), libraries.index(row.library)))
 
 

@@ -15,8 +15,8 @@ from kempe import tasks
 from kempe.spatial import Array
 from kempe.views.benchmark import peers
 from kempe.views.benchmark.bench import Bench
-from kempe.views.benchmark.numeric import SLACK, percent
-from kempe.views.benchmark.numeric_worker import FEWEST, Answers, Case, answers
+from kempe.views.benchmark.numeric import SLACK, percent, rows_of, sort
+from kempe.views.benchmark.numeric_worker import FEWEST, Case, answers
 from kempe.views.benchmark.timing import Grid, Row
 from kempe.views.benchmark.whole_peers import BODIES, COARSE, FINE, KEMPE, LIMIT
 from kempe.views.benchmark.whole_robots import BASE, HUMANOIDS, MOVED, PART, TURNED, Body, poses
@@ -27,7 +27,7 @@ SHARE = 1.0
 """Seconds of a library in each line."""
 FOUND, FOUND_WITH_MASS = 99.0, 98.0
 """Percent of the goals that Kempe is to reach at least, without and with the centre of mass."""
-SUCCESS, MEDIAN, P99 = "success, %", "median, ms", "99th percentile, ms"
+FIGURES = SUCCESS, MEDIAN, P99 = "success, %", "median, ms", "99th percentile, ms"
 BATCH = "Kempe, batch"
 Draw = Callable[[Body, int, np.random.Generator], Array]
 
@@ -105,7 +105,8 @@ def _section(bench: Bench, title: str, draw: Draw, near: bool) -> Grid | None:
             return None
         goals = [goals_of(x.body, draw(x.body, n, np.random.default_rng(1)), x.mass) for x in lines]
         tried = _measured(table, bench, Path(folder), lines, goals, near)
-    _sort(table, [line.title for line in lines])
+    libraries = [BODIES[KEMPE][0], BATCH, *(title for title, _ in BODIES.values())]
+    sort(table, [line.title for line in lines], FIGURES, libraries)
     _judged(table, lines)
     table.remarks += _remarks(tried, near)
     return table
@@ -140,7 +141,7 @@ def _measured(
         for i, answer in zip(some, answers(package, [cases[i] for i in some]), strict=True):
             hit = lines[i].reached(answer.q, goals[i][: len(answer.q)])
             if len(hit) >= FEWEST:
-                table.rows += _rows(library, lines[i].title, hit, answer)
+                table.rows += rows_of(library, lines[i].title, hit, 1e-6 * answer.nanoseconds, FIGURES)
                 tried.setdefault(library, []).append(len(hit))
             if answer.trouble:
                 table.remarks.append(f"{library} fails on {lines[i].title}: {answer.trouble[:100]}")
@@ -171,19 +172,6 @@ def _batch(line: Line, goals: Array, near: bool) -> list[Row]:
         Row(BATCH, f"{line.title}: {SUCCESS}", success),
         Row(BATCH, f"{line.title}: {MEDIAN}", float(np.median(turns))),
     ]
-
-
-def _rows(library: str, title: str, hit: np.ndarray, answer: Answers) -> list[Row]:
-    ms = 1e-6 * answer.nanoseconds
-    figures = {SUCCESS: percent(hit), MEDIAN: np.median(ms), P99: np.percentile(ms, 99)}
-    return [Row(library, f"{title}: {figure}", float(value)) for figure, value in figures.items()]
-
-
-def _sort(table: Grid, titles: list[str]) -> None:
-    """Figure by figure, the lines below each other; Kempe first."""
-    calls = [f"{title}: {figure}" for figure in (SUCCESS, MEDIAN, P99) for title in titles]
-    libraries = [BODIES[KEMPE][0], BATCH, *(title for title, _ in BODIES.values())]
-    table.rows.sort(key=lambda row: (calls.index(row.call), libraries.index(row.library)))
 
 
 def _judged(table: Grid, lines: list[Line]) -> None:
