@@ -122,3 +122,7 @@ def hint(name: object, allowed: Iterable[str]) -> str:
         return "; there are none"
     shown = ", ".join(repr(a) for a in allowed[:12])
     return f"; there are: {shown}{f', ... ({len(allowed)} in all)' if len(allowed) > 12 else ''}"
+
+
+class KernelsError(KempeError, ImportError):
+    """There are no compiled kernels that fit this machine, and none can be compiled here."""

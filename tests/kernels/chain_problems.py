@@ -9,9 +9,9 @@ from primitive_tables import Row, Table, pose
 from scipy.spatial.transform import Rotation
 
 from kempe.kernels.closest import approach
-from kempe.kernels.job import ANSWER, STATUS
 from kempe.kernels.layout import BALL, SLIDE, TURN
 from kempe.kernels.search import reach
+from kempe.kernels.search_layout import ANSWER, STATUS
 from kempe.kernels.solve import reach_one_by_one
 
 POSE, POSITION, PLANAR, POINT = (1, 1, 1, 1, 1, 1), (1, 1, 1, 0, 0, 0), (1, 1, 0, 0, 0, 1), (1, 1, 0, 0, 0, 0)

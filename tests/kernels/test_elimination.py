@@ -10,9 +10,9 @@ import itertools
 import numpy as np
 import pytest
 
+from kempe.kernels.analytic_layout import FORMULATIONS
 from kempe.kernels.elimination import CANDIDATES, ODD
 from kempe.kernels.elimination_batch import eliminate_each
-from kempe.kernels.elimination_loop import FORMULATIONS
 from kempe.kernels.elimination_score import score
 from kempe.kernels.layout import SLIDE
 

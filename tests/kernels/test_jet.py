@@ -7,7 +7,8 @@ import pytest
 from primitive_tables import pose, random_pose, random_table
 from scipy.linalg import expm
 
-from kempe.kernels.jet import POSE_SIZE, jets, scratch_width
+from kempe.kernels.jet import jets
+from kempe.kernels.jet_layout import POSE_SIZE, scratch_width
 from kempe.kernels.layout import BALL, SLIDE, TURN
 from kempe.kernels.loop_layout import ALIGN, ANGLE, CROSS, DISTANCE, FULL, LINEAR, NO_TURN
 from kempe.kernels.project import project

@@ -23,9 +23,9 @@ from chain_problems import (
 from primitive_tables import Row, Table, pose, random_table
 from scipy.spatial.transform import Rotation
 
-from kempe.kernels.job import ANSWER, NOT_FOUND, SOLVED
 from kempe.kernels.layout import SLIDE, TURN
 from kempe.kernels.search import reach
+from kempe.kernels.search_layout import ANSWER, NOT_FOUND, SOLVED
 
 TASKS = {
     "pose": POSE, "position": POSITION, "orientation": ORIENTATION, "direction": DIRECTION,

@@ -20,8 +20,8 @@ from primitive_tables import Row, Table, pose, random_pose, random_table
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from kempe.kernels.job import BAD_INPUT, NOT_FOUND, SOLVED
 from kempe.kernels.layout import BALL, SLIDE, TURN
+from kempe.kernels.search_layout import BAD_INPUT, NOT_FOUND, SOLVED
 
 
 def same(a, b):

@@ -162,13 +162,15 @@ class Equations:
 
     def _project(self, q: Array, centers: Array, radius: Array | float, iterations: int) -> Landing:
         """The same, overwriting q."""
-        from kempe.kernels.project import project
+        from kempe.kernels.compiled import project
 
         centers = np.ascontiguousarray(np.broadcast_to(centers, q.shape), dtype=float)
         radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(q)))
         info, value, J = np.zeros((len(q), 3)), np.zeros((len(q), self.m)), np.zeros((len(q), self.m, self.nv))
-        project(self.ints, self.floats, self.ties, self.numbers, self.places, self.scale, centers, q, radii, iterations,
-                LONGEST, info, value, J)  # fmt: skip
+        project.project(
+            self.ints, self.floats, self.ties, self.numbers, self.places, self.scale, centers, q, radii, iterations,
+            LONGEST, info, value, J,
+        )  # fmt: skip
         return Landing(q, info[:, 0], info[:, 1], value, J * self.scale)
 
     def move(self, q: Array, x: Array) -> Array:
@@ -193,7 +195,7 @@ class Series:
     """Taylor series of equations and frames along curves q0 (+) v(t), computed order by order."""
 
     def __init__(self, equations: Equations, q: Array, order: int):
-        from kempe.kernels.jet import POSE_SIZE, scratch_width
+        from kempe.kernels.jet_layout import POSE_SIZE, scratch_width
 
         self.equations, self.order = equations, order
         n, (rows, outputs), depth = len(q), equations.sizes, order + 1
@@ -211,10 +213,10 @@ class Series:
 
     def compute(self, first: int, last: int) -> Array:
         """Values (n, m) of the equations of order `last`, once orders first ... last are computed anew."""
-        from kempe.kernels.jet import jets
+        from kempe.kernels.compiled import jet
 
         e = self.equations
-        jets(e.ints, e.floats, e.ties, e.numbers, self._q, self._v, first, last, self._poses, self._extra,
+        jet.jets(e.ints, e.floats, e.ties, e.numbers, self._q, self._v, first, last, self._poses, self._extra,
              self._frames, self.values)  # fmt: skip
         return self.values[:, last]
 

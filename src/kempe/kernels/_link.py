@@ -30,7 +30,7 @@ _ONE_MANAGER = len(signature(codegen.CPUCodegen._function_pass_manager).paramete
 """Whether a manager of passes serves functions of any module: with older LLVM it belongs to one."""
 
 
-class _Nowhere:
+class Nowhere:
     """Stands in for the engine towards code that never runs by itself."""
 
     def set_env(self, name: str, environment: object) -> None:
@@ -49,8 +49,8 @@ class _Part(_Library):
         return 0
 
     @property
-    def codegen(self) -> _Nowhere:
-        return _Nowhere()
+    def codegen(self) -> Nowhere:
+        return Nowhere()
 
     def _optimize_functions(self, module: Any) -> None:
         """As Numba's, with one manager of passes for all functions, and none for those that are but declared."""

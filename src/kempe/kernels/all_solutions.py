@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import types
 
-from kempe.kernels._jit import F1, F2, F3, I1, OUT3, OUTI2, kernel
+from kempe.kernels._jit import kernel
 from kempe.kernels.analytic_layout import INFO, INNER, MEASURE, MODE, N_JOINTS, OPTION, ORDER, WHAT
 from kempe.kernels.closed import SCRATCH, closed_candidates
+from kempe.kernels.declare import FLOAT, INT, OUT, OUTI, F, I
 from kempe.kernels.desk import begin, desk_of, desk_scratch, end, take_candidates
 from kempe.kernels.distinct import ROOT
 from kempe.kernels.scratch import beyond
 from kempe.kernels.vectors import keep, raw
 
 
-@kernel(types.void(I1, F1, F3, F2, F2, types.float64, types.float64, types.int64, I1, OUT3, OUTI2))
+@kernel(
+    I("_"), F("_"), F("N", 4, 4), F("1|N", "n"), F("1|N", "n"), FLOAT, FLOAT, INT, I("_"),
+    OUT("N", "_", f"n+{INFO}"), OUTI("N", 2), returns=False,
+)  # fmt: skip
 def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, which, out, counts):
     """Nothing; all solutions by closed form of the targets whose numbers are in `which`.
 

@@ -23,6 +23,19 @@ TIP, TASK, LENGTH, ORIGIN, LINES = 0, 12, 18, 19, 22
 GAUGE, FACTOR, LOW, HIGH, JOINT_FLOATS = 0, 1, 2, 3, 4
 """Places in the numbers of a joint."""
 
+POINT, PLANE = 0, 1
+"""What the inner three joints leave in place: WHAT in the header."""
+
+X_FIRST, Z_FIRST, COUPLED, AT_REST = 0, 1, 2, 3
+"""How the outer equations are solved, MODE in the header: one of them has x alone, or z alone, or none; AT_REST: the
+joints do not move."""
+
+FORMULATIONS = 36
+"""Ways to write the elimination of a chain."""
+
+LANES = 8
+"""Targets that are solved side by side, at most."""
+
 SLOTS = 16
 """Rows of an answer."""
 

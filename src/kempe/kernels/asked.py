@@ -10,8 +10,8 @@ from kempe.kernels import loop_layout as L
 from kempe.kernels._jit import routine
 from kempe.kernels.active import OFF
 from kempe.kernels.goals import fill
-from kempe.kernels.loop_coordinates import LARGEST
 from kempe.kernels.rows import row_poses
+from kempe.kernels.search_layout import LARGEST
 
 RIGID = 1e-6
 """How far a rotation may be from one."""

@@ -11,45 +11,31 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
 from kempe.kernels import loop_layout as L
-from kempe.kernels._jit import F1, F2, I1, OUT1, OUT2, OUTI2, kernel, routine
+from kempe.kernels._jit import kernel, routine
+from kempe.kernels.declare import FLAG, FLOAT, INT, OUT, OUTI, F, I
 from kempe.kernels.envelope import add_product, factor, normal, product, solve
 from kempe.kernels.goals import fill
 from kempe.kernels.layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.layout import NQ, NV
-from kempe.kernels.loop_coordinates import (
-    LARGEST,
-    distance,
-    draw,
-    is_held,
-    lead_on,
-    number,
-    place_of,
-    read_off,
-    sort_of,
-    sound,
-)
+from kempe.kernels.loop_coordinates import distance, draw, is_held, lead_on, number, place_of, read_off, sort_of, sound
+from kempe.kernels.loop_layout import DAMPING, LONGEST, MOST_DAMPING, WIDER
 from kempe.kernels.random import mix
 from kempe.kernels.rows import poses_at, row_poses, scratch_size
 from kempe.kernels.scratch import beyond
+from kempe.kernels.search_layout import BAD_INPUT, LARGEST, NOT_FOUND, SOLVED
 from kempe.kernels.starts import copy
 from kempe.kernels.step import turn_ball
 from kempe.kernels.ties import Loops
 from kempe.kernels.vectors import keep, raw
 
-SOLVED, NOT_CLOSED, BAD_INPUT = 0, 1, 2
-"""Status of one assembly."""
 FLOOR = 1e-30
 """Square of the scaled residual below which rounding is all there is."""
-DAMPING, LEAST = 0.6, 1e-14
-"""Damping by the mean square of the equations, and its floor, which holds up J J^T where they are redundant."""
-MOST_DAMPING = 0.1
-WIDER = 0.15
-"""Part of the coordinates' ranges by which each further start may be farther from the first."""
-LONGEST, LONGEST_SLIDE = 0.5, 2.0
-"""Longest step of a turn in radians, and of a slide in characteristic lengths."""
+LEAST = 1e-14
+"""Floor of the damping, which holds up J J^T where the equations are redundant."""
+LONGEST_SLIDE = 2.0
+"""Longest step of a slide, in characteristic lengths."""
 
 
 class Work(NamedTuple):
@@ -239,8 +225,10 @@ def search(loops, work, key, tries, limit, accepted, nearest, best_q):
     return best, steps, count
 
 
-@kernel(types.int64(I1, F1, I1, F1, F2, F2, types.int64, types.int64, types.float64, types.int64, types.int64,
-                    types.int64, types.boolean, OUT2, OUT1, OUTI2))  # fmt: skip
+@kernel(
+    I("_"), F("_"), I("_"), F("_"), F("N", "nq"), F("1|N", "_"), INT, INT, FLOAT, INT, INT, INT, FLAG,
+    OUT("N", "nq"), OUT("N"), OUTI("N", 3),
+)  # fmt: skip
 def assemble(
     ints, floats, plan, weights, starts, pins, tries, limit, tolerance, nearest, seed, offset, follow,
     out_q, out_residual, info
@@ -276,7 +264,7 @@ def assemble(
             lead_on(loops, raw(out_q), i)
         key = mix(mix(np.uint64(0), np.uint64(seed)), np.uint64(offset + i))
         best, steps, count = search(loops, work, key, tries, limit, accepted, nearest, best_q)
-        status = BAD_INPUT if not best < np.inf else (SOLVED if best <= accepted else NOT_CLOSED)
+        status = BAD_INPUT if not best < np.inf else (SOLVED if best <= accepted else NOT_FOUND)
         for k in range(nq):
             out_q[i, k] = best_q[k] if status != BAD_INPUT else np.nan
         out_residual[i] = math.sqrt(best) if status != BAD_INPUT else np.nan

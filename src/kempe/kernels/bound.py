@@ -7,22 +7,13 @@ Jacobian is expressed: `fuse`. Wrong shapes are reported, not refused: the calle
 
 from __future__ import annotations
 
-import numpy as np
 from numba import types
 
-from kempe.kernels._jit import F1, OUT2, kernel
+from kempe.kernels._jit import kernel
+from kempe.kernels.declare import OUT, F
+from kempe.kernels.layout import FRAME, SIZE
 from kempe.kernels.sweep import jacobian_at, pose_at
 from kempe.kernels.vectors import intrinsic, raw
-
-_SIZE, _FRAME = 6, 7
-"""Spare integers of the table's head: how many integers there are, and the frame of expression."""
-
-
-def fuse(ints: np.ndarray, floats: np.ndarray, frame: int = 0) -> np.ndarray:
-    """The table as one float64 array, for Jacobians in the given frame (0 world_aligned, 1 world, 2 body)."""
-    ints = ints.copy()
-    ints[_SIZE], ints[_FRAME] = len(ints), frame
-    return np.concatenate([ints.view(np.float64), floats])
 
 
 @intrinsic
@@ -46,17 +37,17 @@ def after(typingctx, pointer, count):
     return pointer(pointer, count), codegen
 
 
-@kernel(types.int64(F1, F1, OUT2), nogil=False)
+@kernel(F("_"), F("_"), OUT("_", "_"), nogil=False)
 def pose(table, q, out):
     """Number of bad configurations, 0 or 1; writes the pose (4, 4) of the first output at q (nq,). -1: wrong shapes."""
     numbers = raw(table)
     ints = integers(numbers)
     if q.shape[0] != ints[2] or out.shape[0] != 4 or out.shape[1] != 4:
         return -1
-    return pose_at(ints, after(numbers, ints[_SIZE]), raw(q), 0, raw(out), 0)
+    return pose_at(ints, after(numbers, ints[SIZE]), raw(q), 0, raw(out), 0)
 
 
-@kernel(types.int64(F1, F1, OUT2), nogil=False)
+@kernel(F("_"), F("_"), OUT("_", "_"), nogil=False)
 def jacobian(table, q, columns):
     """Number of bad configurations, 0 or 1; writes the Jacobian (6, nv) of the first output.
 
@@ -70,10 +61,10 @@ def jacobian(table, q, columns):
     here, there = q.ctypes.data, columns.ctypes.data
     if here < there + 8 * columns.size and there < here + 8 * q.size:
         return -1
-    return jacobian_at(ints, after(numbers, ints[_SIZE]), raw(q), 0, ints[_FRAME], False, j, 0, j, 0)
+    return jacobian_at(ints, after(numbers, ints[SIZE]), raw(q), 0, ints[FRAME], False, j, 0, j, 0)
 
 
-@kernel(types.int64(F1, F1, OUT2, OUT2), nogil=False)
+@kernel(F("_"), F("_"), OUT("_", "_"), OUT("_", "_"), nogil=False)
 def pose_jacobian(table, q, out, columns):
     """As `pose` and `jacobian` together."""
     numbers = raw(table)
@@ -82,4 +73,4 @@ def pose_jacobian(table, q, out, columns):
         return -1
     if out.shape[0] != 4 or out.shape[1] != 4:
         return -1
-    return jacobian_at(ints, after(numbers, ints[_SIZE]), raw(q), 0, ints[_FRAME], True, raw(out), 0, raw(columns), 0)
+    return jacobian_at(ints, after(numbers, ints[SIZE]), raw(q), 0, ints[FRAME], True, raw(out), 0, raw(columns), 0)

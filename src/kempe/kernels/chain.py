@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import types
 
-from kempe.kernels._jit import F1, F2, I1, OUT3, device, kernel
+from kempe.kernels._jit import device, kernel
+from kempe.kernels.declare import OUT, F, I
 from kempe.kernels.layout import BALL, GENERAL, HEADER, MULTIPLIER, ROW_FLOATS, ROW_INTS, RX, RX_FLAT, SLIDE, TURN
 from kempe.kernels.rows import gauged, rotation
 from kempe.kernels.sweep import pose_at
@@ -207,7 +207,7 @@ def sweep_lanes(ints, floats, variables, out, first):
     store_columns(out, first + 12, 16, zero, zero, zero, one)
 
 
-@kernel(types.int64(I1, F1, F2, OUT3))
+@kernel(I("_"), F("_"), F("N", "_"), OUT("N", 4, 4))
 def chain_poses(ints, floats, q, out):
     """Number of bad configurations; writes the poses (N, 4, 4) of a chain's one output at q (N, nq).
 

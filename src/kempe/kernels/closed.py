@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import types
 
-from kempe.kernels._jit import F1, I1, OUT1, device, kernel, routine
+from kempe.kernels._jit import device, kernel, routine
+from kempe.kernels.analytic_layout import AT_REST, COUPLED, PLANE, POINT, Z_FIRST
+from kempe.kernels.declare import INT, OUT, F, I
 from kempe.kernels.inner import ANY, ball_triple, planar_triple
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.lines import (
@@ -28,17 +29,12 @@ from kempe.kernels.lines import (
     write3,
 )
 from kempe.kernels.outer import (
-    AT_REST,
-    COUPLED,
     FAINT,
     NOTHING,
     OPEN,
-    PLANE,
-    POINT,
     SAMPLED,
     VALUE_STRIDE,
     WIDE,
-    Z_FIRST,
     first_values,
     middle_values,
     outer_of,
@@ -226,7 +222,7 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
     return count, unsure or scratch[AT_DOUBT] != 0.0
 
 
-@kernel(types.void(I1, F1, F1, types.int64, types.int64, types.int64, OUT1))
+@kernel(I("_"), F("_"), F(12), INT, INT, INT, OUT(12), returns=False)
 def outer_terms(kinds, lines, goal, k, what, option, out):
     """Nothing; out gets the terms of x and of z (6, 6) for one goal: a plan sees by them which unknowns are missing."""
     scratch = np.empty(SCRATCH)

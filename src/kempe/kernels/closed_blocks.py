@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import types
 
-from kempe.kernels._jit import F1, F2, F3, I1, OUT3, OUTI1, device, kernel, routine
+from kempe.kernels._jit import device, kernel, routine
 from kempe.kernels.analytic_layout import (
     FACTOR,
     GAUGE,
@@ -30,12 +29,14 @@ from kempe.kernels.analytic_layout import (
     ORDER,
     ORIGIN,
     PLAN_HEADER,
+    POINT,
     TIP,
     WHAT,
 )
 from kempe.kernels.closed import ball_centre
 from kempe.kernels.closed_branches import ROW, ROWS, SLOTS, Problem, block
 from kempe.kernels.closed_lanes import GOAL, joint_line
+from kempe.kernels.declare import INT, OUT, OUTI, F, I
 from kempe.kernels.distinct import arrange
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.lines import (
@@ -50,7 +51,6 @@ from kempe.kernels.lines import (
     translation,
     write3,
 )
-from kempe.kernels.outer import POINT
 from kempe.kernels.scratch import beyond
 from kempe.kernels.vectors import LANES, entry, gather, keep, raw, spread_lanes, store, where
 
@@ -152,7 +152,7 @@ def spread_rows(answers, n, order, moves, locked, count, out):
         row[n], row[n + 1] = from_[6], from_[7]
 
 
-@kernel(types.int64(I1, F1, F3, F2, F2, types.int64, OUT3, OUTI1))
+@kernel(I("_"), F("_"), F("N", 4, 4), F("_", "n"), F(1, "n"), INT, OUT("N", "_", f"n+{INFO}"), OUTI("N"))
 def closed_side_by_side(ints, floats, targets, near, locked, sort, out, left):
     """Number of targets left to the careful path, whose numbers are written to `left` (N,); the others are done.
 

@@ -18,8 +18,11 @@ from kempe.kernels.analytic_layout import (
     JOINT_FLOATS,
     LOW,
     MULTIPLICITY_UNIT,
+    PLANE,
+    POINT,
     SLOT_UNIT,
     UNUSED,
+    X_FIRST,
 )
 from kempe.kernels.closed_lanes import (
     FAR,
@@ -41,7 +44,6 @@ from kempe.kernels.closed_lanes import (
 )
 from kempe.kernels.inner import across
 from kempe.kernels.lines import LINE_STRIDE, dot, minus, plus, three, turned
-from kempe.kernels.outer import PLANE, POINT, X_FIRST
 from kempe.kernels.subproblems import align, cone_roots, orbit, triangle, trig_roots_of
 from kempe.kernels.trig import ROUND, atan2
 from kempe.kernels.vectors import (

@@ -6,6 +6,7 @@ One number of all lanes is a vector; those that outlive a function are kept in r
 from __future__ import annotations
 
 from kempe.kernels._jit import device, routine
+from kempe.kernels.analytic_layout import PLANE, POINT
 from kempe.kernels.lines import (
     LINE_STRIDE,
     dot,
@@ -19,7 +20,6 @@ from kempe.kernels.lines import (
     unmapped,
     unrotated,
 )
-from kempe.kernels.outer import PLANE, POINT
 from kempe.kernels.subproblems import cone_roots, orbit, trig_roots
 from kempe.kernels.vectors import LANES, load_lanes, spread_lanes, store, where
 

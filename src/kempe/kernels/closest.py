@@ -7,11 +7,6 @@ import numpy as np
 from kempe.kernels._jit import kernel, routine
 from kempe.kernels.job import (
     ARGUMENTS,
-    LINEAR,
-    NOT_FOUND,
-    SOLVED,
-    STATUS,
-    STEPS,
     answer_of,
     begin,
     count_columns,
@@ -24,6 +19,7 @@ from kempe.kernels.job import (
 )
 from kempe.kernels.layout import NQ, NV
 from kempe.kernels.nearest import descend
+from kempe.kernels.search_layout import LINEAR, NOT_FOUND, SOLVED, STATUS, STEPS
 from kempe.kernels.starts import copy
 from kempe.kernels.vectors import keep, raw
 
@@ -58,7 +54,7 @@ def answer_nearest(job, i):
     write(job, i, SOLVED if solved else NOT_FOUND, linear, angular, steps, job.tries)
 
 
-@kernel(ARGUMENTS)
+@kernel(*ARGUMENTS)
 def approach(
     ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
     length, out,

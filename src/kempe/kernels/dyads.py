@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import types
 
 from kempe.kernels import dyads_layout as K
-from kempe.kernels._jit import F1, F2, I1, OUT2, device, kernel, routine
+from kempe.kernels._jit import device, kernel, routine
+from kempe.kernels.declare import OUT, F, I
 from kempe.kernels.dyads_poses import constant, inverted, open_by, pin, pose, put, put_pose, rail, times, vector
 from kempe.kernels.dyads_rings import circles, line_circle, lines, pin_pin, pin_rail, rail_rail
 from kempe.kernels.trig import REACH, ROUND, atan2, sincos
@@ -179,7 +179,7 @@ def begin(v, ints):
         put_pose(v, K.REGISTERS + 4 * k, (one, zero, zero, zero))
 
 
-@kernel(types.int64(I1, F1, F2, F2, F2, OUT2, OUT2))
+@kernel(I("_"), F("_"), F("N", "_"), F("1|N", "_"), F("1|N", "nq"), OUT("N", "nq"), OUT("N", 2))
 def solve(ints, floats, values, signs, near, q, status):
     """Number of rows; walks the program for known values (N, n_known) and branch signs (N or 1, n_signs).
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import types
 
-from kempe.kernels._jit import F2, F3, I1, OUT2, OUT3, OUTI1, kernel
+from kempe.kernels._jit import kernel
+from kempe.kernels.declare import INT, OUT, OUTI, F, I
 from kempe.kernels.eigen import EIGEN_SCRATCH, LARGEST_SIZE, eigenvalues
 from kempe.kernels.elimination import CANDIDATES, ELIMINATION_SCRATCH, eliminate
+from kempe.kernels.elimination_loop import LINE_STRIDE
 from kempe.kernels.scratch import beyond
 from kempe.kernels.vectors import keep, raw
 
 
-@kernel(types.int64(I1, F2, F2, types.int64, OUT3, OUTI1, OUTI1))
+@kernel(I(6), F(6, LINE_STRIDE), F("N", 12), INT, OUT("N", "_", 6), OUTI("N"), OUTI("N"))
 def eliminate_each(kinds, lines, goals, formulation, thetas, counts, suspects):
     """Number of suspect goals; all candidates of each by one formulation, see `elimination.eliminate`.
 
@@ -34,7 +35,7 @@ def eliminate_each(kinds, lines, goals, formulation, thetas, counts, suspects):
     return doubted
 
 
-@kernel(types.int64(F3, OUT2, OUT2, OUTI1))
+@kernel(F("N", "n", "n"), OUT("N", "n"), OUT("N", "n"), OUTI("N"))
 def eigenvalues_each(matrices, re, im, missed):
     """Number of matrices with eigenvalues that were not found, of N matrices (N, n, n), n <= LARGEST_SIZE.
 

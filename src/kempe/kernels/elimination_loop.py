@@ -25,9 +25,6 @@ from kempe.kernels.layout import SLIDE
 from kempe.kernels.scratch import beyond
 from kempe.kernels.vectors import LANES, load_lanes, spread_lanes, store
 
-FORMULATIONS = 36
-"""Number of formulations of a chain."""
-
 LINE_STRIDE = 8
 """Numbers of a joint's line: direction (3), 0, point (3), 0."""
 

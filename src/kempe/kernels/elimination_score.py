@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import types
 
-from kempe.kernels._jit import F2, I1, OUT1, device, kernel, routine
+from kempe.kernels._jit import device, kernel, routine
+from kempe.kernels.analytic_layout import FORMULATIONS
+from kempe.kernels.declare import OUT, F, I
 from kempe.kernels.elimination import (
     CANDIDATES,
     ELIMINATION_SCRATCH,
@@ -16,7 +17,7 @@ from kempe.kernels.elimination import (
     RAW_ERROR,
     eliminate,
 )
-from kempe.kernels.elimination_loop import FORMULATIONS, hidden_of, removed_of
+from kempe.kernels.elimination_loop import LINE_STRIDE, hidden_of, removed_of
 from kempe.kernels.elimination_polish import POLISH_SIZE, POSE, trace, wrapped
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.random import mix, unit
@@ -72,7 +73,7 @@ def _best(scores):
     return best
 
 
-@kernel(types.int64(I1, F2, OUT1))
+@kernel(I(6), F(6, LINE_STRIDE), OUT(FORMULATIONS))
 def score(kinds, lines, scores):
     """Number of formulations with a score above 0.
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import types
 
 from kempe.kernels import loop_layout as L
-from kempe.kernels._jit import F1, F2, I1, OUT2, OUT3, kernel
+from kempe.kernels._jit import kernel
+from kempe.kernels.declare import FLAG, OUT, F, I
 from kempe.kernels.envelope import add_product
 from kempe.kernels.goals import fill
 from kempe.kernels.layout import N_ROWS as TABLE_ROWS
@@ -17,7 +17,10 @@ from kempe.kernels.ties import Loops
 from kempe.kernels.vectors import keep, raw
 
 
-@kernel(types.void(I1, F1, I1, F1, F2, F2, types.boolean, OUT2, OUT3))
+@kernel(
+    I("_"), F("_"), I("_"), F("_"), F("1|N", "_"), F("N", "nq"), FLAG, OUT("N", "m"), OUT("_", "m", "_"),
+    returns=False,
+)  # fmt: skip
 def equations(ints, floats, plan, weights, pins, q, with_jacobian, residual, jacobian):
     """Write the residual (N, m) at q (N, nq) and, if asked, the Jacobian (N, m, nv), both scaled as `weights` say.
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import types
 
-from kempe.kernels._jit import F1, F2, F3, I1, OUT3, OUTI2, kernel, routine
+from kempe.kernels._jit import kernel, routine
 from kempe.kernels.analytic_layout import FORMS, INFO, N_FORMS, N_JOINTS, ORDER, REST, ROLES
 from kempe.kernels.closed import CANDIDATE, SAMPLE
 from kempe.kernels.closed import SLOT as CANDIDATE_SLOT
+from kempe.kernels.declare import FLOAT, INT, OUT, OUTI, F, I
 from kempe.kernels.desk import begin, desk_of, desk_scratch, end, take_candidates
 from kempe.kernels.distinct import (
     AGAIN,
@@ -134,7 +134,10 @@ def mark_fold(d, count):
     return True
 
 
-@kernel(types.void(I1, F1, F3, F2, F2, types.float64, types.float64, types.int64, I1, OUT3, OUTI2))
+@kernel(
+    I("_"), F("_"), F("N", 4, 4), F("1|N", "n"), F("1|N", "n"), FLOAT, FLOAT, INT, I("_"),
+    OUT("N", "_", f"n+{INFO}"), OUTI("N", 2), returns=False,
+)  # fmt: skip
 def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, which, out, counts):
     """Nothing; all solutions by elimination, arguments as of `all_solutions.closed`; counts[:, 1] is 1 in doubt."""
     n, slots = ints[N_JOINTS], out.shape[1]

@@ -19,9 +19,24 @@ from __future__ import annotations
 
 import math
 
-from numba import types
-
-from kempe.kernels._jit import F1, F2, F3, I1, OUT3, OUT4, kernel, routine
+from kempe.kernels._jit import kernel, routine
+from kempe.kernels.declare import INT, OUT, F, I
+from kempe.kernels.jet_layout import (
+    AFTER,
+    BEFORE,
+    ENTRIES,
+    ENTRY,
+    FIRST_ROW,
+    MASK,
+    OUTER,
+    POSE_SIZE,
+    POWERS,
+    TIE_INTS,
+    TURNED,
+    TURNS,
+    WEIGHT_1,
+    WEIGHT_2,
+)
 from kempe.kernels.layout import (
     COS_GAUGE,
     HEADER,
@@ -43,22 +58,6 @@ from kempe.kernels.layout import (
 from kempe.kernels.loop_layout import ALIGN, ANGLE, CROSS, DISTANCE, FULL, LINEAR
 from kempe.kernels.rows import rotation, unit_quaternion
 from kempe.kernels.vectors import raw
-
-MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, TIE_INTS = 0, 1, 2, 3, 4, 5, 6
-"""Places of a tie in `ties`, and its size."""
-
-BEFORE, AFTER, POSE_SIZE = 0, 12, 24
-"""A row's poses before and after its motion: rotation (9, row by row) and position (3) each."""
-
-TURNED, WEIGHT_1, WEIGHT_2, OUTER, POWERS = 0, 9, 10, 11, 17
-"""A ball's series: the rotation by w, A and B of it, the six entries of w w^T (xx, yy, zz, xy, xz, yz), powers of w.w.
-
-A turn keeps its sine and cosine at 0 and 1."""
-
-
-def scratch_width(order: int) -> int:
-    """Numbers that a row needs for each order besides its poses."""
-    return POWERS + order // 2 + 1
 
 
 @routine
@@ -299,7 +298,10 @@ def violation_order(ties, numbers, q, start, v, b, k, frames, out):
             out[b, k, row] = between(frames, b, a, k, 0, 1)
 
 
-@kernel(types.void(I1, F1, I1, F1, F2, F3, types.int64, types.int64, OUT4, OUT4, OUT4, OUT3))
+@kernel(
+    I("_"), F("_"), I("_"), F("_"), F("N", "_"), F("N", "k", "_"), INT, INT, OUT("N", "_", "k", POSE_SIZE),
+    OUT("N", "_", "k", "_"), OUT("N", "_", "k", 12), OUT("N", "k", "_"), returns=False,
+)  # fmt: skip
 def jets(ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, out):
     """Write orders first ... last of the Taylor series along N curves; lower orders are there from earlier calls.
 

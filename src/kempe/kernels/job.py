@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from kempe.kernels._jit import F1, F2, F3, I1, OUT2, device, routine
+from kempe.kernels._jit import device, routine
+from kempe.kernels.declare import FLOAT, INT, OUT, F, I
 from kempe.kernels.layout import (
     BALL,
     HEADER,
@@ -47,25 +47,25 @@ from kempe.kernels.residual import (
     trace,
 )
 from kempe.kernels.scratch import beyond
-from kempe.kernels.starts import LARGEST, copy, draw, middle, spread_of, take, wrap
+from kempe.kernels.search_layout import (
+    ANGULAR,
+    ANSWER,
+    BAD_INPUT,
+    LARGEST,
+    LINEAR,
+    ROTATION_TOLERANCE,
+    STARTS,
+    STATUS,
+    STEPS,
+)
+from kempe.kernels.starts import copy, draw, middle, spread_of, take, wrap
 from kempe.kernels.vectors import raw
 
-ARGUMENTS = types.int64(
-    I1, F1, F2, I1, F3, F3, types.int64, types.int64, types.int64, types.int64,
-    types.float64, types.float64, types.float64, OUT2,
+ARGUMENTS = (
+    I("_"), F("_"), F(2, "nv"), I("nv+7"), F("N", 4, 4), F("1|N", "_", "nq"), INT, INT, INT, INT, FLOAT, FLOAT, FLOAT,
+    OUT("N", f"nq+{ANSWER}"),
 )  # fmt: skip
-"""Signature of the kernels of the inverse kinematics, see `search.reach`."""
-
-SOLVED, NOT_FOUND, BAD_INPUT = 0, 1, 2
-"""Status codes: within tolerances and limits; not found, q is the nearest; not finite or no rotation."""
-
-ROTATION_TOLERANCE = 1e-6
-"""Largest entry of R^T R - I that a goal's rotation may have."""
-
-
-LINEAR, ANGULAR, STATUS, STEPS, STARTS, ANSWER = 0, 1, 2, 3, 4, 5
-"""What follows the configuration in an answer, and how many numbers."""
-
+"""What the kernels of the inverse kinematics take, see `search.reach`."""
 
 class Job(NamedTuple):
     """The arguments of a call; all but numbers are pointers."""

@@ -1,8 +1,8 @@
-"""Where the numbers of a primitive table lie. Imports nothing: whoever writes tables needs no compiler.
+"""Where the numbers of a primitive table lie.
 
 A table is a pair of flat arrays, `ints` (int64) and `floats` (float64):
 
-    ints    n_rows, n_out, nq, nv, is_chain, has_quaternion, 0, 0
+    ints    n_rows, n_out, nq, nv, is_chain, has_quaternion, size, frame (the last two: see `fuse`, else 0)
             a row:     kind, parent row (-1: ground), index in q, index in v, form, 0
             an output: row (-1: ground), particle flag
     floats  a row:     placement 3x4, cos and sin of the gauge, multiplier, 0
@@ -12,10 +12,12 @@ Pose of a row = pose of its parent @ placement @ motion. Motions: TURN about z b
 SLIDE along z by multiplier * q, BALL by the unit quaternion wxyz at q, inverted for a negative multiplier.
 """
 
+import numpy as np
+
 HEADER, ROW_INTS, OUTPUT_INTS = 8, 6, 2
 ROW_FLOATS, OUTPUT_FLOATS = 16, 12
 
-N_ROWS, N_OUT, NQ, NV, IS_CHAIN, HAS_QUATERNION = 0, 1, 2, 3, 4, 5
+N_ROWS, N_OUT, NQ, NV, IS_CHAIN, HAS_QUATERNION, SIZE, FRAME = 0, 1, 2, 3, 4, 5, 6, 7
 """Places in the header of `ints`."""
 
 KIND, PARENT, Q_INDEX, V_INDEX, FORM = 0, 1, 2, 3, 4
@@ -32,3 +34,10 @@ GENERAL, RX, RX_FLAT = 0, 1, 2
 
 WORLD_ALIGNED, WORLD, BODY = 0, 1, 2
 """Frames of expression of a Jacobian: frame's origin, ground axes; ground's origin and axes; the frame's."""
+
+
+def fuse(ints: np.ndarray, floats: np.ndarray, frame: int = WORLD_ALIGNED) -> np.ndarray:
+    """The table as one float64 array, integers first as the same bytes, for Jacobians in the given frame."""
+    ints = ints.copy()
+    ints[SIZE], ints[FRAME] = len(ints), frame
+    return np.concatenate([ints.view(np.float64), floats])

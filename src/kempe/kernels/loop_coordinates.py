@@ -10,12 +10,12 @@ from kempe.kernels import loop_layout as L
 from kempe.kernels._jit import device, routine
 from kempe.kernels.random import mix, unit
 from kempe.kernels.scratch import beyond
+from kempe.kernels.search_layout import LARGEST
 from kempe.kernels.starts import copy, draw_ball
 from kempe.kernels.step import turn_ball
 from kempe.kernels.ties import back, ends_of, relative
 from kempe.kernels.trig import atan2
 
-LARGEST = 1e100
 """Size from which a number is no coordinate."""
 
 

@@ -46,3 +46,10 @@ holds one coordinate, or a quaternion, at given values; FUNCTION has the rows of
 READ_X, READ_Y, READ_Z, READ_ANGLE, READ_RX, READ_RY, READ_QUATERNION, READ_YAW, READ_PITCH, READ_ROLL = range(10)
 """How a coordinate of a cut joint follows from the pose of B in A: a slide, the turn about z, the turns of a cross
 about x and y, a quaternion, the three turns about z, y', x''."""
+
+DAMPING, MOST_DAMPING = 0.6, 0.1
+"""Damping of a step that closes loops, by the mean square of the equations, and the most of it."""
+LONGEST = 0.5
+"""Longest step of a turn [rad]."""
+WIDER = 0.15
+"""Part of the coordinates' ranges by which each further start may be farther from the first."""

@@ -17,8 +17,9 @@ from kempe.kernels.active import LEAST, LONGEST, OFF, free_all, mark_pushed, ste
 from kempe.kernels.asked import assess, count_in, is_hard, missed, square_of
 from kempe.kernels.envelope import add_product
 from kempe.kernels.goals import call
-from kempe.kernels.loop_coordinates import LARGEST, distance, is_held, number, place_of, sort_of
+from kempe.kernels.loop_coordinates import distance, is_held, number, place_of, sort_of
 from kempe.kernels.random import mix, unit
+from kempe.kernels.search_layout import AHEAD, LARGEST, NOTHING
 from kempe.kernels.starts import copy
 from kempe.kernels.step import turn_ball
 
@@ -32,7 +33,6 @@ TIGHT, ROUNDING = 1e-22, 1e-25
 """Square of what a soft stage misses from which on it is met, and of what earlier ones may miss after each step."""
 CLOSING, MORE = 6, 3
 """Steps that they may take for that."""
-NOTHING, AHEAD = 0, 1
 """What the last stage lowers: nothing; the distance to `goal`. Anything else is the address of a function."""
 STREAK = 3
 """Steps that must succeed after one that did not, before the steps of an aim grow again."""

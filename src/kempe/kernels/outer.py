@@ -17,15 +17,10 @@ import math
 from typing import NamedTuple
 
 from kempe.kernels._jit import device, routine
+from kempe.kernels.analytic_layout import PLANE
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.lines import LINE_STRIDE, cross, dot, foot, minus, plus, three, turned
 from kempe.kernels.subproblems import align, cone_roots, orbit, parabola_roots, trig_roots
-
-POINT, PLANE = 0, 1
-"""What the inner three joints leave in place."""
-
-X_FIRST, Z_FIRST, COUPLED, AT_REST = 0, 1, 2, 3
-"""How the outer equations are solved: one of them has x alone, or z alone, or none; AT_REST: the joints do not move."""
 
 VOID, NOTHING, WIDE = 1e-10, 1e-13, 1e-5
 """Amplitude below which an equation says so little that samples are taken as well, and below which they are all there

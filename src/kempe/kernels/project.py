@@ -10,25 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import types
 
-from kempe.kernels._jit import F1, F2, I1, OUT2, OUT3, kernel, routine
-from kempe.kernels.jet import (
-    AFTER,
-    BEFORE,
-    ENTRIES,
-    ENTRY,
-    FIRST_ROW,
-    MASK,
-    POSE_SIZE,
-    POWERS,
-    TIE_INTS,
-    TURNS,
-    between,
-    output_order,
-    sweep_order,
-    violation_order,
-)
+from kempe.kernels._jit import kernel, routine
+from kempe.kernels.declare import FLOAT, INT, OUT, F, I
+from kempe.kernels.jet import between, output_order, sweep_order, violation_order
+from kempe.kernels.jet_layout import AFTER, BEFORE, ENTRIES, ENTRY, FIRST_ROW, MASK, POSE_SIZE, POWERS, TIE_INTS, TURNS
 from kempe.kernels.layout import (
     HEADER,
     KIND,
@@ -234,7 +220,10 @@ def _size2(value, m, radius, distance2):
     return total
 
 
-@kernel(types.void(I1, F1, I1, F1, I1, F1, F2, OUT2, F1, types.int64, types.float64, OUT2, OUT2, OUT3))
+@kernel(
+    I("_"), F("_"), I("_"), F("_"), I("_"), F("_"), F("N", "nq"), OUT("N", "nq"), F("N"), INT, FLOAT,
+    OUT("N", 3), OUT("N", "m"), OUT("N", "m", "_"), returns=False,
+)  # fmt: skip
 def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iterations, longest, info, out, J):
     """Move each configuration of q (N, nq), in place, onto the solution set of the equations.
 

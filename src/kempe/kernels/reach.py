@@ -11,10 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import types
 
 from kempe.kernels import loop_layout as L
-from kempe.kernels._jit import F1, F2, I1, OUT2, OUTI2, kernel, routine
+from kempe.kernels._jit import kernel, routine
 from kempe.kernels.active import Work
 from kempe.kernels.asked import (
     Ask,
@@ -30,11 +29,11 @@ from kempe.kernels.asked import (
     unbind,
 )
 from kempe.kernels.base_fit import settle_base
+from kempe.kernels.declare import FLAG, INT, OUT, OUTI, F, I
 from kempe.kernels.goals import number_of
 from kempe.kernels.layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.layout import NQ, NV
 from kempe.kernels.loop_coordinates import (
-    LARGEST,
     draw,
     is_held,
     nearest_turn,
@@ -44,20 +43,15 @@ from kempe.kernels.loop_coordinates import (
     sort_of,
     sound,
 )
-from kempe.kernels.lowering import AHEAD, NOTHING, TIGHT, descend, is_late, lower
+from kempe.kernels.lowering import TIGHT, descend, is_late, lower
 from kempe.kernels.random import mix
 from kempe.kernels.rows import poses_at, scratch_size
 from kempe.kernels.scratch import beyond
+from kempe.kernels.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND, NOTHING, SOLVED
 from kempe.kernels.starts import copy
 from kempe.kernels.ties import Loops
 from kempe.kernels.vectors import keep, raw
 
-__all__ = ["AHEAD", "BAD_INPUT", "LATE", "NOTHING", "NOT_FOUND", "SOLVED", "solve"]
-
-SOLVED, NOT_FOUND, BAD_INPUT = 0, 1, 2
-"""Status of one problem."""
-LATE = 4
-"""Added to the status where the time was up before all was done."""
 NEAR, WHOLE = 0.6, 8
 """Part of the ranges, about the first start and about their middles in turn, from which starts are drawn; and every how
 many starts one is drawn from all of them. What is far from all limits leads to more answers."""
@@ -239,8 +233,10 @@ def reach(loops, work, ask, key, tries, limit, mode, stop):
     return (SOLVED if good else NOT_FOUND) + (LATE if late else 0), steps, most
 
 
-@kernel(types.int64(I1, F1, I1, F1, I1, F2, F2, F2, F2, types.int64, types.int64, types.int64, types.int64,
-                    types.boolean, types.int64, OUT2, OUTI2))  # fmt: skip
+@kernel(
+    I("_"), F("_"), I("_"), F("_"), I("_"), F("_", 3), F("1|N", "nq"), F("1|N", "nq"), F("1|N", "_"), INT, INT,
+    INT, INT, FLAG, INT, OUT("N", "nq"), OUTI("N", 3),
+)  # fmt: skip
 def solve(
     ints, floats, plan, weights, stages, strengths, starts, goals, pins, tries, limit, mode, stop, loose,
     seed, out_q, info

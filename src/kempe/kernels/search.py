@@ -20,14 +20,7 @@ import numpy as np
 
 from kempe.kernels._jit import device, kernel, routine
 from kempe.kernels.job import (
-    ANGULAR,
     ARGUMENTS,
-    LINEAR,
-    NOT_FOUND,
-    SOLVED,
-    STARTS,
-    STATUS,
-    STEPS,
     Job,
     aim,
     answer_of,
@@ -77,6 +70,7 @@ from kempe.kernels.layout import (
 from kempe.kernels.nearest import ENOUGH
 from kempe.kernels.residual import BOX_STRIDE, HIGH, LOW, POINTS, SCALE, WEIGHTS
 from kempe.kernels.scratch import aligned, beyond
+from kempe.kernels.search_layout import ANGULAR, LINEAR, NOT_FOUND, SOLVED, STARTS, STATUS, STEPS
 from kempe.kernels.starts import copy
 from kempe.kernels.step import place_of
 from kempe.kernels.vectors import LANES, keep, raw
@@ -355,7 +349,7 @@ def search(h):
             busy, changed = at_work(h), True
 
 
-@kernel(ARGUMENTS)
+@kernel(*ARGUMENTS)
 def reach(
     ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
     length, out,

@@ -13,9 +13,6 @@ import numpy as np
 from kempe.kernels._jit import kernel, routine
 from kempe.kernels.job import (
     ARGUMENTS,
-    NOT_FOUND,
-    SOLVED,
-    STATUS,
     answer_of,
     begin,
     count_columns,
@@ -30,6 +27,7 @@ from kempe.kernels.lanes_step import DAMPING, DAMPING_CAP, DAMPING_FLOOR, PATIEN
 from kempe.kernels.layout import NQ, NV
 from kempe.kernels.nearest import ENOUGH
 from kempe.kernels.residual import distances, energy, error, fill_jacobian, trace
+from kempe.kernels.search_layout import NOT_FOUND, SOLVED, STATUS
 from kempe.kernels.starts import copy
 from kempe.kernels.step import advance, damped_step
 from kempe.kernels.vectors import keep, raw
@@ -82,7 +80,7 @@ def one_by_one(job, i):
     write(job, i, NOT_FOUND, least, 0.0, steps, job.tries)
 
 
-@kernel(ARGUMENTS)
+@kernel(*ARGUMENTS)
 def reach_one_by_one(
     ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
     length, out,

@@ -9,16 +9,13 @@ import numpy as np
 from kempe.kernels._jit import device, routine
 from kempe.kernels.random import mix, unit
 from kempe.kernels.residual import BOX_STRIDE, HIGH, LOW, SCALE
+from kempe.kernels.search_layout import LARGEST
 from kempe.kernels.step import is_round, place_of
 
 NUDGE = 0.02
 """Size of the region about the middle of the limits, as a part of their range, in which the first start lies.
 
 The exact middle is often singular (a stretched arm), where no step leads out."""
-
-
-LARGEST = 1e100
-"""Size from which a number is no coordinate and a limit no limit: squares of such numbers overflow."""
 
 
 @device

@@ -7,9 +7,9 @@ quaternions without a norm, give NaN in all that depends on them.
 from __future__ import annotations
 
 import numpy as np
-from numba import types
 
-from kempe.kernels._jit import F1, F2, I1, OUT3, OUT4, device, kernel
+from kempe.kernels._jit import device, kernel
+from kempe.kernels.declare import INT, OUT, F, I
 from kempe.kernels.layout import (
     BODY,
     HEADER,
@@ -174,7 +174,7 @@ def jacobian_at(ints, floats, q, start, frame, with_pose, out, k, columns, first
     return bad
 
 
-@kernel(types.int64(I1, F1, F2, types.int64, OUT3, OUT3))
+@kernel(I("_"), F("_"), F("N", "_"), INT, OUT("N", 4, 4), OUT("N", 6, "_"))
 def jacobian(ints, floats, q, frame, pose, columns):
     """Number of bad configurations; writes poses (N, 4, 4) and Jacobians (N, 6, nv) of the first output."""
     nq, size = q.shape[1], 6 * ints[3]
@@ -205,7 +205,7 @@ def descend(ints, floats, q, start, out, first, scratch):
     return bad
 
 
-@kernel(types.int64(I1, F1, F1, OUT3), nogil=False)
+@kernel(I("_"), F("_"), F("_"), OUT("_", 4, 4), nogil=False)
 def poses1(ints, floats, q, out):
     """Number of bad configurations, 0 or 1; writes the poses (n_out, 4, 4) of all outputs at q (nq,)."""
     scratch = np.empty(scratch_size(ints[0]))
@@ -214,7 +214,7 @@ def poses1(ints, floats, q, out):
     return bad
 
 
-@kernel(types.int64(I1, F1, F2, OUT4))
+@kernel(I("_"), F("_"), F("N", "_"), OUT("N", "_", 4, 4))
 def poses(ints, floats, q, out):
     """Number of bad configurations; writes the poses (N, n_out, 4, 4) of all outputs at q (N, nq)."""
     nq, size = q.shape[1], 16 * ints[1]

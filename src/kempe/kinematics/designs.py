@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from kempe.description.values import Expression
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.kernels import sweep
+from kempe.kernels.compiled import sweep
 from kempe.kinematics.configuration import as_q
 from kempe.model.system import FrameLike, System
 from kempe.model.table import lower

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels import bound, chain, sweep
-from kempe.kernels.layout import BODY, WORLD, WORLD_ALIGNED
+from kempe.kernels.compiled import bound, chain, sweep
+from kempe.kernels.layout import BODY, WORLD, WORLD_ALIGNED, fuse
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.gauge import regauge
@@ -113,7 +113,7 @@ class _Chain:
     def __init__(self, system: System, name: str):
         self.system = system
         self.ints, self.floats = system.table.pack([name], system.table.path(name))
-        self.tables = {key: bound.fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
+        self.tables = {key: fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
         self.regauged = regauge(self.ints, self.floats)
 
     def pose(self, q: Any, out: Array | None, threads: int | None) -> Array:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.kernels.equations import equations
+from kempe.kernels.compiled import equations
 from kempe.kinematics.configuration import as_q
 from kempe.model.loops import Loops, characteristic_length, loops_of
 from kempe.spatial import Array
@@ -51,7 +51,7 @@ def evaluate(system: System, q: Any, with_jacobian: bool = True, scaled: bool = 
     out = np.empty((len(flat), m))
     columns = np.empty((len(flat) if with_jacobian else 0, m, system.nv))
     pins = np.zeros((1, 0))
-    equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat, with_jacobian, out, columns)
+    equations.equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat, with_jacobian, out, columns)
     return out.reshape(*lead, m), columns.reshape(*lead, m, system.nv) if with_jacobian else columns
 
 

@@ -358,7 +358,7 @@ class Packed:
 
     def evaluate(self, q: Any, pins: Array | None = None, closures: bool = False) -> tuple[Array, Array]:
         """The tasks' equations (..., m) and Jacobian (..., m, nv) at q (..., nq); with `closures` those of loops."""
-        from kempe.kernels.equations import equations
+        from kempe.kernels.compiled import equations
 
         q = as_q(self.system, q)
         lead, loops, m = q.shape[:-1], self.loops, len(self.rows)
@@ -367,7 +367,7 @@ class Packed:
             goals = [t.goals(self.system) for t in self.tasks]
             pins = self.pins(goals, lead if lead_of(goals) else ())
         out, J = np.empty((len(flat_q), m)), np.empty((len(flat_q), m, self.system.nv))
-        equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J)
+        equations.equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J)
         use = self.rows == -1 if closures else self.rows >= 0
         out, J = out[:, use], J[:, use]
         return out.reshape(*lead, out.shape[1]), J.reshape(*lead, *J.shape[1:])

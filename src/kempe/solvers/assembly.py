@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
-from kempe.kernels import assembly as kernel
 from kempe.kernels import loop_layout as L
+from kempe.kernels.compiled import assembly as kernel
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.loops import Loops, loops_of, must_carry

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.kernels.assembly import DAMPING, LONGEST, MOST_DAMPING, WIDER
-from kempe.kernels.loop_layout import SCALES
+from kempe.kernels.loop_layout import DAMPING, LONGEST, MOST_DAMPING, SCALES, WIDER
 from kempe.kinematics.loops import evaluate, full
 from kempe.spatial import Array
 

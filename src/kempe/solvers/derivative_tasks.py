@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.errors import InputError, UnsupportedError
-from kempe.kernels import reach as kernel
+from kempe.kernels.search_layout import AHEAD, NOTHING
 from kempe.kinematics.derivatives import REAL_STEP
 from kempe.kinematics.task import Goals
 from kempe.solvers.derivative import AT_LIMIT
@@ -51,8 +51,8 @@ def derivative(answer: Reached) -> dict[str, Array]:
     if not good.ndim and not good:
         raise InputError(f"the tasks do not hold, so q does not follow their goals: {answer.status}")
     soft = {t.priority for t in problem.tasks if t.weight is not None}
-    chosen = problem.mode not in (kernel.NOTHING, kernel.AHEAD)
-    if len(soft) + (problem.mode != kernel.NOTHING) > 1 or chosen:
+    chosen = problem.mode not in (NOTHING, AHEAD)
+    if len(soft) + (problem.mode != NOTHING) > 1 or chosen:
         raise UnsupportedError("derivative is for hard tasks with soft ones of one priority at most, or with prefer "
                                "'nearest' or 'mid' in place of these")  # fmt: skip
     if not good.ndim:
@@ -125,7 +125,7 @@ def _rows(problem: Problem, q: Array, pins: Array, counts: tuple[np.ndarray, np.
     low, high = ends_of_rows(packed)
     miss = (error - np.clip(error, low, high))[..., soft] * weight[soft]
     S = J[..., soft, :] * (weight[soft, None] * ((low == high)[soft] | (miss != 0.0))[..., None])
-    if problem.mode == kernel.AHEAD and problem.aim is not None:
+    if problem.mode == AHEAD and problem.aim is not None:
         miss = problem.system.difference(np.broadcast_to(problem.aim[0], q.shape), q) / packed.scale
         S = np.broadcast_to(np.eye(len(packed.scale)), (*q.shape[:-1], len(packed.scale), len(packed.scale)))
     return _Rows(np.concatenate([error[..., held], closed], axis=-1),

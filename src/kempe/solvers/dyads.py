@@ -179,7 +179,7 @@ class Plan:
     def _run(
         self, values: Array, signs: Array, targets: Array, q: Array, status: Array, threads: int | None
     ) -> None:
-        from kempe.kernels import dyads
+        from kempe.kernels.compiled import dyads
 
         ints, floats = self.program
 

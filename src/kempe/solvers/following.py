@@ -11,7 +11,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.errors import InputError, UnsupportedError
-from kempe.kernels.reach import BAD_INPUT
+from kempe.kernels.search_layout import BAD_INPUT
 from kempe.kinematics.task import refuse
 from kempe.kinematics.tasks import Pose, Position
 from kempe.solvers.chain import inside

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, NoSolutionError
-from kempe.kernels import search
-from kempe.kernels.job import ANSWER, LINEAR, ROTATION_TOLERANCE, STATUS
+from kempe.kernels.compiled import search
 from kempe.kernels.layout import HAS_QUATERNION
-from kempe.kernels.starts import LARGEST
+from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, ROTATION_TOLERANCE, STATUS
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers import rounds

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
-from kempe.kernels import search
-from kempe.kernels.job import ANSWER, LINEAR, STARTS, STATUS, STEPS
+from kempe.kernels.compiled import search
 from kempe.kernels.layout import HAS_QUATERNION
+from kempe.kernels.search_layout import ANSWER, LINEAR, STARTS, STATUS, STEPS
 from kempe.solvers.chain import Chain
 from kempe.solvers.solution import NOT_FOUND, OUT_OF_TIME, SOLVED
 from kempe.solvers.targets import TASKS, Z_AXIS, frame_of, points_along
@@ -101,7 +101,7 @@ def go_on(task: Task, targets: Array, head: tuple[Any, ...], done: int, out: Arr
     by them; more starts, unless lengths prove that they cannot help or the time is up; at last, the nearest
     configurations.
     """
-    from kempe.kernels.closest import approach  # a success needs none of this
+    from kempe.kernels.compiled import closest
 
     *chain, goals, seeds, rng = head
     n, search_ = out.shape[1] - ANSWER, _search(task.chain)
@@ -135,7 +135,7 @@ def go_on(task: Task, targets: Array, head: tuple[Any, ...], done: int, out: Arr
         left, done = left[out[left, n + STATUS] == NOT_FOUND], done + count
     if done < task.starts and len(left):
         _end(task, targets, left, out)
-    nearest: Callable[..., int] = approach
+    nearest: Callable[..., int] = closest.approach
     return nearest(*head, 0, task.starts, task.iterations, *task.tolerance, 0.0, out)
 
 
@@ -166,9 +166,9 @@ def misses(task: Task, targets: Array, q: Array) -> Array:
 def _search(chain: Chain) -> Callable[..., int]:
     """The kernel that searches for a chain."""
     if chain.ints[HAS_QUATERNION]:
-        from kempe.kernels.solve import reach_one_by_one  # what few chains need is compiled for them alone
+        from kempe.kernels.compiled import solve
 
-        return reach_one_by_one
+        return solve.reach_one_by_one
     return search.reach
 
 

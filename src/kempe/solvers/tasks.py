@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError, NoSolutionError
-from kempe.kernels import reach as kernel
+from kempe.kernels import search_layout as S
+from kempe.kernels.compiled import reach as kernel
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.kinematics.task import Goals, Packed, Task, lead_of, refuse
@@ -59,7 +60,7 @@ class Problem:
     starts: int
     rng: int
     use: tuple[bool, ...]
-    mode: int = kernel.NOTHING
+    mode: int = S.NOTHING
     aim: Array | None = field(default=None, repr=False)
     """Configurations (N or 1, nq) that the last stage leads towards."""
     callback: Callback | None = field(default=None, repr=False)
@@ -85,7 +86,7 @@ class Problem:
     def only(self, tasks: Sequence[int], limits: bool = True) -> Problem:
         """The same with only these tasks, nothing preferred, and no limit of time."""
         use = tuple(i in tasks for i in range(len(self.tasks)))
-        return replace(self, use=use, limits=limits, mode=kernel.NOTHING, end=math.inf)
+        return replace(self, use=use, limits=limits, mode=S.NOTHING, end=math.inf)
 
     def run(self, starts: Array, threads: int | None = 1) -> tuple[Array, np.ndarray]:
         """Configurations (N, nq) and (status, steps, starts) (N, 3) from starts (N or 1, nq)."""
@@ -287,9 +288,9 @@ def _keep(kept: dict[Any, Any], key: Any, value: Any) -> Any:
 def _preferring(problem: Problem, prefer: Any, base: Array) -> Problem:
     """The problem with what is to be made least last."""
     if prefer == "nearest":
-        return replace(problem, mode=kernel.AHEAD, aim=_home(problem.system)[None] if problem.loose else base)
+        return replace(problem, mode=S.AHEAD, aim=_home(problem.system)[None] if problem.loose else base)
     if prefer == "mid":
-        return replace(problem, mode=kernel.AHEAD, aim=problem.system.mid[None])
+        return replace(problem, mode=S.AHEAD, aim=problem.system.mid[None])
     from kempe.solvers.preferences import least
 
     callback = least(problem, prefer)
@@ -299,7 +300,7 @@ def _preferring(problem: Problem, prefer: Any, base: Array) -> Problem:
 def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     """The answer, each configuration checked by the forward model, the limits and the loops."""
     system, lead, packed, status = problem.system, problem.lead, problem.packed, info[:, 0]
-    bad = status == kernel.BAD_INPUT
+    bad = status == S.BAD_INPUT
     sound = (np.where(bad[:, None], system.neutral, q) if bad.any() else q).reshape(*lead, system.nq)
     hard, allowed = problem.levels[2:]
     every = np.empty((len(problem.tasks), *lead, 2))
@@ -317,7 +318,7 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
         from kempe.kinematics.loops import evaluate
 
         good &= np.linalg.norm(evaluate(system, sound, False, True)[0], axis=-1) <= 10.0 * CLOSED
-    late = status >= kernel.LATE
+    late = status >= S.LATE
     code = np.where(good.ravel(), SOLVED, np.where(late, OUT_OF_TIME, NOT_FOUND))
     code[bad] = BAD_INPUT
     if problem.limits and np.any(code == NOT_FOUND):

@@ -6,9 +6,9 @@ import numpy as np
 
 from kempe import spatial
 from kempe.kernels import analytic_layout as A
-from kempe.kernels.closed import outer_terms
+from kempe.kernels.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
+from kempe.kernels.compiled import closed
 from kempe.kernels.layout import SLIDE
-from kempe.kernels.outer import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.solvers.analytic.describe_axes import listed
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.plan import Plan, carried_lines, free_lines, freedoms, motion, spread, sweep
@@ -264,7 +264,7 @@ def _amplitudes(plan: Plan, way: Way) -> Array:
         other = np.where(np.isin(np.arange(len(lines)), plan.locked), theta, spread(lines, rng, 1)[0])
         G = sweep(lines, other[None])[0][0] @ spatial.inverse(lines.tip) @ spatial.inverse(shift)
         terms = np.empty(12)
-        outer_terms(six.kinds, six.packed(), np.ascontiguousarray(G[:3]).ravel(), way.inner, way.what, way.option,
-                    terms)  # fmt: skip
+        goal = np.ascontiguousarray(G[:3]).ravel()
+        closed.outer_terms(six.kinds, six.packed(), goal, way.inner, way.what, way.option, terms)
         out = np.maximum(out, np.abs(terms.reshape(2, 2, 3)[..., 1:]))
     return out

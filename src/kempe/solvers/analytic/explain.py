@@ -9,8 +9,8 @@ import numpy as np
 
 from kempe import spatial
 from kempe.kernels import analytic_layout as A
+from kempe.kernels.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.kernels.layout import SLIDE
-from kempe.kernels.outer import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.solvers.analytic.families import EXACT, Family
 from kempe.solvers.analytic.nearest import aim_of, fixed_joints, held_coordinates, nearest
 from kempe.solvers.analytic.plan import Plan, carried_lines, free_lines
@@ -241,16 +241,16 @@ def _without_root(solutions: Solutions, index: int) -> str:
 
 def _terms(solutions: Solutions, index: int, way: Way) -> Array:
     """Constant and factors (2, 2, 3) of joints x and z in both measures, see `kernels.outer`."""
-    from kempe.kernels.closed import outer_terms
+    from kempe.kernels.compiled import closed
 
     plan, aim = solutions.plan, aim_of(solutions, index)
     theta = plan.lines.theta(held_coordinates(solutions, index))
     axes, shift = carried_lines(plan.lines, plan.locked, plan.extra, theta)
     order = list(way.order)
     six = Axes(axes.kinds[order], axes.h[order], axes.o[order])
-    goal = aim.target @ spatial.inverse(plan.lines.tip) @ spatial.inverse(shift)
+    goal = np.ascontiguousarray((aim.target @ spatial.inverse(plan.lines.tip) @ spatial.inverse(shift))[:3]).ravel()
     out = np.empty(12)
-    outer_terms(six.kinds, six.packed(), np.ascontiguousarray(goal[:3]).ravel(), way.inner, way.what, way.option, out)
+    closed.outer_terms(six.kinds, six.packed(), goal, way.inner, way.what, way.option, out)
     return out.reshape(2, 2, 3)
 
 

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, NoSolutionError
 from kempe.kernels import analytic_layout as A
-from kempe.kernels.vectors import LANES
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers.analytic.lines import Lines, lines_of
 from kempe.solvers.analytic.plan import Plan, free_lines, freedoms, kernel_of, make, side_by_side_of
@@ -199,7 +198,7 @@ def solve(
         some = chain_near[i:j] if len(chain_near) > 1 else chain_near
         which = np.arange(j - i)
         if side_by_side:
-            padded = np.resize(some, (LANES, len(lines))) if 1 < len(some) < LANES else some
+            padded = np.resize(some, (A.LANES, len(lines))) if 1 < len(some) < A.LANES else some
             left = side_by_side(plan.ints, plan.floats, targets[i:j], padded, locked, int(single), out[i:j], which)
             if left <= 0:
                 return 0

@@ -12,8 +12,8 @@ import numpy as np
 from kempe import spatial
 from kempe.errors import UnsupportedError
 from kempe.kernels import analytic_layout as A
+from kempe.kernels.analytic_layout import X_FIRST, Z_FIRST
 from kempe.kernels.layout import SLIDE, TURN
-from kempe.kernels.outer import X_FIRST, Z_FIRST
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.structure import Axes, Way, ways
 from kempe.solvers.targets import TASKS as TASKS
@@ -262,13 +262,14 @@ def _by_elimination(
     lines: Lines, task: str, unknown: list[int], locked: tuple[int, ...], extra: Extra
 ) -> Plan | None:
     """The plan that takes the six lines as general ones; None where no formulation suits them."""
-    from kempe.kernels.elimination_score import FORMULATIONS, score  # compiled only where it is needed
+    from kempe.kernels.analytic_layout import FORMULATIONS
+    from kempe.kernels.compiled import elimination_score
 
     theta = spread(lines, np.random.default_rng(11), 1)[0]
     places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
     axes, _ = carried_lines(lines, locked, extra, theta)
     scores = np.zeros(FORMULATIONS)
-    score(axes.kinds[places].astype(np.int64), axes.packed().reshape(-1, 8)[places], scores)
+    elimination_score.score(axes.kinds[places].astype(np.int64), axes.packed().reshape(-1, 8)[places], scores)
     best = [int(f) for f in np.argsort(-scores, kind="stable") if scores[f] > 0.0][:MOST_FORMS]
     if not best:
         return None
@@ -279,21 +280,21 @@ def _by_elimination(
 def kernel_of(plan: Plan) -> Callable[..., None]:
     """The kernel that carries out a plan."""
     if plan.method == "elimination":
-        from kempe.kernels.general import general  # each is compiled only where it is needed
+        from kempe.kernels.compiled import general
 
-        return general
-    from kempe.kernels.all_solutions import closed
+        return general.general
+    from kempe.kernels.compiled import all_solutions
 
-    return closed
+    return all_solutions.closed
 
 
 def side_by_side_of(plan: Plan) -> Callable[..., int] | None:
     """The kernel that solves many targets side by side, None where the plan is not made for it."""
     if not plan.side_by_side:
         return None
-    from kempe.kernels.closed_blocks import closed_side_by_side
+    from kempe.kernels.compiled import closed_blocks
 
-    return closed_side_by_side
+    return closed_blocks.closed_side_by_side
 
 
 def _parts(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kempe.kernels.closed import outer_terms
+from kempe.kernels.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST, Z_FIRST
+from kempe.kernels.compiled import closed
 from kempe.kernels.layout import SLIDE, TURN
-from kempe.kernels.outer import AT_REST, COUPLED, PLANE, POINT, X_FIRST, Z_FIRST
 from kempe.spatial import Array
 
 EXACT = 1e-9
@@ -160,7 +160,7 @@ def _outer(now: list[Axes], goals: list[Array], k: int, what: int) -> Iterator[t
             lines = axes.packed()
             for goal in some:
                 terms = np.empty(12)
-                outer_terms(axes.kinds, lines, goal, k, what, option, terms)
+                closed.outer_terms(axes.kinds, lines, goal, k, what, option, terms)
                 amplitude = np.linalg.norm(terms.reshape(2, 2, 3)[..., 1:], axis=-1)
                 size[..., 0] = np.maximum(size[..., 0], amplitude)
                 size[..., 1] = np.minimum(size[..., 1], amplitude)

@@ -1,0 +1,133 @@
+"""The C source of the layer between Python and the compiled kernels: layer.c, then one function a kernel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+LEVELS = {"v2": 2, "v3": 3, "v4": 4, "base": 1}
+"""Level of the processor that a variant needs."""
+ENTRY = {"f": ("double", "NPY_DOUBLE", "float64"), "i": ("int64_t", "NPY_INT64", "int64"), "b": ("uint8_t", "", "")}
+
+
+def is_array(taken: dict[str, Any]) -> bool:
+    """Whether an argument is an array."""
+    return "shape" in taken
+
+
+def source(kernels: list[dict[str, Any]], variants: list[str], digest: str) -> str:
+    """The whole C source. kernels: name, label, names and what they take, as `emit` writes them; best variant first."""
+    parts = [(Path(__file__).parent / "layer.c").read_text()]
+    for kernel in kernels:
+        parts += [*prototypes(kernel, variants), *function(kernel)]
+    return "\n".join([*parts, *table(kernels), *choice(kernels, variants), module(digest), ""])
+
+
+def parameters(kernel: dict[str, Any]) -> str:
+    """Parameters of a kernel as Numba calls it: a place for the result and for an error, then each array as its owner
+    (none), its object (none), number of entries, their size, the data, lengths and strides of the axes."""
+    out = ["int64_t *", "void **"]
+    for taken in kernel["takes"]:
+        if is_array(taken):
+            out += ["void *", "void *", "int64_t", "int64_t", "void *"] + ["int64_t"] * 2 * len(taken["shape"])
+        else:
+            out.append(ENTRY[taken["entry"]][0])
+    return ", ".join(out)
+
+
+def prototypes(kernel: dict[str, Any], variants: list[str]) -> Iterator[str]:
+    """The kernel in all variants, and the pointer to the chosen one."""
+    for variant in variants:
+        yield f"extern int32_t kempe_{kernel['name']}_{variant}({parameters(kernel)});"
+    yield f"static int32_t (*chosen_{kernel['name']})({parameters(kernel)});"
+
+
+def function(kernel: dict[str, Any]) -> Iterator[str]:
+    """The function that Python calls."""
+    name, takes = kernel["name"], kernel["takes"]
+    arrays = [i for i, taken in enumerate(takes) if is_array(taken)]
+    names = ", ".join(f'"{n}"' for n in kernel["names"])
+    yield f"static const char *const names_{name}[] = {{{names}}};"
+    yield f'static const Called called_{name} = {{"{kernel["label"]}", {len(takes)}, names_{name}}};'
+    yield f"static PyObject *enter_{name}(PyObject *self, PyObject *const *a, Py_ssize_t n) {{"
+    yield f"    const Called *called = &called_{name}; Given g[{len(arrays)}]; (void)self;"
+    yield f"    if (n != {len(takes)}) return wrong_count(called, n);"
+    handed = ["&result", "&error"]
+    for i, taken in enumerate(takes):
+        if is_array(taken):
+            k, axes = arrays.index(i), len(taken["shape"])
+            _, number, word = ENTRY[taken["entry"]]
+            kind = f"a {'writable, ' if taken['written'] else ''}C-contiguous {word} array with {axes} axes"
+            yield f"    if (!fits(a[{i}], {number}, {axes}, {int(taken['written'])}, g + {k}))"
+            yield f'        return wrong_kind(called, {i}, "{kind}");'
+            handed += ["NULL", "NULL", f"(int64_t)(g[{k}].size / 8)", "8", f"g[{k}].data"]
+            handed += [f"g[{k}].{what}[{j}]" for what in ("dims", "strides") for j in range(axes)]
+        elif taken["entry"] == "f":
+            yield f"    double x{i} = PyFloat_AsDouble(a[{i}]); if (x{i} == -1.0 && PyErr_Occurred()) return NULL;"
+            handed.append(f"x{i}")
+        elif taken["entry"] == "i":
+            yield f"    int64_t x{i} = whole(a[{i}]); if (x{i} == -1 && PyErr_Occurred()) return NULL;"
+            handed.append(f"x{i}")
+        else:
+            yield f"    int x{i} = PyObject_IsTrue(a[{i}]); if (x{i} < 0) return NULL;"
+            handed.append(f"(uint8_t)x{i}")
+    yield from lengths(takes, arrays)
+    yield "    int64_t result = 0; void *error = NULL; int32_t status;"
+    yield f"    if (guard && !guard_in(g, {len(arrays)})) return PyErr_NoMemory();"
+    call = f"status = chosen_{name}({', '.join(handed)});"
+    yield f"    Py_BEGIN_ALLOW_THREADS {call} Py_END_ALLOW_THREADS" if kernel["nogil"] else f"    {call}"
+    yield f"    if (guard) guard_out(g, {len(arrays)});"
+    yield "    if (status && status != NONE) return PyErr_NoMemory(); /* no room for scratch: nothing else can fail */"
+    yield f"    return {'PyLong_FromLongLong(result)' if kernel['returns'] else 'nothing()'};\n}}"
+
+
+def lengths(takes: list[dict[str, Any]], arrays: list[int]) -> Iterator[str]:
+    """Checks of the lengths of axes against numbers and against each other."""
+    axes = [(k, i, j, length) for k, i in enumerate(arrays) for j, length in enumerate(takes[i]["shape"])]
+    known: dict[str, str] = {}
+    for k, _, j, length in axes:
+        if isinstance(length, str) and length.isalpha():
+            known.setdefault(length, f"g[{k}].dims[{j}]")
+    for k, i, j, length in axes:
+        here, expected, also = f"g[{k}].dims[{j}]", str(length), ""
+        if isinstance(length, str):
+            either, _, letter = length.rpartition("|")
+            letter, _, more = letter.partition("+")
+            if letter == "_" or known[letter] == here:
+                continue
+            expected = known[letter] + (f" + {more}" if more else "")
+            also = f" && {here} != {either}" if either else ""
+        yield f"    if ({here} != {expected}{also}) return wrong_length(called, {i}, {j}, {here}, {expected});"
+
+
+def table(kernels: list[dict[str, Any]]) -> Iterator[str]:
+    """The list of functions."""
+    yield "static PyObject *use(PyObject *self, PyObject *name);"
+    yield "static PyObject *variant(PyObject *self, PyObject *none);"
+    yield "static PyMethodDef methods[] = {"
+    yield '    {"use", use, METH_O, "Run the kernels of this variant from now on."},'
+    yield '    {"variant", variant, METH_NOARGS, "The variant that runs."},'
+    for kernel in kernels:
+        label = kernel["name"]
+        yield f'    {{"{label}", (PyCFunction)(void (*)(void))enter_{label}, METH_FASTCALL, NULL}},'
+    yield "    {NULL, NULL, 0, NULL}};"
+
+
+def choice(kernels: list[dict[str, Any]], variants: list[str]) -> Iterator[str]:
+    """Which variants there are, and the choice of one."""
+    rows = ", ".join(f'{{"{v}", {LEVELS[v]}}}' for v in variants)
+    yield f"static const struct {{ const char *name; int level; }} variants[] = {{{rows}}};"
+    yield f"enum {{ N_VARIANTS = {len(variants)} }};"
+    yield "static int running = -1;"
+    yield "static void choose(int which) {\n    running = which;\n    switch (which) {"
+    for k, v in enumerate(variants):
+        yield f"    case {k}:"
+        yield from (f"        chosen_{kernel['name']} = kempe_{kernel['name']}_{v};" for kernel in kernels)
+        yield "        break;"
+    yield "    }\n}"
+
+
+def module(digest: str) -> str:
+    """The functions of the module itself, and the module."""
+    return (Path(__file__).parent / "module.c").read_text().replace("@DIGEST@", digest)

@@ -1,0 +1,232 @@
+"""Build the library of compiled kernels: `python native/library.py [FOLDER]`, by default where it is looked for.
+
+Kernels are compiled by Numba, once for each variant, in two processes at a time (emit.py); the C layer is written from
+their declarations (layer.py), and a C compiler makes one library of all of it, for the stable ABI of Python 3.11.
+
+The environment variable KEMPE_BUILD says for which processors: nothing for this one, "release" for all of this
+platform, or names of variants ("v2,v3"). CC names a C compiler; without one the package ziglang serves.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+KERNELS = HERE.parent / "src" / "kempe" / "kernels"
+VARIABLE, RELEASE = "KEMPE_BUILD", "release"
+PROCESSES = 2
+GLIBC = "2.17"
+"""The oldest C library of Linux on which a released library runs."""
+
+X86 = {
+    "v4": ("x86-64-v4", "+avx512f,-prefer-256-bit", "avx512f avx512bw avx512cd avx512dq avx512vl"),
+    "v3": ("x86-64-v3", "", "avx2 bmi bmi2 f16c fma lzcnt movbe"),
+    "v2": ("x86-64-v2", "", "cx16 popcnt sse4.2"),
+}
+"""Variants, the best first: the processor that LLVM compiles for, settings, and the features by which one is known."""
+OTHERS = {"base": ("apple-m1" if sys.platform == "darwin" else "generic", "", "")}
+
+
+class BuildError(Exception):
+    """What keeps the library from being built, in a sentence."""
+
+
+def variants() -> dict[str, tuple[str, str, str]]:
+    """The variants of this platform."""
+    machine = platform.machine().lower()
+    if machine in ("x86_64", "amd64"):
+        return X86
+    if machine in ("arm64", "aarch64"):
+        return OTHERS
+    raise BuildError(f"kernels are compiled for x86-64 and arm64, not for {platform.machine()}")
+
+
+def asked() -> list[str]:
+    """The variants to build, the best first."""
+    known, wish = variants(), os.environ.get(VARIABLE, "")
+    if wish == RELEASE:
+        return list(known)
+    if wish:
+        names = [name.strip() for name in wish.split(",")]
+        if not set(names) <= set(known):
+            raise BuildError(f"{VARIABLE} is {wish!r}; allowed: 'release', or names among {', '.join(known)}")
+        return [name for name in known if name in names]
+    import llvmlite.binding as llvm
+
+    has = llvm.get_host_cpu_features()
+    for name, (_, _, features) in known.items():
+        if all(has.get(feature, False) for feature in features.split()):
+            return [name]
+    raise BuildError("this processor is older than x86-64-v2 (SSE 4.2), which kernels need")
+
+
+# ---------------------------------------------------------------------------------------------- what is compiled
+
+
+def _source(name: str) -> str:
+    return (KERNELS / f"{name}.py").read_text()
+
+
+@cache
+def needed(name: str) -> frozenset[str]:
+    """A module of kernels and all modules of kernels that it imports."""
+    found, queue = set[str](), [name]
+    while queue:
+        module = queue.pop()
+        if module in found or not (KERNELS / f"{module}.py").is_file():
+            continue
+        found.add(module)
+        for node in ast.walk(ast.parse(_source(module))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("kempe.kernels"):
+                parts = (node.module or "").split(".")
+                queue += parts[2:3] or [alias.name for alias in node.names]
+    return frozenset(found)
+
+
+def shares() -> list[list[str]]:
+    """The modules that have kernels, one list a process: what shares helpers together, and about equally long."""
+    modules = [path.stem for path in sorted(KERNELS.glob("*.py")) if "\n@kernel(" in path.read_text()]
+    lines = {name: len(_source(name).splitlines()) for module in modules for name in needed(module)}
+    lists: list[list[str]] = [[] for _ in range(PROCESSES)]
+    together: list[frozenset[str]] = [frozenset()] * PROCESSES
+
+    def length(k: int, name: str) -> int:
+        return sum(lines[m] for m in together[k] | needed(name))
+
+    for name in sorted(modules, key=lambda name: (-sum(lines[m] for m in needed(name)), name)):
+        k = min(range(PROCESSES), key=lambda k: length(k, name))
+        lists[k].append(name)
+        together[k] |= needed(name)
+    return lists
+
+
+def emit(variant: str, modules: list[str], out: Path) -> dict[str, Any]:
+    """The object of one process, and what is known of its kernels."""
+    cpu, features, _ = variants()[variant]
+    env = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "KEMPE_"))}
+    env |= {"NUMBA_CPU_NAME": cpu, "NUMBA_CPU_FEATURES": features, "PYTHONHASHSEED": "0"}
+    done = subprocess.run(
+        [sys.executable, str(HERE / "emit.py"), variant, str(out), *modules], env=env, capture_output=True, text=True
+    )
+    if done.returncode:
+        raise BuildError(f"compiling {', '.join(modules)} failed:\n{done.stderr.strip()}")
+    return json.loads(out.with_suffix(".json").read_text())
+
+
+# ---------------------------------------------------------------------------------------------- the C compiler
+
+
+def compiler() -> list[str]:
+    """The command of a C compiler: the system's; for what is released on Linux, or where there is none, Zig's."""
+    zig = [sys.executable, "-m", "ziglang", "cc"]
+    if sys.platform == "linux" and os.environ.get(VARIABLE) == RELEASE:
+        return [*zig, "-target", f"{platform.machine()}-linux-gnu.{GLIBC}"]
+    if sys.platform != "win32":  # there it would be a compiler with another command line
+        given = os.environ.get("CC", "").split()
+        if given:
+            return given
+        for name in ("cc", "gcc", "clang"):
+            if shutil.which(name):
+                return [name]
+    return zig
+
+
+def requirements() -> list[str]:
+    """What the build needs besides what pyproject.toml says."""
+    return ["ziglang>=0.13"] if "ziglang" in compiler() else []
+
+
+def _link(sources: list[Path], out: Path) -> None:
+    import numpy
+
+    include = Path(sysconfig.get_path("include"))
+    if not (include / "Python.h").is_file():
+        raise BuildError(
+            f"{include} has no Python.h: the headers of Python are missing (Debian and Ubuntu have them in python3-dev)"
+        )
+    command = [*compiler(), "-O2", "-shared", "-fvisibility=hidden", "-I", str(include), "-I", numpy.get_include()]
+    command += [str(path) for path in sources]
+    if sys.platform == "win32":
+        command += ["-L", str(Path(sys.base_prefix) / "libs"), "-lpython3"]
+    elif sys.platform == "darwin":
+        command += ["-fPIC", "-lm", "-Wl,-undefined,dynamic_lookup", "-Wl,-x"]
+    else:
+        command += ["-fPIC", "-lm", "-Wl,--gc-sections", "-Wl,-z,now", "-s"]
+    caches = {name: str(out.parent / "zig") for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR")}
+    done = subprocess.run([*command, "-o", str(out)], capture_output=True, text=True, env={**caches, **os.environ})
+    if done.returncode:
+        raise BuildError(f"{' '.join(command[:3])} ... failed:\n{done.stderr.strip()}")
+
+
+# ---------------------------------------------------------------------------------------------- all of it
+
+
+def library_name() -> str:
+    """The file name of the library."""
+    return "_native.pyd" if sys.platform == "win32" else "_native.abi3.so"
+
+
+def digest() -> str:
+    """Digest of the sources of all kernels, as the package computes it."""
+    sys.path.insert(0, str(HERE.parent / "src"))
+    try:
+        from kempe.kernels.digest import source_digest
+    finally:
+        sys.path.pop(0)
+    return source_digest(KERNELS)
+
+
+def say(text: str) -> None:
+    """Print a line at once: a build takes a while."""
+    print(text, flush=True)
+
+
+def build(folder: Path) -> Path:
+    """The library, written to `folder`. Errors: `BuildError`."""
+    if platform.python_implementation() != "CPython" or sysconfig.get_config_var("Py_GIL_DISABLED"):
+        raise BuildError("the library needs CPython with its stable ABI: not PyPy, not yet a free-threaded build")
+    start, names, before = time.perf_counter(), asked(), digest()
+    say(f"kernels: compiling for {', '.join(names)} in {PROCESSES} processes ...")
+    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(PROCESSES) as pool:
+        work = Path(scratch)
+        jobs = [(v, share, work / f"{v}-{k}.o") for v in names for k, share in enumerate(shares())]
+        reports = list(pool.map(lambda job: emit(*job), jobs))
+        first = [report["kernels"] for job, report in zip(jobs, reports, strict=True) if job[0] == names[0]]
+        kernels = sorted(sum(first, []), key=lambda row: row["name"])
+        for row in kernels:
+            say(f"  {row['label']:38}{row['seconds']:6.1f} s {row['bytes']:8} bytes")
+        from layer import source
+
+        (work / "native.c").write_text(source(kernels, names, before))
+        linked = work / library_name()
+        _link([work / "native.c", *(job[2] for job in jobs)], linked)
+        if digest() != before:
+            raise BuildError("the sources of the kernels changed while they were compiled; build again")
+        size, spent = linked.stat().st_size, time.perf_counter() - start
+        folder.mkdir(parents=True, exist_ok=True)
+        fresh = folder / f"{library_name()}.new"
+        shutil.copyfile(linked, fresh)
+        os.replace(fresh, folder / library_name())  # a process that has the old one open keeps it
+    say(f"kernels: {len(kernels)} in {size / 1e6:.2f} MB, {spent:.0f} s")
+    return folder / library_name()
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(HERE))
+    try:
+        build(Path(sys.argv[1]) if len(sys.argv) > 1 else KERNELS)
+    except BuildError as error:
+        sys.exit(f"kernels: {error}")

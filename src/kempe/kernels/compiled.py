@@ -1,0 +1,86 @@
+"""The entry points of the kernels, as the library that was built with the package has them, or compiled here.
+
+``from kempe.kernels.compiled import sweep`` gives what `sweep.py` declares with `@kernel`, and nothing else of it: the
+sources of kernels are for the compiler, no other module imports them. The library carries the digest of the sources
+that it was built from. Where they were edited since, it is not used, and each module of kernels is compiled by Numba in
+the process that asks for it. The library has variants for processors of several levels; the best that runs here is
+taken, or what the environment variable KEMPE_KERNELS says: the name of a variant, or "jit" to compile.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+from kempe.errors import KernelsError
+from kempe.kernels.digest import source_digest
+
+VARIABLE, JIT = "KEMPE_KERNELS", "jit"
+"""The environment variable that names a variant, and the name of what is compiled in this process."""
+
+_HELP = (
+    "install a wheel of Kempe for this platform, or compile the kernels by installing from the sources once more "
+    "(`pip install .`, for a checkout `pip install -e .`), or install Numba (the extra 'jit')"
+)
+
+
+def _library() -> Any:
+    """The library of kernels, at the variant that is wanted; None where to compile. Errors: `KernelsError`."""
+    wanted = os.environ.get(VARIABLE, "")
+    if wanted == JIT:
+        return None
+    if importlib.util.find_spec("kempe.kernels._native") is None:
+        why = "the kernels of this installation are not compiled"
+    else:
+        try:
+            from kempe.kernels import _native
+        except ImportError as error:
+            raise KernelsError(f"the library of kernels cannot be loaded: {error}; {_HELP}") from error
+        if _native.DIGEST == source_digest():
+            _native.use(_chosen(_native.VARIANTS, wanted))
+            return _native
+        why = "the sources of the kernels were edited after they were compiled"
+    if importlib.util.find_spec("numba") is None:
+        raise KernelsError(f"{why}; {_HELP}")
+    if not os.environ.get("KEMPE_QUIET"):
+        print(f"kempe: {why}; compiling what is used in this process ...", file=sys.stderr, flush=True)
+    return None
+
+
+def _chosen(variants: dict[str, bool], wanted: str) -> str:
+    """The variant to take, of those that the library has, best first, with whether this processor runs them."""
+    running = [name for name, runs in variants.items() if runs]
+    if wanted and wanted not in running:
+        what = "this processor does not run it" if wanted in variants else "this library does not have it"
+        allowed = ", ".join(map(repr, [*running, JIT]))
+        raise KernelsError(f"{VARIABLE} is {wanted!r}, but {what}; allowed here: {allowed}")
+    return wanted or running[0]
+
+
+_native = _library()
+VARIANT: str = JIT if _native is None else _native.variant()
+"""Which variant of the kernels this process runs."""
+
+
+def _entry_points() -> dict[str, SimpleNamespace]:
+    """For each module of kernels its entry points in the library."""
+    modules: dict[str, dict[str, Any]] = {}
+    for key in filter(lambda key: "__" in key.strip("_"), dir(_native)):
+        module, _, name = key.partition("__")
+        modules.setdefault(module, {})[name] = getattr(_native, key)
+    return {module: SimpleNamespace(**entries) for module, entries in modules.items()}
+
+
+if _native is not None:
+    globals().update(_entry_points())
+
+
+def __getattr__(name: str) -> Any:
+    """A module of kernels, compiled now."""
+    if _native is None and importlib.util.find_spec(f"kempe.kernels.{name}"):
+        return importlib.import_module(f"kempe.kernels.{name}")
+    raise AttributeError(f"there are no kernels {name!r}")
+

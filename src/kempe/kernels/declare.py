@@ -1,0 +1,64 @@
+"""What an entry point takes and returns, said once: for the compiler, and for the C layer that is made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+Length = int | str
+"""Length of an axis: a number; a letter, the same wherever the letter stands; "1|N", one or that many; "n+3", three
+more; "_", any."""
+
+
+@dataclass(frozen=True)
+class Array:
+    """A C-contiguous array of float64 ("f") or int64 ("i") entries."""
+
+    entry: str
+    shape: tuple[Length, ...]
+    written: bool = False
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number by value: "f" float64, "i" int64, "b" a truth value."""
+
+    entry: str
+
+
+FLOAT, INT, FLAG = Number("f"), Number("i"), Number("b")
+
+
+def F(*shape: Length) -> Array:
+    """Floats that are read."""
+    return Array("f", shape)
+
+
+def I(*shape: Length) -> Array:  # noqa: E743
+    """Integers that are read."""
+    return Array("i", shape)
+
+
+def OUT(*shape: Length) -> Array:
+    """Floats that are written."""
+    return Array("f", shape, written=True)
+
+
+def OUTI(*shape: Length) -> Array:
+    """Integers that are written."""
+    return Array("i", shape, written=True)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An entry point: its function, what it takes, whether it returns a whole number, whether other threads may run."""
+
+    function: Callable
+    takes: tuple[Array | Number, ...]
+    returns: bool
+    nogil: bool
+
+    @property
+    def name(self) -> str:
+        """"module__function", unique among all kernels."""
+        return f"{self.function.__module__.rpartition('.')[2]}__{self.function.__name__}"

@@ -1,0 +1,14 @@
+"""Which sources a library of kernels was built from."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+
+def source_digest(folder: Path = Path(__file__).parent) -> str:
+    """Digest of all sources of kernels: their names and contents."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode() + path.read_bytes() + b"\0")
+    return digest.hexdigest()
