@@ -118,7 +118,10 @@ class Emitter:
     def object(self) -> bytes:
         """All that was added, as one object."""
         cpu, features = os.environ["NUMBA_CPU_NAME"], os.environ["NUMBA_CPU_FEATURES"]
-        machine = llvm.Target.from_default_triple().create_target_machine(
+        triple = llvm.get_default_triple()
+        if sys.platform == "darwin":
+            triple = f"{triple.partition('-')[0]}-apple-macosx{os.environ['MACOSX_DEPLOYMENT_TARGET']}"
+        machine = llvm.Target.from_triple(triple).create_target_machine(
             cpu=cpu, features=features, opt=3, reloc="pic", codemodel="default"
         )
         for function in self.whole.functions:

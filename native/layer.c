@@ -12,10 +12,12 @@
 
 #if defined(_WIN32)
 #define HIDDEN
+#define CAN_GUARD 0
 #else
 #include <sys/mman.h>
 #include <unistd.h>
 #define HIDDEN __attribute__((visibility("hidden")))
+#define CAN_GUARD 1
 #endif
 
 /* ------------------------------------------------------------------------------------------ guarded memory
@@ -84,9 +86,9 @@ static PyObject *wrong_count(const Called *called, Py_ssize_t given) {
 static PyObject *wrong_kind(const Called *called, int which, const char *kind) {
     return PyErr_Format(PyExc_TypeError, "%s: %s must be %s", called->kernel, called->names[which], kind);
 }
-static PyObject *wrong_length(const Called *called, int which, int axis, npy_intp is, npy_intp expected) {
-    return PyErr_Format(PyExc_ValueError, "%s: axis %d of %s has length %zd, not %zd", called->kernel, axis,
-                        called->names[which], (Py_ssize_t)is, (Py_ssize_t)expected);
+static PyObject *wrong_length(const Called *called, int which, int axis, npy_intp is, npy_intp expected, const char *or_) {
+    return PyErr_Format(PyExc_ValueError, "%s: axis %d of %s has length %zd, not %zd%s", called->kernel, axis,
+                        called->names[which], (Py_ssize_t)is, (Py_ssize_t)expected, or_);
 }
 static inline int fits(PyObject *o, int type, int axes, int written, Given *to) {
     if (!PyArray_Check(o)) return 0;
@@ -116,19 +118,23 @@ static inline int64_t whole(PyObject *o) {
     return number;
 }
 /* Copies to guarded memory before a call, and back after it. */
+static void guard_out(Given *given, int count) {
+    for (int i = 0; i < count; i++) {
+        if (given[i].written) memcpy(given[i].own, given[i].data, given[i].size);
+        unguard(given[i].data, given[i].size);
+    }
+}
 static int guard_in(Given *given, int count) {
     for (int i = 0; i < count; i++) {
         given[i].own = given[i].data;
-        if (!(given[i].data = guarded(given[i].size))) return 0;
+        given[i].data = guarded(given[i].size);
+        if (!given[i].data) {
+            guard_out(given, i);
+            return 0;
+        }
         memcpy(given[i].data, given[i].own, given[i].size);
     }
     return 1;
-}
-static void guard_out(Given *given, int count) {
-    for (int i = 0; i < count; i++) {
-        if (given[i].data && given[i].written) memcpy(given[i].own, given[i].data, given[i].size);
-        if (given[i].data && given[i].own) unguard(given[i].data, given[i].size);
-    }
 }
 
 /* ------------------------------------------------------------------------------------------ processors

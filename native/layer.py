@@ -16,12 +16,12 @@ def is_array(taken: dict[str, Any]) -> bool:
     return "shape" in taken
 
 
-def source(kernels: list[dict[str, Any]], variants: list[str], digest: str) -> str:
+def source(kernels: list[dict[str, Any]], variants: list[str], digest: str, builder: str) -> str:
     """The whole C source. kernels: name, label, names and what they take, as `emit` writes them; best variant first."""
     parts = [(Path(__file__).parent / "layer.c").read_text()]
     for kernel in kernels:
         parts += [*prototypes(kernel, variants), *function(kernel)]
-    return "\n".join([*parts, *table(kernels), *choice(kernels, variants), module(digest), ""])
+    return "\n".join([*parts, *table(kernels), *choice(kernels, variants), module(digest, builder), ""])
 
 
 def parameters(kernel: dict[str, Any]) -> str:
@@ -94,19 +94,24 @@ def lengths(takes: list[dict[str, Any]], arrays: list[int]) -> Iterator[str]:
         if isinstance(length, str):
             either, _, letter = length.rpartition("|")
             letter, _, more = letter.partition("+")
-            if letter == "_" or known[letter] == here:
+            if letter == "_" or known.get(letter) == here:
                 continue
+            if letter not in known:
+                raise ValueError(f"argument {i}: length {length!r}, but no axis has the length {letter!r}")
             expected = known[letter] + (f" + {more}" if more else "")
             also = f" && {here} != {either}" if either else ""
-        yield f"    if ({here} != {expected}{also}) return wrong_length(called, {i}, {j}, {here}, {expected});"
+        hint = f'" or {either}"' if either else '""'
+        yield f"    if ({here} != {expected}{also}) return wrong_length(called, {i}, {j}, {here}, {expected}, {hint});"
 
 
 def table(kernels: list[dict[str, Any]]) -> Iterator[str]:
     """The list of functions."""
     yield "static PyObject *use(PyObject *self, PyObject *name);"
     yield "static PyObject *variant(PyObject *self, PyObject *none);"
+    yield "static PyObject *maker(PyObject *self, PyObject *shape);"
     yield "static PyMethodDef methods[] = {"
     yield '    {"use", use, METH_O, "Run the kernels of this variant from now on."},'
+    yield '    {"maker", maker, METH_O, "A function that makes float64 arrays of this shape."},'
     yield '    {"variant", variant, METH_NOARGS, "The variant that runs."},'
     for kernel in kernels:
         label = kernel["name"]
@@ -128,6 +133,6 @@ def choice(kernels: list[dict[str, Any]], variants: list[str]) -> Iterator[str]:
     yield "    }\n}"
 
 
-def module(digest: str) -> str:
+def module(digest: str, builder: str) -> str:
     """The functions of the module itself, and the module."""
-    return (Path(__file__).parent / "module.c").read_text().replace("@DIGEST@", digest)
+    return (Path(__file__).parent / "module.c").read_text().replace("@DIGEST@", digest).replace("@BUILDER@", builder)

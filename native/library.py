@@ -10,6 +10,7 @@ platform, or names of variants ("v2,v3"). CC names a C compiler; without one the
 from __future__ import annotations
 
 import ast
+import hashlib
 import json
 import os
 import platform
@@ -21,6 +22,7 @@ import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,9 @@ VARIABLE, RELEASE = "KEMPE_BUILD", "release"
 PROCESSES = 2
 GLIBC = "2.17"
 """The oldest C library of Linux on which a released library runs."""
+
+MACOS = "11.0"
+"""The oldest macOS on which the library runs."""
 
 X86 = {
     "v4": ("x86-64-v4", "+avx512f,-prefer-256-bit", "avx512f avx512bw avx512cd avx512dq avx512vl"),
@@ -54,10 +59,15 @@ def variants() -> dict[str, tuple[str, str, str]]:
     raise BuildError(f"kernels are compiled for x86-64 and arm64, not for {platform.machine()}")
 
 
+def is_release() -> bool:
+    """Whether the library is for all processors of the platform, and on Linux for old systems."""
+    return os.environ.get(VARIABLE) == RELEASE
+
+
 def asked() -> list[str]:
     """The variants to build, the best first."""
     known, wish = variants(), os.environ.get(VARIABLE, "")
-    if wish == RELEASE:
+    if is_release():
         return list(known)
     if wish:
         names = [name.strip() for name in wish.split(",")]
@@ -117,6 +127,8 @@ def emit(variant: str, modules: list[str], out: Path) -> dict[str, Any]:
     """The object of one process, and what is known of its kernels."""
     cpu, features, _ = variants()[variant]
     env = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "KEMPE_"))}
+    if sys.platform == "darwin":
+        env["MACOSX_DEPLOYMENT_TARGET"] = MACOS
     env |= {"NUMBA_CPU_NAME": cpu, "NUMBA_CPU_FEATURES": features, "PYTHONHASHSEED": "0"}
     done = subprocess.run(
         [sys.executable, str(HERE / "emit.py"), variant, str(out), *modules], env=env, capture_output=True, text=True
@@ -129,11 +141,14 @@ def emit(variant: str, modules: list[str], out: Path) -> dict[str, Any]:
 # ---------------------------------------------------------------------------------------------- the C compiler
 
 
+def _zig() -> list[str]:
+    return [sys.executable, "-m", "ziglang", "cc"]
+
+
 def compiler() -> list[str]:
     """The command of a C compiler: the system's; for what is released on Linux, or where there is none, Zig's."""
-    zig = [sys.executable, "-m", "ziglang", "cc"]
-    if sys.platform == "linux" and os.environ.get(VARIABLE) == RELEASE:
-        return [*zig, "-target", f"{platform.machine()}-linux-gnu.{GLIBC}"]
+    if sys.platform == "linux" and is_release():
+        return [*_zig(), "-target", f"{platform.machine()}-linux-gnu.{GLIBC}"]
     if sys.platform != "win32":  # there it would be a compiler with another command line
         given = os.environ.get("CC", "").split()
         if given:
@@ -141,7 +156,7 @@ def compiler() -> list[str]:
         for name in ("cc", "gcc", "clang"):
             if shutil.which(name):
                 return [name]
-    return zig
+    return _zig()
 
 
 def requirements() -> list[str]:
@@ -152,6 +167,8 @@ def requirements() -> list[str]:
 def _link(sources: list[Path], out: Path) -> None:
     import numpy
 
+    if "ziglang" in compiler() and find_spec("ziglang") is None:
+        raise BuildError("there is no C compiler: install one, or the package ziglang (pip install ziglang)")
     include = Path(sysconfig.get_path("include"))
     if not (include / "Python.h").is_file():
         raise BuildError(
@@ -189,6 +206,22 @@ def digest() -> str:
     return source_digest(KERNELS)
 
 
+def is_current() -> bool:
+    """Whether the checkout has a library of its sources, by this builder, for what is asked."""
+    code = "from kempe.kernels import _native; print(_native.DIGEST, _native.BUILDER, *_native.VARIANTS)"
+    env = os.environ | {"PYTHONPATH": str(HERE.parent / "src")}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
+    return done.returncode == 0 and done.stdout.split() == [digest(), builder(), *asked()]
+
+
+def builder() -> str:
+    """Digest of the sources of this builder."""
+    found = hashlib.sha256()
+    for path in sorted([*HERE.glob("*.py"), *HERE.glob("*.c")]):
+        found.update(path.read_bytes())
+    return found.hexdigest()
+
+
 def say(text: str) -> None:
     """Print a line at once: a build takes a while."""
     print(text, flush=True)
@@ -210,7 +243,7 @@ def build(folder: Path) -> Path:
             say(f"  {row['label']:38}{row['seconds']:6.1f} s {row['bytes']:8} bytes")
         from layer import source
 
-        (work / "native.c").write_text(source(kernels, names, before))
+        (work / "native.c").write_text(source(kernels, names, before, builder()))
         linked = work / library_name()
         _link([work / "native.c", *(job[2] for job in jobs)], linked)
         if digest() != before:

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from kempe.model.system import System
 __version__ = "0.1.0"
 __all__ = [
     "KempeError", "Mechanism", "System", "errors", "from_dh", "from_screws", "load", "read", "spatial",
-    "tasks", "warmup",
+    "tasks",
 ]  # fmt: skip
 
 
@@ -55,40 +54,3 @@ def __getattr__(name: str) -> Any:
 
         return tasks
     raise AttributeError(f"module 'kempe' has no attribute {name!r}")
-
-
-def warmup() -> float:
-    """Seconds spent to compile, for this machine and once, all kernels; later calls and processes load them.
-
-    Where there is more than one processor, a second process compiles half of them.
-    """
-    import os
-    import subprocess
-    import sys
-    import time
-
-    start = time.perf_counter()
-    from kempe.kernels import _jit
-
-    helper = None
-    if sys.executable and (os.cpu_count() or 1) > 1 and _jit.cache_folder() is not None:
-        code = f"import sys; sys.path[:] = {sys.path!r}; import {', '.join(_ANALYTIC)}"
-        helper = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "KEMPE_QUIET": "1"})
-    import kempe.analysis.local
-    import kempe.kernels.closest
-    import kempe.kernels.dyads
-    import kempe.kernels.solve
-    import kempe.kinematics.forward
-    import kempe.solvers.assembly
-    import kempe.solvers.inverse
-    import kempe.solvers.tasks  # noqa: F401
-
-    if helper is not None:
-        helper.wait()
-    for name in _ANALYTIC:  # loads them, or compiles what the other process could not
-        import_module(name)
-    return time.perf_counter() - start
-
-
-_ANALYTIC = [f"kempe.kernels.{name}" for name in ("all_solutions", "closed_blocks", "elimination_score", "general")]
-"""Kernels of the closed-form inverse models: half of the time that all take."""

@@ -8,11 +8,9 @@ import numpy as np
 from primitive_tables import Row, Table, pose
 from scipy.spatial.transform import Rotation
 
-from kempe.kernels.closest import approach
+from kempe.kernels import compiled
 from kempe.kernels.layout import BALL, SLIDE, TURN
-from kempe.kernels.search import reach
 from kempe.kernels.search_layout import ANSWER, STATUS
-from kempe.kernels.solve import reach_one_by_one
 
 POSE, POSITION, PLANAR, POINT = (1, 1, 1, 1, 1, 1), (1, 1, 1, 0, 0, 0), (1, 1, 0, 0, 0, 1), (1, 1, 0, 0, 0, 0)
 ORIENTATION, DIRECTION, POSITION_AXIS = (0, 0, 0, 1, 1, 1), (0, 0, 0, 1, 1, 1, 1), (1, 1, 1, 1, 1, 1, 1)
@@ -77,8 +75,8 @@ def solve(
         length, out,
     )  # fmt: skip
     balls = any(r.kind == BALL for r in chain.table.rows)
-    if (reach_one_by_one if balls or slow else reach)(*arguments):
-        approach(*arguments)
+    if (compiled.solve.reach_one_by_one if balls or slow else compiled.search.reach)(*arguments):
+        compiled.closest.approach(*arguments)
     missed = int((out[:, nq + STATUS] != 0).sum())
     q, residual, info = out[:, :nq].copy(), out[:, nq : nq + STATUS].copy(), out[:, nq + STATUS :].astype(np.int64)
     return Answers(missed, q, residual, *info.T.copy())

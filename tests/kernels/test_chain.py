@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from primitive_tables import Row, Table, all_forms, random_pose, random_table
 
-from kempe.kernels.chain import chain_poses
+from kempe.kernels.compiled import chain
 from kempe.kernels.layout import BALL, GENERAL, RX, RX_FLAT, SLIDE, TURN
 
 SIZES = (0, 1, 7, 8, 9, 63, 64, 65, 200)
@@ -10,7 +10,7 @@ SIZES = (0, 1, 7, 8, 9, 63, 64, 65, 200)
 
 def swept(table, q):
     out = np.full((len(q), 4, 4), 7.0)
-    return chain_poses(*table.pack(), q, out), out
+    return chain.chain_poses(*table.pack(), q, out), out
 
 
 def expected(table, q):

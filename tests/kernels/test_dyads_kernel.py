@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kempe.kernels import dyads
 from kempe.kernels import dyads_layout as K
+from kempe.kernels.compiled import dyads
 from kempe.solvers.decompose import Code
 
 SIZES = (0, 1, 7, 8, 9, 63, 64, 65)
@@ -131,7 +131,3 @@ def test_lanes_do_not_depend_on_each_other():
     assert abs(q[19, 1] - np.arctan2(np.sin(1e12), np.cos(1e12))) < 1e-15
     rest = np.setdiff1d(np.arange(20), [2, 9, 19])
     assert np.array_equal(q[rest], clean[0][rest]) and np.array_equal(status[rest], clean[1][rest])
-
-
-def test_one_signature():
-    assert len(dyads.solve.signatures) == 1

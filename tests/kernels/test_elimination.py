@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from kempe.kernels.analytic_layout import FORMULATIONS
-from kempe.kernels.elimination import CANDIDATES, ODD
-from kempe.kernels.elimination_batch import eliminate_each
-from kempe.kernels.elimination_score import score
+from kempe.kernels.compiled import elimination_batch, elimination_score
 from kempe.kernels.layout import SLIDE
+
+CANDIDATES, ODD = 24, 1
+"""Room for the candidates of a goal, and the bit of doubt for an odd number of them."""
 
 PI = np.pi
 NEARLY_SINGULAR = 1e-5
@@ -147,7 +148,7 @@ def postures(n, seed=0, kinds=TURNS) -> np.ndarray:
 def best_forms(lines, kinds=TURNS) -> list[int]:
     """Formulations with a score, best first."""
     scores = np.empty(FORMULATIONS)
-    useful = score(kinds, lines, scores)
+    useful = elimination_score.score(kinds, lines, scores)
     assert useful == (scores > 0).sum() and (scores <= 1.0).all()
     return [int(f) for f in np.argsort(-scores, kind="stable") if scores[f] > 0.0]
 
@@ -156,7 +157,8 @@ def run(lines, goals, formulation, kinds=TURNS):
     """Thetas (N, CANDIDATES, 6), NaN where there is none, and suspects (N,)."""
     n = len(goals)
     thetas, counts, suspects = np.full((n, CANDIDATES, 6), np.nan), np.empty(n, np.int64), np.empty(n, np.int64)
-    assert eliminate_each(kinds, lines, goals, formulation, thetas, counts, suspects) == (suspects != 0).sum()
+    found = elimination_batch.eliminate_each(kinds, lines, goals, formulation, thetas, counts, suspects)
+    assert found == (suspects != 0).sum()
     assert np.array_equal(np.isfinite(thetas).all(axis=2), np.arange(CANDIDATES) < counts[:, None])
     assert np.array_equal(counts % 2 == 1, suspects & ODD != 0)
     return thetas, suspects

@@ -7,11 +7,10 @@ import pytest
 from primitive_tables import pose, random_pose, random_table
 from scipy.linalg import expm
 
-from kempe.kernels.jet import jets
+from kempe.kernels.compiled import jet, project
 from kempe.kernels.jet_layout import POSE_SIZE, scratch_width
 from kempe.kernels.layout import BALL, SLIDE, TURN
 from kempe.kernels.loop_layout import ALIGN, ANGLE, CROSS, DISTANCE, FULL, LINEAR, NO_TURN
-from kempe.kernels.project import project
 
 ORDER = 8
 RADIUS, POINTS = 0.15, 48
@@ -91,7 +90,7 @@ def run(table, ties, numbers, m, q, v, steps=((0, ORDER),)):
     poses, extra = np.zeros((n, n_rows, depth, POSE_SIZE)), np.zeros((n, n_rows, depth, scratch_width(depth - 1)))
     frames, out = np.zeros((n, len(table.outputs), depth, 12)), np.zeros((n, depth, m))
     for first, last in steps:
-        jets(ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, out)
+        jet.jets(ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, out)
     return frames, out
 
 
@@ -205,8 +204,10 @@ def projected(table, ties, numbers, m, places, start, centers, radius, iteration
     """Points, their residual, distance and iterations, the equations and their Jacobian there."""
     n, out = len(start), start.copy()
     info, value, J = np.zeros((n, 3)), np.zeros((n, m)), np.zeros((n, m, table.nv))
-    project(*table.pack(), ties, numbers, places, np.ones(table.nv), centers, out, np.full(n, radius), iterations, 0.2,
-            info, value, J)  # fmt: skip
+    project.project(
+        *table.pack(), ties, numbers, places, np.ones(table.nv), centers, out, np.full(n, radius), iterations, 0.2,
+        info, value, J,
+    )  # fmt: skip
     return out, info, value, J
 
 

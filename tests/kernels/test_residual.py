@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from chain_problems import DIRECTION, ORIENTATION, POSE, POSITION, POSITION_AXIS, distance, floating_arm, limited
-from numba import types
 from primitive_tables import pose, random_table
 from scipy.spatial.transform import Rotation
 
-from kempe.kernels._jit import F1, F2, F3, I1, OUT1, OUT2, kernel
+from kempe.kernels._jit import kernel
+from kempe.kernels.declare import OUT, F, I
 from kempe.kernels.job import aim, count_columns, job_floats, job_ints, job_of
 from kempe.kernels.layout import SLIDE, TURN
 from kempe.kernels.nearest import fill_hessian
@@ -19,7 +19,10 @@ from kempe.kernels.vectors import keep, raw
 LENGTH = 0.7
 
 
-@kernel(types.void(I1, F1, F2, I1, F3, F3, OUT2, OUT1, OUT2, OUT2))
+@kernel(
+    I("_"), F("_"), F(2, "nv"), I("_"), F(1, 4, 4), F(1, 1, "nq"), OUT("_", "_"), OUT(6), OUT(6, "nv"), OUT("nv", "nv"),
+    returns=False,
+)  # fmt: skip
 def probe(ints, floats, limits, task, targets, q, out, e, J, H):
     """Error (6,), Jacobian (6, nv) and Hessian (nv, nv) at one configuration q (1, 1, nq)."""
     columns, nq, nv = count_columns(raw(ints)), ints[2], ints[3]

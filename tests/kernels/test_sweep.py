@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 from primitive_tables import Row, Table, pose, random_pose, random_table
 
-from kempe.kernels import bound
-from kempe.kernels.layout import BALL, BODY, SLIDE, TURN, WORLD, WORLD_ALIGNED
-from kempe.kernels.sweep import jacobian, poses, poses1
+from kempe.kernels.compiled import bound, sweep
+from kempe.kernels.layout import BALL, BODY, SLIDE, TURN, WORLD, WORLD_ALIGNED, fuse
 
 FRAMES = (WORLD_ALIGNED, WORLD, BODY)
 SIZES = (0, 1, 2, 5, 8, 13, 40)
@@ -12,12 +11,12 @@ SIZES = (0, 1, 2, 5, 8, 13, 40)
 
 def all_poses(table, q):
     out = np.full((len(q), len(table.outputs), 4, 4), 7.0)
-    return poses(*table.pack(), q, out), out
+    return sweep.poses(*table.pack(), q, out), out
 
 
 def all_jacobians(table, q, frame):
     T, J = np.full((len(q), 4, 4), 7.0), np.full((len(q), 6, table.nv), 7.0)
-    return jacobian(*table.pack(), q, frame, T, J), T, J
+    return sweep.jacobian(*table.pack(), q, frame, T, J), T, J
 
 
 def close(a, b, scale=1.0):
@@ -34,8 +33,8 @@ def test_poses_of_random_tables(n_rows, chain):
     assert bad == 0 and close(out, np.array([table.poses(x) for x in q]))
     single = np.empty(out.shape[1:])
     for i, x in enumerate(q):
-        assert poses1(*table.pack(), x, single) == 0 and np.array_equal(single, out[i])
-        assert bound.pose(bound.fuse(*table.pack()), x, single[0]) == 0 and close(single[0], out[i, 0])
+        assert sweep.poses1(*table.pack(), x, single) == 0 and np.array_equal(single, out[i])
+        assert bound.pose(fuse(*table.pack()), x, single[0]) == 0 and close(single[0], out[i, 0])
 
 
 @pytest.mark.parametrize("frame", FRAMES)
@@ -49,9 +48,9 @@ def test_jacobians_of_random_tables(n_rows, chain, frame):
     assert bad == 0 and close(T, np.array([table.poses(x)[0] for x in q]))
     assert close(J, np.array([table.jacobian(x, frame) for x in q]), 100.0)
     T1, J1 = np.empty((4, 4)), np.empty((6, table.nv))
-    assert bound.pose_jacobian(bound.fuse(*table.pack(), frame), q[0], T1, J1) == 0
+    assert bound.pose_jacobian(fuse(*table.pack(), frame), q[0], T1, J1) == 0
     only = np.empty_like(J1)
-    assert bound.jacobian(bound.fuse(*table.pack(), frame), q[0], only) == 0 and np.array_equal(only, J1)
+    assert bound.jacobian(fuse(*table.pack(), frame), q[0], only) == 0 and np.array_equal(only, J1)
     assert np.array_equal(T1, T[0]) and np.array_equal(J1, J[0])
 
 
@@ -62,12 +61,12 @@ def test_jacobians_are_derivatives_of_poses_on_the_manifold(seed, frame):
     table = random_table(rng, 6, chain=True, particles=seed == 0)
     packed, q, h = table.pack(), table.random_q(rng, 1)[0], 1e-6
     T, J = np.empty((4, 4)), np.empty((6, table.nv))
-    bound.pose_jacobian(bound.fuse(*packed, frame), q, T, J)
+    bound.pose_jacobian(fuse(*packed, frame), q, T, J)
     p, R = T[:3, 3], T[:3, :3]
     there, back = np.empty((4, 4)), np.empty((4, 4))
     for i, v in enumerate(np.eye(table.nv)):
-        bound.pose(bound.fuse(*packed), table.moved(q, h * v), there)
-        bound.pose(bound.fuse(*packed), table.moved(q, -h * v), back)
+        bound.pose(fuse(*packed), table.moved(q, h * v), there)
+        bound.pose(fuse(*packed), table.moved(q, -h * v), back)
         rate = (there - back) / (2 * h)
         W = rate[:3, :3] @ R.T
         linear, angular = rate[:3, 3], np.array([W[2, 1], W[0, 2], W[1, 0]])
@@ -125,10 +124,10 @@ def test_bad_coordinates_spoil_what_depends_on_them_and_nothing_else(value):
         assert np.array_equal(out[:, :, 3], np.broadcast_to([0.0, 0, 0, 1], out[:, :, 3].shape))
         assert not np.isnan(out[[0, 2]]).any()
         T, J = np.empty((4, 4)), np.empty((6, table.nv))
-        assert bound.pose_jacobian(bound.fuse(*table.pack(), WORLD_ALIGNED), q, T, J) == int(spoilt[0])
+        assert bound.pose_jacobian(fuse(*table.pack(), WORLD_ALIGNED), q, T, J) == int(spoilt[0])
         assert np.isnan(T[:3]).all() == np.isnan(J).all() == spoilt[0]
         assert np.isnan(T[:3]).any() == np.isnan(J).any() == spoilt[0]
-        assert bound.pose(bound.fuse(*table.pack()), q, T) == int(spoilt[0])
+        assert bound.pose(fuse(*table.pack()), q, T) == int(spoilt[0])
 
 
 def test_the_gauge_keeps_far_turns_exact():

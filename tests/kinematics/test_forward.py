@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from kempe import Mechanism, System, spatial
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels import bound
+from kempe.kernels.compiled import bound
+from kempe.kernels.layout import fuse
 from kempe.kinematics.forward import SERIAL_BELOW
 from kempe.model.table import local_chain
 
@@ -86,7 +87,7 @@ def test_a_chain_alone_is_the_chain_in_its_system(graph: Graph, seed):
     for name in s.body_names:
         table, to_q, to_v = local_chain(s.table, name)
         pose, columns = np.empty((4, 4)), np.zeros((6, table.nv))
-        assert bound.pose(bound.fuse(*table.pack([name])), q[to_q], pose) == 0
+        assert bound.pose(fuse(*table.pack([name])), q[to_q], pose) == 0
         np.testing.assert_allclose(pose, s.fk(q, name), rtol=0, atol=1e-14)
         whole = s.jacobian(q, name)
         others = np.setdiff1d(np.arange(s.nv), to_v)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from kempe import Mechanism
 from kempe.errors import DescriptionError
 from kempe.joints import P, Q, R, joint_type
-from kempe.kernels import sweep
+from kempe.kernels.compiled import sweep
 from kempe.kinematics.constraints import coordinate_value
 from kempe.model.coordinates import Follower, relation_text
 

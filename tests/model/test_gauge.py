@@ -4,9 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from primitive_tables import Row, Table, pose, random_pose, random_table, turn_x, turn_z
 
-from kempe.kernels.chain import chain_poses
+from kempe.kernels.compiled import chain, sweep
 from kempe.kernels.layout import BALL, FORM, GENERAL, HEADER, IS_CHAIN, RX, RX_FLAT, SLIDE, TURN
-from kempe.kernels.sweep import jacobian
 from kempe.model.gauge import regauge, split_turns
 
 
@@ -25,9 +24,9 @@ def differences(table, n=40):
     results = []
     for packed in (before, after):
         T, J = np.empty((n, 4, 4)), np.empty((n, 6, table.nv))
-        jacobian(*packed, q, 0, T, J)
+        sweep.jacobian(*packed, q, 0, T, J)
         C = np.empty((n, 4, 4))
-        chain_poses(*packed, q, C)
+        chain.chain_poses(*packed, q, C)
         results += [(T, J, C)]
     return after[0], [np.abs(a - b).max() / size for a, b in zip(*results, strict=True)]
 

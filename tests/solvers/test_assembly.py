@@ -71,7 +71,7 @@ def test_perturbed_mechanisms_close(name, sigma):
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_convergence_is_quadratic(name):
     """Near the closed set each step squares the residual, redundant equations or not."""
-    from kempe.kernels import assembly as kernel
+    from kempe.kernels.compiled import assembly as kernel
 
     s = kempe.load(name)
     b = Assembler(s, ())

@@ -18,6 +18,7 @@ from kempe.analysis.continuation import (
     step,
 )
 from kempe.analysis.crossings import AHEAD, crossing, locate, singular_node
+from kempe.kinematics.roots import sign_change
 from kempe.spatial import Array
 
 LEAST_STEP = 1e-6
@@ -82,8 +83,6 @@ def root(
     equations: Closure, a: Node, b: Node, function: Callable[[Node], float], low: float = 0.0, high: float | None = None
 ) -> Node | None:
     """The node between two neighbours where `function` of it, of different signs at both ends, is zero."""
-    from scipy.optimize import brentq
-
     end = float(a.t @ equations.between(a.x, b.x)) if high is None else high
     found: dict[float, Node] = {}
 
@@ -94,9 +93,9 @@ def root(
         found[distance] = here
         return function(here)
 
-    if not at(low) * at(end) < 0.0:
+    distance = sign_change(at, low, end)
+    if distance is None:
         return min(found.values(), key=lambda n: abs(function(n)), default=None)
-    distance = float(brentq(at, low, end, xtol=1e-15, rtol=1e-15, maxiter=100))  # type: ignore[arg-type]
     return found.get(distance) or inside(equations, a, b, distance)
 
 

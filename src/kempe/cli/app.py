@@ -108,11 +108,13 @@ def load(file: str, *options: Any) -> System:
 @app.callback(invoke_without_command=True)
 def main_options(
     context: typer.Context,
-    version: Annotated[bool, option("--version", "Print the version.")] = False,
+    version: Annotated[bool, option("--version", "Print the version, and which kernels run.")] = False,
 ) -> None:
     """Kinematics of mechanisms: where bodies are, what reaches a pose, how closed loops move."""
     if version:
-        print(f"kempe {__version__}")
+        from kempe.kernels.compiled import VARIANT
+
+        print(f"kempe {__version__}, kernels {VARIANT}")
     elif context.invoked_subcommand is None:
         print(context.get_help())
     else:

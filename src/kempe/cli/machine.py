@@ -62,16 +62,3 @@ def bench(
             show(report.measured(table))
     if json:
         print_json({"machine": benchmark.peers.machine(), "tables": [t.data() for t in tables]})
-
-
-@app.command(rich_help_panel=REST)
-@guarded
-def warmup(json: Json = False) -> None:
-    """Compile all kernels now, so that no later call has to wait."""
-    import kempe
-
-    seconds = kempe.warmup()
-    if json:
-        print_json({"seconds": seconds})
-    else:
-        print(f"all kernels are ready ({seconds:.1f} s)")

@@ -12,8 +12,12 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
+from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
+
+import numpy as np
 
 from kempe.errors import KernelsError
 from kempe.kernels.digest import source_digest
@@ -31,21 +35,24 @@ def _library() -> Any:
     """The library of kernels, at the variant that is wanted; None where to compile. Errors: `KernelsError`."""
     wanted = os.environ.get(VARIABLE, "")
     if wanted == JIT:
-        return None
-    if importlib.util.find_spec("kempe.kernels._native") is None:
+        why = f"{VARIABLE} is {JIT!r}"
+    elif importlib.util.find_spec("kempe.kernels._native") is None:
         why = "the kernels of this installation are not compiled"
     else:
         try:
             from kempe.kernels import _native
         except ImportError as error:
-            raise KernelsError(f"the library of kernels cannot be loaded: {error}; {_HELP}") from error
+            how = f"{_HELP} and set {VARIABLE}={JIT}"
+            raise KernelsError(f"the library of kernels cannot be loaded: {error}; {how}") from error
         if _native.DIGEST == source_digest():
             _native.use(_chosen(_native.VARIANTS, wanted))
             return _native
         why = "the sources of the kernels were edited after they were compiled"
     if importlib.util.find_spec("numba") is None:
-        raise KernelsError(f"{why}; {_HELP}")
-    if not os.environ.get("KEMPE_QUIET"):
+        raise KernelsError(f"{why}, but there is no Numba; {_HELP}" if wanted == JIT else f"{why}; {_HELP}")
+    if wanted not in ("", JIT):
+        raise KernelsError(f"{VARIABLE} is {wanted!r}, but {why}; {_HELP}")
+    if wanted != JIT and not os.environ.get("KEMPE_QUIET"):
         print(f"kempe: {why}; compiling what is used in this process ...", file=sys.stderr, flush=True)
     return None
 
@@ -84,3 +91,7 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module(f"kempe.kernels.{name}")
     raise AttributeError(f"there are no kernels {name!r}")
 
+
+def maker(*shape: int) -> Callable[[], np.ndarray]:
+    """A function that makes new float64 arrays (shape), their entries unset; faster than `numpy.empty`."""
+    return partial(np.empty, shape) if _native is None else _native.maker(shape)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels.compiled import bound, chain, sweep
+from kempe.kernels.compiled import bound, chain, maker, sweep
 from kempe.kernels.layout import BODY, WORLD, WORLD_ALIGNED, fuse
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
@@ -25,8 +25,6 @@ CHUNK = 16384
 """Configurations in one piece of work of a thread."""
 IN_FRAMES = {"world_aligned": WORLD_ALIGNED, "world": WORLD, "body": BODY}
 """Frames in which a Jacobian can be expressed, with the number that the kernels use."""
-
-_POSE, _empty = (4, 4), np.empty
 
 
 class Query(Protocol):
@@ -63,15 +61,16 @@ def query(system: System, frame: FrameLike) -> Query:
     """
     name = system.frame_name(frame)
     chain_of = _Chain(system, name)
-    tables, size = chain_of.tables, (6, system.nv)
-    table, table_in = tables["world_aligned"], tables.get
+    new_pose, new_columns = maker(4, 4), maker(6, system.nv)
+    tables, usual = chain_of.tables, "world_aligned"
+    table, table_in = tables[usual], tables.get
     pose_kernel, jacobian_kernel, both_kernel = bound.pose, bound.jacobian, bound.pose_jacobian
 
     def pose(q: Any, out: Any = None, threads: int | None = None) -> Array:
         try:
             if q.ndim == 1:
                 if out is None:
-                    out = _empty(_POSE)
+                    out = new_pose()
                 if not pose_kernel(table, q, out):
                     return out
         except (TypeError, AttributeError):
@@ -82,8 +81,8 @@ def query(system: System, frame: FrameLike) -> Query:
         try:
             if q.ndim == 1:
                 if out is None:
-                    out = _empty(size)
-                if not jacobian_kernel(table_in(in_frame), q, out):
+                    out = new_columns()
+                if not jacobian_kernel(table if in_frame is usual else table_in(in_frame), q, out):
                     return out
         except (TypeError, AttributeError):
             pass
@@ -92,8 +91,8 @@ def query(system: System, frame: FrameLike) -> Query:
     def pose_and_jacobian(q: Any, in_frame: str = "world_aligned", threads: int | None = None) -> tuple[Array, Array]:
         try:
             if q.ndim == 1:
-                X, J = _empty(_POSE), _empty(size)
-                if not both_kernel(table_in(in_frame), q, X, J):
+                X, J = new_pose(), new_columns()
+                if not both_kernel(table if in_frame is usual else table_in(in_frame), q, X, J):
                     return X, J
         except (TypeError, AttributeError):
             pass

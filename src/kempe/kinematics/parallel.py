@@ -14,8 +14,17 @@ from kempe.errors import InputError
 _lock = threading.Lock()
 _pools: dict[int, ThreadPoolExecutor] = {}
 
+
+
+def _begin_anew() -> None:
+    """A child process has neither the threads of its parent, nor the one that may have held the lock."""
+    global _lock
+    _lock = threading.Lock()
+    _pools.clear()
+
+
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pools.clear)
+    os.register_at_fork(after_in_child=_begin_anew)
 
 
 def processors() -> int:
@@ -33,7 +42,8 @@ def over_chunks(work: Callable[[int, int], int], count: int, chunk: int, threads
         raise InputError(f"threads is {threads!r}; it must be None (all processors) or a whole number, at least 1")
     n = 1 if count < serial_below else min(int(threads or processors()), -(-count // chunk))
     if n == 1:
-        return work(0, count)
+        piece = max(chunk, serial_below)  # between two of them Python sees an interrupt
+        return sum(work(i, min(i + piece, count)) for i in range(0, max(count, 1), piece))
     starts = iter(range(0, count, chunk))
 
     def take_chunks() -> int:

@@ -161,8 +161,7 @@ class System(Compiled):
         """A configuration that reaches a target or holds tasks; see `solvers.inverse.ik` and `solvers.tasks.reach`."""
         if frame.__class__ is str and target.__class__ is np.ndarray and (not options or options.keys() == {"task"}):
             bound = self._queries.get(("one", frame, str(options["task"]) if options else "None", target.ndim))
-            answer = bound(target, seed) if bound is not None else None
-            if answer is not None:
+            if bound is not None and (answer := bound(target, seed)) is not None:
                 return answer
         if frame is None:
             from kempe.solvers.tasks import reach

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, NoSolutionError
-from kempe.kernels.compiled import search
+from kempe.kernels.compiled import maker, search
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, ROTATION_TOLERANCE, STATUS
 from kempe.kinematics.configuration import as_q
@@ -198,7 +198,8 @@ class Bound:
         self.plain = system.nq == system.nv == len(system.layout.vector_q)
         """Whether entry i of q and of the limits belong together."""
         self.lower, self.upper, self.unmoved = system.lower, system.upper, np.eye(4)[None]
-        self.shape, self.posed = shape, len(shape) == 2
+        self.shape, self.posed, self.new = shape, len(shape) == 2, maker(1, self.size + ANSWER)
+        self.reach, self.base, self.no_seed = search.reach, self.chain.base[0], self.chain.no_seed
 
     def task(self, X: Array) -> Task:
         """What was asked, for poses (1, 4, 4)."""
@@ -212,26 +213,31 @@ class Bound:
 
     def __call__(self, target: Array, seed: Any) -> Solution | None:
         """The answer for a target, None where target or seed want the careful path."""
-        if target.shape != self.shape or target.dtype != np.float64 or not target.flags.c_contiguous:
+        if target.shape != self.shape:
             return None
         chain, n = self.chain, self.size
         if seed is None:
-            base, seeds = chain.base[0], chain.no_seed
+            base, seeds = self.base, self.no_seed
         else:
             if seed.__class__ is not np.ndarray or seed.dtype != np.float64 or seed.shape != (self.nq,):
                 return None
             if not (self.plain and seed.flags.c_contiguous):
                 return None
             base, seeds = seed, (seed if self.whole else seed[self.part]).reshape(1, 1, n)
-        out = np.empty((1, n + ANSWER))
-        X = target.copy().reshape(1, 4, 4) if self.posed else self._pose(target)  # the answer keeps it
-        head = (chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0)
-        if search.reach(*head, 0, FEW, ITERATIONS, *TOLERANCE, 0.0, out):
-            rounds.go_on(self.task(X), X, head, FEW, out)
-        row = out[0]
-        linear, angular, code, steps, starts = row[n:].tolist()
-        if code == BAD_INPUT:
+        out = self.new()
+        X = target.copy()[None] if self.posed else self._pose(target)  # the answer keeps it
+        try:
+            missed = self.reach(
+                chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0, 0, FEW, ITERATIONS, *TOLERANCE, 0.0, out
+            )
+        except TypeError:  # not float64
             return None
+        row = out[0]
+        if missed:
+            head = (chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0)
+            rounds.go_on(self.task(X), X, head, FEW, out)
+            if row[n + STATUS] == BAD_INPUT:
+                return None
         if self.whole:
             q = row[:n]
         else:
@@ -239,10 +245,11 @@ class Bound:
             q[self.part] = row[:n]
             if not math.isfinite(base.dot(base)):
                 return None
-        if code == SOLVED:
-            return Solution.reached((self, X), q, linear, angular, int(steps), int(starts))
+        if not missed or row[n + STATUS] == SOLVED:
+            return Solution.reached((self, X), q, row)
         task, codes = self.task(X), np.array([NOT_FOUND])
         _look_closer(task, codes)
+        linear, angular, _, steps, starts = row[n:].tolist()
         return Solution(q, False, codes.item(), linear, angular, int(steps), int(starts), task)
 
 

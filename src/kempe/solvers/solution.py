@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError
+from kempe.kernels.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
 from kempe.solvers.answer import Answer
 from kempe.spatial import Array
 
@@ -18,6 +20,12 @@ if TYPE_CHECKING:
 
 SOLVED, NOT_FOUND, BAD_INPUT, OUT_OF_REACH, OUT_OF_TIME = 0, 1, 2, 3, 4
 """Codes of `Solution.code`; `status` has the sentences."""
+
+_MEASURED: dict[str, tuple[int, Callable]] = {
+    "position_error": (LINEAR, float), "orientation_error": (ANGULAR, float), "code": (STATUS, int),
+    "iterations": (STEPS, int), "starts": (STARTS, int),
+}  # fmt: skip
+"""Fields of an answer for a single target, where the kernels leave them, and as what they are read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +51,24 @@ class Solution(Answer):
     """The `Task`, or a bound form and its target, which can tell it."""
 
     @classmethod
-    def reached(cls, asked: Any, q: Array, position: float, angle: float, steps: int, starts: int) -> Solution:
-        """The answer for a single target that was reached, made in a third of the time that a frozen class takes."""
+    def reached(cls, asked: Any, q: Array, measured: Array) -> Solution:
+        """The answer for a single target that was reached, in a fraction of the time that a frozen class takes.
+
+        `measured` ends with errors, status, steps and starts, as the kernels leave them: they become fields when one is
+        asked for.
+        """
         out = object.__new__(cls)
         own = out.__dict__
-        own["q"], own["success"], own["code"], own["asked"] = q, True, SOLVED, asked
-        own["position_error"], own["orientation_error"] = position, angle
-        own["iterations"], own["starts"] = steps, starts
+        own["q"], own["success"], own["asked"], own["_measured"] = q, True, asked, measured
         return out
+
+    def __getattr__(self, name: str) -> Any:
+        measured = self.__dict__.get("_measured")
+        if measured is None or name not in _MEASURED:
+            raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}")
+        place, kind = _MEASURED[name]
+        value = self.__dict__[name] = kind(measured[place - ANSWER])
+        return value
 
     @cached_property
     def task(self) -> Task:

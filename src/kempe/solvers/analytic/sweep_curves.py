@@ -9,12 +9,13 @@ ICRA 1989). A curve that lives between two of the values is missed: hence "not e
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from kempe.kernels.layout import SLIDE
+from kempe.kinematics.roots import sign_change
 from kempe.model.system import System
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.plan import TASKS
@@ -253,7 +254,7 @@ class Arc:
         for r in rows:
             if not good[r]:  # the joint only grazes its limit: found on the curve, step by step
                 f = lambda s, r=r: float(self.points(step[[r]], np.array([s]))[0, joint[r]] - level[r])  # noqa: E731
-                s = crossing(f, float(CHECKS[i[r]]), float(CHECKS[i[r] + 1]))
+                s = sign_change(f, float(CHECKS[i[r]]), float(CHECKS[i[r] + 1]))
                 if s is None:
                     continue
                 low[r] = high[r] = s
@@ -273,18 +274,6 @@ def hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
     size, s = np.linalg.norm(x1 - x0, axis=-1, keepdims=True), s[:, None]
     d = x1 - x0
     return x0 + s * s * (3.0 - 2.0 * s) * d + size * (s * (1.0 - s) ** 2 * t0 - s * s * (1.0 - s) * t1)
-
-
-def crossing(f: Callable[[float], float], low: float, high: float) -> float | None:
-    """Where f changes its sign between low and high, to rounding; None where it does not."""
-    from scipy.optimize import brentq
-
-    a, b = f(low), f(high)
-    if a == 0.0 or b == 0.0:
-        return low if a == 0.0 else high
-    if (a > 0.0) == (b > 0.0):
-        return None
-    return float(brentq(f, low, high, xtol=1e-15, rtol=1e-15))  # type: ignore[arg-type]
 
 
 # ---- following a curve between two values
@@ -323,7 +312,8 @@ def follow(
 def _landed(motion: Motion, x: Array, t: Array, y: Array, u: Array, value: float) -> Array | None:
     """The point of a step where the parameter has a value, None where there is none."""
     p = motion.p
-    s = crossing(lambda s: float(hermite(x[None], t[None], y[None], u[None], np.array([s]))[0, p] - value), 1e-9, 1.0)
+    ends = x[None], t[None], y[None], u[None]
+    s = sign_change(lambda s: float(hermite(*ends, np.array([s]))[0, p] - value), 1e-9, 1.0)
     if s is None:
         return None
     guess = hermite(x[None], t[None], y[None], u[None], np.array([s]))
@@ -364,7 +354,7 @@ def _folds(motion: Motion, x: Array, t: Array, y: Array, u: Array) -> Iterator[t
     tangents = [motion.tangent(z, t) for z in step.points(np.zeros(len(s), dtype=int), s)]
     rates = np.array([t[p], *(v[p] for v in tangents[1:-1]), u[p]])
     for i in np.flatnonzero((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
-        at = crossing(slope, float(s[i]), float(s[i + 1]))
+        at = sign_change(slope, float(s[i]), float(s[i + 1]))
         if at is not None and 0.0 < at < 1.0:
             z = step.points(at_0, np.array([at]))[0]
             yield z, motion.tangent(z, t)

@@ -1,0 +1,52 @@
+"""The step of hatchling's build that puts the library of compiled kernels into a wheel, or into a checkout."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import sys
+import sysconfig
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+import library
+
+
+class KernelsHook(BuildHookInterface):
+    """Builds the library of kernels; a checkout gets it in place, and keeps one that fits its sources."""
+
+    def dependencies(self) -> list[str]:
+        """What the build needs besides what pyproject.toml says: a C compiler, where there is none."""
+        return library.requirements()
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Build the library. Errors: `library.BuildError`, whose sentence says what is missing."""
+        self.scratch = ""
+        if version == "editable":
+            if library.is_current():
+                self.app.display_info("kernels: the library fits the sources, and stays")
+            else:
+                library.build(library.KERNELS)
+            return
+        self.scratch = tempfile.mkdtemp(prefix="kempe-")
+        built = library.build(Path(self.scratch))
+        build_data["force_include"][str(built)] = f"kempe/kernels/{built.name}"
+        build_data["pure_python"] = False
+        build_data["tag"] = f"cp311-abi3-{_platform_tag()}"
+
+    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
+        """Remove what the wheel now holds."""
+        if self.scratch:
+            shutil.rmtree(self.scratch)
+
+
+def _platform_tag() -> str:
+    if sys.platform == "linux" and library.is_release():
+        return f"manylinux_{library.GLIBC.replace('.', '_')}_{platform.machine()}"
+    if sys.platform == "darwin":  # a universal Python would claim two processors
+        return f"macosx_{library.MACOS.replace('.', '_')}_{platform.machine()}"
+    return sysconfig.get_platform().replace("-", "_").replace(".", "_")
