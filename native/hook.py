@@ -7,6 +7,7 @@ import shutil
 import sys
 import sysconfig
 import tempfile
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ class KernelsHook(BuildHookInterface):
         self.scratch = tempfile.mkdtemp(prefix="kempe-")
         built = library.build(Path(self.scratch))
         build_data["force_include"][str(built)] = f"kempe/kernels/{built.name}"
+        build_data["force_include"][str(_licence_of_numba())] = "kempe/kernels/LICENSE.numba"
         build_data["pure_python"] = False
         build_data["tag"] = f"cp311-abi3-{_platform_tag()}"
 
@@ -42,6 +44,14 @@ class KernelsHook(BuildHookInterface):
         """Remove what the wheel now holds."""
         if self.scratch:
             shutil.rmtree(self.scratch)
+
+
+def _licence_of_numba() -> Path:
+    """The licence of the compiler, parts of whose runtime library are in the compiled kernels."""
+    for file in metadata.files("numba") or ():
+        if file.name == "LICENSE":
+            return Path(str(file.locate()))
+    raise library.BuildError("the package numba came without its file LICENSE, which a wheel must hold")
 
 
 def _platform_tag() -> str:

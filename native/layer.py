@@ -90,7 +90,7 @@ def lengths(takes: list[dict[str, Any]], arrays: list[int]) -> Iterator[str]:
         if isinstance(length, str) and length.isalpha():
             known.setdefault(length, f"g[{k}].dims[{j}]")
     for k, i, j, length in axes:
-        here, expected, also = f"g[{k}].dims[{j}]", str(length), ""
+        here, expected, also, hint = f"g[{k}].dims[{j}]", str(length), "", ""
         if isinstance(length, str):
             either, _, letter = length.rpartition("|")
             letter, _, more = letter.partition("+")
@@ -99,9 +99,10 @@ def lengths(takes: list[dict[str, Any]], arrays: list[int]) -> Iterator[str]:
             if letter not in known:
                 raise ValueError(f"argument {i}: length {length!r}, but no axis has the length {letter!r}")
             expected = known[letter] + (f" + {more}" if more else "")
-            also = f" && {here} != {either}" if either else ""
-        hint = f'" or {either}"' if either else '""'
-        yield f"    if ({here} != {expected}{also}) return wrong_length(called, {i}, {j}, {here}, {expected}, {hint});"
+            if either:
+                also, hint = f" && {here} != {either}", f" or {either}"
+        wrong = f'wrong_length(called, {i}, {j}, {here}, {expected}, "{hint}")'
+        yield f"    if ({here} != {expected}{also}) return {wrong};"
 
 
 def table(kernels: list[dict[str, Any]]) -> Iterator[str]:
@@ -114,9 +115,18 @@ def table(kernels: list[dict[str, Any]]) -> Iterator[str]:
     yield '    {"maker", maker, METH_O, "A function that makes float64 arrays of this shape."},'
     yield '    {"variant", variant, METH_NOARGS, "The variant that runs."},'
     for kernel in kernels:
-        label = kernel["name"]
-        yield f'    {{"{label}", (PyCFunction)(void (*)(void))enter_{label}, METH_FASTCALL, NULL}},'
+        name = kernel["name"]
+        yield f'    {{"{name}", (PyCFunction)(void (*)(void))enter_{name}, METH_FASTCALL, "{says(kernel)}"}},'
     yield "    {NULL, NULL, 0, NULL}};"
+
+
+def says(kernel: dict[str, Any]) -> str:
+    """The declaration of a kernel in one line: "module.function(name: kind[lengths], ...)", "!" for what is written."""
+    parts = []
+    for name, taken in zip(kernel["names"], kernel["takes"], strict=True):
+        lengths = f"[{', '.join(map(str, taken['shape']))}]" if is_array(taken) else ""
+        parts.append(f"{name}: {taken['entry']}{lengths}{'!' if taken.get('written') else ''}")
+    return f"{kernel['label']}({', '.join(parts)})"
 
 
 def choice(kernels: list[dict[str, Any]], variants: list[str]) -> Iterator[str]:

@@ -132,7 +132,7 @@ class Terminal(io.StringIO):
 
 def test_help_lists_the_commands_in_order():
     shown = Result("--help").out
-    order = ("info", "check", "convert", "fk", "ik", "dof", "assemble", "trace", "plot", "library", "bench", "warmup")
+    order = ("info", "check", "convert", "fk", "ik", "dof", "assemble", "trace", "plot", "library", "bench")
     places = [next(i for i, x in enumerate(shown.splitlines()) if x.startswith(f"│ {name} ")) for name in order]
     assert places == sorted(places)
     for title in ("Describe and convert", "Positions", "Closed loops", "Models and this machine"):

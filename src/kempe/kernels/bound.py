@@ -1,7 +1,8 @@
 """One frame at one configuration, for bound queries: the table comes as one array.
 
 Each array that is handed over costs time that counts beside a few joints. So the integers of a table travel in the same
-array as its numbers, as the same bytes, and with them the frame in which a Jacobian is expressed: `fuse`. Wrong shapes are reported, not refused: the caller then takes the general way.
+array as its numbers, as the same bytes, and with them the frame in which a Jacobian is expressed: `fuse`. Wrong shapes
+are reported, not refused: the caller then takes the general way.
 """
 
 from __future__ import annotations

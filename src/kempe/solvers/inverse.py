@@ -201,6 +201,9 @@ class Bound:
         self.shape, self.posed, self.new = shape, len(shape) == 2, maker(1, self.size + ANSWER)
         self.reach, self.base, self.no_seed = search.reach, self.chain.base[0], self.chain.no_seed
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Bound, (self.asked, self.shape)
+
     def task(self, X: Array) -> Task:
         """What was asked, for poses (1, 4, 4)."""
         return replace(self.asked, targets=X)

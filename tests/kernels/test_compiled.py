@@ -1,0 +1,395 @@
+"""The door to the kernels: the library is found, fits, is never stale, and refuses what it cannot take."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+import pytest
+from copies import BLOCKED, ROOT, copied, printed, run
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import kempe
+from kempe.kernels import compiled
+from kempe.kernels.digest import source_digest
+from kempe.kernels.layout import fuse
+
+native = pytest.mark.skipif(compiled.VARIANT == compiled.JIT, reason="kernels are compiled in this process")
+with_numba = pytest.mark.skipif(find_spec("numba") is None, reason="Numba is not installed")
+
+SLIDER = """
+import kempe
+m = kempe.Mechanism("m"); m.prismatic("j", m.ground, m.body("b"), axis=(0, 0, 1))
+print(m.build().fk([0.5], "b")[2, 3])
+"""
+
+
+VERBS = """
+import kempe
+puma, jaco, bar = (kempe.load(name) for name in ("puma560", "jaco2", "four_bar"))
+q = puma.q({"q2": 0.8, "q3": -2.9, "q5": 0.6})
+X, hand = puma.fk(q, "tool"), jaco.frame_names[-1]
+puma.jacobian(q, "tool"), puma.fk(q)
+assert puma.ik(X, "tool") and len(puma.ik_all(X, "tool")) == 8
+assert puma.ik([kempe.tasks.Position("tool", X[:3, 3])], prefer=lambda q: float(q @ q))
+assert puma.ik_step(q, [0, 0, 0.1, 0, 0, 0], "tool", 0.01) and puma.ik_path(X[None], "tool")
+assert len(jaco.ik_all(jaco.fk(jaco.random(1), hand), hand))
+assert bar.assemble({"A": 1.0}) and len(bar.assembly_modes({"A": 1.0})) == 2
+assert bar.mobility().dof == 1 and bar.trace("A")
+print([name for name in sys.modules if name.startswith("kempe.kernels.")])
+"""
+
+
+# ------------------------------------------------------------------ what is loaded
+
+
+@native
+def test_every_verb_runs_without_numba_and_without_the_sources_of_kernels():
+    loaded = set(re.findall(r"kempe\.kernels\.(\w+)", printed(BLOCKED + VERBS)))
+    layouts = {path.stem for path in (ROOT / "src" / "kempe" / "kernels").glob("*layout.py")}
+    assert loaded <= layouts | {"compiled", "digest", "_native"}
+
+
+def test_sources_of_kernels_are_for_the_compiler_only():
+    """No module outside `kernels` imports another module of it than the door and the layouts."""
+    pattern = re.compile(r"^\s*(?:from kempe\.kernels import (\w+)|(?:from|import) kempe\.kernels\.(\w+))", re.M)
+    for path in (ROOT / "src" / "kempe").rglob("*.py"):
+        if path.parent.name != "kernels":
+            for names in pattern.findall(path.read_text()):
+                assert re.fullmatch(r"compiled|\w*layout", "".join(names)), f"{path.name} imports {''.join(names)}"
+
+
+@native
+def test_the_library_is_that_of_the_sources():
+    assert compiled._native.DIGEST == source_digest()
+    assert compiled.VARIANT in compiled._native.VARIANTS and compiled._native.VARIANTS[compiled.VARIANT]
+
+
+# ------------------------------------------------------------------ nothing stale
+
+
+@pytest.fixture
+def edited(tmp_path):
+    """A copy of the package in which a helper of all forward models takes slides twice as long."""
+    package = copied(tmp_path)
+    helper = package / "kernels" / "sweep.py"
+    text = helper.read_text()
+    assert text.count("slid(multiplier * q[index], c)") == 1
+    helper.write_text(text.replace("slid(multiplier * q[index], c)", "slid(2.0 * multiplier * q[index], c)"))
+    return package
+
+
+@native
+@with_numba
+def test_an_edited_helper_is_compiled_anew_and_that_is_said_once(edited):
+    assert printed(SLIDER) == "0.5"
+    done = run(SLIDER, edited)
+    assert done.stdout.strip() == "1.0"
+    assert done.stderr.count("kempe:") == 1 and "edited after they were compiled" in done.stderr
+    assert printed(SLIDER, edited, KEMPE_QUIET="1") == "1.0"
+
+
+@native
+def test_an_edited_helper_is_an_error_where_it_cannot_be_compiled(edited):
+    done = run(BLOCKED + SLIDER, edited)
+    assert done.returncode and "KernelsError" in done.stderr and "pip install -e ." in done.stderr
+    done = run(SLIDER, edited, KEMPE_KERNELS=compiled.VARIANT)
+    assert done.returncode and f"KEMPE_KERNELS is '{compiled.VARIANT}', but the sources" in done.stderr
+
+
+@native
+@pytest.mark.parametrize("change", ["new file", "renamed", "removed"])
+def test_each_change_of_the_sources_is_seen(tmp_path, change):
+    package = copied(tmp_path)
+    assert printed(BLOCKED + SLIDER, package) == "0.5"
+    some = package / "kernels" / "quartic.py"
+    if change == "new file":
+        some.with_name("more.py").write_text("")
+    else:
+        some.rename(some.with_name("quartics.py")) if change == "renamed" else some.unlink()
+    assert "edited after they were compiled" in run(BLOCKED + SLIDER, package).stderr
+
+
+@native
+def test_without_a_library_the_error_says_what_to_do(tmp_path):
+    package = copied(tmp_path)
+    for library in (package / "kernels").glob("_native*"):
+        library.unlink()
+    error = run(BLOCKED + SLIDER, package).stderr
+    assert "not compiled" in error and "a wheel of Kempe for this platform" in error
+    (package / "kernels" / "_native.abi3.so").write_bytes(b"no library")
+    error = run(BLOCKED + SLIDER, package).stderr
+    assert "KernelsError: the library of kernels cannot be loaded" in error and "KEMPE_KERNELS=jit" in error
+
+
+@pytest.mark.parametrize("name", ["v5", "V4", " ", "native"])
+def test_unknown_variants_are_refused_with_what_is_allowed(name):
+    error = run(SLIDER, KEMPE_KERNELS=name).stderr
+    assert f"KEMPE_KERNELS is {name!r}" in error and ("allowed here: " in error or "not compiled" in error)
+
+
+def test_jit_without_numba_says_so():
+    assert "KEMPE_KERNELS is 'jit', but there is no Numba" in run(BLOCKED + SLIDER, KEMPE_KERNELS="jit").stderr
+
+
+@with_numba
+def test_compiled_in_the_process_on_request():
+    assert printed(SLIDER + "print(kempe.kernels.compiled.VARIANT)", KEMPE_KERNELS="jit").split() == ["0.5", "jit"]
+
+
+# ------------------------------------------------------------------ the C layer
+
+ROWS = re.compile(r"(\w+): ([fib])(?:\[([^]]*)\])?(!?)")
+
+
+def entry_points() -> dict[str, tuple[Any, list[tuple[str, str, list[str], bool]]]]:
+    """Each entry point with its arguments: name, kind of entries, lengths of axes, whether it is written."""
+    found = {}
+    for name in dir(compiled._native):
+        entry = getattr(compiled._native, name)
+        if "__" in name.strip("_"):
+            rows = ROWS.findall(entry.__doc__.partition("(")[2])
+            found[name] = entry, [(a, k, s.split(", ") if s else [], bool(w)) for a, k, s, w in rows]
+    return found
+
+
+ENTRY_POINTS = entry_points() if compiled.VARIANT != compiled.JIT else {}
+
+
+def good(kind: str, lengths: list[str], sizes: dict[str, int]) -> Any:
+    """An argument as it is declared; axes with a letter get its length, others one that fits."""
+    if not lengths:
+        return {"f": 0.5, "i": 1, "b": True}[kind]
+
+    def length(text: str) -> int:
+        letter, _, more = text.rpartition("|")[2].partition("+")
+        return int(letter) if letter.isdigit() else sizes.setdefault(letter, 3) + int(more or 0)
+
+    return np.zeros([length(x) for x in lengths], dtype={"f": float, "i": np.int64}[kind])
+
+
+def spoilt(argument: Any, how: str) -> Any:
+    """The argument, made unfit."""
+    if not isinstance(argument, np.ndarray):
+        return "1" if how != "none" else None
+    if how == "none":
+        return None
+    if how == "list":
+        return argument.tolist()
+    if how == "axes":
+        return argument[None]
+    if how == "type":
+        return argument.astype(np.float32 if argument.dtype == float else np.int32)
+    if how == "other":
+        return argument.astype(np.int64 if argument.dtype == float else float)
+    if how == "order":
+        return argument.view(argument.dtype.newbyteorder())
+    if how == "aligned":
+        raw = np.zeros(argument.nbytes + 1, dtype=np.uint8)
+        return raw[1:].view(argument.dtype).reshape(argument.shape)
+    wide = np.zeros([2 * n for n in argument.shape], dtype=argument.dtype)  # how == "strides"
+    return wide[tuple(slice(None, None, 2) for _ in argument.shape)]
+
+
+WAYS = ["none", "list", "axes", "type", "other", "order", "aligned", "strides"]
+
+
+@native
+@pytest.mark.parametrize("name", ENTRY_POINTS)
+def test_what_does_not_fit_is_refused_and_named(name):
+    """Each argument of each entry point in each wrong way; nothing is run, nothing converted."""
+    entry, rows = ENTRY_POINTS[name]
+    for k, (argument, kind, _lengths, _) in enumerate(rows):
+        for how in WAYS:
+            given = [good(kind_, lengths_, {}) for _, kind_, lengths_, _ in rows]
+            if kind == "b":
+                continue  # anything has a truth value
+            given[k] = spoilt(given[k], how)
+            if isinstance(given[k], np.ndarray) and given[k].size <= 1 and how in ("aligned", "strides"):
+                continue
+            with pytest.raises(TypeError) as caught:
+                entry(*given)
+            assert not isinstance(given[k], np.ndarray) or f": {argument} must be " in str(caught.value)
+    for count in (0, len(rows) - 1, len(rows) + 1):
+        with pytest.raises(TypeError, match=f"takes {len(rows)} arguments, not {count}"):
+            entry(*[0] * count)
+
+
+@native
+@pytest.mark.parametrize("name", ENTRY_POINTS)
+def test_what_is_written_must_be_writable(name):
+    entry, rows = ENTRY_POINTS[name]
+    for k, (argument, _, _, written) in enumerate(rows):
+        if written:
+            given = [good(kind_, lengths_, {}) for _, kind_, lengths_, _ in rows]
+            given[k].setflags(write=False)
+            with pytest.raises(TypeError, match=f"{argument} must be a writable"):
+                entry(*given)
+
+
+@native
+@pytest.mark.parametrize("name", ENTRY_POINTS)
+def test_lengths_that_differ_are_refused_and_named(name):
+    entry, rows = ENTRY_POINTS[name]
+    written = [x for _, _, lengths, _ in rows for x in lengths]
+    uses = [x.rpartition("|")[2].partition("+")[0] for x in written]
+    for k, (argument, _, lengths, _) in enumerate(rows):
+        for axis, length in enumerate(lengths):
+            letter = length.rpartition("|")[2].partition("+")[0]
+            if letter == "_" or (not letter.isdigit() and uses.count(letter) == 1):
+                continue
+            given = [good(kind_, lengths_, {}) for _, kind_, lengths_, _ in rows]
+            given[k] = np.zeros([n + 7 * (j == axis) for j, n in enumerate(given[k].shape)], dtype=given[k].dtype)
+            with pytest.raises(ValueError, match=r"axis \d of \w+ has length") as caught:
+                entry(*given)
+            judge = letter in written and written.index(letter) == sum(len(row[2]) for row in rows[:k]) + axis
+            assert judge or argument in str(caught.value)  # where the others are measured by it, they are named
+
+
+@native
+@given(st.data())
+@settings(max_examples=300)
+def test_no_sequence_of_arguments_ends_the_process(data):
+    """Wrong in several places at once, from a heap of odd objects."""
+    name = data.draw(st.sampled_from(sorted(ENTRY_POINTS)))
+    entry, rows = ENTRY_POINTS[name]
+    given_ = [good(kind, lengths, {}) for _, kind, lengths, _ in rows]
+    arrays = [k for k, row in enumerate(rows) if row[2]]
+    odd = [None, "x", b"x", 1.5, -1, 2**70, float("nan"), [], {}, np.zeros(()), np.zeros(0), np.zeros(3, "O"),
+           np.zeros((2, 2), "M8[s]"), np.ma.zeros(3), np.float64(1), object(), np.zeros((0, 0, 0)), entry]  # fmt: skip
+    for k in data.draw(st.sets(st.sampled_from(arrays), min_size=1)):
+        right = given_[k]
+        unfit = [x for x in odd if not isinstance(x, np.ndarray) or x.dtype != right.dtype or x.ndim != right.ndim]
+        given_[k] = data.draw(st.sampled_from(unfit))
+    for k in data.draw(st.sets(st.integers(0, len(rows) - 1))) - set(arrays):
+        given_[k] = data.draw(st.sampled_from(odd))
+    with pytest.raises((TypeError, ValueError, OverflowError)):
+        entry(*given_)
+
+
+def one_frame() -> tuple[np.ndarray, np.ndarray]:
+    """A fused table of one frame that nothing moves, and its empty configuration."""
+    ints = np.zeros(10, dtype=np.int64)
+    ints[1], ints[8] = 1, -1
+    return fuse(ints, np.eye(3, 4).ravel()), np.empty(0)
+
+
+def test_read_only_inputs_and_subclasses_pass():
+    table, q = one_frame()
+    for writeable in (True, False):
+        table.setflags(write=writeable)
+        out = np.empty((4, 4))
+        assert compiled.bound.pose(table, q, out) == 0 and np.array_equal(out, np.eye(4))
+
+    class Mine(np.ndarray):
+        pass
+
+    assert compiled.bound.pose(table.view(Mine), q, out) == 0
+
+
+@native
+def test_calls_keep_no_references():
+    table, q = one_frame()
+    out, before = np.empty((4, 4)), [sys.getrefcount(x) for x in (table, q)]
+    for _ in range(1000):
+        compiled.bound.pose(table, q, out)
+        with pytest.raises(TypeError):
+            compiled.bound.pose(table, q, None)
+    assert [sys.getrefcount(x) for x in (table, q)] == before
+
+
+def test_made_arrays_are_ordinary_ones():
+    for shape in ((), (0,), (4, 4), (1, 2, 3)):
+        made = compiled.maker(*shape)()
+        assert made.shape == shape and made.dtype == float and made.flags.owndata and made.flags.c_contiguous
+    new = compiled.maker(2)
+    assert new() is not new()
+    for wrong in ((-1,), ("a",), (1.5,), (1,) * 9 + (-1,)):
+        with pytest.raises((TypeError, ValueError)):
+            compiled.maker(*wrong)()
+
+
+# ------------------------------------------------------------------ threads, forks, interrupts
+
+
+def test_eight_threads_give_what_one_gives():
+    robot = kempe.load("puma560")
+    X = robot.fk(robot.random(1, 300), "tool")
+    expected = robot.ik(X, "tool", threads=1).q
+    found: list[np.ndarray] = []
+
+    def work(count: int) -> None:
+        found.append(robot.ik(X, "tool", threads=count).q)
+
+    threads = [threading.Thread(target=work, args=(1 + k % 2,)) for k in range(8)]
+    for t in threads:
+        t.start()
+    for t in threads:
+        t.join()
+    assert len(found) == 8 and all(np.array_equal(f, expected) for f in found)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_fork_while_other_threads_work():
+    code = """
+import os, threading, numpy as np, kempe
+robot = kempe.load("puma560"); q = robot.random(1, 60000); X = robot.fk(q, "tool", threads=2)
+busy = threading.Thread(target=lambda: [robot.fk(q, "tool", threads=2) for _ in range(50)]); busy.start()
+for _ in range(5):
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if np.array_equal(robot.fk(q, "tool", threads=2), X) else 1)
+    assert os.waitpid(child, 0)[1] == 0
+busy.join(); print("done")
+"""
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.stdout.strip() == "done", done.stderr
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_interrupt_ends_a_long_call(threads):
+    """A call that would take minutes; the process says when it has begun."""
+    code = f"""
+import numpy as np, kempe
+robot = kempe.load("puma560"); X = np.tile(robot.fk(robot.random(1, 1000), "tool"), (30000, 1, 1))
+print("begun", flush=True)
+robot.ik_all(X, "tool", threads={threads})
+"""
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None and process.stdout.readline() == "begun\n"
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode != 0 and "KeyboardInterrupt" in error
+
+
+# ------------------------------------------------------------------ guarded memory
+
+BEYOND = """
+import numpy as np
+from kempe.kernels import compiled
+from kempe.kernels.layout import HEADER, N_OUT, N_ROWS, NQ, NV, Q_INDEX, ROW_FLOATS, ROW_INTS, fuse
+ints, floats = np.zeros(HEADER + ROW_INTS + 2, dtype=np.int64), np.zeros(ROW_FLOATS + 12)
+ints[[N_ROWS, N_OUT, NQ, NV]] = 1
+ints[HEADER : HEADER + 4] = 0, -1, {index}, 0
+print(compiled.bound.pose(fuse(ints, floats), np.zeros(1), np.empty((4, 4))))
+"""
+"""A joint whose coordinate is entry `index` of a configuration with one entry."""
+
+
+@native
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no guards on Windows")
+def test_guards_end_a_process_that_reads_out_of_bounds():
+    for guard, index in (("after", 1), ("before", -1)):
+        assert printed(BEYOND.format(index=0), KEMPE_GUARD=guard) == "0"
+        assert run(BEYOND.format(index=index), KEMPE_GUARD=guard).returncode == -signal.SIGSEGV
+    assert "KEMPE_GUARD can be 'after' or 'before'" in run(BEYOND.format(index=0), KEMPE_GUARD="on").stderr

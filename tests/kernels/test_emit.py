@@ -1,0 +1,115 @@
+"""The builder: what it cannot carry it refuses with a sentence; its processes share the work, all of it."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from copies import ROOT, copied
+
+sys.path.insert(0, str(ROOT / "native"))
+import layer
+import library
+
+HEAD = """
+import numpy as np
+from kempe.kernels._jit import kernel
+from kempe.kernels.declare import INT, OUT, F
+"""
+BAD = {
+    "a call into the runtime of Python": (
+        "@kernel(F('n'))\ndef bad(x):\n    print(x[0])\n    return 0\n",
+        "bad__bad refers to an object of this process|kernels call what they do not bring",
+    ),
+    "the address of an object": (
+        "import ctypes\nnoise = ctypes.CFUNCTYPE(ctypes.c_double)(lambda: 1.0)\n"
+        "@kernel(F('n'))\ndef bad(x):\n    return int(noise())\n",
+        "bad__bad refers to an object of this process by its address",
+    ),
+    "another number of arguments": ("@kernel(F('n'), INT)\ndef bad(x, *more):\n    return 0\n", "bad__bad"),
+}
+
+
+def emitted(folder, source: str) -> subprocess.CompletedProcess:
+    package = copied(folder)
+    (package / "kernels" / "bad.py").write_text(HEAD + source)
+    env = os.environ | {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+    command = [sys.executable, str(folder / "native" / "emit.py"), "base", str(folder / "bad.o"), "bad"]
+    return subprocess.run(command, env=env, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_what_cannot_be_carried_is_refused(tmp_path, what):
+    source, said = BAD[what]
+    done = emitted(tmp_path, source)
+    assert done.returncode != 0 and not (tmp_path / "bad.o").exists()
+    assert re.search(said, done.stderr), done.stderr
+
+
+def test_a_good_kernel_is_emitted_with_its_declaration(tmp_path):
+    done = emitted(tmp_path, "@kernel(F('n'), OUT('n'))\ndef bad(x, y):\n    y[0] = 2.0 * x[0]\n    return 7\n")
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    assert (tmp_path / "bad.o").stat().st_size > 0 and '"bad__bad"' in (tmp_path / "bad.json").read_text()
+
+
+def test_the_processes_share_all_modules_with_kernels_about_evenly():
+    shares = library.shares()
+    modules = [path.stem for path in library.KERNELS.glob("*.py") if "@kernel(" in path.read_text()]
+    assert sorted(sum(shares, [])) == sorted(set(modules) - {"_jit", "declare"}) and shares == library.shares()
+    lines = [len(frozenset().union(*map(library.needed, share))) for share in shares]
+    assert max(lines) <= 2 * min(lines)
+
+
+def test_a_length_that_nothing_gives_is_refused():
+    takes = [{"entry": "f", "shape": ["n+1"], "written": False}]
+    with pytest.raises(ValueError, match=r"length 'n\+1', but no axis has the length 'n'"):
+        list(layer.lengths(takes, [0]))
+
+
+def test_a_compiler_is_asked_for_only_where_there_is_none(monkeypatch, tmp_path):
+    for name in ("CC", "KEMPE_BUILD"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert library.requirements() == ["ziglang>=0.13"]
+    (tmp_path / "cc").write_text("#!/bin/sh\n")
+    (tmp_path / "cc").chmod(0o755)
+    assert library.compiler() == ["cc"] and library.requirements() == []
+    monkeypatch.setenv("CC", "my-cc --fast")
+    assert library.compiler() == ["my-cc", "--fast"]
+
+
+def test_wishes_are_checked(monkeypatch):
+    known = library.variants()
+    monkeypatch.setenv("KEMPE_BUILD", "release")
+    assert library.asked() == list(known)
+    monkeypatch.setenv("KEMPE_BUILD", ", ".join(reversed(known)))
+    assert library.asked() == list(known)
+    monkeypatch.delenv("KEMPE_BUILD")
+    assert len(library.asked()) == 1
+    monkeypatch.setenv("KEMPE_BUILD", "v7")
+    with pytest.raises(library.BuildError, match="KEMPE_BUILD is 'v7'; allowed: 'release', or names among"):
+        library.asked()
+
+
+def test_other_processors_are_refused_by_name(monkeypatch):
+    monkeypatch.setattr(library.platform, "machine", lambda: "riscv64")
+    with pytest.raises(library.BuildError, match="not for riscv64"):
+        library.variants()
+
+
+def test_without_headers_the_build_says_where_they_are(monkeypatch, tmp_path):
+    monkeypatch.setattr(library.sysconfig, "get_path", lambda name: str(tmp_path))
+    with pytest.raises(library.BuildError, match="python3-dev"):
+        library._link([], tmp_path / "out.so")
+
+
+def test_a_compiler_that_fails_is_quoted(monkeypatch, tmp_path):
+    (tmp_path / "broken").write_text("#!/bin/sh\necho 'cannot do that' >&2\nexit 3\n")
+    (tmp_path / "broken").chmod(0o755)
+    monkeypatch.setenv("CC", str(tmp_path / "broken"))
+    monkeypatch.delenv("KEMPE_BUILD", raising=False)
+    with pytest.raises(library.BuildError, match="cannot do that"):
+        library._link([], tmp_path / "out.so")
