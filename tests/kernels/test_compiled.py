@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import re
 import signal
 import subprocess
@@ -116,6 +117,15 @@ def test_each_change_of_the_sources_is_seen(tmp_path, change):
     else:
         some.rename(some.with_name("quartics.py")) if change == "renamed" else some.unlink()
     assert "edited after they were compiled" in run(BLOCKED + SLIDER, package).stderr
+
+
+@native
+def test_a_package_without_sources_runs_what_it_has(tmp_path):
+    package = copied(tmp_path)
+    subprocess.run([sys.executable, "-m", "compileall", "-q", "-b", package], check=True)
+    for path in package.rglob("*.py"):
+        path.unlink()
+    assert printed(BLOCKED + SLIDER, package) == "0.5"
 
 
 @native
@@ -315,6 +325,16 @@ def test_made_arrays_are_ordinary_ones():
     for wrong in ((-1,), ("a",), (1.5,), (1,) * 9 + (-1,)):
         with pytest.raises((TypeError, ValueError)):
             compiled.maker(*wrong)()
+
+
+def test_answers_of_plain_calls_can_be_pickled():
+    robot = kempe.load("puma560")
+    X = robot.fk(robot.q({"q2": 0.8, "q3": -2.9, "q5": 0.6}), "tool")
+    for ask in (robot.ik, robot.ik_all):
+        ask(X, "tool")
+        answer = ask(X, "tool")  # by the bound form, which the first call has made
+        back = pickle.loads(pickle.dumps(answer))
+        assert np.array_equal(back.q, answer.q) and str(back) == str(answer) and back.status == answer.status
 
 
 # ------------------------------------------------------------------ threads, forks, interrupts

@@ -8,7 +8,6 @@ Numba's passes for what no helper here contains (closures, array expressions, pa
 
 from __future__ import annotations
 
-from inspect import signature
 from typing import Any
 
 from llvmlite.binding import Linkage
@@ -24,10 +23,6 @@ _NOT_NEEDED = {
     "NoPythonSupportedFeatureValidation", "NopythonRewrites", "RewriteDynamicRaises", "WithLifting",
 }  # fmt: skip
 """Numba's passes that would find nothing to do. A pass that it may gain one day stays in."""
-
-
-_ONE_MANAGER = len(signature(codegen.CPUCodegen._function_pass_manager).parameters) == 1
-"""Whether a manager of passes serves functions of any module: with older LLVM it belongs to one."""
 
 
 class Nowhere:
@@ -54,9 +49,6 @@ class _Part(_Library):
 
     def _optimize_functions(self, module: Any) -> None:
         """As Numba's, with one manager of passes for all functions, and none for those that are but declared."""
-        if not _ONE_MANAGER:
-            super()._optimize_functions(module)
-            return
         module.data_layout = self._codegen._data_layout
         manager, builder = self._codegen._function_pass_manager()
         for function in module.functions:

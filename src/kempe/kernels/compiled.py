@@ -40,11 +40,11 @@ def _library() -> Any:
         why = "the kernels of this installation are not compiled"
     else:
         try:
-            from kempe.kernels import _native
+            from kempe.kernels import _native  # pyright: ignore
         except ImportError as error:
             how = f"{_HELP} and set {VARIABLE}={JIT}"
             raise KernelsError(f"the library of kernels cannot be loaded: {error}; {how}") from error
-        if _native.DIGEST == source_digest():
+        if source_digest() in (_native.DIGEST, ""):
             _native.use(_chosen(_native.VARIANTS, wanted))
             return _native
         why = "the sources of the kernels were edited after they were compiled"

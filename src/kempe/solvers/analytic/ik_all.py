@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, NoSolutionError
 from kempe.kernels import analytic_layout as A
+from kempe.kernels.compiled import maker
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers.analytic.lines import Lines, lines_of
 from kempe.solvers.analytic.plan import Plan, free_lines, freedoms, kernel_of, make, side_by_side_of
@@ -86,7 +87,10 @@ class Bound:
         self.counts = np.zeros((1, 2), dtype=np.int64)
         self.ints, self.floats = plan.ints, plan.floats
         self.left = np.zeros(1, dtype=np.int64)  # written, never read
-        self.shape = (1, plan.slots, len(plan.lines) + A.INFO)
+        self.new = maker(1, plan.slots, len(plan.lines) + A.INFO)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return bind, (self.system, self.frame)
 
     def question(self, target: Array) -> Question:
         """What was asked."""
@@ -94,13 +98,14 @@ class Bound:
 
     def __call__(self, target: Array) -> Solutions | None:
         """All solutions for a pose (4, 4), None where the target wants the careful path."""
-        if target.dtype != np.float64 or not target.flags.c_contiguous:
+        rows, X = self.new(), target.copy()  # the answer keeps it
+        try:
+            used = self.kernel(self.ints, self.floats, X[None], self.near, self.near, 1, rows, self.left)
+        except TypeError:  # not float64
             return None
-        rows, plan = np.empty(self.shape), self.plan
-        used = self.kernel(self.ints, self.floats, target.reshape(1, 4, 4), self.near, self.near, 1, rows, self.left)
         if used >= 0:
             return None
-        return Solutions((self, target.copy()), plan, self.base, rows, self.counts, None, -1 - used)
+        return Solutions((self, X), self.plan, self.base, rows, self.counts, None, -1 - used)
 
 
 def bind(system: System, frame: str) -> Bound | None:

@@ -50,9 +50,8 @@ def robot_file(name: str) -> Path | None:
 
 
 def machine() -> str:
-    """Processor, number of usable processors and versions of the machine that measures."""
-    import numba
-
+    """Processor, number of usable processors, versions and variant of the kernels of the machine that measures."""
+    from kempe.kernels.compiled import VARIANT
     from kempe.kinematics.parallel import processors
 
     model = platform.processor() or platform.machine()
@@ -61,7 +60,7 @@ def machine() -> str:
         lines = [x for x in cpuinfo.read_text().splitlines() if x.startswith("model name")]
         model = lines[0].split(":", 1)[1].strip() if lines else model
     system = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
-    return f"{model}, {processors()} processors; {system}, numpy {np.__version__}, numba {numba.__version__}"
+    return f"{model}, {processors()} processors; {system}, numpy {np.__version__}, kernels {VARIANT}"
 
 
 def load() -> float:

@@ -1,4 +1,4 @@
-"""What a process pays: import, compilation, first results, memory; each measured in processes of its own."""
+"""What a process pays: import, first results, memory; each measured in processes of its own."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import os
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 
@@ -31,8 +30,7 @@ robot = kempe.load(sys.argv[1])
 loaded = time.perf_counter() - start
 X = robot.fk(robot.mid, sys.argv[2])
 forward = time.perf_counter() - start
-if sys.argv[3] == "ik":
-    robot.ik(X, sys.argv[2])
+robot.ik(X, sys.argv[2])
 print(json.dumps([imported, loaded, forward, time.perf_counter() - start]))
 """
 
@@ -65,17 +63,15 @@ print(json.dumps([extra(lambda: query(q, out=out), 0.0), extra(lambda: query(q),
 
 
 def startup(bench: Bench) -> Table:
-    """Seconds until something is there: with an empty cache, and in every later process."""
+    """Seconds until something is there, in a fresh process."""
     table = Table("Start-up", "s", _own_startup(bench), ratios=False)
     for package in bench.versions:
         module = _MODULES.get(package, peers.PEERS[package])
-        table.rows.append(_row(package, "import", [float(_run(_IMPORT, None, module)) for _ in range(REPEATS)]))
+        table.rows.append(_row(package, "import", [float(_run(_IMPORT, module)) for _ in range(REPEATS)]))
     for text, call, bound in (
-        ("first forward result with an empty cache, under 10 s", "empty cache: process", 10.0),
-        ("first inverse result after that, under 10 s", "then", 10.0),
-        ("warmup, under 60 s", "empty cache: kempe warmup", 60.0),
-        ("import, under 0.15 s", "warm: import", 0.15),
-        ("later processes to their first forward result, under 1.5 s", "warm: import, load", 1.5),
+        ("import, under 0.15 s", "import", 0.15),
+        ("first forward result, under 0.5 s", "import, load and first forward result", 0.5),
+        ("first inverse result, under 0.5 s", "the same and first inverse result", 0.5),
     ):
         table.at_most(text, table.best("Kempe", call), bound)
     return table
@@ -83,24 +79,13 @@ def startup(bench: Bench) -> Table:
 
 def _own_startup(bench: Bench) -> list[Row]:
     job = (str(bench.arm.file), bench.arm.frame)
-    with tempfile.TemporaryDirectory() as cold, tempfile.TemporaryDirectory() as warm:
-        bench.say("  first calls with an empty cache")
-        forward, _ = _timed(_FIRST, cold, *job, "fk")
-        inverse, _ = _timed(_FIRST, cold, *job, "ik")
-        bench.say("  kempe warmup with an empty cache")
-        all_, _ = _timed("import kempe; kempe.warmup()", warm)
-        runs = [_timed(_FIRST, warm, *job, "ik") for _ in range(REPEATS)]
-    rows = [
-        Row("Kempe", "empty cache: process to its first forward result", forward),
-        Row("Kempe", "then: process to its first inverse result", inverse),
-        Row("Kempe", "empty cache: kempe warmup", all_),
-    ]
     labels = (
         "import", "import and load", "import, load and first forward result", "the same and first inverse result",
         "the whole process of that",
     )  # fmt: skip
+    runs = [_timed(_FIRST, *job) for _ in range(REPEATS)]
     columns = zip(*([*json.loads(told), wall] for wall, told in runs), strict=True)
-    return rows + [_row("Kempe", f"warm: {label}", seconds) for label, seconds in zip(labels, columns, strict=True)]
+    return [_row("Kempe", label, seconds) for label, seconds in zip(labels, columns, strict=True)]
 
 
 def _row(library: str, call: str, seconds: Sequence[float]) -> Row:
@@ -113,7 +98,7 @@ def memory(bench: Bench) -> Table | None:
         bench.say("  skipped: this system does not tell the peak of memory of one call")
         return None
     file, frame = str(bench.arm.file), bench.arm.frame
-    runs = [json.loads(_run(_MEMORY, None, file, frame, str(MEMORY_POSES))) for _ in range(REPEATS)]
+    runs = [json.loads(_run(_MEMORY, file, frame, str(MEMORY_POSES))) for _ in range(REPEATS)]
     into, new = (statistics.median(column) for column in zip(*runs, strict=True))
     table = Table(f"Memory: {MEMORY_POSES:,} poses, peak beyond input and output", "MiB", ratios=False)
     table.rows = [Row("Kempe", "into out=", into), Row("Kempe", "a new array", new)]
@@ -121,16 +106,16 @@ def memory(bench: Bench) -> Table | None:
     return table
 
 
-def _run(code: str, cache: str | None, *arguments: str) -> str:
+def _run(code: str, *arguments: str) -> str:
     """Last line that a fresh Python process prints."""
-    environment = {**os.environ, "KEMPE_QUIET": "1"} | ({"KEMPE_CACHE_DIR": cache} if cache else {})
     command = [sys.executable, "-c", code, *arguments]
+    environment = {**os.environ, "KEMPE_QUIET": "1"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     return done.stdout.strip().splitlines()[-1] if done.stdout.strip() else ""
 
 
-def _timed(code: str, cache: str, *arguments: str) -> tuple[float, str]:
+def _timed(code: str, *arguments: str) -> tuple[float, str]:
     """Seconds of a whole process, and its last line."""
     start = time.perf_counter()
-    told = _run(code, cache, *arguments)
+    told = _run(code, *arguments)
     return time.perf_counter() - start, told
