@@ -78,7 +78,10 @@ class Emitter:
         self.since = time.perf_counter()
 
     def add(self, entry: Entry) -> Any:
-        """The dispatcher of a kernel whose code is added."""
+        """The dispatcher of a kernel whose code is added. Errors: `Refused`."""
+        names = list(inspect.signature(entry.function).parameters)
+        if len(names) != len(entry.takes):
+            raise Refused(f"{entry.name} declares {len(entry.takes)} arguments, but has {len(names)}")
         dispatcher = numba.njit(
             fastmath=_jit.FLAGS, error_model="numpy", nogil=entry.nogil,
             no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=EntryCompiler,
@@ -86,13 +89,11 @@ class Emitter:
         dispatcher.compile(_jit.signature_of(entry))
         dispatcher.disable_compile()
         (result,) = dispatcher.overloads.values()
-        if result.library.has_dynamic_globals:
+        module = result.library._final_module
+        if any(value.name.startswith("numba.dynamic.globals") for value in module.global_variables):
             raise Refused(f"{entry.name} refers to an object of this process by its address")
-        self._link(result.library._final_module, result.fndesc.llvm_func_name, f"kempe_{entry.name}_{self.variant}")
+        self._link(module, result.fndesc.llvm_func_name, f"kempe_{entry.name}_{self.variant}")
         now = time.perf_counter()
-        names = list(inspect.signature(entry.function).parameters)
-        if len(names) != len(entry.takes):
-            raise Refused(f"{entry.name} declares {len(entry.takes)} arguments, but has {len(names)}")
         self.rows.append({
             "name": entry.name, "label": entry.name.replace("__", "."), "names": names, "returns": entry.returns,
             "takes": [asdict(taken) for taken in entry.takes], "nogil": entry.nogil, "seconds": now - self.since,

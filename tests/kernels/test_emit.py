@@ -29,7 +29,9 @@ BAD = {
         "@kernel(F('n'))\ndef bad(x):\n    return int(noise())\n",
         "bad__bad refers to an object of this process by its address",
     ),
-    "another number of arguments": ("@kernel(F('n'), INT)\ndef bad(x, *more):\n    return 0\n", "bad__bad"),
+    "another number of arguments": (
+        "@kernel(F('n'), INT)\ndef bad(x):\n    return 0\n", "bad__bad declares 2 arguments, but has 1"
+    ),
 }
 
 

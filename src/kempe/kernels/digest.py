@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def source_digest(folder: Path = Path(__file__).parent) -> str:
-    """Digest of all sources of kernels, their names and contents; empty where there are none, as in a frozen program."""
+    """Digest of all sources of kernels, names and contents; empty where there are none, as in a frozen program."""
     digest, paths = hashlib.sha256(), sorted(folder.rglob("*.py"))
     if not paths:
         return ""
