@@ -105,6 +105,14 @@ print(json.dumps({
 }))
 """
 
+IMPORT = """
+import time
+{first}
+start = time.perf_counter()
+import {module}
+print(time.perf_counter() - start)
+"""
+
 FIRST = "import kempe\nr = kempe.load('puma560'); X = r.fk(r.mid, 'tool'); r.ik(X, 'tool'); r.ik_all(X, 'tool')"
 COMMAND = ["ik", "puma560", "--frame", "tool", "--target", "0.5,0.2,0.1,0,90,0", "--deg"]
 
@@ -146,13 +154,22 @@ def in_turn(pythons: list[str], code: str, rounds: int = ROUNDS, cold: bool = Fa
     return before, after
 
 
+def printed(pythons: list[str], code: str) -> tuple[float, float]:
+    """Medians of the number that a process prints, of the two in turn."""
+    found: tuple[list[float], list[float]] = [], []
+    for _ in range(ROUNDS):
+        for numbers, python in zip(found, pythons, strict=True):
+            numbers.append(float(process(python, "-c", code).printed))
+    return statistics.median(found[0]), statistics.median(found[1])
+
+
 def rows(pythons: list[str]) -> Iterator[Row]:
     """All rows: what, unit, before, after."""
     sizes = [environment(python) for python in pythons]
     yield "environment with Kempe and what it needs", "MB", *sizes
-    numpy, own = in_turn(pythons, "import numpy, numpy.typing"), in_turn(pythons, "import kempe")
-    yield "import numpy", "s", numpy[0].seconds, numpy[1].seconds
-    yield "import kempe, beyond numpy", "s", own[0].seconds - numpy[0].seconds, own[1].seconds - numpy[1].seconds
+    for name, first in (("numpy", "pass"), ("kempe, beyond numpy", "import numpy, numpy.typing")):
+        module = name.partition(",")[0]
+        yield f"import {name}, seconds by the clock", "s", *printed(pythons, IMPORT.format(first=first, module=module))
     for name, code in VERBS.items():
         before, after = in_turn(pythons, f"import kempe\n{code}", COLD_ROUNDS, cold=True)
         yield f"first answer on a fresh machine: {name}", "s", before.seconds, after.seconds
@@ -213,7 +230,7 @@ def main() -> None:
     lines = [
         "# Before and after", "",
         "Written by `python benchmarks/compare.py BEFORE AFTER`: two installations in one run, numbers in processes "
-        "of its own, of the two in turn; medians. Seconds are processor time of whole processes.", "",
+        "of their own, of the two in turn; medians. Seconds are processor time of whole processes.", "",
         f"Machine: {processor()}, {len(os.sched_getaffinity(0))} processors.", "",
         f"- before: {versions(given.before)}", f"- after: {versions(given.after)}", "",
         "| | unit | before | after | after / before |", "|---|---|--:|--:|--:|",

@@ -6,13 +6,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from kempe import errors, spatial
 from kempe.description.mechanism import Mechanism
 from kempe.errors import KempeError
 from kempe.model.system import System
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 __version__ = "0.1.0"
 __all__ = [

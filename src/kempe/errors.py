@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -113,6 +112,8 @@ class MissingExtraError(KempeError, ImportError):
 
 def hint(name: object, allowed: Iterable[str]) -> str:
     """The tail of a message about an unknown name: the nearest names, or all of them where they are few."""
+    import difflib  # only here: most names are known
+
     allowed = list(dict.fromkeys(allowed))
     folded = {str(a).casefold(): a for a in reversed(allowed)}
     near = difflib.get_close_matches(str(name).casefold(), list(folded), n=3, cutoff=0.6)

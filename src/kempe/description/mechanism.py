@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kempe.description import checks
@@ -15,6 +14,8 @@ from kempe.errors import InputError, UnknownNameError, Where
 from kempe.joints import JointType, joint_type
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from kempe.model.system import System
 
 BodyLike = Body | str

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from functools import cached_property
 from typing import Any
 
@@ -195,7 +194,7 @@ class Compiled:
     @cached_property
     def content_hash(self) -> str:
         """Digest of everything that it is: equal systems have equal digests, in every process."""
-        return hashlib.sha256(repr(self._mechanism.content()).encode()).hexdigest()
+        return _digest(self._mechanism.content())
 
     @cached_property
     def structure_hash(self) -> str:
@@ -203,8 +202,7 @@ class Compiled:
         m = self._mechanism
         joints = [(j.name, j.type.type_name, j.parent, j.child) for j in m.joints.values()]
         constraints = [(c.name, c.kind, c.parent, c.child) for c in m.constraints.values()]
-        text = repr((m.dim, self._topology, joints, constraints, self.coordinate_names, tuple(m.frames)))
-        return hashlib.sha256(text.encode()).hexdigest()
+        return _digest((m.dim, self._topology, joints, constraints, self.coordinate_names, tuple(m.frames)))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Compiled) and (self is other or self.content_hash == other.content_hash)
@@ -250,3 +248,10 @@ class Compiled:
         if name not in self._mechanism.joints:
             raise UnknownNameError("joint", name, self.joint_names, self.name)
         return coordinate_names(self._mechanism, self._mechanism.joints[name])
+
+
+def _digest(content: tuple) -> str:
+    """Digest of what a tuple prints as."""
+    from hashlib import sha256
+
+    return sha256(repr(content).encode()).hexdigest()
