@@ -21,13 +21,14 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
 
+import library
 import llvmlite.binding as llvm
 import numba
 from elf import sizes
 from numba.core import codegen, compiler
 
 from kempe.kernels import _jit
-from kempe.kernels._link import Nowhere
+from kempe.kernels._link import NoEngine
 from kempe.kernels.declare import Entry
 
 OUTSIDE = {
@@ -37,7 +38,7 @@ OUTSIDE = {
 """Functions that kernels may call and that are not compiled with them."""
 
 
-class Whole(codegen.JITCodeLibrary):
+class LinkedLibrary(codegen.JITCodeLibrary):
     """Code linked with all that it needs and optimised; no machine code is made of it here."""
 
     def _finalize_final_module(self) -> None:
@@ -49,9 +50,9 @@ class Whole(codegen.JITCodeLibrary):
         return 0
 
     @property
-    def codegen(self) -> Nowhere:
+    def codegen(self) -> NoEngine:
         """What stands for the engine that runs code."""
-        return Nowhere()
+        return NoEngine()
 
 
 class EntryCompiler(compiler.Compiler):
@@ -59,8 +60,17 @@ class EntryCompiler(compiler.Compiler):
 
     def __init__(self, typing: Any, target: Any, library: Any, *rest: Any):
         if library is None:
-            library = Whole(target.codegen(), "kempe")
+            library = LinkedLibrary(target.codegen(), "kempe")
         super().__init__(typing, target, library, *rest)
+
+
+def triple() -> str:
+    """The kind of system that the object is for, as LLVM names it."""
+    usual = llvm.get_default_triple()
+    processor = usual.partition("-")[0]
+    if sys.platform == "darwin":
+        return f"{processor}-apple-macosx{library.MACOS}"
+    return library.WINDOWS if sys.platform == "win32" else usual
 
 
 class Refused(Exception):
@@ -119,10 +129,7 @@ class Emitter:
     def object(self) -> bytes:
         """All that was added, as one object."""
         cpu, features = os.environ["NUMBA_CPU_NAME"], os.environ["NUMBA_CPU_FEATURES"]
-        triple = llvm.get_default_triple()
-        if sys.platform == "darwin":
-            triple = f"{triple.partition('-')[0]}-apple-macosx{os.environ['MACOSX_DEPLOYMENT_TARGET']}"
-        machine = llvm.Target.from_triple(triple).create_target_machine(
+        machine = llvm.Target.from_triple(triple()).create_target_machine(
             cpu=cpu, features=features, opt=3, reloc="pic", codemodel="default"
         )
         for function in self.whole.functions:

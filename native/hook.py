@@ -34,7 +34,11 @@ class KernelsHook(BuildHookInterface):
                 library.build(library.KERNELS)
             return
         self.scratch = tempfile.mkdtemp(prefix="kempe-")
-        built = library.build(Path(self.scratch))
+        try:
+            built = library.build(Path(self.scratch))
+        except library.BuildError:
+            shutil.rmtree(self.scratch)
+            raise
         build_data["force_include"][str(built)] = f"kempe/kernels/{built.name}"
         build_data["force_include"][str(_licence_of_numba())] = "kempe/kernels/LICENSE.numba"
         build_data["pure_python"] = False

@@ -76,9 +76,10 @@ HIDDEN void NRT_Free(void *block) { free(block); }
 
 /* ------------------------------------------------------------------------------------------ arguments */
 enum { NONE = -2 }; /* Numba's status of a function that returns None */
-static PyObject *nothing(void) { Py_IncRef(Py_None); return Py_None; }
+static PyObject *none(void) { Py_IncRef(Py_None); return Py_None; }
 typedef struct { const char *kernel; int count; const char *const *names; } Called;
-typedef struct { void *data, *own; npy_intp *dims, *strides; size_t size; int written; } Given;
+enum { MOST_AXES = 4 };
+typedef struct { void *data, *own; npy_intp dims[MOST_AXES], strides[MOST_AXES]; size_t size; int written; } Given;
 
 static PyObject *wrong_count(const Called *called, Py_ssize_t given) {
     return PyErr_Format(PyExc_TypeError, "%s takes %d arguments, not %zd", called->kernel, called->count, given);
@@ -101,15 +102,17 @@ static inline int fits(PyObject *o, int type, int axes, int written, Given *to) 
                    && (kind->type_num == NPY_LONGLONG || (sizeof(long) == 8 && kind->type_num == NPY_LONG)));
     if (!same || !PyArray_ISNBO(kind->byteorder)) return 0;
     to->data = PyArray_DATA(v);
-    to->dims = PyArray_DIMS(v);
-    to->strides = PyArray_STRIDES(v);
     to->written = written;
     to->own = NULL;
     to->size = 8;
-    for (int i = 0; i < axes; i++) to->size *= (size_t)to->dims[i];
+    for (int i = 0; i < axes; i++) { /* copied: without the lock another thread may reshape the array */
+        to->dims[i] = PyArray_DIM(v, i);
+        to->strides[i] = PyArray_STRIDE(v, i);
+        to->size *= (size_t)to->dims[i];
+    }
     return 1;
 }
-static inline int64_t whole(PyObject *o) {
+static inline int64_t as_int64(PyObject *o) {
     if (PyLong_Check(o)) return PyLong_AsLongLong(o);
     PyObject *index = PyNumber_Index(o);
     if (!index) return -1;

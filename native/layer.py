@@ -6,9 +6,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-LEVELS = {"v2": 2, "v3": 3, "v4": 4, "base": 1}
-"""Level of the processor that a variant needs."""
 ENTRY = {"f": ("double", "NPY_DOUBLE", "float64"), "i": ("int64_t", "NPY_INT64", "int64"), "b": ("uint8_t", "", "")}
+NUMBERS = {
+    "f": "double x{0} = PyFloat_AsDouble(a[{0}]); if (x{0} == -1.0 && PyErr_Occurred()) return NULL;",
+    "i": "int64_t x{0} = as_int64(a[{0}]); if (x{0} == -1 && PyErr_Occurred()) return NULL;",
+    "b": "int x{0} = PyObject_IsTrue(a[{0}]); if (x{0} < 0) return NULL;",
+}
+"""How a number is read."""
 
 
 def is_array(taken: dict[str, Any]) -> bool:
@@ -16,8 +20,12 @@ def is_array(taken: dict[str, Any]) -> bool:
     return "shape" in taken
 
 
-def source(kernels: list[dict[str, Any]], variants: list[str], digest: str, builder: str) -> str:
-    """The whole C source. kernels: name, label, names and what they take, as `emit` writes them; best variant first."""
+def source(kernels: list[dict[str, Any]], variants: dict[str, int], digest: str, builder: str) -> str:
+    """The whole C source.
+
+    kernels: name, label, names and what they take, as `emit` writes them. variants: the level of the processor that
+    each needs, the best first. digest, builder: digests of the sources of the kernels and of the builder.
+    """
     parts = [(Path(__file__).parent / "layer.c").read_text()]
     for kernel in kernels:
         parts += [*prototypes(kernel, variants), *function(kernel)]
@@ -36,7 +44,7 @@ def parameters(kernel: dict[str, Any]) -> str:
     return ", ".join(out)
 
 
-def prototypes(kernel: dict[str, Any], variants: list[str]) -> Iterator[str]:
+def prototypes(kernel: dict[str, Any], variants: dict[str, int]) -> Iterator[str]:
     """The kernel in all variants, and the pointer to the chosen one."""
     for variant in variants:
         yield f"extern int32_t kempe_{kernel['name']}_{variant}({parameters(kernel)});"
@@ -53,25 +61,21 @@ def function(kernel: dict[str, Any]) -> Iterator[str]:
     yield f"static PyObject *enter_{name}(PyObject *self, PyObject *const *a, Py_ssize_t n) {{"
     yield f"    const Called *called = &called_{name}; Given g[{len(arrays)}]; (void)self;"
     yield f"    if (n != {len(takes)}) return wrong_count(called, n);"
+    for i, taken in enumerate(takes):  # first of all: to read a number may run code that changes arrays
+        if not is_array(taken):
+            yield f"    {NUMBERS[taken['entry']].format(i)}"
     handed = ["&result", "&error"]
     for i, taken in enumerate(takes):
-        if is_array(taken):
-            k, axes = arrays.index(i), len(taken["shape"])
-            _, number, word = ENTRY[taken["entry"]]
-            kind = f"a {'writable, ' if taken['written'] else ''}C-contiguous {word} array with {axes} axes"
-            yield f"    if (!fits(a[{i}], {number}, {axes}, {int(taken['written'])}, g + {k}))"
-            yield f'        return wrong_kind(called, {i}, "{kind}");'
-            handed += ["NULL", "NULL", f"(int64_t)(g[{k}].size / 8)", "8", f"g[{k}].data"]
-            handed += [f"g[{k}].{what}[{j}]" for what in ("dims", "strides") for j in range(axes)]
-        elif taken["entry"] == "f":
-            yield f"    double x{i} = PyFloat_AsDouble(a[{i}]); if (x{i} == -1.0 && PyErr_Occurred()) return NULL;"
-            handed.append(f"x{i}")
-        elif taken["entry"] == "i":
-            yield f"    int64_t x{i} = whole(a[{i}]); if (x{i} == -1 && PyErr_Occurred()) return NULL;"
-            handed.append(f"x{i}")
-        else:
-            yield f"    int x{i} = PyObject_IsTrue(a[{i}]); if (x{i} < 0) return NULL;"
-            handed.append(f"(uint8_t)x{i}")
+        if not is_array(taken):
+            handed.append(f"({ENTRY[taken['entry']][0]})x{i}")
+            continue
+        k, axes = arrays.index(i), len(taken["shape"])
+        _, number, word = ENTRY[taken["entry"]]
+        kind = f"a {'writable, ' if taken['written'] else ''}C-contiguous {word} array with {axes} axes"
+        yield f"    if (!fits(a[{i}], {number}, {axes}, {int(taken['written'])}, g + {k}))"
+        yield f'        return wrong_kind(called, {i}, "{kind}");'
+        handed += ["NULL", "NULL", f"(int64_t)(g[{k}].size / 8)", "8", f"g[{k}].data"]
+        handed += [f"g[{k}].{what}[{j}]" for what in ("dims", "strides") for j in range(axes)]
     yield from lengths(takes, arrays)
     yield "    int64_t result = 0; void *error = NULL; int32_t status;"
     yield f"    if (guard && !guard_in(g, {len(arrays)})) return PyErr_NoMemory();"
@@ -79,7 +83,7 @@ def function(kernel: dict[str, Any]) -> Iterator[str]:
     yield f"    Py_BEGIN_ALLOW_THREADS {call} Py_END_ALLOW_THREADS" if kernel["nogil"] else f"    {call}"
     yield f"    if (guard) guard_out(g, {len(arrays)});"
     yield "    if (status && status != NONE) return PyErr_NoMemory(); /* no room for scratch: nothing else can fail */"
-    yield f"    return {'PyLong_FromLongLong(result)' if kernel['returns'] else 'nothing()'};\n}}"
+    yield f"    return {'PyLong_FromLongLong(result)' if kernel['returns'] else 'none()'};\n}}"
 
 
 def lengths(takes: list[dict[str, Any]], arrays: list[int]) -> Iterator[str]:
@@ -108,7 +112,7 @@ def lengths(takes: list[dict[str, Any]], arrays: list[int]) -> Iterator[str]:
 def table(kernels: list[dict[str, Any]]) -> Iterator[str]:
     """The list of functions."""
     yield "static PyObject *use(PyObject *self, PyObject *name);"
-    yield "static PyObject *variant(PyObject *self, PyObject *none);"
+    yield "static PyObject *variant(PyObject *self, PyObject *unused);"
     yield "static PyObject *maker(PyObject *self, PyObject *shape);"
     yield "static PyMethodDef methods[] = {"
     yield '    {"use", use, METH_O, "Run the kernels of this variant from now on."},'
@@ -116,11 +120,11 @@ def table(kernels: list[dict[str, Any]]) -> Iterator[str]:
     yield '    {"variant", variant, METH_NOARGS, "The variant that runs."},'
     for kernel in kernels:
         name = kernel["name"]
-        yield f'    {{"{name}", (PyCFunction)(void (*)(void))enter_{name}, METH_FASTCALL, "{says(kernel)}"}},'
+        yield f'    {{"{name}", (PyCFunction)(void (*)(void))enter_{name}, METH_FASTCALL, "{declaration(kernel)}"}},'
     yield "    {NULL, NULL, 0, NULL}};"
 
 
-def says(kernel: dict[str, Any]) -> str:
+def declaration(kernel: dict[str, Any]) -> str:
     """The declaration of a kernel in one line: "module.function(name: kind[lengths], ...)", "!" for what is written."""
     parts = []
     for name, taken in zip(kernel["names"], kernel["takes"], strict=True):
@@ -129,9 +133,9 @@ def says(kernel: dict[str, Any]) -> str:
     return f"{kernel['label']}({', '.join(parts)})"
 
 
-def choice(kernels: list[dict[str, Any]], variants: list[str]) -> Iterator[str]:
+def choice(kernels: list[dict[str, Any]], variants: dict[str, int]) -> Iterator[str]:
     """Which variants there are, and the choice of one."""
-    rows = ", ".join(f'{{"{v}", {LEVELS[v]}}}' for v in variants)
+    rows = ", ".join(f'{{"{v}", {level}}}' for v, level in variants.items())
     yield f"static const struct {{ const char *name; int level; }} variants[] = {{{rows}}};"
     yield f"enum {{ N_VARIANTS = {len(variants)} }};"
     yield "static int running = -1;"

@@ -24,7 +24,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 HERE = Path(__file__).resolve().parent
 KERNELS = HERE.parent / "src" / "kempe" / "kernels"
@@ -36,20 +36,33 @@ GLIBC = "2.17"
 MACOS = "11.0"
 """The oldest macOS on which the library runs."""
 
+WINDOWS = "x86_64-w64-windows-gnu"
+"""The kind of Windows that objects are made for, which is the one that Zig links."""
+
+
+class Variant(NamedTuple):
+    """A family of processors: LLVM's name and settings, what is found by, and the level that layer.c looks for."""
+
+    cpu: str
+    settings: str
+    features: str
+    level: int
+
+
 X86 = {
-    "v4": ("x86-64-v4", "+avx512f,-prefer-256-bit", "avx512f avx512bw avx512cd avx512dq avx512vl"),
-    "v3": ("x86-64-v3", "", "avx2 bmi bmi2 f16c fma lzcnt movbe"),
-    "v2": ("x86-64-v2", "", "cx16 popcnt sse4.2"),
+    "v4": Variant("x86-64-v4", "+avx512f,-prefer-256-bit", "avx512f avx512bw avx512cd avx512dq avx512vl", 4),
+    "v3": Variant("x86-64-v3", "", "avx2 bmi bmi2 f16c fma lzcnt movbe", 3),
+    "v2": Variant("x86-64-v2", "", "cx16 popcnt sse4.2", 2),
 }
-"""Variants, the best first: the processor that LLVM compiles for, settings, and the features by which one is known."""
-OTHERS = {"base": ("apple-m1" if sys.platform == "darwin" else "generic", "", "")}
+"""Variants, the best first."""
+OTHERS = {"base": Variant("apple-m1" if sys.platform == "darwin" else "generic", "", "", 1)}
 
 
 class BuildError(Exception):
     """What keeps the library from being built, in a sentence."""
 
 
-def variants() -> dict[str, tuple[str, str, str]]:
+def variants() -> dict[str, Variant]:
     """The variants of this platform."""
     machine = platform.machine().lower()
     if machine in ("x86_64", "amd64"):
@@ -64,21 +77,21 @@ def is_release() -> bool:
     return os.environ.get(VARIABLE) == RELEASE
 
 
-def asked() -> list[str]:
+def requested() -> list[str]:
     """The variants to build, the best first."""
-    known, wish = variants(), os.environ.get(VARIABLE, "")
+    known, value = variants(), os.environ.get(VARIABLE, "")
     if is_release():
         return list(known)
-    if wish:
-        names = [name.strip() for name in wish.split(",")]
+    if value:
+        names = [name.strip() for name in value.split(",")]
         if not set(names) <= set(known):
-            raise BuildError(f"{VARIABLE} is {wish!r}; allowed: 'release', or names among {', '.join(known)}")
+            raise BuildError(f"{VARIABLE} is {value!r}; allowed: 'release', or names among {', '.join(known)}")
         return [name for name in known if name in names]
     import llvmlite.binding as llvm
 
     has = llvm.get_host_cpu_features()
-    for name, (_, _, features) in known.items():
-        if all(has.get(feature, False) for feature in features.split()):
+    for name, variant in known.items():
+        if all(has.get(feature, False) for feature in variant.features.split()):
             return [name]
     raise BuildError("this processor is older than x86-64-v2 (SSE 4.2), which kernels need")
 
@@ -125,11 +138,9 @@ def shares() -> list[list[str]]:
 
 def emit(variant: str, modules: list[str], out: Path) -> dict[str, Any]:
     """The object of one process, and what is known of its kernels."""
-    cpu, features, _ = variants()[variant]
+    cpu, settings, *_ = variants()[variant]
     env = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "KEMPE_"))}
-    if sys.platform == "darwin":
-        env["MACOSX_DEPLOYMENT_TARGET"] = MACOS
-    env |= {"NUMBA_CPU_NAME": cpu, "NUMBA_CPU_FEATURES": features, "PYTHONHASHSEED": "0"}
+    env |= {"NUMBA_CPU_NAME": cpu, "NUMBA_CPU_FEATURES": settings, "PYTHONHASHSEED": "0"}
     done = subprocess.run(
         [sys.executable, str(HERE / "emit.py"), variant, str(out), *modules], env=env, capture_output=True, text=True
     )
@@ -142,7 +153,8 @@ def emit(variant: str, modules: list[str], out: Path) -> dict[str, Any]:
 
 
 def _zig() -> list[str]:
-    return [sys.executable, "-m", "ziglang", "cc"]
+    target = ["-target", WINDOWS.replace("w64-", "")] if sys.platform == "win32" else []
+    return [sys.executable, "-m", "ziglang", "cc", *target]
 
 
 def compiler() -> list[str]:
@@ -179,7 +191,7 @@ def _link(sources: list[Path], out: Path) -> None:
     if sys.platform == "win32":
         command += ["-L", str(Path(sys.base_prefix) / "libs"), "-lpython3"]
     elif sys.platform == "darwin":
-        command += ["-fPIC", "-lm", "-Wl,-undefined,dynamic_lookup", "-Wl,-x"]
+        command += ["-fPIC", "-lm", f"-mmacosx-version-min={MACOS}", "-Wl,-undefined,dynamic_lookup", "-Wl,-x"]
     else:
         command += ["-fPIC", "-lm", "-Wl,--gc-sections", "-Wl,-z,now", "-s"]
     caches = {name: str(out.parent / "zig") for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR")}
@@ -209,9 +221,10 @@ def digest() -> str:
 def is_current() -> bool:
     """Whether the checkout has a library of its sources, by this builder, for what is asked."""
     code = "from kempe.kernels import _native; print(_native.DIGEST, _native.BUILDER, *_native.VARIANTS)"
-    env = os.environ | {"PYTHONPATH": str(HERE.parent / "src")}
+    paths = [str(HERE.parent / "src"), *filter(None, [os.environ.get("PYTHONPATH")])]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
-    return done.returncode == 0 and done.stdout.split() == [digest(), builder(), *asked()]
+    return done.returncode == 0 and done.stdout.split() == [digest(), builder(), *requested()]
 
 
 def builder() -> str:
@@ -231,7 +244,7 @@ def build(folder: Path) -> Path:
     """The library, written to `folder`. Errors: `BuildError`."""
     if platform.python_implementation() != "CPython" or sysconfig.get_config_var("Py_GIL_DISABLED"):
         raise BuildError("the library needs CPython with its stable ABI: not PyPy, not yet a free-threaded build")
-    start, names, before = time.perf_counter(), asked(), digest()
+    start, names, before = time.perf_counter(), requested(), digest()
     say(f"kernels: compiling for {', '.join(names)} in {PROCESSES} processes ...")
     with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(PROCESSES) as pool:
         work = Path(scratch)
@@ -243,7 +256,8 @@ def build(folder: Path) -> Path:
             say(f"  {row['label']:38}{row['seconds']:6.1f} s {row['bytes']:8} bytes")
         from layer import source
 
-        (work / "native.c").write_text(source(kernels, names, before, builder()))
+        levels = {name: variants()[name].level for name in names}
+        (work / "native.c").write_text(source(kernels, levels, before, builder()))
         linked = work / library_name()
         _link([work / "native.c", *(job[2] for job in jobs)], linked)
         if digest() != before:

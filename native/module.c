@@ -1,12 +1,12 @@
 /* Arrays of one shape, made in half of the time of numpy.empty: the shape is parsed once. */
-static PyObject *make(PyObject *shape, PyObject *none) {
+static PyObject *new_array(PyObject *shape, PyObject *unused) {
     npy_intp *lengths = PyCapsule_GetPointer(shape, NULL);
-    (void)none;
+    (void)unused;
     return lengths ? PyArray_SimpleNew((int)lengths[0], lengths + 1, NPY_DOUBLE) : NULL;
 }
-static PyMethodDef make_method = {"new", make, METH_NOARGS, "A new float64 array, its entries unset."};
+static PyMethodDef new_array_method = {"new_array", new_array, METH_NOARGS, "A new float64 array, its entries unset."};
 
-static void forget(PyObject *shape) { free(PyCapsule_GetPointer(shape, NULL)); }
+static void free_shape(PyObject *shape) { free(PyCapsule_GetPointer(shape, NULL)); }
 
 static PyObject *maker(PyObject *self, PyObject *shape) {
     (void)self;
@@ -22,9 +22,9 @@ static PyObject *maker(PyObject *self, PyObject *shape) {
             return PyErr_Occurred() ? NULL : PyErr_Format(PyExc_ValueError, "a length is at least 0");
         }
     }
-    PyObject *kept = PyCapsule_New(lengths, NULL, forget), *made = NULL;
+    PyObject *kept = PyCapsule_New(lengths, NULL, free_shape), *made = NULL;
     if (kept) {
-        made = PyCFunction_NewEx(&make_method, kept, NULL);
+        made = PyCFunction_NewEx(&new_array_method, kept, NULL);
         Py_DecRef(kept);
     } else free(lengths);
     return made;
@@ -38,12 +38,12 @@ static PyObject *use(PyObject *self, PyObject *name) {
             if (variants[i].level > level())
                 return PyErr_Format(PyExc_ValueError, "this processor does not run variant %s", wanted);
             choose(i);
-            return nothing();
+            return none();
         }
     return PyErr_Format(PyExc_ValueError, "there is no variant %s", wanted);
 }
-static PyObject *variant(PyObject *self, PyObject *none) {
-    (void)self; (void)none;
+static PyObject *variant(PyObject *self, PyObject *unused) {
+    (void)self; (void)unused;
     return PyUnicode_FromString(variants[running].name);
 }
 static struct PyModuleDef definition = {

@@ -10,6 +10,8 @@ import sys
 import pytest
 from copies import ROOT, copied
 
+from kempe.kernels import compiled
+
 sys.path.insert(0, str(ROOT / "native"))
 import layer
 import library
@@ -86,14 +88,31 @@ def test_a_compiler_is_asked_for_only_where_there_is_none(monkeypatch, tmp_path)
 def test_wishes_are_checked(monkeypatch):
     known = library.variants()
     monkeypatch.setenv("KEMPE_BUILD", "release")
-    assert library.asked() == list(known)
+    assert library.requested() == list(known)
     monkeypatch.setenv("KEMPE_BUILD", ", ".join(reversed(known)))
-    assert library.asked() == list(known)
+    assert library.requested() == list(known)
     monkeypatch.delenv("KEMPE_BUILD")
-    assert len(library.asked()) == 1
+    assert len(library.requested()) == 1
     monkeypatch.setenv("KEMPE_BUILD", "v7")
     with pytest.raises(library.BuildError, match="KEMPE_BUILD is 'v7'; allowed: 'release', or names among"):
-        library.asked()
+        library.requested()
+
+
+def test_a_library_that_fits_is_kept(monkeypatch):
+    """Also where the packages that it needs come by PYTHONPATH, as in an isolated build."""
+    monkeypatch.delenv("KEMPE_BUILD", raising=False)
+    assert library.is_current() == (compiled.VARIANT != compiled.JIT)
+    monkeypatch.setattr(library, "builder", lambda: "another builder")
+    assert not library.is_current()
+
+
+def test_the_processor_is_told_apart_as_llvm_does():
+    """The levels that layer.c finds by asking the processor, against the features that LLVM finds."""
+    import llvmlite.binding as llvm
+
+    has = llvm.get_host_cpu_features()
+    for name, runs in getattr(compiled._native, "VARIANTS", {}).items():
+        assert runs == all(has[feature] for feature in library.variants()[name].features.split())
 
 
 def test_other_processors_are_refused_by_name(monkeypatch):

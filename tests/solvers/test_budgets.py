@@ -208,3 +208,15 @@ def test_single_targets_stop_when_the_time_is_up(looks, task):
         assert inside(s, answer.q)
     looks(10**9)
     assert s.ik(X, "tip", task=task, time_limit=3.0, **pointed).code == NOT_FOUND
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_hard_targets_do_not_take_the_time_of_easy_ones(threads):
+    """All targets get their first starts before the clock ends the search for those that cannot be reached."""
+    robot = kempe.load("puma560")
+    X = robot.fk(robot.random(3, 700), "tool")
+    far = np.tile(np.diag([1.0, 1.0, 1.0, 1.0]), (700, 1, 1))
+    far[:, :3, 3] = 0.0, 0.0, -0.6718  # inside the reach of the lengths, but not with this orientation
+    mixed = np.stack([far, X], axis=1).reshape(-1, 4, 4)
+    answer = robot.ik(mixed, "tool", time_limit=0.5, starts=100_000, threads=threads)
+    assert answer.success[1::2].mean() > 0.99

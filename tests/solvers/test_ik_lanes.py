@@ -6,6 +6,7 @@ import os
 import pickle
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -347,3 +348,25 @@ def test_battery(name):
         right = near & (angles(X, Y, axis) <= 1.001e-6)
         assert np.array_equal(right, s.success) and right.mean() >= share and inside(robot, s.q)
         assert s.starts.mean() < 6
+
+
+@pytest.mark.parametrize("kind", [complex, np.float32, np.int64, object, ">f8", bool])
+@pytest.mark.parametrize("task", [None, "position"])
+def test_plain_calls_take_what_the_first_call_takes(kind, task):
+    """The same answer or the same error, whether or not a bound form was made."""
+    robot, frame = robot_of("panda")
+    target = robot.fk(robot.random(4), frame) if task is None else robot.fk(robot.random(4), frame)[:3, 3]
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        odd = (target * (1 + 1j) if kind is complex else target).astype(kind)
+
+    def outcome() -> object:
+        try:
+            return robot.ik(odd, frame, **({} if task is None else {"task": task})).q.tolist()
+        except (InputError, TypeError, ValueError) as error:
+            return str(error)
+
+    robot._queries.clear()
+    first = outcome()
+    robot.ik(target, frame, **({} if task is None else {"task": task}))
+    assert outcome() == first

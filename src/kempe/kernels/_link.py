@@ -25,14 +25,14 @@ _NOT_NEEDED = {
 """Numba's passes that would find nothing to do. A pass that it may gain one day stays in."""
 
 
-class Nowhere:
+class NoEngine:
     """Stands in for the engine towards code that never runs by itself."""
 
     def set_env(self, name: str, environment: object) -> None:
         """Do nothing: there is no machine code that could read the environment."""
 
 
-class _Part(_Library):
+class HelperLibrary(_Library):
     """Code of one helper, optimised by itself only; no machine code is made of it."""
 
     def finalize(self) -> None:
@@ -44,8 +44,8 @@ class _Part(_Library):
         return 0
 
     @property
-    def codegen(self) -> Nowhere:
-        return Nowhere()
+    def codegen(self) -> NoEngine:
+        return NoEngine()
 
     def _optimize_functions(self, module: Any) -> None:
         """As Numba's, with one manager of passes for all functions, and none for those that are but declared."""
@@ -64,7 +64,7 @@ class _Part(_Library):
             others: list[Any] = []
             for part in needed:  # grows
                 for library in part._linking_libraries:
-                    known = needed if isinstance(library, _Part) else others
+                    known = needed if isinstance(library, HelperLibrary) else others
                     if library not in known:
                         known.append(library)
             for part in needed[1:]:
@@ -83,7 +83,7 @@ class HelperCompiler(_Compiler):
 
     def __init__(self, typing: Any, target: Any, library: Any, *rest: Any):
         if library is None:
-            library = _Part(target.codegen(), "kempe")
+            library = HelperLibrary(target.codegen(), "kempe")
         super().__init__(typing, target, library, *rest)
 
     def define_pipelines(self) -> list[Any]:

@@ -222,7 +222,7 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
     return count, unsure or scratch[AT_DOUBT] != 0.0
 
 
-@kernel(I("_"), F("_"), F(12), INT, INT, INT, OUT(12), returns=False)
+@kernel(I(6), F(6 * LINE_STRIDE), F(12), INT, INT, INT, OUT(12), returns=False)
 def outer_terms(kinds, lines, goal, k, what, option, out):
     """Nothing; out gets the terms of x and of z (6, 6) for one goal: a plan sees by them which unknowns are missing."""
     scratch = np.empty(SCRATCH)

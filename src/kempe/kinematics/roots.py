@@ -21,7 +21,7 @@ def sign_change(f: Callable[[float], float], low: float, high: float) -> float |
     fb, fa = f(b), f(a)
     if fa == 0.0 or fb == 0.0:
         return b if fb == 0.0 else a
-    if not (fa > 0.0) != (fb > 0.0) or math.isnan(fa + fb):
+    if (fa > 0.0) == (fb > 0.0) or math.isnan(fa + fb):
         return None
     part = 0.5
     while True:

@@ -277,7 +277,7 @@ def _wide(system: System, tasks: Sequence[Task]) -> np.ndarray:
     bound = {n for r in system.relations for n in (r.of, *r.sources)}
     for task in tasks:
         bound |= task.coordinates(system)
-    return wide & [name not in bound for name in system.velocity_names]
+    return wide & np.array([name not in bound for name in system.velocity_names], dtype=bool)
 
 
 class Packed:

@@ -14,7 +14,7 @@ from kempe.kernels.compiled import maker, search
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, ROTATION_TOLERANCE, STATUS
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.parallel import over_chunks
+from kempe.kinematics.parallel import over_chunks, processors
 from kempe.solvers import rounds
 from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.solvers.chain import Chain, chain_of, inside, obstacle
@@ -169,7 +169,10 @@ def run(
         first = seeds[i:j] if len(seeds) > 1 else seeds
         return rounds.answered(task, goals[i:j], first, bounds, out[i:j])
 
-    over_chunks(work, n, CHUNK, threads, SERIAL_BELOW if task.time_limit is None else CHUNK)
+    if task.time_limit is None:
+        over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+    else:  # all targets get their first starts before one gets its last: each thread has all of its own at once
+        over_chunks(work, n, max(CHUNK, -(-n // (threads or processors()))), threads, CHUNK)
     return out[:, :nq], out[:, nq + LINEAR : nq + STATUS], out[:, nq + STATUS :].astype(np.int64)
 
 
@@ -215,8 +218,8 @@ class Bound:
         return X
 
     def __call__(self, target: Array, seed: Any) -> Solution | None:
-        """The answer for a target, None where target or seed want the careful path."""
-        if target.shape != self.shape:
+        """The answer for a target, None where target or seed need the general solver."""
+        if target.shape != self.shape or not (self.posed or target.dtype == np.float64):
             return None
         chain, n = self.chain, self.size
         if seed is None:

@@ -62,13 +62,15 @@ class Solution(Answer):
         own["q"], own["success"], own["asked"], own["_measured"] = q, True, asked, measured
         return out
 
-    def __getattr__(self, name: str) -> Any:
-        measured = self.__dict__.get("_measured")
-        if measured is None or name not in _MEASURED:
-            raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}")
-        place, kind = _MEASURED[name]
-        value = self.__dict__[name] = kind(measured[place - ANSWER])
-        return value
+    if not TYPE_CHECKING:  # a type checker would take any name for a field
+
+        def __getattr__(self, name: str) -> Any:
+            measured = self.__dict__.get("_measured")
+            if measured is None or name not in _MEASURED:
+                return object.__getattribute__(self, name)  # the error as it was
+            place, kind = _MEASURED[name]
+            value = self.__dict__[name] = kind(measured[place - ANSWER])
+            return value
 
     @cached_property
     def task(self) -> Task:

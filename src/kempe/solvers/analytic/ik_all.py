@@ -97,7 +97,7 @@ class Bound:
         return Question(self.system, self.frame, "pose", Z_AXIS, target[None], None, TOLERANCE)
 
     def __call__(self, target: Array) -> Solutions | None:
-        """All solutions for a pose (4, 4), None where the target wants the careful path."""
+        """All solutions for a pose (4, 4), None where the target needs the general solver."""
         rows, X = self.new(), target.copy()  # the answer keeps it
         try:
             used = self.kernel(self.ints, self.floats, X[None], self.near, self.near, 1, rows, self.left)
