@@ -13,13 +13,16 @@ import importlib
 import inspect
 import json
 import os
+import stat
 import sys
+import threading
 import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import library
 import llvmlite.binding as llvm
@@ -168,7 +171,15 @@ def main(variant: str, out: str, *modules: str) -> None:
     Path(out).with_suffix(".json").write_text(json.dumps(about))
 
 
+def end_with_the_parent() -> None:
+    """End this process when the one that started it is gone: then standard input, where it is a pipe, is at its end."""
+    if stat.S_ISFIFO(os.fstat(0).st_mode):
+        sys.stdin.read()
+        os._exit(1)
+
+
 if __name__ == "__main__":
+    threading.Thread(target=end_with_the_parent, daemon=True).start()
     try:
         main(*sys.argv[1:])
     except Refused as error:

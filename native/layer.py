@@ -20,16 +20,16 @@ def is_array(taken: dict[str, Any]) -> bool:
     return "shape" in taken
 
 
-def source(kernels: list[dict[str, Any]], variants: dict[str, int], digest: str, builder: str) -> str:
+def source(kernels: list[dict[str, Any]], variants: dict[str, int], sources: str, builder: str) -> str:
     """The whole C source.
 
     kernels: name, label, names and what they take, as `emit` writes them. variants: the level of the processor that
-    each needs, the best first. digest, builder: digests of the sources of the kernels and of the builder.
+    each needs, the best first. sources, builder: digests of the sources of the kernels and of the builder.
     """
     parts = [(Path(__file__).parent / "layer.c").read_text()]
     for kernel in kernels:
         parts += [*prototypes(kernel, variants), *function(kernel)]
-    return "\n".join([*parts, *table(kernels), *choice(kernels, variants), module(digest, builder), ""])
+    return "\n".join([*parts, *table(kernels), *choice(kernels, variants), module(sources, builder), ""])
 
 
 def parameters(kernel: dict[str, Any]) -> str:
@@ -147,6 +147,9 @@ def choice(kernels: list[dict[str, Any]], variants: dict[str, int]) -> Iterator[
     yield "    }\n}"
 
 
-def module(digest: str, builder: str) -> str:
+def module(sources: str, builder: str) -> str:
     """The functions of the module itself, and the module."""
-    return (Path(__file__).parent / "module.c").read_text().replace("@DIGEST@", digest).replace("@BUILDER@", builder)
+    text = (Path(__file__).parent / "module.c").read_text()
+    return text.replace('"@SOURCES@"', "\n        ".join(f'"{line}\\n"' for line in sources.splitlines())).replace(
+        "@BUILDER@", builder
+    )

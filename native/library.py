@@ -14,7 +14,9 @@ import hashlib
 import json
 import os
 import platform
+import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
@@ -136,16 +138,20 @@ def shares() -> list[list[str]]:
     return lists
 
 
-def emit(variant: str, modules: list[str], out: Path) -> dict[str, Any]:
+def emit(variant: str, modules: list[str], out: Path, running: list[subprocess.Popen]) -> dict[str, Any]:
     """The object of one process, and what is known of its kernels."""
     cpu, settings, *_ = variants()[variant]
     env = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "KEMPE_"))}
     env |= {"NUMBA_CPU_NAME": cpu, "NUMBA_CPU_FEATURES": settings, "PYTHONHASHSEED": "0"}
-    done = subprocess.run(
-        [sys.executable, str(HERE / "emit.py"), variant, str(out), *modules], env=env, capture_output=True, text=True
-    )
-    if done.returncode:
-        raise BuildError(f"compiling {', '.join(modules)} failed:\n{done.stderr.strip()}")
+    command = [sys.executable, str(HERE / "emit.py"), variant, str(out), *modules]
+    with out.with_suffix(".log").open("w+") as log:
+        process = subprocess.Popen(command, env=env, stdin=subprocess.PIPE, stdout=log, stderr=log, text=True)
+        running.append(process)
+        with process:
+            code = process.wait()
+        log.seek(0)
+        if code:
+            raise BuildError(f"compiling {', '.join(modules)} failed:\n{log.read().strip()}")
     return json.loads(out.with_suffix(".json").read_text())
 
 
@@ -162,7 +168,7 @@ def compiler() -> list[str]:
     if sys.platform == "linux" and is_release():
         return [*_zig(), "-target", f"{platform.machine()}-linux-gnu.{GLIBC}"]
     if sys.platform != "win32":  # there it would be a compiler with another command line
-        given = os.environ.get("CC", "").split()
+        given = shlex.split(os.environ.get("CC", ""))
         if given:
             return given
         for name in ("cc", "gcc", "clang"):
@@ -176,17 +182,25 @@ def requirements() -> list[str]:
     return ["ziglang>=0.13"] if "ziglang" in compiler() else []
 
 
-def _link(sources: list[Path], out: Path) -> None:
-    import numpy
-
-    if "ziglang" in compiler() and find_spec("ziglang") is None:
+def headers() -> Path:
+    """The folder of Python's headers. Errors: `BuildError` where these or a compiler are missing."""
+    program, *_ = command = compiler()
+    if "ziglang" in command and find_spec("ziglang") is None:
         raise BuildError("there is no C compiler: install one, or the package ziglang (pip install ziglang)")
+    if shutil.which(program) is None:
+        raise BuildError(f"there is no program {program!r}, which CC names as the C compiler")
     include = Path(sysconfig.get_path("include"))
     if not (include / "Python.h").is_file():
         raise BuildError(
             f"{include} has no Python.h: the headers of Python are missing (Debian and Ubuntu have them in python3-dev)"
         )
-    command = [*compiler(), "-O2", "-shared", "-fvisibility=hidden", "-I", str(include), "-I", numpy.get_include()]
+    return include
+
+
+def _link(sources: list[Path], out: Path) -> None:
+    import numpy
+
+    command = [*compiler(), "-O2", "-shared", "-fvisibility=hidden", "-I", str(headers()), "-I", numpy.get_include()]
     command += [str(path) for path in sources]
     if sys.platform == "win32":
         command += ["-L", str(Path(sys.base_prefix) / "libs"), "-lpython3"]
@@ -208,23 +222,23 @@ def library_name() -> str:
     return "_native.pyd" if sys.platform == "win32" else "_native.abi3.so"
 
 
-def digest() -> str:
-    """Digest of the sources of all kernels, as the package computes it."""
+def sources() -> str:
+    """Digests of the sources of all kernels, as the package computes them."""
     sys.path.insert(0, str(HERE.parent / "src"))
     try:
-        from kempe.kernels.digest import source_digest
+        from kempe.kernels.digest import source_digests
     finally:
         sys.path.pop(0)
-    return source_digest(KERNELS)
+    return source_digests(KERNELS)
 
 
 def is_current() -> bool:
     """Whether the checkout has a library of its sources, by this builder, for what is asked."""
-    code = "from kempe.kernels import _native; print(_native.DIGEST, _native.BUILDER, *_native.VARIANTS)"
+    code = "from kempe.kernels import _native as n; print(n.BUILDER, *n.VARIANTS); print(n.SOURCES, end='')"
     paths = [str(HERE.parent / "src"), *filter(None, [os.environ.get("PYTHONPATH")])]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
-    return done.returncode == 0 and done.stdout.split() == [digest(), builder(), *requested()]
+    return done.returncode == 0 and done.stdout == f"{' '.join([builder(), *requested()])}\n{sources()}"
 
 
 def builder() -> str:
@@ -244,36 +258,61 @@ def build(folder: Path) -> Path:
     """The library, written to `folder`. Errors: `BuildError`."""
     if platform.python_implementation() != "CPython" or sysconfig.get_config_var("Py_GIL_DISABLED"):
         raise BuildError("the library needs CPython with its stable ABI: not PyPy, not yet a free-threaded build")
-    start, names, before = time.perf_counter(), requested(), digest()
+    start, names, before = time.perf_counter(), requested(), sources()
+    headers()
     say(f"kernels: compiling for {', '.join(names)} in {PROCESSES} processes ...")
-    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(PROCESSES) as pool:
-        work = Path(scratch)
-        jobs = [(v, share, work / f"{v}-{k}.o") for v in names for k, share in enumerate(shares())]
-        reports = list(pool.map(lambda job: emit(*job), jobs))
-        first = [report["kernels"] for job, report in zip(jobs, reports, strict=True) if job[0] == names[0]]
-        kernels = sorted(sum(first, []), key=lambda row: row["name"])
+    with tempfile.TemporaryDirectory() as scratch:
+        linked, kernels = compiled(names, Path(scratch), before)
         for row in kernels:
             say(f"  {row['label']:38}{row['seconds']:6.1f} s {row['bytes']:8} bytes")
-        from layer import source
-
-        levels = {name: variants()[name].level for name in names}
-        (work / "native.c").write_text(source(kernels, levels, before, builder()))
-        linked = work / library_name()
-        _link([work / "native.c", *(job[2] for job in jobs)], linked)
-        if digest() != before:
+        if sources() != before:
             raise BuildError("the sources of the kernels changed while they were compiled; build again")
         size, spent = linked.stat().st_size, time.perf_counter() - start
         folder.mkdir(parents=True, exist_ok=True)
-        fresh = folder / f"{library_name()}.new"
-        shutil.copyfile(linked, fresh)
-        os.replace(fresh, folder / library_name())  # a process that has the old one open keeps it
+        fresh = folder / f"{library_name()}.{os.getpid()}"
+        try:
+            shutil.copyfile(linked, fresh)
+            os.replace(fresh, folder / library_name())  # a process that has the old one open keeps it
+        finally:
+            fresh.unlink(missing_ok=True)
     say(f"kernels: {len(kernels)} in {size / 1e6:.2f} MB, {spent:.0f} s")
     return folder / library_name()
 
 
-if __name__ == "__main__":
+def compiled(names: list[str], work: Path, sources: str) -> tuple[Path, list[dict[str, Any]]]:
+    """The library in a scratch folder, and what is known of its kernels."""
+    from layer import source
+
+    running: list[subprocess.Popen] = []
+    jobs = [(v, share, work / f"{v}-{k}.o") for v in names for k, share in enumerate(shares())]
+    with ThreadPoolExecutor(PROCESSES) as pool:
+        try:
+            reports = list(pool.map(lambda job: emit(*job, running), jobs))
+        except BaseException:  # an interrupt, too: the others would go on for half a minute
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in running:
+                process.kill()
+            raise
+    first = [report["kernels"] for job, report in zip(jobs, reports, strict=True) if job[0] == names[0]]
+    kernels = sorted(sum(first, []), key=lambda row: row["name"])
+    levels = {name: variants()[name].level for name in names}
+    (work / "native.c").write_text(source(kernels, levels, sources, builder()))
+    linked = work / library_name()
+    _link([work / "native.c", *(job[2] for job in jobs)], linked)
+    return linked, kernels
+
+
+def main() -> None:
+    """Build, from the command line."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     sys.path.insert(0, str(HERE))
     try:
         build(Path(sys.argv[1]) if len(sys.argv) > 1 else KERNELS)
     except BuildError as error:
         sys.exit(f"kernels: {error}")
+    except KeyboardInterrupt:
+        sys.exit("kernels: interrupted; the library is as it was")
+
+
+if __name__ == "__main__":
+    main()

@@ -51,10 +51,10 @@ static struct PyModuleDef definition = {
 
 PyMODINIT_FUNC PyInit__native(void) {
     import_array();
-    const char *wish = getenv("KEMPE_GUARD");
-    guard = !wish || !*wish ? 0 : !strcmp(wish, "after") ? 1 : !strcmp(wish, "before") ? -1 : 2;
-    if (guard == 2 || (guard && !CAN_GUARD)) {
-        PyErr_SetString(PyExc_ImportError, "KEMPE_GUARD can be 'after' or 'before', and not on Windows");
+    const char *value = getenv("KEMPE_GUARD");
+    guard = !value || !*value ? 0 : !strcmp(value, "before") ? -1 : 1;
+    if (guard && !CAN_GUARD) {
+        PyErr_SetString(PyExc_ImportError, "KEMPE_GUARD does not work on Windows");
         return NULL;
     }
     PyObject *module = PyModule_Create(&definition), *all = PyDict_New();
@@ -72,7 +72,7 @@ PyMODINIT_FUNC PyInit__native(void) {
     }
     if (PyModule_AddObjectRef(module, "VARIANTS", all)) return NULL;
     Py_DecRef(all);
-    if (PyModule_AddStringConstant(module, "DIGEST", "@DIGEST@")) return NULL;
+    if (PyModule_AddStringConstant(module, "SOURCES", "@SOURCES@")) return NULL;
     if (PyModule_AddStringConstant(module, "BUILDER", "@BUILDER@")) return NULL;
     return module;
 }

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 import kempe
 from kempe.kernels import compiled
-from kempe.kernels.digest import source_digest
+from kempe.kernels.digest import source_digests
 from kempe.kernels.layout import fuse
 
 native = pytest.mark.skipif(compiled.VARIANT == compiled.JIT, reason="kernels are compiled in this process")
@@ -70,7 +70,7 @@ def test_sources_of_kernels_are_for_the_compiler_only():
 
 @native
 def test_the_library_is_that_of_the_sources():
-    assert compiled._native.DIGEST == source_digest()
+    assert compiled._native.SOURCES == source_digests()
     assert compiled.VARIANT in compiled._native.VARIANTS and compiled._native.VARIANTS[compiled.VARIANT]
 
 
@@ -116,7 +116,18 @@ def test_each_change_of_the_sources_is_seen(tmp_path, change):
         some.with_name("more.py").write_text("")
     else:
         some.rename(some.with_name("quartics.py")) if change == "renamed" else some.unlink()
-    assert "edited after they were compiled" in run(BLOCKED + SLIDER, package).stderr
+    name = {"new file": "more.py", "renamed": "quartic.py", "removed": "quartic.py"}[change]
+    assert f"edited after they were compiled ({name})" in run(BLOCKED + SLIDER, package).stderr
+
+
+@native
+def test_what_editors_leave_behind_does_no_harm(tmp_path):
+    package = copied(tmp_path)
+    kernels = package / "kernels"
+    (kernels / ".#sweep.py").symlink_to("me@host.1")
+    (kernels / "sweep (copy).py").write_text("")
+    (kernels / "folder.py").mkdir()
+    assert printed(BLOCKED + SLIDER, package) == "0.5"
 
 
 @native
@@ -144,6 +155,12 @@ def test_without_a_library_the_error_says_what_to_do(tmp_path):
 def test_unknown_variants_are_refused_with_what_is_allowed(name):
     error = run(SLIDER, KEMPE_KERNELS=name).stderr
     assert f"KEMPE_KERNELS is {name!r}" in error and ("allowed here: " in error or "not compiled" in error)
+
+
+def test_the_version_is_told_even_without_kernels():
+    done = run("from kempe.cli import main; import sys; sys.argv[1:] = ['--version']; main()", KEMPE_KERNELS="v9")
+    assert done.returncode == 2 and done.stdout == f"kempe {kempe.__version__}\n"
+    assert done.stderr.startswith("error: KEMPE_KERNELS is 'v9'") and "Traceback" not in done.stderr
 
 
 def test_jit_without_numba_says_so():
@@ -433,4 +450,4 @@ def test_guards_end_a_process_that_reads_out_of_bounds():
     for guard, index in (("after", 1), ("before", -1)):
         assert printed(BEYOND.format(index=0), KEMPE_GUARD=guard) == "0"
         assert run(BEYOND.format(index=index), KEMPE_GUARD=guard).returncode == -signal.SIGSEGV
-    assert "KEMPE_GUARD can be 'after' or 'before'" in run(BEYOND.format(index=0), KEMPE_GUARD="on").stderr
+    assert "KEMPE_GUARD is 'on'; allowed: 'after', 'before'" in run(BEYOND.format(index=0), KEMPE_GUARD="on").stderr

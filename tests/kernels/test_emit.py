@@ -124,7 +124,14 @@ def test_other_processors_are_refused_by_name(monkeypatch):
 def test_without_headers_the_build_says_where_they_are(monkeypatch, tmp_path):
     monkeypatch.setattr(library.sysconfig, "get_path", lambda name: str(tmp_path))
     with pytest.raises(library.BuildError, match="python3-dev"):
-        library._link([], tmp_path / "out.so")
+        library.headers()
+
+
+def test_a_compiler_that_is_not_there_is_named_before_anything_is_compiled(monkeypatch):
+    monkeypatch.delenv("KEMPE_BUILD", raising=False)
+    monkeypatch.setenv("CC", "'/no such/cc' -O1")
+    with pytest.raises(library.BuildError, match="no program '/no such/cc', which CC names"):
+        library.headers()
 
 
 def test_a_compiler_that_fails_is_quoted(monkeypatch, tmp_path):

@@ -12,6 +12,7 @@ from graphs import Graph, graphs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import kempe
 from kempe import Mechanism, System, spatial
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.compiled import bound
@@ -370,3 +371,37 @@ def test_closure_errors_of_random_systems(graph: Graph, seed):
                 np.testing.assert_allclose(error[row, k], [*offset, 0, 0, 0], rtol=0, atol=1e-12)
             else:
                 np.testing.assert_allclose(X_WM @ spatial.exp_se3(error[row, k]), there, rtol=0, atol=1e-11)
+
+
+def test_arrays_that_are_not_aligned_are_copied():
+    """As in packed records: each verb gives what it gives for a copy, before and after a plain call."""
+    s = kempe.load("puma560")
+    q = s.random(5, 4)
+    X = s.fk(q, "tool")
+
+    def unaligned(a):
+        raw = np.empty(a.nbytes + 1, dtype=np.uint8)[1:]
+        out = raw.view(np.float64).reshape(a.shape)
+        out[...] = a
+        assert not out.flags.aligned
+        return out
+
+    for _ in range(2):
+        for some in (q, q[0]):
+            np.testing.assert_array_equal(s.fk(unaligned(some), "tool"), s.fk(some, "tool"))
+            np.testing.assert_array_equal(s.fk(unaligned(some)), s.fk(some))
+            np.testing.assert_array_equal(s.jacobian(unaligned(some), "tool"), s.jacobian(some, "tool"))
+        for target in (X, X[0], X[:, :3, 3], X[0, :3, 3]):
+            np.testing.assert_array_equal(s.ik(unaligned(target), "tool").q, s.ik(target, "tool").q)
+        for target in (X, X[0]):
+            np.testing.assert_array_equal(s.ik_all(unaligned(target), "tool").q, s.ik_all(target, "tool").q)
+    np.testing.assert_array_equal(s.ik_path(unaligned(X), "tool").q, s.ik_path(X, "tool").q)
+    bar = kempe.load("four_bar")
+    closed = bar.assemble({"A": 1.0}).q
+    assert bar.mobility(unaligned(closed)).dof == 1
+    np.testing.assert_array_equal(bar.closure_error(unaligned(closed)), bar.closure_error(closed))
+    np.testing.assert_array_equal(
+        bar.assemble({"A": 0.9}, unaligned(closed)).q, bar.assemble({"A": 0.9}, closed).q
+    )
+    with pytest.raises(InputError, match="aligned"):
+        s.fk(q, "tool", out=unaligned(X))

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kempe import __version__
-from kempe.errors import InputError
-from kempe.views.terminal import COMPLETE, Commands, print_json
+from kempe.errors import InputError, KernelsError
+from kempe.views.terminal import COMPLETE, Commands, print_json, refuse
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -112,8 +112,11 @@ def main_options(
 ) -> None:
     """Kinematics of mechanisms: where bodies are, what reaches a pose, how closed loops move."""
     if version:
-        from kempe.kernels.compiled import VARIANT
-
+        try:
+            from kempe.kernels.compiled import VARIANT
+        except KernelsError as error:
+            print(f"kempe {__version__}")
+            refuse(error)
         print(f"kempe {__version__}, kernels {VARIANT}")
     elif context.invoked_subcommand is None:
         print(context.get_help())

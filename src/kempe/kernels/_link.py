@@ -32,7 +32,7 @@ class NoEngine:
         """Do nothing: there is no machine code that could read the environment."""
 
 
-class HelperLibrary(_Library):
+class _HelperLibrary(_Library):
     """Code of one helper, optimised by itself only; no machine code is made of it."""
 
     def finalize(self) -> None:
@@ -64,7 +64,7 @@ class HelperLibrary(_Library):
             others: list[Any] = []
             for part in needed:  # grows
                 for library in part._linking_libraries:
-                    known = needed if isinstance(library, HelperLibrary) else others
+                    known = needed if isinstance(library, _HelperLibrary) else others
                     if library not in known:
                         known.append(library)
             for part in needed[1:]:
@@ -83,7 +83,7 @@ class HelperCompiler(_Compiler):
 
     def __init__(self, typing: Any, target: Any, library: Any, *rest: Any):
         if library is None:
-            library = HelperLibrary(target.codegen(), "kempe")
+            library = _HelperLibrary(target.codegen(), "kempe")
         super().__init__(typing, target, library, *rest)
 
     def define_pipelines(self) -> list[Any]:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from kempe.errors import KernelsError
-from kempe.kernels.digest import source_digest
+from kempe.kernels.digest import first_difference, source_digests
 
 VARIABLE, JIT = "KEMPE_KERNELS", "jit"
 """The environment variable that names a variant, and the name of what is compiled in this process."""
@@ -33,7 +33,9 @@ _HELP = (
 
 def _library() -> Any:
     """The library of kernels, at the variant that is wanted; None where to compile. Errors: `KernelsError`."""
-    wanted = os.environ.get(VARIABLE, "")
+    wanted, guard = os.environ.get(VARIABLE, ""), os.environ.get("KEMPE_GUARD", "")
+    if guard not in ("", "after", "before"):
+        raise KernelsError(f"KEMPE_GUARD is {guard!r}; allowed: 'after', 'before'")
     if wanted == JIT:
         why = f"{VARIABLE} is {JIT!r}"
     elif importlib.util.find_spec("kempe.kernels._native") is None:
@@ -44,10 +46,12 @@ def _library() -> Any:
         except ImportError as error:
             how = f"{_HELP} and set {VARIABLE}={JIT}"
             raise KernelsError(f"the library of kernels cannot be loaded: {error}; {how}") from error
-        if source_digest() in (_native.DIGEST, ""):
+        sources = source_digests()
+        if sources in (_native.SOURCES, ""):
             _native.use(_chosen(_native.VARIANTS, wanted))
             return _native
-        why = "the sources of the kernels were edited after they were compiled"
+        changed = first_difference(_native.SOURCES, sources)
+        why = f"the sources of the kernels were edited after they were compiled ({changed})"
     if importlib.util.find_spec("numba") is None:
         raise KernelsError(f"{why}, but there is no Numba; {_HELP}" if wanted == JIT else f"{why}; {_HELP}")
     if wanted not in ("", JIT):

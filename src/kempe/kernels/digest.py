@@ -5,12 +5,30 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+HERE = Path(__file__).parent
 
-def source_digest(folder: Path = Path(__file__).parent) -> str:
-    """Digest of all sources of kernels, names and contents; empty where there are none, as in a frozen program."""
-    digest, paths = hashlib.sha256(), sorted(folder.rglob("*.py"))
-    if not paths:
-        return ""
-    for path in paths:
-        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode() + path.read_bytes() + b"\0")
-    return digest.hexdigest()
+
+def source_digests(folder: Path = HERE) -> str:
+    """A line for each source of kernels: its name and a digest (SHA-256) of what it says; empty where there are none.
+
+    Files whose names no import could name, as editors leave them, do not count.
+    """
+    lines = []
+    for path in sorted(folder.rglob("*.py")):
+        parts = path.relative_to(folder).with_suffix("").parts
+        if all(part.isidentifier() for part in parts) and "__pycache__" not in parts and path.is_file():
+            lines.append(f"{'/'.join(parts)} {_digest(path)}\n")
+    return "".join(lines)
+
+
+def _digest(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        return f"unreadable: {error.strerror}"
+
+
+def first_difference(before: str, now: str) -> str:
+    """The name of the first source that is not in both of two such texts with the same digest."""
+    (name, *_) = sorted(set(before.splitlines()) ^ set(now.splitlines()))[0].split()
+    return f"{name}.py"

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def as_q(system: System, q: object) -> Array:
-    """`q` as a C-contiguous float64 array (..., nq); a dict by coordinate name is completed with neutral values.
+    """`q` as an aligned, C-contiguous float64 array (..., nq); a dict by name is completed with neutral values.
 
     Errors: `InputError` for a wrong length or type, `UnknownNameError` for names.
     """
@@ -32,7 +32,7 @@ def as_q(system: System, q: object) -> Array:
         if given.dtype.kind not in "fiub":
             what = "complex" if given.dtype.kind == "c" else what
             raise TypeError
-        array = np.asarray(given, dtype=np.float64, order="C")
+        array = np.require(given, np.float64, "CA")
     except (TypeError, ValueError):
         raise InputError(f"q is {what}; it must be an array of real numbers or a dict by coordinate name") from None
     if array.ndim == 0 or array.shape[-1] != system.nq:

@@ -247,9 +247,9 @@ def _out(out: Array | None, shape: tuple[int, ...]) -> Array:
     if out is None:
         return np.empty(shape)
     if not (
-        isinstance(out, np.ndarray) and out.shape == shape and out.dtype == np.float64
-        and out.flags.c_contiguous and out.flags.writeable
+        isinstance(out, np.ndarray) and out.shape == shape and out.dtype == np.float64 and out.flags.carray
     ):  # fmt: skip
         given = f"{out.dtype} array of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
-        raise InputError(f"out is a {given}; it must be a writable, C-contiguous float64 array of shape {shape}")
+        needed = f"writable, C-contiguous float64 array of shape {shape}, aligned in memory"
+        raise InputError(f"out is a {given}; it must be a {needed}")
     return out
