@@ -52,10 +52,10 @@ def _library() -> Any:
             return _native
         changed = first_difference(_native.SOURCES, sources)
         why = f"the sources of the kernels were edited after they were compiled ({changed})"
-    if importlib.util.find_spec("numba") is None:
-        raise KernelsError(f"{why}, but there is no Numba; {_HELP}" if wanted == JIT else f"{why}; {_HELP}")
     if wanted not in ("", JIT):
         raise KernelsError(f"{VARIABLE} is {wanted!r}, but {why}; {_HELP}")
+    if importlib.util.find_spec("numba") is None:
+        raise KernelsError(f"{why}, but there is no Numba; {_HELP}" if wanted == JIT else f"{why}; {_HELP}")
     if wanted != JIT and not os.environ.get("KEMPE_QUIET"):
         print(f"kempe: {why}; compiling what is used in this process ...", file=sys.stderr, flush=True)
     return None
