@@ -84,8 +84,9 @@ def fresh(shared, wheel) -> Path:
     def make(folder: Path) -> None:
         subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
         (site,) = folder.glob("lib/python*/site-packages")
-        with zipfile.ZipFile(wheel) as archive:
-            archive.extractall(site)
+        python = folder / "bin" / "python"
+        install = [sys.executable, "-m", "pip", "--python", python, "install", "-q", "--no-deps", "--no-index", wheel]
+        subprocess.run(install, check=True, env=os.environ | {"PIP_DISABLE_PIP_VERSION_CHECK": "1"})
         (site / "others.pth").write_text(str(Path(np.__file__).parents[1]))
         (site / "blocked.pth").write_text("import sys; sys.modules.update(numba=None, llvmlite=None)\n")
 
@@ -136,10 +137,12 @@ def test_an_environment_without_numba_runs_it(fresh):
     first, _, sources = run(fresh, code).partition("\n")
     file, *variants = first.split()
     assert str(fresh.parent.parent) in file and sources == source_digests().strip() and tuple(variants) == VARIANTS
-    command = "from kempe.cli import main; main()"
-    shown = run(fresh, command, "ik", "puma560", "--frame", "tool", "--target", "0.5,0.2,0.1,0,90,0", "--deg")
-    assert "reached" in shown and "37.9802" in shown
-    assert run(fresh, command, "--version").endswith(tuple(VARIANTS))
+    for arguments, shown in (
+        (("ik", "puma560", "--frame", "tool", "--target", "0.5,0.2,0.1,0,90,0", "--deg"), r"reached(.|\n)*37\.9802"),
+        (("--version",), rf"kernels ({'|'.join(VARIANTS)})"),
+    ):
+        command = [str(fresh.parent / "kempe"), *arguments]
+        assert re.search(shown, subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
 
 ANSWERS = """
