@@ -220,3 +220,12 @@ def test_hard_targets_do_not_take_the_time_of_easy_ones(threads):
     mixed = np.stack([far, X], axis=1).reshape(-1, 4, 4)
     answer = robot.ik(mixed, "tool", time_limit=0.5, starts=100_000, threads=threads)
     assert answer.success[1::2].mean() > 0.99
+
+
+@pytest.mark.parametrize("threads", ["two", 0, -1, 1.5, True])
+def test_numbers_of_threads_are_checked_with_a_time_limit_too(threads):
+    robot = kempe.load("puma560")
+    X = robot.fk(robot.random(3, 600), "tool")
+    for limit in (None, 1.0):
+        with pytest.raises(InputError, match="threads is"):
+            robot.ik(X, "tool", threads=threads, time_limit=limit)

@@ -32,14 +32,20 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def over_chunks(work: Callable[[int, int], int], count: int, chunk: int, threads: int | None, serial_below: int) -> int:
+def over_chunks(
+    work: Callable[[int, int], int], count: int, chunk: int | None, threads: int | None, serial_below: int
+) -> int:
     """Sum of ``work(start, stop)`` over fixed chunks of ``range(count)``; one thread below `serial_below` items.
+
+    With `chunk` None each thread has one piece.
 
     The calling thread works too. Each thread takes the next chunk when it is done with one, so a thread that gets no
     processor holds nobody up for longer than a chunk. If one fails or is interrupted, no further chunk is begun.
     """
     if threads is not None and (isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1):
         raise InputError(f"threads is {threads!r}; it must be None (all processors) or a whole number, at least 1")
+    if chunk is None:
+        chunk = max(serial_below, -(-count // int(threads or processors())))
     n = 1 if count < serial_below else min(int(threads or processors()), -(-count // chunk))
     if n == 1:
         piece = max(chunk, serial_below)  # between two of them Python sees an interrupt

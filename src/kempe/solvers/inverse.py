@@ -14,7 +14,7 @@ from kempe.kernels.compiled import maker, search
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, ROTATION_TOLERANCE, STATUS
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.parallel import over_chunks, processors
+from kempe.kinematics.parallel import over_chunks
 from kempe.solvers import rounds
 from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.solvers.chain import Chain, chain_of, inside, obstacle
@@ -172,7 +172,7 @@ def run(
     if task.time_limit is None:
         over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
     else:  # all targets get their first starts before one gets its last: each thread has all of its own at once
-        over_chunks(work, n, max(CHUNK, -(-n // (threads or processors()))), threads, CHUNK)
+        over_chunks(work, n, None, threads, CHUNK)
     return out[:, :nq], out[:, nq + LINEAR : nq + STATUS], out[:, nq + STATUS :].astype(np.int64)
 
 
