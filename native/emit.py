@@ -28,10 +28,10 @@ import library
 import llvmlite.binding as llvm
 import numba
 from elf import sizes
-from numba.core import codegen, compiler
+from numba.core import compiler
 
 from kempe.kernels import _jit
-from kempe.kernels._link import NoEngine
+from kempe.kernels._link import CodeOnly
 from kempe.kernels.declare import Entry
 
 OUTSIDE = {
@@ -41,21 +41,11 @@ OUTSIDE = {
 """Functions that kernels may call and that are not compiled with them."""
 
 
-class LinkedLibrary(codegen.JITCodeLibrary):
-    """Code linked with all that it needs and optimised; no machine code is made of it here."""
+class LinkedLibrary(CodeOnly):
+    """Code linked with all that it needs and optimised."""
 
     def _finalize_final_module(self) -> None:
         self._finalized = True
-
-    def get_pointer_to_function(self, name: str) -> int:
-        """No address: it is never called here."""
-        self._ensure_finalized()
-        return 0
-
-    @property
-    def codegen(self) -> NoEngine:
-        """What stands for the engine that runs code."""
-        return NoEngine()
 
 
 class EntryCompiler(compiler.Compiler):

@@ -32,20 +32,26 @@ class NoEngine:
         """Do nothing: there is no machine code that could read the environment."""
 
 
-class _HelperLibrary(_Library):
-    """Code of one helper, optimised by itself only; no machine code is made of it."""
-
-    def finalize(self) -> None:
-        self._raise_if_finalized()
-        self._finalized = True
+class CodeOnly(_Library):
+    """Code of which no machine code is made in this process."""
 
     def get_pointer_to_function(self, name: str) -> int:
+        """No address: it is never called here."""
         self._ensure_finalized()
         return 0
 
     @property
     def codegen(self) -> NoEngine:
+        """What stands for the engine that runs code."""
         return NoEngine()
+
+
+class _HelperLibrary(CodeOnly):
+    """Code of one helper, optimised by itself only."""
+
+    def finalize(self) -> None:
+        self._raise_if_finalized()
+        self._finalized = True
 
     def _optimize_functions(self, module: Any) -> None:
         """As Numba's, with one manager of passes for all functions, and none for those that are but declared."""
