@@ -1,9 +1,12 @@
-"""Settings of all tests: deterministic property tests without deadlines."""
+"""Settings of all tests: deterministic property tests without deadlines, and the seed of the hunts."""
 
 from __future__ import annotations
 
 import os
+import zlib
 
+import numpy as np
+import pytest
 from hypothesis import HealthCheck, settings
 
 os.environ.setdefault("KEMPE_QUIET", "1")
@@ -17,3 +20,37 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 settings.load_profile("kempe")
+
+
+class Hunt:
+    """Seeded random cases in search of a counter-example to something that Kempe says."""
+
+    def __init__(self, seed: int, times: float, name: str) -> None:
+        self.seed = seed
+        self._times, self._name = times, name
+
+    def rng(self) -> np.random.Generator:
+        """Random numbers of this test under the seed of the command line."""
+        return np.random.default_rng([self.seed, zlib.crc32(self._name.encode())])
+
+    def cases(self, count: int) -> int:
+        """As many cases as the test asks for, times the factor of the command line; at least one."""
+        return max(1, round(count * self._times))
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options of the hunts: `--hunt-seed 7 --hunt-times 100` runs them on other cases, and on more of them."""
+    parser.addoption("--hunt-seed", type=int, default=20261122, help="seed of the hunts for counter-examples")
+    parser.addoption("--hunt-times", type=float, default=1.0, help="factor on the number of their cases")
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    """The line that tells how to run the same hunts again."""
+    return f"hunts: --hunt-seed {config.getoption('--hunt-seed')} --hunt-times {config.getoption('--hunt-times'):g}"
+
+
+@pytest.fixture
+def hunt(request: pytest.FixtureRequest) -> Hunt:
+    """The cases of a hunt: the same on every run with the same options, others for each test."""
+    options = request.config
+    return Hunt(options.getoption("--hunt-seed"), options.getoption("--hunt-times"), request.node.name)
