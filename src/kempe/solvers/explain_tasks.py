@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.solvers.freedoms import Local, freedoms_text
 from kempe.solvers.lengths import beyond
 from kempe.solvers.reached import Reached, analyse
 from kempe.solvers.solution import BAD_INPUT, OUT_OF_TIME, SOLVED
@@ -78,9 +79,9 @@ def _within(problem: Problem, task: Task, error: Array) -> bool:
 
 def _freedoms(problem: Problem, q: Array) -> str:
     """How many freedoms are left, or that there are more equations than freedoms."""
-    m, n, rank, _ = analyse(problem, q)
-    left = f"{_count(n - rank, 'freedom')} left" if n > rank else "no freedom is left"
-    return f"{left}, though {m} equations meet {_count(n, 'freedom')}" if m > n else left
+    local = Local(problem, q)
+    left = freedoms_text(local) if local.left.shape[1] else "no freedom is left"
+    return f"{left}, though {local.m} equations meet {_count(local.n, 'freedom')}" if local.m > local.n else left
 
 
 def _solved(problem: Problem, q: Array, tasks: list[int], limits: bool = True) -> Array | None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kempe.solvers.reached import null
+from kempe.solvers.freedoms import null
 from kempe.spatial import Array
 
 NEAR = 0.05

@@ -6,16 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from kempe.solvers.freedoms import Local
 from kempe.solvers.solution import Solution
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.solvers.tasks import Problem
-
-RANK_TOLERANCE = 1e-8
-"""Singular values below this fraction of the largest count as zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,21 +47,5 @@ class Reached(Solution):
 
 def analyse(problem: Problem, q: Array) -> tuple[int, int, int, Array]:
     """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions at q (nq,), scaled."""
-    packed = problem.packed
-    hard = [i for i, t in enumerate(problem.tasks) if t.weight is None and problem.use[i]]
-    ties = packed.loops.ties
-    equal = np.repeat([not t.bounds for t in ties], [len(t.rows) for t in ties])[packed.rows >= 0]
-    own = packed.rows[packed.rows >= 0]
-    J = packed.evaluate(q, problem.pins)[1][np.isin(own, hard) & equal]
-    N = null(packed.evaluate(q, problem.pins, closures=True)[1])
-    rest = N @ null(J @ N)
-    m = packed.count(hard)
-    return m, N.shape[1], N.shape[1] - rest.shape[1], rest
-
-
-def null(J: Array) -> Array:
-    """Orthonormal basis (n, k) of the null space of J (m, n)."""
-    if not J.size:
-        return np.eye(J.shape[1])
-    _, s, Vt = np.linalg.svd(J, full_matrices=True)
-    return Vt[int((s > RANK_TOLERANCE * max(1.0, s.max(initial=0.0))).sum()) :].T
+    local = Local(problem, q)
+    return local.m, local.n, local.n - local.left.shape[1], local.left

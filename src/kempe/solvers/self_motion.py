@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.task import Task, numbers_of
-from kempe.kinematics.tasks import Pose
-from kempe.solvers.reached import analyse
+from kempe.solvers.freedoms import Local, freedoms_text, null
+from kempe.solvers.inverse import tasks_of
 from kempe.solvers.solution import SOLVED
-from kempe.spatial import Array
+from kempe.solvers.targets import axis_of, points_along, task_of
+from kempe.solvers.tasks import judge, pose_problem
+from kempe.spatial import Array, ArrayLike
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -22,6 +24,10 @@ if TYPE_CHECKING:
 
 TOLERANCE = 1e-10
 """Largest error of the tasks along the way, in metres and radians."""
+HOMING, MET = 8, 1e-6
+"""Steps by which a way is led to the configuration that it may have come back to, and the distance at which it has."""
+ALIKE = 0.98
+"""Cosine above which two directions are those of one curve."""
 AT_LIMIT = 1e-6
 """How near to a limit a coordinate is at it."""
 PARTS = (1.0, 0.1, 1e-2, 1e-3, 1e-4)
@@ -34,8 +40,9 @@ LEAST_PART = 0.05
 class SelfMotion:
     """A family of configurations `q` (n, nq) in which tasks hold, in the order in which they are passed.
 
-    `freedoms` are those that the tasks leave at the start, `start` is the row of the configuration it began with.
-    `closed` says that the way comes back to it; else `ends` says for both ends why the way ends there.
+    `freedoms` are those that the tasks leave at the start, over a distance: where there are only such to first order,
+    `freedoms` is 0 and `q` has the start alone. `start` is the row of the configuration it began with. `closed` says
+    that the way comes back to it; else `ends` says for both ends why the way ends there.
     """
 
     system: System
@@ -51,34 +58,65 @@ class SelfMotion:
     def __str__(self) -> str:
         how = "it comes back to its start" if self.closed else f"from {self.ends[0]} to {self.ends[1]}"
         freedoms = "1 freedom" if self.freedoms == 1 else f"{self.freedoms} freedoms"
+        if not self.freedoms:
+            return f"1 configuration, no motion: {self.ends[0]}"
         return f"{len(self.q)} configurations of a self-motion with {freedoms}: {how}"
 
 
 def self_motion(
-    system: System, q: Any, tasks: FrameLike | Task | Sequence[Task], *, direction: Any = None, steps: int = 200,
-    step: float = 0.05,
+    system: System, q: Any, tasks: FrameLike | Task | Sequence[Task], *, task: str | None = None,
+    axis: ArrayLike = (0.0, 0.0, 1.0), direction: Any = None, steps: int = 200, step: float = 0.05,
 ) -> SelfMotion:  # fmt: skip
     """The configurations that a system can reach from q (nq,) without leaving tasks, both ways.
 
-    `tasks` is a frame, which stays at its pose, or hard tasks that hold at q. Where they leave one freedom, its
+    `tasks` is a frame, or hard tasks that hold at q. A frame stays at its pose, or at what `task` names, with `axis`,
+    as for `System.ik`: "position", "orientation", "direction", "position_axis". Where they leave one freedom, its
     whole curve is traced until it closes, meets a limit or has `steps` steps each way; where they leave more,
     `direction` says where to go: a coordinate to be moved, or a velocity (nv,), of which the part is followed that the
     tasks allow. `step` is the length of a step in radians and characteristic lengths. The tasks hold to 1e-9 all along:
-    each step is led back by steps of minimum norm. Errors: `InputError` where the tasks do not hold at q, or leave no
-    freedom, or more than one without a direction.
+    each step is led back by steps of minimum norm. Where the Jacobian loses rank and no motion is found, the answer is
+    q alone, and says so. Errors: `InputError` where the tasks do not hold at q, or leave no freedom even to first
+    order, or more than one without a direction.
     """
-    from kempe.solvers.tasks import judge, pose_problem
-
     q = as_q(system, q)
     if q.ndim != 1:
         raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
     whole = isinstance(steps, (int, np.integer)) and not isinstance(steps, bool)
     if not whole or steps < 1 or not isinstance(step, (int, float, np.floating)) or not 0.0 < step <= 0.5:
         raise InputError(f"steps is {steps!r}, step {step!r}; needed are a whole number from 1 on, and 0 < step <= 0.5")
-    wanted: Any = tasks
-    if not isinstance(tasks, (Task, list, tuple)):
-        name = system.frame_name(tasks)  # type: ignore[arg-type]
-        wanted = Pose(name, system.fk(q, name))
+    problem, q0 = _begin(system, q, _wanted(system, q, tasks, task, axis))
+    local = Local(problem, q0)
+    if not local.left.shape[1]:
+        raise InputError("the tasks leave no freedom at q: there is no self-motion")
+    if not local.finite:
+        text = freedoms_text(local)
+        return SelfMotion(system, local.q[None], 0, 0, False, (text, text))
+    wish = _wish(system, direction, local, problem)
+    way = _Way(local, wish, local.finite > 1, step)
+    forth = way.follow(q0, 1.0, steps)
+    if forth.closed:
+        return SelfMotion(system, np.array([q0, *forth.q]), local.finite, 0, True, ("", ""))
+    back = way.follow(q0, -1.0, steps, (forth.q[-1], -forth.t) if forth.q and forth.last else None)
+    q = np.array([*back.q[::-1], q0, *forth.q])
+    ends = ("", "") if back.closed else (back.end, forth.end)
+    return SelfMotion(system, q, local.finite, len(back.q), back.closed, ends)
+
+
+def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayLike) -> Any:
+    """The tasks; for a frame those that keep it."""
+    if isinstance(tasks, (Task, list, tuple)):
+        if task is not None:
+            raise InputError(f"task is {task!r}; it belongs to a frame, tasks say themselves what they ask")
+        return tasks
+    name = system.frame_name(tasks)
+    kind = task_of(task, False, bool(system.table.at[name][2]))
+    if system.dim == 2 and points_along(kind):
+        kind = "orientation" if kind == "direction" else "pose"
+    return tasks_of(name, (kind, axis_of(axis)), system.fk(q, name))
+
+
+def _begin(system: System, q: Array, wanted: Any) -> tuple[Problem, Array]:
+    """The problem that the tasks hold, and q (nq,) closed to rounding. Errors: `InputError` where they do not hold."""
     problem, start = pose_problem(system, wanted, q, TOLERANCE, 1)
     if problem.lead:
         raise InputError(f"the goals have the leading shape {problem.lead}; needed are those of one problem")
@@ -87,24 +125,18 @@ def self_motion(
     if not at:
         raise InputError(f"the tasks do not hold at q: they are missed by {at.position_error} m, "
                          f"{at.orientation_error} rad")  # fmt: skip
-    q0, info = problem.run(start)
-    freedoms = analyse(problem, q0[0])[3].shape[1]
-    wish = _wish(system, direction, freedoms, problem)
-    forth, closed, end = _follow(problem, q0[0], wish, 1.0, steps, step, direction is not None)
-    if closed:
-        return SelfMotion(system, np.array([q0[0], *forth]), freedoms, 0, True, ("", ""))
-    back_, _, other = _follow(problem, q0[0], wish, -1.0, steps, step, direction is not None)
-    return SelfMotion(system, np.array([*back_[::-1], q0[0], *forth]), freedoms, len(back_), False, (other, end))
+    return problem, problem.run(start)[0][0]
 
 
-def _wish(system: System, direction: Any, freedoms: int, problem: Problem) -> Array | None:
-    """The scaled velocity (nv,) to follow; None for the only one."""
-    if freedoms == 0:
-        raise InputError("the tasks leave no freedom at q: there is no self-motion")
+def _wish(system: System, direction: Any, local: Local, problem: Problem) -> Array:
+    """The scaled velocity (nv,) to follow."""
     if direction is None:
-        if freedoms > 1:
-            raise InputError(f"the tasks leave {freedoms} freedoms: say by `direction` which way to go")
-        return None
+        if local.finite > 1:
+            raise InputError(f"the tasks leave {local.finite} freedoms: say by `direction` which way to go")
+        found = local.motions
+        if (np.abs(found @ found[0]) < ALIKE).any():
+            raise InputError("self-motions branch here: say by `direction` which way to go")
+        return found[0]
     scale = problem.packed.scale
     if isinstance(direction, str):
         if direction not in system.velocity_names:
@@ -116,37 +148,72 @@ def _wish(system: System, direction: Any, freedoms: int, problem: Problem) -> Ar
     return wish / scale / np.linalg.norm(wish / scale)
 
 
-def _follow(
-    problem: Problem, q: Array, wish: Array | None, sign: float, steps: int, step: float, wished: bool
-) -> tuple[list[Array], bool, str]:  # fmt: skip
-    """Configurations one way from q, whether they come back to it, and why they end."""
-    system, scale, start, out = problem.system, problem.packed.scale, q, []
-    before = None if wish is None else sign * wish
-    first = None
-    for n in range(steps):
-        N = analyse(problem, q)[3]
-        if before is None:
-            before = sign * N[:, 0]
-        t = N @ (N.T @ before)
-        if np.linalg.norm(t) < LEAST_PART:
-            return out, False, "where the tasks leave nothing of this direction"
-        t /= np.linalg.norm(t)
-        first = t if first is None else first
-        for part in PARTS:
-            found, info = problem.run(system.integrate(q, part * step * t * scale)[None])
-            moved = system.difference(q, found[0]) / scale
-            if info[0, 0] == SOLVED and moved @ t >= 0.01 * part * step:
-                break
-        else:
-            return out, False, _stop(problem, q, t, 10.0 * PARTS[-1] * step)
-        home = _short(system, found[0], start) / scale
-        if n > 2 and np.linalg.norm(home) < step and t @ first > 0.5 and home @ t >= 0.0 and not wished:
-            return [*out, found[0]], True, ""
-        q, before = found[0], (t if wish is None else before)
-        out.append(q)
-        if names := _at_limits(system, q, t):
-            return out, False, f"the limit of {names[0]!r}"
-    return out, False, f"the last of {steps} steps"
+class _Half(NamedTuple):
+    """One way from the start: configurations, whether they come to where they should, why they end, the last direction,
+    and whether it is only for the number of steps that they end."""
+
+    q: list[Array]
+    closed: bool
+    end: str
+    t: Array
+    last: bool = False
+
+
+class _Way:
+    """Follows self-motions by steps along the tangent that are led back."""
+
+    def __init__(self, local: Local, wish: Array, wished: bool, step: float) -> None:
+        self.local, self.problem, self.wish, self.wished, self.step = local, local.problem, wish, wished, step
+
+    def follow(self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None = None) -> _Half:
+        """One way from q, until it comes to the goal, a configuration (nq,) and the direction (nv,) in which it is
+        passed; without one back to q."""
+        problem, system, scale, step = self.problem, self.problem.system, self.problem.packed.scale, self.step
+        before, out, t, given = sign * self.wish, [], sign * self.wish, goal is not None
+        for n in range(steps):
+            N = null(self.local.equations(q)[1])
+            t = N @ (N.T @ before)
+            if np.linalg.norm(t) < LEAST_PART:
+                return _Half(out, False, "where the tasks leave nothing of this direction", t)
+            t /= np.linalg.norm(t)
+            goal = (q, t) if goal is None else goal
+            for part in PARTS:
+                found, info = problem.run(system.integrate(q, part * step * t * scale)[None])
+                moved = system.difference(q, found[0]) / scale
+                if info[0, 0] == SOLVED and moved @ t >= 0.01 * part * step:
+                    break
+            else:
+                return _Half(out, False, _stop(problem, q, t, 10.0 * PARTS[-1] * step), t)
+            if (n or given) and not self.wished and self._passes(q, found[0], t, goal):
+                return _Half(out, True, "", t)
+            q, before = found[0], (before if self.wished else t)
+            out.append(q)
+            if names := _at_limits(system, q, t):
+                return _Half(out, False, f"the limit of {names[0]!r}", t)
+        return _Half(out, False, f"the last of {steps} steps", t, True)
+
+    def _passes(self, a: Array, b: Array, t: Array, goal: tuple[Array, Array]) -> bool:
+        """Whether the way from a along t (nv,) to b comes through the goal.
+
+        Steps from a that are as long as the goal is ahead, each led back, end there.
+        """
+        problem, (there, along) = self.problem, goal
+        system, scale = problem.system, problem.packed.scale
+        home = _short(system, a, there) / scale
+        ahead = float(home @ t)
+        reach = float(np.linalg.norm(system.difference(a, b) / scale))
+        if t @ along < 0.5 or not 0.0 <= ahead <= 1.2 * reach or np.linalg.norm(home) > 2.0 * reach:
+            return False
+        q = a
+        for _ in range(HOMING):
+            found, info = problem.run(system.integrate(q, ahead * t * scale)[None])
+            if info[0, 0] != SOLVED:
+                return False
+            q, gap = found[0], _short(system, found[0], there) / scale
+            if np.linalg.norm(gap) < MET:
+                return True
+            ahead = float(gap @ t)
+        return False
 
 
 def _stop(problem: Problem, q: Array, t: Array, ahead: float) -> str:

@@ -15,8 +15,8 @@ import numpy as np
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.loops import evaluate, full
+from kempe.solvers.freedoms import null
 from kempe.solvers.least_squares import LEAST, NEAR, bounded, damped, scaled
-from kempe.solvers.reached import null
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
