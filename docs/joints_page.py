@@ -44,7 +44,7 @@ NOTES = """
   singularity at `ry` = ±90°.
 - `pitch` is in metres a radian, along z; it may be negative.
 - In the plane `free` has the coordinates `x`, `y`, `rz`, and `translation` has `x`, `y`.
-- `limits` are given for each velocity coordinate; those of a quaternion have none.
+- `limits` are given for each velocity coordinate; a quaternion has no limits.
 
 ## Particles
 

@@ -27,15 +27,20 @@ INTRODUCTION = """\
 # What happens to bad files
 
 A robot file often comes from somewhere else, and many are broken. Kempe repairs nothing silently: a file either means
-one system, or it is refused with its line, the thing that is wrong, and what is allowed. All problems of a file are
-collected before it gives up; 20 are shown. What is legal but strange loads, with a note (`kempe info` shows notes,
+one system, or it is refused with its line, the thing that is wrong, and what is allowed. <!-- hunted:
+tests/test_bad_files.py::test_what_is_said --> All problems of a file are
+collected before it gives up; 20 are shown. <!-- hunted:
+tests/test_bad_files.py::test_what_is_said --> What is legal but strange loads, with a note (`kempe info` shows notes,
 `kempe check` shows problems with the line of the file and a caret).
 
-- No DTD and no entity is ever read. A file has at most 32 MiB, its elements are nested
+- No DTD and no entity is ever read. <!-- hunted: tests/test_bad_files.py::test_what_is_said
+  tests/description/test_xml.py::test_any_bytes --> A file has at most 32 MiB, its elements are nested
   at most 100 deep.
-- Numbers are finite, separated by blanks, and exactly as many as the format says.
-- Names of links are unique, and so are those of joints; none is empty.
-- Exactly one link is the root, and joints lead from it to all others. A second way to a link is a *loop*, and legal.
+- Numbers are finite, separated by blanks, and exactly as many as the format says. <!-- hunted:
+  tests/test_bad_files.py::test_what_is_said -->
+- Names of links are unique, and so are those of joints; they are not empty.
+- Exactly one link is the root, and joints lead from it to all others. <!-- hunted:
+  tests/test_bad_files.py::test_what_is_said --> A second way to a link is a *loop*, and legal.
 - A slip such as `orgin` for `origin` is refused; an element or attribute that Kempe does not know is noted.
 - Meshes are not opened on loading. When they are drawn, only files inside the folders of the model are.
 - xacro is a program, not data. It is expanded only where you ask for it, in a process with limits.

@@ -8,10 +8,13 @@ import io
 import itertools
 import re
 import shlex
+import sys
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
 import pytest
+from reviewed_sentences import REVIEWED
 
 from kempe.errors import KempeError, MissingExtraError
 
@@ -146,10 +149,103 @@ def test_every_page_is_in_the_table_of_contents():
     assert sorted(listed) == sorted(p.stem for p in PAGES if p.parent == index.parent and p != index)
 
 
-def test_joints_page_is_up_to_date():
-    spec = importlib.util.spec_from_file_location("joints_page", ROOT / "docs" / "joints_page.py")
+def written_by(script: str) -> ModuleType:
+    """A module of docs that writes a page."""
+    spec = importlib.util.spec_from_file_location(script, ROOT / "docs" / f"{script}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[script] = module  # dataclasses and named tuples look themselves up
     spec.loader.exec_module(module)
-    shown = (ROOT / "docs" / "joints.md").read_text(encoding="utf-8")
-    assert shown == module.page(), "run  python docs/joints_page.py"
+    return module
+
+
+@pytest.mark.parametrize("name", ["joints", "trust"])
+def test_written_pages_are_up_to_date(name):
+    shown = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+    assert shown == written_by(f"{name}_page").page(), f"run  python docs/{name}_page.py"
+
+
+# ---- general sentences
+
+trust = written_by("trust_page")
+claims = pytest.mark.parametrize("path", trust.pages(), ids=lambda p: p.stem)
+
+
+def reviewed(page: str) -> list[str]:
+    """Beginnings of the sentences of a page that have been read and need no hunt."""
+    return [start for pages_ in REVIEWED.values() for start in pages_.get(page, ())]
+
+
+@claims
+def test_marks_name_hunts(path):
+    """A hunt, a property by Hypothesis or a battery of cases, which exists; a plain example hunts nothing."""
+    for s in trust.sentences(path):
+        for test in s.tests:
+            assert trust.kind(test), f"{s.text!r} names {test}, which is no hunt, no property and no battery"
+
+
+@claims
+def test_marks_stand_behind_what_they_mark(path):
+    """At the beginning of a line a comment ends the paragraph, and what follows it in the line is lost."""
+    text = FENCE.sub("", path.read_text(encoding="utf-8"))
+    assert not re.findall(r"^\s*<!--\s*hunted.*$", text, re.MULTILINE)
+    assert len(re.findall("hunted:", text)) == len(trust.MARK.findall(text)) == sum(
+        len(s.tests) > 0 for s in trust.sentences(path)
+    )  # fmt: skip
+
+
+@claims
+def test_general_sentences_are_hunted_or_reviewed(path):
+    page = path.relative_to(ROOT).as_posix()
+    starts = reviewed(page)
+    open_ = [
+        s.text for s in trust.sentences(path)
+        if s.is_general and not s.tests and not any(s.text.startswith(x) for x in starts)
+    ]  # fmt: skip
+    assert not open_, "name the test that hunts it (<!-- hunted: ... -->), or say less:\n" + "\n".join(open_)
+
+
+def test_reviewed_sentences_stand_where_they_are_said_to():
+    """And need the review: they are general, and not hunted."""
+    for page in {p for pages_ in REVIEWED.values() for p in pages_}:
+        found = [s for s in trust.sentences(ROOT / page) if s.is_general and not s.tests]
+        for start in reviewed(page):
+            assert sum(s.text.startswith(start) for s in found) == 1, f"{page} has no open sentence {start!r}"
+    assert sum(len(reviewed(p)) for p in {p for pages_ in REVIEWED.values() for p in pages_}) <= 20, "keep it short"
+
+
+@pytest.mark.parametrize(
+    ("text", "general"),
+    [
+        ("It never fails.", [True]), ("It may fail.", [False]), ("One. All are found. Some are.", [False, True, False]),
+        ("The call `all(x)` ends.", [False]), ("[All solutions](ik_all.md) has more.", [False]),
+        ("# Every heading", []), ("| all | always right |", [False, True]), ("It cannot be (e.g. now).", [True]),
+        ("- Some.\n- Whatever\n  it is.", [False, True]), ("This is a proof: it follows.", [True]),
+        ("Version 0.1 is out.", [False]), ("Any\nbody is meant.", [True]), ("It is complete. Not so.", [True, False]),
+    ],
+)  # fmt: skip
+def test_general_sentences_are_noticed(text, general):
+    assert [s.is_general for s in trust.sentences_of(text, "page")] == general
+
+
+def test_marks_are_read():
+    one, two, three = trust.sentences_of(
+        "It is all. <!-- hunted: a.py::test_a b.py::test_b --> It is any. <!-- hunted:\nc.py::test_c -->\nAnd so on.",
+        "page",
+    )
+    assert (one.text, one.tests) == ("It is all.", ("a.py::test_a", "b.py::test_b"))
+    assert (two.text, two.tests, three.tests) == ("It is any.", ("c.py::test_c",), ())
+
+
+@pytest.mark.parametrize(
+    ("test", "kind"),
+    [
+        ("tests/test_claims.py::test_unknown_keys_of_files_are_errors", "hunt"),
+        ("tests/kinematics/test_forward.py::test_poses_of_random_systems", "property"),
+        ("tests/test_bad_files.py::test_what_is_said", "battery"),
+        ("tests/test_docs.py::test_marks_are_read", ""), ("tests/test_docs.py::test_that_is_not_there", ""),
+        ("tests/test_nowhere.py::test_x", ""), ("tests/test_docs.py", ""),
+    ],
+)  # fmt: skip
+def test_kinds_of_tests(test, kind):
+    assert trust.kind(test) == kind
