@@ -27,7 +27,9 @@ STRONG = (
     "proofs?|proves?|proven|ever|without loss|without exception"
 )
 IN_CELLS = re.compile(rf"\b({STRONG})\b", re.IGNORECASE)
-IN_TEXT = re.compile(rf"^(?:- )?No(?:body)? |\b({STRONG}|all|any|anything|nothing|none|complete|completely)\b", re.IGNORECASE)
+IN_TEXT = re.compile(
+    rf"^(?:- )?No(?:body)? |\b({STRONG}|all|any|anything|nothing|none|complete|completely)\b", re.IGNORECASE
+)
 """Words of a claim in general; a cell of a table that says "all" or "none" mostly names a thing."""
 HEAD = """\
 # What has been hunted

@@ -126,15 +126,19 @@ def lines(hunt, count: int) -> tuple[int, int]:
                 f"{left} freedom{'' if left == 1 else 's'} left, {n - 1} to first order (the Jacobian loses rank here)"
             )
             assert said in answer.status, (lengths, q)
-            m = s.self_motion(q, task, direction=rng.normal(size=n), steps=5)
+            along = np.cumsum((lengths * np.cos(np.cumsum(q) - q[0]))[::-1])[::-1]
+            wish = np.cross(along, rng.normal(size=3)) if n == 3 else rng.normal(size=n)
+            if abs(along @ wish) > 0.95 * np.linalg.norm(along) * np.linalg.norm(wish):
+                continue  # the tasks leave too little of this direction
+            m = s.self_motion(q, task, direction=wish, steps=5)
             assert m.freedoms == left and np.abs(tips(lengths, m.q) - task.target).max() < 1e-8
             assert np.linalg.norm(m.q - q, axis=1).max() > 0.05
     return isolated, crossed
 
 
 def test_freedoms_of_arms_in_a_line(hunt):
-    isolated, crossed = lines(hunt, 40)
-    assert (isolated and crossed) or hunt.cases(40) < 40
+    isolated, crossed = lines(hunt, 20)
+    assert (isolated and crossed) or hunt.cases(20) < 20
 
 
 @pytest.mark.slow
@@ -276,14 +280,32 @@ def walks(hunt, count: int) -> tuple[int, int]:
 
 def test_walks_of_redundant_arms(hunt):
     """Planar arms of three links, spatial ones of four joints, the point held: against the integrated kernel."""
-    closed, run = walks(hunt, 25)
-    assert closed or run < 15
+    closed, run = walks(hunt, 8)
+    assert closed or run < 8
 
 
 @pytest.mark.slow
 def test_many_walks_of_redundant_arms(hunt):
-    closed, run = walks(hunt, 300)
+    closed, run = walks(hunt, 90)
     assert closed > 0.2 * run
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_direction_says_which_way_is_forth(sense):
+    s = kempe.load("panda")
+    m = s.self_motion(s.mid, "tool", direction=sense * np.eye(7)[0], steps=3)
+    assert sense * (m.q[m.start + 1, 0] - m.q[m.start, 0]) > 0.0
+
+
+def test_where_self_motions_branch_the_direction_chooses():
+    """Three equal links, folded: the tip stays with the elbow folded, or as the links open to a parallelogram."""
+    s = planar((1.0, 1.0, 1.0))
+    q = np.array([0.0, math.pi, 0.0])
+    with pytest.raises(InputError, match="branch here: say by `direction`"):
+        s.self_motion(q, "tip", task="position")
+    for direction, way in (("q1", (1.0, 0.0, -1.0)), ("q2", (-1.0, 1.0, -1.0))):
+        m = s.self_motion(q, "tip", task="position", direction=direction, steps=5)
+        np.testing.assert_allclose((m.q[-1] - q) / np.linalg.norm(m.q[-1] - q), way / np.linalg.norm(way), atol=1e-6)
 
 
 @pytest.mark.parametrize("task", ["position", "orientation", "direction", "position_axis"])

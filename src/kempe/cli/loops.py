@@ -162,7 +162,8 @@ def trace(
 ) -> None:  # fmt: skip
     """Follow a mechanism with one freedom through its whole motion.
 
-    Files get arc length, all coordinates, and x, y (and z) of the frames. Ctrl-C ends it with what was done.
+    Files get arc length, all coordinates, and x, y (and z) of the frames. Ctrl-C while the
+    motion is followed ends it with the part that was done.
 
     Example: kempe trace jansen --driver O --frame foot -o foot.csv --plot foot.png
     """

@@ -92,6 +92,9 @@ def self_motion(
         text = freedoms_text(local)
         return SelfMotion(system, local.q[None], 0, 0, False, (text, text))
     wish = _wish(system, direction, local, problem)
+    if local.finite == 1:  # of curves that meet here, the one nearest to the direction
+        found = np.concatenate([local.motions, -local.motions])
+        wish = found[np.argmax(found @ wish)]
     way = _Way(local, wish, local.finite > 1, step)
     forth = way.follow(q0, 1.0, steps)
     if forth.closed:
