@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -14,8 +13,9 @@ from kempe.errors import InputError, NoSolutionError
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.compiled import maker
 from kempe.kinematics.parallel import over_chunks
+from kempe.solvers.analytic.choice import choose
 from kempe.solvers.analytic.lines import Lines, lines_of
-from kempe.solvers.analytic.plan import Plan, free_lines, freedoms, kernel_of, make, side_by_side_of
+from kempe.solvers.analytic.plan import Plan, kernel_of, side_by_side_of
 from kempe.solvers.analytic.question import Question, held, near_of, within
 from kempe.solvers.analytic.solutions import Solutions
 from kempe.solvers.targets import Z_AXIS, axis_of, frame_of, in_plane, points_along, targets_of, task_of
@@ -148,43 +148,41 @@ def plan_for(
     if plan is None:
         at = tuple(sorted(lines.names.index(n) for n in fixed))
         planar = system.dim == 2
-        plan = system._queries[key] = replace(_choose(lines, task, at, planar), fixed=at, planar=planar)
+        plan = system._queries[key] = replace(choose(lines, task, at, planar), fixed=at, planar=planar)
     return plan
-
-
-def _choose(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) -> Plan:
-    """The plan with as many joints locked, beside those `fixed`, as the chain has too many; the best choice of them."""
-    free = free_lines(lines, task, planar)
-    unknown = [i for i in range(len(lines)) if i not in fixed]
-    rank = freedoms(lines, free, unknown)
-    extra = len(unknown) + len(free.kinds) - rank
-    if extra <= 0:
-        return make(lines, task, fixed, planar)
-    best = None
-    # the last joints are held, but not where they are what turns the tip
-    order = unknown if task in ("orientation", "direction") else unknown[::-1]
-    for choice in itertools.islice(itertools.combinations(order, extra), 60):
-        left = [i for i in unknown if i not in choice]
-        if freedoms(lines, free, left) < rank:
-            continue
-        plan = make(lines, task, tuple(sorted((*fixed, *choice))), planar)
-        if plan.method == "closed":
-            return plan
-        best = best or plan
-    return best or make(lines, task, fixed, planar)
 
 
 def solve(
     question: Question, plan: Plan, near: Array | None, values: Mapping[str, Array], threads: int | None
 ) -> Solutions:
-    """The answer of the kernels."""
-    targets, lines, system = question.targets, plan.lines, question.system
-    n, single = len(targets), question.lead is None
+    """The answer of the kernels; joints that are held by choice where there are solutions."""
+    lines, system = plan.lines, question.system
     base = system.neutral[None] if near is None else near
     chain_near = np.ascontiguousarray(base[:, lines.q_index])
-    locked = chain_near
-    if plan.locked:
-        locked = _locked(question, plan, chain_near, values)
+    start = np.array([plan.first]) if near is None and plan.first else chain_near
+    first = _locked(question, plan, start, values) if plan.locked else chain_near
+    out, counts = solve_held(question, plan, chain_near, first, threads)
+    if plan.locked == plan.fixed:
+        return Solutions(question, plan, base, out, counts, question.lead, locked=first)
+    from kempe.solvers.analytic.further import look_further
+
+    def at(some: Question, near: Array, locked: Array) -> tuple[Array, np.ndarray]:
+        return solve_held(some, plan, near, locked, threads)
+
+    held_at = look_further(question, plan, chain_near, first, out, counts, at, threads)
+    return Solutions(question, plan, base, out, counts, question.lead, locked=held_at.locked, first=first,
+                     tried=held_at.tried)  # fmt: skip
+
+
+def solve_held(
+    question: Question, plan: Plan, chain_near: Array, locked: Array, threads: int | None
+) -> tuple[Array, np.ndarray]:
+    """Rows (N, K, n + 2) and counts (N, 2) of the kernels with joints locked at their values in `locked` (1 or N, n).
+
+    chain_near: (1 or N, n) coordinates of the chain, near which angles are given.
+    """
+    targets, lines = question.targets, plan.lines
+    n, single = len(targets), question.lead is None
     if question.axis != Z_AXIS:
         targets = targets.copy()
         targets[:, :3, :3] = targets[:, :3, :3] @ frame_of(np.array(question.axis))
@@ -194,7 +192,7 @@ def solve(
         from kempe.solvers.analytic.search import search
 
         search(question, plan, chain_near, locked, out, counts, np.arange(n))
-        return Solutions(question, plan, base, out, counts, question.lead, locked=locked)
+        return out, counts
     side_by_side = side_by_side_of(plan) if len(locked) == 1 or not plan.locked else None
     if side_by_side and not plan.locked:
         locked = locked[:1]
@@ -226,7 +224,7 @@ def solve(
         from kempe.solvers.analytic.search import search
 
         search(question, plan, chain_near, locked, out, counts, lost)
-    return Solutions(question, plan, base, out, counts, question.lead, locked=locked)
+    return out, counts
 
 
 def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Array]) -> Array:

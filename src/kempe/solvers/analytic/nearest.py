@@ -199,7 +199,7 @@ def _closest(aim: Aim, first: Array) -> Array:
     theta = np.tile(first, (STARTS, 1))
     theta[1:, aim.moves] = rng.uniform(np.minimum(left, right), np.maximum(left, right), (STARTS - 1, k))
     theta[:, aim.moves] = np.clip(theta[:, aim.moves], low, high)
-    theta = _descend(aim, theta, low, high)
+    theta = descend(aim, theta, low, high)
     e, _ = aim.at(theta)
     order = np.argsort((e * e).sum(axis=1))
     best, least = theta[order[0]], math.inf
@@ -219,7 +219,7 @@ def _closest(aim: Aim, first: Array) -> Array:
     return best
 
 
-def _descend(aim: Aim, theta: Array, low: Array, high: Array) -> Array:
+def descend(aim: Aim, theta: Array, low: Array, high: Array) -> Array:
     """Variables (N, n) after damped Gauss-Newton steps inside the limits; joints that press on a limit stay there."""
     moves, damping = aim.moves, np.full(len(theta), 1e-2)
     e, J = aim.at(theta)

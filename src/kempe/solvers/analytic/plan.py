@@ -47,7 +47,8 @@ class Plan:
     """How a chain's inverse model is solved: packed for the kernels, with what a reader wants to know.
 
     `method` is "closed", "elimination" or "search"; `locked` are the joints held at values: those `fixed` by whoever
-    asks, and others where the chain has more than the task needs. `extra` are the lines that complete the rest to six.
+    asks, and others where the chain has more than the task needs, which are at `first` (n,) where nobody says where.
+    `extra` are the lines that complete the rest to six.
     """
 
     lines: Lines
@@ -60,6 +61,7 @@ class Plan:
     floats: np.ndarray = field(repr=False)
     fixed: tuple[int, ...] = ()
     planar: bool = False
+    first: tuple[float, ...] = ()
 
     @property
     def rests(self) -> bool:
@@ -237,25 +239,41 @@ def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Ex
 
     but: lines that complete it in a plan that is known; then another one is made.
     """
+    plan = in_closed_form(lines, task, locked, planar, but)
+    if plan is not None:
+        return plan
+    unknown = [i for i in range(len(lines)) if i not in locked]
+    for extra in itertools.islice(_completions(lines, task, unknown, planar, but), ELIMINATIONS):
+        plan = _by_elimination(lines, task, unknown, locked, extra)
+        if plan is not None:
+            return plan
+    return pack(lines, task, locked, Extra(*_parts(free_lines(lines, task, planar))), None)
+
+
+def in_closed_form(
+    lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None
+) -> Plan | None:
+    """The plan that solves the joints that are not locked in closed form, None where there is none; see `make`."""
     unknown = [i for i in range(len(lines)) if i not in locked]
     if not unknown:
         raise UnsupportedError("no joint is left to move: all of the chain are held, or do nothing for this task")
-    free = free_lines(lines, task, planar)
-    tried = []
-    for rest in resting(lines, free, unknown, planar):
-        extra = Extra(*(np.concatenate([a, b]) for a, b in zip(_parts(free), _parts(rest), strict=True)))
-        if but is not None and np.array_equal(extra.h, but.h) and np.array_equal(extra.o, but.o):
-            continue
-        tried.append(extra)
+    for extra in _completions(lines, task, unknown, planar, but):
         for way in _ways(lines, unknown, locked, extra):
             plan = pack(lines, task, locked, extra, way)
             if _works(plan):
                 return plan
-    for extra in tried[:ELIMINATIONS]:
-        plan = _by_elimination(lines, task, unknown, locked, extra)
-        if plan is not None:
-            return plan
-    return pack(lines, task, locked, Extra(*_parts(free)), None)
+    return None
+
+
+def _completions(
+    lines: Lines, task: str, unknown: list[int], planar: bool, but: Extra | None
+) -> Iterator[Extra]:
+    """Lines that complete the unknown joints to six: free ones for what the task does not ask, others at rest."""
+    free = free_lines(lines, task, planar)
+    for rest in resting(lines, free, unknown, planar):
+        extra = Extra(*(np.concatenate([a, b]) for a, b in zip(_parts(free), _parts(rest), strict=True)))
+        if but is None or not (np.array_equal(extra.h, but.h) and np.array_equal(extra.o, but.o)):
+            yield extra
 
 
 def _by_elimination(

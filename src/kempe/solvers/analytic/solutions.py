@@ -37,10 +37,11 @@ class Solutions:
     def __init__(
         self, question: Question | tuple[Bound, Array], plan: Plan, base: Array, rows: Array, counts: np.ndarray,
         lead: tuple[int, ...] | None, used: int | None = None, locked: Array | None = None,
+        first: Array | None = None, tried: np.ndarray | None = None,
     ):  # fmt: skip
         self._asked, self.plan = question, plan
         self._base, self._rows, self._counts, self._lead, self._count = base, rows, counts, lead, used
-        self._locked = locked
+        self._locked, self._first, self._tried = locked, first, tried
         self._whole: Solutions | None = None  # the answer before some of it was chosen: what is said is about that
 
     @cached_property
@@ -122,6 +123,34 @@ class Solutions:
         """Number of the branch of each, (k,) or (..., K), -1 where there is none."""
         unit = int(A.SLOT_UNIT)
         return self._pick(self._code % int(A.MULTIPLICITY_UNIT) // unit - 1)
+
+    # ---- joints that are held
+
+    @property
+    def _where(self) -> tuple[Array | None, Array | None, np.ndarray | None]:
+        """Where joints are held, where they were held first, and how many values were tried."""
+        return self._locked, self._first, self._tried
+
+    @property
+    def spare(self) -> tuple[str, ...]:
+        """Names of the joints that are held since the chain has more than the task needs, not by who asked."""
+        plan = self.plan
+        return tuple(plan.lines.names[i] for i in plan.locked if i not in plan.fixed)
+
+    @cached_property
+    def held(self) -> dict[str, Any]:
+        """Where joints are held, by name: a number, or an array (...) with one for each target of a batch."""
+        out: dict[str, Any] = {}
+        for i in self.plan.locked:
+            values = np.broadcast_to(np.atleast_2d(self._locked)[:, i], len(self._rows))
+            out[self.plan.lines.names[i]] = float(values[0]) if self._lead is None else values.reshape(self._lead)
+        return out
+
+    @property
+    def tried(self) -> Any:
+        """At how many values of the `spare` joints solutions were asked for: an int, or an array (...) of a batch."""
+        tried = np.ones(len(self._rows), dtype=np.int64) if self._tried is None else self._tried
+        return int(tried[0]) if self._lead is None else tried.reshape(self._lead)
 
     # ---- what is found out when it is asked for
 
@@ -247,7 +276,7 @@ class Solutions:
             rows = inside_rows(rows, self.single)
         if expand_turns:
             rows = expanded(rows, self.plan.lines)
-        chosen = Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead, None, self._locked)
+        chosen = Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead, None, *self._where)
         chosen._whole = self
         return chosen
 
@@ -262,7 +291,7 @@ class Solutions:
         if self._lead is None or not self._lead:
             return self
         rows = followed(self._rows, self.plan.lines, self._lead[-1])
-        return Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead, None, self._locked)
+        return Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead, None, *self._where)
 
     # ---- as a sequence
 

@@ -1,0 +1,256 @@
+"""Other values of the joints that a redundant chain has to spare, for targets that the first values do not reach.
+
+A target has solutions at some values of a spare joint only, near the boundary of the workspace and in the corners of
+the limits at hardly more than one. So a grid of values misses some. A numerical search finds a configuration wherever
+there is one; with the spare joints held where that has them, all the other solutions follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kempe.kernels import analytic_layout as A
+from kempe.kernels.compiled import search
+from kempe.kernels.search_layout import ANGULAR, ANSWER, LINEAR, SOLVED, STATUS
+from kempe.kinematics.parallel import over_chunks
+from kempe.solvers.analytic.choice import within_domains
+from kempe.solvers.analytic.nearest import Aim, descend, limits_of
+from kempe.solvers.analytic.plan import TASKS, Plan
+from kempe.solvers.analytic.question import Question
+from kempe.solvers.chain import chain_of
+from kempe.solvers.rounds import FEW, ITERATIONS, MOST, Task, outside, rows_of
+from kempe.solvers.targets import Z_AXIS, frame_of
+from kempe.spatial import Array
+
+VALUES = 64
+"""Values of the spare joints that are tried before it is said that there is no solution, the first among them."""
+
+LOOSE = 1e-6
+"""Tolerance of the last search, which is polished after."""
+
+SAME = 1e-4
+"""A solution nearer than this to the configuration of the search is that configuration."""
+
+ROOM = 512
+"""Targets times values that are solved at a time, unless there are more targets."""
+
+CHUNK, SERIAL_BELOW = 256, 1024
+
+Solve = Callable[[Question, Array, Array], tuple[Array, np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Where the spare joints are: `locked` (1 or N, n) coordinates of which those count that are held, and of each
+    target how many values were `tried` (N,)."""
+
+    locked: Array
+    tried: np.ndarray
+
+
+def look_further(
+    question: Question, plan: Plan, near: Array, locked: Array, rows: Array, counts: np.ndarray, solve: Solve,
+    threads: int | None,
+) -> Held:  # fmt: skip
+    """Where the spare joints are in the end; `rows` (N, K, n + 2) and `counts` (N, 2) are made better in place.
+
+    near, locked: (1 or N, n). solve: rows and counts of a question, near and locked.
+    """
+    tried = np.ones(len(rows), dtype=np.int64)
+    left = np.flatnonzero((counts[:, 0] >= 0) & ~_reached(rows))
+    if len(left):
+        left = left[outside(_task(question), question.targets[left]) == 0.0]
+    if not len(left):
+        return Held(locked, tried)
+    many = _Targets(question, plan, near, np.array(np.broadcast_to(locked, (len(rows), len(plan.lines)))), rows,
+                    counts, tried, solve, threads)  # fmt: skip
+    left = many.searched(left, FEW, question.tolerance, True)
+    if plan.method != "search":
+        left = many.stepped(left)
+    left = many.searched(left, MOST, max(question.tolerance, LOOSE), True)
+    many.searched(left[~_used(rows[left])], MOST, max(question.tolerance, LOOSE), False)
+    return Held(many.locked, tried)
+
+
+def _task(question: Question) -> Task:
+    """What was asked, as numerical solvers read it."""
+    chain = chain_of(question.system, question.frame, question.axis)
+    tolerance = (question.tolerance, question.tolerance)
+    return Task(question.system, question.frame, question.targets, question.task, question.axis, tolerance, MOST, 0,
+                chain)  # fmt: skip
+
+
+def _used(rows: Array) -> np.ndarray:
+    """Which targets (N,) have a solution."""
+    return (rows[..., -A.INFO + A.CODE] >= 0.0).any(axis=1)
+
+
+def _reached(rows: Array) -> np.ndarray:
+    """Which targets (N,) have a solution inside the limits."""
+    code = rows[..., -A.INFO + A.CODE]
+    return ((code >= 0.0) & (code % 2.0 == 1.0)).any(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Targets:
+    """The targets of a question with what is known of them: arrays that are written in place."""
+
+    question: Question
+    plan: Plan
+    near: Array
+    locked: Array
+    rows: Array
+    counts: np.ndarray
+    tried: np.ndarray
+    solve: Solve
+    threads: int | None
+
+    @property
+    def spare(self) -> list[int]:
+        """Joints that are held by choice."""
+        return [i for i in self.plan.locked if i not in self.plan.fixed]
+
+    def solved(self, which: np.ndarray, locked: Array) -> tuple[Array, np.ndarray]:
+        """Rows and counts of some targets with joints held at `locked` (1 or m, n)."""
+        lead = None if self.question.lead is None and len(which) == 1 else (len(which),)
+        some = replace(self.question, targets=self.question.targets[which], lead=lead)
+        near = self.near if len(self.near) == 1 else self.near[which]
+        return self.solve(some, near, locked)
+
+    def take(self, which: np.ndarray, locked: Array, rows: Array, counts: np.ndarray) -> None:
+        """Keep the answers that are better: they have a solution inside the limits, or have one at all."""
+        old = self.rows[which]
+        better = (_reached(rows) & ~_reached(old)) | (_used(rows) & ~_used(old))
+        at = which[better]
+        self.rows[at], self.counts[at], self.locked[at] = rows[better], counts[better], locked[better]
+
+    def stepped(self, left: np.ndarray) -> np.ndarray:
+        """The targets of `left` that have no solution inside the limits at any of VALUES values."""
+        values = spare_values(self.plan, self.spare)
+        k = 0
+        while k < len(values) and len(left):
+            some = values[k : k + max(1, ROOM // len(left))]
+            which = np.repeat(left, len(some))
+            locked = self.locked[which]
+            locked[:, self.spare] = np.tile(some, (len(left), 1))
+            same = len(some) == 1 and not np.ptp(locked, axis=0).any()
+            rows, counts = self.solved(which, locked[:1] if same else locked)
+            grade = (2 * _reached(rows) + _used(rows)).reshape(len(left), len(some))
+            first = np.arange(len(left)) * len(some) + np.argmax(grade, axis=1)
+            self.take(left, locked[first], rows[first], counts[first])
+            self.tried[left] += np.where(grade.max(axis=1) == 3, 1 + np.argmax(grade, axis=1), len(some))
+            left, k = left[~_reached(self.rows[left])], k + len(some)
+        return left
+
+    def searched(self, left: np.ndarray, starts: int, tolerance: float, limited: bool) -> np.ndarray:
+        """The targets of `left` for which no start found a configuration, inside the limits where `limited`.
+
+        The others have all solutions with the spare joints where their configuration has them, itself among them.
+        """
+        if not len(left):
+            return left
+        q, error, found = self._configurations(left, starts, tolerance, limited)
+        which, q, error = left[found], q[found], error[found]
+        if len(which):
+            locked = self.locked[which]
+            locked[:, self.spare] = q[:, self.spare]
+            rows, counts = self.solved(which, locked)
+            for i in np.flatnonzero(~(_reached(rows) if limited else _used(rows))):
+                _put(rows[i], counts[i], q[i], error[i], limited, self.question.lead is None)
+            self.tried[which] += 1
+            self.take(which, locked, rows, counts)
+        return left[~found]
+
+    def _configurations(
+        self, which: np.ndarray, starts: int, tolerance: float, limited: bool
+    ) -> tuple[Array, Array, np.ndarray]:
+        """Coordinates (m, n) of the chain, errors (m,), and which were found (m,), to the tolerance of the question."""
+        lines, task, m = self.plan.lines, _task(self.question), len(which)
+        chain = task.chain
+        at = np.argsort(chain.q_index)[np.argsort(np.argsort(lines.q_index))]  # coordinate of the chain of each line
+        goals, pins = self.question.targets[which], list(self.plan.fixed)
+        if self.question.axis != Z_AXIS:
+            goals = goals.copy()
+            goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(self.question.axis))
+        pinned = self.locked[which][:, pins]
+        out = np.empty((m, len(lines) + ANSWER))
+        wanted = rows_of(task)
+        wanted[7 + at[pins]] = 0
+        limits = chain.limits.copy() if limited else np.tile([[-np.inf], [np.inf]], len(lines))
+        near = self.near if len(self.near) == 1 else self.near[which]
+        seeds = np.empty((len(near), 1, len(lines)))
+        seeds[:, 0, at] = near
+
+        def work(i: int, j: int) -> int:
+            if len(pins):
+                limits[:, at[pins]] = pinned[i]
+            first = seeds[i:j] if len(seeds) > 1 else seeds
+            return search.reach(chain.ints, chain.floats, limits, wanted, goals[i:j], first, 0, 0, starts, ITERATIONS,
+                                tolerance, tolerance, 0.0, out[i:j])  # fmt: skip
+
+        if len(pins) and np.ptp(pinned, axis=0).any():
+            for i in range(m):
+                work(i, i + 1)
+        else:
+            over_chunks(work, m, CHUNK, self.threads, SERIAL_BELOW)
+        n = len(lines)
+        q, error, found = out[:, at], np.hypot(out[:, n + LINEAR], out[:, n + ANGULAR]), out[:, n + STATUS] == SOLVED
+        for i in np.flatnonzero(found & (error > self.question.tolerance)):
+            q[i], error[i] = self._polished(which[i], q[i], limited)
+        return q, error, found & (error <= self.question.tolerance)
+
+    def _polished(self, index: int, q: Array, limited: bool) -> tuple[Array, float]:
+        """A configuration (n,) on the target as nearly as can be, and its error."""
+        lines, X = self.plan.lines, self.question.targets[index].copy()
+        if self.question.axis != Z_AXIS:
+            X[:3, :3] = X[:3, :3] @ frame_of(np.array(self.question.axis))
+        X[:3, 3] = (X[:3, 3] - lines.origin) / lines.length
+        moves = np.array([i for i in range(len(lines)) if i not in self.plan.fixed], dtype=np.int64)
+        aim = Aim(lines, np.flatnonzero(TASKS[self.plan.task]), X, moves)
+        low, high = limits_of(lines) if limited else np.tile([[-np.inf], [np.inf]], len(lines))
+        theta = descend(aim, lines.theta(q)[None], low[moves], high[moves])
+        R, p, _, _ = aim.sweep(theta)
+        e = aim.errors(R, p)[0]
+        q = (theta[0] - lines.gauge) / lines.multiplier
+        if limited:
+            q = np.clip(q, *lines.limits)
+        return q, float(np.hypot(np.linalg.norm(e[:3]) * lines.length, np.linalg.norm(e[3:])))
+
+
+def spare_values(plan: Plan, spare: list[int]) -> Array:
+    """Values (VALUES - 1, k) of the spare joints between their limits: the ends, and what fills the space between.
+
+    The points of one joint are those of van der Corput (1935), of several those of a Kronecker sequence.
+    """
+    lines, k = plan.lines, len(spare)
+    count = VALUES - 1
+    if k == 1:
+        number = np.arange(1, count - 1)
+        shares = sum(((number >> bit) & 1) / 2.0 ** (bit + 1) for bit in range(6))
+        shares = np.concatenate([np.reshape(shares, (-1, 1)), [[0.0], [1.0]]])
+    else:
+        root = 2.0
+        for _ in range(50):  # x^(k + 1) = x + 1
+            root = (1.0 + root) ** (1.0 / (k + 1))
+        shares = (0.5 + np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, k + 1)) % 1.0
+    full = np.full((count, len(lines)), 0.5)
+    full[:, spare] = shares
+    return within_domains(lines, full)[:, spare]
+
+
+def _put(row: Array, count: np.ndarray, q: Array, error: float, inside: bool, first: bool) -> None:
+    """Make a configuration one of the rows (K, n + 2) of its target: in place of itself, else where there is room."""
+    n = len(q)
+    used = row[:, n + A.CODE] >= 0.0
+    off = np.where(used, np.abs(row[:, :n] - q).max(axis=1), np.inf)
+    at = int(np.argmin(off)) if off.min() < SAME else int(np.argmin(used)) if not used.all() else len(row) - 1
+    count[0] += int(not used[at])
+    count[1] = 1
+    own = np.concatenate([q, [error, A.MULTIPLICITY_UNIT + float(inside)]])
+    if first:
+        row[1 : at + 1] = row[:at].copy()
+        at = 0
+    row[at] = own
