@@ -99,10 +99,10 @@ def _columns(answer: Solutions, q: spatial.Array, degrees: bool) -> list[Rendera
 def _batch(answer: Solutions, degrees: bool) -> RenderableType:
     """How many targets are reached, why others are not, and every solution with the number of its target."""
     system, mask = answer.system, answer.mask.reshape(-1, answer.mask.shape[-1])
-    inside, number = answer.inside.reshape(mask.shape), len(mask)
+    inside = answer.inside.reshape(mask.shape)
     reached = inside.any(axis=1)
     text = Text(
-        f"{int(reached.sum())} of {number} targets reached, {int(mask.sum())} solutions",
+        report.clean(str(answer)),
         style=_style(bool(reached.all()), bool(np.all(answer.complete))),
     )
     missed = np.flatnonzero(~reached).tolist()
@@ -173,9 +173,13 @@ def _one(answer: Solutions, which: Any, degrees: bool) -> dict[str, Any]:
         {"q": dict(zip(system.coordinate_names, row, strict=True)), **{n: v[k] for n, v in fields.items()}}
         for k, row in enumerate(q)
     ]
+    unit = facts.units(system)
+    held = {n: facts.in_degrees([of_target(v)], [n], unit, degrees).item() for n, v in answer.held.items()}
     return {
         "success": bool(picked(answer.inside).any()), "status": str(of_target(answer.status)),
         "complete": bool(of_target(answer.complete)), "solutions": found,
+        "held": facts.jsonable(held),
+        "spare": list(answer.spare), "tried": int(of_target(answer.tried)),
     }  # fmt: skip
 
 

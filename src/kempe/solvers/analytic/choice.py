@@ -25,7 +25,7 @@ from kempe.solvers.analytic.plan import (
 )
 from kempe.spatial import Array
 
-MOST_CHOICES, ELIMINATED = 60, 30
+MOST_CHOICES, ELIMINATED = 60, 12
 """Choices of joints that are looked at for a closed form, and for an elimination where none has a closed form."""
 
 SAMPLES, STEP = 32, 0.1
@@ -71,9 +71,7 @@ def choose(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) -> Pla
     return make(lines, task, tuple(sorted((*fixed, *choices[0]))) if choices else fixed, planar)
 
 
-def _able(
-    lines: Lines, task: str, free: Extra, unknown: list[int], extra: int, rank: int
-) -> Iterator[tuple[int, ...]]:
+def _able(lines: Lines, task: str, free: Extra, unknown: list[int], extra: int, rank: int) -> Iterator[tuple[int, ...]]:
     """Choices that leave the chain all of its freedoms, those that carry an arm of turns first, the last joints first.
 
     Where the task asks for an orientation alone the first joints come first, since the last are those that turn the

@@ -11,6 +11,15 @@ from kempe import spatial
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.kernels.layout import SLIDE
+from kempe.solvers.analytic.explain_held import (
+    counted,
+    held_at,
+    more_than_enough,
+    moved_sentence,
+    number,
+    spare_joints,
+    tried_sentence,
+)
 from kempe.solvers.analytic.families import EXACT, Family
 from kempe.solvers.analytic.nearest import aim_of, fixed_joints, held_coordinates, nearest
 from kempe.solvers.analytic.plan import Plan, carried_lines, free_lines
@@ -43,8 +52,6 @@ NO_ROOT = {
 }  # fmt: skip
 """What is said of a method that found nothing."""
 
-NUMBERS = ("no", "one", "two", "three", "four", "five", "six")
-
 
 def status(solutions: Solutions, index: int) -> str:
     """The sentence for target number `index`: how many solutions and why these are all, or why there are none."""
@@ -54,27 +61,15 @@ def status(solutions: Solutions, index: int) -> str:
         return _reached(solutions, index)
     _, position, angle = nearest(solutions, index)
     question, plan = solutions.question, solutions.plan
-    spare, reached = _spare(plan), math.hypot(position, angle) <= REACHED
-    held = f" with {_held(solutions, index, spare)}" if spare and reached else ""
-    text = f"no solution{held}: {_why(solutions, index)}"
-    if reached and not held:
-        return f"no solution, though one comes within {REACHED:g} of the target: see nearest()"
-    if reached:
-        return f"{text}; other values of what is held reach it"
+    spare = spare_joints(plan)
+    why, proven = _why(solutions, index)
+    text = f"no solution: {why}" if not spare or proven else f"no solution{tried_sentence(solutions, index, spare)}"
+    if math.hypot(position, angle) <= REACHED:
+        return f"{text.split(':')[0]}, though one comes within {REACHED:g} of the target: see nearest()"
     missed = [] if question.task in ("orientation", "direction") else [f"{position:.6g} m"]
     missed += [] if question.task == "position" else [f"{angle:.2g} rad"]
     limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""
     return f"{text}; the closest configuration found{limits} misses it by {', '.join(missed)}"
-
-
-def _spare(plan: Plan) -> list[int]:
-    """Joints that are locked only because the chain has more than the task needs."""
-    return [i for i in plan.locked if i not in fixed_joints(plan)]
-
-
-def _held(solutions: Solutions, index: int, joints: list[int]) -> str:
-    q, names = held_coordinates(solutions, index), solutions.plan.lines.names
-    return ", ".join(f"{names[i]!r} at {_number(q[i])}" for i in joints)
 
 
 # ---- reached
@@ -83,8 +78,10 @@ def _held(solutions: Solutions, index: int, joints: list[int]) -> str:
 def _reached(solutions: Solutions, index: int) -> str:
     """What was found."""
     plan = solutions.plan
-    spare = _spare(plan)
-    families, member = ([], np.full(solutions._used.shape[1], -1)) if spare else solutions._families[index]
+    spare = spare_joints(plan)
+    deficient = bool(spare) and not more_than_enough(plan)
+    unknown: tuple[list[Family], np.ndarray] = ([], np.full(solutions._used.shape[1], -1))
+    families, member = unknown if spare and not deficient else solutions._families[index]
     alone = solutions._used[index] & (member < 0)
     code = solutions._code[index]
     inside, k = int((code[alone] % 2).sum()), int(alone.sum())
@@ -103,8 +100,9 @@ def _reached(solutions: Solutions, index: int) -> str:
         text += f", and {_families(families)}"
     elif plan.method == "closed":
         text += f": {_ground(plan)}"
-    if spare:
-        text += f"; the chain has {_count(len(spare), 'joint')} to spare: {_held(solutions, index, spare)}"
+    if spare and not (deficient and k == 0):
+        text += f"; the chain has {counted(len(spare), 'joint')} to spare: {held_at(solutions, index, spare)}"
+        text += moved_sentence(solutions, index, inside)
     return text
 
 
@@ -135,7 +133,7 @@ def _merged(code: np.ndarray) -> str:
 
 def _families(families: list[Family]) -> str:
     """The families, those of one description together."""
-    texts = [(_count(f.dimension, 'freedom'), family_motion(f)) for f in families]
+    texts = [(counted(f.dimension, 'freedom'), family_motion(f)) for f in families]
     out = []
     for freedoms, moves in dict.fromkeys(texts):
         k = texts.count((freedoms, moves))
@@ -166,48 +164,43 @@ def _beyond(solutions: Solutions, index: int, alone: np.ndarray) -> str:
     return f" (the nearest to them has {lines.names[worst]!r} {row[worst]:.6g} {unit} beyond its limit)"
 
 
-def _count(n: int, what: str) -> str:
-    return f"{NUMBERS[n] if n < len(NUMBERS) else n} {what}{'' if n == 1 else 's'}"
-
-
 # ---- not reached
 
 
-def _why(solutions: Solutions, index: int) -> str:
-    """The ground on which there is no solution."""
+def _why(solutions: Solutions, index: int) -> tuple[str, bool]:
+    """The ground on which there is no solution, and whether it holds wherever spare joints are held."""
     question, plan, system = solutions.question, solutions.plan, solutions.system
     target, tolerance = question.targets[index : index + 1], question.tolerance
     reasons = []
     if question.task not in ("orientation", "direction"):
         if system.dim == 2 and abs(target[0, 2, 3]) > tolerance:
-            return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m"
+            return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m", True
         chain = chain_of(system, question.frame)
         task = Task(system, question.frame, target, "position", Z_AXIS, (tolerance, tolerance), 1, 0, chain)
         far = float(outside(task, target)[0])
         if far > tolerance:
             reasons.append(f"outside the workspace by at least {far:.6g} m, by the lengths of the links")
-    failed = _without_root(solutions, index) if plan.method == "closed" else ""
+    proven = bool(reasons)
+    failed = _without_root(solutions, index) if plan.method == "closed" and not spare_joints(plan) else ""
     reasons += [failed] if failed else []
     if reasons:
-        return "; ".join(reasons)
+        return "; ".join(reasons), proven
     over = _overdetermined(solutions)
-    if over:
-        return over
-    return NO_ROOT[plan.method]
+    return over or NO_ROOT[plan.method], bool(over)
 
 
 def _overdetermined(solutions: Solutions) -> str:
     """Whether the task asks for more than the chain can do anywhere."""
     plan, planar = solutions.plan, solutions.system.dim == 2
-    unknown = [i for i in range(len(plan.lines)) if i not in plan.locked]
+    unknown = [i for i in range(len(plan.lines)) if i not in fixed_joints(plan)]
     free = free_lines(plan.lines, plan.task, planar)
     full = 3 if planar else 6
     rank = rank_of(plan.lines, free, unknown)
     if rank >= full:
         return ""
-    equations, held = full - len(free.kinds), " to move" if plan.locked else ""
+    equations, held = full - len(free.kinds), " to move" if fixed_joints(plan) else ""
     able = rank - len(free.kinds)
-    few = f", which give it {_count(able, 'freedom')}" if able < len(unknown) else ""
+    few = f", which give it {counted(able, 'freedom')}" if able < len(unknown) else ""
     return (f"the chain has {len(unknown)} joint{'' if len(unknown) == 1 else 's'}{held}{few}, the task {equations} "
             "equations: this target is not among those it can reach")  # fmt: skip
 
@@ -312,7 +305,7 @@ def _named(solutions: Solutions, way: Way, joint: int, measure: int, t: Array, w
 
 def family_sentence(family: Family) -> str:
     """What moves in a family, how, and with how many freedoms."""
-    return f"{family_motion(family)}: {_count(family.dimension, 'freedom')}"
+    return f"{family_motion(family)}: {counted(family.dimension, 'freedom')}"
 
 
 def family_motion(family: Family) -> str:
@@ -328,7 +321,7 @@ def _moving(family: Family) -> str:
     equations = family.equations
     if equations is not None:
         parts = [_equation(e) for e in equations] or [f"{names[0]} is free"]
-        rest = [f"{n} = {_number(x)}" for n, x in _conditions(family)]
+        rest = [f"{n} = {number(x)}" for n, x in _conditions(family)]
         return _listed(parts) + (f" while {_listed(rest)}" if rest else "")
     if family.parameter is not None and family.closed:
         others = [n for n in names if n != family.parameter]
@@ -337,7 +330,7 @@ def _moving(family: Family) -> str:
     first = family.parameter or names[0]
     x = family.q[:, lines.q_index[lines.names.index(first)]]
     how = "on a closed curve" if family.closed else "on a curve that does not close"
-    return f"{_listed(names)} move together {how}, {first} from {_number(x.min())} to {_number(x.max())}"
+    return f"{_listed(names)} move together {how}, {first} from {number(x.min())} to {number(x.max())}"
 
 
 def _equation(terms: dict[str, float]) -> str:
@@ -347,7 +340,7 @@ def _equation(terms: dict[str, float]) -> str:
             continue
         sign = ("-" if a < 0 else "") if not text else (" - " if a < 0 else " + ")
         text += f"{sign}{'' if abs(abs(a) - 1.0) < 1e-9 else f'{abs(a):.6g} '}{name}"
-    return f"{text} = {_number(terms[''])}"
+    return f"{text} = {number(terms[''])}"
 
 
 def _conditions(family: Family) -> list[tuple[str, float]]:
@@ -365,10 +358,6 @@ def _conditions(family: Family) -> list[tuple[str, float]]:
         if J.shape[0] >= len(at) and np.linalg.svd(J, compute_uv=False)[-1] > CONDITION:
             out.append((names[i], float(family.q[0, lines.q_index[i]])))
     return out
-
-
-def _number(x: float) -> str:
-    return f"{0.0 if abs(x) < 1e-9 else x:.6g}"
 
 
 def _listed(words: list[str]) -> str:

@@ -85,13 +85,13 @@ def _task(question: Question) -> Task:
 
 def _used(rows: Array) -> np.ndarray:
     """Which targets (N,) have a solution."""
-    return (rows[..., -A.INFO + A.CODE] >= 0.0).any(axis=1)
+    return np.any(rows[..., -A.INFO + A.CODE] >= 0.0, axis=1)
 
 
 def _reached(rows: Array) -> np.ndarray:
     """Which targets (N,) have a solution inside the limits."""
     code = rows[..., -A.INFO + A.CODE]
-    return ((code >= 0.0) & (code % 2.0 == 1.0)).any(axis=1)
+    return np.any((code >= 0.0) & (code % 2.0 == 1.0), axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.kernels.layout import SLIDE
 from kempe.solvers.analytic.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, required_arm
-from kempe.solvers.analytic.ik_all import chain_lines, ik_all
+from kempe.solvers.analytic.choice import domains
+from kempe.solvers.analytic.ik_all import chain_lines, ik_all, plan_for
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.question import held, near_of
 from kempe.solvers.analytic.sweep import Sweep
@@ -45,8 +45,8 @@ def ik_sweep(
     and the last three (`kempe.solvers.analytic.arm_angle` says what it is; `reference` as there); by default that, and
     else the joint that `ik_all` holds. `target`, `task` and `axis` are as in `ik_all`. Where there is more than one
     freedom to spare, joints are held: those `fixed`, by name, and others at `near` (nq,), which also chooses among
-    turns of angles. `n` asks for samples at so many values; `samples` is the number of values of a joint at which
-    curves are looked for.
+    turns of angles; without `near` where `ik_all` finds a solution inside the limits. `n` asks for samples at so many
+    values; `samples` is the number of values of a joint at which curves are looked for.
 
     Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where that is asked for,
     `InputError`, `UnknownNameError`.
@@ -66,8 +66,8 @@ def ik_sweep(
     if lead != () or not np.isfinite(targets).all():
         raise InputError("a sweep needs one target, of finite numbers")
     task = task_of(task, is_position, bool(system.table.at[name][2]))
-    base = near_of(system, near, None)
-    base = system.neutral if base is None else base[0]
+    given_near = near_of(system, near, None)
+    base = system.neutral if given_near is None else given_near[0]
     lines = chain_lines(system, name, Z_AXIS)
     if task != "position" and system.dim == 3:
         _refuse_no_rotation(targets[0, :3, :3])
@@ -80,7 +80,8 @@ def ik_sweep(
             joints = ", ".join(lines.names)
             raise UnsupportedError(f"the arm angle is for poses, with no joint held; name a joint: {joints}")
         required_arm(system, name, reference)
-    question = Asked(system, name, lines, task, direction, targets[0], np.asarray(target, dtype=float), base, given)
+    question = Asked(system, name, lines, task, direction, targets[0], np.asarray(target, dtype=float), base, given,
+                     given_near is None)  # fmt: skip
     curves = ArmCurves(question, arm) if isinstance(arm, Arm) else _joint_curves(question, parameter, _count(samples))
     return _sweep(question, curves, None if n is None else _count(n))
 
@@ -109,10 +110,22 @@ class Asked:
     given: Array
     near: Array
     fixed: dict[str, Array]
+    anywhere: bool
 
     def locked(self, fixed: Mapping[str, Any]) -> tuple[int, ...]:
         """Joints that `ik_all` holds, with these `fixed`."""
-        return ik_all(self.system, self.given, self.frame, task=self.task, axis=self.axis, fixed=fixed).plan.locked
+        lines = chain_lines(self.system, self.frame, self.axis)
+        return plan_for(self.system, self.frame, lines, self.task, self.axis, tuple(fixed)).locked
+
+    def place(self) -> Array:
+        """Configuration (nq,) where joints are held that nobody named: near, inside the limits, or on target."""
+        if self.anywhere:
+            found = ik_all(self.system, self.given, self.frame, task=self.task, axis=self.axis, fixed=self.fixed)
+            if found:
+                return found.q[0]
+        q, at = self.near.copy(), self.lines.q_index
+        q[at] = np.clip(q[at], *self.lines.limits)
+        return q
 
     def all_at(self, name: str, values: Array, fixed: Mapping[str, Any]) -> Any:
         """`ik_all` with a joint held at values () or (m,)."""
@@ -220,9 +233,13 @@ def _joint_curves(asked: Asked, parameter: str | None, samples: int) -> JointCur
             f"the chain of {asked.frame!r} has no freedom to spare for {_article(asked.task)}: ask `ik_all`"
         )
     name = locked[0] if parameter is None else parameter
-    others = {n: float(asked.fixed.get(n, _clipped(asked, n))) for n in locked if n != name}
+    others = {n: float(asked.fixed[n]) for n in locked if n in asked.fixed}
+    if len(others) + 1 < len(locked):
+        q = asked.place()
+        others |= {n: float(q[lines.q_index[lines.names.index(n)]]) for n in locked if n not in (name, *others)}
     i = lines.names.index(name)
-    domain = _domain(lines, i)
+    first, last = domains(lines)[:, i].tolist()
+    domain = first, last
     shift = (domain[1] - domain[0]) * 0.381966 / samples  # arms tend to be singular at round values
     inner = np.linspace(*domain, samples)[:-1] + shift
     values = np.concatenate([[domain[0]], inner, [domain[1]]])
@@ -245,25 +262,10 @@ def _locked(asked: Asked, parameter: str | None) -> list[str]:
     """Joints that `ik_all` holds for this task, the parameter first; none where the chain has no freedom to spare."""
     fixed = dict(asked.fixed)
     if parameter is not None:
-        fixed[parameter] = np.asarray(_clipped(asked, parameter))
+        fixed[parameter] = np.zeros(())
     names = asked.lines.names
     chosen = [names[i] for i in asked.locked(fixed) if names[i] not in fixed]
     if parameter is None:
         return [*chosen, *fixed] if chosen else []
     spare = [i for i in asked.locked(asked.fixed) if names[i] not in asked.fixed]
     return [parameter, *chosen, *asked.fixed] if spare else []
-
-
-def _clipped(asked: Asked, name: str) -> float:
-    """Where a joint is held that nobody named: near, inside the limits."""
-    i = asked.lines.names.index(name)
-    return float(np.clip(asked.near[asked.lines.q_index[i]], *asked.lines.limits[:, i]))
-
-
-def _domain(lines: Lines, i: int) -> tuple[float, float]:
-    """Values of a joint that are looked at: its limits; else a turn, or two lengths of the chain to each side."""
-    low, high = (float(x) for x in lines.limits[:, i])
-    half = 2.0 * lines.length if lines.kinds[i] == SLIDE else math.pi / abs(float(lines.multiplier[i]))
-    if not math.isfinite(low):
-        low = -half if not math.isfinite(high) else high - 2.0 * half
-    return low, high if math.isfinite(high) else low + 2.0 * half

@@ -141,8 +141,9 @@ class Solutions:
     def held(self) -> dict[str, Any]:
         """Where joints are held, by name: a number, or an array (...) with one for each target of a batch."""
         out: dict[str, Any] = {}
+        locked = self._base[:, self.plan.lines.q_index] if self._locked is None else self._locked
         for i in self.plan.locked:
-            values = np.broadcast_to(np.atleast_2d(self._locked)[:, i], len(self._rows))
+            values = np.broadcast_to(locked[:, i], len(self._rows))
             out[self.plan.lines.names[i]] = float(values[0]) if self._lead is None else values.reshape(self._lead)
         return out
 
@@ -312,9 +313,12 @@ class Solutions:
         return f"Solutions({self.system.name!r}, {self.question.frame!r}, {what}{'' if self.single else ' targets'})"
 
     def __str__(self) -> str:
+        from kempe.solvers.analytic.explain_held import held_sentence
+
         if not self.single:
             reached = int(np.sum(self.success))
-            return f"{reached} of {len(self._rows)} targets reached, {int(self._used.sum())} solutions"
+            text = f"{reached} of {len(self._rows)} targets reached, {int(self._used.sum())} solutions"
+            return f"{text}; {held_sentence(self)}" if self.spare else text
         lines = [self.status]
         heads, rows = self._table()
         for row in rows:
