@@ -12,6 +12,7 @@ from kempe.errors import UnsupportedError
 from kempe.kernels.layout import HEADER, KIND, MULTIPLIER, N_ROWS, ROW_FLOATS, ROW_INTS, SLIDE, TURN, V_INDEX
 from kempe.model.gauge import regauge
 from kempe.model.table import local_chain
+from kempe.solvers.span import Span, span_of
 from kempe.solvers.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 
@@ -47,6 +48,7 @@ class Chain:
     """Where (1, nq) coordinates rest that no seed names: neutral, inside the limits."""
     no_seed: Array
     bounds: tuple[ReachBound, ...]
+    span: Span
 
 
 def chain_of(system: System, name: str, axis: tuple[float, float, float] = Z_AXIS) -> Chain:
@@ -83,7 +85,8 @@ def _chain(system: System, name: str) -> Chain:
         circular[iv] = wide[iv] and len(rows) == 1 and abs(rows[0]) == 1.0 and table.kind[table.iv == iv][0] == TURN
     bounds = tuple(b for arrays in (packed, (ints, floats)) for b in reach_bounds(*arrays, limits))
     base, no_seed = inside(system, system.neutral[None]), np.empty((1, 0, len(q_index)))
-    return Chain(ints, floats, q_index, v_index, limits, circular, base, no_seed, bounds)
+    return Chain(ints, floats, q_index, v_index, limits, circular, base, no_seed, bounds,
+                 span_of(ints, floats))  # fmt: skip
 
 
 def obstacle(system: System, name: str) -> str | None:

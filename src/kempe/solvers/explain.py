@@ -60,7 +60,9 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     size = 1.0 + float(np.linalg.norm(target[0, :3, 3]))
     if position <= ROUNDING * size and angle <= ROUNDING:
         return f"the tolerance is finer than rounding: {near}"
-    reason = _limits(task, target, q) or _over_determined(task, target) or _why(task)
+    span = task.chain.span
+    reason = span.sentence() if span.wide else ""
+    reason = reason or _limits(task, target, q) or _over_determined(task, target) or _why(task)
     return f"not reached after {_count(starts, 'start')}: {reason}; {near}"
 
 

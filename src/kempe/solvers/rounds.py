@@ -34,6 +34,8 @@ ROUND = 32
 """Starts of a round, after which one looks at the clock, where there is a time limit."""
 LOOSE = 1e-4
 """Tolerance from which the nearest configuration may be the wrong one: another, farther off, may be within it."""
+ROUNDING = 1e-14
+"""What rounding makes of lengths, in parts of them."""
 SHARES = (1.0, 0.2, 5.0)
 """How the two tolerances are weighed against each other where they are loose."""
 
@@ -136,7 +138,12 @@ def go_on(task: Task, targets: Array, head: tuple[Any, ...], done: int, out: Arr
     if done < task.starts and len(left):
         _end(task, targets, left, out)
     nearest: Callable[..., int] = closest.approach
-    return nearest(*head, 0, task.starts, task.iterations, *task.tolerance, 0.0, out)
+    missed = nearest(*head, 0, task.starts, task.iterations, *task.tolerance, 0.0, out)
+    if missed and task.chain.span.wide and not task.chain.ints[HAS_QUATERNION]:
+        from kempe.solvers.sharpen import search_again
+
+        return search_again(task, targets, head, out)
+    return missed
 
 
 def _end(task: Task, targets: Array, left: np.ndarray, out: Array) -> None:
@@ -190,5 +197,6 @@ def outside(task: Task, targets: Array) -> Array:
             continue
         distance = np.linalg.norm(targets[:, :3, 3] + targets[:, :3, :3] @ point - centre, axis=-1)
         beyond = np.maximum(distance - largest, smallest - distance)
-        out = np.where(beyond > linear + arm * angular, np.maximum(out, beyond), out)
+        rounding = ROUNDING * (largest + arm + np.abs(targets[:, :3, 3]).max(axis=-1))
+        out = np.where(beyond > linear + arm * angular + rounding, np.maximum(out, beyond), out)
     return out

@@ -168,7 +168,7 @@ def _beyond(solutions: Solutions, index: int, alone: np.ndarray) -> str:
 
 
 def _why(solutions: Solutions, index: int) -> tuple[str, bool]:
-    """The ground on which there is no solution, and whether it holds wherever spare joints are held."""
+    """What is to be said of a target without solutions, and whether it holds wherever spare joints are held."""
     question, plan, system = solutions.question, solutions.plan, solutions.system
     target, tolerance = question.targets[index : index + 1], question.tolerance
     reasons = []
@@ -181,11 +181,14 @@ def _why(solutions: Solutions, index: int) -> tuple[str, bool]:
         if far > tolerance:
             reasons.append(f"outside the workspace by at least {far:.6g} m, by the lengths of the links")
     proven = bool(reasons)
-    failed = _without_root(solutions, index) if plan.method == "closed" and not spare_joints(plan) else ""
+    wide = plan.lines.span.wide
+    failed = "" if wide or spare_joints(plan) or plan.method != "closed" else _without_root(solutions, index)
     reasons += [failed] if failed else []
     if reasons:
         return "; ".join(reasons), proven
     over = _overdetermined(solutions)
+    if wide and not over:
+        return plan.lines.span.sentence(), True
     return over or NO_ROOT[plan.method], bool(over)
 
 

@@ -278,6 +278,8 @@ class Motion:
     def nearest_on(self, samples: Array, theta: Array) -> Array:
         """The point (n,) of a curve, of which samples are known, nearest to theta (n,); in the turn of the samples."""
         k = int(np.argmin((self.gap(samples, theta) ** 2).sum(axis=1)))
+        if len(samples) == 1:
+            return samples[0]
         x, way = samples[k], self.gap(samples[k - 1], samples[k]) if k else self.gap(samples[0], samples[1])
         for _ in range(20):
             way = self._tangent(self.linear(x)[1], way / np.linalg.norm(way))

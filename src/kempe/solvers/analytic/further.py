@@ -21,7 +21,7 @@ from kempe.solvers.analytic.nearest import Aim, descend, limits_of
 from kempe.solvers.analytic.plan import TASKS, Plan
 from kempe.solvers.analytic.question import Question
 from kempe.solvers.chain import chain_of
-from kempe.solvers.rounds import FEW, ITERATIONS, MOST, Task, outside, rows_of
+from kempe.solvers.rounds import FEW, ITERATIONS, MOST, Task, answered, outside, rows_of
 from kempe.solvers.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 
@@ -55,7 +55,7 @@ def look_further(
     question: Question, plan: Plan, near: Array, locked: Array, rows: Array, counts: np.ndarray, solve: Solve,
     threads: int | None,
 ) -> Held:  # fmt: skip
-    """Where the spare joints are in the end; `rows` (N, K, n + 2) and `counts` (N, 2) are made better in place.
+    """Where the spare joints are in the end, if there are some; `rows` (N, K, n + 2) and `counts` (N, 2) are made better in place.
 
     near, locked: (1 or N, n). solve: rows and counts of a question, near and locked.
     """
@@ -68,7 +68,7 @@ def look_further(
     many = _Targets(question, plan, near, np.array(np.broadcast_to(locked, (len(rows), len(plan.lines)))), rows,
                     counts, tried, solve, threads)  # fmt: skip
     left = many.searched(left, FEW, question.tolerance, True)
-    if plan.method != "search":
+    if plan.method != "search" and many.spare:
         left = many.stepped(left)
     left = many.searched(left, MOST, max(question.tolerance, LOOSE), True)
     many.searched(left[~_used(rows[left])], MOST, max(question.tolerance, LOOSE), False)
@@ -177,8 +177,10 @@ class _Targets:
             goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(self.question.axis))
         pinned = self.locked[which][:, pins]
         out = np.empty((m, len(lines) + ANSWER))
+        circular = chain.circular.copy()
+        circular[at[pins]] = 0
+        task = replace(task, chain=replace(chain, circular=circular), starts=starts, tolerance=(tolerance, tolerance))
         wanted = rows_of(task)
-        wanted[7 + at[pins]] = 0
         limits = chain.limits.copy() if limited else np.tile([[-np.inf], [np.inf]], len(lines))
         near = self.near if len(self.near) == 1 else self.near[which]
         seeds = np.empty((len(near), 1, len(lines)))
@@ -188,6 +190,8 @@ class _Targets:
             if len(pins):
                 limits[:, at[pins]] = pinned[i]
             first = seeds[i:j] if len(seeds) > 1 else seeds
+            if chain.span.wide:
+                return answered(task, self.question.targets[which[i:j]], first, limits, out[i:j])
             return search.reach(chain.ints, chain.floats, limits, wanted, goals[i:j], first, 0, 0, starts, ITERATIONS,
                                 tolerance, tolerance, 0.0, out[i:j])  # fmt: skip
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from kempe.errors import InputError, UnsupportedError
-from kempe.solvers.analytic.ik_all import TOLERANCE, chain_lines, plan_for, solve
+from kempe.kernels import analytic_layout as A
+from kempe.solvers.analytic.ik_all import TOLERANCE, attainable, chain_lines, plan_for, solve, solve_held
 from kempe.solvers.analytic.plan import Plan
 from kempe.solvers.analytic.question import Question
 from kempe.solvers.inverse import run
@@ -33,6 +34,20 @@ def plan_of(task: Task, method: str) -> Plan | None:
         why = "has more joints than the task needs" if plan.locked else "has neither a closed form nor an elimination"
         raise UnsupportedError(f"the chain of {task.frame!r} {why}: method 'analytic' has no single answer for it")
     return None
+
+
+def kept(task: Task, plan: Plan, targets: Array, q: Array) -> Array:
+    """Configurations (N, n) of the chain: a solution inside the limits where the equations have one, else q (N, n)."""
+    lines, base = plan.lines, task.chain.base[:, plan.lines.q_index]
+    sure = max(*task.tolerance, attainable(targets, lines))
+    question = Question(task.system, task.frame, task.name, task.axis, targets, (len(targets),), sure)
+    rows, _ = solve_held(question, plan, base, base, 1)
+    code = rows[..., len(lines) + A.CODE]
+    error = np.where((code >= 0.0) & (code % 2.0 == 1.0), rows[..., len(lines) + A.ERROR], np.inf)
+    best = np.argmin(error, axis=1)
+    at = {int(x): i for i, x in enumerate(lines.q_index)}
+    found = rows[np.arange(len(q)), best][:, [at[int(x)] for x in task.chain.q_index]]
+    return np.where(np.isfinite(error.min(axis=1))[:, None], found, q)
 
 
 def answer(task: Task, plan: Plan, near: Array, seeds: Array, threads: int | None) -> tuple[Array, Array, np.ndarray]:

@@ -162,7 +162,7 @@ def solve(
     start = np.array([plan.first]) if near is None and plan.first else chain_near
     first = _locked(question, plan, start, values) if plan.locked else chain_near
     out, counts = solve_held(question, plan, chain_near, first, threads)
-    if plan.locked == plan.fixed:
+    if plan.locked == plan.fixed and not lines.span.wide:
         return Solutions(question, plan, base, out, counts, question.lead, locked=first)
     from kempe.solvers.analytic.further import look_further
 
@@ -224,6 +224,8 @@ def solve_held(
         from kempe.solvers.analytic.search import search
 
         search(question, plan, chain_near, locked, out, counts, lost)
+    if lines.span.wide:  # a structure may be there by rounding alone
+        counts[:, 1] = 1
     return out, counts
 
 

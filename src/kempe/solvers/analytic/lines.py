@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -22,7 +23,9 @@ from kempe.kernels.layout import (
     SIN_GAUGE,
     SLIDE,
 )
+from kempe.kernels.search_layout import LARGEST
 from kempe.solvers.chain import chain_of
+from kempe.solvers.span import Span, evened
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -54,6 +57,9 @@ class Lines:
     names: tuple[str, ...]
     origin: Array
     length: float
+    span: Span
+    even: Lines | None = None
+    """The same axes with lengths of one size, by which freedoms are counted where lengths are far apart."""
 
     def __len__(self) -> int:
         return len(self.kinds)
@@ -83,24 +89,43 @@ def lines_of(system: System, frame: str) -> Lines:
             f"two motions of the chain of {frame!r} share one coordinate (a helical joint, or a joint that follows "
             "another): `ik_all` cannot take that, `ik` can"
         )
-    X, h, o = np.eye(4), np.zeros((n, 3)), np.zeros((n, 3))
-    for i in range(n):
-        X = X @ _pose(numbers[i, :12])
-        h[i], o[i] = X[:3, 2], X[:3, 3]
-    tip = X @ _pose(floats[ROW_FLOATS * n :][:12])
+    placements = [*numbers[:, :12], floats[ROW_FLOATS * n :][:12]]
+    if max(float(np.abs(x).max()) for x in placements) >= LARGEST:
+        raise UnsupportedError(f"the chain of {frame!r} has lengths of {LARGEST:g} m or more: too large for its squares")
+    h, o, tip = _carried(placements)
     order = np.argsort(rows[:, Q_INDEX])
     if not np.array_equal(rows[order, Q_INDEX], np.arange(n)):
         raise UnsupportedError(f"the coordinates of {frame!r} are not one for each joint")
     at = rows[:, Q_INDEX]  # the joint in row i has the chain's coordinate at[i]
     kinds, multiplier = rows[:, KIND].copy(), numbers[:, MULTIPLIER].copy()
     gauge = np.where(kinds == SLIDE, 0.0, np.arctan2(numbers[:, SIN_GAUGE], numbers[:, COS_GAUGE]))
-    origin, length = _unit_of(kinds, h, o)
-    tip[:3, 3] = (tip[:3, 3] - origin) / length
-    scaled = np.where(kinds == SLIDE, multiplier / length, multiplier)
-    return Lines(
-        kinds, h, (o - origin) / length, tip, gauge, scaled, np.ascontiguousarray(chain.limits[:, at]),
-        chain.q_index[at], chain.v_index[at], tuple(names[i] for i in at), origin, length,
-    )  # fmt: skip
+
+    def scaled(h: Array, o: Array, tip: Array, even: Lines | None) -> Lines:
+        origin, length = _unit_of(kinds, h, o)
+        tip[:3, 3] = (tip[:3, 3] - origin) / length
+        return Lines(
+            kinds, h, (o - origin) / length, tip, gauge, np.where(kinds == SLIDE, multiplier / length, multiplier),
+            np.ascontiguousarray(chain.limits[:, at]), chain.q_index[at], chain.v_index[at],
+            tuple(names[i] for i in at), origin, length, chain.span, even,
+        )  # fmt: skip
+
+    p = evened(ints, floats)
+    even = None if p is None else scaled(*_carried([_at(x, y) for x, y in zip(placements, p, strict=True)]), None)
+    return scaled(h, o, tip, even)
+
+
+def _carried(placements: list[np.ndarray]) -> tuple[Array, Array, Array]:
+    """Directions and points (n, 3) of the axes and the pose (4, 4) of the tip, from placements (12,) one by one."""
+    poses = list(itertools.accumulate(map(_pose, placements), np.matmul))
+    X = np.array(poses[:-1])
+    return X[:, :3, 2].copy(), X[:, :3, 3].copy(), poses[-1]
+
+
+def _at(placement: np.ndarray, p: Array) -> np.ndarray:
+    """The placement (12,) at another point (3,)."""
+    rows = placement.reshape(3, 4).copy()
+    rows[:, 3] = p
+    return rows.ravel()
 
 
 def _pose(rows: np.ndarray) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -222,6 +222,8 @@ def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
     """Rank of the Jacobian of the unknown joints and the free lines at random configurations."""
     if not unknown:
         return len(free.kinds)
+    if lines.even is not None:
+        lines, free = lines.even, replace(free, o=np.tile(lines.even.tip[:3, 3], (len(free.kinds), 1)))
     T, h, o = sweep(lines, spread(lines, np.random.default_rng(7), 4))
     X = T @ spatial.inverse(lines.tip)
     turns = np.concatenate([lines.kinds[unknown], free.kinds]) != SLIDE

@@ -17,6 +17,9 @@ from kempe.spatial import Array
 STARTS, STEPS, LONGEST = 400, 80, 0.7
 """Starts, damped Newton steps of each, and the longest change of a joint in one."""
 
+FLOOR = 1e-14
+"""Damping that is always there, and as a part of the trace."""
+
 APART = 1e-6
 """Solutions nearer than this are one."""
 
@@ -53,8 +56,10 @@ def _solutions(question: Question, plan: Plan, target: Array, locked: Array) -> 
     for _ in range(STEPS):
         e, J = aim.at(theta)
         size = np.linalg.norm(e, axis=1)
-        damping = np.minimum(0.05 * size**2, 0.1) + 1e-14
-        N = np.swapaxes(J, 1, 2) @ J + damping[:, None, None] * np.eye(len(moves))
+        damping = np.minimum(0.05 * size**2, 0.1) + FLOOR
+        N = np.swapaxes(J, 1, 2) @ J
+        damping += FLOOR * np.trace(N, axis1=1, axis2=2)  # else LU may find it singular
+        N += damping[:, None, None] * np.eye(len(moves))
         step = np.linalg.solve(N, np.swapaxes(J, 1, 2) @ e[..., None])[..., 0]
         step *= np.minimum(1.0, LONGEST / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
         theta[:, moves] += np.where(size[:, None] > 1e-15, step, 0.0)

@@ -1,0 +1,78 @@
+"""How many orders of magnitude the lengths of a chain span, and what of that double precision can carry."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from kempe.kernels.layout import N_ROWS, ROW_FLOATS
+from kempe.spatial import Array
+
+NOISE = 1e-14
+"""Parts of an offset that are rounding: cos(pi / 2) of a length, say."""
+
+EVEN, SQUEEZED = 1e3, 3.0
+"""Ratio of lengths to their median from which a chain is uneven, and to which they are brought then."""
+
+WIDE = 1e5
+"""Ratio of lengths from which solutions are searched for and polished with care, and no answer is called complete."""
+
+EPSILON = float(np.finfo(float).eps)
+
+
+class Span(NamedTuple):
+    """The smallest and the largest length between the joints of a chain and to its tip, in metres; 0, 0 without any."""
+
+    smallest: float
+    largest: float
+
+    @property
+    def wide(self) -> bool:
+        """Whether they are too far apart for answers without a word of caution."""
+        return self.largest >= WIDE * self.smallest > 0.0 or not math.isfinite(self.largest)
+
+    @property
+    def rounding(self) -> float:
+        """What rounding leaves of positions, in metres."""
+        return 16.0 * EPSILON * self.largest
+
+    def sentence(self) -> str:
+        """What is to be said of an answer that was not found."""
+        orders = math.log10(self.largest / self.smallest) if math.isfinite(self.largest) else math.inf
+        return (
+            f"lengths from {self.smallest:.3g} to {self.largest:.3g} m span {orders:.0f} orders of magnitude, double "
+            f"precision keeps 16: positions are known to {self.rounding:.1g} m, and solutions may be missed"
+        )
+
+
+def span_of(ints: np.ndarray, floats: np.ndarray) -> Span:
+    """The span of a table of a chain; where its first joint stands, and along its axis, does not count."""
+    sizes = np.abs(offsets(ints, floats)[1:])
+    sizes = sizes[sizes > 0.0]
+    return Span(float(sizes.min()), float(sizes.max())) if len(sizes) else Span(0.0, 0.0)
+
+
+def offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
+    """Offsets (n + 1, 3) of the joints and the tip, each seen from the joint before, without what is rounding."""
+    n = int(ints[N_ROWS])
+    p = np.array([floats[ROW_FLOATS * k :][:12].reshape(3, 4)[:, 3] for k in range(n + 1)])
+    return np.where(np.abs(p) > NOISE * np.abs(p).max(axis=1, keepdims=True), p, 0.0)
+
+
+def evened(ints: np.ndarray, floats: np.ndarray) -> Array | None:
+    """Offsets (n + 1, 3) of a chain with the same axes and no length far from the others; None where none is.
+
+    What freedoms a chain has does not depend on how large its lengths are, only on which are zero: so they are counted
+    with lengths of one size. The first joint stands at the origin.
+    """
+    p = offsets(ints, floats)
+    p[0] = 0.0
+    sizes = np.abs(p[np.nonzero(p)])
+    if not len(sizes) or not np.isfinite(sizes).all():
+        return None
+    middle = float(np.exp(np.median(np.log(sizes))))
+    if middle / EVEN <= sizes.min() and sizes.max() <= middle * EVEN:
+        return None
+    return np.sign(p) * np.where(p == 0.0, 0.0, np.clip(np.abs(p), middle / SQUEEZED, middle * SQUEEZED))
