@@ -10,6 +10,7 @@ import numpy as np
 
 from kempe.errors import UnsupportedError
 from kempe.kernels.layout import HEADER, KIND, MULTIPLIER, N_ROWS, ROW_FLOATS, ROW_INTS, SLIDE, TURN, V_INDEX
+from kempe.kernels.search_layout import LARGEST
 from kempe.model.gauge import regauge
 from kempe.model.table import local_chain
 from kempe.solvers.span import Span, span_of
@@ -77,6 +78,9 @@ def _chain(system: System, name: str) -> Chain:
     table, q_index, v_index = local_chain(system.table, name)
     packed = table.pack([name], table.path(name))
     limits = np.ascontiguousarray(system.limits[v_index].T)
+    largest = float(np.abs(packed[1]).max(initial=0.0))
+    if not largest < LARGEST:
+        raise UnsupportedError(f"the chain of {name!r} has a length of {largest:.3g} m; allowed are below {LARGEST:g} m")
     ints, floats = regauge(*packed)
     circular = np.zeros(len(v_index), dtype=np.int64)
     wide = np.subtract(limits[1], limits[0]) >= 2.0 * math.pi

@@ -13,45 +13,62 @@ from kempe.spatial import Array
 NOISE = 1e-14
 """Parts of an offset that are rounding: cos(pi / 2) of a length, say."""
 
+NOTHING = 1e-12
+"""Parts of a middling length of the chain that are no length."""
+
 EVEN, SQUEEZED = 1e3, 3.0
 """Ratio of lengths to their median from which a chain is uneven, and to which they are brought then."""
 
 WIDE = 1e5
 """Ratio of lengths from which solutions are searched for and polished with care, and no answer is called complete."""
 
+AWAY = 1e8
+"""Largest lengths of the chain that its base may be from the origin, likewise."""
+
 EPSILON = float(np.finfo(float).eps)
 
 
 class Span(NamedTuple):
-    """The smallest and the largest length between the joints of a chain and to its tip, in metres; 0, 0 without any."""
+    """The smallest and the largest length between the joints of a chain and to its tip, in metres; 0, 0 without any.
+
+    `away` is how far from the ground's origin the first joint stands.
+    """
 
     smallest: float
     largest: float
+    away: float
 
     @property
     def wide(self) -> bool:
         """Whether they are too far apart for answers without a word of caution."""
-        return self.largest >= WIDE * self.smallest > 0.0 or not math.isfinite(self.largest)
+        return self.largest >= WIDE * self.smallest > 0.0 or self.away > AWAY * self.largest > 0.0
 
     @property
     def rounding(self) -> float:
         """What rounding leaves of positions, in metres."""
-        return 16.0 * EPSILON * self.largest
+        return 16.0 * EPSILON * max(self.largest, self.away)
+
+    def figures(self) -> str:
+        """How far lengths are apart, and what is left of positions."""
+        largest = max(self.largest, self.away)
+        orders = math.log10(largest) - math.log10(self.smallest)
+        what = "the distance of the base" if self.away > self.largest else "the longest"
+        return (
+            f"lengths from {self.smallest:.3g} m to {largest:.3g} m, {what}, span {orders:.0f} orders of magnitude, of "
+            f"which double precision keeps 16: positions are known to {self.rounding:.1g} m"
+        )
 
     def sentence(self) -> str:
         """What is to be said of an answer that was not found."""
-        orders = math.log10(self.largest / self.smallest) if math.isfinite(self.largest) else math.inf
-        return (
-            f"lengths from {self.smallest:.3g} to {self.largest:.3g} m span {orders:.0f} orders of magnitude, double "
-            f"precision keeps 16: positions are known to {self.rounding:.1g} m, and solutions may be missed"
-        )
+        return f"{self.figures()}, and solutions may be missed"
 
 
 def span_of(ints: np.ndarray, floats: np.ndarray) -> Span:
-    """The span of a table of a chain; where its first joint stands, and along its axis, does not count."""
-    sizes = np.abs(offsets(ints, floats)[1:])
-    sizes = sizes[sizes > 0.0]
-    return Span(float(sizes.min()), float(sizes.max())) if len(sizes) else Span(0.0, 0.0)
+    """The span of a table of a chain."""
+    p = np.abs(offsets(ints, floats))
+    sizes = p[1:][p[1:] > 0.0]
+    away = float(p[0].max())
+    return Span(float(sizes.min()), float(sizes.max()), away) if len(sizes) else Span(0.0, 0.0, away)
 
 
 def offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
@@ -70,9 +87,11 @@ def evened(ints: np.ndarray, floats: np.ndarray) -> Array | None:
     p = offsets(ints, floats)
     p[0] = 0.0
     sizes = np.abs(p[np.nonzero(p)])
-    if not len(sizes) or not np.isfinite(sizes).all():
+    if not len(sizes):
         return None
     middle = float(np.exp(np.median(np.log(sizes))))
+    p = np.where(np.abs(p) > NOTHING * middle, p, 0.0)
+    sizes = np.abs(p[np.nonzero(p)])
     if middle / EVEN <= sizes.min() and sizes.max() <= middle * EVEN:
         return None
     return np.sign(p) * np.where(p == 0.0, 0.0, np.clip(np.abs(p), middle / SQUEEZED, middle * SQUEEZED))

@@ -364,4 +364,6 @@ def _conditions(family: Family) -> list[tuple[str, float]]:
 
 
 def _listed(words: list[str]) -> str:
+    if not words:
+        return "nothing"
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

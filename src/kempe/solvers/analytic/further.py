@@ -31,6 +31,9 @@ VALUES = 64
 LOOSE = 1e-6
 """Tolerance of the last search, which is polished after."""
 
+POLISHES, BRISK = 4, 1e-8
+"""Descents in a row that polish, at most, and the damping with which each begins."""
+
 SAME = 1e-4
 """A solution nearer than this to the configuration of the search is that configuration."""
 
@@ -78,7 +81,7 @@ def look_further(
 def _task(question: Question) -> Task:
     """What was asked, as numerical solvers read it."""
     chain = chain_of(question.system, question.frame, question.axis)
-    tolerance = (question.tolerance, question.tolerance)
+    tolerance = (question.tolerance, question.angular)
     return Task(question.system, question.frame, question.targets, question.task, question.axis, tolerance, MOST, 0,
                 chain)  # fmt: skip
 
@@ -179,7 +182,8 @@ class _Targets:
         out = np.empty((m, len(lines) + ANSWER))
         circular = chain.circular.copy()
         circular[at[pins]] = 0
-        task = replace(task, chain=replace(chain, circular=circular), starts=starts, tolerance=(tolerance, tolerance))
+        task = replace(task, chain=replace(chain, circular=circular), starts=starts,
+                       tolerance=(tolerance, min(tolerance, max(self.question.angular, LOOSE))))  # fmt: skip
         wanted = rows_of(task)
         limits = chain.limits.copy() if limited else np.tile([[-np.inf], [np.inf]], len(lines))
         near = self.near if len(self.near) == 1 else self.near[which]
@@ -193,7 +197,7 @@ class _Targets:
             if chain.span.wide:
                 return answered(task, self.question.targets[which[i:j]], first, limits, out[i:j])
             return search.reach(chain.ints, chain.floats, limits, wanted, goals[i:j], first, 0, 0, starts, ITERATIONS,
-                                tolerance, tolerance, 0.0, out[i:j])  # fmt: skip
+                                *task.tolerance, 0.0, out[i:j])  # fmt: skip
 
         if len(pins) and np.ptp(pinned, axis=0).any():
             for i in range(m):
@@ -204,7 +208,8 @@ class _Targets:
         q, error, found = out[:, at], np.hypot(out[:, n + LINEAR], out[:, n + ANGULAR]), out[:, n + STATUS] == SOLVED
         for i in np.flatnonzero(found & (error > self.question.tolerance)):
             q[i], error[i] = self._polished(which[i], q[i], limited)
-        return q, error, found & (error <= self.question.tolerance)
+        within = (error <= self.question.tolerance) & (out[:, n + ANGULAR] <= max(self.question.angular, LOOSE))
+        return q, error, found & within
 
     def _polished(self, index: int, q: Array, limited: bool) -> tuple[Array, float]:
         """A configuration (n,) on the target as nearly as can be, and its error."""
@@ -215,13 +220,16 @@ class _Targets:
         moves = np.array([i for i in range(len(lines)) if i not in self.plan.fixed], dtype=np.int64)
         aim = Aim(lines, np.flatnonzero(TASKS[self.plan.task]), X, moves)
         low, high = limits_of(lines) if limited else np.tile([[-np.inf], [np.inf]], len(lines))
-        theta = descend(aim, lines.theta(q)[None], low[moves], high[moves])
-        R, p, _, _ = aim.sweep(theta)
-        e = aim.errors(R, p)[0]
+        theta, error = lines.theta(q)[None], np.inf
+        for _ in range(POLISHES):  # where the chain is singular a step halves the way
+            theta = descend(aim, theta, low[moves], high[moves], BRISK)
+            R, p, _, _ = aim.sweep(theta)
+            e = aim.errors(R, p)[0]
+            error = float(np.hypot(np.linalg.norm(e[:3]) * lines.length, np.linalg.norm(e[3:])))
+            if error <= 0.1 * self.question.tolerance:
+                break
         q = (theta[0] - lines.gauge) / lines.multiplier
-        if limited:
-            q = np.clip(q, *lines.limits)
-        return q, float(np.hypot(np.linalg.norm(e[:3]) * lines.length, np.linalg.norm(e[3:])))
+        return np.clip(q, *lines.limits) if limited else q, error
 
 
 def spare_values(plan: Plan, spare: list[int]) -> Array:

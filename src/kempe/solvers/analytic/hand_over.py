@@ -21,8 +21,8 @@ def plan_of(task: Task, method: str) -> Plan | None:
     """The plan that answers a task, None where numbers have to. Errors: `InputError`, `UnsupportedError`."""
     if method not in METHODS:
         raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
-    lines = chain_lines(task.system, task.frame, task.axis)
     try:
+        lines = chain_lines(task.system, task.frame, task.axis)
         plan = plan_for(task.system, task.frame, lines, task.name, task.axis, ())
     except UnsupportedError:
         if method == "analytic":
@@ -40,7 +40,8 @@ def kept(task: Task, plan: Plan, targets: Array, q: Array) -> Array:
     """Configurations (N, n) of the chain: a solution inside the limits where the equations have one, else q (N, n)."""
     lines, base = plan.lines, task.chain.base[:, plan.lines.q_index]
     sure = max(*task.tolerance, attainable(targets, lines))
-    question = Question(task.system, task.frame, task.name, task.axis, targets, (len(targets),), sure)
+    question = Question(task.system, task.frame, task.name, task.axis, targets, (len(targets),), sure,
+                        max(task.tolerance))  # fmt: skip
     rows, _ = solve_held(question, plan, base, base, 1)
     code = rows[..., len(lines) + A.CODE]
     error = np.where((code >= 0.0) & (code % 2.0 == 1.0), rows[..., len(lines) + A.ERROR], np.inf)

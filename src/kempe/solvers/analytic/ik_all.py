@@ -61,8 +61,9 @@ def ik_all(
     values = held(name, lines.names, fixed, fixed_by_name)
     plan = plan_for(system, name, lines, task, direction, tuple(values))
     single = lead == ()
-    sure = max(within(tolerance), attainable(targets, lines))
-    question = Question(system, name, task, direction, targets, None if single else lead, sure)
+    wanted = within(tolerance)
+    sure = max(wanted, attainable(targets, lines))
+    question = Question(system, name, task, direction, targets, None if single else lead, sure, wanted)
     if single and not np.isfinite(targets).all():
         raise InputError("target has entries that are not finite")
     if single and task == "pose" and plan.side_by_side and ("all", name) not in system._queries:
@@ -208,7 +209,7 @@ def solve_held(
             which = which[:left].copy()
         held_at = locked[i:j] if len(locked) > 1 else locked
         kernel_of(plan)(
-               plan.ints, plan.floats, targets[i:j], some, held_at, question.tolerance, question.tolerance,
+               plan.ints, plan.floats, targets[i:j], some, held_at, question.tolerance, question.angular,
                int(single), which, out[i:j], counts[i:j])  # fmt: skip
         return 0
 
@@ -216,7 +217,7 @@ def solve_held(
     none = np.flatnonzero(counts[:, 0] == 0)
     if plan.rests and len(none) and (other := plan.other) is not None:  # two completions have to agree
         kernel_of(other)(
-            other.ints, other.floats, targets, chain_near, locked, question.tolerance, question.tolerance,
+            other.ints, other.floats, targets, chain_near, locked, question.tolerance, question.angular,
             int(single), none, out, counts,
         )  # fmt: skip
     lost = np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0))

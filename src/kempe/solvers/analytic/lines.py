@@ -23,7 +23,6 @@ from kempe.kernels.layout import (
     SIN_GAUGE,
     SLIDE,
 )
-from kempe.kernels.search_layout import LARGEST
 from kempe.solvers.chain import chain_of
 from kempe.solvers.span import Span, evened
 from kempe.spatial import Array
@@ -90,8 +89,8 @@ def lines_of(system: System, frame: str) -> Lines:
             "another): `ik_all` cannot take that, `ik` can"
         )
     placements = [*numbers[:, :12], floats[ROW_FLOATS * n :][:12]]
-    if max(float(np.abs(x).max()) for x in placements) >= LARGEST:
-        raise UnsupportedError(f"the chain of {frame!r} has lengths of {LARGEST:g} m or more: too large for its squares")
+    if chain.span.rounding > chain.span.largest > 0.0:
+        raise UnsupportedError(f"all of the chain of {frame!r} is smaller than rounding: {chain.span.figures()}")
     h, o, tip = _carried(placements)
     order = np.argsort(rows[:, Q_INDEX])
     if not np.array_equal(rows[order, Q_INDEX], np.arange(n)):

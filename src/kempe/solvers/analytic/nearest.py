@@ -219,9 +219,12 @@ def _closest(aim: Aim, first: Array) -> Array:
     return best
 
 
-def descend(aim: Aim, theta: Array, low: Array, high: Array) -> Array:
-    """Variables (N, n) after damped Gauss-Newton steps inside the limits; joints that press on a limit stay there."""
-    moves, damping = aim.moves, np.full(len(theta), 1e-2)
+def descend(aim: Aim, theta: Array, low: Array, high: Array, first: float = 1e-2) -> Array:
+    """Variables (N, n) after damped Gauss-Newton steps inside the limits; joints that press on a limit stay there.
+
+    first: damping of the first step.
+    """
+    moves, damping = aim.moves, np.full(len(theta), first)
     e, J = aim.at(theta)
     for _ in range(STEPS):
         slope = np.einsum("Nmk,Nm->Nk", J, e)

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 FARTHEST = 1e5
 """Largest coordinate of `near`: beyond, an angle with its turns has lost the digits that solutions have."""
 
+ANGULAR = 1e-6
+"""Largest tolerance of angles that rounding of positions makes."""
+
 
 @dataclass(frozen=True, eq=False)
 class Question:
@@ -31,6 +34,13 @@ class Question:
     targets: Array = field(repr=False)
     lead: tuple[int, ...] | None
     tolerance: float
+    asked: float = 0.0
+    """The tolerance that was asked for, which far away is below rounding."""
+
+    @property
+    def angular(self) -> float:
+        """The tolerance of angles [rad], which rounding of positions leaves mostly alone."""
+        return max(self.asked, min(self.tolerance, ANGULAR))
 
 
 def within(tolerance: object) -> float:
