@@ -80,7 +80,7 @@ def _chain(system: System, name: str) -> Chain:
     limits = np.ascontiguousarray(system.limits[v_index].T)
     largest = float(np.abs(packed[1]).max(initial=0.0))
     if not largest < LARGEST:
-        raise UnsupportedError(f"the chain of {name!r} has a length of {largest:.3g} m; allowed are below {LARGEST:g} m")
+        raise UnsupportedError(f"the chain of {name!r} has a length of {largest:.3g} m; it must be below {LARGEST:g} m")
     ints, floats = regauge(*packed)
     circular = np.zeros(len(v_index), dtype=np.int64)
     wide = np.subtract(limits[1], limits[0]) >= 2.0 * math.pi

@@ -58,19 +58,25 @@ def look_further(
     question: Question, plan: Plan, near: Array, locked: Array, rows: Array, counts: np.ndarray, solve: Solve,
     threads: int | None,
 ) -> Held:  # fmt: skip
-    """Where the spare joints are in the end, if there are some; `rows` (N, K, n + 2) and `counts` (N, 2) are made better in place.
+    """Where the spare joints are in the end, if there are some.
+
+    `rows` (N, K, n + 2) and `counts` (N, 2) are made better in place.
 
     near, locked: (1 or N, n). solve: rows and counts of a question, near and locked.
     """
     tried = np.ones(len(rows), dtype=np.int64)
     left = np.flatnonzero((counts[:, 0] >= 0) & ~_reached(rows))
+    if not len(left):
+        return Held(locked, tried)
+    many = _Targets(
+        question, plan, near, np.array(np.broadcast_to(locked, (len(rows), len(plan.lines)))), rows, counts, tried,
+        solve, threads,
+    )  # fmt: skip
+    left = many.searched(left, FEW, question.tolerance, True)
     if len(left):
         left = left[outside(_task(question), question.targets[left]) == 0.0]
     if not len(left):
-        return Held(locked, tried)
-    many = _Targets(question, plan, near, np.array(np.broadcast_to(locked, (len(rows), len(plan.lines)))), rows,
-                    counts, tried, solve, threads)  # fmt: skip
-    left = many.searched(left, FEW, question.tolerance, True)
+        return Held(many.locked, tried)
     if plan.method != "search" and many.spare:
         left = many.stepped(left)
     left = many.searched(left, MOST, max(question.tolerance, LOOSE), True)

@@ -41,7 +41,9 @@ def ik_all(
 
     `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)) or a position (..., 3)
     (in planar systems also (..., 2)). `task` says what of it counts: "pose", "position", "orientation", "direction"
-    (of the tool's `axis`), "position_axis" (both). Joints of redundant chains are held by `fixed`, or by name.
+    (of the tool's `axis`), "position_axis" (both). Joints of redundant chains are held by `fixed`, or by name; others
+    that are to spare where `near` has them, and elsewhere for targets that have no solution inside the limits there:
+    `Solutions.held` says where.
     Solutions are sorted: inside the limits first, then by nearness to `near` (nq,), which also chooses among turns;
     with `inside_only` others are dropped, with `expand_turns` every turn inside the limits is listed.
 
@@ -163,8 +165,9 @@ def solve(
     start = np.array([plan.first]) if near is None and plan.first else chain_near
     first = _locked(question, plan, start, values) if plan.locked else chain_near
     out, counts = solve_held(question, plan, chain_near, first, threads)
-    if plan.locked == plan.fixed and not lines.span.wide:
-        return Solutions(question, plan, base, out, counts, question.lead, locked=first)
+    fits = question.lead is None and out[0, 0, -A.INFO + A.CODE] % 2.0 == 1.0  # the first of rows in order is inside
+    if fits or (plan.locked == plan.fixed and not lines.span.wide):
+        return Solutions(question, plan, base, out, counts, question.lead, locked=first, first=first)
     from kempe.solvers.analytic.further import look_further
 
     def at(some: Question, near: Array, locked: Array) -> tuple[Array, np.ndarray]:

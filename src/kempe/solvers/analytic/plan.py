@@ -267,9 +267,7 @@ def in_closed_form(
     return None
 
 
-def _completions(
-    lines: Lines, task: str, unknown: list[int], planar: bool, but: Extra | None
-) -> Iterator[Extra]:
+def _completions(lines: Lines, task: str, unknown: list[int], planar: bool, but: Extra | None) -> Iterator[Extra]:
     """Lines that complete the unknown joints to six: free ones for what the task does not ask, others at rest."""
     free = free_lines(lines, task, planar)
     for rest in resting(lines, free, unknown, planar):
@@ -278,9 +276,7 @@ def _completions(
             yield extra
 
 
-def _by_elimination(
-    lines: Lines, task: str, unknown: list[int], locked: tuple[int, ...], extra: Extra
-) -> Plan | None:
+def _by_elimination(lines: Lines, task: str, unknown: list[int], locked: tuple[int, ...], extra: Extra) -> Plan | None:
     """The plan that takes the six lines as general ones; None where no formulation suits them."""
     from kempe.kernels.analytic_layout import FORMULATIONS
     from kempe.kernels.compiled import elimination_score
