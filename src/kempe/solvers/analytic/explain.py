@@ -11,6 +11,7 @@ from kempe import spatial
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.kernels.layout import SLIDE
+from kempe.kernels.search_layout import LARGEST
 from kempe.solvers.analytic.explain_held import (
     counted,
     held_at,
@@ -59,6 +60,9 @@ def status(solutions: Solutions, index: int) -> str:
         return "target is not a finite pose"
     if solutions._used[index].any():
         return _reached(solutions, index)
+    size = float(np.abs(solutions.question.targets[index]).max())
+    if size >= LARGEST:
+        return f"no solution: the target has an entry of {size:.3g}; allowed are numbers below {LARGEST:g}"
     _, position, angle = nearest(solutions, index)
     question, plan = solutions.question, solutions.plan
     spare = spare_joints(plan)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from kempe.errors import InputError, NoSolutionError
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.compiled import maker
+from kempe.kernels.search_layout import LARGEST
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers.analytic.choice import choose
 from kempe.solvers.analytic.lines import Lines, lines_of
@@ -72,6 +73,8 @@ def ik_all(
         bind(system, name)
     answer = solve(question, plan, near_of(system, near, question.lead), values, threads)
     if single and answer._counts[0, 0] < 0:
+        if np.abs(targets).max() >= LARGEST:
+            raise InputError(f"target has an entry of {np.abs(targets).max():.3g}; allowed are below {LARGEST:g}")
         raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
     if expand_turns or inside_only:
         answer = answer.chosen(bool(expand_turns), bool(inside_only))
@@ -165,7 +168,8 @@ def solve(
     start = np.array([plan.first]) if near is None and plan.first else chain_near
     first = _locked(question, plan, start, values) if plan.locked else chain_near
     out, counts = solve_held(question, plan, chain_near, first, threads)
-    fits = question.lead is None and out[0, 0, -A.INFO + A.CODE] % 2.0 == 1.0  # the first of rows in order is inside
+    code = out[0, 0, -A.INFO + A.CODE] if question.lead is None else A.UNUSED
+    fits = code >= 0.0 and code % 2.0 == 1.0  # the first of rows in order is inside the limits
     if fits or (plan.locked == plan.fixed and not lines.span.wide):
         return Solutions(question, plan, base, out, counts, question.lead, locked=first, first=first)
     from kempe.solvers.analytic.further import look_further

@@ -11,6 +11,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.kernels.layout import SLIDE
+from kempe.kernels.search_layout import LARGEST
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.plan import TASKS, Plan
 from kempe.solvers.targets import Z_AXIS, frame_of
@@ -157,7 +158,7 @@ def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
     question, plan = solutions.question, solutions.plan
     base = solutions._base[index if len(solutions._base) > 1 else 0]
     target = question.targets[index]
-    if solutions._counts[index, 0] < 0:
+    if solutions._counts[index, 0] < 0 or np.abs(target).max() >= LARGEST:
         return np.full(question.system.nq, math.nan), math.nan, math.nan
     if question.task in ("pose", "position") and not fixed_joints(plan):
         answer = ik(question.system, target if question.task == "pose" else target[:3, 3], question.frame, base)
