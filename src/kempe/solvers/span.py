@@ -20,7 +20,7 @@ EVEN, SQUEEZED = 1e3, 3.0
 """Ratio of lengths to their median from which a chain is uneven, and to which they are brought then."""
 
 WIDE = 1e5
-"""Ratio of lengths from which solutions are searched for and polished with care, and no answer is called complete."""
+"""Ratio of lengths from which solutions are searched for and polished with care."""
 
 AWAY = 1e8
 """Largest lengths of the chain that its base may be from the origin, likewise."""
@@ -31,17 +31,21 @@ EPSILON = float(np.finfo(float).eps)
 class Span(NamedTuple):
     """The smallest and the largest length between the joints of a chain and to its tip, in metres; 0, 0 without any.
 
-    `away` is how far from the ground's origin the first joint stands.
+    `middle` is the median of the steps from joint to joint, `away` how far from the ground's origin the first stands.
     """
 
     smallest: float
     largest: float
+    middle: float
     away: float
 
     @property
     def wide(self) -> bool:
-        """Whether they are too far apart for answers without a word of caution."""
-        return self.largest >= WIDE * self.smallest > 0.0 or self.away > AWAY * self.largest > 0.0
+        """Whether a length is too large beside the others for answers without a word of caution.
+
+        Small ones do no harm: calibrated arms have some that are nearly zero.
+        """
+        return self.largest >= WIDE * self.middle > 0.0 or self.away > AWAY * self.largest > 0.0
 
     @property
     def rounding(self) -> float:
@@ -66,9 +70,11 @@ class Span(NamedTuple):
 def span_of(ints: np.ndarray, floats: np.ndarray) -> Span:
     """The span of a table of a chain."""
     p = np.abs(offsets(ints, floats))
-    sizes = p[1:][p[1:] > 0.0]
-    away = float(p[0].max())
-    return Span(float(sizes.min()), float(sizes.max()), away) if len(sizes) else Span(0.0, 0.0, away)
+    away, p = float(p[0].max()), p[1:]
+    p = p[p.max(axis=1) > NOISE * p.max()]
+    if not p.any():
+        return Span(0.0, 0.0, 0.0, away)
+    return Span(float(p[p > 0.0].min()), float(p.max()), float(np.median(p.max(axis=1))), away)
 
 
 def offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
@@ -86,10 +92,10 @@ def evened(ints: np.ndarray, floats: np.ndarray) -> Array | None:
     """
     p = offsets(ints, floats)
     p[0] = 0.0
-    sizes = np.abs(p[np.nonzero(p)])
-    if not len(sizes):
+    steps = np.abs(p).max(axis=1)
+    if not steps.any():
         return None
-    middle = float(np.exp(np.median(np.log(sizes))))
+    middle = float(np.median(steps[steps > NOISE * steps.max()]))
     p = np.where(np.abs(p) > NOTHING * middle, p, 0.0)
     sizes = np.abs(p[np.nonzero(p)])
     if middle / EVEN <= sizes.min() and sizes.max() <= middle * EVEN:
