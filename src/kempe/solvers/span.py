@@ -71,7 +71,7 @@ def span_of(ints: np.ndarray, floats: np.ndarray) -> Span:
     """The span of a table of a chain."""
     p = np.abs(offsets(ints, floats))
     away, p = float(p[0].max()), p[1:]
-    p = p[p.max(axis=1) > NOISE * p.max()]
+    p = p[p.max(axis=1) > NOISE * p.max(initial=0.0)]
     if not p.any():
         return Span(0.0, 0.0, 0.0, away)
     return Span(float(p[p > 0.0].min()), float(p.max()), float(np.median(p.max(axis=1))), away)

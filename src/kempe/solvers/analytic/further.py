@@ -79,6 +79,7 @@ def look_further(
         return Held(many.locked, tried)
     if plan.method != "search" and many.spare:
         left = many.stepped(left)
+    left = many.searched(left, MOST, question.tolerance, True)
     left = many.searched(left, MOST, max(question.tolerance, LOOSE), True)
     many.searched(left[~_used(rows[left])], MOST, max(question.tolerance, LOOSE), False)
     return Held(many.locked, tried)
@@ -195,6 +196,8 @@ class _Targets:
         near = self.near if len(self.near) == 1 else self.near[which]
         seeds = np.empty((len(near), 1, len(lines)))
         seeds[:, 0, at] = near
+        if starts > FEW and limited:  # the few began at `near`: other starts, then
+            seeds = chain.no_seed
 
         def work(i: int, j: int) -> int:
             if len(pins):
