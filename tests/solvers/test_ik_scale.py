@@ -68,6 +68,7 @@ def assert_solved_or_said(name, row, column, power, number, rng):
     assert (off(rows, some.q, targets)[some.success] < 1.1).all()
     reached = off(rows, np.where(every.mask[..., None], every.q, 0.0), targets[:, None])
     assert (reached[every.mask] < 1.1).all()
+    assert power < 9 or column == 2 and row == 0 or not every.complete.any()
     if -6 <= power <= 6:
         assert some.success.all() and every.mask.any(axis=1).all()
     for text in (*some.status[~some.success], *every.status[~every.mask.any(axis=1)]):
