@@ -1,42 +1,50 @@
-"""Idle freedoms: bodies between two joints that can spin while everything else rests, such as a rod between two balls.
+"""Idle freedoms: bodies that can spin about the line through two points, while everything else rests.
 
-Two joints of a loop are *in series* if cutting both parts the bodies. If both can turn about one and the same axis,
-what is between them can spin alone. That is idle, since it transmits nothing, unless it is what the joints are for:
-two hinges that only happen to be in line, or both between the same two bodies (a shaft in its bearings), or driven.
-Two hinges on one axis of one body, such as a roller or a bush, are in line by construction, and that body is idle.
-Slides are not looked at: a block that slides alone is as a rule a slider that is meant to.
+An *idle freedom* is a motion at which
+
+1. a group of bodies turns, as one, about a fixed line, and all other bodies rest, except the small links of balls that
+   are made of several joints;
+2. the line goes through two points about which joints let the group turn, one at either end: the centre of a ball (a
+   spherical or universal joint, or consecutive hinges whose axes meet in one point), or any point of the axis of a hinge
+   that is fixed in the group, up to slides in it. Two hinges of one body must have one axis, as a roller's or a bush's;
+3. it is there at the configurations around as well;
+4. no joint that is driven moves;
+5. the two ends are held by different parts. A group that one part alone holds is a door, a shaft or a leg: to move
+   is what it is for;
+6. the group carries nothing: no frame whose origin moves, no body on a joint of its own, no motor but those of slides
+   along it, and its joints, which all rest, are slides. Joints that turn may be among them between two balls that are
+   one joint each, or made of hinges that are known not to be driven, since it is known which joints are.
+
+Nothing of this looks at the types of joints, but only at their velocities and where the axes of these are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.analysis.graph import Cluster, Edge, Structure, structure
+from kempe.analysis.graph import Structure, structure
 from kempe.analysis.rank import Rank
 from kempe.analysis.screws import Screws
-from kempe.description.parts import Joint
-from kempe.model.lengths import characteristic_length
+from kempe.analysis.series import Ring, between, edges_at, ends_of, in_loop, parts, rigid, rings
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
 ALONE = 1e-6
-"""Sine of the angle between the motions of two joints below which they have an axis in common."""
-TURNING = {"revolute", "universal", "spherical", "cylindrical"}
-"""Joint types in which something can spin and stay where it is."""
+"""Sine of the angle between axes, or distance as a part of the mechanism's size, below which they are one, or meet."""
 
 
 @dataclass(frozen=True)
 class IdleFreedom:
-    """A spin of some bodies, as one, between two joints, all else at rest.
+    """A spin of some bodies, as one, between two joints, all else at rest but the `links` of balls made of hinges.
 
     Its axis goes through `point` [m] along `direction`, in the ground's frame at the configuration that was looked at.
+    `joints` are those next to the group.
     """
 
     bodies: tuple[str, ...]
@@ -47,6 +55,7 @@ class IdleFreedom:
     """Whether the axis is the line through the origins of the two joints."""
     velocity: Array = field(repr=False, compare=False)
     """The motion as velocities (nv,) of the system, in SI units."""
+    links: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         who = " and ".join(self.bodies)
@@ -58,172 +67,308 @@ class IdleFreedom:
         return f"{who} {verb} between {self.joints[0]} and {self.joints[1]}, about ({direction}) through ({point})"
 
 
-@dataclass(frozen=True, eq=False)
-class _Pair:
-    """Two joints in series, and the positions (in the cluster's velocities) of what each can do."""
+class _End(NamedTuple):
+    """Consecutive edges of a ring (by place, the one next to the group first) whose axes meet in one point.
 
-    edges: tuple[int, int]
-    signs: tuple[float, float]
-    columns: tuple[tuple[int, ...], tuple[int, ...]]
-    """Own columns of each edge that nothing else follows."""
+    The point is on the first edge's axis, `along` from its origin. It is a `hinge` if that is its only axis.
+    """
+
+    edges: tuple[int, ...]
+    along: float
+    hinge: bool
 
 
-def idle_freedoms(system: System, ranks: Sequence[Rank]) -> tuple[IdleFreedom, ...]:
-    """Independent idle freedoms at the first of `ranks`, as far as they are there at all of them."""
-    s = structure(system)
-    out: list[IdleFreedom] = []
-    for c in s.clusters:
-        found = []
-        for pair, motions in _at_all(_pairs(system, s, c), ranks):
-            found.append((bodies_between(system, s, *pair.edges), pair, motions))
-        found.sort(key=lambda f: len(f[0]))  # small groups of bodies first: larger ones may move as their sums
-        basis = np.zeros((system.nv, 0))
-        for bodies, pair, motions in found:
-            for z in motions.T:
-                velocity, twist = _velocity(system, s, ranks[0], pair, z)
-                rest = velocity - basis @ (basis.T @ velocity)
-                if np.linalg.norm(rest) > ALONE * np.linalg.norm(velocity):
-                    basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
-                    out.append(_freedom(s, ranks[0], bodies, pair, velocity, twist))
+class _Pair(NamedTuple):
+    """Two ends of a ring between which something may spin."""
+
+    ring: Ring
+    left: _End
+    right: _End
+
+
+class _Spin(NamedTuple):
+    """A motion of what is between two ends of a ring: its axis at the first configuration, and rates by edge.
+
+    The point is relative to the screws' centre, in their unit.
+    """
+
+    pair: _Pair
+    point: Array
+    direction: Array
+    rates: dict[int, Array]
+
+
+def idle_freedoms(system: System, ranks: Sequence[Rank], driven: Iterable[int] | None = None) -> tuple[IdleFreedom, ...]:
+    """Independent idle freedoms at the first of `ranks`, as far as they are there at all of them.
+
+    `driven` are the velocities that are known to be driven, besides joints marked so; None where nothing is known.
+    """
+    s, known = structure(system), driven is not None or any(e.actuated for e in structure(system).edges)
+    found = []
+    for spin in _spins(system, s, [r.screws for r in ranks], frozenset(driven or ())):
+        bodies = _group(system, s, ranks[0], spin, known)
+        if bodies is not None:
+            found.append((spin, *bodies))
+    found.sort(key=lambda f: len(f[1]))  # small groups of bodies first: larger ones may move as their sums
+    basis, out = np.zeros((system.nv, 0)), []
+    for spin, bodies, links in found:
+        velocity = np.zeros(system.nv)
+        for k, rates in spin.rates.items():
+            columns = s.edges[spin.pair.ring.edges[k]].columns
+            velocity[[columns[c].index for c in spin.pair.ring.own(k)]] = rates
+        rest = velocity - basis @ (basis.T @ velocity)
+        if np.linalg.norm(rest) > ALONE * np.linalg.norm(velocity):
+            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+            out.append(_freedom(system, s, ranks[0], spin, bodies, links, velocity))
     return tuple(out)
 
 
-def may_idle(system: System) -> bool:
-    """Whether any two joints in series could have a motion in common."""
-    s = structure(system)
-    return any(_pairs(system, s, c) for c in s.clusters)
+def may_idle(system: System, rank: Rank, driven: Iterable[int] | None = None) -> bool:
+    """Whether anything looks like an idle freedom at one configuration."""
+    return any(True for _ in _spins(system, structure(system), [rank.screws], frozenset(driven or ())))
 
 
-def _pairs(system: System, s: Structure, c: Cluster) -> list[_Pair]:
-    key = ("analysis pairs", c.edges)
+# ---- where something can spin
+
+
+def _spins(system: System, s: Structure, at: Sequence[Screws], driven: frozenset[int]) -> Iterator[_Spin]:
+    """Spins that exist at all configurations; the last to be looked at is whether anything else moves with them."""
+    for pair in _pairs(system, s, at[0], driven):
+        axis = None
+        for screws in reversed(at):
+            axis = _axis(s, screws, pair)
+            if axis is None:
+                break
+        if axis is not None:
+            rates = [_rates(s, at[0], pair.ring, end, *axis, sign) for end, sign in ((pair.left, 1), (pair.right, -1))]
+            yield _Spin(pair, *axis, rates[0] | rates[1])
+
+
+def _pairs(system: System, s: Structure, at: Screws, driven: frozenset[int]) -> list[_Pair]:
+    """Pairs of ends between which something may spin, by what does not depend on the configuration.
+
+    Where axes meet in a part that two joints share, they do so at every closed configuration, such as that of `at`.
+    """
+    key = ("analysis pairs", driven)
     found = system._queries.get(key)
     if found is None:
-        found = system._queries[key] = _find_pairs(system, s, c)
+        found = system._queries[key] = [p for ring in rings(system, driven) for p in _of_ring(s, at, ring)]
     return found
 
 
-def _find_pairs(system: System, s: Structure, c: Cluster) -> list[_Pair]:
-    uses, length = np.bincount(c.velocities[c.local], minlength=system.nv), characteristic_length(system)
-    for r in (system.relations[k] for k in c.relations):
-        uses[[system.velocity_names.index(n) for n in (r.of, *r.sources)]] += 1
-    series: dict[bytes, list[tuple[int, float]]] = {}
-    for n, i in enumerate(c.edges):
-        column = c.signs[:, n]
-        sign = float(column[np.flatnonzero(column)[0]])
-        series.setdefault((column * sign).astype(np.int8).tobytes(), []).append((i, sign))
-    out = []
-    for members in series.values():
-        for (i, si), (k, sk) in combinations(members, 2):
-            a, b = s.edges[i], s.edges[k]
-            if not (_passive(a) and _passive(b)):
-                continue
-            if _same_bodies(s, i, k):
-                continue
-            own = [tuple(n for n, col in enumerate(e.columns)
-                         if col.index >= 0 and uses[col.index] == 1 and not col.slides) for e in (a, b)]  # fmt: skip
-            if all(own) and (max(len(a.columns), len(b.columns)) > 1 or _on_one_axis(system, s, i, k, length)):
-                out.append(_Pair((i, k), (si, sk), (own[0], own[1])))
-    return out
+def _of_ring(s: Structure, at: Screws, ring: Ring) -> Iterator[_Pair]:
+    n = len(ring.edges)
+    meets = [_meet(s, at, ring, k, k + 1) if ring.joined[k] else None for k in range(n - 1)]
+    ends = {(k, step): _grow(ring, meets, k, step) for k in range(n) if ring.turns[k] is not None for step in (-1, 1)}
+    balls = {step: {k for (k, d), end in ends.items() if d == step and not end.hinge} for step in (-1, 1)}
+    places = [k for k in range(n) if ring.turns[k] is not None]
+    pairs = {(p, q) for q in balls[1] for p in places if p < q} | {(p, q) for p in balls[-1] for q in places if p < q}
+    pairs |= {(k, k + 1) for k, meet in enumerate(meets) if meet is not None and meet.one_axis}
+    for p, q in sorted(pairs):
+        pair = _Pair(ring, ends[p, -1], ends[q, 1])
+        if not (pair.left.hinge or pair.right.hinge) or not (
+            _turning_inside(s, ring, p, q) or _one_of_many(s, at, ring, pair)
+        ):
+            yield pair
 
 
-def _passive(edge: Edge) -> bool:
-    """Whether it is a joint that something can spin in, and not driven."""
-    return isinstance(edge.of, Joint) and edge.of.type.type_name in TURNING and not edge.actuated
+class _Meeting(NamedTuple):
+    """Where the axes of two joints of one part meet: from their origins, along their axes; or they are one axis."""
+
+    along: tuple[float, float]
+    one_axis: bool
 
 
-def _on_one_axis(system: System, s: Structure, i: int, k: int, length: float) -> bool:
-    """Whether two hinges have one axis of one body, which is all that is between them; `length` is that of links."""
-    a, b = s.edges[i], s.edges[k]
-    body = {a.parent, a.child} & {b.parent, b.child}
-    if len(body) != 1:
+def _meet(s: Structure, at: Screws, ring: Ring, k: int, m: int) -> _Meeting | None:
+    """Where the axes of the k-th and the m-th edge, which share a part, meet; None where they do not."""
+    a, b = ring.turns[k], ring.turns[m]
+    if a is None or b is None or not (a.columns and b.columns):
+        return None
+    (p, u), (r, v) = (_line(at, ring, i) for i in (k, m))
+    away = (r - p) / at.length
+    if u is None and v is None:
+        return _Meeting((0.0, 0.0), False) if np.linalg.norm(away) < ALONE and a.whole and b.whole else None
+    if u is not None and v is not None:
+        normal = np.cross(u, v)
+        size = np.linalg.norm(normal)
+        if size < ALONE:
+            return _Meeting((0.0, 0.0), True) if np.linalg.norm(np.cross(away, u)) < ALONE else None
+        if abs(away @ normal) > ALONE * size or not (a.whole and b.whole):
+            return None
+        x, y = np.cross(away, v) @ normal / size**2, np.cross(away, u) @ normal / size**2
+        return _Meeting((float(x), float(y)), False)
+    if not (a.whole and b.whole):
+        return None
+    line, to = (u, away) if u is not None else (v, -away)
+    if np.linalg.norm(np.cross(to, line)) > ALONE:
+        return None
+    x = float(to @ line)
+    return _Meeting((x, 0.0) if u is not None else (0.0, x), False)
+
+
+def _line(at: Screws, ring: Ring, k: int) -> tuple[Array, Array | None]:
+    """Origin of an edge, in the ground, and the direction of its axis if it can turn about one only."""
+    i, own = ring.edges[k], ring.own(k)
+    w = at.twists[i][3:, list(own)]
+    return at.M[i, :3, 3], w[:, 0] / np.linalg.norm(w) if len(own) == 1 else None
+
+
+def _grow(ring: Ring, meets: Sequence[_Meeting | None], k: int, step: int) -> _End:
+    """The edges from the k-th on, in one direction, whose axes meet in one point, until they are as good as a ball."""
+    edges, columns, first, here = [k], len(ring.own(k)), 0.0, None
+    while columns < 3:
+        last = edges[-1]
+        meet = meets[min(last, last + step)] if 0 <= last + step < len(ring.edges) else None
+        if meet is None or meet.one_axis:
+            break
+        near, far = meet.along if step > 0 else meet.along[::-1]
+        if here is None:
+            first = near
+        elif abs(near - here) > ALONE:
+            break
+        here = far
+        edges.append(last + step)
+        columns += len(ring.own(last + step))
+    return _End(tuple(edges), first, columns == 1)
+
+
+def _turning_inside(s: Structure, ring: Ring, p: int, q: int) -> bool:
+    """Whether between two edges of a ring there is more than slides."""
+    inside = (s.edges[i] for i in ring.edges[p + 1 : q])
+    return any(not e.joint or any(c.index >= 0 and not c.slides for c in e.columns) for e in inside)
+
+
+def _one_of_many(s: Structure, at: Screws, ring: Ring, pair: _Pair) -> bool:
+    """Whether a hinge and a ball made of several joints are but some of the joints about one point: of a spherical
+    linkage, whose links are no parts of a ball."""
+    hinge, ball = (pair.left, pair.right) if pair.left.hinge else (pair.right, pair.left)
+    if ball.hinge or len(ball.edges) == 1:
         return False
-    U, V = (e.X_PF if e.parent in body else e.X_CM for e in (a, b))
-    apart = V[:3, 3] - U[:3, 3]
-    apart -= U[:3, 2] * (apart @ U[:3, 2])
-    if abs(U[:3, 2] @ V[:3, 2]) < 1.0 - 0.5 * ALONE**2 or apart @ apart > (ALONE * length) ** 2:
-        return False
-    return bodies_between(system, s, i, k) == (system.body_names[next(iter(body))],)
+    point, n = _center(at, ring, ball), len(ring.edges)
+    low, high = min(*hinge.edges, *ball.edges), max(*hinge.edges, *ball.edges)
+    for k in {(low - 1) % n, (high + 1) % n} - set(range(low, high + 1)):
+        T = at.twists[ring.edges[k]][:, [c for c, col in enumerate(s.edges[ring.edges[k]].columns) if not col.slides]]
+        if T.size and np.abs(T[:3] - np.cross(point, T[3:], axis=0)).max() < ALONE:
+            return True
+    return False
 
 
-def _same_bodies(s: Structure, i: int, k: int) -> bool:
-    """Whether two joints connect the same two bodies: what spins is then a shaft in its bearings."""
-    a, b = s.edges[i], s.edges[k]
-    return {a.parent, a.child} == {b.parent, b.child}
+def _center(at: Screws, ring: Ring, end: _End) -> Array:
+    """The point that all axes of an end go through, relative to the screws' centre, in their unit."""
+    point, axis = _line(at, ring, end.edges[0])
+    return (point - at.center) / at.length + (0.0 if axis is None else end.along * axis)
 
 
-def _at_all(pairs: Sequence[_Pair], ranks: Sequence[Rank]) -> list[tuple[_Pair, Array]]:
-    """Pairs that have motions in common at all configurations, with those (columns of both joints, k) at the first."""
-    alike: dict[tuple[int, int], list[_Pair]] = {}
-    for pair in pairs:
-        alike.setdefault((len(pair.columns[0]), len(pair.columns[1])), []).append(pair)
-    out = []
-    for (n, _), group in alike.items():
-        both = np.array([[_twists(r.screws, pair) for pair in group] for r in ranks])  # (ranks, pairs, 6, columns)
-        _, values, Vt = np.linalg.svd(both)
-        zero = Vt.shape[-1] - (values > ALONE * values[..., :1]).sum(axis=-1)
-        for k in np.flatnonzero(zero.min(axis=0)).tolist():
-            kernel = Vt[0, k, Vt.shape[-1] - zero[0, k] :].T
-            moved = both[0, k, :, :n] @ kernel[:n]  # turns of a ball joint by angles can fail to move anything
-            _, size, V = np.linalg.svd(moved)
-            kernel = kernel @ V[: int((size > ALONE).sum())].T
-            if kernel.shape[1]:
-                out.append((group[k], kernel))
-    return out
+def _axis(s: Structure, at: Screws, pair: _Pair) -> tuple[Array, Array] | None:
+    """Point and direction of the line that both ends can turn about."""
+    a, b = _center(at, pair.ring, pair.left), _center(at, pair.ring, pair.right)
+    if pair.left.hinge or pair.right.hinge:
+        hinge = pair.left if pair.left.hinge else pair.right
+        direction = _line(at, pair.ring, hinge.edges[0])[1]
+        assert direction is not None
+        if np.linalg.norm(np.cross(b - a, direction)) > ALONE:
+            return None
+    else:
+        size = np.linalg.norm(b - a)
+        if size < ALONE:
+            return None
+        direction = (b - a) / size
+    point = b if pair.left.hinge else a
+    for end in (pair.left, pair.right):
+        W = np.concatenate([at.twists[pair.ring.edges[k]][3:, list(pair.ring.own(k))] for k in end.edges], axis=1)
+        if not end.hinge and not _spans(W, direction):
+            return None
+    return point, direction
 
 
-def _twists(at: Screws, pair: _Pair) -> Array:
-    """Screws (6, n) of both joints, signed so that equal and opposite ones move what is between them alone."""
-    a, b = (at.twists[i][:, list(c)] * s for i, c, s in zip(pair.edges, pair.columns, pair.signs, strict=True))
-    return np.concatenate([a, b], axis=1)
+def _spans(W: Array, direction: Array) -> bool:
+    """Whether turns about axes W (3, n) add up to one about a direction."""
+    U, sizes, _ = np.linalg.svd(W, full_matrices=False)
+    U = U[:, sizes > ALONE * sizes[0]]
+    return bool(np.linalg.norm(direction - U @ (U.T @ direction)) < ALONE)
 
 
-def _velocity(system: System, s: Structure, rank: Rank, pair: _Pair, z: Array) -> tuple[Array, Array]:
-    """Scaled velocities (nv,) of one motion of what is between two joints, and its twist (6,)."""
-    out, n = np.zeros(system.nv), 0
-    twist = rank.screws.twists[pair.edges[0]][:, list(pair.columns[0])] @ z[: len(pair.columns[0])]
-    for i, columns in zip(pair.edges, pair.columns, strict=True):
-        for c in columns:
-            out[s.edges[i].columns[c].index] = z[n]
-            n += 1
-    return out, twist
+def _rates(
+    s: Structure, at: Screws, ring: Ring, end: _End, point: Array, direction: Array, sign: float
+) -> dict[int, Array]:  # fmt: skip
+    """Rates of the own columns of an end's edges, by place in the ring, that turn the group about the axis."""
+    W = [ring.signs[k] * at.twists[ring.edges[k]][3:, list(ring.own(k))] for k in end.edges]
+    z = np.linalg.lstsq(np.concatenate(W, axis=1), sign * direction, rcond=ALONE)[0]
+    z[np.abs(z) < ALONE * np.abs(z).max()] = 0.0
+    cuts = np.cumsum([w.shape[1] for w in W])[:-1]
+    return {k: part for k, part in zip(end.edges, np.split(z, cuts), strict=True) if part.any()}
 
 
-def bodies_between(system: System, s: Structure, i: int, k: int) -> tuple[str, ...]:
-    """Names of the bodies that two joints in series part from the ground."""
-    key = ("analysis between", i, k)
-    found = system._queries.get(key)
-    if found is None:
-        found = system._queries[key] = _between(system, s, i, k)
-    return found
+# ---- whether it is idle
 
 
-def _between(system: System, s: Structure, i: int, k: int) -> tuple[str, ...]:
-    links: dict[int, list[int]] = {}
-    for n, e in enumerate(s.edges):
-        if n not in (i, k):
-            links.setdefault(e.parent, []).append(e.child)
-            links.setdefault(e.child, []).append(e.parent)
-    reached, order = {0}, [0]
-    for body in order:
-        for other in links.get(body, ()):
-            if other not in reached:
-                reached.add(other)
-                order.append(other)
-    return tuple(b for n, b in enumerate(system.body_names) if n not in reached)
+def _group(
+    system: System, s: Structure, rank: Rank, spin: _Spin, known: bool
+) -> tuple[frozenset[int], frozenset[int]] | None:  # fmt: skip
+    """The bodies that turn as one and the links of balls that move with them; None where they are not idle."""
+    ring, left, right = spin.pair
+    places = sorted(spin.rates)
+    low, high, part = places[0], places[-1], parts(system)
+    if part[ends_of(s, ring, low)[0]] == part[ends_of(s, ring, high)[1]]:
+        return None
+    p, q = _inner(spin)
+    moving = between(system, ring.edges[low], ring.edges[high])
+    bodies = moving if (p, q) == (low, high) else between(system, ring.edges[p], ring.edges[q])
+    turning = _turning_inside(s, ring, p, q)
+    for i in edges_at(system, moving) - {*ring.edges[low : high + 1]}:
+        if not rigid(s.edges[i]):
+            if not in_loop(system)[i] or s.edges[i].actuated:
+                return None
+            turning = True
+    simple = (p, q) == (low, high) and not (left.hinge or right.hinge)
+    if turning and not (simple or (known and not (left.hinge or right.hinge))):
+        return None
+    if _moves_a_frame(system, rank, spin, bodies, moving):
+        return None
+    return bodies, moving - bodies
+
+
+def _inner(spin: _Spin) -> tuple[int, int]:
+    """Places in the ring of the joints next to the group."""
+    _, left, right = spin.pair
+    return max(k for k in left.edges if k in spin.rates), min(k for k in right.edges if k in spin.rates)
+
+
+def _moves_a_frame(
+    system: System, rank: Rank, spin: _Spin, bodies: frozenset[int], moving: frozenset[int]
+) -> bool:  # fmt: skip
+    """Whether a frame that somebody named does not stay where it is."""
+    names, at, poses = system.body_names, rank.screws, None
+    for frame in system.mechanism.frames.values():
+        body = names.index(frame.body)
+        if body not in moving:
+            continue
+        poses = system.fk(rank.q) if poses is None else poses
+        place = poses[body] @ frame.X_BF.evaluate(system.mechanism.parameters)
+        away = (place[:3, 3] - at.center) / at.length - spin.point
+        if body in bodies:
+            away = np.cross(away, spin.direction)
+        else:
+            centers = (_center(at, spin.pair.ring, end) for end in (spin.pair.left, spin.pair.right))
+            away = min((away + spin.point - center for center in centers), key=np.linalg.norm)
+        if np.linalg.norm(away) > ALONE:
+            return True
+    return False
 
 
 def _freedom(
-    s: Structure, rank: Rank, bodies: tuple[str, ...], pair: _Pair, velocity: Array, twist: Array
+    system: System, s: Structure, rank: Rank, spin: _Spin, bodies: frozenset[int], links: frozenset[int], velocity: Array
 ) -> IdleFreedom:  # fmt: skip
-    at = rank.screws
-    v, w = twist[:3], twist[3:]
-    size = np.linalg.norm(w)
-    direction = w / size
-    point = at.center + at.length * np.cross(w, v) / size**2
-    point = point + direction * (direction @ (at.M[pair.edges[0], :3, 3] - point))
+    at, ring = rank.screws, spin.pair.ring
+    p, q = _inner(spin)
+    edges = sorted((ring.edges[p], ring.edges[q]))
+    direction = spin.direction
+    point = at.center + at.length * spin.point
+    point = point + direction * (direction @ (at.M[edges[0], :3, 3] - point))
     direction = direction * np.sign(direction[np.argmax(np.abs(direction) > ALONE)])
-    names = (s.edges[pair.edges[0]].name, s.edges[pair.edges[1]].name)
     numbers = [tuple((np.round(x, 12) + 0.0).tolist()) for x in (point, direction)]
-    ends = (at.M[list(pair.edges), :3, 3] - point) / at.length
+    ends = (at.M[edges, :3, 3] - point) / at.length
     joined = bool(np.abs(np.cross(ends, direction)).max() < ALONE < np.ptp(ends @ direction))
-    return IdleFreedom(bodies, names, numbers[0], numbers[1], joined, velocity * rank.units)
+    names = [tuple(system.body_names[b] for b in sorted(group)) for group in (bodies, links)]
+    pair = (s.edges[edges[0]].name, s.edges[edges[1]].name)
+    return IdleFreedom(names[0], pair, numbers[0], numbers[1], joined, velocity * rank.units, names[1])
