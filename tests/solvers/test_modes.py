@@ -14,7 +14,8 @@ import kempe
 from kempe import Mechanism, System
 from kempe.errors import InputError, UnknownNameError
 from kempe.solvers.dyads import closed_form
-from kempe.solvers.modes import SOLVERS, Modes, assembly_modes, by_dyads, by_starts, estimates
+from kempe.solvers.many_starts import estimates
+from kempe.solvers.modes import SOLVERS, Modes, assembly_modes, by_dyads, by_starts
 
 
 def inputs(system: System, *names: str) -> dict[str, float]:
