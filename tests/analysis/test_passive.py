@@ -1,4 +1,4 @@
-"""Idle freedoms: every form of a ball, what is driven, carried or held by one part; judged by moving, and by a kernel."""
+"""Idle freedoms: every form of a ball, what is driven, carried, held by one part; judged by moving and by a kernel."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def groups(freedoms) -> list[frozenset[str]]:
 
 
 def assert_spins(system: System, q: np.ndarray, f: IdleFreedom) -> None:
-    """Moved by a finite amount and closed again, the group has turned about the axis, and nothing else but its links."""
+    """Moved by a finite amount and closed again, the group has turned about the axis, and nothing but its links too."""
     moved = {n.partition(".")[0] for n, x in zip(system.velocity_names, f.velocity, strict=True) if x}
     others = {n: x for n, x in system.q_dict(q).items() if n.partition(".")[0] not in moved}
     start = system.integrate(q, 0.3 * f.velocity / np.abs(f.velocity).max())
@@ -127,7 +127,9 @@ def test_a_frame_off_the_axis_of_a_rod_makes_it_useful(at, idle):
     assert mobility(system, system.neutral).idle == idle
 
 
-@pytest.mark.parametrize("form, actuated, idle", [("S", None, 1), ("RRR", None, 0), ("RRR", ["base"], 1), ("RRR", [], 1)])
+@pytest.mark.parametrize(
+    "form, actuated, idle", [("S", None, 1), ("RRR", None, 0), ("RRR", ["base"], 1), ("RRR", [], 1)]
+)
 def test_an_elbow_swings_idly_if_its_joints_are_known_to_be_passive(form, actuated, idle):
     """Two links with an elbow between two balls: an arm of seven hinges is such a thing, and these may be motors."""
     r = Rods(np.random.default_rng(3))
@@ -156,7 +158,9 @@ def test_what_turns_about_an_axis_that_happens_to_pass_a_ball_is_not_idle():
     assert [f.bodies for f in m.idle_freedoms] == [("nut", "screw")]
 
 
-@pytest.mark.parametrize("name, idle", [("rssr", 1), ("delta_ss", 6), ("delta_uu", 0), ("stewart_sps", 6), ("stewart", 0)])
+@pytest.mark.parametrize(
+    "name, idle", [("rssr", 1), ("delta_ss", 6), ("delta_uu", 0), ("stewart_sps", 6), ("stewart", 0)]
+)
 def test_the_shipped_ones(name, idle):
     system = kempe.load(name)
     m = mobility(system)

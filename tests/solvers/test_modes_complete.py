@@ -1,4 +1,4 @@
-"""Assembly modes, none missing: mirror images, parity, counts by other methods; what is claimed is no more than known."""
+"""Assembly modes, none missing: mirror images, parity, counts by other methods; no more is claimed than is known."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ An *idle freedom* is a motion at which
 1. a group of bodies turns, as one, about a fixed line, and all other bodies rest, except the small links of balls that
    are made of several joints;
 2. the line goes through two points about which joints let the group turn, one at either end: the centre of a ball (a
-   spherical or universal joint, or consecutive hinges whose axes meet in one point), or any point of the axis of a hinge
+   spherical or universal joint, or consecutive hinges whose axes meet in one point), or any point of a hinge's axis
    that is fixed in the group, up to slides in it. Two hinges of one body must have one axis, as a roller's or a bush's;
 3. it is there at the configurations around as well;
 4. no joint that is driven moves;
@@ -98,7 +98,9 @@ class _Spin(NamedTuple):
     rates: dict[int, Array]
 
 
-def idle_freedoms(system: System, ranks: Sequence[Rank], driven: Iterable[int] | None = None) -> tuple[IdleFreedom, ...]:
+def idle_freedoms(
+    system: System, ranks: Sequence[Rank], driven: Iterable[int] | None = None
+) -> tuple[IdleFreedom, ...]:  # fmt: skip
     """Independent idle freedoms at the first of `ranks`, as far as they are there at all of them.
 
     `driven` are the velocities that are known to be driven, besides joints marked so; None where nothing is known.
@@ -199,11 +201,16 @@ def _meet(s: Structure, at: Screws, ring: Ring, k: int, m: int) -> _Meeting | No
         return _Meeting((float(x), float(y)), False)
     if not (a.whole and b.whole):
         return None
-    line, to = (u, away) if u is not None else (v, -away)
-    if np.linalg.norm(np.cross(to, line)) > ALONE:
+    x = _along(u, away) if u is not None else _along(v, -away)
+    if x is None:
         return None
-    x = float(to @ line)
     return _Meeting((x, 0.0) if u is not None else (0.0, x), False)
+
+
+def _along(axis: Array | None, to: Array) -> float | None:
+    """How far along an axis a point is, if it is on it."""
+    assert axis is not None
+    return float(to @ axis) if np.linalg.norm(np.cross(to, axis)) < ALONE else None
 
 
 def _line(at: Screws, ring: Ring, k: int) -> tuple[Array, Array | None]:
@@ -293,10 +300,10 @@ def _rates(
 ) -> dict[int, Array]:  # fmt: skip
     """Rates of the own columns of an end's edges, by place in the ring, that turn the group about the axis."""
     W = [ring.signs[k] * at.twists[ring.edges[k]][3:, list(ring.own(k))] for k in end.edges]
-    z = np.linalg.lstsq(np.concatenate(W, axis=1), sign * direction, rcond=ALONE)[0]
+    z = np.asarray(np.linalg.lstsq(np.concatenate(W, axis=1), sign * direction, rcond=ALONE)[0], dtype=float)
     z[np.abs(z) < ALONE * np.abs(z).max()] = 0.0
     cuts = np.cumsum([w.shape[1] for w in W])[:-1]
-    return {k: part for k, part in zip(end.edges, np.split(z, cuts), strict=True) if part.any()}
+    return {k: np.asarray(part) for k, part in zip(end.edges, np.split(z, cuts), strict=True) if part.any()}
 
 
 # ---- whether it is idle
@@ -357,7 +364,8 @@ def _moves_a_frame(
 
 
 def _freedom(
-    system: System, s: Structure, rank: Rank, spin: _Spin, bodies: frozenset[int], links: frozenset[int], velocity: Array
+    system: System, s: Structure, rank: Rank, spin: _Spin, bodies: frozenset[int], links: frozenset[int],
+    velocity: Array,
 ) -> IdleFreedom:  # fmt: skip
     at, ring = rank.screws, spin.pair.ring
     p, q = _inner(spin)

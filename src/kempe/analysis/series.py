@@ -109,10 +109,11 @@ def _turns(edge: Edge, uses: np.ndarray, driven: frozenset[int]) -> Turns | None
         and all(p.kind != P for p in moved[n])
     )  # fmt: skip
     slides = [p.axis for n in free if n not in own for p in moved[n] if p.kind == P]
-    if not own or (slides and (len(own) > 1 or {*slides} != {moved[own[0]][0].axis})):
+    axis = moved[own[0]][0].axis if own else ""
+    if not own or (slides and (len(own) > 1 or {*slides} != {axis})):
         return None
     whole = len(own) == len(edge.columns)
-    return Turns(own, whole, moved[own[0]][0].axis if whole and len(own) == 1 else "")
+    return Turns(own, whole, axis if whole and len(own) == 1 else "")
 
 
 def rigid(edge: Edge) -> bool:

@@ -21,6 +21,8 @@ MOST_TURNS = 100
 """Most turns of a source after which those that are geared to it must be back, to count as periodic."""
 SAME = 1e-6
 """Configurations nearer than this, in radians and characteristic lengths, are one: double roots merge at 1e-8."""
+MOST_AT_ONCE = 1 << 20
+"""Numbers in one comparison of configurations with clusters."""
 INSIDE = 1e-9
 """How far a coordinate may be outside its limits: rounding."""
 
@@ -111,21 +113,33 @@ class Clusters:
         become members.
         """
         X = self._placed(q)
-        out = np.empty(len(q), dtype=np.int64)
-        for k in range(len(q)):
-            apart = self._apart(q[k], X[k], self.q, self.poses)
-            same = apart <= np.maximum(self.tolerance, tolerance[k])
-            if same.any():
-                out[k] = int(np.argmin(np.where(same, apart, np.inf)))
-            else:
-                out[k] = len(self.members)
-                self.members.append([])
-                self.q = np.concatenate([self.q, q[k : k + 1]])
-                self.poses = np.concatenate([self.poses, X[k : k + 1]])
-                self.tolerance = np.append(self.tolerance, tolerance[k])
-            if counted:
-                self.members[out[k]].append(self.count)
+        out = self._nearest(q, X, tolerance, 0)
+        while (out < 0).any():
+            k = int(np.argmax(out < 0))
+            self.members.append([])
+            self.q = np.concatenate([self.q, q[k : k + 1]])
+            self.poses = np.concatenate([self.poses, X[k : k + 1]])
+            self.tolerance = np.append(self.tolerance, tolerance[k])
+            rest = np.flatnonzero(out < 0)
+            out[rest] = self._nearest(q[rest], X[rest], tolerance[rest], len(self.members) - 1)
+            out[k] = len(self.members) - 1
+        if counted:
+            for k in out.tolist():
+                self.members[k].append(self.count)
                 self.count += 1
+        return out
+
+    def _nearest(self, q: Array, X: Array, tolerance: Array, first: int) -> np.ndarray:
+        """Numbers (n,) of the nearest clusters, from the first on, that configurations are the same as; -1: none."""
+        out = np.full(len(q), -1)
+        if first == len(self.members):
+            return out
+        step = max(1, MOST_AT_ONCE // max(1, (len(self.members) - first) * max(q.shape[1], 12 * len(self.frames))))
+        for i in range(0, len(q), step):
+            part = slice(i, i + step)
+            apart = self._apart(q[part, None], X[part, None], self.q[None, first:], self.poses[None, first:])
+            apart = np.where(apart <= np.maximum(self.tolerance[first:], tolerance[part, None]), apart, np.inf)
+            out[part] = np.where(np.isfinite(apart).any(axis=1), first + np.argmin(apart, axis=1), -1)
         return out
 
     def distances(self, q: Array, to: Array) -> Array:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.description.parts import Constraint
 from kempe.kinematics.forward import fk
 from kempe.kinematics.maximal_form import coordinates_of
 from kempe.model.loops import characteristic_length
@@ -64,7 +65,7 @@ def _points(system: System) -> list[Array]:
         primitives = () if joint is None else joint.type.layout(system.dim, particle)[1]
         axes = {p.axis for p in primitives}
         letter = axes.pop() if len(axes) == 1 and not particle else ""
-        if joint is None and owner.kind != "distance":
+        if isinstance(owner, Constraint) and owner.kind != "distance":
             letter = "z"
         if joint is not None and particle:
             continue  # a place where it is at neutral, and no end of a link

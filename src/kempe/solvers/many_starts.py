@@ -30,8 +30,9 @@ if TYPE_CHECKING:
 
 ROUND = 128
 """Starts in one batch; after each it is asked whether the search may end."""
-SEEN_OFTEN = 6
-"""The search ends when each mode has been found this many times."""
+SEEN_OFTEN, LEAST = 6, 512
+"""The search ends when each mode has been found this many times, and after so many starts: of a mode to which 1 % of
+them leads, fewer would miss more than one in a hundred."""
 MANY, HOPELESS = 1024, 0.1
 """After so many starts a search ends that, by estimate, has found less than this part: there are thousands."""
 KICK, STAYED = 1e-2, 0.1
@@ -127,11 +128,13 @@ class Search:
 
     def settled(self) -> bool:
         """Whether each mode was found often, others were looked for in vain, and their number is not against it."""
-        if not len(self.free) or not np.all(self.hits >= SEEN_OFTEN) or self.complete():
+        if self.tried < LEAST or not len(self.free) or not np.all(self.hits >= SEEN_OFTEN) or self.complete():
             return False
-        odd = not self.free.any() and len(self.free) % 2 == 1
-        self.odd = odd and must_be_even(self)
-        return not odd or (not self.odd and self.tried >= LONGER)
+        return not self.is_odd() and (len(self.free) % 2 == 0 or bool(self.free.any()) or self.tried >= LONGER)
+
+    def is_odd(self) -> bool:
+        """Whether the number of modes is odd, and must be even."""
+        return not self.free.any() and len(self.free) % 2 == 1 and must_be_even(self)
 
 
 def search(
@@ -152,6 +155,7 @@ def search(
         hits = s.hits
         if s.tried >= MANY and len(hits) and share_found(hits) < HOPELESS:
             break
+    s.odd = s.is_odd()
     return s
 
 
@@ -271,7 +275,7 @@ def estimates(hits: np.ndarray) -> tuple[float, float]:
 
     The share of starts that lead to others is estimated as f1 / n, with f1 modes found once, and n hits (Good, 1953,
     after Turing). The coverage is 1 less the upper bound of that share (Clopper, Pearson, 1934): with no mode found
-    once, 3 / n. The number is at least k + f1 (f1 - 1) / (2 (f2 + 1)), with f2 found twice (Chao, 1984, bias-corrected).
+    once, 3 / n. The number is at least k + f1 (f1 - 1) / (2 (f2 + 1)), f2 found twice (Chao, 1984, bias-corrected).
     """
     n, once, twice = int(np.sum(hits)), int(np.sum(hits == 1)), int(np.sum(hits == 2))
     if not n:

@@ -186,8 +186,8 @@ def _merged(names: list[str]) -> str:
 
 def by_starts(question: Question) -> Modes:
     """The answer of many starts: never proven complete."""
-    from kempe.solvers.many_starts import estimates, search  # its kernels are not needed before
     from kempe.solvers.home import home_of
+    from kempe.solvers.many_starts import estimates, search  # its kernels are not needed before
 
     system = question.system
     found = search(system, question.known, question.near, question.frame, question.rng, question.starts)
