@@ -20,23 +20,25 @@ Nothing of this looks at the types of joints, but only at their velocities and w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from kempe.analysis.ends import ALONE, End, Pair, center_of, line_of, off, pairs_of, turning_inside
 from kempe.analysis.graph import Structure, structure
 from kempe.analysis.rank import Rank
 from kempe.analysis.screws import Screws
-from kempe.analysis.series import Ring, between, edges_at, ends_of, in_loop, parts, rigid, rings
+from kempe.analysis.series import Ring, between, edges_at, ends_of, in_loop, parts, rigid
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-ALONE = 1e-6
-"""Sine of the angle between axes, or distance as a part of the mechanism's size, below which they are one, or meet."""
+INDEPENDENT = 1e-3
+"""Volume of three unit vectors above which they span space, without a closer look."""
 
 
 @dataclass(frozen=True)
@@ -67,32 +69,13 @@ class IdleFreedom:
         return f"{who} {verb} between {self.joints[0]} and {self.joints[1]}, about ({direction}) through ({point})"
 
 
-class _End(NamedTuple):
-    """Consecutive edges of a ring (by place, the one next to the group first) whose axes meet in one point.
-
-    The point is on the first edge's axis, `along` from its origin. It is a `hinge` if that is its only axis.
-    """
-
-    edges: tuple[int, ...]
-    along: float
-    hinge: bool
-
-
-class _Pair(NamedTuple):
-    """Two ends of a ring between which something may spin."""
-
-    ring: Ring
-    left: _End
-    right: _End
-
-
 class _Spin(NamedTuple):
     """A motion of what is between two ends of a ring: its axis at the first configuration, and rates by edge.
 
     The point is relative to the screws' centre, in their unit.
     """
 
-    pair: _Pair
+    pair: Pair
     point: Array
     direction: Array
     rates: dict[int, Array]
@@ -135,7 +118,7 @@ def may_idle(system: System, rank: Rank, driven: Iterable[int] | None = None) ->
 
 def _spins(system: System, s: Structure, at: Sequence[Screws], driven: frozenset[int]) -> Iterator[_Spin]:
     """Spins that exist at all configurations; the last to be looked at is whether anything else moves with them."""
-    for pair in _pairs(system, s, at[0], driven):
+    for pair in pairs_of(system, s, at[0], driven):
         axis = None
         for screws in reversed(at):
             axis = _axis(s, screws, pair)
@@ -146,137 +129,17 @@ def _spins(system: System, s: Structure, at: Sequence[Screws], driven: frozenset
             yield _Spin(pair, *axis, rates[0] | rates[1])
 
 
-def _pairs(system: System, s: Structure, at: Screws, driven: frozenset[int]) -> list[_Pair]:
-    """Pairs of ends between which something may spin, by what does not depend on the configuration.
-
-    Where axes meet in a part that two joints share, they do so at every closed configuration, such as that of `at`.
-    """
-    key = ("analysis pairs", driven)
-    found = system._queries.get(key)
-    if found is None:
-        found = system._queries[key] = [p for ring in rings(system, driven) for p in _of_ring(s, at, ring)]
-    return found
-
-
-def _of_ring(s: Structure, at: Screws, ring: Ring) -> Iterator[_Pair]:
-    n = len(ring.edges)
-    meets = [_meet(s, at, ring, k, k + 1) if ring.joined[k] else None for k in range(n - 1)]
-    ends = {(k, step): _grow(ring, meets, k, step) for k in range(n) if ring.turns[k] is not None for step in (-1, 1)}
-    balls = {step: {k for (k, d), end in ends.items() if d == step and not end.hinge} for step in (-1, 1)}
-    places = [k for k in range(n) if ring.turns[k] is not None]
-    pairs = {(p, q) for q in balls[1] for p in places if p < q} | {(p, q) for p in balls[-1] for q in places if p < q}
-    pairs |= {(k, k + 1) for k, meet in enumerate(meets) if meet is not None and meet.one_axis}
-    for p, q in sorted(pairs):
-        pair = _Pair(ring, ends[p, -1], ends[q, 1])
-        if not (pair.left.hinge or pair.right.hinge) or not (
-            _turning_inside(s, ring, p, q) or _one_of_many(s, at, ring, pair)
-        ):
-            yield pair
-
-
-class _Meeting(NamedTuple):
-    """Where the axes of two joints of one part meet: from their origins, along their axes; or they are one axis."""
-
-    along: tuple[float, float]
-    one_axis: bool
-
-
-def _meet(s: Structure, at: Screws, ring: Ring, k: int, m: int) -> _Meeting | None:
-    """Where the axes of the k-th and the m-th edge, which share a part, meet; None where they do not."""
-    a, b = ring.turns[k], ring.turns[m]
-    if a is None or b is None or not (a.columns and b.columns):
-        return None
-    (p, u), (r, v) = (_line(at, ring, i) for i in (k, m))
-    away = (r - p) / at.length
-    if u is None and v is None:
-        return _Meeting((0.0, 0.0), False) if np.linalg.norm(away) < ALONE and a.whole and b.whole else None
-    if u is not None and v is not None:
-        normal = np.cross(u, v)
-        size = np.linalg.norm(normal)
-        if size < ALONE:
-            return _Meeting((0.0, 0.0), True) if np.linalg.norm(np.cross(away, u)) < ALONE else None
-        if abs(away @ normal) > ALONE * size or not (a.whole and b.whole):
-            return None
-        x, y = np.cross(away, v) @ normal / size**2, np.cross(away, u) @ normal / size**2
-        return _Meeting((float(x), float(y)), False)
-    if not (a.whole and b.whole):
-        return None
-    x = _along(u, away) if u is not None else _along(v, -away)
-    if x is None:
-        return None
-    return _Meeting((x, 0.0) if u is not None else (0.0, x), False)
-
-
-def _along(axis: Array | None, to: Array) -> float | None:
-    """How far along an axis a point is, if it is on it."""
-    assert axis is not None
-    return float(to @ axis) if np.linalg.norm(np.cross(to, axis)) < ALONE else None
-
-
-def _line(at: Screws, ring: Ring, k: int) -> tuple[Array, Array | None]:
-    """Origin of an edge, in the ground, and the direction of its axis if it can turn about one only."""
-    i, own = ring.edges[k], ring.own(k)
-    w = at.twists[i][3:, list(own)]
-    return at.M[i, :3, 3], w[:, 0] / np.linalg.norm(w) if len(own) == 1 else None
-
-
-def _grow(ring: Ring, meets: Sequence[_Meeting | None], k: int, step: int) -> _End:
-    """The edges from the k-th on, in one direction, whose axes meet in one point, until they are as good as a ball."""
-    edges, columns, first, here = [k], len(ring.own(k)), 0.0, None
-    while columns < 3:
-        last = edges[-1]
-        meet = meets[min(last, last + step)] if 0 <= last + step < len(ring.edges) else None
-        if meet is None or meet.one_axis:
-            break
-        near, far = meet.along if step > 0 else meet.along[::-1]
-        if here is None:
-            first = near
-        elif abs(near - here) > ALONE:
-            break
-        here = far
-        edges.append(last + step)
-        columns += len(ring.own(last + step))
-    return _End(tuple(edges), first, columns == 1)
-
-
-def _turning_inside(s: Structure, ring: Ring, p: int, q: int) -> bool:
-    """Whether between two edges of a ring there is more than slides."""
-    inside = (s.edges[i] for i in ring.edges[p + 1 : q])
-    return any(not e.joint or any(c.index >= 0 and not c.slides for c in e.columns) for e in inside)
-
-
-def _one_of_many(s: Structure, at: Screws, ring: Ring, pair: _Pair) -> bool:
-    """Whether a hinge and a ball made of several joints are but some of the joints about one point: of a spherical
-    linkage, whose links are no parts of a ball."""
-    hinge, ball = (pair.left, pair.right) if pair.left.hinge else (pair.right, pair.left)
-    if ball.hinge or len(ball.edges) == 1:
-        return False
-    point, n = _center(at, ring, ball), len(ring.edges)
-    low, high = min(*hinge.edges, *ball.edges), max(*hinge.edges, *ball.edges)
-    for k in {(low - 1) % n, (high + 1) % n} - set(range(low, high + 1)):
-        T = at.twists[ring.edges[k]][:, [c for c, col in enumerate(s.edges[ring.edges[k]].columns) if not col.slides]]
-        if T.size and np.abs(T[:3] - np.cross(point, T[3:], axis=0)).max() < ALONE:
-            return True
-    return False
-
-
-def _center(at: Screws, ring: Ring, end: _End) -> Array:
-    """The point that all axes of an end go through, relative to the screws' centre, in their unit."""
-    point, axis = _line(at, ring, end.edges[0])
-    return (point - at.center) / at.length + (0.0 if axis is None else end.along * axis)
-
-
-def _axis(s: Structure, at: Screws, pair: _Pair) -> tuple[Array, Array] | None:
+def _axis(s: Structure, at: Screws, pair: Pair) -> tuple[Array, Array] | None:
     """Point and direction of the line that both ends can turn about."""
-    a, b = _center(at, pair.ring, pair.left), _center(at, pair.ring, pair.right)
+    a, b = center_of(at, pair.ring, pair.left), center_of(at, pair.ring, pair.right)
     if pair.left.hinge or pair.right.hinge:
         hinge = pair.left if pair.left.hinge else pair.right
-        direction = _line(at, pair.ring, hinge.edges[0])[1]
+        direction = line_of(at, pair.ring, hinge.edges[0])[1]
         assert direction is not None
-        if np.linalg.norm(np.cross(b - a, direction)) > ALONE:
+        if off(b - a, direction) > ALONE:
             return None
     else:
-        size = np.linalg.norm(b - a)
+        size = math.sqrt((b - a) @ (b - a))
         if size < ALONE:
             return None
         direction = (b - a) / size
@@ -290,17 +153,29 @@ def _axis(s: Structure, at: Screws, pair: _Pair) -> tuple[Array, Array] | None:
 
 def _spans(W: Array, direction: Array) -> bool:
     """Whether turns about axes W (3, n) add up to one about a direction."""
+    if W.shape[1] == 3 and abs(_volume(W)) > INDEPENDENT:
+        return True
     U, sizes, _ = np.linalg.svd(W, full_matrices=False)
     U = U[:, sizes > ALONE * sizes[0]]
     return bool(np.linalg.norm(direction - U @ (U.T @ direction)) < ALONE)
 
 
+def _volume(W: Array) -> float:
+    """Determinant of a matrix (3, 3)."""
+    (a, b, c), (d, e, f), (g, h, i) = W.tolist()
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+
 def _rates(
-    s: Structure, at: Screws, ring: Ring, end: _End, point: Array, direction: Array, sign: float
+    s: Structure, at: Screws, ring: Ring, end: End, point: Array, direction: Array, sign: float
 ) -> dict[int, Array]:  # fmt: skip
     """Rates of the own columns of an end's edges, by place in the ring, that turn the group about the axis."""
     W = [ring.signs[k] * at.twists[ring.edges[k]][3:, list(ring.own(k))] for k in end.edges]
-    z = np.asarray(np.linalg.lstsq(np.concatenate(W, axis=1), sign * direction, rcond=ALONE)[0], dtype=float)
+    A = np.concatenate(W, axis=1)
+    if A.shape[1] == 3 and abs(_volume(A)) > INDEPENDENT:
+        z = np.linalg.solve(A, sign * direction)
+    else:
+        z = np.asarray(np.linalg.lstsq(A, sign * direction, rcond=ALONE)[0], dtype=float)
     z[np.abs(z) < ALONE * np.abs(z).max()] = 0.0
     cuts = np.cumsum([w.shape[1] for w in W])[:-1]
     return {k: np.asarray(part) for k, part in zip(end.edges, np.split(z, cuts), strict=True) if part.any()}
@@ -321,7 +196,7 @@ def _group(
     p, q = _inner(spin)
     moving = between(system, ring.edges[low], ring.edges[high])
     bodies = moving if (p, q) == (low, high) else between(system, ring.edges[p], ring.edges[q])
-    turning = _turning_inside(s, ring, p, q)
+    turning = turning_inside(s, ring, p, q)
     for i in edges_at(system, moving) - {*ring.edges[low : high + 1]}:
         if not rigid(s.edges[i]):
             if not in_loop(system)[i] or s.edges[i].actuated:
@@ -354,9 +229,9 @@ def _moves_a_frame(
         place = poses[body] @ frame.X_BF.evaluate(system.mechanism.parameters)
         away = (place[:3, 3] - at.center) / at.length - spin.point
         if body in bodies:
-            away = np.cross(away, spin.direction)
+            away = away - (away @ spin.direction) * spin.direction
         else:
-            centers = (_center(at, spin.pair.ring, end) for end in (spin.pair.left, spin.pair.right))
+            centers = (center_of(at, spin.pair.ring, end) for end in (spin.pair.left, spin.pair.right))
             away = min((away + spin.point - center for center in centers), key=np.linalg.norm)
         if np.linalg.norm(away) > ALONE:
             return True
@@ -376,7 +251,7 @@ def _freedom(
     direction = direction * np.sign(direction[np.argmax(np.abs(direction) > ALONE)])
     numbers = [tuple((np.round(x, 12) + 0.0).tolist()) for x in (point, direction)]
     ends = (at.M[edges, :3, 3] - point) / at.length
-    joined = bool(np.abs(np.cross(ends, direction)).max() < ALONE < np.ptp(ends @ direction))
+    joined = max(off(e, direction) for e in ends) < ALONE < abs((ends[1] - ends[0]) @ direction)
     names = [tuple(system.body_names[b] for b in sorted(group)) for group in (bodies, links)]
     pair = (s.edges[edges[0]].name, s.edges[edges[1]].name)
     return IdleFreedom(names[0], pair, numbers[0], numbers[1], joined, velocity * rank.units, names[1])
