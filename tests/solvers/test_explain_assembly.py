@@ -44,6 +44,29 @@ def test_a_scissor_that_closes_folded_says_so(n):
         assert answer.success and answer.status.endswith("; 1 freedom left open")
 
 
+def test_hunt_folded_cells(hunt):
+    """A warning where pins of a cell coincide and more than one freedom is open, and none elsewhere."""
+    rng, seen = hunt.rng(), set()
+    for _ in range(hunt.cases(50)):
+        n = int(rng.integers(2, 9))
+        system = scissor(n)
+        start = stretched(system, n, rng.uniform(0.2, 1.3)) * rng.choice([0.0, 1.0])
+        q = (answer := system.assemble(near=start + rng.normal(size=system.nq) * rng.choice([0.1, 0.4, 1.0]))).q
+        if not answer.success:
+            continue
+        ends = [system.fk(q, f"{x}{i}") @ [1, 0, 0, 1] for i in range(n - 1) for x in "ab"]
+        starts = [system.fk(q, f"{x}{i + 1}")[:, 3] for i in range(n - 1) for x in "ab"]
+        assert max(np.abs(a - b).max() for a, b in zip(ends[::2], starts[1::2], strict=True)) < 1e-9
+        closed = any(np.linalg.norm(ends[2 * i] - ends[2 * i + 1]) < 1e-7 for i in range(n - 1))
+        first = np.linalg.norm(system.fk(q, "slider")[:3, 3]) < 1e-7  # the pins on the ground, where they coincide
+        warned = "folded or singular" in answer.status
+        left = int(answer.status.rpartition("; ")[2].split()[0]) if not warned else 2
+        assert warned == ((closed or first) and "1 freedom left" not in answer.status), answer.status
+        assert warned or left == 1
+        seen.add(warned)
+    assert seen == {True, False}
+
+
 def test_a_change_point_is_compared_with_home():
     system = kempe.load("parallelogram")
     status = system.assemble(near=system.posture("flat")).status

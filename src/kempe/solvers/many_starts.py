@@ -51,7 +51,8 @@ CONFIDENCE = 0.95
 class Search:
     """Modes found: `clusters`, `free` (k,) freedoms left at each, `twin` (k,) the first of those that are its images.
 
-    `spins` are the idle freedoms that do not count, `odd` says that the number found must be even, and is not.
+    `spins` are the idle freedoms that do not count (`asked` whether they were looked for), `odd` says that the number
+    found must be even, and is not.
     """
 
     system: System
@@ -63,6 +64,7 @@ class Search:
     free: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     twin: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     spins: tuple[Any, ...] = ()
+    asked: bool = False
     tried: int = 0
     odd: bool = False
 
@@ -84,7 +86,8 @@ class Search:
         tolerance = np.maximum(SAME, 10.0 * np.sqrt(np.asarray(answer.residual)[good]))
         where = self.clusters.add(found, tolerance, counted)
         self._look(len(self.free))
-        if counted and not self.clusters.frames and self.free.any():
+        if counted and not self.clusters.frames and not self.asked and self.free.any():
+            self.asked = True
             self._leave_out_spins(found, tolerance)
         return good, where
 
@@ -96,16 +99,15 @@ class Search:
 
     def _leave_out_spins(self, q: Array, tolerance: Array) -> None:
         """Count configurations that differ only by idle spins as one, from here on."""
-        if self.spins or self.tried > ROUND:
-            return
         held = [self.system.velocity_names.index(n) for n in self.bound.held]
         report = self.system.mobility(self.clusters.q[int(np.argmax(self.free > 0))], local=False)
         self.spins = tuple(f for f in report.idle_freedoms if not f.velocity[held].any())
         moved = {b for f in self.spins for b in (*f.bodies, *f.links)}
         rest = tuple(b for b in self.system.body_names[1:] if b not in moved)
         if self.spins and rest:
-            self.clusters = Clusters(self.system, rest)
+            before, self.clusters = self.clusters, Clusters(self.system, rest)
             self.clusters.add(q, tolerance)
+            self.clusters.add(before.q, before.tolerance, False)
             self._look(0)
 
     def complete(self) -> bool:
