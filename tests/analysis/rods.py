@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from world_mechanisms import World, unit
 
-FORMS = ("S", "RRR", "UR", "RU", "RRfR")
-"""A ball as one joint, as three hinges that meet, as a universal joint and a hinge, with a fixed link in between."""
+FORMS = ("S", "A", "RRR", "UR", "RU", "RRfR")
+"""A ball as one joint (with a quaternion, with angles), as three hinges that meet, as a universal joint and a hinge,
+with a fixed link in between."""
 
 
 @dataclass
@@ -41,8 +42,8 @@ class Rods:
     def ball(self, a: str, b: str, at: np.ndarray, form: str | None = None) -> None:
         w, (x, y, z) = self.world, self.axes()
         form = form or str(self.rng.choice(FORMS))
-        if form == "S":
-            w.ball(a, b, at)
+        if form in ("S", "A"):
+            w.ball(a, b, at, **({"angles": True} if form == "A" else {}))
         elif form == "UR":
             link = self.name("link")
             w.cross(a, link, at, x, np.cross(x, y))

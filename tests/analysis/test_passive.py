@@ -175,12 +175,12 @@ def test_the_shipped_ones(name, idle):
 def test_hunt_rods(hunt):
     """Random mechanisms of rods, legs, pistons and linkages: what spins idly is what was built to."""
     rng = hunt.rng()
-    for _ in range(hunt.cases(60)):
+    for _ in range(hunt.cases(40)):
         check(mechanism(rng))
 
 
 @pytest.mark.slow
 def test_hunt_many_rods(hunt):
     rng = hunt.rng()
-    for _ in range(hunt.cases(500)):
+    for _ in range(hunt.cases(400)):
         check(mechanism(rng))

@@ -210,14 +210,14 @@ def test_hunt_modes(hunt):
 @pytest.mark.slow
 def test_hunt_many_frameworks(hunt):
     rng = hunt.rng()
-    for _ in range(hunt.cases(60)):
-        check_framework(k33(rng), rng, 1000)
-        check_framework(prism(rng), rng, 1000)
+    for _ in range(hunt.cases(40)):
+        check_framework(k33(rng), rng, 600)
+        check_framework(prism(rng), rng, 600)
 
 
 @pytest.mark.slow
 def test_hunt_many_loops(hunt):
     rng = hunt.rng()
-    for _ in range(hunt.cases(120)):
+    for _ in range(hunt.cases(80)):
         check_rssr(Rssr.random(rng))
         check_six_sps(rng)
