@@ -178,7 +178,8 @@ def _rates(
         z = np.asarray(np.linalg.lstsq(A, sign * direction, rcond=ALONE)[0], dtype=float)
     z[np.abs(z) < ALONE * np.abs(z).max()] = 0.0
     cuts = np.cumsum([w.shape[1] for w in W])[:-1]
-    return {k: np.asarray(part) for k, part in zip(end.edges, np.split(z, cuts), strict=True) if part.any()}
+    parted = [np.asarray(part, dtype=float) for part in np.split(z, cuts)]
+    return {k: part for k, part in zip(end.edges, parted, strict=True) if part.any()}
 
 
 # ---- whether it is idle
