@@ -294,9 +294,9 @@ def test_marks_of_one_name_and_without_labels():
     found = artists(plots.plot(system, [0.4, 0.8], frames="B2"))
     assert {"mark:B2", "mark:B2:x", "mark:B2:y", "label:B2"} <= found.keys() and "mark:e" not in found
     assert "label:B2" not in artists(plots.plot(system, [0.4, 0.8], frames="B2", labels=False))
-    for system in (system, kempe.load("puma560")):
+    for either in (system, kempe.load("puma560")):
         with pytest.raises(UnknownNameError, match="no frame 'nobody'"):
-            plots.plot(system, frames=["nobody"])
+            plots.plot(either, frames=["nobody"])
 
 
 def test_gaps_in_a_path_stay_gaps():

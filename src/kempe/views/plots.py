@@ -32,10 +32,10 @@ def plot(
     """Axes with a drawing of the system at a configuration; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
 
     `q` (nq,) or dict: the configuration; without it, the posture 'closed' if there is one, else `mid`, and with a
-    `path` the configuration of the path nearest to that. `frames`: names of frames or bodies whose axes are drawn, x red,
-    y green, z blue. `path`: configurations (n, nq), or an answer that has them as `.q`; in place of the axes, the curves
-    of the named `frames` are drawn over it (without names: those of the path's `.frames`, else all named frames of
-    moving bodies), and `ghosts` earlier positions, evenly spread. Driven joints (`actuated`, or the
+    `path` the configuration of the path nearest to that. `frames`: names of frames or bodies whose axes are drawn:
+    x red, y green, z blue. `path`: configurations (n, nq), or an answer that has them as `.q`; in place of the axes,
+    the curves of the named `frames` are drawn over it (without names: those of the path's `.frames`, else all named
+    frames of moving bodies), and `ghosts` earlier positions, evenly spread. Driven joints (`actuated`, or the
     path's `.driver`) are marked, and loops that are not closed are shown in red.
     Errors: `InputError` for shapes, `UnknownNameError` for frames.
     """
