@@ -38,6 +38,13 @@ def test_elements_without_a_part_in_the_motion_are_never_refused(name):
     assert read_urdf(robot(joint(), REST, links=links)).joints
 
 
+def test_kukas_own_shapes_are_read_without_a_word():
+    shape = '<origin rpy="0 0 0" xyz="0 0 0"/><geometry><capsule length="0.25" radius="0.15"/></geometry>'
+    inside = f"<self_collision_checking>{shape}</self_collision_checking>"
+    links = LINKS.replace('arm"/>', f'arm">{inside}</link>')
+    assert read_urdf(robot(joint(), REST, links=links)).notes == []
+
+
 @pytest.mark.parametrize("name", ["orgin", "limits", "Axis", "axis2", "mimick", "childs", "lmiit"])
 def test_slips_of_what_decides_on_the_motion_are_refused(name):
     with pytest.raises(DescriptionError, match=f"unknown element '{name}'; did you mean"):

@@ -109,14 +109,15 @@ def _refuse_xacro(robot: Element) -> None:
     if "xacro:" not in text and not _XACRO.search(text):
         return
     for element in robot.walk():
-        found = element.tag.startswith("xacro:") and f"<{element.tag}>"
-        where = element.where
-        if not found and element.tag in (*ATTRIBUTES, "link", "robot"):
+        found = where = None
+        if element.tag.startswith("xacro:"):
+            found, where = f"<{element.tag}>", element.where
+        elif element.tag in (*ATTRIBUTES, "link", "robot"):
             for key, text in element.attributes.items():
                 if not key.startswith("xmlns") and _XACRO.search(text):
                     found, where = f"{key}={shorten(text)}", element.where_of(key)
                     break
-        if found:
+        if found and where:
             raise fail(
                 f"this is xacro, a program that writes URDF: {found} has to be expanded first",
                 where,

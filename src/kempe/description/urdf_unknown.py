@@ -58,11 +58,15 @@ TOP = (
 _OWN = re.compile(r"https?://(www\.|wiki\.)?ros\.org/?((wiki/)?urdf\b.*)?")
 _TIES = re.compile(r"constraint|loop|closure|closing|coupl|equality|gear|belt|tendon|(?<!dis)connect|weld")
 _SPEAKS = re.compile(rf"{_TIES.pattern}|joint|link|mimic|limit|axis|origin|pose", re.IGNORECASE)
+_PREFIXED = re.compile(r"<[\w.-]+:")
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _CONTENT = re.compile(r">([^<>]*)<")
 _ELSEWHERE = {
     "visual": ("origin",),
     "collision": ("origin",),
     "inertial": ("origin",),
+    "collision_checking": ("origin",),
+    "self_collision_checking": ("origin",),
     "sensor": ("origin", "parent"),
     "self_filter": ("origin",),
 }
@@ -80,6 +84,9 @@ def strip_namespaces(robot: Element) -> None:
 
     Names without a prefix are URDF's, whatever the default namespace is: other readers know no namespaces.
     """
+    text = robot.source.text
+    if not _PREFIXED.search(text) or not _PREFIXED.search(_COMMENT.sub("", text)):
+        return
     stack: list[tuple[Element, Mapping[str, str]]] = [(robot, {})]
     own: str | None = None
     while stack:
@@ -198,20 +205,28 @@ def check_top(robot: Element, links: Collection[str], joints: Collection[str], f
 
 def _check_inside(outer: Element, findings: Findings) -> None:
     """Refuse definitions of links, joints and followers deeper than they are read; note them in <gazebo> blocks."""
-    subject = f"{outer.tag} {outer.attributes['name']!r}" if outer.attributes.get("name") else f"<{outer.tag}>"
-    for holder in outer.walk():
-        if holder is outer and outer.tag in ("link", "joint"):
-            continue  # judged with its link or joint
+    joint = outer.tag == "joint"
+    holders = [c for c in outer.children if c.children] if joint or outer.tag == "link" else [outer]
+    for holder in holders:  # what stands directly in a link or joint is judged with it
         for element in holder.children:
-            local = element.tag.rpartition(":")[2]
-            if local not in MOTION and outer.tag != "joint":
-                continue
-            said = f"<{element.tag}> inside <{holder.tag}> is not read{_speaks_of(element)}"
-            defines = local in MOTION and (outer.tag == "joint" or _defines(element, local))
-            if defines and outer.tag != "gazebo":
-                findings.add(said, subject, element.where, MOTION[local])
-            elif outer.tag == "joint" or (_in_urdf_form(element) and local not in _ELSEWHERE.get(holder.tag, ())):
-                findings.note(said, subject, element.where)
+            if joint or element.tag in MOTION or ":" in element.tag:
+                _judge_inside(outer, holder, element, findings)
+            if element.children:
+                holders.append(element)
+
+
+def _judge_inside(outer: Element, holder: Element, element: Element, findings: Findings) -> None:
+    local, joint = element.tag.rpartition(":")[2], outer.tag == "joint"
+    defines = local in MOTION and (joint or _defines(element, local))
+    urdf = local in MOTION and local not in _ELSEWHERE.get(holder.tag, ()) and _in_urdf_form(element)
+    if not (defines or joint or urdf):
+        return
+    subject = f"{outer.tag} {outer.attributes['name']!r}" if outer.attributes.get("name") else f"<{outer.tag}>"
+    said = f"<{element.tag}> inside <{holder.tag}> is not read{_speaks_of(element)}"
+    if defines and outer.tag != "gazebo":
+        findings.add(said, subject, element.where, MOTION[local])
+    elif joint or urdf:
+        findings.note(said, subject, element.where)
 
 
 def _held(element: Element) -> set[str]:
@@ -221,12 +236,11 @@ def _held(element: Element) -> set[str]:
 
 def _defines(element: Element, local: str) -> bool:
     """Whether an element says what a link or joint is, rather than naming one."""
-    held = _held(element)
-    return (
-        (local == "joint" and held >= {"parent", "child"})
-        or (local == "link" and bool(held & {"inertial", "visual", "collision"}))
-        or (local == "mimic" and "joint" in element.attributes)
-    )
+    if local == "joint":
+        return _held(element) >= {"parent", "child"}
+    if local == "link":
+        return bool(_held(element) & {"inertial", "visual", "collision"})
+    return local == "mimic" and "joint" in element.attributes
 
 
 def _in_urdf_form(element: Element) -> bool:
