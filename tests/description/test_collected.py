@@ -258,6 +258,7 @@ Every URDF file of the packages below was read by Kempe and by two judges that s
 followers, and all links in the same places to 1e-12 (of the largest coordinate, at least 1 m) at three random
 configurations. The files belong to others and are not part of Kempe; `tests/description/test_collected.py` reads those
 of a folder and writes this page.
+<!-- hunted: tests/description/test_collected.py::test_files_are_read_as_their_owners_read_them -->
 
 | package | files | with joints | equal | of these by numpy alone | refused |
 |---|---|---|---|---|---|
