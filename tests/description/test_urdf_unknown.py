@@ -122,12 +122,13 @@ def test_blocks_of_simulators_are_noted():
         REST,
         '<gazebo><link name="x"><visual/></link></gazebo>',
         '<gazebo><plugin><mimic joint="elbow"/></plugin></gazebo>',
+        "<gazebo><plugin><joint>rest</joint><mimicJoint>elbow</mimicJoint></plugin></gazebo>",
         '<transmission name="t"><joint name="elbow"/><limit lower="0"/></transmission>',
         '<sensor name="s"><parent link="arm"/><origin xyz="0 0 1"/></sensor>',
         '<drake:collision_filter_group name="g"><drake:member link="arm"/></drake:collision_filter_group>',
     )
     notes = read_urdf(text).notes
-    assert [note.split(":")[1] for note in notes] == ["8", "9", "11"]
+    assert [note.split(":")[1] for note in notes] == ["8", "9", "10", "12"]
 
 
 # ---- the hunt: a real file in which something that matters was renamed, hidden or moved

@@ -58,6 +58,7 @@ TOP = (
 _OWN = re.compile(r"https?://(www\.|wiki\.)?ros\.org/?((wiki/)?urdf\b.*)?")
 _TIES = re.compile(r"constraint|loop|closure|closing|coupl|equality|gear|belt|tendon|(?<!dis)connect|weld")
 _SPEAKS = re.compile(rf"{_TIES.pattern}|joint|link|mimic|limit|axis|origin|pose", re.IGNORECASE)
+_FOLLOWS = re.compile(r"mimic|gearbox|constraint", re.IGNORECASE)
 _PREFIXED = re.compile(r"<[\w.-]+:")
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _CONTENT = re.compile(r">([^<>]*)<")
@@ -178,8 +179,8 @@ def _near(name: str, known: tuple[str, ...]) -> str | None:
 # ---- what stands in <robot>, and inside what is not read
 
 
-def check_top(robot: Element, links: Collection[str], joints: Collection[str], findings: Findings) -> None:
-    """Judge what a robot holds beside its links and joints: `links` and `joints` are their names."""
+def check_top(robot: Element, links: Collection[str], joints: Mapping[str, Element], findings: Findings) -> None:
+    """Judge what a robot holds beside its links and joints: the names of its `links`, and its `joints` by name."""
     names = {*links, *joints}
     for element in robot.children:
         if element.tag in ("link", "joint"):
@@ -201,6 +202,18 @@ def check_top(robot: Element, links: Collection[str], joints: Collection[str], f
         else:
             check_known("element", element.tag, TOP, findings, "", element)
         _check_inside(element, findings)
+        if element.tag == "gazebo":
+            _note_followers(element, joints, findings)
+
+
+def _note_followers(block: Element, joints: Mapping[str, Element], findings: Findings) -> None:
+    """Note what makes joints follow each other for a simulator alone: joints that have their own <mimic> are known."""
+    for element in block.walk():
+        if element.tag not in MOTION and _FOLLOWS.search(element.tag):
+            told = [n for n in _named(element) if n in joints]
+            if not told or any(not joints[n].of("mimic") for n in told):
+                said = f"<{element.tag}> in a <gazebo> block is not read{f': {told[0]!r}' if told else ''}"
+                findings.note(f"{said}; there joints follow each other", "", element.where)
 
 
 def _check_inside(outer: Element, findings: Findings) -> None:
