@@ -253,12 +253,13 @@ COLUMNS = ("files", "moving", "equal", "numpy", "refused")
 HEAD = """\
 # Robot files of other people
 
-Every URDF file of the packages below was read by Kempe and by two judges that share no code with it: Pinocchio
-{version} and some plain numpy in the test. Equal means: the same joints with the same types, links, limits and
-followers, and all links in the same places to 1e-12 (of the largest coordinate, at least 1 m) at three random
+The URDF files of the packages below were read by Kempe and by two judges that share no code with it: Pinocchio
+{version} and some plain numpy in the test. Equal means: joints of the same types between the same links, with the same
+limits and followers, and links in the same places to 1e-12 (of the largest coordinate, at least 1 m) at three random
 configurations. The files belong to others and are not part of Kempe; `tests/description/test_collected.py` reads those
-of a folder and writes this page.
-<!-- hunted: tests/description/test_collected.py::test_files_are_read_as_their_owners_read_them -->
+of a folder and writes this page. What it reads is equal or refused for a reason that is listed, for every file of
+example-robot-data and of such a folder. <!-- hunted:
+tests/description/test_collected.py::test_files_are_read_as_their_owners_read_them -->
 
 | package | files | with joints | equal | of these by numpy alone | refused |
 |---|---|---|---|---|---|
