@@ -101,8 +101,10 @@ def _reason(problem: Problem, q: Array) -> str:
     names = _names(outside(problem, free)) if free is not None else ""
     if proofs:
         return "; ".join([*proofs, f"without {names} it is reached"] if names else proofs)
+    if names:
+        return f"without {names} it is reached, so {_these(names)} may be what blocks it"
     if free is not None:
-        return f"without {names} it is reached, so they may be what blocks it" if names else "more starts find an answer"
+        return "more starts find an answer"
     alone = [i for i in hard if len(hard) == 1 or _solved(problem, q, [i]) is None]
     if alone:
         return "; ".join(_alone(problem, q, i, len(hard) > 1) for i in alone)
@@ -122,6 +124,10 @@ def _names(coordinates: list[str]) -> str:
     """Limits by their coordinates; empty where there are none."""
     which = ", ".join(map(repr, coordinates))
     return f"the limit{'s' * (len(coordinates) > 1)} of {which}" if coordinates else ""
+
+
+def _these(names: str) -> str:
+    return "these" if names.startswith("the limits") else "that"
 
 
 def _contradictory(problem: Problem) -> list[str]:
@@ -150,7 +156,7 @@ def _alone(problem: Problem, q: Array, i: int, among: bool) -> str:
     label = repr(problem.tasks[i].label)
     free = _solved(problem, q, [i], False)
     if free is not None and (names := outside(problem, free)):
-        return f"{label} alone is reached without {_names(names)}, so they may be what blocks it"
+        return f"{label} alone is reached without {_names(names)}, so {_these(_names(names))} may be what blocks it"
     said = f"{label} is not found even alone" if among else "no configuration was found"
     return f"{said}{_more(problem, q, [i])}"
 

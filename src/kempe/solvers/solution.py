@@ -90,9 +90,21 @@ class Solution(Answer):
 
     @property
     def proven(self) -> Any:
-        """Where (...) it is proven that there is no answer; elsewhere a failure is evidence, from so many starts."""
-        x = np.isin(self.code, PROOFS)
-        return bool(x) if np.ndim(x) == 0 else x
+        """Where (...) it is proven that there is no answer; elsewhere a failure is evidence, from so many starts.
+
+        Proofs are lengths, two tasks that contradict each other, and limits outside of which all the answers are.
+        """
+        out = np.array(np.isin(self.code, PROOFS))
+        for index in np.argwhere(np.asarray(self.code) == NOT_FOUND):
+            out[tuple(index)] = self._shut_out(tuple(index.tolist()))
+        return bool(out) if out.ndim == 0 else out
+
+    def _shut_out(self, index: tuple[int, ...]) -> bool:
+        """Whether limits are proven to shut out all answers for one target."""
+        from kempe.solvers.shut_out import shut_out
+
+        at = int(np.ravel_multi_index(index, np.shape(self.code))) if index else 0
+        return bool(shut_out(self.task, self.task.targets[at : at + 1]))
 
     @property
     def system(self) -> System:
