@@ -92,6 +92,8 @@ def search_down(loops, work, ask, key, tries, limit, stop):
     first tried as if they were hard: where all of them can be met, nothing is lower.
     """
     last, good, late, steps, most = ask.stages, False, False, 0, 0
+    while last > 1 and not is_hard(loops, ask, last):
+        last -= 1
     while not (good or late) and last > 0:
         for softly in range(2):
             if not (good or late) and (softly == 1 or harden(loops, ask, last)):
@@ -116,7 +118,7 @@ def lower_first(loops, work, ask, stage, limit, mode, stop):
     least = square_of(loops, ask, stage, stage, False)
     if least > TIGHT and not late:
         copy(work.aside, loops.q, 0, loops.nq)
-        used, late = lower(loops, work, ask, stage, limit, mode, stop)
+        used, late = lower(loops, work, ask, stage, limit - steps, mode, stop)
         steps += used
         if not square_of(loops, ask, stage, stage, False) < (1.0 - GAIN) * least:
             copy(loops.q, work.aside, 0, loops.nq)

@@ -48,8 +48,8 @@ def _all_outside(task: Task, target: Array) -> str:
     if not beyond > CLEAR * size:
         return ""
     count = len(found.q)
-    every = "the only configuration that reaches it is" if count == 1 else f"all {count} configurations that reach it are"
-    return f"{every} outside"
+    return "the only configuration that reaches it is outside" if count == 1 else (
+        f"all {count} configurations that reach it are outside")  # fmt: skip
 
 
 def _beyond(chain: Chain, q: Array) -> float:

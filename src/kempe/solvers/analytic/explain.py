@@ -58,8 +58,8 @@ def status(solutions: Solutions, index: int) -> str:
     held = f" with {_held(solutions, index, spare)}" if spare and reached else ""
     text = f"no solution{held}: {_why(solutions, index)}"
     if reached and not held:
-        allowed, missed = question.tolerance, math.hypot(position, angle)
-        return f"no solution to {allowed:.1g}, though a configuration misses the target by {missed:.1g} only: see nearest()"
+        missed = f"{math.hypot(position, angle):.1g}"
+        return f"no solution to {question.tolerance:.1g}, though one comes within {missed} of the target: see nearest()"
     if reached:
         return f"{text}; other values of what is held reach it"
     missed = [] if question.task in ("orientation", "direction") else [f"{position:.6g} m"]
