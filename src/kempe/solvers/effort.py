@@ -49,6 +49,8 @@ def search(problem: Problem, base: Array, threads: int | None = 1) -> tuple[Arra
     No more than these where a proof says that there is no answer.
     """
     q, info = problem.run(base, threads, tries=FIRST)
+    if len(info) == 1 and info[0, 0] == S.SOLVED:
+        return q, info
     left = np.flatnonzero(info[:, 0] == S.NOT_FOUND)
     if not left.size or problem.starts <= FIRST:
         return q, info
