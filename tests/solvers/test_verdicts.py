@@ -54,7 +54,10 @@ def configurations(s: System, rng: np.random.Generator, n: int, kind: str) -> np
 def tree(rng: np.random.Generator) -> System:
     """A body on a joint or free, with two to four arms of three to seven joints that turn or slide, all limited."""
     m, free = Mechanism("tree"), rng.random() < 0.5
-    m.joint("base", "free" if free else "revolute", m.ground, m.body("torso"), **({} if free else {"limits": (-2, 2)}))
+    if free:
+        m.joint("base", "free", m.ground, m.body("torso"))
+    else:
+        m.revolute("base", m.ground, m.body("torso"), limits=(-2.0, 2.0))
     for arm in range(int(rng.integers(2, 5))):
         before, at = "torso", rng.normal(0.0, 0.3, 3)
         for k in range(int(rng.integers(3, 8))):

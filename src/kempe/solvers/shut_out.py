@@ -37,8 +37,7 @@ def _all_outside(task: Task, target: Array) -> str:
     if position and system.dim == 2:
         goal = goal[:2]
     try:
-        found = ik_all(system, goal, task.frame, task=task.name, **({} if task.axis == (0.0, 0.0, 1.0) else {
-            "axis": task.axis}))  # fmt: skip
+        found = ik_all(system, goal, task.frame, task=task.name, axis=task.axis)
     except UnsupportedError:
         return ""
     if not found.complete or not len(found.q) or found.families:
