@@ -292,6 +292,15 @@ def test_a_bound_that_needs_the_orientation_says_so():
     assert place <= answer.position_error < turned and answer.orientation_error > 0.1 and answer.proven
 
 
+@pytest.mark.parametrize("beyond", [1e-6, 1e-7, 1e-8])
+def test_a_near_miss_of_all_solutions_is_given_as_it_is(beyond):
+    s = kempe.load("two_link")
+    longest = np.abs(s.fk([0.0, 0.0], "e")[0, 3])
+    answer = s.ik_all([longest + beyond, 0.0], "e")
+    assert not answer.success
+    assert f"no solution within 1e-09, but a configuration within {beyond:g} of the target" in answer.status
+
+
 # ---- singular starts
 
 

@@ -59,7 +59,7 @@ def status(solutions: Solutions, index: int) -> str:
     text = f"no solution{held}: {_why(solutions, index)}"
     if reached and not held:
         missed = f"{math.hypot(position, angle):.1g}"
-        return f"no solution to {question.tolerance:.1g}, though one comes within {missed} of the target: see nearest()"
+        return f"no solution within {question.tolerance:.1g}, but a configuration within {missed} of the target: see nearest()"
     if reached:
         return f"{text}; other values of what is held reach it"
     missed = [] if question.task in ("orientation", "direction") else [f"{position:.6g} m"]
