@@ -58,8 +58,8 @@ def status(solutions: Solutions, index: int) -> str:
     held = f" with {_held(solutions, index, spare)}" if spare and reached else ""
     text = f"no solution{held}: {_why(solutions, index)}"
     if reached and not held:
-        missed = f"{math.hypot(position, angle):.1g}"
-        return f"no solution within {question.tolerance:.1g}, but a configuration within {missed} of the target: see nearest()"
+        allowed, missed = f"{question.tolerance:.1g}", f"{math.hypot(position, angle):.1g}"
+        return f"no solution within {allowed}, but a configuration within {missed} of the target: see nearest()"
     if reached:
         return f"{text}; other values of what is held reach it"
     missed = [] if question.task in ("orientation", "direction") else [f"{position:.6g} m"]
