@@ -13,8 +13,6 @@ import numpy as np
 
 from kempe.kernels import loop_layout as L
 from kempe.kernels import search_layout as S
-from kempe.solvers.contradictions import contradictory
-from kempe.solvers.lengths import unreachable
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -54,7 +52,9 @@ def search(problem: Problem, base: Array, threads: int | None = 1) -> tuple[Arra
     left = np.flatnonzero(info[:, 0] == S.NOT_FOUND)
     if not left.size or problem.starts <= FIRST:
         return q, info
-    left = left[~np.broadcast_to((unreachable(problem) | contradictory(problem)).ravel(), len(info))[left]]
+    left = left[problem.proofs[left] == 0]
+    if not left.size:
+        return q, info
     open_ = replace(problem, limits=False, mode=S.NOTHING)
     _, found = open_.run(base, threads, tries=FIRST, rows=left)
     hope = found[:, 0] == S.SOLVED

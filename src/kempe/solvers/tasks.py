@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -125,6 +126,12 @@ class Problem:
                 error, callback.error = callback.error, None
                 raise error
         return self.packed.inside(q) if self.limits else q, info
+
+    @cached_property
+    def proofs(self) -> np.ndarray:
+        """Codes (N,) of the problems that are proven to have no answer, 0 of others."""
+        against = np.where(contradictory(self), CONTRADICTORY, 0)
+        return np.where(unreachable(self), OUT_OF_REACH, against).ravel()
 
     @property
     def levels(self) -> tuple[np.ndarray, Array, list[int], Array]:
@@ -342,8 +349,7 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     code = np.where(good.ravel(), SOLVED, np.where(late, OUT_OF_TIME, NOT_FOUND))
     code[bad] = BAD_INPUT
     if problem.limits and np.any(code == NOT_FOUND):
-        code = np.where((code == NOT_FOUND) & unreachable(problem).ravel(), OUT_OF_REACH, code)
-        code = np.where((code == NOT_FOUND) & contradictory(problem).ravel(), CONTRADICTORY, code)
+        code = np.where((code == NOT_FOUND) & (problem.proofs > 0), problem.proofs, code)
     columns = (code == SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
     fields = [x.reshape(lead) if lead else x.item() for x in columns]
     errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}
