@@ -346,6 +346,78 @@ URDF_CASES = [
         5,
     ),
     Case(
+        "an element of another program whose name holds a known one",
+        robot(joint(), WRIST, links=LINKS.replace('"arm"/>', '"arm"><self_collision_checking/></link>')),
+    ),
+    Case(
+        "an element that Kempe does not know",
+        robot(joint(inside="<spring/>" + LIMIT), WRIST),
+        note="the element 'spring' is not read",
+    ),
+    Case(
+        "a prefix bound to the namespace of URDF",
+        robot(joint().replace("joint", "u:joint", 1).replace("/joint", "/u:joint"), WRIST).replace(
+            "<robot", '<robot xmlns:u="http://www.ros.org"'
+        ),
+        holds=lambda m: len(m.joints) == 2,
+    ),
+    Case(
+        "a joint that a prefix hides",
+        robot(
+            joint(),
+            WRIST,
+            '<drake:joint name="x" type="ball"><parent link="arm"/><child link="hand"/></drake:joint>',
+        ),
+        ("the prefix of <drake:joint> hides it", "parent link='arm', child link='hand'", "or remove it"),
+        7,
+    ),
+    Case(
+        "a constraint of another program between links",
+        robot(
+            joint(),
+            WRIST,
+            '<drake:ball_constraint><drake:ball_constraint_body_A name="base"/>'
+            '<drake:ball_constraint_body_B name="hand"/></drake:ball_constraint>',
+        ),
+        ("<drake:ball_constraint> is not read, and it ties 'base' and 'hand'", "another mechanism"),
+        7,
+    ),
+    Case(
+        "a limit that a prefix hides",
+        robot(joint(inside='<d:limit lower="-1" upper="1"/>'), WRIST),
+        ("joint 'elbow'", "the prefix of <d:limit> hides it (lower='-1', upper='1')"),
+        5,
+    ),
+    Case(
+        "an axis outside of its joint",
+        robot(joint(), WRIST, '<axis xyz="0 0 1"/>'),
+        ("<axis> is not read here (xyz='0 0 1')", "directly into a <joint>"),
+        7,
+    ),
+    Case(
+        "a joint inside another element",
+        robot(joint(), WRIST, "<group>" + joint("x", parent="base", child="hand") + "</group>"),
+        ("<joint> inside <group> is not read", "a <joint> stands directly in <robot>"),
+        7,
+    ),
+    Case(
+        "a version that URDF does not have",
+        robot(joint(), WRIST).replace("<robot", '<robot version="2.0"'),
+        ("the version is '2.0'", "it is the version of URDF, not of the robot", "1.0, 1.1, 1.2"),
+        1,
+    ),
+    Case(
+        "a quaternion in a file of version 1.0",
+        robot(joint(inside='<origin quat_xyzw="0 0 1 0"/>' + LIMIT), WRIST),
+        ("joint 'elbow'", "quat_xyzw is of URDF 1.1", "version='1.1'"),
+        5,
+    ),
+    Case(
+        "an element that is given twice, alike",
+        robot(joint(inside='<origin xyz="0 0 1"/><origin xyz="0 0 1"/>' + LIMIT), WRIST),
+        note="two <origin> elements, on line 5 and here, which say the same",
+    ),
+    Case(
         "an element that is given twice",
         robot(joint(inside='<origin xyz="0 0 1"/><origin xyz="0 0 2"/>' + LIMIT), WRIST),
         ("joint 'elbow'", "two <origin> elements", "one is allowed"),

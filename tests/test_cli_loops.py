@@ -538,6 +538,11 @@ def test_plot(engine, tmp_path):
         path = tmp_path / name
         result = Result("plot", engine, path, "--q", "A=30", "--deg", "--frame", "pin")
         assert result.code == 0 and result.out == f"written to {path}\n" and path.read_bytes().startswith(first)
+    marked = (tmp_path / "x.svg").read_text(encoding="utf-8")
+    assert 'id="mark:pin:x"' in marked and 'id="mark:crank:x"' not in marked
+    space = tmp_path / "space.svg"
+    assert Result("plot", "puma560", space, "--frame", "tool").code == 0
+    assert 'id="mark:tool:z"' in space.read_text(encoding="utf-8")
     data = Result("plot", "puma560", tmp_path / "y.png", "--json")
     assert data.code == 0 and data.json() == {"written": str(tmp_path / "y.png")}
     wrong = Result("plot", engine, tmp_path / "z.png", "--q", "S=9")

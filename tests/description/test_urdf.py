@@ -71,6 +71,9 @@ def test_defaults():
 
 def test_quaternions_of_newer_files():
     text = robot(joint("j", f'<origin xyz="1 2 3" quat_xyzw="0 0 {math.sin(0.3)} {math.cos(0.3)}"/>{LIMIT}'), REST)
+    with pytest.raises(DescriptionError, match="quat_xyzw is of URDF 1.1, and this file is of version 1.0"):
+        read_urdf(text)
+    text = text.replace("<robot", '<robot version="1.1"')
     s = read_urdf(text).build()
     np.testing.assert_allclose(s.fk([0.0], "arm"), pose((1, 2, 3), (0, 0, 0.6)), rtol=0, atol=1e-15)
     with pytest.raises(DescriptionError, match="both rpy and quat_xyzw; give one"):

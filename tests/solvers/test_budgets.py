@@ -106,6 +106,37 @@ def test_iterations_are_the_steps_of_a_start():
     assert not panda.ik(X, HAND, starts=1, iterations=1).success
 
 
+@pytest.mark.parametrize("iterations", [1, 2, 5, 13, 40])
+@pytest.mark.parametrize("starts", [1, 3, 30])
+@pytest.mark.parametrize("name", ["panda", "so101", "cobra600", "ball"])
+def test_iterations_bound_the_work_of_one_frame(name, starts, iterations, hunt):
+    """The steps of each start, and five times as many those of up to 16 descents to the nearest, where all fail."""
+    s = kempe.load(name)
+    frame = s.frame_names[-1]
+    X = np.array(s.fk(s.random(hunt.rng(), hunt.cases(40)), frame))
+    X[::4, :3, 3] *= 1.6
+    for tolerance in (1e-6, (1e-3, 1e-2)):
+        answer = s.ik(X, frame, starts=starts, iterations=iterations, tolerance=tolerance)
+        assert (answer.iterations <= iterations * (answer.starts + 5 * min(starts, 16))).all()
+        found = answer.success & (answer.starts < starts)
+        assert (answer.iterations <= iterations * answer.starts)[found].all()
+
+
+@pytest.mark.parametrize("iterations", [1, 3, 10, 60])
+def test_iterations_bound_the_work_of_tasks(iterations, hunt):
+    """The steps of each start, and four times as many those of each level that is then lowered."""
+    s, rng = kempe.load("panda"), hunt.rng()
+    for starts in (1, 4):
+        for _ in range(hunt.cases(12)):
+            X = s.fk(s.random(rng), HAND)
+            wanted = [
+                tasks.Position(HAND, X[:3, 3] * rng.choice([1.0, 1.5])), tasks.Pointing(HAND, X[:3, 0], priority=1,
+                weight=1.0), tasks.Posture(s.random(rng), priority=2, weight=1.0),
+            ]  # fmt: skip
+            answer = s.ik(wanted, iterations=iterations, starts=starts)
+            assert answer.iterations <= iterations * (answer.starts + 3 * 4)
+
+
 def test_bad_budgets_are_refused():
     s = kempe.load("panda")
     X = s.fk(s.random(0), HAND)
@@ -142,7 +173,7 @@ def test_tasks_stop_when_the_time_is_up(looks):
         looks(n)
         answer = s.ik(far, time_limit=2.0)
         assert (answer.code, answer.starts, answer.late, answer.success) == (OUT_OF_TIME, n, True, False)
-        assert f"not reached within the time limit of 2 s, after {n} of 60 starts" in answer.status
+        assert f"not reached within the time limit of 2 s, after {n} of 1470 starts" in answer.status
         missed = np.linalg.norm(s.fk(answer.q, HAND)[:3, 3] - [3.0, 0.0, 0.0])
         assert inside(s, answer.q) and answer.position_error == pytest.approx(missed, abs=1e-12)
     looks(10**9)

@@ -14,7 +14,8 @@ import kempe
 from kempe import Mechanism, System
 from kempe.errors import InputError, UnknownNameError
 from kempe.solvers.dyads import closed_form
-from kempe.solvers.modes import SOLVERS, Modes, assembly_modes, by_dyads, by_starts, estimates
+from kempe.solvers.many_starts import estimates
+from kempe.solvers.modes import SOLVERS, Modes, assembly_modes, by_dyads, by_starts
 
 
 def inputs(system: System, *names: str) -> dict[str, float]:
@@ -199,7 +200,7 @@ def test_three_rpr_has_up_to_six_modes(base, platform, lengths, count):
     assert len(expected) == count
     modes = assembly_modes(system, known)
     assert len(modes) == count and not modes.complete and "not proven complete" in modes.status
-    assert modes.coverage == 1.0 and modes.expected == count
+    assert 0.95 < modes.coverage < 1.0 and modes.expected == count
     assert_closed(modes, known)
     X = system.fk(modes.q, "platform")
     assert np.abs(np.sort(np.arctan2(X[:, 1, 0], X[:, 0, 0])) - expected).max() < 1e-7
@@ -270,9 +271,11 @@ def test_a_frame_can_be_known():
 
 
 def test_estimates():
-    """Good-Turing and Chao1 by hand: one mode seen once, one twice, one five times."""
+    """Good-Turing and Chao1 by hand: two modes seen once, one twice, one five times."""
     coverage, expected = estimates(np.array([1, 1, 2, 5]))
-    assert coverage == 1 - 2 / 9 and expected == 4 + 2 * 1 / (2 * 2)
+    x = 1.0 - coverage  # two or less of nine have probability 5 %
+    assert abs((1 - x) ** 9 + 9 * x * (1 - x) ** 8 + 36 * x**2 * (1 - x) ** 7 - 0.05) < 1e-9
+    assert expected == 4 + 2 * 1 / (2 * 2)
     assert estimates(np.array([], dtype=int)) == (0.0, 0.0)
 
 

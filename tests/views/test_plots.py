@@ -269,6 +269,36 @@ def test_curves_are_fk_over_the_path():
     assert "curve:rocker" in named and "curve:P" not in named
 
 
+@pytest.mark.parametrize("name", [*PLANAR, *SPATIAL])
+def test_marked_frames_show_their_axes(name):
+    """The axes of every body and frame, in the plane and in space, lie where `fk` says; others are not marked."""
+    system = kempe.load(name)
+    q, names, axes = start(system), [*system.body_names, *system.frame_names][::2], "xyz"[: system.dim]
+    bare, found = artists(plots.plot(system, q)), artists(plots.plot(system, q, frames=names))
+    assert not [gid for gid in bare if gid.startswith("mark:")]
+    drawn = {gid for gid in found if gid.startswith("mark:") and not gid.endswith(":head")}
+    assert drawn == {f"mark:{n}{part}" for n in names for part in ("", *(f":{a}" for a in axes))}
+    for n in names:
+        X = system.fk(q, n)
+        assert len(found[f"label:{n}"]) == 1
+        for k, a in enumerate(axes):
+            (line,) = found[f"mark:{n}:{a}"]
+            points = np.stack(line.get_data_3d() if system.dim == 3 else line.get_data(), axis=-1)
+            np.testing.assert_allclose(points[0], X[: system.dim, 3], atol=1e-12)
+            along = points[1] - points[0]
+            np.testing.assert_allclose(along / np.linalg.norm(along), X[: system.dim, k], atol=1e-9)
+
+
+def test_marks_of_one_name_and_without_labels():
+    system = kempe.load("two_link")
+    found = artists(plots.plot(system, [0.4, 0.8], frames="B2"))
+    assert {"mark:B2", "mark:B2:x", "mark:B2:y", "label:B2"} <= found.keys() and "mark:e" not in found
+    assert "label:B2" not in artists(plots.plot(system, [0.4, 0.8], frames="B2", labels=False))
+    for either in (system, kempe.load("puma560")):
+        with pytest.raises(UnknownNameError, match="no frame 'nobody'"):
+            plots.plot(either, frames=["nobody"])
+
+
 def test_gaps_in_a_path_stay_gaps():
     system, q = parallelogram(12)
     q[5] = np.nan

@@ -79,11 +79,10 @@ def control(
     Q = np.linalg.qr(lazy)[0] if lazy.shape[1] else lazy
     left = _span(left - Q @ (Q.T @ left))
     most = max((_rank_and_kernel(r.kernel[indices])[0] for r in generic), default=controlled)
-    quiet = int(np.linalg.matrix_rank(Q[indices], NOTHING)) if Q.size else 0  # a driven coordinate is not idle
-    useful = rank.nullity - len(idle) + quiet
+    useful = rank.nullity - len(idle)
     patterns = tuple(_pattern(system, x * rank.units) for x in _sparse(left).T)
     names = tuple(system.velocity_names[i] for i in indices)
-    fewer = useful - controlled > min((r.nullity for r in generic), default=rank.nullity) - len(idle) + quiet - most
+    fewer = useful - controlled > min((r.nullity for r in generic), default=rank.nullity) - len(idle) - most
     return Control(names, useful, controlled, len(indices) - max(controlled, most), fewer, patterns)
 
 

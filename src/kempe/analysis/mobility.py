@@ -147,16 +147,16 @@ def mobility(
     configurations. Errors: `InputError`, `UnknownNameError`.
     """
     s = structure(system)
-    driven(system, actuated)  # a wrong name is refused before any work
+    motors = driven(system, actuated)  # a wrong name is refused before any work
     at = close(system, _given(system, q)) if q is not None else find_closed(system)
     rng = np.random.default_rng(rng)
     if not at.closed:
         return _open(system, s, at)
     rank = rank_at(system, at.q)
-    generic = nearby(system, rank, rng) if rank.dependent or may_idle(system) or driven(system, actuated) else []
+    generic = nearby(system, rank, rng) if rank.dependent or motors or may_idle(system, rank, motors) else []
     truth = _local(system, rank, local, rng)
     best = min([rank, *generic, *_on_branches(system, truth)], key=lambda r: r.nullity)
-    idle = idle_freedoms(system, [rank, *generic])
+    idle = idle_freedoms(system, [rank, *generic], motors)
     dof = truth.dim if truth is not None else rank.nullity if not rank.dependent or not rank.nullity else None
     singular, kind = _kind(rank, best, truth)
     return Mobility(

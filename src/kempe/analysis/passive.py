@@ -1,42 +1,52 @@
-"""Idle freedoms: bodies between two joints that can spin while everything else rests, such as a rod between two balls.
+"""Idle freedoms: bodies that can spin about the line through two points, while everything else rests.
 
-Two joints of a loop are *in series* if cutting both parts the bodies. If both can turn about one and the same axis,
-what is between them can spin alone. That is idle, since it transmits nothing, unless it is what the joints are for:
-two hinges that only happen to be in line, or both between the same two bodies (a shaft in its bearings), or driven.
-Two hinges on one axis of one body, such as a roller or a bush, are in line by construction, and that body is idle.
-Slides are not looked at: a block that slides alone is as a rule a slider that is meant to.
+An *idle freedom* is a motion at which
+
+1. a group of bodies turns, as one, about a fixed line, and all other bodies rest, except the small links of balls that
+   are made of several joints;
+2. the line goes through two points about which joints let the group turn, one at either end: the centre of a ball (a
+   spherical or universal joint, or consecutive hinges whose axes meet in one point), or any point of a hinge's axis
+   that is fixed in the group, up to slides in it. Two hinges of one body must have one axis, as a roller's or a bush's;
+3. it is there at the configurations around as well;
+4. no joint that is driven moves;
+5. the two ends are held by different parts. A group that one part alone holds is a door, a shaft or a leg: to move
+   is what it is for;
+6. the group carries nothing: no frame whose origin moves, no body on a joint of its own, no motor but those of slides
+   along it, and its joints, which all rest, are slides. Joints that turn may be among them between two balls that are
+   one joint each, or made of hinges that are known not to be driven, since it is known which joints are.
+
+Nothing of this looks at the types of joints, but only at their velocities and where the axes of these are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.analysis.graph import Cluster, Edge, Structure, structure
+from kempe.analysis.ends import ALONE, End, Pair, center_of, line_of, off, pairs_of, turning_inside
+from kempe.analysis.graph import Structure, structure
 from kempe.analysis.rank import Rank
 from kempe.analysis.screws import Screws
-from kempe.description.parts import Joint
-from kempe.model.lengths import characteristic_length
+from kempe.analysis.series import Ring, between, edges_at, ends_of, in_loop, parts, rigid
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-ALONE = 1e-6
-"""Sine of the angle between the motions of two joints below which they have an axis in common."""
-TURNING = {"revolute", "universal", "spherical", "cylindrical"}
-"""Joint types in which something can spin and stay where it is."""
+INDEPENDENT = 1e-3
+"""Volume of three unit vectors above which they span space, without a closer look."""
 
 
 @dataclass(frozen=True)
 class IdleFreedom:
-    """A spin of some bodies, as one, between two joints, all else at rest.
+    """A spin of some bodies, as one, between two joints, all else at rest but the `links` of balls made of hinges.
 
     Its axis goes through `point` [m] along `direction`, in the ground's frame at the configuration that was looked at.
+    `joints` are those next to the group.
     """
 
     bodies: tuple[str, ...]
@@ -47,6 +57,7 @@ class IdleFreedom:
     """Whether the axis is the line through the origins of the two joints."""
     velocity: Array = field(repr=False, compare=False)
     """The motion as velocities (nv,) of the system, in SI units."""
+    links: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         who = " and ".join(self.bodies)
@@ -58,172 +69,190 @@ class IdleFreedom:
         return f"{who} {verb} between {self.joints[0]} and {self.joints[1]}, about ({direction}) through ({point})"
 
 
-@dataclass(frozen=True, eq=False)
-class _Pair:
-    """Two joints in series, and the positions (in the cluster's velocities) of what each can do."""
+class _Spin(NamedTuple):
+    """A motion of what is between two ends of a ring: its axis at the first configuration, and rates by edge.
 
-    edges: tuple[int, int]
-    signs: tuple[float, float]
-    columns: tuple[tuple[int, ...], tuple[int, ...]]
-    """Own columns of each edge that nothing else follows."""
+    The point is relative to the screws' centre, in their unit.
+    """
+
+    pair: Pair
+    point: Array
+    direction: Array
+    rates: dict[int, Array]
 
 
-def idle_freedoms(system: System, ranks: Sequence[Rank]) -> tuple[IdleFreedom, ...]:
-    """Independent idle freedoms at the first of `ranks`, as far as they are there at all of them."""
-    s = structure(system)
-    out: list[IdleFreedom] = []
-    for c in s.clusters:
-        found = []
-        for pair, motions in _at_all(_pairs(system, s, c), ranks):
-            found.append((bodies_between(system, s, *pair.edges), pair, motions))
-        found.sort(key=lambda f: len(f[0]))  # small groups of bodies first: larger ones may move as their sums
-        basis = np.zeros((system.nv, 0))
-        for bodies, pair, motions in found:
-            for z in motions.T:
-                velocity, twist = _velocity(system, s, ranks[0], pair, z)
-                rest = velocity - basis @ (basis.T @ velocity)
-                if np.linalg.norm(rest) > ALONE * np.linalg.norm(velocity):
-                    basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
-                    out.append(_freedom(s, ranks[0], bodies, pair, velocity, twist))
+def idle_freedoms(
+    system: System, ranks: Sequence[Rank], driven: Iterable[int] | None = None
+) -> tuple[IdleFreedom, ...]:  # fmt: skip
+    """Independent idle freedoms at the first of `ranks`, as far as they are there at all of them.
+
+    `driven` are the velocities that are known to be driven, besides joints marked so; None where nothing is known.
+    """
+    s, known = structure(system), driven is not None or any(e.actuated for e in structure(system).edges)
+    found = []
+    for spin in _spins(system, s, [r.screws for r in ranks], frozenset(driven or ())):
+        bodies = _group(system, s, ranks[0], spin, known)
+        if bodies is not None:
+            found.append((spin, *bodies))
+    found.sort(key=lambda f: len(f[1]))  # small groups of bodies first: larger ones may move as their sums
+    basis, out = np.zeros((system.nv, 0)), []
+    for spin, bodies, links in found:
+        velocity = np.zeros(system.nv)
+        for k, rates in spin.rates.items():
+            columns = s.edges[spin.pair.ring.edges[k]].columns
+            velocity[[columns[c].index for c in spin.pair.ring.own(k)]] = rates
+        rest = velocity - basis @ (basis.T @ velocity)
+        if np.linalg.norm(rest) > ALONE * np.linalg.norm(velocity):
+            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+            out.append(_freedom(system, s, ranks[0], spin, bodies, links, velocity))
     return tuple(out)
 
 
-def may_idle(system: System) -> bool:
-    """Whether any two joints in series could have a motion in common."""
-    s = structure(system)
-    return any(_pairs(system, s, c) for c in s.clusters)
+def may_idle(system: System, rank: Rank, driven: Iterable[int] | None = None) -> bool:
+    """Whether anything looks like an idle freedom at one configuration."""
+    return any(True for _ in _spins(system, structure(system), [rank.screws], frozenset(driven or ())))
 
 
-def _pairs(system: System, s: Structure, c: Cluster) -> list[_Pair]:
-    key = ("analysis pairs", c.edges)
-    found = system._queries.get(key)
-    if found is None:
-        found = system._queries[key] = _find_pairs(system, s, c)
-    return found
+# ---- where something can spin
 
 
-def _find_pairs(system: System, s: Structure, c: Cluster) -> list[_Pair]:
-    uses, length = np.bincount(c.velocities[c.local], minlength=system.nv), characteristic_length(system)
-    for r in (system.relations[k] for k in c.relations):
-        uses[[system.velocity_names.index(n) for n in (r.of, *r.sources)]] += 1
-    series: dict[bytes, list[tuple[int, float]]] = {}
-    for n, i in enumerate(c.edges):
-        column = c.signs[:, n]
-        sign = float(column[np.flatnonzero(column)[0]])
-        series.setdefault((column * sign).astype(np.int8).tobytes(), []).append((i, sign))
-    out = []
-    for members in series.values():
-        for (i, si), (k, sk) in combinations(members, 2):
-            a, b = s.edges[i], s.edges[k]
-            if not (_passive(a) and _passive(b)):
-                continue
-            if _same_bodies(s, i, k):
-                continue
-            own = [tuple(n for n, col in enumerate(e.columns)
-                         if col.index >= 0 and uses[col.index] == 1 and not col.slides) for e in (a, b)]  # fmt: skip
-            if all(own) and (max(len(a.columns), len(b.columns)) > 1 or _on_one_axis(system, s, i, k, length)):
-                out.append(_Pair((i, k), (si, sk), (own[0], own[1])))
-    return out
+def _spins(system: System, s: Structure, at: Sequence[Screws], driven: frozenset[int]) -> Iterator[_Spin]:
+    """Spins that exist at all configurations; the last to be looked at is whether anything else moves with them."""
+    for pair in pairs_of(system, s, at[0], driven):
+        axis = None
+        for screws in reversed(at):
+            axis = _axis(s, screws, pair)
+            if axis is None:
+                break
+        if axis is not None:
+            rates = [_rates(s, at[0], pair.ring, end, *axis, sign) for end, sign in ((pair.left, 1), (pair.right, -1))]
+            yield _Spin(pair, *axis, rates[0] | rates[1])
 
 
-def _passive(edge: Edge) -> bool:
-    """Whether it is a joint that something can spin in, and not driven."""
-    return isinstance(edge.of, Joint) and edge.of.type.type_name in TURNING and not edge.actuated
+def _axis(s: Structure, at: Screws, pair: Pair) -> tuple[Array, Array] | None:
+    """Point and direction of the line that both ends can turn about."""
+    a, b = center_of(at, pair.ring, pair.left), center_of(at, pair.ring, pair.right)
+    if pair.left.hinge or pair.right.hinge:
+        hinge = pair.left if pair.left.hinge else pair.right
+        direction = line_of(at, pair.ring, hinge.edges[0])[1]
+        assert direction is not None
+        if off(b - a, direction) > ALONE:
+            return None
+    else:
+        size = math.sqrt((b - a) @ (b - a))
+        if size < ALONE:
+            return None
+        direction = (b - a) / size
+    point = b if pair.left.hinge else a
+    for end in (pair.left, pair.right):
+        W = np.concatenate([at.twists[pair.ring.edges[k]][3:, list(pair.ring.own(k))] for k in end.edges], axis=1)
+        if not end.hinge and not _spans(W, direction):
+            return None
+    return point, direction
 
 
-def _on_one_axis(system: System, s: Structure, i: int, k: int, length: float) -> bool:
-    """Whether two hinges have one axis of one body, which is all that is between them; `length` is that of links."""
-    a, b = s.edges[i], s.edges[k]
-    body = {a.parent, a.child} & {b.parent, b.child}
-    if len(body) != 1:
-        return False
-    U, V = (e.X_PF if e.parent in body else e.X_CM for e in (a, b))
-    apart = V[:3, 3] - U[:3, 3]
-    apart -= U[:3, 2] * (apart @ U[:3, 2])
-    if abs(U[:3, 2] @ V[:3, 2]) < 1.0 - 0.5 * ALONE**2 or apart @ apart > (ALONE * length) ** 2:
-        return False
-    return bodies_between(system, s, i, k) == (system.body_names[next(iter(body))],)
+def _spans(W: Array, direction: Array) -> bool:
+    """Whether turns about axes W (3, n) add up to one about a direction."""
+    if W.shape[1] == 3 and abs(_volume(W)) > INDEPENDENT:
+        return True
+    U, sizes, _ = np.linalg.svd(W, full_matrices=False)
+    U = U[:, sizes > ALONE * sizes[0]]
+    return bool(np.linalg.norm(direction - U @ (U.T @ direction)) < ALONE)
 
 
-def _same_bodies(s: Structure, i: int, k: int) -> bool:
-    """Whether two joints connect the same two bodies: what spins is then a shaft in its bearings."""
-    a, b = s.edges[i], s.edges[k]
-    return {a.parent, a.child} == {b.parent, b.child}
+def _volume(W: Array) -> float:
+    """Determinant of a matrix (3, 3)."""
+    (a, b, c), (d, e, f), (g, h, i) = W.tolist()
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-def _at_all(pairs: Sequence[_Pair], ranks: Sequence[Rank]) -> list[tuple[_Pair, Array]]:
-    """Pairs that have motions in common at all configurations, with those (columns of both joints, k) at the first."""
-    alike: dict[tuple[int, int], list[_Pair]] = {}
-    for pair in pairs:
-        alike.setdefault((len(pair.columns[0]), len(pair.columns[1])), []).append(pair)
-    out = []
-    for (n, _), group in alike.items():
-        both = np.array([[_twists(r.screws, pair) for pair in group] for r in ranks])  # (ranks, pairs, 6, columns)
-        _, values, Vt = np.linalg.svd(both)
-        zero = Vt.shape[-1] - (values > ALONE * values[..., :1]).sum(axis=-1)
-        for k in np.flatnonzero(zero.min(axis=0)).tolist():
-            kernel = Vt[0, k, Vt.shape[-1] - zero[0, k] :].T
-            moved = both[0, k, :, :n] @ kernel[:n]  # turns of a ball joint by angles can fail to move anything
-            _, size, V = np.linalg.svd(moved)
-            kernel = kernel @ V[: int((size > ALONE).sum())].T
-            if kernel.shape[1]:
-                out.append((group[k], kernel))
-    return out
+def _rates(
+    s: Structure, at: Screws, ring: Ring, end: End, point: Array, direction: Array, sign: float
+) -> dict[int, Array]:  # fmt: skip
+    """Rates of the own columns of an end's edges, by place in the ring, that turn the group about the axis."""
+    W = [ring.signs[k] * at.twists[ring.edges[k]][3:, list(ring.own(k))] for k in end.edges]
+    A = np.concatenate(W, axis=1)
+    if A.shape[1] == 3 and abs(_volume(A)) > INDEPENDENT:
+        z = np.linalg.solve(A, sign * direction)
+    else:
+        z = np.asarray(np.linalg.lstsq(A, sign * direction, rcond=ALONE)[0], dtype=float)
+    z[np.abs(z) < ALONE * np.abs(z).max()] = 0.0
+    cuts = np.cumsum([w.shape[1] for w in W])[:-1]
+    parted = [np.asarray(part, dtype=float) for part in np.split(z, cuts)]
+    return {k: part for k, part in zip(end.edges, parted, strict=True) if part.any()}
 
 
-def _twists(at: Screws, pair: _Pair) -> Array:
-    """Screws (6, n) of both joints, signed so that equal and opposite ones move what is between them alone."""
-    a, b = (at.twists[i][:, list(c)] * s for i, c, s in zip(pair.edges, pair.columns, pair.signs, strict=True))
-    return np.concatenate([a, b], axis=1)
+# ---- whether it is idle
 
 
-def _velocity(system: System, s: Structure, rank: Rank, pair: _Pair, z: Array) -> tuple[Array, Array]:
-    """Scaled velocities (nv,) of one motion of what is between two joints, and its twist (6,)."""
-    out, n = np.zeros(system.nv), 0
-    twist = rank.screws.twists[pair.edges[0]][:, list(pair.columns[0])] @ z[: len(pair.columns[0])]
-    for i, columns in zip(pair.edges, pair.columns, strict=True):
-        for c in columns:
-            out[s.edges[i].columns[c].index] = z[n]
-            n += 1
-    return out, twist
+def _group(
+    system: System, s: Structure, rank: Rank, spin: _Spin, known: bool
+) -> tuple[frozenset[int], frozenset[int]] | None:  # fmt: skip
+    """The bodies that turn as one and the links of balls that move with them; None where they are not idle."""
+    ring, left, right = spin.pair
+    places = sorted(spin.rates)
+    low, high, part = places[0], places[-1], parts(system)
+    if part[ends_of(s, ring, low)[0]] == part[ends_of(s, ring, high)[1]]:
+        return None
+    p, q = _inner(spin)
+    moving = between(system, ring.edges[low], ring.edges[high])
+    bodies = moving if (p, q) == (low, high) else between(system, ring.edges[p], ring.edges[q])
+    turning = turning_inside(s, ring, p, q)
+    for i in edges_at(system, moving) - {*ring.edges[low : high + 1]}:
+        if not rigid(s.edges[i]):
+            if not in_loop(system)[i] or s.edges[i].actuated:
+                return None
+            turning = True
+    simple = (p, q) == (low, high) and not (left.hinge or right.hinge)
+    if turning and not (simple or (known and not (left.hinge or right.hinge))):
+        return None
+    if _moves_a_frame(system, rank, spin, bodies, moving):
+        return None
+    return bodies, moving - bodies
 
 
-def bodies_between(system: System, s: Structure, i: int, k: int) -> tuple[str, ...]:
-    """Names of the bodies that two joints in series part from the ground."""
-    key = ("analysis between", i, k)
-    found = system._queries.get(key)
-    if found is None:
-        found = system._queries[key] = _between(system, s, i, k)
-    return found
+def _inner(spin: _Spin) -> tuple[int, int]:
+    """Places in the ring of the joints next to the group."""
+    _, left, right = spin.pair
+    return max(k for k in left.edges if k in spin.rates), min(k for k in right.edges if k in spin.rates)
 
 
-def _between(system: System, s: Structure, i: int, k: int) -> tuple[str, ...]:
-    links: dict[int, list[int]] = {}
-    for n, e in enumerate(s.edges):
-        if n not in (i, k):
-            links.setdefault(e.parent, []).append(e.child)
-            links.setdefault(e.child, []).append(e.parent)
-    reached, order = {0}, [0]
-    for body in order:
-        for other in links.get(body, ()):
-            if other not in reached:
-                reached.add(other)
-                order.append(other)
-    return tuple(b for n, b in enumerate(system.body_names) if n not in reached)
+def _moves_a_frame(
+    system: System, rank: Rank, spin: _Spin, bodies: frozenset[int], moving: frozenset[int]
+) -> bool:  # fmt: skip
+    """Whether a frame that somebody named does not stay where it is."""
+    names, at, poses = system.body_names, rank.screws, None
+    for frame in system.mechanism.frames.values():
+        body = names.index(frame.body)
+        if body not in moving:
+            continue
+        poses = system.fk(rank.q) if poses is None else poses
+        place = poses[body] @ frame.X_BF.evaluate(system.mechanism.parameters)
+        away = (place[:3, 3] - at.center) / at.length - spin.point
+        if body in bodies:
+            away = away - (away @ spin.direction) * spin.direction
+        else:
+            centers = (center_of(at, spin.pair.ring, end) for end in (spin.pair.left, spin.pair.right))
+            away = min((away + spin.point - center for center in centers), key=np.linalg.norm)
+        if np.linalg.norm(away) > ALONE:
+            return True
+    return False
 
 
 def _freedom(
-    s: Structure, rank: Rank, bodies: tuple[str, ...], pair: _Pair, velocity: Array, twist: Array
+    system: System, s: Structure, rank: Rank, spin: _Spin, bodies: frozenset[int], links: frozenset[int],
+    velocity: Array,
 ) -> IdleFreedom:  # fmt: skip
-    at = rank.screws
-    v, w = twist[:3], twist[3:]
-    size = np.linalg.norm(w)
-    direction = w / size
-    point = at.center + at.length * np.cross(w, v) / size**2
-    point = point + direction * (direction @ (at.M[pair.edges[0], :3, 3] - point))
+    at, ring = rank.screws, spin.pair.ring
+    p, q = _inner(spin)
+    edges = sorted((ring.edges[p], ring.edges[q]))
+    direction = spin.direction
+    point = at.center + at.length * spin.point
+    point = point + direction * (direction @ (at.M[edges[0], :3, 3] - point))
     direction = direction * np.sign(direction[np.argmax(np.abs(direction) > ALONE)])
-    names = (s.edges[pair.edges[0]].name, s.edges[pair.edges[1]].name)
     numbers = [tuple((np.round(x, 12) + 0.0).tolist()) for x in (point, direction)]
-    ends = (at.M[list(pair.edges), :3, 3] - point) / at.length
-    joined = bool(np.abs(np.cross(ends, direction)).max() < ALONE < np.ptp(ends @ direction))
-    return IdleFreedom(bodies, names, numbers[0], numbers[1], joined, velocity * rank.units)
+    ends = (at.M[edges, :3, 3] - point) / at.length
+    joined = max(off(e, direction) for e in ends) < ALONE < abs((ends[1] - ends[0]) @ direction)
+    names = [tuple(system.body_names[b] for b in sorted(group)) for group in (bodies, links)]
+    pair = (s.edges[edges[0]].name, s.edges[edges[1]].name)
+    return IdleFreedom(names[0], pair, numbers[0], numbers[1], joined, velocity * rank.units, names[1])

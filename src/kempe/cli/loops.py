@@ -54,7 +54,7 @@ At = Annotated[
 Near = Annotated[str | None, option("--near", "Where the search starts: a posture or values, as --q of fk.", "START")]
 Picture = Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")]
 Curves = Annotated[list[str] | None, option("--frame", "Frame whose curve is wanted; can be repeated.", "NAME")]
-Marks = Annotated[list[str] | None, option("--frame", "Frame to mark; can be repeated.", "NAME")]
+Marks = Annotated[list[str] | None, option("--frame", "Body or frame whose axes are drawn; can be repeated.", "NAME")]
 NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 from kempe.description.graph import choose_root
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import Findings, fail, shorten
-from kempe.description.urdf_elements import ATTRIBUTES, TOP, check_known, numbers, read_joint, read_link
+from kempe.description.urdf_elements import ATTRIBUTES, numbers, read_joint, read_link
+from kempe.description.urdf_unknown import check_top, check_version, has_quaternions, strip_namespaces
 from kempe.description.xacro import XACRO_ADVICE
 from kempe.description.xml import Element, parse_xml
 from kempe.errors import InputError, UnknownNameError
@@ -62,9 +63,11 @@ def read_urdf(
     if base not in (None, "free"):
         raise InputError(f"base is {base!r}; it must be None (the root link does not move) or 'free'")
     robot = parse_xml(text, source)
+    strip_namespaces(robot)
     _check_is_urdf(robot)
     _refuse_xacro(robot)
     urdf = _Urdf(robot)
+    check_version(robot, urdf.findings)
     _scan_top(urdf)
     if not urdf.links and not urdf.findings.problems:
         raise _no_links(robot, tuple(beside))
@@ -106,14 +109,15 @@ def _refuse_xacro(robot: Element) -> None:
     if "xacro:" not in text and not _XACRO.search(text):
         return
     for element in robot.walk():
-        found = element.tag.startswith("xacro:") and f"<{element.tag}>"
-        where = element.where
-        if not found and element.tag in (*ATTRIBUTES, "link", "robot"):
+        found = where = None
+        if element.tag.startswith("xacro:"):
+            found, where = f"<{element.tag}>", element.where
+        elif element.tag in (*ATTRIBUTES, "link", "robot"):
             for key, text in element.attributes.items():
                 if not key.startswith("xmlns") and _XACRO.search(text):
                     found, where = f"{key}={shorten(text)}", element.where_of(key)
                     break
-        if found:
+        if found and where:
             raise fail(
                 f"this is xacro, a program that writes URDF: {found} has to be expanded first",
                 where,
@@ -148,7 +152,6 @@ def _scan_top(urdf: _Urdf) -> None:
         findings.note("the robot has no name", where=urdf.robot.where)
     for element in urdf.robot.children:
         if element.tag not in ("link", "joint"):
-            check_known("element", element.tag, TOP, findings, "", element)
             continue
         table = urdf.links if element.tag == "link" else urdf.joints
         name = element.attributes.get("name")
@@ -161,6 +164,7 @@ def _scan_top(urdf: _Urdf) -> None:
             findings.add(message, f"{element.tag} {name!r}", element.where_of("name"), "names must be unique")
         else:
             table[name] = element
+    check_top(urdf.robot, urdf.links, urdf.joints, findings)
 
 
 def _scan_joints(urdf: _Urdf) -> None:
@@ -223,8 +227,9 @@ def _assemble(urdf: _Urdf, ground: str | None, base: str | None) -> Mechanism:
             mechanism._add_body(body)
     if base:
         mechanism.free(_fresh("base", urdf.joints), mechanism.ground, root)
+    quaternions = has_quaternions(urdf.robot)
     for joint, element in urdf.joints.items():
-        settings = read_joint(urdf.types.get(joint, "fixed"), joint, element, urdf.findings)
+        settings = read_joint(urdf.types.get(joint, "fixed"), joint, element, urdf.findings, quaternions)
         if joint in urdf.ends and joint in urdf.types and settings is not None:
             with urdf.findings.guard(f"joint {joint!r}", element.where):
                 mechanism.joint(joint, TYPES[urdf.types[joint]], *urdf.ends[joint], where=element.where, **settings)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-from functools import lru_cache
 from typing import Any
 
 from kempe.description.parts import Body
 from kempe.description.placement import place
 from kempe.description.source import Findings, shorten
+from kempe.description.urdf_unknown import check_known
 from kempe.description.xml import Element
 
 UNLIMITED = 1e308
@@ -19,30 +18,8 @@ UNLIMITED = 1e308
 AXIS_TOLERANCE = 1e-5
 """An axis whose length differs from 1 by more than rounding in the file is worth a note."""
 
-SLIP = 0.8
-"""Likeness (of `difflib`) from which on an unknown name is taken for a slip of a known one."""
-
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _BLANKS = re.compile(r"[ \t\r\n]+")
-
-TOP = (
-    "link",
-    "joint",
-    "material",
-    "transmission",
-    "gazebo",
-    "sensor",
-    "ros2_control",
-    "group",
-    "group_state",
-    "disable_collisions",
-    "end_effector",
-    "virtual_joint",
-    "mujoco",
-    "drake",
-    "verbose",
-)
-"""Elements of a robot that are read or change no motion; others are noted. Likewise in links and joints."""
 
 _IN_LINK = (
     "inertial",
@@ -55,8 +32,11 @@ _IN_LINK = (
     "kinematic",
     "self_collide",
     "collision_checking",
+    "self_collision_checking",
     "verbose",
 )
+"""Elements of a link that are read or change no motion; others are noted. Likewise in joints."""
+
 _IN_JOINT = (
     "parent",
     "child",
@@ -69,6 +49,7 @@ _IN_JOINT = (
     "safety_controller",
     "hardwareInterface",
     "physics",
+    "joint_properties",
 )
 _ONCE = ("parent", "child", "origin", "axis", "limit", "mimic")
 ATTRIBUTES = {
@@ -149,7 +130,8 @@ def read_link(name: str, element: Element, findings: Findings) -> Body:
         else:
             check_known("element", child.tag, _IN_LINK, findings, subject, child)
     inertials = element.of("inertial")
-    _refuse_second(inertials, findings, subject)
+    if len(inertials) > 1:
+        findings.note("it has two <inertial> elements; the first is used", subject, inertials[1].where)
     for inertial in inertials[:1]:
         for part in inertial.of("mass")[:1]:
             found = numbers(part, "value", 1, findings, subject) if "value" in part.attributes else None
@@ -167,17 +149,22 @@ def read_link(name: str, element: Element, findings: Findings) -> Body:
 # ---- joints
 
 
-def read_joint(kind: str, name: str, element: Element, findings: Findings) -> dict[str, Any] | None:
-    """Keywords for `Mechanism.joint` of a <joint> of type `kind`, or None after recording what is wrong."""
+def read_joint(
+    kind: str, name: str, element: Element, findings: Findings, quaternions: bool = True
+) -> dict[str, Any] | None:
+    """Keywords for `Mechanism.joint` of a <joint> of type `kind`, or None after recording what is wrong.
+
+    `quaternions` says whether the file's version has `quat_xyzw`, which readers pass over in older ones.
+    """
     subject, before = f"joint {name!r}", len(findings.problems)
     _check_joint(element, findings, subject)
-    out = _origin(element, findings, subject)
+    out = _origin(element, findings, subject, quaternions)
     out["axis"] = _axis(kind, element, findings, subject)
     out |= _limit(kind, element, findings, subject)
     return out if len(findings.problems) == before else None
 
 
-def _origin(joint: Element, findings: Findings, subject: str) -> dict[str, Any]:
+def _origin(joint: Element, findings: Findings, subject: str, quaternions: bool) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for origin in joint.of("origin")[:1]:
         given = {
@@ -190,6 +177,10 @@ def _origin(joint: Element, findings: Findings, subject: str) -> dict[str, Any]:
         out["at"] = given.get("xyz", (0.0, 0.0, 0.0))
         if "quat_xyzw" not in given:
             out["rpy"] = given.get("rpy")
+        elif not quaternions:
+            said = "quat_xyzw is of URDF 1.1, and this file is of version 1.0, where readers pass over it"
+            where = origin.where_of("quat_xyzw")
+            findings.add(said, subject, where, "write <robot version='1.1' ...>, or give rpy")
         elif "rpy" in given:
             findings.add("its origin has both rpy and quat_xyzw", subject, origin.where, "give one")
         else:
@@ -292,30 +283,10 @@ def _check_joint(joint: Element, findings: Findings, subject: str) -> None:
         for key in part.attributes if part.tag in ATTRIBUTES else ():
             check_known(f"{part.tag} attribute", key, ATTRIBUTES[part.tag], findings, subject, part)
     for tag in _ONCE:
-        _refuse_second(joint.of(tag), findings, subject)
-
-
-def _refuse_second(found: list[Element], findings: Findings, subject: str) -> None:
-    if len(found) > 1:
-        message = f"it has two <{found[0].tag}> elements, on line {found[0].where.line} and here"
-        findings.add(message, subject, found[1].where, "one is allowed")
-
-
-def check_known(
-    kind: str, name: str, known: tuple[str, ...], findings: Findings, subject: str, element: Element
-) -> None:
-    """Refuse a name that looks like a slip of a known one; note any other unknown name."""
-    if name in known or ":" in name or name.startswith("xmlns"):
-        return
-    near = _near(name[:60].casefold(), known)
-    if near:
-        where = element.where if kind == "element" else element.where_of(name)
-        findings.add(f"unknown {kind} {shorten(name)}; did you mean {near[0]!r}?", subject, where)
-    else:
-        findings.note(f"the {kind} {shorten(name)} is not read", subject, element.where)
-
-
-@lru_cache(maxsize=1024)
-def _near(name: str, known: tuple[str, ...]) -> list[str]:
-    swapped = [k for k in known if sorted(k) == sorted(name)]  # 'xzy': too short to be like 'xyz' otherwise
-    return swapped or difflib.get_close_matches(name, known, n=1, cutoff=SLIP)
+        found = joint.of(tag)
+        for other in found[1:2]:
+            message = f"it has two <{tag}> elements, on line {found[0].where.line} and here"
+            if all(o.attributes == found[0].attributes for o in found):
+                findings.note(f"{message}, which say the same", subject, other.where)
+            else:
+                findings.add(message, subject, other.where, "one is allowed")

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kempe.kernels import loop_layout as L
-from kempe.kernels._jit import routine
+from kempe.kernels._jit import device, routine
 from kempe.kernels.active import OFF
 from kempe.kernels.goals import fill
 from kempe.kernels.rows import row_poses
@@ -52,18 +52,23 @@ def assess(loops, work):
             loops.error[i] = 0.0
 
 
+@device
+def square_of_tie(loops, ask, k):
+    """Weighted square of what a tie misses."""
+    tie, total = loops.plan[L.AT_TIES] + L.TIE_INTS * k, 0.0
+    at = loops.plan[tie + L.FIRST_ROW]
+    for i in range(at, at + loops.plan[tie + L.ROWS]):
+        total += loops.error[i] * loops.error[i]
+    return total * ask.weight[k]
+
+
 @routine
 def square_of(loops, ask, first, last, hard_only):
     """Weighted square of what stages first to last miss."""
-    plan, total = loops.plan, 0.0
-    for k in range(plan[L.N_TIES]):
-        if ask.stage[k] < first or ask.stage[k] > last or (hard_only and ask.hard[k] == 0):
-            continue
-        tie = plan[L.AT_TIES] + L.TIE_INTS * k
-        at, part = plan[tie + L.FIRST_ROW], 0.0
-        for i in range(at, at + plan[tie + L.ROWS]):
-            part += loops.error[i] * loops.error[i]
-        total += part * ask.weight[k]
+    total = 0.0
+    for k in range(loops.plan[L.N_TIES]):
+        if first <= ask.stage[k] <= last and not (hard_only and ask.hard[k] == 0):
+            total += square_of_tie(loops, ask, k)
     return total
 
 

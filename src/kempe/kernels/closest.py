@@ -23,8 +23,8 @@ from kempe.kernels.search_layout import LINEAR, NOT_FOUND, SOLVED, STATUS, STEPS
 from kempe.kernels.starts import copy
 from kempe.kernels.vectors import keep, raw
 
-DESCENTS, DESCENT_LIMIT = 16, 200
-"""Descents to the nearest configuration, at most as many as starts, and steps of each.
+DESCENTS, DESCENT_STEPS = 16, 5
+"""Descents to the nearest configuration, at most as many as starts, and steps of each by those of a start.
 
 The best of 16 is the best of 1000 for at least 95 of 100 goals out of reach of five real arms."""
 
@@ -43,7 +43,7 @@ def answer_nearest(job, i):
             copy(chain.q, best, 0, chain.nq)
         else:
             go_to(job, i, job.tries + k, job.home)
-        reached, count = descend(chain, DESCENT_LIMIT, job.kept)
+        reached, count = descend(chain, DESCENT_STEPS * job.iteration_limit, job.kept)
         steps += count
         if reached < least:
             least = reached

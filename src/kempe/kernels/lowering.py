@@ -289,10 +289,10 @@ def lower(loops, work, ask, stage, limit, mode, stop):
     if mode == NOTHING and not late and best > TIGHT and steps < limit:
         copy(work.rest, loops.q, 0, loops.nq)
         nudge(loops, mix(np.uint64(0), np.uint64(stage)))
-        used, late, least = ease(loops, work, ask, stage, PROBE, mode, stop)
+        used, late, least = ease(loops, work, ask, stage, min(PROBE, limit - steps), mode, stop)
         steps += used
         if least < (1.0 - SADDLE) * best:
-            used, late, best = ease(loops, work, ask, stage, limit, mode, stop)
+            used, late, best = ease(loops, work, ask, stage, limit - steps, mode, stop)
             steps += used
         else:
             copy(loops.q, work.rest, 0, loops.nq)

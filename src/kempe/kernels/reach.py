@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from kempe.kernels import loop_layout as L
+from kempe.kernels import restarts
 from kempe.kernels._jit import kernel, routine
 from kempe.kernels.active import Work
 from kempe.kernels.asked import (
@@ -28,14 +29,11 @@ from kempe.kernels.asked import (
     square_of,
     unbind,
 )
-from kempe.kernels.base_fit import settle_base
 from kempe.kernels.declare import FLAG, INT, OUT, OUTI, F, I
 from kempe.kernels.goals import number_of
 from kempe.kernels.layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.layout import NQ, NV
 from kempe.kernels.loop_coordinates import (
-    draw,
-    is_held,
     nearest_turn,
     number,
     place_of,
@@ -45,6 +43,7 @@ from kempe.kernels.loop_coordinates import (
 )
 from kempe.kernels.lowering import TIGHT, descend, is_late, lower
 from kempe.kernels.random import mix
+from kempe.kernels.restarts import begin, begin_at, to_middle
 from kempe.kernels.rows import poses_at, scratch_size
 from kempe.kernels.scratch import beyond
 from kempe.kernels.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND, NOTHING, SOLVED
@@ -52,9 +51,6 @@ from kempe.kernels.starts import copy
 from kempe.kernels.ties import Loops
 from kempe.kernels.vectors import keep, raw
 
-NEAR, WHOLE = 0.6, 8
-"""Part of the ranges, about the first start and about their middles in turn, from which starts are drawn; and every how
-many starts one is drawn from all of them. What is far from all limits leads to more answers."""
 AGAIN, LOWER = 5, 0.99
 """Starts of a first stage that is soft, and the part of its square below which another than the first one counts."""
 GAIN = 1e-6
@@ -62,40 +58,28 @@ GAIN = 1e-6
 
 
 @routine
-def to_middle(loops, home, to):
-    """Write a configuration in the middle of all ranges to `to`; balls and what is no unknown as at `home`."""
-    copy(to, home, 0, loops.nq)
-    for v in range(loops.nv):
-        if sort_of(loops, v) < L.BALL_FIRST and not is_held(loops, v):
-            to[place_of(loops, v)] = 0.5 * (number(loops, 3, v) + number(loops, 4, v))
-
-
-@routine
-def begin(loops, work, ask, key, count):
-    """Nothing; q is start `count`."""
-    copy(loops.q, work.home, 0, loops.nq)
-    if count > 0:
-        about = work.trial if count % 2 else work.home
-        draw(loops, about, NEAR if count % WHOLE else 1.0, mix(key, np.uint64(count)))
-    if count > 0 or ask.loose:
-        settle_base(loops, ask)
-
-
-@routine
 def search(loops, work, ask, last, key, tries, limit, stop):
     """Whether the hard stages up to `last` are met, whether the time was up, steps and starts; q is the nearest."""
-    best, count, steps, good, late = np.inf, 0, 0, False, False
+    best, count, steps, good, late, left, least = np.inf, 0, 0, False, False, 0, np.inf
     to_middle(loops, work.home, work.trial)
     while count < tries and not good:
         late = is_late(loops, work, stop)
         if late:
             break
-        begin(loops, work, ask, key, count)
+        if left > 0:
+            begin_at(loops, work, ask, last, key, count)
+        else:
+            begin(loops, work, ask, key, count)
         square, good, used = descend(loops, work, ask, last, 0.0, limit)
         steps, count = steps + used, count + 1
         if square < best or good:
             best = square
             copy(work.best, work.kept, 0, loops.nq)
+        if left == 0 or square < restarts.LOWER * least:
+            left, least = restarts.AGAIN if count >= restarts.PLAIN and square < LARGEST else 0, square
+            copy(work.rest, work.kept, 0, loops.nq)
+        else:
+            left -= 1
     copy(loops.q, work.best if best < np.inf else work.home, 0, loops.nq)
     return good, late, steps, count
 
@@ -108,6 +92,8 @@ def search_down(loops, work, ask, key, tries, limit, stop):
     first tried as if they were hard: where all of them can be met, nothing is lower.
     """
     last, good, late, steps, most = ask.stages, False, False, 0, 0
+    while last > 1 and not is_hard(loops, ask, last):
+        last -= 1
     while not (good or late) and last > 0:
         for softly in range(2):
             if not (good or late) and (softly == 1 or harden(loops, ask, last)):
@@ -132,7 +118,7 @@ def lower_first(loops, work, ask, stage, limit, mode, stop):
     least = square_of(loops, ask, stage, stage, False)
     if least > TIGHT and not late:
         copy(work.aside, loops.q, 0, loops.nq)
-        used, late = lower(loops, work, ask, stage, limit, mode, stop)
+        used, late = lower(loops, work, ask, stage, limit - steps, mode, stop)
         steps += used
         if not square_of(loops, ask, stage, stage, False) < (1.0 - GAIN) * least:
             copy(loops.q, work.aside, 0, loops.nq)

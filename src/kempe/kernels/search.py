@@ -299,7 +299,8 @@ def finish(h, lane):
     d, start = h.places[LANE * lane + AT_DESK], h.places[LANE * lane + START]
     desk, p, out = beyond(h.desks, DESK * d), beyond(h.lanes.lanes, lane), answer_of(h.job, h.desks[DESK * d + TARGET])
     energy, found = p[BEST * LANES], p[FOUND * LANES]
-    if found == 1.0 and p[STALL * LANES] == 0.0 and energy >= ENOUGH:  # one step from rounding error, and that is done
+    spent = p[COUNT * LANES] >= h.job.iteration_limit
+    if found == 1.0 and p[STALL * LANES] == 0.0 and energy >= ENOUGH and not spent:  # one step from rounding error
         p[COUNT * LANES] += 1.0
         p[FOUND * LANES] = 2.0
         if not accepted(h, lane, d, np.int64(U), ROUNDED):

@@ -18,9 +18,15 @@ NUDGE = 0.02
 The exact middle is often singular (a stretched arm), where no step leads out."""
 
 
+LATE, WIDER = 64, 2.0
+"""Every other start from this one on is drawn from so much of the range that half of the coordinates are at a limit."""
+
+
 @device
 def spread_of(count):
     """Part of the limits from which start `count` after the seeds is drawn: late ones crowd at the limits."""
+    if count >= LATE and count % 2 == 1:
+        return WIDER
     return NUDGE if count == 0 else min(0.75 + 0.05 * count, 1.35)
 
 

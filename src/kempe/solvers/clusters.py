@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 MOST_TURNS = 100
 """Most turns of a source after which those that are geared to it must be back, to count as periodic."""
+SAME = 1e-6
+"""Configurations nearer than this, in radians and characteristic lengths, are one: double roots merge at 1e-8."""
+MOST_AT_ONCE = 1 << 20
+"""Numbers in one comparison of configurations with clusters."""
 INSIDE = 1e-9
 """How far a coordinate may be outside its limits: rounding."""
 
@@ -85,14 +89,14 @@ def _periods(system: System) -> Array:
 class Clusters:
     """Configurations, those that are one together: `q` (k, nq) the first of each, `hits` (k,) how many there were.
 
-    `members` are their numbers in the order in which they came. With `frame`, configurations that put this frame at
-    one pose are one.
+    `members` are their numbers in the order in which they came. With `frames`, configurations that put these frames at
+    the same poses are one.
     """
 
-    def __init__(self, system: System, frame: str | None = None):
-        self.system, self.frame, self.metric = system, frame, Metric(system)
+    def __init__(self, system: System, frames: tuple[str, ...] = ()):
+        self.system, self.frames, self.metric = system, frames, Metric(system)
         self.q = np.empty((0, system.nq))
-        self.poses = np.empty((0, 4, 4))
+        self.poses = np.empty((0, len(frames), 3, 4))
         self.tolerance = np.empty(0)
         self.members: list[list[int]] = []
         self.count = 0
@@ -102,22 +106,55 @@ class Clusters:
         """Number (k,) of configurations in each cluster."""
         return np.array([len(m) for m in self.members], dtype=np.int64)
 
-    def add(self, q: Array, tolerance: Array) -> None:
-        """Sort in configurations (n, nq), each with the distance (n,) below which it is the same as another."""
-        X = None if self.frame is None else fk(self.system, q, self.frame)
-        for k in range(len(q)):
-            if X is None:
-                apart = self.metric.distances(q[k], self.q)
-            else:
-                error = self.poses[:, :3] - X[k, :3]
-                error[..., 3] /= self.metric.length
-                apart = np.linalg.norm(error, axis=(1, 2))
-            same = apart <= np.maximum(self.tolerance, tolerance[k])
-            if same.any():
-                self.members[int(np.argmin(np.where(same, apart, np.inf)))].append(self.count)
-            else:
-                self.members.append([self.count])
-                self.q = np.concatenate([self.q, q[k : k + 1]])
-                self.poses = self.poses if X is None else np.concatenate([self.poses, X[k : k + 1]])
-                self.tolerance = np.append(self.tolerance, tolerance[k])
-            self.count += 1
+    def add(self, q: Array, tolerance: Array, counted: bool = True) -> np.ndarray:
+        """Numbers (n,) of the clusters into which configurations (n, nq) are sorted, new ones where needed.
+
+        `tolerance` (n,) is the distance below which each is the same as another. Those that are not `counted` do not
+        become members.
+        """
+        X = self._placed(q)
+        out = self._nearest(q, X, tolerance, 0)
+        while (out < 0).any():
+            k = int(np.argmax(out < 0))
+            self.members.append([])
+            self.q = np.concatenate([self.q, q[k : k + 1]])
+            self.poses = np.concatenate([self.poses, X[k : k + 1]])
+            self.tolerance = np.append(self.tolerance, tolerance[k])
+            rest = np.flatnonzero(out < 0)
+            out[rest] = self._nearest(q[rest], X[rest], tolerance[rest], len(self.members) - 1)
+            out[k] = len(self.members) - 1
+        if counted:
+            for k in out.tolist():
+                self.members[k].append(self.count)
+                self.count += 1
+        return out
+
+    def _nearest(self, q: Array, X: Array, tolerance: Array, first: int) -> np.ndarray:
+        """Numbers (n,) of the nearest clusters, from the first on, that configurations are the same as; -1: none."""
+        out = np.full(len(q), -1)
+        if first == len(self.members):
+            return out
+        step = max(1, MOST_AT_ONCE // max(1, (len(self.members) - first) * max(q.shape[1], 12 * len(self.frames))))
+        for i in range(0, len(q), step):
+            part = slice(i, i + step)
+            apart = self._apart(q[part, None], X[part, None], self.q[None, first:], self.poses[None, first:])
+            apart = np.where(apart <= np.maximum(self.tolerance[first:], tolerance[part, None]), apart, np.inf)
+            out[part] = np.where(np.isfinite(apart).any(axis=1), first + np.argmin(apart, axis=1), -1)
+        return out
+
+    def distances(self, q: Array, to: Array) -> Array:
+        """How far configurations (n, nq) are from others, in radians and characteristic lengths."""
+        return self._apart(q, self._placed(q), to, self._placed(to))
+
+    def _placed(self, q: Array) -> Array:
+        """Places (n, frames, 3, 4) of the frames."""
+        if not self.frames:
+            return np.empty((len(q), 0, 3, 4))
+        return np.stack([fk(self.system, q, f)[:, :3] for f in self.frames], axis=1)
+
+    def _apart(self, q: Array, X: Array, to: Array, Y: Array) -> Array:
+        if not self.frames:
+            return self.metric.distances(q, to)
+        error = Y - X
+        error[..., 3] /= self.metric.length
+        return np.linalg.norm(error, axis=(-2, -1)).max(axis=-1)

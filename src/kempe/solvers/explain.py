@@ -1,7 +1,12 @@
-"""Why a target was not reached, found out by asking again without the limits, without the orientation, by lengths."""
+"""Why a target was not reached: by a proof, or by asking again with more starts, without limits, without orientation.
+
+Proofs are lengths, and limits where all answers are known to be outside them. Else what is found by asking again is
+true, and what is not found is evidence: it is said with the number of starts, and as what may be the reason.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,7 +15,8 @@ import numpy as np
 
 from kempe.solvers.chain import Chain, chain_of
 from kempe.solvers.inverse import run
-from kempe.solvers.rounds import MOST, Task, outside
+from kempe.solvers.rounds import ITERATIONS, MOST, Task, outside
+from kempe.solvers.shut_out import shut_out
 from kempe.solvers.solution import BAD_INPUT, OUT_OF_REACH, OUT_OF_TIME, SOLVED, Solution
 from kempe.solvers.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
@@ -25,8 +31,9 @@ TILTED = 1e-7
 """Angle between a pose and the plane that is not rounding [rad]."""
 ROUNDING = 1e-14
 """What rounding makes of a configuration that reaches a target, in parts of its size."""
-RANK_TOLERANCE = 1e-9
-"""Singular values below this fraction of the largest count as zero when the freedoms of a chain are counted."""
+RANK_TOLERANCE, NEARLY = 1e-9, 1e-4
+"""Singular values below this fraction of the largest count as zero when the freedoms of a chain are counted, and when
+it is asked whether a search ended at a singular configuration."""
 
 
 def sentence(solution: Solution, index: tuple[int, ...]) -> str:
@@ -45,11 +52,7 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     target = task.targets[at : at + 1]
     near = f"the nearest configuration found misses it by {_errors(task, f'{position:.6g} m', angle)}"
     if code == OUT_OF_REACH:
-        beyond = outside(task, target)[0]
-        if task.system.dim == 2 and abs(target[0, 2, 3]) > task.tolerance[0]:
-            return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m; {near}"
-        turned = "" if outside(replace(task, name="position"), target)[0] else " with this orientation"
-        return f"outside the workspace{turned} by at least {beyond:.6g} m, by the lengths of the links; {near}"
+        return f"{_beyond(task, target)}; {near}"
     tilt = float(np.arccos(np.clip(target[0, 2, 2], -1.0, 1.0))) if task.system.dim == 2 and any(task.mask[3:]) else 0.0
     if tilt > max(task.tolerance[1], TILTED):
         return f"tilted out of the plane of the system by {tilt:.2g} rad; {near}"
@@ -61,9 +64,19 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     if position <= ROUNDING * size and angle <= ROUNDING:
         return f"the tolerance is finer than rounding: {near}"
     span = task.chain.span
-    reason = span.sentence() if span.wide else ""
+    reason = span.sentence() if span.wide else _again(task, target, q)
     reason = reason or _limits(task, target, q) or _over_determined(task, target) or _why(task)
     return f"not reached after {_count(starts, 'start')}: {reason}; {near}"
+
+
+def _beyond(task: Task, target: Array) -> str:
+    """How far a target is out of reach at least, whatever the orientation and with the one asked for."""
+    if task.system.dim == 2 and abs(target[0, 2, 3]) > task.tolerance[0]:
+        return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m"
+    place, turned = outside(replace(task, name="position"), target)[0], outside(task, target)[0]
+    parts = [f" by at least {place:.6g} m"] if place > 0.0 else []
+    parts += [f" with this orientation by at least {turned:.6g} m"] if turned > place else []
+    return f"outside the workspace{','.join(parts)}, by the lengths of the links"
 
 
 def _errors(task: Task, position: str, angle: float) -> str:
@@ -82,19 +95,25 @@ def _solved(task: Task, target: Array, limits: Array | None = None, near: Array 
     return q[0] if info[0, 0] == SOLVED else None
 
 
-def _over_determined(task: Task, target: Array) -> str:
-    """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random configurations."""
+def _rows(task: Task, q: Array, tolerance: float) -> int:
+    """The largest rank of what the task reads of the frame's Jacobian, at configurations (N, nq)."""
     from kempe.kinematics.forward import jacobian  # only here: a success needs no forward kernels
 
-    rows = [i for i, used in enumerate(task.mask) if used]
-    system = task.system
-    J = jacobian(system, system.random(0, 16), task.frame, "body")
+    J = jacobian(task.system, q, task.frame, "body")
     J[:, 3:] = frame_of(np.array(task.axis)).T @ J[:, 3:]
-    J = J[:, rows]
+    J = J[:, [i for i, used in enumerate(task.mask) if used]]
     if J.shape[-1] == 0:
-        return f"no joint moves frame {task.frame!r}"
+        return 0
     values = np.linalg.svd(J, compute_uv=False)
-    freedoms = int((values > RANK_TOLERANCE * values[:, :1]).sum(axis=1).max())
+    return int((values > tolerance * values[:, :1]).sum(axis=1).max())
+
+
+def _over_determined(task: Task, target: Array) -> str:
+    """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random configurations."""
+    rows, system = [i for i, used in enumerate(task.mask) if used], task.system
+    freedoms = _rows(task, system.random(0, 16), RANK_TOLERANCE)
+    if freedoms == 0:
+        return f"no joint moves frame {task.frame!r}"
     wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else len(rows)
     if freedoms >= wanted:
         return ""
@@ -106,38 +125,63 @@ def _over_determined(task: Task, target: Array) -> str:
     return text
 
 
+def _many(task: Task) -> Task:
+    """The same with as many starts as are given by default, at least, and no limit of time."""
+    return replace(task, starts=max(MOST, task.starts), iterations=max(ITERATIONS, task.iterations), end=math.inf)
+
+
+def _again(task: Task, target: Array, nearest: Array) -> str:
+    """That other starts find an answer, and where the search was stuck, if it was: `nearest` (n,) is what it found."""
+    if _solved(replace(_many(task), rng=task.rng + 1), target) is None:
+        return ""
+    stuck = "the search is stuck at a singular configuration; " if _singular(task, nearest) else ""
+    return f"{stuck}more starts find an answer"
+
+
+def _singular(task: Task, q: Array) -> bool:
+    """Whether the chain moves the frame in fewer freedoms at q (n,) than elsewhere."""
+    full = task.chain.base[0].copy()
+    full[task.chain.q_index] = q
+    return _rows(task, full[None], NEARLY) < _rows(task, task.system.random(0, 16), NEARLY)
+
+
 def _limits(task: Task, target: Array, nearest: Array) -> str:
-    """Which limits block the target, by solving without them; `nearest` (n,) is where the solver came nearest.
+    """Which limits block the target, or may do so, by solving without them; `nearest` (n,) is what came nearest.
 
     Or that they do not, for all starts may fail where there is an answer.
     """
     chain, names = task.chain, task.system.velocity_names
     bounded = np.flatnonzero(np.isfinite(chain.limits).any(axis=0) & (chain.circular == 0))
     open_ = np.stack([np.full(len(chain.v_index), -np.inf), np.full(len(chain.v_index), np.inf)])
-    many = replace(task, starts=max(MOST, task.starts))
+    many = _many(task)
     free = _solved(many, target, open_) if bounded.size else None
     if free is None:
         return ""
     if _solved(replace(many, rng=task.rng + 1), target, None, free) is not None:
         return "more starts find an answer"
     suspects = list(bounded if len(bounded) <= FEW_LIMITS else _suspects(chain, bounded, nearest, free))
-    few = replace(task, starts=min(task.starts, STARTS * FEW_LIMITS // max(FEW_LIMITS, len(suspects))))
+    few = replace(many, starts=min(many.starts, STARTS * FEW_LIMITS // max(FEW_LIMITS, len(suspects))))
 
     def without(lifted: Sequence[Any]) -> bool:
         limits = chain.limits.copy()
         limits[:, lifted] = open_[:, lifted]
         return _solved(few, target, limits, free) is not None
 
+    def said(which: str, short: str, one: bool) -> str:
+        if proof := shut_out(task, target):
+            return f"blocked by {which} ({proof}); without limits it is reachable"
+        return f"without {short} it is reached, so {'that' if one else 'these'} may be what blocks it"
+
     alone = [i for i in suspects if without([i])]
     if alone:
         which = f"the limit of {' or of '.join(repr(names[chain.v_index[i]]) for i in alone)}"
-        return f"blocked by {which}; without limits it is reachable"
+        return said(which, which, True)
     lifted = suspects if len(suspects) < len(bounded) and without(suspects) else list(bounded)
     for i in list(lifted):  # what is left cannot be done without
         rest = [k for k in lifted if k != i]
         lifted = rest if without(rest) else lifted
-    together = " and ".join(repr(names[chain.v_index[i]]) for i in lifted)
-    return f"blocked by the limits of {together} together; without limits it is reachable"
+    which = f"the limits of {' and '.join(repr(names[chain.v_index[i]]) for i in lifted)}"
+    return said(f"{which} together", which, False)
 
 
 def _suspects(chain: Chain, bounded: np.ndarray, nearest: Array, free: Array) -> np.ndarray:
@@ -150,7 +194,8 @@ def _suspects(chain: Chain, bounded: np.ndarray, nearest: Array, free: Array) ->
 
 
 def _why(task: Task) -> str:
-    if not any(task.mask[:3]):
-        return "the orientation seems out of reach"
-    lengths = "the target seems outside the workspace"
-    return f"{lengths}, or not reachable with this orientation" if any(task.mask[3:]) else lengths
+    """What is left where nothing else was found out."""
+    limits = " without limits either" if np.isfinite(task.chain.limits).any() else ""
+    may = "the target may be outside the workspace" if any(task.mask[:3]) else "the orientation may be out of reach"
+    turned = ", or not reachable with this orientation" if any(task.mask[:3]) and any(task.mask[3:]) else ""
+    return f"no configuration was found{limits}, so {may}{turned}"

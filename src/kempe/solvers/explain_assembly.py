@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.kinematics import loops
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
 from kempe.solvers.assembly import Assembler, assembler, freedoms_left
 from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+MOST = 1000
+"""Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
+COINCIDE = 1e-6
+"""Distance of joints, in characteristic lengths, below which they are at one place."""
 
 
 def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
@@ -21,9 +31,7 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     if code == BAD_INPUT:
         return "known values, places or near are not finite"
     if code == CLOSED:
-        left = freedoms_left(bound.system, q, bound.held) if 0 <= bound.freedoms else 0
-        more = f"; {_count(left, 'freedom')} left open" if left else ""
-        return f"closed: residual {residual:.1e} ({_count(steps, 'step')}, {_count(starts, 'start')}){more}"
+        return f"closed: residual {residual:.1e} ({_count(steps, 'step')}, {_count(starts, 'start')}){_left(bound, q)}"
     if code == OUTSIDE:
         return f"a known value is outside its limits: {_outside(bound, q)}"
     if code == OTHER_BRANCH:
@@ -31,6 +39,47 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     reason = _limits(bound, q) or _too_many(bound) or "with these values no closed configuration was found"
     what = _open(bound, q, residual)
     return f"not closed after {_count(starts, 'start')}: {what}; {reason}; q is the nearest to closing"
+
+
+def _left(bound: Assembler, q: Array) -> str:
+    """How many freedoms are left open, with a warning where these are more than the mechanism is for."""
+    if bound.frames or bound.further or len(bound.loops.names) > MOST:
+        return ""
+    system = bound.system
+    left = freedoms_left(system, q, bound.held)
+    if not left:
+        return ""
+    count = system.nv - len(bound.held) - len(loops.row_names(system))
+    folded = _coinciding(system, q) if 0 <= count < left else []
+    if folded:
+        who = ", ".join(f"{a} and {b}" for a, b in folded[:3]) + (", ..." if len(folded) > 3 else "")
+        return (
+            f"; {_count(left, 'freedom')} left open, {count} by the count: the mechanism is folded or singular here, "
+            f"where {who} coincide"
+        )
+    if 0 <= bound.freedoms < left:
+        return f"; {_count(left, 'freedom')} left open, {bound.freedoms} at home: singular here, or on another branch"
+    return f"; {_count(left, 'freedom')} left open"
+
+
+def _coinciding(system: System, q: Array) -> list[tuple[str, str]]:
+    """Pairs of joints at one place that no body holds there: neither both of them nor others at the same place."""
+    joints, number = [*system.mechanism.joints.values()], {b: i for i, b in enumerate(system.body_names)}
+    bodies, m = system.fk(q), system.mechanism
+    places = np.array([bodies[number[j.child]] @ j.X_CM.evaluate(m.parameters)[:, 3] for j in joints])[:, :3]
+    cells: dict[tuple[int, ...], list[int]] = {}
+    for i, cell in enumerate(np.round(places / (COINCIDE * loops.characteristic_length(system))).tolist()):
+        cells.setdefault(tuple(int(x) for x in cell), []).append(i)
+    out = []
+    for members in cells.values():
+        groups: list[tuple[set[str], str]] = []  # bodies that meet there, and the first joint
+        for i in members:
+            ends = {joints[i].parent, joints[i].child}
+            met = [g for g in groups if g[0] & ends]
+            groups = [g for g in groups if not g[0] & ends]
+            groups.append((ends.union(*(g[0] for g in met)), met[0][1] if met else joints[i].name))
+        out += [(groups[0][1], g[1]) for g in groups[1:]]
+    return out
 
 
 def _count(n: int, what: str) -> str:

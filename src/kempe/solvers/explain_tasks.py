@@ -1,6 +1,7 @@
-"""Why tasks do not hold: which fail and by how much, which contradict each other, whether limits or counting forbid it.
+"""Why tasks do not hold: which fail and by how much, and what is proven or speaks for it.
 
-Found out by asking again: each hard task alone, two at a time, all without the limits.
+Proofs are the lengths of links and tasks that contradict each other. Else one asks again: all without the limits, each
+hard task alone, two at a time. What is then found is true, what is not found is evidence and said with the starts.
 """
 
 from __future__ import annotations
@@ -10,11 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.solvers.contradictions import contradictions
 from kempe.solvers.freedoms import Local, freedoms_text
 from kempe.solvers.lengths import beyond
 from kempe.solvers.reached import Reached, analyse
 from kempe.solvers.solution import BAD_INPUT, OUT_OF_TIME, SOLVED
-from kempe.solvers.tasks import judge
+from kempe.solvers.tasks import STARTS, judge
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -94,23 +96,49 @@ def _solved(problem: Problem, q: Array, tasks: list[int], limits: bool = True) -
 def _reason(problem: Problem, q: Array) -> str:
     """Why the hard tasks of one problem do not hold together; q (nq,) is the nearest found."""
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
+    proofs = [proof for i in hard if (proof := _out_of_reach(problem, i))] or _contradictory(problem)
     free = _solved(problem, q, hard, False)
-    if free is not None and (names := outside(problem, free)):
-        return f"blocked by the limits of {', '.join(map(repr, names))}: without limits all are reached"
-    if far := [proof for i in hard if (proof := _out_of_reach(problem, i))]:
-        return "; ".join(far)
+    names = _names(outside(problem, free)) if free is not None else ""
+    if proofs:
+        return "; ".join([*proofs, f"without {names} it is reached"] if names else proofs)
+    if names:
+        return f"without {names} it is reached, so {_these(names)} may be what blocks it"
+    if free is not None:
+        return "more starts find an answer"
     alone = [i for i in hard if len(hard) == 1 or _solved(problem, q, [i]) is None]
     if alone:
         return "; ".join(_alone(problem, q, i, len(hard) > 1) for i in alone)
+    tried = _count(min(problem.starts, STARTS), "start")
     if len(hard) * (len(hard) - 1) // 2 <= MOST_PAIRS:
         labels = [t.label for t in problem.tasks]
         against = [(i, j) for i, j in combinations(hard, 2) if _solved(problem, q, [i, j]) is None]
         if against:
             pairs = ", ".join(f"{labels[i]!r} and {labels[j]!r}" for i, j in against)
-            return f"contradictory: {pairs}, each reached alone, but not both together{_more(problem, q, hard)}"
+            return f"{pairs}: each was reached alone, but not both together in {tried}{_more(problem, q, hard)}"
         if len(hard) > 2:
-            return f"any two of the {len(hard)} hard tasks are reached, but not all together{_more(problem, q, hard)}"
-    return f"each hard task is reached alone, but not all together{_more(problem, q, hard)}"
+            return f"any two of the {len(hard)} hard tasks were reached, but not all together{_more(problem, q, hard)}"
+    return f"each hard task was reached alone, but not all together{_more(problem, q, hard)}"
+
+
+def _names(coordinates: list[str]) -> str:
+    """Limits by their coordinates; empty where there are none."""
+    which = ", ".join(map(repr, coordinates))
+    return f"the limit{'s' * (len(coordinates) > 1)} of {which}" if coordinates else ""
+
+
+def _these(names: str) -> str:
+    return "these" if names.startswith("the limits") else "that"
+
+
+def _contradictory(problem: Problem) -> list[str]:
+    """Which tasks of one problem exclude each other, proven."""
+    labels, said = [t.label for t in problem.tasks], {}
+    for found in contradictions(problem):
+        if (off := float(np.ravel(found.off)[0])) > 0.0:
+            text = found.text.format(off=f"{off:.6g}")
+            said.setdefault((found.first, found.second), text)
+    texts = [f"{labels[i]!r} and {labels[j]!r}: {text}" for (i, j), text in said.items()]
+    return [f"contradictory: {'; '.join(texts)}"] if texts else []
 
 
 def _out_of_reach(problem: Problem, i: int) -> str:
@@ -128,7 +156,7 @@ def _alone(problem: Problem, q: Array, i: int, among: bool) -> str:
     label = repr(problem.tasks[i].label)
     free = _solved(problem, q, [i], False)
     if free is not None and (names := outside(problem, free)):
-        return f"{label} is blocked by the limits of {', '.join(map(repr, names))}: without limits it is reached"
+        return f"{label} alone is reached without {_names(names)}, so {_these(_names(names))} may be what blocks it"
     said = f"{label} is not found even alone" if among else "no configuration was found"
     return f"{said}{_more(problem, q, [i])}"
 

@@ -52,10 +52,10 @@ def ik(
     not move keeps its value there, else the neutral one, inside the limits.
 
     Starts are tried in order, the seed or the middle of the limits first, up to `starts` of them, the others drawn from
-    `rng`; the answer is that of the first start that reaches the target. So the same arguments give the same answer,
-    whatever the `threads`, and a seed that leads to the target is preferred to all else. `iterations` are the steps of
-    one start, at most. `time_limit` [s] is for the whole call, looked at after each 32 starts: an answer that it
-    ended says so, and is the only one that depends on the machine.
+    `rng`; the first that reaches the target is the answer: the same for the same arguments, whatever the `threads`.
+    `iterations` are the steps of one start, at most; where all fail, as many descents to the nearest, at most 16, have
+    five times as many. `time_limit` [s] is for the whole call, looked at after each 32 starts: an answer that it ended
+    says so, and is the only one that depends on the machine.
 
     The answer says by `success` and `status` whether it was reached and if not, why; `throw=True` raises
     `NoSolutionError` instead. A NaN in a single target is an `InputError`, in a batch it gives a NaN row. A frame that

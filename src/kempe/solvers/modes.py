@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError
-from kempe.kinematics.configuration import as_q, random
-from kempe.solvers.clusters import INSIDE, Clusters, Metric
+from kempe.kinematics.configuration import as_q
+from kempe.solvers.clusters import INSIDE, SAME, Clusters, Metric
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
 from kempe.spatial import Array
 
@@ -19,16 +19,6 @@ if TYPE_CHECKING:
 
 STARTS = 4096
 """Starts of a search, at most."""
-ROUND = 128
-"""Starts in one batch; after each it is asked whether the search may end."""
-SEEN_OFTEN = 6
-"""The search ends when each mode has been found this many times."""
-MANY, HOPELESS = 1024, 0.1
-"""After so many starts a search ends that, by estimate, has found less than this part: there are thousands."""
-SAME = 1e-6
-"""Configurations nearer than this, in radians and characteristic lengths, are one: double roots merge at 1e-8."""
-KICK, STAYED = 1e-2, 1e-3
-"""A step along a freedom that seems left, and how much of it must remain when the loops are closed again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +27,12 @@ class Modes:
 
     `complete` says that there are no others, proven by structure. `branches` names them where the mechanism is made of
     dyads ('+-', see `Plan.describe`; 0 where two branches meet), else they are ''. `multiplicity` (k,) counts merged
-    roots, or, in a search, how many starts found it. `freedoms` (k,) says how many freedoms are left at each with the
-    inputs held: where it is not 0, the configuration is one example of infinitely many. `inside` (k,) says which
-    respect the limits; `outside` counts what was dropped because it does not. Of a search, `coverage` is the estimated
-    share, by frequency, of what it can find (Good, Biometrika 40, 1953), and `expected` the estimated number of modes
-    (Chao, Scand. J. Statist. 11, 1984); both are None where there is a proof.
+    roots, or, in a search, how many starts found it: 0 where only a mirror image or a mixture of others led there.
+    `freedoms` (k,) says how many freedoms are left at each with the inputs held, idle spins left out: where it is not
+    0, the configuration is one example of infinitely many. `inside` (k,) says which respect the limits; `outside`
+    counts what was dropped because it does not. Of a search, `coverage` is a lower bound, with 95 % confidence, of the
+    share of random starts that lead to what was found (Good, Biometrika 40, 1953), which is never 1, and `expected`
+    the estimated number of modes (Chao, Scand. J. Statist. 11, 1984); both are None where there is a proof.
     """
 
     q: Array
@@ -113,10 +104,12 @@ def assembly_modes(
     """All configurations found that close the mechanism with the `known` coordinates (or frames) held.
 
     Planar mechanisms made of dyads are solved in closed form: then `complete` is True. Others are assembled from up to
-    `starts` random starts, drawn from `rng`, with an estimate of how many configurations were missed. `near` (nq,)
-    sorts the answer, the nearest first, and chooses the representatives of angles (else they are near zero). With
-    `limits` what is outside the joint limits is dropped, else it is flagged by `inside`. With `frame`, configurations
-    that put this frame at one pose count as one: legs that can be turned over would multiply the modes of a platform.
+    `starts` random starts, drawn from `rng`, and from mirror images and mixtures of what is found, with a bound of how
+    much was missed; starts go on while the number found is odd where it must be even. `near` (nq,) sorts the answer,
+    the nearest first, and chooses the representatives of angles (else they are near zero). With `limits` what is
+    outside the joint limits is dropped, else it is flagged by `inside`. With `frame`, configurations that put this
+    frame at one pose count as one: legs that can be turned over would multiply the modes of a platform. Without it,
+    those that differ only by idle spins (see `mobility`) are one.
     Errors: `UnknownNameError`, `InputError` for values that are not single numbers.
     """
     given = {} if known is None else known
@@ -160,7 +153,7 @@ def by_dyads(question: Question) -> Modes | None:
     closed = plan.close(numbers, signs, question.near)
     names = ["".join("+" if s > 0 else "-" for s in row) for row in signs]
     ok = np.flatnonzero(closed.ok)
-    clusters = Clusters(system, question.frame)
+    clusters = Clusters(system, () if question.frame is None else (question.frame,))
     clusters.add(closed.q[ok], np.full(len(ok), SAME))
     groups = [ok[members] for members in clusters.members]
     free = np.array([int(closed.undetermined[g].max()) for g in groups], dtype=np.int64)
@@ -193,105 +186,47 @@ def _merged(names: list[str]) -> str:
 
 def by_starts(question: Question) -> Modes:
     """The answer of many starts: never proven complete."""
-    from kempe.solvers.assembly import assembler, home_of  # its kernels are not needed before
+    from kempe.solvers.home import home_of
+    from kempe.solvers.many_starts import estimates, search  # its kernels are not needed before
 
     system = question.system
-    bound = assembler(system, question.known)
-    clusters, tried = Clusters(system, question.frame), 0
-    hits = free = np.zeros(0, dtype=np.int64)
-    while tried < question.starts:
-        n = min(ROUND, question.starts - tried)
-        start = _scattered(question, clusters.metric, n)
-        if tried == 0:
-            start[0] = home_of(system) if question.near is None else question.near
-        answer = bound(question.known, start, nearest=False, limits=False, starts=1)
-        if np.shape(answer.success) != (n,):
-            raise InputError("known coordinates must be single numbers, known frames single places")
-        good = np.asarray(answer.success)
-        found = clusters.metric.representatives(np.asarray(answer.q)[good], question.near)
-        clusters.add(found, np.maximum(SAME, 10.0 * np.sqrt(np.asarray(answer.residual)[good])))
-        tried += n
-        free = np.concatenate([free, _freedoms(question, clusters.metric, clusters.q[len(free) :])])
-        hits = clusters.hits[free == 0]
-        if len(free) and np.all(hits >= SEEN_OFTEN):
-            break
-        if tried >= MANY and len(hits) and estimates(hits)[0] < HOPELESS:
-            break
-    q, closed = clusters.q, int(clusters.hits.sum())
+    found = search(system, question.known, question.near, question.frame, question.rng, question.starts)
+    q, hits, free = found.clusters.q, found.clusters.hits, found.free
     isolated, families = np.flatnonzero(free == 0), np.flatnonzero(free > 0)
-    guess = estimates(hits)
+    coverage, expected = estimates(found.hits)
+    expected *= len(isolated) / max(len(found.hits), 1)  # mirror images are counted together
+    expected += found.odd
+    closed = int(hits.sum())
     status = (
-        f"not proven complete: {len(isolated)} found from {tried} starts, of which {closed} closed; estimated "
-        f"coverage {100.0 * guess[0]:.3g} %, about {guess[1]:.3g} in all"
+        f"not proven complete: {len(isolated)} found from {found.tried} starts, of which {closed} closed; with 95 % "
+        f"confidence at most {_up(100.0 * (1.0 - coverage))} % of starts lead to others"
     )
+    if expected > len(isolated) + 0.5:
+        status += f", about {expected:.3g} in all"
+    if found.odd:
+        status += "; one is missing at least, since their number is even"
     if not closed:
-        status = f"none found: of {tried} starts none closed"
+        status = f"none found: of {found.tried} starts none closed"
     if len(families):
         besides = f"besides {_count_of(len(isolated), 'isolated configuration')}, " if len(isolated) else ""
         left = "1 freedom" if free.max() == 1 else f"up to {free.max()} freedoms"
         status = f"not finite: {besides}there are some with {left} left, of which one is shown; give more inputs"
         near = home_of(system) if question.near is None else question.near
-        families = families[[int(np.argmin(clusters.metric.distances(q[families], near)))]]
+        families = families[[int(np.argmin(found.clusters.metric.distances(q[families], near)))]]
+    if found.spins:
+        status += f"; {_count_of(len(found.spins), 'idle spin')} left out: " + ", ".join(map(str, found.spins[:3]))
+        status += ", ..." if len(found.spins) > 3 else ""
     keep = np.concatenate([isolated, families])
-    return _answer(question, q[keep], status, [""] * len(keep), clusters.hits[keep], free[keep], False, guess)
+    guess = (coverage, float(expected))
+    return _answer(question, q[keep], status, [""] * len(keep), hits[keep], free[keep], False, guess)
 
 
-def _scattered(question: Question, metric: Metric, n: int) -> Array:
-    """Starts (n, nq) all over the limits, angles over their period, free lengths up to two characteristic ones."""
-    system, q = question.system, random(question.system, question.rng, n)
-    endless = ~np.isfinite(system.limits).all(axis=-1) & ~system.coordinates.turning
-    slides = endless[system.layout.vector_v]
-    q[:, system.layout.vector_q[slides]] *= 2.0 * metric.length
-    geared = (metric.period > 6.3) & np.isinf(system.limits).all(axis=-1)
-    q[:, system.layout.vector_q[geared[system.layout.vector_v]]] *= metric.period[geared] / (2.0 * np.pi)
-    return q
-
-
-def estimates(hits: np.ndarray) -> tuple[float, float]:
-    """Coverage and number of modes, estimated from how often (k,) each was found.
-
-    With f1 modes found once, f2 twice, n hits: coverage 1 - f1 / n (Good, 1953, after Turing), and at least
-    k + f1 (f1 - 1) / (2 (f2 + 1)) modes (Chao, 1984, bias-corrected). Modes with tiny basins of attraction escape both.
-    """
-    n, once, twice = int(np.sum(hits)), int(np.sum(hits == 1)), int(np.sum(hits == 2))
-    if not n:
-        return 0.0, 0.0
-    return 1.0 - once / n, len(hits) + once * (once - 1) / (2.0 * (twice + 1))
-
-
-def _freedoms(question: Question, metric: Metric, q: Array) -> np.ndarray:
-    """Freedoms (k,) that are left at configurations: nullities of the Jacobian, where a step along one can be closed.
-
-    Where frames are known, which the Jacobian does not hold, steps go in random directions, and 1 stands for any.
-    """
-    from kempe.kinematics.loops import evaluate  # its kernels are not needed before
-    from kempe.solvers.assembly import RANK_TOLERANCE, assembler
-
-    system, bound = question.system, assembler(question.system, question.known)
-    free = [i for i, n in enumerate(system.velocity_names) if n not in bound.held]
-    out = np.zeros(len(q), dtype=np.int64)
-    owner, kicks = [], []
-    J = evaluate(system, q, True, True)[1][..., free]
-    values = np.linalg.svd(J, compute_uv=False)
-    ranks = (values > RANK_TOLERANCE * np.maximum(1.0, values.max(axis=-1, initial=0.0))[:, None]).sum(axis=-1)
-    for k in range(len(q)):
-        if bound.frames:
-            kernel = np.random.default_rng(0).normal(size=(2, len(free)))
-        elif ranks[k] == len(free):
-            continue
-        else:
-            kernel = np.linalg.svd(J[k])[2][ranks[k] :]
-        owner += [k] * (2 * len(kernel))
-        kicks += [*kernel, *-kernel]
-    if not kicks:
-        return out
-    v = np.zeros((len(kicks), system.nv))
-    v[:, free] = KICK * np.array(kicks)
-    answer = bound(question.known, system.integrate(q[owner], v * metric.scale), limits=False, starts=1)
-    moved = np.asarray(answer.success) & (metric.distances(np.asarray(answer.q), q[owner]) > STAYED)
-    for k in set(np.array(owner)[moved].tolist()):
-        out[k] = 1 if bound.frames else owner.count(k) // 2
-    return out
+def _up(percent: float) -> str:
+    """A percentage with two digits, rounded up."""
+    if percent <= 0.0:
+        return "0"
+    unit = 10.0 ** (np.floor(np.log10(percent)) - 1)
+    return f"{np.ceil(percent / unit - 1e-9) * unit:.3g}"
 
 
 # ---- what both need

@@ -31,6 +31,9 @@ class Reached(Solution):
     def _analysed(self) -> tuple[int, int, int, Array]:
         return analyse(self.asked, self.q)
 
+    def _shut_out(self, index: tuple[int, ...]) -> bool:
+        return False
+
     @cached_property
     def derivative(self) -> dict[str, Array]:
         """For each task, by its label, dq (..., nv, k) for motions of its goal; see `solvers.derivative_tasks`."""

@@ -18,8 +18,10 @@ if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.rounds import Task
 
-SOLVED, NOT_FOUND, BAD_INPUT, OUT_OF_REACH, OUT_OF_TIME = 0, 1, 2, 3, 4
+SOLVED, NOT_FOUND, BAD_INPUT, OUT_OF_REACH, OUT_OF_TIME, CONTRADICTORY = 0, 1, 2, 3, 4, 5
 """Codes of `Solution.code`; `status` has the sentences."""
+PROOFS = (OUT_OF_REACH, CONTRADICTORY)
+"""Codes that prove that there is no answer."""
 
 _MEASURED: dict[str, tuple[int, Callable]] = {
     "position_error": (LINEAR, float), "orientation_error": (ANGULAR, float), "code": (STATUS, int),
@@ -85,6 +87,24 @@ class Solution(Answer):
         """Norm (...) of position error [m] and orientation error [rad]."""
         r = np.hypot(self.position_error, self.orientation_error)
         return float(r) if np.ndim(r) == 0 else r
+
+    @property
+    def proven(self) -> Any:
+        """Where (...) it is proven that there is no answer; elsewhere a failure is evidence, from so many starts.
+
+        Proofs are lengths, two tasks that contradict each other, and limits outside of which all the answers are.
+        """
+        out = np.array(np.isin(self.code, PROOFS))
+        for index in np.argwhere(np.asarray(self.code) == NOT_FOUND):
+            out[tuple(index)] = self._shut_out(tuple(index.tolist()))
+        return bool(out) if out.ndim == 0 else out
+
+    def _shut_out(self, index: tuple[int, ...]) -> bool:
+        """Whether limits are proven to shut out all answers for one target."""
+        from kempe.solvers.shut_out import shut_out
+
+        at = int(np.ravel_multi_index(index, np.shape(self.code))) if index else 0
+        return bool(shut_out(self.task, self.task.targets[at : at + 1]))
 
     @property
     def system(self) -> System:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,14 +17,17 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.kinematics.task import Goals, Packed, Task, lead_of, refuse
 from kempe.kinematics.tasks_whole import Callback
+from kempe.solvers import effort
 from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.solvers.assembly import TOLERANCE as CLOSED
 from kempe.solvers.assembly import limitless
 from kempe.solvers.clock import Clock
+from kempe.solvers.contradictions import contradictory
+from kempe.solvers.effort import most_starts
 from kempe.solvers.home import beside, home_of
 from kempe.solvers.lengths import unreachable
 from kempe.solvers.reached import Reached
-from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED
+from kempe.solvers.solution import BAD_INPUT, CONTRADICTORY, NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -31,8 +35,8 @@ if TYPE_CHECKING:
 
 TOLERANCE = (1e-6, 1e-6)
 """Largest error in metres and radians of a hard task that has no tolerance of its own."""
-STARTS = 60
-"""Starts before tasks are given up."""
+STARTS = effort.FIRST
+"""Starts before tasks are given up that are asked for beside something else, as along a path."""
 STEPS = 60
 """Steps of one start; those that succeed need 5 to 20."""
 CHUNK, SERIAL_BELOW = 16, 32
@@ -84,17 +88,26 @@ class Problem:
         return replace(self, goals=goals, pins=pins, aim=aim, lead=())
 
     def only(self, tasks: Sequence[int], limits: bool = True) -> Problem:
-        """The same with only these tasks, nothing preferred, and no limit of time."""
+        """The same with only these tasks, nothing preferred, no limit of time, and few starts."""
         use = tuple(i in tasks for i in range(len(self.tasks)))
-        return replace(self, use=use, limits=limits, mode=S.NOTHING, end=math.inf)
+        return replace(
+            self, use=use, limits=limits, mode=S.NOTHING, end=math.inf, starts=min(self.starts, STARTS))  # fmt: skip
 
-    def run(self, starts: Array, threads: int | None = 1) -> tuple[Array, np.ndarray]:
-        """Configurations (N, nq) and (status, steps, starts) (N, 3) from starts (N or 1, nq)."""
-        loops, n = self.packed.loops, math.prod(self.lead)
+    def run(
+        self, starts: Array, threads: int | None = 1, *, tries: int | None = None, rows: np.ndarray | None = None
+    ) -> tuple[Array, np.ndarray]:
+        """Configurations (N, nq) and (status, steps, starts) (N, 3) from starts (N or 1, nq), of some `rows` or all.
+
+        `tries` are the starts at most, by default those of the problem.
+        """
+        loops, n = self.packed.loops, math.prod(self.lead) if rows is None else len(rows)
         stages, strengths, *_ = self.levels
         weights = loops.weights if self.limits else limitless(self.system, loops)
         q, info = np.empty((n, self.system.nq)), np.empty((n, 3), dtype=np.int64)
-        aim, clock = starts if self.aim is None else self.aim, Clock(self.end)
+        aim, pins, clock = starts if self.aim is None else self.aim, self.pins, Clock(self.end)
+        if rows is not None:
+            starts, aim, pins = (x[rows] if len(x) > 1 else x for x in (starts, aim, pins))
+        most = self.starts if tries is None else min(tries, self.starts)
 
         def part(x: Array, i: int, j: int) -> Array:
             return x[i:j] if len(x) > 1 else x
@@ -102,7 +115,7 @@ class Problem:
         def work(i: int, j: int) -> int:
             return kernel.solve(
                 loops.ints, loops.floats, loops.plan, weights, stages, strengths, part(starts, i, j), part(aim, i, j),
-                part(self.pins, i, j), self.starts, self.iterations, self.mode, clock.address, self.loose, self.rng,
+                part(pins, i, j), most, self.iterations, self.mode, clock.address, self.loose, self.rng,
                 q[i:j], info[i:j],
             )  # fmt: skip
 
@@ -113,6 +126,12 @@ class Problem:
                 error, callback.error = callback.error, None
                 raise error
         return self.packed.inside(q) if self.limits else q, info
+
+    @cached_property
+    def proofs(self) -> np.ndarray:
+        """Codes (N,) of the problems that are proven to have no answer, 0 of others."""
+        against = np.where(contradictory(self), CONTRADICTORY, 0)
+        return np.where(unreachable(self), OUT_OF_REACH, against).ravel()
 
     @property
     def levels(self) -> tuple[np.ndarray, Array, list[int], Array]:
@@ -147,7 +166,7 @@ def reach(
     system: System, wanted: Task | Sequence[Task], seed: Any = None, *,
     task: None = None,
     prefer: str | Callable[[Array], Any] | None = None,
-    tolerance: float | tuple[float, float] = TOLERANCE, starts: int = STARTS, iterations: int = STEPS,
+    tolerance: float | tuple[float, float] = TOLERANCE, starts: int | None = None, iterations: int = STEPS,
     time_limit: float | None = None, rng: int | np.random.Generator = 0, threads: int | None = None,
     throw: bool = False,
 ) -> Reached:  # fmt: skip
@@ -156,13 +175,16 @@ def reach(
     `wanted` are tasks of `kempe.tasks`, hard or soft and in strict priorities; goals with leading axes make a batch.
     Joint limits, couplings, relations and closed loops hold, too. `seed` (nq,) or (..., nq), or a dict by name, is the
     first start (default: the posture 'closed' of the file, else the middle of the limits); up to `starts` are tried,
-    drawn from `rng`: the same arguments give the same answer, whatever the `threads`. `prefer` says what is made least
-    in the freedoms that all tasks leave: "nearest" (distance to the seed), "mid" (distance to the middle of the
-    limits), "manipulability" (its inverse, of the hard tasks), or a function of q (nq,). `tolerance` is the largest
-    error of a hard task in metres and radians; what is reached is then closed to rounding where it converges.
-    `iterations` are the steps of one start, at most, and four times as many those of a lower level. `time_limit` [s] is
-    for the whole call, looked at before each start: an answer that it ended says so, and is the only one that
-    depends on the machine. Soft tasks alone are lowered from up to five starts, the least counts.
+    drawn from `rng`: the same arguments give the same answer, whatever the `threads`. By default they are 60, then as
+    many as the problem deserves: no more where it is proven that there is no answer; where one is found without the
+    limits, 30 times the square of the number of limited coordinates that the tasks move (at least 300, at most 15 000);
+    else a tenth of these. `prefer` says what is made least in the freedoms that all tasks leave: "nearest" (distance to
+    the seed), "mid" (distance to the middle of the limits), "manipulability" (its inverse, of the hard tasks), or a
+    function of q (nq,). `tolerance` is the largest error of a hard task in metres and radians; what is reached is then
+    closed to rounding where it converges. `iterations` are the steps of one start, at most, and four times as many
+    those of a lower level from one start. `time_limit` [s] is for the whole call, looked at before each start: an
+    answer that it ended says so, and is the only one that depends on the machine. Soft tasks alone are lowered from up
+    to five starts, the least counts.
 
     A success is checked by the forward model: hard tasks, limits and loops. Else the answer says what fails and why,
     and `throw=True` raises `NoSolutionError`. Method: damped least squares with an active set of limits and restarts
@@ -173,16 +195,17 @@ def reach(
         raise InputError(f"task is {task!r}; it belongs to a target of one frame, tasks say themselves what they ask")
     turns = prefer is None or prefer == "nearest"
     problem, base = pose_problem(system, wanted, seed, tolerance, starts, rng, turns)
+    search = Problem.run if starts is not None else effort.search
     if iterations != STEPS or time_limit is not None:
         end = deadline(time_limit)
         problem = replace(problem, iterations=step_count(iterations), time_limit=time_limit, end=end)
     if prefer == "manipulability" and problem.lead:  # it depends on the goal, of which each row has its own
         rows = [_preferring(problem.of(i), prefer, base) for i in range(math.prod(problem.lead))]
-        each = [row.run(base[i : i + 1] if len(base) > 1 else base) for i, row in enumerate(rows)]
+        each = [search(row, base[i : i + 1] if len(base) > 1 else base) for i, row in enumerate(rows)]
         q, info = (np.concatenate([x[k] for x in each] or [np.empty((0, n))]) for k, n in ((0, system.nq), (1, 3)))
     else:
         problem = problem if prefer is None else _preferring(problem, prefer, base)
-        q, info = problem.run(base, threads)
+        q, info = search(problem, base, threads)
     answer = judge(problem, q, info)
     if not problem.lead and answer.code == BAD_INPUT:
         for each, goals in zip(problem.tasks, problem.goals, strict=True):
@@ -194,10 +217,13 @@ def reach(
 
 
 def pose_problem(
-    system: System, wanted: Task | Sequence[Task], seed: Any = None, tolerance: Any = TOLERANCE, starts: int = STARTS,
-    rng: Any = 0, turns: bool = False,
+    system: System, wanted: Task | Sequence[Task], seed: Any = None, tolerance: Any = TOLERANCE,
+    starts: int | None = STARTS, rng: Any = 0, turns: bool = False,
 ) -> tuple[Problem, Array]:  # fmt: skip
-    """The problem, checked and packed, and its first starts (N or 1, nq); `turns` as in `Packed`."""
+    """The problem, checked and packed, and its first starts (N or 1, nq); `turns` as in `Packed`.
+
+    `starts` None are as many as it deserves.
+    """
     tasks = _distinct(wanted)
     goals = tuple(t.goals(system) for t in tasks)
     base = _home(system) if seed is None else as_q(system, seed)
@@ -211,8 +237,9 @@ def pose_problem(
     packed = _packed(system, tasks, turns)
     pins = packed.pins(goals, lead if own else ())
     use = (True,) * len(tasks)
+    most = most_starts(system, packed) if starts is None else start_count(starts)
     problem = Problem(
-        system, tasks, packed, goals, pins, lead, tolerances(tolerance), start_count(starts), seed_number(rng), use,
+        system, tasks, packed, goals, pins, lead, tolerances(tolerance), most, seed_number(rng), use,
         loose=seed is None,
     )  # fmt: skip
     starts_at = beside(problem, base) if seed is None else base.reshape(-1, system.nq)
@@ -322,7 +349,7 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     code = np.where(good.ravel(), SOLVED, np.where(late, OUT_OF_TIME, NOT_FOUND))
     code[bad] = BAD_INPUT
     if problem.limits and np.any(code == NOT_FOUND):
-        code = np.where((code == NOT_FOUND) & unreachable(problem).ravel(), OUT_OF_REACH, code)
+        code = np.where((code == NOT_FOUND) & (problem.proofs > 0), problem.proofs, code)
     columns = (code == SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
     fields = [x.reshape(lead) if lead else x.item() for x in columns]
     errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}

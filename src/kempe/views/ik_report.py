@@ -71,13 +71,15 @@ def solutions(answer: Solutions, degrees: bool = False) -> RenderableType:
 def _lines(answer: Solutions, q: spatial.Array, degrees: bool) -> list[RenderableType]:
     """A line for each solution."""
     heads = [f">{c['name']} [{c['unit']}]" for c in facts.coordinates(answer.system, degrees)]
-    several = bool(np.any(answer.multiplicity != 1))
+    several, named = bool(np.any(answer.multiplicity != 1)), any(answer.names)
     cells = [
         (k + 1, _inside(answer, k), *([_times(answer.multiplicity[k])] if several else []),
-         f"{answer.residual[k]:.1e}", *(_number(x, h) for x, h in zip(row, heads, strict=True)))
+         f"{answer.residual[k]:.1e}", *(_number(x, h) for x, h in zip(row, heads, strict=True)),
+         *([answer.names[k]] if named else []))
         for k, row in enumerate(q.tolist())
     ]  # fmt: skip
-    return [report.table((">#", "inside", *(["times"] if several else []), ">residual", *heads), cells)]
+    heads = ["inside", *(["times"] if several else []), ">residual", *heads, *(["branch"] if named else [])]
+    return [report.table((">#", *heads), cells)]
 
 
 def _columns(answer: Solutions, q: spatial.Array, degrees: bool) -> list[RenderableType]:
@@ -91,6 +93,10 @@ def _columns(answer: Solutions, q: spatial.Array, degrees: bool) -> list[Rendera
         if np.any(answer.multiplicity != 1):
             lines.append(("times", *(_times(answer.multiplicity[i]) for i in part)))
         lines.append(("residual", *(f"{answer.residual[i]:.1e}" for i in part)))
+        if any(answer.names):
+            words = list(zip(*(answer.names[i].split(", ") for i in part), strict=True))
+            heads_of = ("branch",) if len(words) == 1 else ("shoulder", "elbow", "wrist")
+            lines += [(h, *(w.removeprefix(f"{h} ") for w in row)) for h, row in zip(heads_of, words, strict=True)]
         lines += [(h, *(_number(x, h) for x in q[list(part), i].tolist())) for i, h in enumerate(heads)]
         shown += ["", report.table(("", *(f">{i + 1}" for i in part)), lines)]
     return shown[1:]
@@ -169,6 +175,7 @@ def _one(answer: Solutions, which: Any, degrees: bool) -> dict[str, Any]:
     q = facts.jsonable(_in_units(system, picked(answer.q, 1), degrees))
     fields = {name: facts.jsonable(picked(getattr(answer, name))) for name in
               ("inside", "residual", "multiplicity", "branch", "condition")}  # fmt: skip
+    fields["name"] = [str(name) for name in picked(answer.names)]
     found = [
         {"q": dict(zip(system.coordinate_names, row, strict=True)), **{n: v[k] for n, v in fields.items()}}
         for k, row in enumerate(q)

@@ -32,9 +32,10 @@ def plot(
     """Axes with a drawing of the system at a configuration; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
 
     `q` (nq,) or dict: the configuration; without it, the posture 'closed' if there is one, else `mid`, and with a
-    `path` the configuration of the path nearest to that. `path`: configurations (n, nq), or an answer that has them
-    as `.q`; the curves of the named `frames` are drawn over it (without names: those of the path's `.frames`, else all
-    named frames of moving bodies), and `ghosts` earlier positions, evenly spread. Driven joints (`actuated`, or the
+    `path` the configuration of the path nearest to that. `frames`: names of frames or bodies whose axes are drawn:
+    x red, y green, z blue. `path`: configurations (n, nq), or an answer that has them as `.q`; in place of the axes,
+    the curves of the named `frames` are drawn over it (without names: those of the path's `.frames`, else all named
+    frames of moving bodies), and `ghosts` earlier positions, evenly spread. Driven joints (`actuated`, or the
     path's `.driver`) are marked, and loops that are not closed are shown in red.
     Errors: `InputError` for shapes, `UnknownNameError` for frames.
     """
@@ -45,7 +46,7 @@ def plot(
     if configurations is not None and not names:
         names = list(getattr(path, "frames", ()) or (f for link in scene.links[1:] for f in link.frames))
     curves = {n: fk(system, configurations, n)[:, :3, 3] for n in names} if configurations is not None else {}
-    here = {n: fk(system, q, n)[:3, 3] for n in names}
+    here = {n: fk(system, q, n) for n in names}
     before = [] if configurations is None else [look(system, c) for c in _spread(configurations, ghosts)]
     if system.dim == 3:
         from kempe.views.drawing import space
@@ -104,8 +105,11 @@ def _picture(
         raise InputError("ax is in space; a planar system needs plain axes")
     trial = page.new_figure().add_subplot() if ax is None else ax
     sheet = planar.Sheet(trial, scene, planar.pin_radius(scene), configurations)
+    marks = {} if curves else here
     if ax is None:  # the extent of the drawing decides the shape of the figure
         planar.draw(sheet, labels=False)
+        for name, X in marks.items():
+            planar.mark(sheet, name, X, labels=False)
         sheet.extent += [c[np.isfinite(c).all(axis=1), :2] for c in curves.values()]
         sheet.extent += [planar.flat(old.points(link)) for old in before for link in old.links]
         lower, upper = page.limits(sheet)
@@ -114,8 +118,10 @@ def _picture(
     for k, old in enumerate(before):
         planar.ghost(sheet, old, k)
     for k, (name, points) in enumerate(curves.items()):
-        page.curve(sheet, name, points[:, :2], here[name][:2], k)
+        page.curve(sheet, name, points[:, :2], planar.flat(here[name]), k)
     planar.draw(sheet, labels)
+    for name, X in marks.items():
+        planar.mark(sheet, name, X, labels)
     lower, upper = page.limits(sheet)
     page.finish(sheet, lower, upper, bool(curves))
     return ax

@@ -65,11 +65,12 @@ def status(solutions: Solutions, index: int) -> str:
         return f"no solution: the target has an entry of {size:.3g}; allowed are numbers below {LARGEST:g}"
     _, position, angle = nearest(solutions, index)
     question, plan = solutions.question, solutions.plan
-    spare = spare_joints(plan)
+    spare, miss = spare_joints(plan), math.hypot(position, angle)
     why, proven = _why(solutions, index)
     text = f"no solution: {why}" if not spare or proven else f"no solution{tried_sentence(solutions, index, spare)}"
-    if math.hypot(position, angle) <= REACHED:
-        return f"{text.split(':')[0]}, though one comes within {REACHED:g} of the target: see nearest()"
+    if miss <= REACHED:
+        near = f"a configuration within {miss:.1g} of the target: see nearest()"
+        return f"{text.split(':')[0]} within {question.tolerance:.1g}, but {near}"
     missed = [] if question.task in ("orientation", "direction") else [f"{position:.6g} m"]
     missed += [] if question.task == "position" else [f"{angle:.2g} rad"]
     limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from kempe.errors import InputError
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.layout import SLIDE
+from kempe.solvers.analytic.names import Kind, branch_names, kind_of, named
 from kempe.solvers.analytic.plan import TASKS
 from kempe.solvers.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
@@ -30,8 +31,9 @@ class Solutions:
     `q` (..., K, nq), NaN where `mask` (..., K) is False; along a trajectory a branch keeps its row. Of each solution:
     `residual` the norm of position error [m] and orientation error [rad] by the forward model, `inside` whether it
     respects the limits, `multiplicity` how many roots of the equations have merged in it (0: it is one of infinitely
-    many, see `families`), `branch` the number of its branch (-1 where branches have no names), `condition` the
-    condition number of the Jacobian of the task. `complete` says that there are no other isolated solutions.
+    many, see `families`), `branch` the number of its branch (-1 where branches have no numbers), `names` its name
+    ("" where there is none), `condition` the condition number of the Jacobian of the task. `complete` says that there
+    are no other isolated solutions.
     """
 
     def __init__(
@@ -152,6 +154,33 @@ class Solutions:
         """At how many values of the `spare` joints solutions were asked for: an int, or an array (...) of a batch."""
         tried = np.ones(len(self._rows), dtype=np.int64) if self._tried is None else self._tried
         return int(tried[0]) if self._lead is None else tried.reshape(self._lead)
+
+    @cached_property
+    def _kind(self) -> Kind | None:
+        return kind_of(self.plan, self.system.dim == 2)
+
+    @cached_property
+    def names(self) -> np.ndarray:
+        """Name of the branch of each, (k,) or (..., K): "elbow-up", or "shoulder left, elbow up, no flip".
+
+        A name depends on the configuration alone, and says "singular" on the border of two branches. It is "" where
+        there is none: for other chains than planar arms and those of six turns, the second and third about parallel
+        axes, with a wrist of three axes that meet in a point, or with a fourth axis parallel to the second and axes 5
+        and 6 that meet.
+        """
+        lines, out = self.plan.lines, np.full(self._used.shape, "", dtype=object)
+        if self._kind is not None and self._used.any():
+            theta = lines.theta(self._rows[self._used][:, : len(lines)])
+            merged = self._code[self._used] // int(A.MULTIPLICITY_UNIT) != 1
+            out[self._used] = branch_names(self._kind, lines, theta, merged)
+        return self._pick(out)
+
+    def named(self, words: str | Iterable[str]) -> np.ndarray:
+        """Which solutions have these words in their names, (k,) or (..., K): ``a.q[a.named("elbow up, no flip")]``.
+
+        Errors: `InputError` where the branches of the chain have no names, `UnknownNameError` for other words.
+        """
+        return named(self._kind, self.names, words)
 
     # ---- what is found out when it is asked for
 
@@ -329,8 +358,9 @@ class Solutions:
         """Heads and rows of what is shown of one target: coordinates of the chain, and what is special."""
         names, at = self.system.coordinate_names, self.plan.lines.q_index
         rows = []
-        for q, inside, m in zip(self.q, self.inside, self.multiplicity, strict=True):
-            notes = [] if inside else ["outside limits"]
+        for q, name, inside, m in zip(self.q, self.names, self.inside, self.multiplicity, strict=True):
+            notes = [name] if name else []
+            notes += [] if inside else ["outside limits"]
             notes += [f"{m} roots"] if m > 1 else ["one of a family"] if m == 0 else []
             rows.append([*(f"{x:.9g}" for x in q[at]), ", ".join(notes) or "-"])
         return [*(names[i] for i in at), "note"], rows

@@ -345,6 +345,22 @@ def _frames(sheet: Sheet, link: SeenLink, labels: bool) -> None:
             sheet.labels.append((name, c, 0.9 * sheet.r, {**look, "size": style.FONT - 1}))
 
 
+def mark(sheet: Sheet, name: str, X: Array, labels: bool) -> None:
+    """Draw the axes x and y of a frame (4, 4), and its name where that is not written for its link already."""
+    c, gid = flat(X), f"mark:{name}"
+    for k, axis in enumerate("xy"):
+        along, colour = X[:2, k], style.AXES[k]
+        tip = c + style.MARK * sheet.r * along
+        sheet.line(np.array([c, tip]), f"{gid}:{axis}", style.ARROWS, color=colour, lw=1.8, solid_capstyle="round")
+        head = shapes.arrow_head(tip + 1.4 * sheet.r * along, along, 1.4 * sheet.r)
+        sheet.patch(head, f"{gid}:{axis}:head", style.ARROWS, fc=colour, ec="none")
+        sheet.obstacles.segment(c, tip + 1.4 * sheet.r * along, 0.8 * sheet.r)
+    sheet.patch(shapes.circle(c, 0.6 * sheet.r), gid, style.ARROWS, fc=PAPER, ec=INK, lw=1.2)
+    if labels and not any(name in link.frames for link in sheet.scene.links):
+        look = {"gid": f"label:{name}", "style": "italic", "color": style.mix(INK, PAPER, 0.3)}
+        sheet.labels.append((name, c, 1.2 * sheet.r, {**look, "size": style.FONT - 1}))
+
+
 def _joint_labels(sheet: Sheet, groups: list[tuple[Array, list[SeenJoint]]]) -> None:
     for c, joints in groups:
         names = ", ".join(j.name for j in joints)

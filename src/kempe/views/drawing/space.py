@@ -28,7 +28,10 @@ def picture(
     scene: Scene, configurations: Array | None, curves: dict[str, Array], here: dict[str, Array],
     before: list[Scene], labels: bool, ax: Any,
 ) -> Axes:  # fmt: skip
-    """Axes in space with the scene, the curves (n, 3) by frame, and earlier positions as faint lines."""
+    """Axes in space with the scene, the curves (n, 3) by frame, and earlier positions as faint lines.
+
+    Frames `here` (4, 4) are marked: by a dot on their curve, or by their axes where there are no curves.
+    """
     own = ax is None
     if own:
         ax = page.new_figure().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
@@ -50,10 +53,12 @@ def picture(
     for k, (name, points) in enumerate(curves.items()):
         colour = style.curve_colour(k)
         ax.plot(*points.T, color=colour, lw=1.9, zorder=style.ARROWS, gid=f"curve:{name}", label=name)
-        p = here[name]
+        p = here[name][:3, 3]
         ax.plot([p[0]], [p[1]], [p[2]], "o", color=colour, ms=6, mec="white", mew=1.0, zorder=style.ARROWS,
                 gid=f"here:{name}")  # fmt: skip
-    all_points = [*solids.faces, *(c[np.isfinite(c).all(axis=1)] for c in curves.values())]
+    marks = {} if curves else here
+    ends = [_mark(ax, name, X, style.MARK * radius) for name, X in marks.items()]
+    all_points = [*solids.faces, *ends, *(c[np.isfinite(c).all(axis=1)] for c in curves.values())]
     all_points += [line for old in before for _, line in symbols.lines(old)]
     all_points += [scene.points(link) for link in scene.links]
     if not any(len(p) for p in all_points):  # nothing moves and nothing is named
@@ -63,8 +68,19 @@ def picture(
     if own:
         _fit(ax)
     if labels:
-        _labels(ax, scene, skeleton, radius, camera(elev, azim), own)
+        skeleton += [np.stack([e[0], tip]) for e in ends for tip in e[1:]]
+        _labels(ax, scene, marks, skeleton, radius, camera(elev, azim), own)
     return ax
+
+
+def _mark(ax: Any, name: str, X: Array, length: float) -> Array:
+    """Draw the axes of a frame (4, 4) over everything else; its origin and the ends of its axes (4, 3)."""
+    ends = np.concatenate([X[:3, 3][None], X[:3, 3] + length * X[:3, :3].T])
+    for k, axis in enumerate("xyz"):
+        ax.plot(*ends[[0, k + 1]].T, color=style.AXES[k], lw=2.4, zorder=style.ARROWS, solid_capstyle="round",
+                gid=f"mark:{name}:{axis}")  # fmt: skip
+    ax.plot(*ends[:1].T, "o", color=style.PAPER, ms=4.5, mec=INK, mew=1.2, zorder=style.ARROWS, gid=f"mark:{name}")
+    return ends
 
 
 def camera(elev: float, azim: float) -> Array:
@@ -153,8 +169,10 @@ def _locator(count: int) -> Any:
     return MaxNLocator(count, steps=[1, 2, 5, 10])
 
 
-def _labels(ax: Any, scene: Scene, skeleton: list[Array], radius: float, eye: Array, own: bool) -> None:
-    """Names of joints and frames, placed in the plane of the picture."""
+def _labels(
+    ax: Any, scene: Scene, marks: dict[str, Array], skeleton: list[Array], radius: float, eye: Array, own: bool
+) -> None:
+    """Names of joints and frames, and of what is marked, placed in the plane of the picture."""
     from matplotlib.patheffects import withStroke
 
     obstacles = Obstacles()
@@ -181,7 +199,8 @@ def _labels(ax: Any, scene: Scene, skeleton: list[Array], radius: float, eye: Ar
         else:
             near[1].append(joint.name)
     grey = {"color": style.mix(INK, style.PAPER, 0.3), "style": "italic", "size": FONT - 1}
-    groups += [(X[:3, 3], [name], grey) for link in scene.links for name, X in link.frames.items()]
+    named = {name: X for link in scene.links for name, X in link.frames.items()} | marks
+    groups += [(X[:3, 3], [name], grey) for name, X in named.items()]
     middle = np.mean([g[0] for g in groups], axis=0) if groups else np.zeros(3)
     halo = [withStroke(linewidth=2.2, foreground=style.PAPER)]
     for p, names, look in groups:

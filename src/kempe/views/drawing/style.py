@@ -16,6 +16,8 @@ LINKS = (
     "#4c78a8", "#dd8452", "#5aa469", "#b5648f", "#8172b3", "#c4a13a", "#4aa3b0", "#a3715c", "#7d8ca3", "#cc6677",
     "#6b9a2f", "#9a7fd1",
 )  # fmt: skip
+AXES = ("#c0392b", "#2e8b57", "#2b5fb3")
+"""Colours of the axes x, y, z of frames."""
 CURVES = ("#c1272d", "#1b6fb5", "#2c8c45", "#8e44ad", "#d9820a", "#0f8b8d")
 
 FONT = 9.0
@@ -30,6 +32,8 @@ BLOCK = (2.5, 1.45)
 """Half-length and half-height of a sliding block."""
 GROUND_HEIGHT, GROUND_HALF = 2.7, 2.3
 """Height of the triangle under a ground pivot, half-length of its hatched base line."""
+MARK = 5.0
+"""Length of the axes of a frame that is marked."""
 HATCH = 0.95
 """Distance of the strokes of a hatching, and their depth."""
 

@@ -19,7 +19,6 @@ DETOUR = 1.76
 LINK = 0.5
 """Radius of a link's tube in radii of a hinge."""
 JOINT = "#dfe4e8"
-AXES = ("#c0392b", "#2e8b57", "#2b5fb3")
 TURNING = ("revolute", "cylindrical", "helical")
 
 
@@ -154,7 +153,7 @@ def _pipe(solids: Solids, name: str, line: Array, thick: float, colour: str) -> 
 
 
 def _triad(solids: Solids, name: str, X: Array, r: float) -> None:
-    for axis, colour in enumerate(AXES):
+    for axis, colour in enumerate(style.AXES):
         tip = X[:3, 3] + 3.6 * r * X[:3, axis]
         solids.tube(name, X[:3, 3], tip, 0.17 * r, colour, pieces=2, sides=6)
         solids.tube(name, tip, tip + 1.1 * r * X[:3, axis], 0.42 * r, colour, pieces=1, sides=8, end_radius=0.0)

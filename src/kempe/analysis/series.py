@@ -1,0 +1,178 @@
+"""Joints in series: rings of joints any two of which part the mechanism, and what is between two of them.
+
+Two joints of a loop are in series if cutting both parts the bodies. All that are in series with each other stand in one
+order around every loop through them: a ring, of which the part with the ground is one piece.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.analysis.graph import Edge, Structure, structure
+from kempe.joints import P, Primitive, Q
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """How an edge can turn on its own: which of its `columns`, and whether these are all that it can do (`whole`).
+
+    Columns that others follow or that a motor drives are left out, screws too, and turns whose axes have no place in
+    the bodies, since the joint slides across them. `axis` is the name of the axis of a hinge, '' where there are more.
+    """
+
+    columns: tuple[int, ...]
+    whole: bool
+    axis: str
+
+
+@dataclass(frozen=True, eq=False)
+class Ring:
+    """Edges in series in the order around their loops, from the ground's piece and back to it.
+
+    Joints that cannot move are left out: what they connect is one part. `signs` tells which are passed from parent to
+    child (+1), `turns` how each can turn on its own (None where it cannot), `joined` whether an edge and the next one
+    meet in one part.
+    """
+
+    edges: tuple[int, ...]
+    signs: tuple[float, ...]
+    turns: tuple[Turns | None, ...]
+    joined: tuple[bool, ...]
+
+    def own(self, k: int) -> tuple[int, ...]:
+        """Columns of the k-th edge that can turn alone."""
+        turns = self.turns[k]
+        return () if turns is None else turns.columns
+
+
+def ends_of(s: Structure, ring: Ring, k: int) -> tuple[int, int]:
+    """The bodies before and after the k-th edge of a ring."""
+    return _ends(s.edges[ring.edges[k]], ring.signs[k])
+
+
+def _ends(edge: Edge, sign: float) -> tuple[int, int]:
+    return (edge.parent, edge.child) if sign > 0 else (edge.child, edge.parent)
+
+
+def rings(system: System, driven: frozenset[int]) -> tuple[Ring, ...]:
+    """All rings of at least two edges in which something can turn; `driven` are velocities that a motor holds."""
+    key = ("analysis rings", driven)
+    found = system._queries.get(key)
+    if found is None:
+        found = system._queries[key] = _rings(system, structure(system), driven)
+    return found
+
+
+def _rings(system: System, s: Structure, driven: frozenset[int]) -> tuple[Ring, ...]:
+    uses = np.bincount([c.index for e in s.edges for c in e.columns if c.index >= 0], minlength=system.nv)
+    for r in system.relations:
+        uses[[system.velocity_names.index(n) for n in (r.of, *r.sources)]] += 1
+    out, part = [], parts(system)
+    for c in s.clusters:
+        alike: dict[bytes, list[int]] = {}
+        for n, i in enumerate(c.edges):
+            column = c.signs[:, n]
+            sign = column[np.flatnonzero(column)[0]]
+            alike.setdefault((column * sign).astype(np.int8).tobytes(), []).append(i)
+        number = {i: n for n, i in enumerate(c.edges)}
+        for members in alike.values():
+            loop = c.loops[int(np.flatnonzero(c.signs[:, number[members[0]]])[0])]
+            inside = set(members)
+            path = [(i, sign) for i, sign in s.loops[loop].path if i in inside and not rigid(s.edges[i])]
+            turns = tuple(_turns(s.edges[i], uses, driven) for i, _ in path)
+            if sum(t is not None for t in turns) > 1:
+                ends = [_ends(s.edges[i], sign) for i, sign in path]
+                joined = tuple(bool(part[a[1]] == part[b[0]]) for a, b in pairwise(ends))
+                out.append(Ring(tuple(i for i, _ in path), tuple(sign for _, sign in path), turns, joined))
+    return tuple(out)
+
+
+def _turns(edge: Edge, uses: np.ndarray, driven: frozenset[int]) -> Turns | None:
+    """How an edge can turn alone; None where it cannot, or about axes that have no place."""
+    if not edge.joint or edge.actuated or edge.particle:
+        return None
+    moved: dict[int, list[Primitive]] = {}
+    for p, column in zip(edge.primitives, edge.drives, strict=True):
+        for n in range(column, column + (3 if p.kind == Q else 1)):
+            moved.setdefault(n, []).append(p)
+    free = [n for n, c in enumerate(edge.columns) if c.index >= 0]
+    own = tuple(
+        n for n in free
+        if not edge.columns[n].slides and uses[edge.columns[n].index] == 1 and edge.columns[n].index not in driven
+        and all(p.kind != P for p in moved[n])
+    )  # fmt: skip
+    slides = [p.axis for n in free if n not in own for p in moved[n] if p.kind == P]
+    axis = moved[own[0]][0].axis if own else ""
+    if not own or (slides and (len(own) > 1 or {*slides} != {axis})):
+        return None
+    whole = len(own) == len(edge.columns)
+    return Turns(own, whole, axis if whole and len(own) == 1 else "")
+
+
+def rigid(edge: Edge) -> bool:
+    """Whether it holds its bodies together as one: a joint without a velocity."""
+    return edge.joint and all(c.index < 0 for c in edge.columns)
+
+
+def parts(system: System) -> np.ndarray:
+    """For each body the number of its part: bodies that joints without a velocity hold together are one part."""
+    found = system._queries.get("analysis parts")
+    if found is None:
+        found = np.arange(len(system.body_names))
+        for edge in structure(system).edges:
+            if rigid(edge):
+                found[found == found[edge.child]] = found[edge.parent]
+        system._queries["analysis parts"] = found
+    return found
+
+
+def in_loop(system: System) -> np.ndarray:
+    """For each edge whether it is part of a loop (mask)."""
+    found = system._queries.get("analysis in loop")
+    if found is None:
+        s = structure(system)
+        found = system._queries["analysis in loop"] = np.zeros(len(s.edges), dtype=bool)
+        found[[i for c in s.clusters for i in c.edges]] = True
+    return found
+
+
+def edges_at(system: System, bodies: frozenset[int]) -> set[int]:
+    """Numbers of the edges that some of these bodies are connected by."""
+    found = system._queries.get("analysis edges at")
+    if found is None:
+        found = system._queries["analysis edges at"] = [[] for _ in system.body_names]
+        for i, edge in enumerate(structure(system).edges):
+            found[edge.parent].append(i)
+            found[edge.child].append(i)
+    return {i for body in bodies for i in found[body]}
+
+
+def between(system: System, i: int, k: int) -> frozenset[int]:
+    """Numbers of the bodies that two joints in series part from the ground."""
+    key = ("analysis between", i, k)
+    found = system._queries.get(key)
+    if found is None:
+        found = system._queries[key] = _between(system, structure(system), i, k)
+    return found
+
+
+def _between(system: System, s: Structure, i: int, k: int) -> frozenset[int]:
+    links: dict[int, list[int]] = {}
+    for n, e in enumerate(s.edges):
+        if n not in (i, k):
+            links.setdefault(e.parent, []).append(e.child)
+            links.setdefault(e.child, []).append(e.parent)
+    reached, order = {0}, [0]
+    for body in order:
+        for other in links.get(body, ()):
+            if other not in reached:
+                reached.add(other)
+                order.append(other)
+    return frozenset(range(len(system.body_names))) - reached

@@ -1,0 +1,209 @@
+"""Random mechanisms with rods, legs and links whose idle spins are known by construction, closed at neutral."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from world_mechanisms import World, unit
+
+FORMS = ("S", "A", "RRR", "UR", "RU", "RRfR")
+"""A ball as one joint (with a quaternion, with angles), as three hinges that meet, as a universal joint and a hinge,
+with a fixed link in between."""
+
+
+@dataclass
+class Rods:
+    """A world that grows unit by unit; `idle` are the groups that spin, as sets of bodies."""
+
+    rng: np.random.Generator
+    world: World = field(default_factory=lambda: World("rods"))
+    idle: list[frozenset[str]] = field(default_factory=list)
+    count: int = 0
+
+    def name(self, what: str) -> str:
+        self.count += 1
+        return f"{what}{self.count}"
+
+    def point(self, size: float = 1.0) -> np.ndarray:
+        return size * self.rng.uniform(-1, 1, 3)
+
+    def axis(self) -> np.ndarray:
+        return unit(self.rng.normal(size=3))
+
+    def axes(self) -> list[np.ndarray]:
+        """Three directions that are far from one plane."""
+        while True:
+            axes = [self.axis() for _ in range(3)]
+            if abs(np.linalg.det(axes)) > 0.4:
+                return axes
+
+    def ball(self, a: str, b: str, at: np.ndarray, form: str | None = None) -> None:
+        w, (x, y, z) = self.world, self.axes()
+        form = form or str(self.rng.choice(FORMS))
+        if form in ("S", "A"):
+            w.ball(a, b, at, **({"angles": True} if form == "A" else {}))
+        elif form == "UR":
+            link = self.name("link")
+            w.cross(a, link, at, x, np.cross(x, y))
+            w.turn(link, b, at, z)
+        elif form == "RU":
+            link = self.name("link")
+            w.turn(a, link, at, x)
+            w.cross(link, b, at, y, np.cross(y, z))
+        else:
+            one, two = self.name("link"), self.name("link")
+            w.turn(a, one, at, x)
+            w.turn(one, two, at, y)
+            if form == "RRfR":
+                w.joint("fixed", two, two := self.name("link"), at + self.point(0.1), self.axis())
+            w.turn(two, b, at, z)
+
+    def universal(self, a: str, b: str, at: np.ndarray) -> None:
+        x, y, _ = self.axes()
+        if self.rng.random() < 0.5:
+            self.world.cross(a, b, at, x, np.cross(x, y))
+        else:
+            link = self.name("link")
+            self.world.turn(a, link, at, x)
+            self.world.turn(link, b, at, y)
+
+    def arm(self, ground: str, **options) -> str:
+        """A link on a hinge."""
+        body = self.name("arm")
+        self.world.turn(ground, body, self.point(), self.axis(), **options)
+        return body
+
+
+def rssr(r: Rods, ground: str) -> None:
+    """A rod between two arms, of one body or of two that are fixed, perhaps with something fixed to it."""
+    a, b, rod = r.arm(ground), r.arm(ground), r.name("rod")
+    p, q = r.point(), r.point()
+    group, far = {rod}, rod
+    if r.rng.random() < 0.3:
+        far = r.name("rod")
+        r.world.joint("fixed", rod, far, r.point(), r.axis())
+        group.add(far)
+    if r.rng.random() < 0.3:
+        group.add(cover := r.name("cover"))
+        r.world.joint("fixed", far, cover, r.point(), r.axis())
+    r.ball(a, rod, p)
+    r.ball(far, b, q)
+    r.idle.append(frozenset(group))
+
+
+def rusr(r: Rods, ground: str) -> None:
+    """A rod that a universal joint keeps from spinning."""
+    a, b, rod = r.arm(ground), r.arm(ground), r.name("rod")
+    r.universal(a, rod, r.point())
+    r.ball(rod, b, r.point())
+
+
+def leg(r: Rods, ground: str) -> None:
+    """A leg whose hip goes through the ball of a rod beside it: the rod spins, the leg swings."""
+    hip, axis, x = r.point(), r.axis(), r.rng.uniform(0.1, 0.5)
+    thigh, shin, rod = r.name("thigh"), r.name("shin"), r.name("rod")
+    marked = {"actuated": True} if r.rng.random() < 0.3 else {}
+    r.world.turn(ground, thigh, hip, axis, **marked)
+    r.world.turn(thigh, shin, r.point(), r.axis())
+    r.ball(ground, rod, hip + x * axis)
+    r.ball(rod, shin, r.point())
+    r.idle.append(frozenset({rod}))
+
+
+def strut(r: Rods, ground: str) -> None:
+    """A telescopic leg, driven or not, between an arm and the ground: both halves spin together."""
+    a, low, high = r.arm(ground), r.name("cylinder"), r.name("piston")
+    p, q = r.point(), r.point()
+    marked = {"actuated": True} if r.rng.random() < 0.5 else {}
+    r.ball(ground, low, p)
+    r.world.slide(low, high, q - p if r.rng.random() < 0.7 else r.axis(), p, **marked)
+    r.ball(high, a, q)
+    r.idle.append(frozenset({low, high}))
+
+
+def carrier(r: Rods, ground: str) -> None:
+    """A rod that carries a pendulum."""
+    a, b, rod = r.arm(ground), r.arm(ground), r.name("rod")
+    r.ball(a, rod, r.point())
+    r.ball(rod, b, r.point())
+    r.world.turn(rod, r.name("pendulum"), r.point(), r.axis())
+
+
+def motor(r: Rods, ground: str) -> None:
+    """A rod that is turned: one hinge of its balls has a motor."""
+    a, b, rod, p = r.arm(ground), r.arm(ground), r.name("rod"), r.point()
+    one, two = r.name("link"), r.name("link")
+    joints = list(zip((a, one, two), (one, two, rod), r.axes(), strict=True))
+    driven = int(r.rng.integers(3))
+    for k, (i, k_, z) in enumerate(joints):
+        r.world.turn(i, k_, p, z, **({"actuated": True} if k == driven else {}))
+    r.ball(rod, b, r.point())
+
+
+def tied(r: Rods, ground: str) -> None:
+    """A rod that a second rod holds off its axis: only the second spins."""
+    a, b, rod, second = r.arm(ground), r.arm(ground), r.name("rod"), r.name("rod")
+    r.ball(a, rod, r.point())
+    r.ball(rod, b, r.point())
+    r.ball(rod, second, r.point())
+    r.ball(second, ground, r.point())
+    r.idle.append(frozenset({second}))
+
+
+def engine(r: Rods, ground: str) -> None:
+    """A piston that can turn in its bore, on a rod: both spin."""
+    crank, rod, piston, p, axis = r.arm(ground), r.name("rod"), r.name("piston"), r.point(), r.axis()
+    form = r.rng.integers(3)
+    if form == 0:
+        r.world.joint("cylindrical", ground, piston, p, axis)
+    else:
+        slider = r.name("slider")
+        r.world.joint("revolute" if form == 1 else "prismatic", ground, slider, p, axis)
+        r.world.joint("prismatic" if form == 1 else "revolute", slider, piston, p, axis)
+    r.ball(piston, rod, p + r.rng.uniform(0.1, 0.5) * axis)
+    r.ball(rod, crank, r.point())
+    r.idle += [frozenset({rod}), frozenset({piston, slider} if form == 1 else {piston})]
+
+
+def dome(r: Rods, ground: str) -> None:
+    """A spherical linkage of five bars: all hinges meet, and nothing is a ball."""
+    center, bodies = r.point(), [ground, *(r.name("bar") for _ in range(4)), ground]
+    for a, b in zip(bodies[:-1], bodies[1:], strict=True):
+        r.world.turn(a, b, center, r.axis())
+
+
+def hinges(r: Rods, ground: str) -> None:
+    """A loop of seven or eight hinges, some of which meet their neighbours, but not enough of them for two balls."""
+    runs = [9, 9]
+    while sum(n >= 3 for n in runs) > 1 or len(runs) < 3:
+        runs = [int(n) for n in r.rng.integers(1, 4, size=5)]
+    points = [p for n in runs for p in [r.point()] * n]
+    bodies = [ground, *(r.name("bar") for _ in points[1:]), ground]
+    for a, b, p in zip(bodies[:-1], bodies[1:], points, strict=True):
+        r.world.turn(a, b, p, r.axis())
+
+
+def door(r: Rods, ground: str) -> None:
+    """A body between two balls of one part."""
+    body = r.name("door")
+    r.ball(ground, body, r.point())
+    r.ball(body, ground, r.point())
+
+
+UNITS: tuple[Callable[[Rods, str], None], ...] = (
+    rssr, rusr, leg, strut, carrier, motor, tied, engine, dome, hinges, door,
+)  # fmt: skip
+
+
+def mechanism(rng: np.random.Generator) -> Rods:
+    """One to three units, each on the ground or on a carriage that slides."""
+    r = Rods(rng)
+    for _ in range(int(rng.integers(1, 4))):
+        ground = "ground"
+        if rng.random() < 0.3:
+            ground = r.name("carriage")
+            r.world.slide("ground", ground, r.axis())
+        UNITS[int(rng.integers(len(UNITS)))](r, ground)
+    return r

@@ -1,0 +1,87 @@
+"""What is said of a configuration that closes: how many freedoms are left, and a warning where it has folded."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import Mechanism, System
+
+
+def scissor(n: int) -> System:
+    """n cells of two bars, pinned in the middle; at neutral all bars lie on each other."""
+    m = Mechanism("scissor", dim=2)
+    a, b = ([m.body(f"{x}{i}") for i in range(n)] for x in "ab")
+    m.revolute("A", m.ground, a[0])
+    m.prismatic("S", m.ground, m.body("slider"), axis=(1, 0))
+    m.revolute("B", "slider", b[0])
+    for i in range(n):
+        m.revolute(f"M{i}", a[i], b[i], at=(0.5, 0), child_at=(0.5, 0))
+        if i + 1 < n:
+            m.revolute(f"P{i}", a[i], b[i + 1], at=(1, 0))
+            m.revolute(f"Q{i}", b[i], a[i + 1], at=(1, 0))
+    return m.build()
+
+
+def stretched(system: System, n: int, angle: float) -> np.ndarray:
+    """All cells open by the same angle."""
+    turn = np.pi - 2 * angle
+    q = {"A": angle, "S": np.cos(angle), "B": np.pi - angle} | {f"M{i}": turn for i in range(n)}
+    return system.q(q | {f"P{i}": turn for i in range(n - 1)} | {f"Q{i}": -turn for i in range(n - 1)})
+
+
+@pytest.mark.parametrize("n", [2, 10, 100, 150])
+def test_a_scissor_that_closes_folded_says_so(n):
+    system = scissor(n)
+    answer = system.assemble(near=system.neutral + np.random.default_rng(0).normal(size=system.nq) * 0.3)
+    assert answer.success
+    assert f"{n} freedoms left open, 1 by the count: the mechanism is folded or singular here" in answer.status
+    assert "P0 and Q0" in answer.status and answer.status.endswith("coincide")
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        answer = system.assemble(near=stretched(system, n, 0.9) + rng.normal(size=system.nq) * 0.1)
+        assert answer.success and answer.status.endswith("; 1 freedom left open")
+
+
+def test_hunt_folded_cells(hunt):
+    """A warning where pins of a cell coincide and more than one freedom is open, and none elsewhere."""
+    rng, seen = hunt.rng(), set()
+    for _ in range(hunt.cases(50)):
+        n = int(rng.integers(2, 9))
+        system = scissor(n)
+        start = stretched(system, n, rng.uniform(0.2, 1.3)) * rng.choice([0.0, 1.0])
+        q = (answer := system.assemble(near=start + rng.normal(size=system.nq) * rng.choice([0.1, 0.4, 1.0]))).q
+        if not answer.success:
+            continue
+        ends = [system.fk(q, f"{x}{i}") @ [1, 0, 0, 1] for i in range(n - 1) for x in "ab"]
+        starts = [system.fk(q, f"{x}{i + 1}")[:, 3] for i in range(n - 1) for x in "ab"]
+        assert max(np.abs(a - b).max() for a, b in zip(ends[::2], starts[1::2], strict=True)) < 1e-9
+        closed = any(np.linalg.norm(ends[2 * i] - ends[2 * i + 1]) < 1e-7 for i in range(n - 1))
+        first = np.linalg.norm(system.fk(q, "slider")[:3, 3]) < 1e-7  # the pins on the ground, where they coincide
+        warned = "folded or singular" in answer.status
+        left = int(answer.status.rpartition("; ")[2].split()[0]) if not warned else 2
+        assert warned == ((closed or first) and "1 freedom left" not in answer.status), answer.status
+        assert warned or left == 1
+        seen.add(warned)
+    assert seen == {True, False}
+
+
+def test_a_change_point_is_compared_with_home():
+    system = kempe.load("parallelogram")
+    status = system.assemble(near=system.posture("flat")).status
+    assert status.endswith("2 freedoms left open, 1 at home: singular here, or on another branch")
+
+
+@pytest.mark.parametrize(
+    "name", ["bennett", "sarrus", "four_bar", "peaucellier", "rssr", "delta_ss", "delta_uu", "jansen"]
+)
+def test_no_warning_where_nothing_is_wrong(name):
+    """Neither redundant constraints nor idle spins nor compound pins are anything to warn of."""
+    system = kempe.load(name)
+    assert system.assemble(near=system.posture("closed")).status.endswith("left open")
+
+
+def test_all_given_leaves_nothing_to_say():
+    system = kempe.load("four_bar")
+    assert "left" not in system.assemble({"A": 1.0}).status
