@@ -7,21 +7,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import reference
 from hypothesis import strategies as st
+from own_joints import variants
 
 from kempe import Mechanism, System
-from kempe.joints import joint_type
+from kempe.joints import TYPES, P, joint_type
 
-KINDS: list[tuple[str, dict]] = [
-    ("fixed", {}), ("revolute", {}), ("prismatic", {}), ("helical", {"pitch": 0.3}), ("cylindrical", {}),
-    ("universal", {}), ("planar", {}), ("translation", {}), ("spherical", {}), ("spherical", {"angles": True}),
-    ("free", {}), ("free", {"angles": True}),
-]  # fmt: skip
-
-
-PLANAR_KINDS: list[tuple[str, dict]] = [
-    (k, {}) for k in ("fixed", "revolute", "prismatic", "planar", "translation", "free")
+KINDS: list[tuple[str, dict]] = [(name, o) for name, t in TYPES.items() for o in variants(t, 0.3)]
+PLANAR_KINDS: list[tuple[str, dict]] = [(name, {}) for name, t in TYPES.items() if t.planar]
+SLIDES: list[tuple[str, dict]] = [
+    (name, {}) for name, t in TYPES.items() if t.planar and all(p.kind == P for p in t().layout(3, True)[1])
 ]
-SLIDES: list[tuple[str, dict]] = [(k, {}) for k in ("fixed", "prismatic", "planar", "translation", "free")]
+"""Joint types in space, in the plane, and for particles."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
+
+import numpy as np
 
 from kempe.joints import TYPES, JointType, P, Primitive, Q, R
 
@@ -168,20 +170,39 @@ OWN: tuple[type[JointType], ...] = (
 """Types that are not in the table of joints."""
 
 
-@dataclass(frozen=True)
-class Any(JointType):
-    """A joint of given primitives, each (kind, axis, coordinate, multiplier)."""
+def declared(name: str, steps: Sequence[Primitive]) -> JointType:
+    """A joint of a type of its own, with the coordinates c0, c1, ... and these primitives wherever it is used."""
+    count = max((p.coordinate + (4 if p.kind == Q else 1) for p in steps), default=0)
+    found = tuple(f"c{i}" for i in range(count)), tuple(steps)
+    body = {"type_name": name, "summary": "random primitives", "planar": True, "layout": lambda *_, **__: found}
+    return type(name, (JointType,), body)()
 
-    type_name = "any"
-    summary = "given primitives"
-    planar = True
-    steps: tuple[tuple[int, str, int, float], ...] = field(default=())
 
-    def layout(self, dim: int = 3, particle: bool = False):
-        """The given primitives; coordinates are named c0, c1, ..."""
-        primitives = tuple(Primitive(*s) for s in self.steps)
-        count = max((p.coordinate + (4 if p.kind == Q else 1) for p in primitives), default=0)
-        return tuple(f"c{i}" for i in range(count)), primitives
+def random_type(rng: np.random.Generator, name: str, dim: int = 3) -> JointType:
+    """A joint type of one to four random primitives; some share a coordinate, some have a multiplier."""
+    if dim == 2 and rng.random() < 0.15:
+        return declared(name, [Primitive(P, "z", 0, float(rng.choice([1.0, 1.0, -0.7])))])
+    steps, count, ball = [], 0, False
+    for _ in range(int(rng.integers(1, 5 if dim == 3 else 4))):
+        if dim == 3 and not ball and rng.random() < 0.12:
+            steps.append(Primitive(Q, "z", count))
+            count, ball = count + 4, True
+            continue
+        kind = int(rng.choice([R, P]))
+        axis = str(rng.choice(list("xyz") if dim == 3 else ["z"] if kind == R else ["x", "y"]))
+        before = [p.coordinate for p in steps if p.kind != Q]
+        if before and rng.random() < 0.15:
+            steps.append(Primitive(kind, axis, before[-1], round(float(rng.uniform(-2, 2)), 2)))
+        else:
+            steps.append(Primitive(kind, axis, count, float(rng.choice([1.0, 1.0, 1.0, -1.0, 0.4, 2.0]))))
+            count += 1
+    return declared(name, steps)
+
+
+def variants(kind: type[JointType], number: float) -> list[dict]:
+    """Option sets of a type: each number at the given value, and each switch off, then on."""
+    numbers = {f.name: number for f in fields(kind) if isinstance(f.default, float)}
+    return [numbers, *({**numbers, f.name: True} for f in fields(kind) if f.default is False)]
 
 
 @contextmanager
