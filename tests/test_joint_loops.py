@@ -1,7 +1,7 @@
-"""Each joint type as each possible cut of a loop, both ways round, in the plane and in space: answers do not depend on it.
+"""Each joint type as each possible cut of a loop, both ways round, in the plane and in space: answers do not change.
 
-Judged by poses that `reference` multiplies out, by the same mechanism cut elsewhere, and by the same mechanism with each
-joint taken apart into elementary joints.
+Judged by poses that `reference` multiplies out, by the same mechanism cut elsewhere, and by the same mechanism with
+each joint taken apart into elementary joints.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def nullity(s: System, q: np.ndarray) -> int:
 
 
 def check(shape: Closed, cuts: list[frozenset[str]], rng: np.random.Generator) -> None:
-    """All cuts of a mechanism, and the mechanism taken apart, agree; each closes from near, and says so of nothing else."""
+    """All cuts of a mechanism, and the mechanism taken apart, agree; each closes from near."""
     apart = shape.system(apart=True)
     freedoms = {nullity(apart, shape.values(apart, apart=True))}
     for cut in cuts:

@@ -16,8 +16,10 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-STARTS, STEPS, POLISH = 24, 60, 4
+STARTS, STEPS, POLISH = 16, 60, 4
 """Starts of a fit, its damped steps, and Newton steps after them."""
+AT_LEAST, SETTLED = 12, 1e-6
+"""Steps that every start of a fit has, and the length of the best start's step from which Newton steps go on."""
 FITS = 1e-13
 """Residual, in metres and radians, at which a fit is done."""
 AS_GOOD = 1e-9
@@ -142,12 +144,15 @@ class Motion:
         X, starts = X[..., None, :, :], self._starts(X, home)
         values, e = starts, self.error(X, starts)
         damping = np.full((*starts.shape[:-1], 1, 1), 1e-3)
-        for _ in range(STEPS):
+        for k in range(STEPS):
             size = _size(e)
+            best = np.argmin(size, axis=-1)[..., None]
             if np.all(size.min(axis=-1) < FITS):
                 break
             T = np.swapaxes(e.by_own, -1, -2)
             step = np.linalg.solve(T @ e.by_own + damping * np.eye(self.size), T @ -e.value[..., None])[..., 0]
+            if k >= AT_LEAST and np.all(np.take_along_axis(np.linalg.norm(step, axis=-1), best, axis=-1) < SETTLED):
+                break
             tried = self.moved(values, step)
             new = self.error(X, tried)
             better = _size(new) < size
