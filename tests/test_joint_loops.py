@@ -48,10 +48,12 @@ def check(shape: Closed, cuts: list[frozenset[str]], rng: np.random.Generator) -
         for constraint in s.constraints():
             assert np.abs(constraint.residual(s, q)).max(initial=0.0) < 1e-10, constraint.name
         start = s.integrate(q, rng.uniform(-NEAR, NEAR, s.nv))
-        for nearest in (False, True):
+        for nearest in (False, True) if cut == cuts[0] else (False,):
             answer = s.assemble(near=start, nearest=nearest)
             assert answer.success, s.closures
             assert shape.open_by(s, answer.q) < 1e-9
+        if cut != cuts[0]:
+            continue  # poses know no cut
         read = s.from_maximal(s.to_maximal(q), near=s.integrate(q, rng.uniform(-0.02, 0.02, s.nv)))
         assert shape.open_by(s, read) < 1e-7
         np.testing.assert_allclose(s.fk(read), s.fk(q), rtol=0, atol=1e-8)
@@ -128,7 +130,7 @@ def test_coordinates_of_a_cut_joint_can_be_known_held_or_coupled(kind, dim):
 def test_random_mechanisms(hunt):
     """Mechanisms of one to three loops, of joints of the table and of random types, cut anywhere."""
     rng = hunt.rng()
-    for _ in range(hunt.cases(25)):
+    for _ in range(hunt.cases(12)):
         hunted(random_closed(rng), rng)
 
 
@@ -310,7 +312,7 @@ def test_files_hold_registered_types():
         joint_type("pin_slot")
 
 
-@pytest.mark.parametrize(("kind", "dim"), [(t(), d) for t in OWN for d in (2, 3) if d == 3 or t.planar], ids=str)
+@pytest.mark.parametrize(("kind", "dim"), [(PinSlot(), 2), (Geared(), 2), (Crooked(), 3), (BallInTube(), 3)], ids=str)
 def test_own_types_are_drawn(kind, dim):
     pytest.importorskip("matplotlib").use("Agg")
     from matplotlib import pyplot

@@ -468,12 +468,11 @@ def test_poses_of_pinocchio():
 
 
 @pytest.mark.parametrize(("kind", "dim"), [(t(), d) for t in OWN for d in (2, 3) if d == 3 or t.planar], ids=str)
-@pytest.mark.parametrize("cut", ["j0", "j2"])
-def test_types_of_ones_own(kind, dim, cut):
+def test_types_of_ones_own(kind, dim):
     """Derivatives also where poses violate the joint, the rank, projection, and coordinates read off."""
     rng = np.random.default_rng(13)
     shape = closed_graphs.closed(rng, dim, 2, [kind, Spherical() if dim == 3 else Revolute(), Free()], ring=True)
-    s = shape.system(frozenset({cut}))
+    s = shape.system(frozenset({"j0"}))
     q = shape.values(s)
     X = s.to_maximal(q)
     np.testing.assert_allclose(maximal_residual(s, X), 0, atol=1e-9)
