@@ -7,7 +7,9 @@ elementary ones with bodies between them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import reference
@@ -90,7 +92,9 @@ class Closed:
         return float(max(gaps))
 
 
-def pose_of(primitives, values, dim: int = 3, axis: tuple[float, float] | None = None) -> np.ndarray:
+def pose_of(
+    primitives: Sequence[Primitive], values: Sequence[float], dim: int = 3, axis: tuple[float, float] | None = None
+) -> np.ndarray:
     """X_FM of primitives, multiplied out by the reference."""
     X = np.eye(4, dtype=np.longdouble)
     for p in primitives:
@@ -99,6 +103,7 @@ def pose_of(primitives, values, dim: int = 3, axis: tuple[float, float] | None =
         elif p.kind == R:
             X = X @ reference.turn(p.axis, p.multiplier * values[p.coordinate])
         elif dim == 2 and p.axis == "z":
+            assert axis is not None
             s = p.multiplier * values[p.coordinate]
             X = X @ reference.slide("x", axis[0] * s) @ reference.slide("y", axis[1] * s)
         else:
@@ -140,7 +145,7 @@ def closed(
                 values[p.coordinate : p.coordinate + 4] = ball / np.linalg.norm(ball)
         angle = float(rng.uniform(-3, 3))
         along = (np.cos(angle), np.sin(angle)) if dim == 2 and _slider(kind) else None
-        motion, F, M = pose_of(kind.layout(dim)[1], values, dim, along), _random(rng, dim), _random(rng, dim)
+        motion, F, M = pose_of(kind.layout(dim)[1], values.tolist(), dim, along), _random(rng, dim), _random(rng, dim)
         if a in poses and b in poses:
             M = reference.inverse(poses[b]) @ poses[a] @ F @ motion
         elif a in poses:
@@ -164,7 +169,7 @@ def random_closed(rng: np.random.Generator, own: float = 0.4) -> Closed:
 
 
 def _random(rng: np.random.Generator, dim: int) -> np.ndarray:
-    xyz, rpy = rng.uniform(-1, 1, 3), rng.uniform(-1.5, 1.5, 3)
+    xyz, rpy = rng.uniform(-1, 1, 3).tolist(), rng.uniform(-1.5, 1.5, 3).tolist()
     return reference.placement(xyz[:dim], rpy if dim == 3 else (0.0, 0.0, rpy[2]))
 
 
@@ -176,7 +181,7 @@ def _flat(X: np.ndarray) -> tuple[list[float], float]:
     return [float(X[0, 3]), float(X[1, 3])], float(np.arctan2(X[1, 0], X[0, 0]))
 
 
-def _places(m: Mechanism, link: Link) -> dict:
+def _places(m: Mechanism, link: Link) -> dict[str, Any]:
     if m.dim == 3:
         return {"at": _placement(link.F), "child_at": _placement(link.M)}
     (at, angle), (child_at, child_angle) = _flat(link.F), _flat(link.M)
@@ -188,7 +193,7 @@ def _placement(X: np.ndarray):
     return placement_of_pose(np.asarray(X, dtype=float))
 
 
-def _firsts(primitives) -> dict[int, Primitive]:
+def _firsts(primitives: Sequence[Primitive]) -> dict[int, Primitive]:
     """The first primitive of each coordinate, by its place among all."""
     out: dict[int, Primitive] = {}
     for place, p in enumerate(primitives):
@@ -210,8 +215,9 @@ def _chain(m: Mechanism, link: Link, cut: bool) -> None:
         F = link.F if k == 0 else np.eye(4)
         M = link.M if last else np.eye(4)
         one = Link(f"{link.name}:{k}", link.kind, here, there, F, M, link.values, _along(m.dim, link, p))
-        places = _places(m, one) if m.dim == 2 else {
-            "at": _placement(F @ _turned(p)), "child_at": _placement(M @ _turned(p))}  # fmt: skip
+        places: dict[str, Any] = _places(m, one)
+        if m.dim == 3:
+            places = {"at": _placement(F @ _turned(p)), "child_at": _placement(M @ _turned(p))}
         m.joint(one.name, ELEMENTARY[p.kind], here, there, cut=cut and last, **places)
         if k not in firsts and p.kind != Q:
             source, first = next((i, f) for i, f in firsts.items() if f.coordinate == p.coordinate)

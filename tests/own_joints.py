@@ -163,9 +163,34 @@ class Rail(JointType):
         return ("",), (Primitive(P, "x", 0),)
 
 
+@dataclass(frozen=True)
+class Telescope(JointType):
+    """Two slides along z: only their sum can be seen."""
+
+    type_name = "telescope"
+    summary = "two slides along z"
+
+    def layout(self, dim: int = 3, particle: bool = False):
+        """Two slides."""
+        return ("outer", "inner"), (Primitive(P, "z", 0), Primitive(P, "z", 1))
+
+
+@dataclass(frozen=True)
+class Diagonal(JointType):
+    """A slide along x and y by one coordinate."""
+
+    type_name = "diagonal"
+    summary = "slide along x and y alike"
+    planar = True
+
+    def layout(self, dim: int = 3, particle: bool = False):
+        """Two slides of one coordinate."""
+        return ("",), (Primitive(P, "x", 0), Primitive(P, "y", 0))
+
+
 OWN: tuple[type[JointType], ...] = (
     PinSlot, SlotFirst, Crooked, TurnedTable, CrossSlide, OtherCardan, Drill, Coaxial, BallInTube, BallOnStick, Geared,
-    Rail,
+    Rail, Telescope, Diagonal,
 )  # fmt: skip
 """Types that are not in the table of joints."""
 
@@ -192,7 +217,7 @@ def random_type(rng: np.random.Generator, name: str, dim: int = 3) -> JointType:
         axis = str(rng.choice(list("xyz") if dim == 3 else ["z"] if kind == R else ["x", "y"]))
         before = [p.coordinate for p in steps if p.kind != Q]
         if before and rng.random() < 0.15:
-            steps.append(Primitive(kind, axis, before[-1], round(float(rng.uniform(-2, 2)), 2)))
+            steps.append(Primitive(kind, axis, before[-1], float(rng.choice([1.0, round(rng.uniform(-2, 2), 2)]))))
         else:
             steps.append(Primitive(kind, axis, count, float(rng.choice([1.0, 1.0, 1.0, -1.0, 0.4, 2.0]))))
             count += 1

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from closed_graphs import Closed, closed, random_closed
+from numpy.typing import ArrayLike
 from own_joints import OWN, BallInTube, Crooked, Geared, PinSlot, Rail, SlotFirst, declared, registered, variants
 
 from kempe import Mechanism, System, tasks
@@ -171,7 +172,7 @@ SLOTTED = {cut: slotted(cut) for cut in "ABS"} | {"apart": slotted("S", apart=Tr
 each_cut = pytest.mark.parametrize("s", SLOTTED.values(), ids=SLOTTED)
 
 
-def lever_angle(a: np.ndarray) -> np.ndarray:
+def lever_angle(a: ArrayLike) -> np.ndarray:
     """Angle of the lever by trigonometry, for a crank of 0.4 m and centres 1 m apart."""
     return np.arctan2(-0.4 * np.sin(a), 1.0 - 0.4 * np.cos(a))
 
@@ -250,7 +251,7 @@ def test_a_slider_crank_of_own_hinges_and_rails(kind, slide):
     m.revolute("A", m.ground, crank)
     m.joint("B", kind, crank, rod, at=(0.3, 0.0))
     m.revolute("C", rod, block, at=(1.0, 0.0))
-    m.joint("D", slide, m.ground, block, **({"axis": (1, 0)} if slide.type_name == "prismatic" else {}))
+    m.joint("D", slide, m.ground, block, axis=(1, 0) if slide.type_name == "prismatic" else None)
     s = m.build()
     modes = s.assembly_modes({"A": 0.8})
     x = np.sort(s.fk(modes.q, "block")[:, 0, 3])
@@ -323,7 +324,7 @@ def test_own_types_are_drawn(kind, dim):
 
     def drawn(q: np.ndarray) -> set[str]:
         axes = s.plot(q)
-        pyplot.close(axes.figure)
+        pyplot.close("all")
         if dim == 2:
             return {str(a.get_gid()) for a in axes.findobj()}
         solids = Solids()

@@ -8,7 +8,7 @@ from closed_graphs import closed
 from own_joints import OWN, Coaxial, declared, random_type, variants
 
 from kempe import System
-from kempe.joints import TYPES, Free, JointType, P, Primitive, Q, R, Revolute, Spherical
+from kempe.joints import TYPES, Free, Helical, JointType, P, Primitive, Q, R, Revolute, Spherical
 from kempe.kernels.compiled import equations
 from kempe.kinematics import loops as full
 from kempe.model.loops import Loops, loops_of, must_carry
@@ -23,7 +23,8 @@ FORMS = {
     "cylindrical": ("xy", "xy"), "universal": ("xyz", "x.y"), "planar": ("z", "xy"), "translation": ("", "xyz"),
     "spherical": ("xyz", ""), "free": ("", ""), "pin_slot": ("yz", "xy"), "slot_pin": None, "crooked": None,
     "turned_table": None, "cross_slide": ("z", "xy"), "other_cardan": None, "drill": None, "coaxial": None,
-    "ball_in_tube": ("xy", ""), "ball_on_stick": None, "geared": None, "rail": ("yz", "xyz"),
+    "ball_in_tube": ("xy", ""), "ball_on_stick": None, "geared": None, "rail": ("yz", "xyz"), "telescope": None,
+    "diagonal": None,
 }  # fmt: skip
 """What types hold in space: positions and rotations; None for those that are carried."""
 
@@ -40,7 +41,7 @@ def test_what_is_held(kind):
 
 def test_screws_are_told_by_their_primitives():
     turn, slide = Primitive(R, "z", 0), Primitive(P, "z", 0, 0.3)
-    assert screw(TYPES["helical"](pitch=0.3)) == screw(declared("s", [slide, turn])) == 0.3
+    assert screw(Helical(0.3)) == screw(declared("s", [slide, turn])) == 0.3
     for steps in ([turn], [turn, slide._replace(coordinate=1)], [turn, slide._replace(axis="x")], [turn, turn],
                   [turn._replace(multiplier=2.0), slide]):  # fmt: skip
         assert screw(declared("s", steps)) is None
@@ -135,4 +136,5 @@ def test_planes_and_particles():
     assert form is not None and (form.position, form.turns, form.readings) == ("y", "z", ((0, "x"),))
     free = reduced(Free(), 3, particle=True)
     assert free is not None and (free.position, free.turns) == ("", "")
-    assert reduced(Coaxial()) is None
+    both = declared("both", [Primitive(P, "z", 0), Primitive(R, "z", 1)])
+    assert reduced(Coaxial()) is None and reduced(both, 2) is None

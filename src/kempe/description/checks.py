@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from numbers import Real
 from typing import NoReturn
 
@@ -88,6 +89,7 @@ def kind(dim: int, subject: str, type_: JointType, parent: Body, child: Body, wh
                    "in the plane a joint turns about z and slides along x and y, or slides along z only")  # fmt: skip
 
 
+@lru_cache(maxsize=256)
 def fault_of(type_: JointType, dim: int, particle: bool) -> str:
     """What is wrong with the coordinates and primitives that a joint type declares; empty where nothing is."""
     names, primitives = type_.layout(dim, particle)

@@ -6,12 +6,13 @@ import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import fields
+from functools import lru_cache
 from typing import Any
 
 from kempe.description.source import Findings, Source, fail, shorten
 from kempe.description.toml_places import Path, Places
 from kempe.errors import Where, hint
-from kempe.joints import TYPES
+from kempe.joints import TYPES, JointType
 
 FORMAT = 1
 """Version of the format that is read and written."""
@@ -89,7 +90,12 @@ _AT_LINE = re.compile(r" \(at line (\d+), column (\d+)\)$")
 
 def joint_options() -> tuple[str, ...]:
     """Names of the options of all joint types."""
-    return tuple(dict.fromkeys(f.name for type_ in TYPES.values() for f in fields(type_)))
+    return _options(tuple(TYPES.values()))
+
+
+@lru_cache(maxsize=8)
+def _options(types: tuple[type[JointType], ...]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(f.name for type_ in types for f in fields(type_)))
 
 
 class Document:

@@ -105,7 +105,6 @@ class Scene:
         lengths = np.array(out)
         return lengths[lengths > 1e-9 * self.size]
 
-
     def reach(self, joint: SeenJoint, link: int) -> float:
         """How far the points of a link are from a joint on it, at most [m]."""
         p = self.points(self.links[link])
