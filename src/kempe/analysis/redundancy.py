@@ -285,7 +285,7 @@ def _release(rows: Sequence[_Row], dim: int) -> Release:
         return Release(rows[0].owner, labels, "")
     if _free(edge, dim) is None:
         return Release(rows[0].owner, labels, f"a {edge.of.type.type_name} joint that also {motions(more)}")
-    return Release(rows[0].owner, labels, pair_name(free))
+    return Release(rows[0].owner, labels, pair_name(set(free)))
 
 
 def _existing(edge: Edge, dim: int) -> set[str]:

@@ -153,7 +153,7 @@ class Motion:
             step = np.linalg.solve(T @ e.by_own + damping * np.eye(self.size), T @ -e.value[..., None])[..., 0]
             if k >= AT_LEAST and np.all(np.take_along_axis(np.linalg.norm(step, axis=-1), best, axis=-1) < SETTLED):
                 break
-            tried = self.moved(values, step)
+            tried = self.moved(values, np.asarray(step, dtype=float))
             new = self.error(X, tried)
             better = _size(new) < size
             values, e = np.where(better[..., None], tried, values), _pick(better, new, e)
@@ -254,7 +254,7 @@ def _size(e: Error) -> Array:
     return np.linalg.norm(e.value, axis=-1)
 
 
-def _pick(which: Array, a: Error, b: Error) -> Error:
+def _pick(which: np.ndarray, a: Error, b: Error) -> Error:
     """The first of two where `which` says so."""
     return Error(*(np.where(which[(..., *[None] * (x.ndim - which.ndim))], x, y) for x, y in zip(a, b, strict=True)))
 
