@@ -7,21 +7,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import reference
 from hypothesis import strategies as st
+from own_joints import variants
 
 from kempe import Mechanism, System
-from kempe.joints import joint_type
+from kempe.joints import TYPES, P, joint_type
+from kempe.model.reduced import slides_along_z
 
-KINDS: list[tuple[str, dict]] = [
-    ("fixed", {}), ("revolute", {}), ("prismatic", {}), ("helical", {"pitch": 0.3}), ("cylindrical", {}),
-    ("universal", {}), ("planar", {}), ("translation", {}), ("spherical", {}), ("spherical", {"angles": True}),
-    ("free", {}), ("free", {"angles": True}),
-]  # fmt: skip
-
-
-PLANAR_KINDS: list[tuple[str, dict]] = [
-    (k, {}) for k in ("fixed", "revolute", "prismatic", "planar", "translation", "free")
+KINDS: list[tuple[str, dict]] = [(name, o) for name, t in TYPES.items() for o in variants(t, 0.3)]
+PLANAR_KINDS: list[tuple[str, dict]] = [(name, {}) for name, t in TYPES.items() if t.planar]
+SLIDES: list[tuple[str, dict]] = [
+    (name, {}) for name, t in TYPES.items() if t.planar and all(p.kind == P for p in t().layout(3, True)[1])
 ]
-SLIDES: list[tuple[str, dict]] = [(k, {}) for k in ("fixed", "prismatic", "planar", "translation", "free")]
+"""Joint types in space, in the plane, and for particles."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +58,7 @@ class Graph:
                 where = {"at": e.at[:2], "angle": e.at[5], "child_at": e.at[6:8], "child_angle": e.at[11]}
             if e.child in self.particles:
                 where = {k: v for k, v in where.items() if not k.startswith("child")}
-            if self.dim == 2 and e.kind == "prismatic":
+            if self.dim == 2 and slides_along_z(joint_type(e.kind, **e.options), 2, False):
                 where["axis"] = (0.6, -0.8)
             m.joint(e.name, e.kind, e.parent, e.child, actuated=e.actuated, cut=e.cut, **e.options, **where)
         for of, source, ratio, offset in self.gears:
@@ -89,7 +86,7 @@ class Graph:
         particle = e.child in self.particles
         names = joint_type(e.kind, **e.options).coordinates(self.dim, particle)
         q = [values[f"{e.name}.{c}" if c else e.name] for c in names]
-        if self.dim == 2 and e.kind == "prismatic":
+        if self.dim == 2 and slides_along_z(joint_type(e.kind, **e.options), 2, False):
             return reference.slide("x", 0.6 * q[0]) @ reference.slide("y", -0.8 * q[0])
         return reference.joint_pose(e.kind, q, dim=self.dim, particle=particle, **e.options)
 
@@ -140,7 +137,7 @@ def graphs(draw: st.DrawFn, most: int = 9, loops: int = 5, dims: tuple[int, ...]
         particles.append(f"p{i}")
         for k in range(int(rng.integers(1, 3))):
             edges.append(edge(f"s{i}{k}", everyone[int(rng.integers(0, n + 1))], f"p{i}", SLIDES))
-    single = [e.name for e in edges if e.kind in ("revolute", "prismatic", "helical")]
+    single = [e.name for e in edges if joint_type(e.kind).coordinates() == ("",)]
     rng.shuffle(single)
     while len(single) > 2 and rng.random() < 0.6:
         gears.append((single.pop(), single[0], round(rng.normal(), 3), round(rng.normal(), 3)))

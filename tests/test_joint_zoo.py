@@ -6,8 +6,10 @@ import pickle
 from dataclasses import dataclass, field
 
 import numpy as np
+import own_joints
 import pytest
 import reference
+from graphs import SLIDES
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -45,14 +47,13 @@ class Case:
 
 def variants(name: str) -> list[dict]:
     """Option sets of a type: none, and others where it has options."""
-    more = {"helical": [{"pitch": 0.25}, {"pitch": -0.1}], "spherical": [{"angles": True}], "free": [{"angles": True}]}
-    return [{}, *more.get(name, [])]
+    every = [{}, *own_joints.variants(TYPES[name], 0.25), *own_joints.variants(TYPES[name], -0.1)]
+    return [o for i, o in enumerate(every) if o not in every[:i]]
 
 
 CASES = [Case(name, options=o) for name in TYPES for o in variants(name)]
 CASES += [Case(name, dim=2) for name, t in TYPES.items() if t.planar]
-CASES += [Case(name, dim=dim, particle=True) for dim in (2, 3)
-          for name in ("fixed", "prismatic", "planar", "translation", "free")]  # fmt: skip
+CASES += [Case(name, dim=dim, particle=True) for dim in (2, 3) for name, _ in SLIDES]
 every_case = pytest.mark.parametrize("case", CASES, ids=str)
 
 X_PF_AT, X_PF_RPY = (0.3, -0.2, 0.5), (0.4, -0.7, 1.1)

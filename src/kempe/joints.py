@@ -39,9 +39,6 @@ class JointType:
     summary: ClassVar[str] = ""
     planar: ClassVar[bool] = False
     """Whether the joint can be used in planar systems (dim = 2)."""
-    ties: ClassVar[tuple[str, str]] = ("xyz", "xyz")
-    """What the joint holds, in axes of F: positions, then rotations: "xyz", "xy" (z stays parallel to z), "x.y" (y of
-    M stays normal to x of F) or "". What is not held can be read off the pose of M in F."""
 
     def layout(self, dim: int = 3, particle: bool = False) -> tuple[tuple[str, ...], tuple[Primitive, ...]]:
         """Coordinate names within the joint and its primitives, in space or in the plane, for a body or a particle."""
@@ -109,7 +106,6 @@ class Revolute(JointType):
 
     type_name = "revolute"
     summary = "turn about z"
-    ties = ("xyz", "xy")
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
@@ -123,7 +119,6 @@ class Prismatic(JointType):
 
     type_name = "prismatic"
     summary = "slide along z"
-    ties = ("xy", "xyz")
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
@@ -150,7 +145,6 @@ class Cylindrical(JointType):
 
     type_name = "cylindrical"
     summary = "turn about z, slide along z"
-    ties = ("xy", "xy")
 
     def layout(self, dim: int = 3, particle: bool = False):
         """A turn and a slide."""
@@ -163,7 +157,6 @@ class Universal(JointType):
 
     type_name = "universal"
     summary = "turn about x of F, then about y of M"
-    ties = ("xyz", "x.y")
 
     def layout(self, dim: int = 3, particle: bool = False):
         """Two turns."""
@@ -176,7 +169,6 @@ class Planar(JointType):
 
     type_name = "planar"
     summary = "slide along x and y, turn about z"
-    ties = ("z", "xy")
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
@@ -192,7 +184,6 @@ class Translation(JointType):
 
     type_name = "translation"
     summary = "slide along x, y and z (in the plane x and y)"
-    ties = ("", "xyz")
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
@@ -209,7 +200,6 @@ class Spherical(JointType):
 
     type_name = "spherical"
     summary = "any rotation"
-    ties = ("xyz", "")
     angles: bool = False
 
     def layout(self, dim: int = 3, particle: bool = False):
@@ -225,7 +215,6 @@ class Free(JointType):
 
     type_name = "free"
     summary = "any motion"
-    ties = ("", "")
     planar = True
     angles: bool = False
 

@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import closed_graphs
 import numpy as np
 import pytest
 from graphs import Graph, graphs
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from own_joints import OWN
 from robots import good_urdf_files
 
 from kempe import Mechanism, System, load, spatial
 from kempe.description.placement import placement_of_pose
 from kempe.errors import InputError
+from kempe.joints import Free, Revolute, Spherical
 from kempe.kinematics import loops, zoo
 from kempe.kinematics.constraints import coordinate_value, joint_pose
 from kempe.kinematics.maximal import (
@@ -27,6 +30,7 @@ from kempe.kinematics.maximal import (
     project_maximal,
     to_maximal,
 )
+from kempe.kinematics.pairs import hold_of
 
 STEP = 1e-6
 
@@ -100,7 +104,9 @@ def test_rows_are_what_joints_take_away(graph):
     s = graph.mechanism().build()
     expected = 0
     for joint in s.joints.values():
-        expected += joint.type.constraints(s.dim, s.mechanism.bodies[joint.child].particle)
+        particle = s.mechanism.bodies[joint.child].particle
+        held = hold_of(joint.type, s.dim, particle) is not None
+        expected += joint.type.constraints(s.dim, particle) + (0 if held else joint.type.dof(s.dim, particle))
     expected += len(s.couplings) + len(s.relations)
     particles = len(graph.particles)
     full, few = (6, 3) if s.dim == 3 else (3, 2)
@@ -456,3 +462,35 @@ def test_poses_of_pinocchio():
     np.testing.assert_allclose(to_maximal(s, q), X, atol=1e-12)
     np.testing.assert_allclose(maximal_residual(s, X), 0, atol=1e-12)
     np.testing.assert_allclose(from_maximal(s, X, near=q), q, atol=1e-10)
+
+
+# ------------------------------------------------------------------ joints that hold nothing along fixed axes
+
+
+@pytest.mark.parametrize(("kind", "dim"), [(t(), d) for t in OWN for d in (2, 3) if d == 3 or t.planar], ids=str)
+def test_types_of_ones_own(kind, dim):
+    """Derivatives also where poses violate the joint, the rank, projection, and coordinates read off."""
+    rng = np.random.default_rng(13)
+    shape = closed_graphs.closed(rng, dim, 2, [kind, Spherical() if dim == 3 else Revolute(), Free()], ring=True)
+    s = shape.system(frozenset({"j0"}))
+    q = shape.values(s)
+    X = s.to_maximal(q)
+    np.testing.assert_allclose(maximal_residual(s, X), 0, atol=1e-9)
+    J = maximal_jacobian(s, X)
+    assert J.shape[1] - np.linalg.matrix_rank(J, tol=1e-6) == visible(s, q)
+    off = maximal_integrate(s, X, rng.uniform(-0.05, 0.05, J.shape[1]))
+    check_jacobian(s, off, atol=1e-5)
+    near, found = project_maximal(s, off)
+    assert found and np.abs(maximal_residual(s, near)).max() < 1e-9
+    back = from_maximal(s, near, near=q)
+    np.testing.assert_allclose(s.to_maximal(back), near, rtol=0, atol=1e-7)
+    assert shape.open_by(s, back) < 1e-7
+
+
+def visible(s: System, q: np.ndarray) -> int:
+    """Freedoms of the bodies at a closed configuration: the rank of what they do as the loops allow."""
+    K = loops.jacobian(s, q)
+    _, size, V = np.linalg.svd(K)
+    free = V[int((size > 1e-8).sum()) :].T
+    twists = np.concatenate([s.jacobian(q, b) for b in s.body_names[1:]])
+    return int(np.linalg.matrix_rank(twists @ free, tol=1e-7))

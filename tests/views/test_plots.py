@@ -474,10 +474,11 @@ def test_curves_in_space_are_fk_over_the_path():
     assert len({g.split(":")[0] for g in found if g.startswith("ghost")}) == 2
 
 
-def test_every_joint_type_has_a_symbol():
+def test_symbols_are_of_joint_types():
+    """Types without a symbol of their own are drawn by their primitives: see tests/test_joint_loops.py."""
     from kempe.joints import TYPES
 
-    assert set(symbols.SYMBOLS) == set(TYPES) - {"fixed"}
+    assert set(symbols.SYMBOLS) <= set(TYPES) - {"fixed"}
 
 
 def test_tubes_and_balls_have_their_sizes():

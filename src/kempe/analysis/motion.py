@@ -205,8 +205,9 @@ def periods(system: System, limits: bool = True) -> Array:
             if follower is None or follower.source is None or not whole[number[follower.source]]:
                 continue
             i = number[follower.source]
-            ratio = Fraction(follower.multiplier).limit_denominator(1000)
-            again = p.kind == R and abs(float(ratio) - follower.multiplier) < 1e-12
+            factor = p.multiplier * follower.multiplier
+            ratio = Fraction(factor).limit_denominator(1000)
+            again = p.kind == R and abs(float(ratio) - factor) < 1e-12
             whole[i] = math.lcm(int(whole[i]), ratio.denominator) if again else 0
     return 2.0 * math.pi * whole
 

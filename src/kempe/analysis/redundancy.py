@@ -19,6 +19,7 @@ from kempe.analysis.graph import Edge, structure
 from kempe.analysis.rank import ClusterRank, Rank, rows_of_loop
 from kempe.analysis.screws import Screws
 from kempe.description.parts import Constraint, Joint
+from kempe.model.reduced import Reduced, reduced, screw, slides_along_z
 from kempe.model.topology import natural
 from kempe.spatial import Array
 
@@ -37,12 +38,8 @@ REACTIONS = {"x": "Fx", "y": "Fy", "z": "Fz", "rx": "Mx", "ry": "My", "rz": "Mz"
 _ORDER = ("rx", "ry", "rz", "z", "x", "y")
 """Directions in the order in which they are released: turns cost least, then the slide along the joint's axis."""
 
-FREE = {
-    "revolute": {"rz"}, "prismatic": {"z"}, "helical": {"rz"}, "cylindrical": {"z", "rz"}, "universal": {"rx", "ry"},
-    "planar": {"x", "y", "rz"}, "translation": {"x", "y", "z"}, "spherical": {"rx", "ry", "rz"}, "fixed": set(),
-    "free": set(DIRECTIONS),
-}  # fmt: skip
-"""Directions in which each joint type moves, in axes of F; for a universal joint in those of its cross."""
+_TURNS = {"xyz": "", "z": "", "xy": "z", "x.y": "xy", "": "xyz"}
+"""About which axes a joint turns, by the turns that it holds."""
 
 PAIRS = {
     "rz": "a revolute joint", "z": "a prismatic joint", "z rz": "a cylindrical joint", "rx rz": "a universal joint",
@@ -100,6 +97,8 @@ class _Row:
     passive: bool
     edge: Edge | None
     stress: Array
+    free: frozenset[str] = frozenset()
+    """Directions in which the owner moves, where it is a joint."""
 
     @property
     def rank(self) -> tuple:
@@ -148,9 +147,11 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_Row]:
         if isinstance(edge.of, Constraint):
             continue
         names, twists = directions(at, i, edge, system.dim)
+        free = _free(edge, system.dim)
+        free = _not_held(names, twists, at.twists[i]) if free is None else free
         for name, twist in zip(names, twists, strict=True):
-            if name not in FREE[_kind(edge)]:
-                rows.append(_Row(edge.name, REACTIONS[name], not edge.actuated, edge, twist @ wrench))
+            if name not in free:
+                rows.append(_Row(edge.name, REACTIONS[name], not edge.actuated, edge, twist @ wrench, free))
         for column, twist in zip(edge.columns, at.twists[i].T, strict=True):
             if column.index < 0 or column.name != system.velocity_names[column.index]:
                 what = f"{'lock' if column.index < 0 else 'coupling'} of {column.name}"
@@ -162,10 +163,10 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_Row]:
 
 def directions(at: Screws, i: int, edge: Edge, dim: int) -> tuple[tuple[str, ...], Array]:
     """Names and scaled twists (k, 6) of elementary motions in the own axes of joint `i`, at the origin of its M."""
-    kind = _kind(edge)
-    R = at.cross[i] if kind == "universal" else at.F[i, :3, :3]
+    form = _form(edge, dim)
+    R = at.cross[i] if form is not None and form.turns == "x.y" else at.F[i, :3, :3]
     names = DIRECTIONS if dim == 3 else ("x", "y", "rz")
-    if dim == 2 and kind == "prismatic":  # its z lies in the plane: y is across it, x is the plane's normal
+    if _slider(edge, dim):  # its z lies in the plane: y is across it, x is the plane's normal
         names = ("z", "y", "rx")
         R = np.stack([[0.0, 0.0, 1.0], np.cross([0.0, 0.0, 1.0], R[:, 2]), R[:, 2]], axis=1)
     if edge.particle:
@@ -177,9 +178,43 @@ def directions(at: Screws, i: int, edge: Edge, dim: int) -> tuple[tuple[str, ...
     return names, both[[DIRECTIONS.index(n) for n in names]]
 
 
-def _kind(edge: Edge) -> str:
+def _form(edge: Edge, dim: int) -> Reduced | None:
     assert isinstance(edge.of, Joint)
-    return edge.of.type.type_name
+    return reduced(edge.of.type, dim, edge.particle)
+
+
+def _slider(edge: Edge, dim: int) -> bool:
+    """Whether an edge of the plane slides along z of its frame F."""
+    assert isinstance(edge.of, Joint)
+    return slides_along_z(edge.of.type, dim, edge.particle)
+
+
+def _free(edge: Edge, dim: int) -> frozenset[str] | None:
+    """Directions in which a joint moves, in axes of F, or of its cross; None where they are not always the same."""
+    assert isinstance(edge.of, Joint)
+    form = _form(edge, dim)
+    if form is None:
+        return frozenset({"rz"}) if dim == 3 and screw(edge.of.type) is not None else None
+    slides = {how for _, how in form.readings if how in DIRECTIONS}
+    if _slider(edge, dim):
+        return frozenset({"z"})
+    turns = set() if edge.particle else {f"r{a}" for a in ("z" if dim == 2 and not form.turns else _TURNS[form.turns])}
+    return frozenset(slides | turns)
+
+
+def _not_held(names: Sequence[str], twists: Array, moves: Array) -> frozenset[str]:
+    """Directions (by their `twists`) that need not be held besides others for a joint that only `moves` (6, n)."""
+    U, size, _ = np.linalg.svd(moves, full_matrices=False)
+    basis = U[:, size > CARRIES * size.max(initial=0.0)]
+    held: set[str] = set()
+    for part in (WELL, CARRIES):
+        for name, twist in zip(names, twists, strict=True):
+            rest = twist - basis @ (basis.T @ twist)
+            far = float(np.linalg.norm(rest))
+            if name not in held and far > part * float(np.linalg.norm(twist)):
+                basis = np.column_stack([basis, rest / far])
+                held.add(name)
+    return frozenset(names) - held
 
 
 # ---- releases
@@ -244,17 +279,20 @@ def _release(rows: Sequence[_Row], dim: int) -> Release:
         if edge.of.kind == "point_on_line" and len(rows) == 1 and dim == 3:
             return Release(rows[0].owner, labels, "a point-on-plane pair")
         return Release(rows[0].owner, labels, "")
-    free = (FREE[_kind(edge)] & _existing(edge, dim)) | {_direction(r) for r in rows}
+    more = {_direction(r) for r in rows}
+    free = (rows[0].free & _existing(edge, dim)) | more
     if free == _existing(edge, dim):
         return Release(rows[0].owner, labels, "")
-    return Release(rows[0].owner, labels, pair_name(free))
+    if _free(edge, dim) is None:
+        return Release(rows[0].owner, labels, f"a {edge.of.type.type_name} joint that also {motions(more)}")
+    return Release(rows[0].owner, labels, pair_name(set(free)))
 
 
 def _existing(edge: Edge, dim: int) -> set[str]:
     """Directions in which the child of a joint could move at all."""
     if dim == 3:
         return set(DIRECTIONS[:3] if edge.particle else DIRECTIONS)
-    if _kind(edge) == "prismatic":
+    if _slider(edge, dim):
         return {"z", "y"} if edge.particle else {"z", "y", "rx"}
     return {"x", "y"} if edge.particle else {"x", "y", "rz"}
 
@@ -267,9 +305,14 @@ def pair_name(free: set[str]) -> str:
         found = PAIRS.get(" ".join(d for d in DIRECTIONS if d in turned))
         if found:
             return found
+    return f"a joint that {motions(free)}"
+
+
+def motions(free: set[str]) -> str:
+    """'slides along x and turns about y, z' for {'x', 'ry', 'rz'}."""
     slides, turns = (", ".join(d[-1] for d in DIRECTIONS if d in free and len(d) == n) for n in (1, 2))
     parts = [f"slides along {slides}" * bool(slides), f"turns about {turns}" * bool(turns)]
-    return f"a joint that {' and '.join(p for p in parts if p)}"
+    return " and ".join(p for p in parts if p)
 
 
 _NUMBERS = ("no", "one", "two", "three")

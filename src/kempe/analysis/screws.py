@@ -41,7 +41,7 @@ class Screws:
     center: Array
     length: float
     cross: dict[int, Array] = field(repr=False)
-    """Rotation after the first turn of the joints whose constraint directions it carries (universal joints)."""
+    """Rotation after the first turn of the joints whose constraint directions it carries (crosses)."""
 
     def wrench_rows(self, edge: int, of: Constraint, dim: int) -> Array:
         """Rows (k, 6) that a declared constraint takes from the relative twist of its bodies."""
@@ -124,6 +124,5 @@ def _walk(
                 X[:3, 3] += value * axis
             else:
                 X[:3, :3] = X[:3, :3] @ (spatial.rot_x, spatial.rot_y, spatial.rot_z)["xyz".index(p.axis)](value)
-                if k == 0:
-                    cross[i] = X[:3, :3].copy()
+                cross.setdefault(i, X[:3, :3].copy())
     return out

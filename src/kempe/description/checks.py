@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from numbers import Real
 from typing import NoReturn
 
@@ -14,7 +15,7 @@ from kempe.description.parts import CONSTRAINT_KINDS, Body, Constraint, Limits
 from kempe.description.placement import Placement
 from kempe.description.values import Expression, Value, evaluate, value
 from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, Where
-from kempe.joints import JointType, P
+from kempe.joints import JointType, P, Q, R
 
 SAME_DIRECTION = 1e-12
 """How far two unit vectors may be apart and still be one direction."""
@@ -74,9 +75,44 @@ def kind(dim: int, subject: str, type_: JointType, parent: Body, child: Body, wh
     if parent.particle:
         refuse(subject, f"its parent {parent.name!r} is a particle, which has no orientation", where,
                "make the particle the child")  # fmt: skip
-    if child.particle and any(p.kind != P for p in type_.layout(dim, True)[1]):
+    fault = fault_of(type_, dim, child.particle)
+    if fault:
+        refuse(subject, f"joint type {type_.type_name!r} is not declared well: {fault}", where)
+    primitives = type_.layout(dim, child.particle)[1]
+    if child.particle and any(p.kind != P for p in primitives):
         refuse(subject, f"a {type_.type_name} joint turns, but {child.name!r} is a particle", where,
                "particles take prismatic, planar, translation, fixed and free")  # fmt: skip
+    if dim == 2:
+        flat = all(p.kind == R and p.axis == "z" or p.kind == P and p.axis != "z" for p in primitives)
+        if not flat and any(p.kind != P or p.axis != "z" for p in primitives):
+            refuse(subject, f"a {type_.type_name} joint leaves the plane", where,
+                   "in the plane a joint turns about z and slides along x and y, or slides along z only")  # fmt: skip
+
+
+@lru_cache(maxsize=256)
+def fault_of(type_: JointType, dim: int, particle: bool) -> str:
+    """What is wrong with the coordinates and primitives that a joint type declares; empty where nothing is."""
+    names, primitives = type_.layout(dim, particle)
+    if len(set(names)) < len(names) or (len(names) > 1 and "" in names):
+        return f"its coordinates are {names}; each needs a name of its own"
+    owners: list[set[int]] = [set() for _ in names]
+    for k, (what, axis, first, multiplier) in enumerate(primitives):
+        size = 4 if what == Q else 1
+        if what not in (R, P, Q) or axis not in ("x", "y", "z"):
+            return f"{primitives[k]} is not R, P or Q about or along x, y or z"
+        if not 0 <= first <= len(names) - size:
+            return f"{primitives[k]} is of coordinate {first}, but there are {len(names)} coordinates"
+        if not math.isfinite(multiplier) or (what == Q and multiplier != 1.0):
+            return f"{primitives[k]} has the multiplier {multiplier:g}"
+        for i in range(first, first + size):
+            owners[i] |= {-1 - k} if what == Q else {i} if multiplier else set()
+    idle = [name for name, own in zip(names, owners, strict=True) if not own]
+    if idle:
+        return f"no primitive has its coordinate {idle[0]!r}"
+    if any(len(own) > 1 for own in owners) or sum(p.kind == Q for p in primitives) > 1:
+        return "a quaternion shares no coordinate, and there is at most one"
+    given = type_.velocities(dim, particle)
+    return "" if len(set(given)) == len(given) else f"its velocities are {given}; each needs a name of its own"
 
 
 def ends(
@@ -204,9 +240,7 @@ def limits(
     return out
 
 
-def bounds(
-    subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None
-) -> dict[str, float]:
+def bounds(subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None) -> dict[str, float]:
     """Largest speeds or efforts by velocity coordinate: numbers, not negative, infinity allowed."""
     out: dict[str, float] = {}
     for key, bound in _by_name(subject, what, given, names, where):

@@ -13,7 +13,7 @@ from kempe.description.mechanism import Mechanism
 from kempe.description.parts import CONSTRAINT_KINDS, Body
 from kempe.description.placement import Placement, place, steps_from_data
 from kempe.description.source import Source, decode, fail, shorten
-from kempe.description.toml_document import PLACE, Document
+from kempe.description.toml_document import PLACE, Document, joint_options
 from kempe.description.toml_places import Path
 from kempe.description.values import Expression
 from kempe.errors import DescriptionError, InputError, UnknownNameError
@@ -131,7 +131,7 @@ class _Reader:
         self.failed.add(str(table.get("name")))
         if not good or X_PF is None or X_CM is None:
             return
-        options = ("limits", "velocity", "effort", "actuated", "cut", "pitch", "angles")
+        options = ("limits", "velocity", "effort", "actuated", "cut", *joint_options())
         given = {k: table[k] for k in options if k in table}
         try:
             self.mechanism.joint(

@@ -5,11 +5,14 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping
+from dataclasses import fields
+from functools import lru_cache
 from typing import Any
 
 from kempe.description.source import Findings, Source, fail, shorten
 from kempe.description.toml_places import Path, Places
 from kempe.errors import Where, hint
+from kempe.joints import TYPES, JointType
 
 FORMAT = 1
 """Version of the format that is read and written."""
@@ -48,8 +51,6 @@ KEYS = {
         "effort",
         "actuated",
         "cut",
-        "pitch",
-        "angles",
     ),
     "frame": ("name", "body", *PLACE),
     "constraint": ("name", "type", "parent", "child", "length", *PLACE, *(f"child_{k}" for k in PLACE)),
@@ -57,7 +58,7 @@ KEYS = {
     "dh": ("convention", "rows", "on", "base", "tool"),
     "screws": ("rows", "home"),
 }
-"""Keys that each table knows."""
+"""Keys that each table knows; joints besides those of `joint_options`."""
 
 REQUIRED = {
     "body": ("name",),
@@ -70,7 +71,7 @@ REQUIRED = {
 }
 """Keys that each table must have."""
 
-_TYPES: dict[str, tuple[type, str]] = {
+_VALUES: dict[str, tuple[type, str]] = {
     "particle": (bool, "true or false"),
     "actuated": (bool, "true or false"),
     "cut": (bool, "true or false"),
@@ -85,6 +86,16 @@ _TYPES: dict[str, tuple[type, str]] = {
     "rows": (list, "a list of tables"),
 }
 _AT_LINE = re.compile(r" \(at line (\d+), column (\d+)\)$")
+
+
+def joint_options() -> tuple[str, ...]:
+    """Names of the options of all joint types."""
+    return _options(tuple(TYPES.values()))
+
+
+@lru_cache(maxsize=8)
+def _options(types: tuple[type[JointType], ...]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(f.name for type_ in types for f in fields(type_)))
 
 
 class Document:
@@ -125,12 +136,13 @@ class Document:
     def check(self, kind: str, table: Mapping[str, Any], path: Path, subject: str = "") -> bool:
         """Whether a table has all keys that it must have and no others, with the right types."""
         before = len(self.findings.problems)
+        known = KEYS[kind] + (joint_options() if kind == "joint" else ())
         for key, item in table.items():
             where = self.where(*path, key)
-            if key not in KEYS[kind]:
-                self.findings.add(f"unknown key {shorten(key)}{hint(key[:60], KEYS[kind])}", subject, where)
+            if key not in known:
+                self.findings.add(f"unknown key {shorten(key)}{hint(key[:60], known)}", subject, where)
                 continue
-            wanted, said = _TYPES.get(key, (object, ""))
+            wanted, said = _VALUES.get(key, (object, ""))
             if not isinstance(item, wanted) or (wanted is int and isinstance(item, bool)):
                 self.findings.add(f"{key} is {shorten(item)}", subject, where, f"it must be {said}")
             elif said == "a list of texts" and not all(isinstance(x, str) for x in item):

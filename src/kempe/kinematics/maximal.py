@@ -7,7 +7,9 @@ particle has 3, in the plane 2, and its rotation is the identity. Columns of the
 body (`maximal_velocity_names`).
 
 Equations: for every joint, in the tree or not, the rows that its type takes away, in axes of its frame F; then
-declared constraints; then one for each coordinate that follows others or is held, and for each relation.
+declared constraints; then one for each coordinate that follows others or is held, and for each relation. A joint that
+holds nothing along fixed axes (a turn about x, a slide along z, a turn about y) has six rows, three in the plane: the
+least by which any of its coordinates miss the pose. As many of them as it has freedoms follow from the others.
 """
 
 from __future__ import annotations

@@ -9,10 +9,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe import spatial
+from kempe.description.parts import Joint
+from kempe.joints import Q
 from kempe.kinematics import pairs
+from kempe.kinematics.carried import Carried
 from kempe.kinematics.configuration import as_q
+from kempe.kinematics.constraint_base import Pair
 from kempe.kinematics.constraints import coordinate_value
-from kempe.kinematics.zoo import Closure, Pair, closure_of, declared
+from kempe.kinematics.zoo import Closure, closure_of, declared
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -49,7 +53,7 @@ class LinearRow(NamedTuple):
 class Form(NamedTuple):
     """All equations of a system: those of pairs, of coordinates, and of quaternions that are held."""
 
-    joints: list[Closure]
+    joints: list[Closure | Carried]
     pairs: list[Pair]
     relations: list[LinearRow]
     balls: list[tuple[Closure, Array]]
@@ -70,12 +74,14 @@ def form_of(system: System) -> Form:
 
 def _compiled(system: System) -> Form:
     mechanism, followers = system.mechanism, system.couplings
-    joints = [closure_of(system, name, own=True) for name in mechanism.joints]
+    every = [closure_of(system, name, own=True) for name in mechanism.joints]
+    joints = [j for j in every if isinstance(j, Closure)]
     turning = {names[0] for j in joints for names, kind in j.tied if kind.startswith("turn")}
     turning |= {n for j in joints for names, kind in j.tied if kind == "angles" for n in names}
+    turning |= {j.own.names[i] for j in every if isinstance(j, Carried) for i in j.own.turning()}
     balls = [(j, spatial.unit([followers[n].offset for n in names])) for j in joints for names, kind in j.tied
              if kind == "quaternion" and names[0] in followers]  # fmt: skip
-    in_balls = {n for j in joints for names, kind in j.tied if kind == "quaternion" for n in names}
+    in_balls = {n for j in mechanism.joints.values() for n in _quaternion(system, j)}
     rows = [(n, ((f.source, -f.multiplier),) if f.source else (), f.offset) for n, f in followers.items()]
     rows += [(r.of, tuple((s, -m) for s, m in r.sources.items()), r.offset) for r in system.relations]
     wide = {n: not high - low < FULL_TURN for n, (low, high) in zip(system.velocity_names, system.limits, strict=True)}
@@ -92,8 +98,16 @@ def _compiled(system: System) -> Form:
     for k, column in enumerate(columns):
         body, _, axis = column.rpartition(".")
         selectors[body][TWIST.index(axis), k] = 1.0
-    held = [replace(j, tied=()) for j in joints] + [declared(system, c) for c in mechanism.constraints.values()]
-    return Form(joints, held, relations, balls, list(selectors.values()), turning, said)
+    held = [replace(j, tied=()) if isinstance(j, Closure) else j for j in every]
+    held += [declared(system, c) for c in mechanism.constraints.values()]
+    return Form(every, held, relations, balls, list(selectors.values()), turning, said)
+
+
+def _quaternion(system: System, joint: Joint) -> list[str]:
+    """Names of the coordinates of a joint that make up its quaternion."""
+    names = system.coordinates_of_joint(joint.name)
+    primitives = joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1]
+    return [n for p in primitives if p.kind == Q for n in names[p.coordinate : p.coordinate + 4]]
 
 
 def pose_in(system: System, pair: Pair, poses: Array) -> Array:
@@ -125,6 +139,11 @@ def coordinates_of(system: System, poses: Array, near: Any) -> tuple[dict[str, A
     values, rates = {}, {}
     for joint in form_of(system).joints:
         X, motion = pose_in(system, joint, poses), motion_in(system, joint, poses)
+        if isinstance(joint, Carried):
+            own, slope = joint.read(X, joint.values(system, near))
+            values |= {n: own[..., i] for i, n in enumerate(joint.own.names)}
+            rates |= {joint.own.names[i]: (slope @ motion)[..., v, :] for i, v in joint.own.plain}
+            continue
         for names, kind in joint.tied:
             at = np.stack([coordinate_value(system, near, n) for n in names], axis=-1)
             if kind == "quaternion":

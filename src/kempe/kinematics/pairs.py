@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from kempe import spatial
-from kempe.joints import Helical, JointType, P, Q, R
+from kempe.joints import JointType
+from kempe.model.reduced import reduced, screw, slides_along_z
 from kempe.spatial import Array
 
 Rows = tuple[Array, Array]
@@ -56,19 +57,13 @@ class Hold:
         return np.concatenate([v for v, _ in parts], axis=-1), np.concatenate([r for _, r in parts], axis=-2)
 
 
-def hold_of(kind: JointType, dim: int = 3, particle: bool = False) -> Hold:
-    """What a joint type holds; in the plane a slide is along x of F (see `flat_frame`)."""
-    if isinstance(kind, Helical):
-        return Hold("xy", "xy", kind.pitch)
-    position, turns = kind.ties
-    if dim == 2:
-        turns = "z" if turns == "xyz" else ""
-        position = "y" if _slides_along_z(kind, particle) else "xy" if position == "xyz" else ""
-    return Hold(position, "" if particle else turns)
-
-
-def _slides_along_z(kind: JointType, particle: bool) -> bool:
-    return any(p.kind == P and p.axis == "z" for p in kind.layout(2, particle)[1])
+def hold_of(kind: JointType, dim: int = 3, particle: bool = False) -> Hold | None:
+    """What a joint type holds, None where that has no fixed axes; in the plane a slide is along x (`flat_frame`)."""
+    form = reduced(kind, dim, particle)
+    if form is not None:
+        return Hold(form.position, form.turns)
+    pitch = screw(kind) if dim == 3 and not particle else None
+    return None if pitch is None else Hold("xy", "xy", pitch)
 
 
 def flat_frame(X: Array) -> Array:
@@ -80,7 +75,7 @@ def flat_frame(X: Array) -> Array:
 
 def frames_of(kind: JointType, X_PF: Array, X_CM: Array, dim: int, particle: bool) -> tuple[Array, Array]:
     """Frames F on the parent and M on the child in which `hold_of` and `read` speak of the joint."""
-    if dim == 2 and _slides_along_z(kind, particle):
+    if slides_along_z(kind, dim, particle):
         return flat_frame(X_PF), flat_frame(X_CM)
     return X_PF, X_CM
 
@@ -213,41 +208,28 @@ def _stack(parts: list[tuple[Array, Array]]) -> Rows:
 # ---- the coordinates of a joint
 
 
-def reading_kinds(kind: JointType, dim: int = 3, particle: bool = False) -> tuple[str, ...]:
-    """How each coordinate of a joint is read: "x", "y", "z" a slide, "turn ..." as in `turn`, "screw", "quaternion"."""
-    names, primitives = kind.layout(dim, particle)
-    if isinstance(kind, Helical):
-        return ("screw",)
-    turns = [p for p in primitives if p.kind == R]
-    said = {1: ("z",), 2: ("rx", "ry"), 3: ("yaw", "pitch", "roll")}.get(len(turns), ())
-    out = [""] * len(names)
-    for p in primitives:
-        if p.kind == Q:
-            out[p.coordinate : p.coordinate + 4] = ["quaternion"] * 4
-        elif p.kind == R:
-            out[p.coordinate] = f"turn {said[turns.index(p)]}"
-        else:
-            out[p.coordinate] = "x" if dim == 2 and p.axis == "z" else p.axis
-    return tuple(out)
-
-
 def reading_groups(kind: JointType, dim: int = 3, particle: bool = False) -> list[tuple[tuple[int, ...], str]]:
-    """The coordinates of a joint by what is read together: one by one, but three angles or a quaternion at once."""
-    kinds = reading_kinds(kind, dim, particle)
+    """The coordinates of a joint by what is read together: one by one, but three angles or a quaternion at once.
+
+    Each is "x", "y", "z" a slide, "turn ..." as in `turn`, "screw", "angles" (yaw, pitch, roll) or "quaternion".
+    """
+    form = reduced(kind, dim, particle)
+    if form is None:
+        return [((0,), "screw")]
+    angles = {how: k for k, how in form.readings if how in ("turn yaw", "turn pitch", "turn roll")}
     out: list[tuple[tuple[int, ...], str]] = []
-    for i, said in enumerate(kinds):
-        if said in ("quaternion", "turn yaw"):
-            if i and kinds[i - 1] == said:
-                continue
-            size = 4 if said == "quaternion" else 3
-            out.append((tuple(range(i, i + size)), "quaternion" if size == 4 else "angles"))
-        elif said not in ("turn pitch", "turn roll"):
-            out.append(((i,), said))
+    for k, how in form.readings:
+        if how == "quaternion":
+            out.append((tuple(range(k, k + 4)), how))
+        elif how not in angles:
+            out.append(((k,), how))
+        elif k == min(angles.values()):
+            out.append((tuple(angles[f"turn {a}"] for a in ("yaw", "pitch", "roll")), "angles"))
     return out
 
 
 def read(X: Array, kind: str, pitch: float = 0.0) -> tuple[Array, Array]:
-    """One coordinate (...) and its rates (..., 6), as `reading_kinds` says; angles within a half turn of zero."""
+    """One coordinate (...) and its rates (..., 6), as `reading_groups` says; angles within a half turn of zero."""
     if kind in AXES:
         value, rates = slides(X, kind)
         return value[..., 0], rates[..., 0, :]

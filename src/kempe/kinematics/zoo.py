@@ -7,87 +7,28 @@ exact where the constraint is violated, too. `of_system` lists those that a syst
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe import spatial
 from kempe.description.checks import constraint_length
 from kempe.description.parts import Constraint as Declared
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics import pairs
+from kempe.kinematics.carried import Carried
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.constraints import coordinate_value
+from kempe.kinematics.constraint_base import Constraint, Pair
+from kempe.kinematics.constraints import coordinate_row, coordinate_value
 from kempe.kinematics.curves import Curve
 from kempe.kinematics.derivatives import SUPPLIED, check_supplied, checked_value, jacobian_of, way_of
-from kempe.kinematics.forward import fk
-from kempe.kinematics.forward import jacobian as frame_jacobian
+from kempe.kinematics.joint_motion import motion_of
+from kempe.model.reduced import slides_along_z
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-
-_EYE = np.eye(4)
-
-
-class Constraint(ABC):
-    """A holonomic constraint f(q) = 0."""
-
-    name: str
-
-    @property
-    @abstractmethod
-    def names(self) -> tuple[str, ...]:
-        """A name for each row."""
-
-    @property
-    def size(self) -> int:
-        """Number of rows."""
-        return len(self.names)
-
-    @abstractmethod
-    def residual(self, system: System, q: Any) -> Array:
-        """How far it is violated (..., size), in metres and radians."""
-
-    @abstractmethod
-    def jacobian(self, system: System, q: Any) -> Array:
-        """Derivatives (..., size, nv) of the residual by the velocity coordinates."""
-
-
-@dataclass(frozen=True, eq=False)
-class Pair(Constraint):
-    """A constraint on where frame B is in frame A: `X_A` on the body or frame `a`, `X_B` on `b`."""
-
-    name: str
-    a: str
-    b: str
-    X_A: Array = field(default_factory=lambda: _EYE, kw_only=True)
-    X_B: Array = field(default_factory=lambda: _EYE, kw_only=True)
-
-    @abstractmethod
-    def rows(self, X: Array) -> pairs.Rows:
-        """Residual (..., size) and rates (..., size, 6) of the pose X of B in A; see `kempe.kinematics.pairs`."""
-
-    def residual(self, system: System, q: Any) -> Array:
-        """How far it is violated (..., size), in metres and radians."""
-        return self.rows(self.pose(system, as_q(system, q)))[0]
-
-    def jacobian(self, system: System, q: Any) -> Array:
-        """Derivatives (..., size, nv) of the residual by the velocity coordinates."""
-        return self.rows(self.pose(system, q := as_q(system, q)))[1] @ self.motion(system, q)
-
-    def pose(self, system: System, q: Array) -> Array:
-        """Pose (..., 4, 4) of B in A."""
-        return spatial.inverse(fk(system, q, self.a) @ self.X_A) @ fk(system, q, self.b) @ self.X_B
-
-    def motion(self, system: System, q: Array) -> Array:
-        """Matrix (..., 6, nv): velocity coordinates to the twist of B against A, at the origin of B, in axes of A."""
-        ends = ((self.a, self.X_A), (self.b, self.X_B))
-        return pairs.motion(*((fk(system, q, f), X, frame_jacobian(system, q, f)) for f, X in ends))
-
 
 # ---- the zoo
 
@@ -280,18 +221,6 @@ def check_coordinates(system: System, names: Iterable[str]) -> None:
             raise InputError(f"{name!r} is part of a quaternion; only angles and lengths can be coupled")
 
 
-def coordinate_row(system: System, name: str) -> Array:
-    """Derivatives (nv,) of any coordinate that is an angle or a length, also of one that is not in q."""
-    row, factor = np.zeros(system.nv), 1.0
-    follower = system.couplings.get(name)
-    if follower is not None:
-        if follower.source is None:
-            return row
-        name, factor = follower.source, follower.multiplier
-    row[system.coordinates.first[name][1]] = factor
-    return row
-
-
 @dataclass(frozen=True, eq=False)
 class UserConstraint(Constraint):
     """A function of q that must be zero. `how` says where derivatives come from; see `user_constraint`."""
@@ -352,11 +281,12 @@ def user_constraint(
 # ---- what a system has
 
 
-def closure_of(system: System, joint: str, own: bool = False) -> Closure:
+def closure_of(system: System, joint: str, own: bool = False) -> Closure | Carried:
     """The closure of a joint, by the rows that its type takes away.
 
     Coordinates of the joint that follow others, are held, or are part of a relation have a row each besides, for
     they are not free; with `own=True` all of them do, so that the residual is zero only where q has their values, too.
+    So they do in any case where what the type takes away has no fixed axes: its closure is `Carried`.
     """
     mechanism = system.mechanism
     if joint not in mechanism.joints:
@@ -365,15 +295,15 @@ def closure_of(system: System, joint: str, own: bool = False) -> Closure:
     particle = mechanism.bodies[j.child].particle
     X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (j.X_PF, j.X_CM))
     X_PF, X_CM = pairs.frames_of(j.type, X_PF, X_CM, system.dim, particle)
+    names, hold = system.coordinates_of_joint(joint), pairs.hold_of(j.type, system.dim, particle)
+    if hold is None:
+        motion = motion_of(system, j, slides_along_z(j.type, system.dim, particle))
+        return Carried(joint, j.parent, j.child, motion, X_A=X_PF, X_B=X_CM)
     related = {n for r in system.relations for n in (r.of, *r.sources)} | system.couplings.keys()
-    names = system.coordinates_of_joint(joint)
     groups = pairs.reading_groups(j.type, system.dim, particle)
     tied = [(tuple(names[i] for i in group), kind) for group, kind in groups]
     tied = [t for t in tied if own or related & {*t[0]}]
-    return Closure(
-        joint, j.parent, j.child, pairs.hold_of(j.type, system.dim, particle),
-        float(j.type.options.get("pitch", 0.0)), tuple(tied), X_A=X_PF, X_B=X_CM,  # type: ignore[arg-type]
-    )  # fmt: skip
+    return Closure(joint, j.parent, j.child, hold, hold.pitch or 0.0, tuple(tied), X_A=X_PF, X_B=X_CM)
 
 
 def declared(system: System, constraint: Declared) -> Pair:

@@ -11,7 +11,7 @@ from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
 from kempe.description.values import Expression, evaluate
 from kempe.errors import DescriptionError, Problem, UnknownNameError
-from kempe.joints import Layout, Q, R, layout_of
+from kempe.joints import Layout, P, Primitive, Q, R, layout_of
 
 HELD_TOLERANCE = 1e-9
 """How far a coordinate that follows a locked one may be outside its limits: rounding of the multiplier."""
@@ -85,7 +85,9 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
     for joint in mechanism.joints.values():
         particle = mechanism.bodies[joint.child].particle
         local, primitives = joint.type.layout(mechanism.dim, particle)
-        kinds = {p.coordinate: p.kind for p in primitives}  # a screw counts as a slide: it returns only by going back
+        kinds = {p.coordinate: p.kind for p in primitives}
+        # a screw, or a turn that is geared down, counts as a slide: it returns only by going back
+        kinds |= {p.coordinate: P for p in primitives if p.kind != Q and not _returns(p, 1.0)}
         for i, name in enumerate(local):
             full = _full(joint.name, name)
             if full in followers or i not in kinds:
@@ -265,6 +267,11 @@ def relation_text(relation: Relation) -> str:
     return f"{relation.of} = {terms}" + (f" + {relation.offset:g}" if relation.offset else "")
 
 
+def _returns(p: Primitive, multiplier: float) -> bool:
+    """Whether a primitive is as before after a full turn of what moves it by `multiplier`."""
+    return p.kind == R and (p.multiplier * multiplier).is_integer()
+
+
 def returning(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
     """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes nothing."""
     back = c.turning & np.isinf(c.lower) & np.isinf(c.upper)
@@ -274,7 +281,7 @@ def returning(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
         for p in joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]:
             follower = c.followers.get(names[p.coordinate])
             if follower is not None and follower.source is not None:  # it must return after a full turn, too
-                back[number[follower.source]] &= p.kind == R and follower.multiplier.is_integer()
+                back[number[follower.source]] &= _returns(p, follower.multiplier)
     for relation in c.relations:
         for name in (relation.of, *relation.sources):
             back[number[name]] = False

@@ -12,6 +12,7 @@ from kempe.joints import P, Q, R
 from kempe.kernels import loop_layout as L
 from kempe.kernels.layout import HEADER, OUTPUT_INTS, ROW_INTS
 from kempe.model.coordinates import Relation, coordinate_names, returning
+from kempe.model.reduced import reduced
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
 TURN_NAMES = {
     L.NO_TURN: (), L.ANGLE: ("rz",), L.ALIGN: ("rx", "ry"), L.CROSS: ("x.y",), L.FULL: ("rx", "ry", "rz"),
     L.LOOK: ("rx", "ry"),
+}  # fmt: skip
+READINGS = {
+    "x": L.READ_X, "y": L.READ_Y, "z": L.READ_Z, "turn z": L.READ_ANGLE, "turn rx": L.READ_RX, "turn ry": L.READ_RY,
+    "turn yaw": L.READ_YAW, "turn pitch": L.READ_PITCH, "turn roll": L.READ_ROLL, "quaternion": L.READ_QUATERNION,
 }  # fmt: skip
 ONE_ROW = {L.DISTANCE: "distance", L.LINEAR: "relation"}
 
@@ -103,23 +108,9 @@ class Loops:
 
 def _readings(system: System, joint: Joint) -> list[tuple[int, int]]:
     """For each coordinate of a joint how it is read off the pose of M in F, and its place in q."""
-    particle = system.mechanism.bodies[joint.child].particle
-    names = coordinate_names(system.mechanism, joint)
-    _, primitives = joint.type.layout(system.dim, particle)
-    turns = [p for p in primitives if p.kind == R]
-    codes = {1: (L.READ_ANGLE,), 2: (L.READ_RX, L.READ_RY), 3: (L.READ_YAW, L.READ_PITCH, L.READ_ROLL)}.get(len(turns))
-    flat_slider = system.dim == 2 and joint.type.type_name == "prismatic"
-    out = []
-    for p in primitives:
-        if p.kind == P:
-            code = L.READ_X if flat_slider else "xyz".index(p.axis)
-        elif p.kind == Q:
-            code = L.READ_QUATERNION
-        else:
-            assert codes is not None
-            code = codes[turns.index(p)]
-        out.append((code, system.coordinates.first[names[p.coordinate]][0]))
-    return out
+    names, first = coordinate_names(system.mechanism, joint), system.coordinates.first
+    form = reduced(joint.type, system.dim, system.mechanism.bodies[joint.child].particle)
+    return [(READINGS[how], first[names[k]][0]) for k, how in (form.readings if form else ())]
 
 
 def moving(a: int, b: int, parent: np.ndarray) -> list[tuple[float, int]]:

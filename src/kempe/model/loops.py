@@ -4,7 +4,8 @@ A *tie* is one constraint between two frames A and B: a joint that the tree left
 held in place (a pin), or a linear relation of coordinates. A joint that the tree left out is tied in one of two forms.
 *Reduced*, A is its frame F and B its frame M, held as the joint holds them; its own coordinates are read off
 afterwards. *Carried*, A is led on through the joint's own motion, and coincides with B; its coordinates are unknowns
-like all others. So a coordinate that is known, limited or coupled needs nothing special.
+like all others. So a coordinate that is known, limited or coupled needs nothing special, and neither does a joint type
+that has no reduced form (`kempe.model.reduced`).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from kempe.description.parts import Joint
 from kempe.kernels import loop_layout as L
 from kempe.model.lengths import characteristic_length, moved, origin_of
 from kempe.model.loop_plan import Centre, Function, Loops, Plan, Tie, moving
+from kempe.model.reduced import Reduced, reduced, slides_along_z
 from kempe.model.table import Table, lower
 
 if TYPE_CHECKING:
@@ -27,12 +29,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Centre", "Function", "Loops", "Tie", "characteristic_length", "loops_of", "must_carry", "pack"]
 
-MASKS = {"": 0, "z": 4, "xy": 3, "y": 2, "xyz": 7}
 TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FULL}
 
 
 def must_carry(system: System, known: Iterable[str] = ()) -> frozenset[str]:
-    """The joints left out of the tree whose coordinates must be unknowns: screws, known, limited or coupled ones."""
+    """The joints left out of the tree that are carried: without a reduced form, or known, limited or coupled ones."""
     related = {n for r in system.relations for n in (r.of, *r.sources)} | set(known)
     related |= {f.source for f in system.couplings.values() if f.source is not None}  # others move with them
     v_index = {n: i for i, n in enumerate(system.velocity_names)}
@@ -40,8 +41,8 @@ def must_carry(system: System, known: Iterable[str] = ()) -> frozenset[str]:
     out = set()
     for name in system.closures:
         names = system.coordinates_of_joint(name)
-        screw = system.joints[name].type.type_name == "helical"
-        if screw or any(c in system.couplings or c in related or (c in v_index and limited[v_index[c]]) for c in names):
+        none = _reduced(system, system.joints[name]) is None
+        if none or any(c in system.couplings or c in related or (c in v_index and limited[v_index[c]]) for c in names):
             out.add(name)
     return frozenset(out)
 
@@ -109,17 +110,17 @@ def _ties(
         if c.kind == "distance":
             ties.append(Tie(c.name, *ends, turns=L.DISTANCE, number=constraint_length(c, mechanism.parameters)))
         elif c.kind == "point_on_plane":
-            ties.append(Tie(c.name, *ends, mask=MASKS["z"]))
+            ties.append(Tie(c.name, *ends, mask=_mask("z")))
         elif system.dim == 2:
             ends = [_flat(end, ends[0], table) for end in ends]
-            ties.append(Tie(c.name, *ends, mask=MASKS["y"]))
+            ties.append(Tie(c.name, *ends, mask=_mask("y")))
         else:
-            ties.append(Tie(c.name, *ends, mask=MASKS["xy"]))
+            ties.append(Tie(c.name, *ends, mask=_mask("xy")))
     ground = (-1, np.eye(4), False)
     for relation in system.relations:
         ties.append(Tie(relation.of, ground, ground, turns=L.LINEAR, number=relation.offset, relation=relation))
     for frame, turned in pins:
-        mask = MASKS["xy" if system.dim == 2 else "xyz"]
+        mask = _mask("xyz"[: system.dim])
         turns = L.NO_TURN if not turned else L.ANGLE if system.dim == 2 else L.FULL
         ties.append(Tie(frame, ground, table.at[frame], mask, turns, pin=True))
     return ties
@@ -148,17 +149,23 @@ def _normal(end: tuple, table: Table) -> np.ndarray:
 def _of_joint(system: System, table: Table, joint: Joint, carried: bool) -> Tie:
     """The tie of a joint that the tree left out."""
     a, b = table.at[joint.name, "F"], table.at[joint.name, "M"]
-    position, turns = ("xyz", "xyz") if carried else joint.type.ties
-    if system.dim == 2:
-        turns = "z" if turns == "xyz" else ""
-        if abs(_normal(b, table)[2]) < 0.5:  # a slider
-            a, b = _flat(a, b, table), _flat(b, b, table)
-            position = "xy" if carried else "y"
-        else:
-            position = "xy" if position == "xyz" else ""
-    if b[2]:
-        turns = ""
-    return Tie(joint.name, a, b, MASKS[position], TURNS[turns], joint=None if carried else joint)
+    if slides_along_z(joint.type, system.dim, b[2]):
+        a, b = _flat(a, b, table), _flat(b, b, table)
+    if carried:
+        turns = "" if b[2] else "z" if system.dim == 2 else "xyz"
+        return Tie(joint.name, a, b, _mask("xyz"[: system.dim]), TURNS[turns])
+    form = _reduced(system, joint)
+    assert form is not None, f"joint {joint.name!r} must be carried"
+    return Tie(joint.name, a, b, _mask(form.position), TURNS[form.turns], joint=joint)
+
+
+def _reduced(system: System, joint: Joint) -> Reduced | None:
+    return reduced(joint.type, system.dim, system.mechanism.bodies[joint.child].particle)
+
+
+def _mask(axes: str) -> int:
+    """The bits of some axes."""
+    return sum(1 << "xyz".index(a) for a in axes)
 
 
 def _in_order(ties: list[Tie], table: Table) -> list[Tie]:

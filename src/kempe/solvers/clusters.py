@@ -77,8 +77,9 @@ def _periods(system: System) -> Array:
         for p in joint.type.layout(system.dim, mechanism.bodies[joint.child].particle)[1]:
             follower = followers.get(names[p.coordinate])
             if follower is not None and follower.source is not None:
-                ratio, i = Fraction(follower.multiplier).limit_denominator(MOST_TURNS), number[follower.source]
-                again = p.kind == R and abs(float(ratio) - follower.multiplier) < 1e-12
+                factor, i = p.multiplier * follower.multiplier, number[follower.source]
+                ratio = Fraction(factor).limit_denominator(MOST_TURNS)
+                again = p.kind == R and abs(float(ratio) - factor) < 1e-12
                 turns[i] = math.lcm(int(turns[i]), ratio.denominator) if again else 0
     for relation in system.relations:
         for name in (relation.of, *relation.sources):

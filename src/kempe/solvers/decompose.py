@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.description.values import evaluate
-from kempe.joints import P, R
+from kempe.joints import P, Primitive, R
 from kempe.kernels import dyads_layout as K
 from kempe.kinematics.constraints import joint_pose
 from kempe.model.coordinates import coordinate_names
@@ -149,11 +149,17 @@ def _flat(X: Array) -> Pose:
     return float(X[0, 0]), float(X[1, 0]), float(X[0, 3]), float(X[1, 3])
 
 
-def _rail(X: Array) -> Pose:
-    """Pose whose x axis is the z axis of X, which lies in the plane."""
-    dx, dy = float(X[0, 2]), float(X[1, 2])
+def _rail(X: Array, axis: int = 2) -> Pose:
+    """Pose whose x axis is the given axis of X, z by default, which lies in the plane."""
+    dx, dy = float(X[0, axis]), float(X[1, axis])
     n = math.hypot(dx, dy)
     return dx / n, dy / n, float(X[0, 3]), float(X[1, 3])
+
+
+def _alone(joint: Joint) -> Primitive | None:
+    """The only motion of a joint of the plane, a turn or a slide by its coordinate; None of one that has several."""
+    primitives = joint.type.layout(2)[1]
+    return primitives[0] if len(primitives) == 1 and primitives[0].multiplier == 1.0 else None
 
 
 def parts_of(system: System) -> Parts:
@@ -174,7 +180,7 @@ def parts_of(system: System) -> Parts:
             X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
             X_PC = X_PF @ joint_pose(joint.type, values, 2) @ np.linalg.inv(X_CM)
             held[name] = joint.parent, joint.child, _flat(X_PC)
-        elif joint.type.type_name in ("revolute", "prismatic"):
+        elif _alone(joint) is not None:
             moving.append(joint)
         else:
             return Parts(trouble=f"joint {name!r} is of type {joint.type.type_name}")
@@ -191,10 +197,12 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
     for joint in moving:
         (a, X_A), (b, X_B) = at[joint.parent], at[joint.child]
         X_PF, X_CM = joint.X_PF.evaluate(parameters), joint.X_CM.evaluate(parameters)
-        turns = joint.type.type_name == "revolute"
-        F, M = (times(X, _flat(Y) if turns else _rail(Y)) for X, Y in ((X_A, X_PF), (X_B, X_CM)))
-        follower = system.couplings.get(joint.name)
-        source, multiplier, offset = joint.name, 1.0, 0.0
+        motion = _alone(joint)
+        assert motion is not None
+        turns, axis = motion.kind == R, "xyz".index(motion.axis)
+        F, M = (times(X, _flat(Y) if turns else _rail(Y, axis)) for X, Y in ((X_A, X_PF), (X_B, X_CM)))
+        source, multiplier, offset = coordinate_names(system.mechanism, joint)[0], 1.0, 0.0
+        follower = system.couplings.get(source)
         if follower is not None:
             source, multiplier, offset = follower.source or "", follower.multiplier, follower.offset
         links.append(Link(joint.name, R if turns else P, a, b, F, M, slots[source], multiplier, offset))

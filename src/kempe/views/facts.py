@@ -14,7 +14,7 @@ from kempe import library, spatial
 from kempe.description.checks import constraint_length
 from kempe.description.parts import Constraint, Joint
 from kempe.errors import DescriptionError, KempeError, Problem
-from kempe.joints import Q, R
+from kempe.joints import P, R
 from kempe.model.coordinates import Follower, relation_text
 
 if TYPE_CHECKING:
@@ -34,7 +34,8 @@ def units(system: System) -> dict[str, str]:
     for joint in system.joints.values():
         particle = bodies[joint.child].particle
         names, primitives = joint.type.layout(system.dim, particle)
-        own = {p.coordinate: "rad" if p.kind == R else "m" for p in reversed(primitives) if p.kind != Q}
+        own = {p.coordinate: "m" for p in primitives if p.kind == P}
+        own |= {p.coordinate: "rad" for p in primitives if p.kind == R}  # of a screw, too
         for i, name in enumerate(names):
             out[_full(joint, name)] = own.get(i, "")
         for name in joint.type.velocities(system.dim, particle):

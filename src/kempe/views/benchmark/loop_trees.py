@@ -14,6 +14,7 @@ from kempe import spatial
 from kempe.errors import UnsupportedError
 from kempe.kernels.layout import BALL, SLIDE, TURN
 from kempe.model.loops import characteristic_length
+from kempe.model.reduced import reduced
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint
@@ -60,7 +61,10 @@ class Link:
     def opening(self, X: list[spatial.Array]) -> spatial.Array:
         """How far (...) the joint is from assembled, in metres and sines of angles, for poses X of all bodies."""
         between = spatial.inverse(X[self.a] @ self.X_a) @ (X[self.b] @ self.X_b)
-        slides, turns = self.joint.type.ties
+        form = reduced(self.joint.type)
+        if form is None:
+            raise UnsupportedError(f"joint {self.joint.name!r} has no reduced form")
+        slides, turns = form.position, form.turns
         held = ["xyz".index(axis) for axis in slides]
         R, errors = between[..., :3, :3], [np.linalg.norm(between[..., held, 3], axis=-1)]
         if turns == "x.y":

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.patches import PathPatch
 
+from kempe.joints import P, R
 from kempe.spatial import Array
 from kempe.views.drawing import shapes, style
 from kempe.views.drawing.labels import Obstacles
 from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, distinct, travel
 from kempe.views.drawing.style import BAR, BLOCK, DRIVER, GROUND, INK, OPEN, PAPER, WRONG
+from kempe.views.drawing.symbols import SYMBOLS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,10 +70,8 @@ def draw(sheet: Sheet, labels: bool = True) -> None:
     for joint in scene.joints:
         if joint.kind == "prismatic":
             _prismatic(sheet, joint)
-        elif joint.kind == "translation":
-            cross = np.array([[1.0, 0.0], [0.0, 1.0]]) * 2.6 * sheet.r
-            c = flat(joint.M)
-            sheet.patch(shapes.strokes([(c - d, c + d) for d in cross]), f"joint:{joint.name}", style.PINS, ec=INK)
+        elif joint.kind == "translation" or joint.kind not in SYMBOLS:
+            _slides(sheet, joint)
     for link in scene.links[1:]:
         _link(sheet, link)
     _rods(sheet)
@@ -85,6 +85,19 @@ def draw(sheet: Sheet, labels: bool = True) -> None:
             _driver(sheet, joint)
     if labels:
         _joint_labels(sheet, pins)
+
+
+def _slides(sheet: Sheet, joint: SeenJoint) -> None:
+    """Strokes along the axes of F that a joint slides along."""
+    c, along = flat(joint.M), [joint.F[:2, "xyz".index(p.axis)] for p in joint.motions if p.kind == P]
+    if along:
+        ends = [(c - 2.6 * sheet.r * d, c + 2.6 * sheet.r * d) for d in along]
+        sheet.patch(shapes.strokes(ends), f"joint:{joint.name}", style.PINS, ec=INK)
+
+
+def _turns(joint: SeenJoint) -> bool:
+    """Whether a joint is drawn as a pin: a hinge, or one without a symbol of its own that turns."""
+    return joint.kind == "revolute" or (joint.kind not in SYMBOLS and any(p.kind == R for p in joint.motions))
 
 
 def ghost(sheet: Sheet, scene: Scene, number: int) -> None:
@@ -187,7 +200,7 @@ def _pins(sheet: Sheet) -> list[tuple[Array, list[SeenJoint]]]:
             base = flat(grounded[0].on(0))
             _ground(sheet, base, _down(sheet, base), grounded[0].name)
     for c, joints in groups:
-        turning = [j for j in joints if j.kind == "revolute"]
+        turning = [j for j in joints if _turns(j)]
         for joint in turning:
             sheet.patch(shapes.circle(flat(joint.M), r), f"joint:{joint.name}", style.PINS, fc=PAPER, ec=INK, lw=1.5)
         if turning:
@@ -289,6 +302,8 @@ def _open(sheet: Sheet, joint: SeenJoint) -> None:
     a, b = flat(joint.F), flat(joint.M)
     if joint.kind == "prismatic":
         b = b - joint.axis[:2] * float(joint.axis[:2] @ (b - a))
+    elif joint.kind not in SYMBOLS:
+        a = b if joint.gap is None else b - joint.gap[:2]
     elif joint.kind != "revolute":
         return
     if np.linalg.norm(b - a) > WRONG * sheet.scene.size:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.description.values import evaluate
-from kempe.kinematics.constraints import coordinate_value
+from kempe.joints import Primitive
+from kempe.kinematics.constraints import closure_error, coordinate_value
 from kempe.kinematics.forward import fk
 from kempe.spatial import Array
 
@@ -28,6 +29,9 @@ class SeenJoint:
     M: Array
     driven: bool = False
     limits: tuple[float, float] = (-np.inf, np.inf)
+    motions: tuple[Primitive, ...] = ()
+    gap: Array | None = None
+    """How far (3,) M is from where the coordinates of a joint that closes a loop put it [m]."""
 
     def on(self, link: int) -> Array:
         """Pose (4, 4) of the joint's frame on one of its two links."""
@@ -101,7 +105,6 @@ class Scene:
         lengths = np.array(out)
         return lengths[lengths > 1e-9 * self.size]
 
-
     def reach(self, joint: SeenJoint, link: int) -> float:
         """How far the points of a link are from a joint on it, at most [m]."""
         p = self.points(self.links[link])
@@ -137,6 +140,7 @@ def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
     mechanism = system.mechanism
     poses = dict(zip(system.body_names, fk(system, q), strict=True))
     number = _links(system)
+    gaps = dict(zip(system.closures, closure_error(system, q)[:, :3], strict=True))
     joints: list[SeenJoint] = []
     mine: dict[int, list[int]] = {}
     for joint in mechanism.joints.values():
@@ -148,10 +152,13 @@ def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
             mine.setdefault(end, []).append(len(joints))
         driven = bool(joint.actuated) or joint.name in drivers
         limits = next(iter(joint.limits.values()), (-np.inf, np.inf))
+        motions = joint.type.layout(system.dim, mechanism.bodies[joint.child].particle)[1]
+        M = poses[joint.child] @ X_CM
+        gap = M[:3, :3] @ gaps[joint.name] if joint.name in gaps else None
         joints.append(
             SeenJoint(
-                joint.name, joint.type.type_name, *ends, poses[joint.parent] @ X_PF, poses[joint.child] @ X_CM,
-                driven, limits,
+                joint.name, joint.type.type_name, *ends, poses[joint.parent] @ X_PF, M, driven, limits,
+                tuple(motions), gap,
             )
         )  # fmt: skip
     links = []

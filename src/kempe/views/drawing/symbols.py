@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from kempe.joints import P, Q
 from kempe.spatial import Array
 from kempe.views.drawing import style
 from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, distinct, travel
@@ -37,7 +38,7 @@ def build(solids: Solids, scene: Scene, r: float, configurations: Array | None) 
         _link(solids, scene, link, r, skeleton)
     for joint in scene.joints:
         colour = style.mix(DRIVER, style.PAPER, 0.45) if joint.driven else JOINT
-        SYMBOLS[joint.kind](solids, scene, joint, r, colour, configurations)
+        SYMBOLS.get(joint.kind, _other)(solids, scene, joint, r, colour, configurations)
         if joint.driven and joint.kind in TURNING:
             _turning_arrow(solids, joint, r)
         _open(solids, joint, r)
@@ -304,12 +305,25 @@ def _nothing(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, 
     """A free joint holds nothing: there is nothing to draw."""
 
 
+def _other(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+    """A barrel about each axis of F that the joint turns about, a bar along each that it slides along."""
+    for p in j.motions:
+        axis = j.F[:3, "xyz".index(p.axis)]
+        if p.kind == Q:
+            solids.ball(f"joint:{j.name}", j.centre, 1.35 * r, colour)
+        elif p.kind == P:
+            solids.tube(f"joint:{j.name}", j.centre - 2.6 * r * axis, j.centre + 2.6 * r * axis, 0.25 * r, GROUND, 2)
+        else:
+            solids.tube(f"joint:{j.name}", j.centre - 1.3 * r * axis, j.centre + 1.3 * r * axis, 0.8 * r, colour, 1,
+                        edge=INK)  # fmt: skip
+
+
 SYMBOLS: dict[str, Callable[[Solids, Scene, SeenJoint, float, str, Array | None], None]] = {
     "revolute": _revolute, "prismatic": _prismatic, "cylindrical": _cylindrical, "helical": _helical,
     "spherical": _spherical, "universal": _universal, "planar": _planar, "translation": _translation,
     "free": _nothing,
 }  # fmt: skip
-"""One symbol for each joint type that moves."""
+"""Symbols of joint types that have one of their own; `_other` draws all others by their primitives."""
 
 
 def _turning_arrow(solids: Solids, j: SeenJoint, r: float) -> None:
@@ -322,7 +336,9 @@ def _turning_arrow(solids: Solids, j: SeenJoint, r: float) -> None:
 def _open(solids: Solids, j: SeenJoint, r: float) -> None:
     """A red line where a joint does not hold together at this configuration."""
     gap = j.centre - j.F[:3, 3]
-    if j.kind in ("prismatic", "cylindrical", "helical"):
+    if j.kind not in SYMBOLS:
+        gap = np.zeros(3) if j.gap is None else j.gap
+    elif j.kind in ("prismatic", "cylindrical", "helical"):
         gap = gap - j.axis * float(j.axis @ gap)
     elif j.kind in ("planar", "translation", "free"):
         return

@@ -1,0 +1,77 @@
+"""The closure of a joint that holds nothing along fixed axes: its frame M, led on by its own coordinates, is welded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.kinematics import pairs
+from kempe.kinematics.configuration import as_q
+from kempe.kinematics.constraint_base import Pair
+from kempe.kinematics.constraints import coordinate_row, coordinate_value
+from kempe.kinematics.joint_motion import FLAT, Motion
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+
+@dataclass(frozen=True, eq=False)
+class Carried(Pair):
+    """A joint that closes a loop, by how far its coordinates put M from where M is: six rows, three in the plane."""
+
+    own: Motion
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Position, then rotation, in axes of the M that the coordinates predict."""
+        return tuple(("x", "y", "z", "rx", "ry", "rz")[k] for k in self.own.keep)
+
+    def residual(self, system: System, q: Any) -> Array:
+        """How far it is violated (..., size), in metres and radians."""
+        q, keep = as_q(system, q), list(self.own.keep)
+        return self.own.error(self.pose(system, q), self.values(system, q)).value[..., keep]
+
+    def jacobian(self, system: System, q: Any) -> Array:
+        """Derivatives (..., size, nv) of the residual by the velocity coordinates."""
+        q, keep = as_q(system, q), list(self.own.keep)
+        e = self.own.error(self.pose(system, q), self.values(system, q))
+        rates = e.by_pose @ self.motion(system, q) + e.by_own @ self._own_rows(system)
+        return rates[..., keep, :]
+
+    def values(self, system: System, q: Array) -> Array:
+        """Values (..., n) of the joint's own coordinates, those that follow others or are held included."""
+        values = [coordinate_value(system, q, n) for n in self.own.names]
+        return np.stack(values, axis=-1) if values else np.zeros((*q.shape[:-1], 0))
+
+    def _own_rows(self, system: System) -> Array:
+        """Matrix (velocities of the joint, nv)."""
+        out = np.zeros((self.own.size, system.nv))
+        for value, velocity in self.own.plain:
+            out[velocity] = coordinate_row(system, self.own.names[value])
+        for s in self.own.steps:
+            if s.value == self.own.ball >= 0:
+                first = system.coordinates.first[self.own.names[s.value]][1]
+                out[s.velocity : s.velocity + 3, first : first + 3] = np.eye(3)
+        return out
+
+    def rows(self, X: Array) -> pairs.Rows:
+        """The least that any coordinates leave open at a pose X of M in F, with rates.
+
+        Of the rows as many depend on the others as the joint has freedoms.
+        """
+        keep = list(self.own.keep)
+        e = self.own.error(X, self.own.fit(X))
+        return e.value[..., keep], (e.by_pose + e.by_own @ self._follows(e))[..., keep, :]
+
+    def read(self, X: Array, near: Array) -> tuple[Array, Array]:
+        """The coordinates (..., n) at a pose, of several the ones nearest to `near`, and rates (..., velocities, 6)."""
+        values = self.own.fit(X, near)
+        return values, self._follows(self.own.error(X, values))
+
+    def _follows(self, e: Any) -> Array:
+        """How the coordinates of the best fit follow the twist of M (..., velocities, 6)."""
+        by_own, by_pose = self.own.slope(e)
+        return -np.linalg.pinv(by_own, rcond=FLAT) @ by_pose
