@@ -165,7 +165,8 @@ def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array
                 around[:, :, local] += each[:, :, k]
         else:
             around[:, :, c.local] = each
-    size = float(np.sqrt(np.max(np.sum(around * around, axis=1), initial=0.0)))
+    near = at.moved([s.loops[k].edge for k in c.loops]) @ around
+    size = float(np.sqrt(np.max(np.sum(near * near, axis=1), initial=0.0)))
     blocks = [rows_of_loop(system, s, at, k) @ A for k, A in zip(c.loops, around, strict=True)]
     local = {int(v): i for i, v in enumerate(c.velocities)}
     for k in c.relations:
@@ -178,15 +179,19 @@ def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array
     return np.concatenate(blocks) if blocks else np.zeros((0, n)), size
 
 
-_SPACE, _PLANE = np.eye(6), np.eye(6)[[0, 1, 5]]
+_PLANE = [0, 1, 5]
 
 
 def rows_of_loop(system: System, s: Structure, at: Screws, loop: int) -> Array:
-    """Rows (k, 6) that the edge that closes a loop takes from the twist around it; their transpose gives wrenches."""
+    """Rows (k, 6) that the edge that closes a loop takes from the twist around it; their transpose gives wrenches.
+
+    They read the twist where the loop is closed, so that a loop far away in a large mechanism is seen as well as others.
+    """
     i = s.loops[loop].edge
     edge = s.edges[i]
     if isinstance(edge.of, Constraint):
         return at.wrench_rows(i, edge.of, system.dim)
     if edge.particle:
         return at.point_rows(i, system.dim)
-    return _SPACE if system.dim == 3 else _PLANE
+    whole = at.moved([i])[0]
+    return whole if system.dim == 3 else whole[_PLANE]

@@ -1,13 +1,15 @@
 """The joints of a system as screws at one configuration.
 
 All twists are [v; w] of the child relative to the parent, in axes of the ground, at one reference point in the middle
-of the mechanism, with lengths in units of its size: so ranks and self-stresses depend neither on the cut nor on units.
+of the mechanism, with lengths in units of a typical link: so ranks and self-stresses depend neither on the cut nor on
+units, nor do singular values fade with the number of links.
 A closed loop says that the twists around it add up to zero (Davies, 1981); what multiplies that equation is the
 wrench that runs around the loop, and the wrench in a joint is the sum of those of the loops through it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -17,16 +19,11 @@ from kempe import spatial
 from kempe.analysis.graph import Edge, structure
 from kempe.description.parts import Constraint
 from kempe.joints import P, Q
-from kempe.model.lengths import characteristic_length
+from kempe.kinematics.loops import full
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-
-ONE_POINT = 1e-12
-"""Spread of the joints, as a part of their distance from the origin, below which they all sit on one point: what is
-left is rounding, and no length."""
-
 
 @dataclass(frozen=True, eq=False)
 class Screws:
@@ -64,6 +61,12 @@ class Screws:
         r = (self.M[edge, :3, 3] - self.center) / self.length
         return np.hstack([np.eye(3), -spatial.skew(r)])[:dim]
 
+    def moved(self, edges: Sequence[int]) -> Array:
+        """Matrices (n, 6, 6) that take twists to the origins of the frames M of edges."""
+        out = np.tile(np.eye(6), (len(edges), 1, 1))
+        out[:, :3, 3:] = -spatial.skew((self.M[list(edges), :3, 3] - self.center) / self.length)
+        return out
+
 
 def screws(system: System, q: Array) -> Screws:
     """The screws of all joints at a closed configuration `q` (nq,)."""
@@ -72,9 +75,7 @@ def screws(system: System, q: Array) -> Screws:
     F, M = bodies[s.parent] @ s.X_PF, bodies[s.child] @ s.X_CM
     points = M[:, :3, 3]
     center = points.mean(axis=0) if len(points) else np.zeros(3)
-    spread = float(np.sqrt(np.mean(np.sum((points - center) ** 2, axis=-1)))) if len(points) else 0.0
-    far = float(np.abs(bodies[:, :3, 3]).max()) + float(np.abs(points).max(initial=0.0))
-    length = spread if spread > ONE_POINT * far else characteristic_length(system)
+    length = full(system, True).length
     twists: list[Array] = []
     cross: dict[int, Array] = {}
     values = q.tolist()
