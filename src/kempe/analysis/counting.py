@@ -189,27 +189,32 @@ def loop_counts(system: System, at: Screws | None) -> tuple[LoopCount, ...]:
 
 
 def group_of(twists: Array) -> tuple[int, int]:
-    """Dimension of the smallest group of motions that contains these screws (6, n), and of its turns.
+    """Dimension of the smallest group of motions that contains these screws (6, n), and of its turns."""
+    basis = group_basis(twists, SAME)
+    return basis.shape[1], _span(basis[3:], SAME).shape[1]
 
-    The span is completed by Lie brackets until it no longer grows.
+
+def group_basis(twists: Array, same: float) -> Array:
+    """Orthonormal basis (6, d) of the smallest algebra that contains these screws (6, n).
+
+    The span is completed by Lie brackets until it no longer grows by more than `same`.
     """
-    basis = _span(twists)
+    basis = _span(twists, same)
     while True:
         v, w = basis[:3].T, basis[3:].T
         a, b = np.triu_indices(len(v), 1)
         if basis.shape[1] in (0, 1, 6):
-            break
+            return basis
         turned = np.cross(w[a], w[b])
         moved = np.cross(w[a], v[b]) + np.cross(v[a], w[b])
-        grown = _span(np.hstack([basis, np.concatenate([moved, turned], axis=1).T]))
+        grown = _span(np.hstack([basis, np.concatenate([moved, turned], axis=1).T]), same)
         if grown.shape[1] == basis.shape[1]:
-            break
+            return basis
         basis = grown
-    return basis.shape[1], _span(basis[3:]).shape[1]
 
 
-def _span(columns: Array) -> Array:
+def _span(columns: Array, same: float) -> Array:
     if not columns.size:
         return columns[:, :0]
     U, s, _ = np.linalg.svd(columns, full_matrices=False)
-    return U[:, s > SAME * max(s[0], SAME)]
+    return U[:, s > same * max(s[0], same)]

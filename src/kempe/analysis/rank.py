@@ -43,7 +43,9 @@ class ClusterRank:
     stresses: Array = field(repr=False)
     """Left null space (equations, k): the wrenches that can run around the loops with no load."""
     kernel: Array = field(repr=False)
-    """Null space (velocities of the cluster, k), slides in units of the mechanism's size."""
+    """Null space (velocities of the cluster, k), slides in lengths of a link."""
+    size: float = 1.0
+    """What `values` are parts of."""
 
     @property
     def nullity(self) -> int:
@@ -64,7 +66,7 @@ class Rank:
     clusters: tuple[ClusterRank, ...]
     screws: Screws = field(repr=False)
     units: Array = field(repr=False)
-    """Units (nv,) of the scaled velocities: the size of the mechanism for slides, 1 for turns."""
+    """Units (nv,) of the scaled velocities: the length of a link for slides, 1 for turns."""
 
     @cached_property
     def rank(self) -> int:
@@ -148,7 +150,8 @@ def _cluster(system: System, s: Structure, at: Screws, c: Cluster, units: Array)
         return ClusterRank(c, J, np.zeros(0), 0, np.inf, np.eye(len(J)), np.eye(n))
     U, values, Vt = np.linalg.svd(J)
     r, gap = decide(values, J.shape[1], size)
-    return ClusterRank(c, J, values / max(values[0], size, 1e-300), r, gap, U[:, r:], Vt[r:].T)
+    size = max(values[0], size, 1e-300)
+    return ClusterRank(c, J, values / size, r, gap, U[:, r:], Vt[r:].T, size)
 
 
 def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array) -> tuple[Array, float]:

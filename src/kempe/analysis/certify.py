@@ -1,0 +1,219 @@
+"""Proofs of degrees of freedom: for each cluster of loops a theorem whose hypotheses are checked in numbers.
+
+What is zero to rounding counts as exactly zero: axes that are parallel to the last digit are parallel. Dimensions of
+clusters add up, for clusters share no unknowns. The theorems, in the order in which they are tried:
+
+- *Regular*: the loop equations, reduced to the group of motions that the joints of each loop generate (Herve, 1978),
+  have a Jacobian of full rank, beyond rounding and the error of the configuration (`kempe.kinematics.certify`). Then
+  the closed configurations are a manifold of as many dimensions as its kernel has (implicit function theorem).
+- *Two groups*: a loop whose joints part into two chains, each of which fills a group of motions: what both groups
+  share moves, and the number is the same everywhere.
+- *Families*: angles that turn in fixed ratios keep all loops closed (`analysis.families`).
+- *Forms*: what the reduction of Lyapunov and Schmidt leaves has leading forms that decide (`analysis.forms`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kempe.analysis import families, forms
+from kempe.analysis.counting import group_basis
+from kempe.analysis.equations import Equations
+from kempe.analysis.graph import Cluster, Structure, structure
+from kempe.analysis.rank import Rank
+from kempe.analysis.reduction import Split
+from kempe.analysis.screws import Screws, screws
+from kempe.description.parts import Constraint
+from kempe.kinematics.certify import Certificate, certify, rounding
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+SAME = 1e-12
+"""Parts of a unit screw below this are rounding: the screw lies in the group of motions of the others."""
+LONG = 12
+"""Joints of a loop up to which it is parted into two chains."""
+
+
+class Part(NamedTuple):
+    """The equations of one cluster: a basis (m, k) of rows that suffice for each of its loops and relations.
+
+    `columns` are the velocities of the cluster, `uses` those of each loop or relation.
+    """
+
+    cluster: Cluster
+    rows: list[Array]
+    columns: np.ndarray
+    uses: list[np.ndarray]
+
+
+@dataclass(frozen=True)
+class Proof:
+    """A dimension that is proven, in how many branches (None: not known), and by what."""
+
+    dim: int
+    branches: int | None
+    why: str
+
+
+# ---- ranks beyond rounding
+
+
+def regular(system: System, rank: Rank, residual: float) -> bool:
+    """Whether every cluster provably has full rank at the closed configuration near by."""
+    s = structure(system)
+    return all(
+        _certified(s, rank.screws, c.cluster, c.values * c.size, c.jacobian, residual).regular for c in rank.clusters
+    )
+
+
+def _certified(s: Structure, at: Screws, c: Cluster, values: Array, J: Array, residual: float) -> Certificate:
+    """The certificate of equations of a cluster, with the singular values of their Jacobian."""
+    bend, joints, reach = _bend(s, at, c)
+    return certify(values, J.shape, residual, bend, rounding(joints, reach), np.count_nonzero(J))
+
+
+def _bend(s: Structure, at: Screws, c: Cluster) -> tuple[float, int, float]:
+    """A bound of the second derivatives of the equations of a cluster, its longest loop, and how far its joints reach.
+
+    Two unit turns change the pose at the end of a chain by at most its reach, and by 1 as a rotation; a slide counts
+    one length more. So a loop of n joints that reaches D lengths has second derivatives of norm n sqrt((D + 1)^2 + 1)
+    at most, and loops that share no joint do not add up.
+    """
+    points = np.stack([at.F[:, :3, 3], at.M[:, :3, 3]], axis=1)
+    most, joints = 0.0, 1
+    passed = np.zeros(len(s.edges))
+    for k in c.loops:
+        path = [i for i, _ in s.loops[k].path]
+        passed[path] += 1.0
+        closing = s.edges[s.loops[k].edge]
+        end = points[s.loops[k].edge, 1]
+        D = float(np.sqrt(np.max(np.sum((points[path] - end) ** 2, axis=-1)))) / at.length
+        factors = [abs(col.multiplier) for i in path for col in s.edges[i].columns if col.index >= 0]
+        own = len({col.index for i in path for col in s.edges[i].columns if col.index >= 0}) == len(factors)
+        n = sum(x * x for x in factors) if own else sum(factors) ** 2
+        bend = np.hypot(D + 1.0, 1.0)
+        if isinstance(closing.of, Constraint) and closing.of.kind == "distance":
+            size = float(np.linalg.norm(points[s.loops[k].edge, 1] - points[s.loops[k].edge, 0])) / at.length
+            bend = (D + 1.0) * (D + 1.0 + size) / max(size, 1e-300)
+        most, joints = max(most, n * bend), max(joints, len(path))
+    reach = float(np.sqrt(np.max(np.sum((points - at.center) ** 2, axis=-1), initial=0.0))) / at.length
+    return float(np.sqrt(passed.max(initial=1.0))) * most, joints, reach
+
+
+# ---- one proof for all clusters
+
+
+def proven(
+    system: System, equations: Equations, q: Array, order: int, rng: np.random.Generator, tangents: Sequence[Array]
+) -> Proof | None:  # fmt: skip
+    """The dimension of the closed configurations at q (nq,), if it can be proven; else None.
+
+    `tangents` (nv, k), in scaled coordinates, span motions that were found: where to look.
+    """
+    value, jacobian = (x[0] for x in equations.linearise(q))
+    s, at = structure(system), screws(system, q)
+    found = [Proof(system.nv - sum(len(c.velocities) for c in s.clusters), 1, "")]
+    for part in _parts(system, s, at, equations, jacobian):
+        proof = _prove(s, at, equations, q, part, value, jacobian, order, rng, tangents)
+        if proof is None:
+            return None
+        found.append(proof)
+    counts = [p.branches for p in found if p.dim or p.branches is None]
+    count = None if any(n is None for n in counts) else int(np.prod([n for n in counts if n is not None]))
+    return Proof(sum(p.dim for p in found), count, "; ".join(dict.fromkeys(p.why for p in found if p.why)))
+
+
+def _parts(system: System, s: Structure, at: Screws, equations: Equations, J: Array) -> list[Part]:
+    """The equations of each cluster, reduced loop by loop to what its group of motions leaves."""
+    first = np.cumsum([0, *(loop.rows for loop in s.loops), *(1 for _ in system.relations)])
+    out = []
+    for c in s.clusters:
+        rows, uses = [], []
+        for k in c.loops:
+            path = [i for i, _ in s.loops[k].path]
+            E = np.zeros((equations.m, s.loops[k].rows))
+            E[np.arange(first[k], first[k + 1]), np.arange(s.loops[k].rows)] = 1.0
+            rows.append(E @ _group(system, s, at, k, path, E.T @ J, equations.length))
+            uses.append(np.unique([col.index for i in path for col in s.edges[i].columns if col.index >= 0]))
+        for k in c.relations:
+            r, at_row = system.relations[k], first[len(s.loops) + k]
+            rows.append(np.eye(equations.m)[:, [at_row]])
+            uses.append(np.array([system.velocity_names.index(n) for n in (r.of, *r.sources)]))
+        out.append(Part(c, rows, c.velocities, uses))
+    return out
+
+
+def _group(
+    system: System, s: Structure, at: Screws, k: int, path: list[int], J: Array, length: float
+) -> Array:  # fmt: skip
+    """Combinations (rows, d) of the rows of a loop that suffice, for its joints generate a group of d dimensions.
+
+    The rows of a closing joint read, to first order, the twist of its frame M; so in these coordinates the algebra of
+    the group is what rows can become, and nothing else.
+    """
+    edge = s.edges[s.loops[k].edge]
+    rows = s.loops[k].rows
+    if not edge.joint or edge.particle:
+        return np.eye(rows)
+    basis = group_basis(np.concatenate([at.twists[i] for i in path], axis=1), SAME)
+    if basis.shape[1] >= rows:
+        return np.eye(rows)
+    there = at.moved([s.loops[k].edge])[0] @ basis
+    R = at.M[s.loops[k].edge, :3, :3]
+    there = np.concatenate([R.T @ there[:3] * (at.length / length), R.T @ there[3:]])
+    U = np.linalg.qr(there if system.dim == 3 else there[[0, 1, 5]])[0]
+    return U if np.abs(J - U @ (U.T @ J)).max(initial=0.0) < 1e-10 else np.eye(rows)
+
+
+def _prove(
+    s: Structure, at: Screws, equations: Equations, q: Array, part: Part, value: Array, J: Array, order: int,
+    rng: np.random.Generator, tangents: Sequence[Array],
+) -> Proof | None:  # fmt: skip
+    """The dimension of one cluster."""
+    here = forms.split_of(q, J, np.hstack(part.rows), part.columns)
+    A, delta, corank = here.matrix, here.split.delta, here.split.corank
+    own = here.basis.T @ value
+    if not corank or not delta:
+        sure = _certified(s, at, part.cluster, here.values, A, float(np.linalg.norm(own))).regular
+        why = "all constraints are independent in the group of motions of their loop" if delta else "no velocity is left"
+        return Proof(delta, 1, why) if sure else None
+    if not here.clear:
+        return None
+    if _two_groups(s, at, part.cluster):
+        return Proof(delta, 1, "both chains of the loop fill a group of motions")
+    lower = families.dimension(equations, q, [here.split.kernel, *(_within(t, part.columns) for t in tangents)])
+    if lower == delta:
+        return Proof(delta, 1, "angles in fixed ratios keep all loops closed")
+    found = forms.decide(equations, here, part.rows, part.uses, lower, order, rng, tangents)
+    return None if found is None else Proof(*found)
+
+
+def _within(T: Array, columns: np.ndarray) -> Array:
+    out = np.zeros_like(T)
+    out[columns] = T[columns]
+    return out
+
+
+def _two_groups(s: Structure, at: Screws, c: Cluster) -> bool:
+    """Whether the only loop parts into two chains, each of which can make all motions of the group that it generates."""
+    if len(c.loops) != 1 or c.relations or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
+        return False
+    path = [i for i, _ in s.loops[c.loops[0]].path if at.twists[i].shape[1]]
+    if len(path) > LONG or any(s.edges[i].particle or any(x.index < 0 for x in s.edges[i].columns) for i in path):
+        return False
+
+    def fills(chain: list[int]) -> bool:
+        twists = np.concatenate([at.twists[i] for i in chain], axis=1)
+        sigma = np.linalg.svd(twists, compute_uv=False)
+        d = group_basis(twists, SAME).shape[1]
+        return d <= len(sigma) and bool(sigma[d - 1] > forms.CLEAR * sigma[0])
+
+    return any(
+        fills(path[i:j]) and fills(path[j:] + path[:i]) for i in range(len(path)) for j in range(i + 1, len(path) + (i > 0))
+    )
