@@ -110,12 +110,13 @@ def _bend(s: Structure, at: Screws, c: Cluster) -> tuple[float, int, float]:
 
 
 def proven(
-    system: System, equations: Equations, q: Array, order: int, rng: np.random.Generator, tangents: Sequence[Array]
+    system: System, equations: Equations, q: Array, order: int, tangents: Sequence[Array]
 ) -> Proof | None:  # fmt: skip
     """The dimension of the closed configurations at q (nq,), if it can be proven; else None.
 
     `tangents` (nv, k), in scaled coordinates, span motions that were found: where to look.
     """
+    rng = np.random.default_rng(0)  # what is proven depends on no seed
     value, jacobian = (x[0] for x in equations.linearise(q))
     s, at = structure(system), screws(system, q)
     found = [Proof(system.nv - sum(len(c.velocities) for c in s.clusters), 1, "")]
@@ -124,9 +125,10 @@ def proven(
         if proof is None:
             return None
         found.append(proof)
-    counts = [p.branches for p in found if p.dim or p.branches is None]
-    count = None if any(n is None for n in counts) else int(np.prod([n for n in counts if n is not None]))
-    return Proof(sum(p.dim for p in found), count, "; ".join(dict.fromkeys(p.why for p in found if p.why)))
+    total = sum(p.dim for p in found)
+    counts = [1 if p.branches == 0 else p.branches for p in found]  # what rests multiplies none
+    count = None if None in counts else int(np.prod([n for n in counts if n is not None])) if total else 0
+    return Proof(total, count, "; ".join(dict.fromkeys(p.why for p in found if p.why)))
 
 
 def _parts(system: System, s: Structure, at: Screws, equations: Equations, J: Array) -> list[Part]:
@@ -179,10 +181,11 @@ def _prove(
     here = forms.split_of(q, J, np.hstack(part.rows), part.columns)
     A, delta, corank = here.matrix, here.split.delta, here.split.corank
     own = here.basis.T @ value
-    if not corank or not delta:
-        sure = _certified(s, at, part.cluster, here.values, A, float(np.linalg.norm(own))).regular
+    if min(A.shape) and _certified(s, at, part.cluster, here.values, A, float(np.linalg.norm(own))).regular:
         why = "all constraints are independent in the group of motions of their loop" if delta else "no velocity is left"
-        return Proof(delta, 1, why) if sure else None
+        return Proof(max(A.shape[1] - A.shape[0], 0), 1, why)
+    if not corank or not delta:
+        return None if len(A) else Proof(delta, 1, "")
     if not here.clear:
         return None
     if _two_groups(s, at, part.cluster):

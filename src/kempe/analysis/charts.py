@@ -1,0 +1,76 @@
+"""Charts: the same mechanism in angles that are regular where those of its balls are not.
+
+Three angles of one ball joint are coordinates of its rotation, and fail where the second is +-90 degrees: there they
+have a velocity that moves nothing. That is no freedom of the mechanism. Three hinges in a row are: there bodies turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe import spatial
+from kempe.description.parts import Joint
+from kempe.description.placement import place
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+NEAR = 0.1
+"""Cosine of the second angle below which angles are measured from here instead."""
+
+
+def regular_chart(system: System, q: Array) -> tuple[System, Array, dict[str, Array]]:
+    """The system and q (nq,), with the angles of balls near the singularity of their chart measured from q.
+
+    The frame M of such a ball is turned on its child so that the angles are 0 at q; nothing else changes, neither names
+    nor numbers. Balls with an angle that is coupled or held stay, for such an angle has a meaning of its own. Also gives
+    the rotations (3, 3) by which frames were turned, by name of the joint.
+    """
+    turned: dict[str, Array] = {}
+    for joint in system.joints.values():
+        if not joint.type.options.get("angles"):
+            continue
+        at = _angles(system, joint.name)
+        if at is None or _related(system, [system.coordinate_names[i] for i in at]):
+            continue
+        z, y, x = q[at].tolist()
+        if abs(np.cos(y)) < NEAR:
+            turned[joint.name] = spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x)
+    if not turned:
+        return system, q, turned
+    mechanism = system.mechanism.copy()
+    for name, R in turned.items():
+        joint: Joint = mechanism.joints[name]
+        mechanism.joints[name] = replace(joint, X_CM=joint.X_CM @ place(matrix=R.T))
+    other = mechanism.build()
+    values = np.array(q)
+    for name in turned:
+        values[_angles(system, name)] = 0.0
+    return other, values, turned
+
+
+def back(system: System, q: Array, turned: dict[str, Array]) -> Array:
+    """The configuration (nq,) of the system itself for one in the other chart."""
+    q = np.array(q)
+    for name, R in turned.items():
+        at = _angles(system, name)
+        z, y, x = q[at]
+        q[at] = spatial.matrix_to_rpy(spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x) @ R)[::-1]
+    return q
+
+
+def _angles(system: System, joint: str) -> list[int] | None:
+    """Places in q of the three angles of a joint; None where some are held or follow others."""
+    names = list(system.coordinate_names)
+    wanted = [f"{joint}.{n}" for n in ("rz", "ry", "rx")]
+    return [names.index(n) for n in wanted] if set(wanted) <= set(names) else None
+
+
+def _related(system: System, names: list[str]) -> bool:
+    sources = {f.source for f in system.couplings.values()}
+    rows = {n for r in system.relations for n in (r.of, *r.sources)}
+    return any(n in sources or n in rows or n in system.couplings for n in names)
