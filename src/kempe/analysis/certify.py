@@ -21,13 +21,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kempe.analysis import families, forms
-from kempe.analysis.counting import group_basis
+from kempe.analysis.counting import fills_group, group_basis
 from kempe.analysis.equations import Equations
-from kempe.analysis.graph import Cluster, Structure, structure
+from kempe.analysis.graph import Cluster, LoopSizes, Structure, structure
 from kempe.analysis.rank import Rank
 from kempe.analysis.reduction import Split
 from kempe.analysis.screws import Screws, screws
-from kempe.description.parts import Constraint
 from kempe.kinematics.certify import Certificate, certify, rounding
 from kempe.spatial import Array
 
@@ -74,47 +73,46 @@ def regular(system: System, rank: Rank, residual: float) -> bool:
 
 def _certified(s: Structure, at: Screws, c: Cluster, values: Array, J: Array, residual: float) -> Certificate:
     """The certificate of equations of a cluster, with the singular values of their Jacobian."""
-    bend, joints, reach = _bend(s, at, c)
-    return certify(values, J.shape, residual, bend, rounding(joints, reach), np.count_nonzero(J))
+    size = c.size_of_loops(s)
+    reach = _reach(np.concatenate([at.F[:, :3, 3], at.M[:, :3, 3]]), at.center) / at.length
+    out = certify(values, J.shape, residual, _bend(size, at, 2.0 * reach), rounding(size.joints, reach), J.size)
+    if out.regular or not len(c.loops):
+        return out
+    own = (np.array([e for e, _ in s.loops[k].path]) for k in c.loops)  # large mechanisms have small loops
+    spans = (_reach(np.concatenate([at.F[i, :3, 3], at.M[i, :3, 3]]), at.M[i[0], :3, 3]) for i in own)
+    bend = _bend(size, at, 2.0 * max(spans) / at.length)
+    return certify(values, J.shape, residual, bend, rounding(size.joints, reach), np.count_nonzero(J))
 
 
-def _bend(s: Structure, at: Screws, c: Cluster) -> tuple[float, int, float]:
-    """A bound of the second derivatives of the equations of a cluster, its longest loop, and how far its joints reach.
+def _reach(points: Array, center: Array) -> float:
+    d = points - center
+    return float(np.sqrt(np.max(np.sum(d * d, axis=1), initial=0.0)))
+
+
+def _bend(size: LoopSizes, at: Screws, D: float) -> float:
+    """A bound of the norm of the second derivatives of the equations of loops whose joints are D lengths apart.
 
     Two unit turns change the pose at the end of a chain by at most its reach, and by 1 as a rotation; a slide counts
-    one length more. So a loop of n joints that reaches D lengths has second derivatives of norm n sqrt((D + 1)^2 + 1)
-    at most, and loops that share no joint do not add up.
+    one length more. So a loop of n joints has second derivatives of norm n sqrt((D + 1)^2 + 1) at most, and loops that
+    share no joint do not add up.
     """
-    points = np.stack([at.F[:, :3, 3], at.M[:, :3, 3]], axis=1)
-    most, joints = 0.0, 1
-    passed = np.zeros(len(s.edges))
-    for k in c.loops:
-        path = [i for i, _ in s.loops[k].path]
-        passed[path] += 1.0
-        closing = s.edges[s.loops[k].edge]
-        end = points[s.loops[k].edge, 1]
-        D = float(np.sqrt(np.max(np.sum((points[path] - end) ** 2, axis=-1)))) / at.length
-        factors = [abs(col.multiplier) for i in path for col in s.edges[i].columns if col.index >= 0]
-        own = len({col.index for i in path for col in s.edges[i].columns if col.index >= 0}) == len(factors)
-        n = sum(x * x for x in factors) if own else sum(factors) ** 2
-        bend = np.hypot(D + 1.0, 1.0)
-        if isinstance(closing.of, Constraint) and closing.of.kind == "distance":
-            size = float(np.linalg.norm(points[s.loops[k].edge, 1] - points[s.loops[k].edge, 0])) / at.length
-            bend = (D + 1.0) * (D + 1.0 + size) / max(size, 1e-300)
-        most, joints = max(most, n * bend), max(joints, len(path))
-    reach = float(np.sqrt(np.max(np.sum((points - at.center) ** 2, axis=-1), initial=0.0))) / at.length
-    return float(np.sqrt(passed.max(initial=1.0))) * most, joints, reach
+    bend = float(np.hypot(D + 1.0, 1.0))
+    if len(size.rods):
+        rods = np.linalg.norm(at.M[size.rods, :3, 3] - at.F[size.rods, :3, 3], axis=1).min() / at.length
+        bend = max(bend, (D + 1.0) * (D + 1.0 + rods) / max(rods, 1e-300))
+    return size.most * bend
 
 
 # ---- one proof for all clusters
 
 
 def proven(
-    system: System, equations: Equations, q: Array, order: int, tangents: Sequence[Array]
+    system: System, equations: Equations, q: Array, order: int, tangents: Sequence[Array] | None = None
 ) -> Proof | None:  # fmt: skip
     """The dimension of the closed configurations at q (nq,), if it can be proven; else None.
 
-    `tangents` (nv, k), in scaled coordinates, span motions that were found: where to look.
+    `tangents` (nv, k), in scaled coordinates, span motions that were found: where to look. Without them forms are not
+    looked at: only manifolds of as many dimensions as the kernel has are proven.
     """
     rng = np.random.default_rng(0)  # what is proven depends on no seed
     value, jacobian = (x[0] for x in equations.linearise(q))
@@ -133,19 +131,18 @@ def proven(
 
 def _parts(system: System, s: Structure, at: Screws, equations: Equations, J: Array) -> list[Part]:
     """The equations of each cluster, reduced loop by loop to what its group of motions leaves."""
-    first = np.cumsum([0, *(loop.rows for loop in s.loops), *(1 for _ in system.relations)])
+    edges, relations = equations.rows_of
     out = []
     for c in s.clusters:
         rows, uses = [], []
         for k in c.loops:
             path = [i for i, _ in s.loops[k].path]
-            E = np.zeros((equations.m, s.loops[k].rows))
-            E[np.arange(first[k], first[k + 1]), np.arange(s.loops[k].rows)] = 1.0
+            E = np.eye(equations.m)[:, edges[s.edges[s.loops[k].edge].name]]
             rows.append(E @ _group(system, s, at, k, path, E.T @ J, equations.length))
             uses.append(np.unique([col.index for i in path for col in s.edges[i].columns if col.index >= 0]))
         for k in c.relations:
-            r, at_row = system.relations[k], first[len(s.loops) + k]
-            rows.append(np.eye(equations.m)[:, [at_row]])
+            r = system.relations[k]
+            rows.append(np.eye(equations.m)[:, relations[r.of]])
             uses.append(np.array([system.velocity_names.index(n) for n in (r.of, *r.sources)]))
         out.append(Part(c, rows, c.velocities, uses))
     return out
@@ -175,7 +172,7 @@ def _group(
 
 def _prove(
     s: Structure, at: Screws, equations: Equations, q: Array, part: Part, value: Array, J: Array, order: int,
-    rng: np.random.Generator, tangents: Sequence[Array],
+    rng: np.random.Generator, tangents: Sequence[Array] | None,
 ) -> Proof | None:  # fmt: skip
     """The dimension of one cluster."""
     here = forms.split_of(q, J, np.hstack(part.rows), part.columns)
@@ -190,9 +187,12 @@ def _prove(
         return None
     if _two_groups(s, at, part.cluster):
         return Proof(delta, 1, "both chains of the loop fill a group of motions")
-    lower = families.dimension(equations, q, [here.split.kernel, *(_within(t, part.columns) for t in tangents)])
+    spans = [here.split.kernel, *(_within(t, part.columns) for t in tangents or ())]
+    lower = families.dimension(equations, q, spans)
     if lower == delta:
         return Proof(delta, 1, "angles in fixed ratios keep all loops closed")
+    if tangents is None:
+        return None
     found = forms.decide(equations, here, part.rows, part.uses, lower, order, rng, tangents)
     return None if found is None else Proof(*found)
 
@@ -210,13 +210,11 @@ def _two_groups(s: Structure, at: Screws, c: Cluster) -> bool:
     path = [i for i, _ in s.loops[c.loops[0]].path if at.twists[i].shape[1]]
     if len(path) > LONG or any(s.edges[i].particle or any(x.index < 0 for x in s.edges[i].columns) for i in path):
         return False
+    n = len(path)
+    turned = path + path
 
-    def fills(chain: list[int]) -> bool:
-        twists = np.concatenate([at.twists[i] for i in chain], axis=1)
-        sigma = np.linalg.svd(twists, compute_uv=False)
-        d = group_basis(twists, SAME).shape[1]
-        return d <= len(sigma) and bool(sigma[d - 1] > forms.CLEAR * sigma[0])
+    def fills(i: int, k: int) -> bool:
+        twists = np.concatenate([at.twists[e] for e in turned[i:k]], axis=1)
+        return fills_group(twists, SAME, forms.CLEAR)
 
-    return any(
-        fills(path[i:j]) and fills(path[j:] + path[:i]) for i in range(len(path)) for j in range(i + 1, len(path) + (i > 0))
-    )
+    return any(fills(i, k) and fills(k, i + n) for i in range(n) for k in range(i + 1, n + (i > 0)))

@@ -31,15 +31,10 @@ def regular_chart(system: System, q: Array) -> tuple[System, Array, dict[str, Ar
     the rotations (3, 3) by which frames were turned, by name of the joint.
     """
     turned: dict[str, Array] = {}
-    for joint in system.joints.values():
-        if not joint.type.options.get("angles"):
-            continue
-        at = _angles(system, joint.name)
-        if at is None or _related(system, [system.coordinate_names[i] for i in at]):
-            continue
+    for name, at in _balls(system).items():
         z, y, x = q[at].tolist()
         if abs(np.cos(y)) < NEAR:
-            turned[joint.name] = spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x)
+            turned[name] = spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x)
     if not turned:
         return system, q, turned
     mechanism = system.mechanism.copy()
@@ -49,7 +44,7 @@ def regular_chart(system: System, q: Array) -> tuple[System, Array, dict[str, Ar
     other = mechanism.build()
     values = np.array(q)
     for name in turned:
-        values[_angles(system, name)] = 0.0
+        values[_balls(system)[name]] = 0.0
     return other, values, turned
 
 
@@ -57,20 +52,23 @@ def back(system: System, q: Array, turned: dict[str, Array]) -> Array:
     """The configuration (nq,) of the system itself for one in the other chart."""
     q = np.array(q)
     for name, R in turned.items():
-        at = _angles(system, name)
+        at = _balls(system)[name]
         z, y, x = q[at]
         q[at] = spatial.matrix_to_rpy(spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x) @ R)[::-1]
     return q
 
 
-def _angles(system: System, joint: str) -> list[int] | None:
-    """Places in q of the three angles of a joint; None where some are held or follow others."""
-    names = list(system.coordinate_names)
-    wanted = [f"{joint}.{n}" for n in ("rz", "ry", "rx")]
-    return [names.index(n) for n in wanted] if set(wanted) <= set(names) else None
-
-
-def _related(system: System, names: list[str]) -> bool:
-    sources = {f.source for f in system.couplings.values()}
-    rows = {n for r in system.relations for n in (r.of, *r.sources)}
-    return any(n in sources or n in rows or n in system.couplings for n in names)
+def _balls(system: System) -> dict[str, list[int]]:
+    """Places in q of the three angles of each ball that has its own, found once."""
+    found = system._queries.get("analysis balls")
+    if found is None:
+        names = {n: i for i, n in enumerate(system.coordinate_names)}
+        related = {f.source for f in system.couplings.values()} | set(system.couplings)
+        related |= {n for r in system.relations for n in (r.of, *r.sources)}
+        found = {}
+        for joint in system.joints.values():
+            angles = [f"{joint.name}.{n}" for n in ("rz", "ry", "rx")]
+            if joint.type.options.get("angles") and set(angles) <= set(names) and not related & set(angles):
+                found[joint.name] = [names[n] for n in angles]
+        system._queries["analysis balls"] = found
+    return found

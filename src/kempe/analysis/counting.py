@@ -201,16 +201,32 @@ def group_basis(twists: Array, same: float) -> Array:
     """
     basis = _span(twists, same)
     while True:
-        v, w = basis[:3].T, basis[3:].T
-        a, b = np.triu_indices(len(v), 1)
         if basis.shape[1] in (0, 1, 6):
             return basis
-        turned = np.cross(w[a], w[b])
-        moved = np.cross(w[a], v[b]) + np.cross(v[a], w[b])
-        grown = _span(np.hstack([basis, np.concatenate([moved, turned], axis=1).T]), same)
+        grown = _span(np.hstack([basis, _brackets(basis)]), same)
         if grown.shape[1] == basis.shape[1]:
             return basis
         basis = grown
+
+
+def fills_group(twists: Array, same: float, clear: float) -> bool:
+    """Whether screws (6, n) span the algebra that they generate: all brackets lie in their span, which is clear."""
+    U, s, _ = np.linalg.svd(twists, full_matrices=False)
+    basis = U[:, s > same * s[0]]
+    d = basis.shape[1]
+    if s[d - 1] < clear * s[0]:
+        return False
+    if d in (1, 6):
+        return True
+    return basis.shape[1] == _span(np.hstack([basis, _brackets(basis)]), same).shape[1]
+
+
+def _brackets(basis: Array) -> Array:
+    v, w = basis[:3].T, basis[3:].T
+    a, b = np.triu_indices(len(v), 1)
+    turned = np.cross(w[a], w[b])
+    moved = np.cross(w[a], v[b]) + np.cross(v[a], w[b])
+    return np.concatenate([moved, turned], axis=1).T
 
 
 def _span(columns: Array, same: float) -> Array:

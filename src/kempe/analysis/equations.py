@@ -188,6 +188,19 @@ class Equations:
         return Series(self, np.array(np.broadcast_to(q, (n, self.nq)), dtype=float), order)
 
     @cached_property
+    def rows_of(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Places of the equations of joints and constraints by name, and of relations by the coordinate they give."""
+        edges, relations, row = {}, {}, 0
+        for tie in self._loops.ties:
+            at = np.arange(row, row + len(tie.rows))
+            row += len(at)
+            if tie.relation is None:
+                edges[tie.name] = at
+            else:
+                relations[tie.relation.of] = at
+        return edges, relations
+
+    @cached_property
     def sizes(self) -> tuple[int, int]:
         """Numbers of rows and of outputs, one at least for the arrays of kernels."""
         return max(int(self.ints[N_ROWS]), 1), max(int(self.ints[N_OUT]), 1)

@@ -243,14 +243,16 @@ def _triangular(
     """Whether the unknowns `left` are isolated, those of one loop after the other."""
     pending = list(range(len(rows)))
     while len(left):
+        waiting = []
         for k in pending:
             own = np.intersect1d(uses[k], left)
             if not len(own) or _isolated(equations, split_of(q, J, rows[k], own), order, rng):
-                pending.remove(k)
                 left = np.setdiff1d(left, own)
-                break
-        else:
+            else:
+                waiting.append(k)
+        if len(waiting) == len(pending):
             return False
+        pending = waiting
     return True
 
 

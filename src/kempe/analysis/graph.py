@@ -73,6 +73,15 @@ class Loop:
     rows: int
 
 
+class LoopSizes(NamedTuple):
+    """How large the loops of a cluster are: sums of squares of what their velocities move, the most of them, times the
+    square root of how many loops share a joint; joints of the longest; edges that are rods."""
+
+    most: float
+    joints: int
+    rods: np.ndarray
+
+
 @dataclass(frozen=True, eq=False)
 class Cluster:
     """Loops and relations that share velocities, directly or through others: `velocities` are their columns."""
@@ -93,6 +102,27 @@ class Cluster:
     """its multiplier,"""
     sliding: np.ndarray = field(repr=False)
     """and whether it slides."""
+
+    def size_of_loops(self, s: Structure) -> LoopSizes:
+        """The `LoopSizes`, found once."""
+        if "sizes" not in self.__dict__:
+            self.__dict__["sizes"] = self._sizes(s)
+        return self.__dict__["sizes"]
+
+    def _sizes(self, s: Structure) -> LoopSizes:
+        most, joints, rods = 0.0, 1, []
+        for k in self.loops:
+            path = [i for i, _ in s.loops[k].path]
+            moving = [c for i in path for c in s.edges[i].columns if c.index >= 0]
+            own = len({c.index for c in moving}) == len(moving)
+            sizes = [abs(c.multiplier) for c in moving]
+            most = max(most, sum(x * x for x in sizes) if own else sum(sizes) ** 2)
+            joints = max(joints, len(path))
+            edge = s.edges[s.loops[k].edge]
+            if isinstance(edge.of, Constraint) and edge.of.kind == "distance":
+                rods.append(s.loops[k].edge)
+        passed = float(np.abs(self.signs).sum(axis=0).max(initial=1.0))
+        return LoopSizes(most * float(np.sqrt(passed)), joints, np.array(rods, dtype=np.int64))
 
     @cached_property
     def shared(self) -> bool:

@@ -144,7 +144,7 @@ def _found(
     """The answer at a configuration whose coordinates are regular."""
     equations = _equations(system)
     at = reduction.split(equations, _closed(equations, q), tolerance)
-    proof = proven(system, equations, at.q, order, [])
+    proof = proven(system, equations, at.q, order)
     doubts = [] if at.gap >= CLEAR_GAP else [f"singular values differ by a factor {at.gap:.1g} only across the rank"]
     if at.corank == 0 or at.delta == 0 or (proof is not None and proof.dim == at.delta):
         why = "the equations are independent: a manifold by the implicit function theorem"
@@ -169,7 +169,7 @@ def _found(
     else:
         found, smooth = _branches(equations, at, order, rng, doubts), False
         why = f"obstruction of order {k}; branches followed on spheres of radius {follow.RADII[0]:g}"
-    if proof is None:
+    if proof is None and k is not None:
         proof = proven(system, equations, at.q, order, [b.tangent / equations.scale[:, None] for b in found])
     sampled = None
     if sampling:

@@ -170,7 +170,11 @@ def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array
             around[:, :, c.local] = each
     near = at.moved([s.loops[k].edge for k in c.loops]) @ around
     size = float(np.sqrt(np.max(np.sum(near * near, axis=1), initial=0.0)))
-    blocks = [rows_of_loop(system, s, at, k) @ A for k, A in zip(c.loops, around, strict=True)]
+    closing = [s.edges[s.loops[k].edge] for k in c.loops]
+    blocks = [
+        (B if system.dim == 3 else B[_PLANE]) if edge.joint and not edge.particle else rows_of_loop(system, s, at, k) @ A
+        for k, edge, A, B in zip(c.loops, closing, around, near, strict=True)
+    ]
     local = {int(v): i for i, v in enumerate(c.velocities)}
     for k in c.relations:
         relation = system.relations[k]
