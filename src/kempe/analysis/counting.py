@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -222,11 +223,14 @@ def fills_group(twists: Array, same: float, clear: float) -> bool:
 
 
 def _brackets(basis: Array) -> Array:
-    v, w = basis[:3].T, basis[3:].T
-    a, b = np.triu_indices(len(v), 1)
-    turned = np.cross(w[a], w[b])
-    moved = np.cross(w[a], v[b]) + np.cross(v[a], w[b])
-    return np.concatenate([moved, turned], axis=1).T
+    """All Lie brackets (6, n (n - 1) / 2) of screws (6, n): [v; w] with [v'; w'] is [w x v' + v x w'; w x w']."""
+    i, k = zip(*combinations(range(basis.shape[1]), 2), strict=True)
+    a, b = basis[:, i], basis[:, k]
+    out = np.empty_like(a)
+    for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[x] = a[y + 3] * b[z] - a[z + 3] * b[y] + a[y] * b[z + 3] - a[z] * b[y + 3]
+        out[x + 3] = a[y + 3] * b[z + 3] - a[z + 3] * b[y + 3]
+    return out
 
 
 def _span(columns: Array, same: float) -> Array:

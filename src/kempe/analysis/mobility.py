@@ -14,6 +14,7 @@ from kempe.analysis.control import Control, control, driven
 from kempe.analysis.counting import Counting, LoopCount, counting, loop_counts
 from kempe.analysis.generic import Closed, close, find_closed, nearby
 from kempe.analysis.graph import Structure, structure
+from kempe.analysis.mobility_text import dimensions
 from kempe.analysis.passive import IdleFreedom, idle_freedoms, may_idle
 from kempe.analysis.rank import Rank, rank_at
 from kempe.analysis.redundancy import Redundancy, redundancy
@@ -255,7 +256,7 @@ def _kind(rank: Rank, best: Rank, truth: LocalDimension | None) -> tuple[bool, s
         return False, ""
     if len(truth.branches) == 0:
         return True, "shaky: it can move to first order, but is rigid"
-    dims = ", ".join(str(b.dim) for b in truth.branches)
+    dims = dimensions(truth.branch_dims)
     if len(truth.branches) > 1:
         found = "meet" if truth.counted else "were found"
         return True, f"bifurcation: {len(truth.branches)} branches {found}, of dimensions {dims}"

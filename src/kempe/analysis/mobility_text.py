@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from kempe.analysis.mobility import Mobility
 
+FEW = 4
+"""Branches whose dimensions are listed one by one."""
 SHOWN = 12
 """Loops, clusters and idle freedoms that are listed one by one."""
 
@@ -32,7 +34,7 @@ def sentence(m: Mobility) -> str:
         why.append(f"{_count(false, 'freedom')} that the rank sees {seen} to first order only")
     if m.local is not None and len({b.dim for b in m.local.branches}) > 1:
         meet = "meet" if m.local.counted else "were found"
-        why.append(f"branches of dimensions {_dims(m.local.branch_dims)} {meet} here")
+        why.append(f"branches of dimensions {dimensions(m.local.branch_dims)} {meet} here")
     doubtful = m.local is None or m.local.doubts or (m.rank is not None and m.rank.doubtful)
     sure = "probably " if not m.certain and doubtful else ""
     order = "" if m.certain or m.local is None else f" to order {m.local.order}"
@@ -170,10 +172,11 @@ def _cut(own: list[str]) -> list[str]:
     return own if len(own) <= SHOWN else [*own[:SHOWN], f"... and {len(own) - SHOWN} more"]
 
 
-def _dims(dims: Sequence[int]) -> str:
-    """'2 (3 times), 1' for (2, 2, 2, 1): how many branches of each dimension were found."""
-    groups = Counter(dims).items()
-    return ", ".join(str(d) if n == 1 else f"{d} ({n} times)" for d, n in groups)
+def dimensions(dims: Sequence[int]) -> str:
+    """'2, 1, 1', or '2 (5 times), 1 (8 times)' where there are many: dimensions of branches."""
+    if len(dims) <= FEW:
+        return ", ".join(str(d) for d in dims)
+    return ", ".join(str(d) if n == 1 else f"{d} ({n} times)" for d, n in Counter(dims).items())
 
 
 def _are(n: int) -> str:

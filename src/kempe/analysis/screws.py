@@ -63,8 +63,11 @@ class Screws:
 
     def moved(self, edges: Sequence[int]) -> Array:
         """Matrices (n, 6, 6) that take twists to the origins of the frames M of edges."""
-        out = np.tile(np.eye(6), (len(edges), 1, 1))
-        out[:, :3, 3:] = -spatial.skew((self.M[list(edges), :3, 3] - self.center) / self.length)
+        out = np.zeros((len(edges), 6, 6))
+        out[:, range(6), range(6)] = 1.0
+        x, y, z = ((self.M[list(edges), :3, 3] - self.center) / self.length).T
+        out[:, 0, 4], out[:, 0, 5], out[:, 1, 5] = z, -y, x
+        out[:, 1, 3], out[:, 2, 3], out[:, 2, 4] = -z, y, -x
         return out
 
 
