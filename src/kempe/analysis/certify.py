@@ -8,7 +8,7 @@ clusters add up, for clusters share no unknowns. The theorems, in the order in w
   the closed configurations are a manifold of as many dimensions as its kernel has (implicit function theorem).
 - *Two groups*: a loop whose joints part into two chains, each of which fills a group of motions: what both groups
   share moves, and the number is the same everywhere.
-- *Families*: angles that turn in fixed ratios keep all loops closed (`analysis.families`).
+- *Families*: a motion in closed form keeps all loops closed (`analysis.families`).
 - *Forms*: what the reduction of Lyapunov and Schmidt leaves has leading forms that decide (`analysis.forms`).
 """
 
@@ -191,6 +191,8 @@ def _prove(
     lower = families.dimension(equations, q, spans)
     if lower == delta:
         return Proof(delta, 1, "angles in fixed ratios keep all loops closed")
+    if delta == 1 and _half_angles(s, at, equations, q, part.cluster, here.split.kernel[:, 0]):
+        return Proof(1, 1, "tangents of half angles in fixed ratios keep the loop closed")
     if tangents is None:
         return None
     found = forms.decide(equations, here, part.rows, part.uses, lower, order, rng, tangents)
@@ -201,6 +203,20 @@ def _within(T: Array, columns: np.ndarray) -> Array:
     out = np.zeros_like(T)
     out[columns] = T[columns]
     return out
+
+
+def _half_angles(s: Structure, at: Screws, equations: Equations, q: Array, c: Cluster, kernel: Array) -> bool:
+    """Whether the only loop is of four hinges that move as Bennett's do."""
+    if len(c.loops) != 1 or c.relations or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
+        return False
+    path = [(i, sign) for i, sign in s.loops[c.loops[0]].path if at.twists[i].shape[1]]
+    columns = [x for i, _ in path for x in s.edges[i].columns]
+    if len(columns) != 4 or any(x.index < 0 or abs(x.multiplier) != 1.0 or x.slides for x in columns):
+        return False
+    axes = np.stack([sign * at.twists[i][:, 0] for i, sign in path], axis=1)
+    if np.abs(np.linalg.norm(axes[3:], axis=0) - 1.0).max() > SAME:
+        return False
+    return families.half_angles(equations, q, axes, [x.index for x in columns], kernel)
 
 
 def _two_groups(s: Structure, at: Screws, c: Cluster) -> bool:

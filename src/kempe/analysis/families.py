@@ -1,12 +1,13 @@
-"""Motions in which angles turn in fixed ratios, such as those of parallelograms: proven at points of the whole motion.
+"""Motions that are known in closed form, proven at points of the whole motion.
 
-Along them the equations are trigonometric polynomials of a degree that the joints bound. One that vanishes at random
-points all around vanishes, with probability one, everywhere.
+Angles turn in fixed ratios, as those of parallelograms do, or tangents of half of them, as those of Bennett's linkage.
+Along such motions the equations are trigonometric polynomials, or rational functions, of a degree that the joints
+bound. One that vanishes at random points all around vanishes, with probability one, everywhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -42,6 +43,40 @@ def dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
         if np.abs(value).max(initial=0.0) < ZERO * (1.0 + np.abs(K).sum() * PARTS):
             best = k
     return best
+
+
+def half_angles(equations: Equations, q: Array, axes: Array, places: Sequence[int], kernel: Array) -> bool:
+    """Whether four hinges move so that tangents of half of neighbouring angles have a constant product or ratio.
+
+    `axes` (6, 4) are the screws of the hinges around the loop, in their sense, `places` where their angles are, `kernel`
+    (nv,) the velocity. Angles are those between common normals of neighbouring axes. Bennett, 1903: opposite angles are
+    then equal, up to their signs.
+    """
+    z = axes[3:].T
+    normal = np.cross(z, np.roll(z, -1, axis=0))
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    if size.min() < NEARLY:
+        return False
+    x = normal / size
+    before = np.roll(x, 1, axis=0)
+    theta = np.arctan2(np.sum(np.cross(before, x) * z, axis=1), np.sum(before * x, axis=1))
+    rate = kernel[list(places)]
+    if np.abs(np.sin(theta[:2])).min() < NEARLY or np.abs(rate).min() < NEARLY:
+        return False
+    opposite = rate[2:] / rate[:2]
+    if np.abs(np.abs(opposite) - 1.0).max() > NEARLY:
+        return False
+    a, b = np.tan(0.5 * theta[:2])
+    turn = np.random.default_rng(0).uniform(-np.pi, np.pi, POINTS)
+    u = np.tan(0.5 * turn)
+    for other in (2.0 * np.arctan(a * b / u), 2.0 * np.arctan(b / a * u)):
+        for sense in (1.0, -1.0):
+            by = sense * np.stack([turn - theta[0], other - theta[1]], axis=1)
+            step = np.zeros((POINTS, equations.nv))
+            step[:, places] = np.concatenate([by, by * np.sign(opposite)], axis=1)
+            if np.abs(equations.linearise(equations.move(q, step))[0]).max() < ZERO * POINTS:
+                return True
+    return False
 
 
 def _ratios(span: Array) -> Array | None:
