@@ -213,7 +213,7 @@ def hinges(rng: np.random.Generator) -> Truth:
 
 
 def gimbal(rng: np.random.Generator) -> Truth:
-    """Hinges about three axes through one point, the third in line with the first, and rods: the middle one can turn."""
+    """Hinges about three axes through one point, the third in line with the first, and rods: the middle turns."""
     w, rods = World("gimbal"), int(rng.integers(1, 4))
     w.turn("ground", "outer", (0, 0, 0), Z)
     w.turn("outer", "middle", (0, 0, 0), Y)
@@ -284,6 +284,19 @@ def wunderlich(rng: np.random.Generator) -> Truth:
     return w, 2
 
 
+def side_by_side(rng: np.random.Generator) -> Truth:
+    """Four mechanisms that share nothing but the ground, one of them singular: their numbers add up."""
+    whole, total, odd = World("side by side", 2), 0, int(rng.integers(4))
+    for n in range(4):
+        part, truth = dead_centres(rng, 1) if n == odd else three_cranks(rng)
+        total += truth
+        name = {"ground": "ground"}
+        for kind, a, b, p in ((j[1], j[2], j[3], j[4]) for j in part.joints):
+            a, b = (name.setdefault(body, f"{body}_{n}") for body in (a, b))
+            whole.joint(kind, a, b, p + [0.0, 3.0 * n, 0.0])
+    return whole, total
+
+
 def moved(rng: np.random.Generator, world: World) -> dict:
     """Scale and motion with which to build it."""
     twist = rng.uniform(-1, 1, 6) * (1 if world.dim == 3 else np.array([1, 1, 0, 0, 0, 1]))
@@ -293,5 +306,5 @@ def moved(rng: np.random.Generator, world: World) -> dict:
 KINDS = (
     dead_centres, weak_dead_centres, flat_loop, row_of_parallelograms, parallelograms_apart, scissor, loop_in_a_group,
     sarrus, frameworks, bars, hinges, gimbal, stopped_row, nearly_flat, nearly_overconstrained, three_cranks,
-    wunderlich,
+    wunderlich, side_by_side,
 )  # fmt: skip

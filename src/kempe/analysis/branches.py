@@ -126,7 +126,7 @@ def on_sphere(equations: Equations, q: Array, directions: Array, radius: float) 
 
 
 def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[list[Family], bool]:
-    """Families of points on the largest sphere that can be followed to the smallest; whether all were hit more than once.
+    """Families of points on the largest sphere that can be followed to the smallest; whether all were hit twice.
 
     The part of the branches, by how often random starts lead to them, that was never hit is about the number of
     families hit once over the number of starts (Good, 1953): so the search ends when there is none hit that rarely.

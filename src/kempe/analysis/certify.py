@@ -25,7 +25,6 @@ from kempe.analysis.counting import fills_group, group_basis
 from kempe.analysis.equations import Equations
 from kempe.analysis.graph import Cluster, LoopSizes, Structure, structure
 from kempe.analysis.rank import Rank
-from kempe.analysis.reduction import Split
 from kempe.analysis.screws import Screws, screws
 from kempe.kinematics.certify import Certificate, certify, rounding
 from kempe.spatial import Array
@@ -66,20 +65,25 @@ class Proof:
 def regular(system: System, rank: Rank, residual: float) -> bool:
     """Whether every cluster provably has full rank at the closed configuration near by."""
     s = structure(system)
+    at = rank.screws
     return all(
-        _certified(s, rank.screws, c.cluster, c.values * c.size, c.jacobian, residual).regular for c in rank.clusters
+        _certified(s, at, c.cluster, c.values * c.size, c.jacobian, residual, True).regular for c in rank.clusters
     )
 
 
-def _certified(s: Structure, at: Screws, c: Cluster, values: Array, J: Array, residual: float) -> Certificate:
-    """The certificate of equations of a cluster, with the singular values of their Jacobian."""
-    size = c.size_of_loops(s)
+def _certified(
+    s: Structure, at: Screws, c: Cluster, values: Array, J: Array, residual: float, short: bool
+) -> Certificate:  # fmt: skip
+    """The certificate of equations of a cluster, of `short` loops or those of the tree, with singular values of J."""
+    size = c.size_of_loops(s, short)
     reach = _reach(np.concatenate([at.F[:, :3, 3], at.M[:, :3, 3]]), at.center) / at.length
+    residual *= len(c.loops) * (1.0 + reach) + 1.0  # loops are sums of others, and read elsewhere
     out = certify(values, J.shape, residual, _bend(size, at, 2.0 * reach), rounding(size.joints, reach), J.size)
     if out.regular or not len(c.loops):
         return out
-    own = (np.array([e for e, _ in s.loops[k].path]) for k in c.loops)  # large mechanisms have small loops
-    spans = (_reach(np.concatenate([at.F[i, :3, 3], at.M[i, :3, 3]]), at.M[i[0], :3, 3]) for i in own)
+    spans = [  # large mechanisms have small loops
+        _reach(np.concatenate([at.F[i, :3, 3], at.M[i, :3, 3]]), at.M[i[0], :3, 3]) for i in c.paths(s, short)
+    ]
     bend = _bend(size, at, 2.0 * max(spans) / at.length)
     return certify(values, J.shape, residual, bend, rounding(size.joints, reach), np.count_nonzero(J))
 
@@ -178,9 +182,9 @@ def _prove(
     here = forms.split_of(q, J, np.hstack(part.rows), part.columns)
     A, delta, corank = here.matrix, here.split.delta, here.split.corank
     own = here.basis.T @ value
-    if min(A.shape) and _certified(s, at, part.cluster, here.values, A, float(np.linalg.norm(own))).regular:
-        why = "all constraints are independent in the group of motions of their loop" if delta else "no velocity is left"
-        return Proof(max(A.shape[1] - A.shape[0], 0), 1, why)
+    if min(A.shape) and _certified(s, at, part.cluster, here.values, A, float(np.linalg.norm(own)), False).regular:
+        why = "all constraints are independent in the groups of motions of their loops"
+        return Proof(max(A.shape[1] - A.shape[0], 0), 1, why if delta else "no velocity keeps the loops closed")
     if not corank or not delta:
         return None if len(A) else Proof(delta, 1, "")
     if not here.clear:
@@ -220,7 +224,7 @@ def _half_angles(s: Structure, at: Screws, equations: Equations, q: Array, c: Cl
 
 
 def _two_groups(s: Structure, at: Screws, c: Cluster) -> bool:
-    """Whether the only loop parts into two chains, each of which can make all motions of the group that it generates."""
+    """Whether the only loop parts into two chains, each of which makes all motions of the group that it generates."""
     if len(c.loops) != 1 or c.relations or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
         return False
     path = [i for i, _ in s.loops[c.loops[0]].path if at.twists[i].shape[1]]

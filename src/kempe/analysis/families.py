@@ -48,7 +48,7 @@ def dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
 def half_angles(equations: Equations, q: Array, axes: Array, places: Sequence[int], kernel: Array) -> bool:
     """Whether four hinges move so that tangents of half of neighbouring angles have a constant product or ratio.
 
-    `axes` (6, 4) are the screws of the hinges around the loop, in their sense, `places` where their angles are, `kernel`
+    `axes` (6, 4) are the screws of the hinges around the loop, in its sense, `places` where their angles are, `kernel`
     (nv,) the velocity. Angles are those between common normals of neighbouring axes. Bennett, 1903: opposite angles are
     then equal, up to their signs.
     """

@@ -160,9 +160,11 @@ def _found(
     if k is None:
         found, smooth = [_whole(equations, at)], True
         why = f"no obstruction to order {order} (below {reduction.ZERO:g}): a manifold, to that order"
-        faded = _fades(equations, at, rng) if sampling else 0.0
+        reached, faded = _walked(equations, at, rng) if sampling else (0.0, False)
         if faded:
-            doubts.append(f"the motion fades at a distance of {faded:.1g}: it may be shaky of an order above {order}")
+            doubts.append(f"the motion fades at a distance of {reached:.1g}: it may be shaky of an order above {order}")
+        elif reached:
+            why += f"; followed to a distance of {reached:.1g}"
     elif at.delta == 1:
         found, smooth = [], False
         why = f"isolated: the only velocity is obstructed at order {k} (shaky of order {k - 1})"
@@ -241,17 +243,19 @@ def _answer(
     )  # fmt: skip
 
 
-def _fades(equations: Equations, at: Split, rng: np.random.Generator) -> float:
-    """Distance at which what seems to be a motion along the kernel is seen to be none; 0 if it is not seen."""
+def _walked(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[float, bool]:
+    """How far what seems to be a motion along the kernel can be followed; whether it is seen to be none there."""
     x = reduction.axes(rng, at.delta) @ at.kernel.T
+    reached = 0.0
     for radius in WALK:
         found = equations.project(equations.move(at.q, radius * x), at.q, radius)
         left = np.hypot(found.residual, found.distance - radius)
         good = left < follow.CLOSED
         if not good.any():
-            return radius if left.min() < FAINT else 0.0
+            return (radius, True) if left.min() < FAINT else (reached, False)
+        reached = radius
         x = equations.offset(at.q, found.q[good]) / radius
-    return 0.0
+    return reached, False
 
 
 def sampled_dimension(equations: Equations, at: Split, rng: np.random.Generator) -> int:

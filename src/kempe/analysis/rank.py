@@ -171,10 +171,12 @@ def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array
     near = at.moved([s.loops[k].edge for k in c.loops]) @ around
     size = float(np.sqrt(np.max(np.sum(near * near, axis=1), initial=0.0)))
     closing = [s.edges[s.loops[k].edge] for k in c.loops]
-    blocks = [
-        (B if system.dim == 3 else B[_PLANE]) if edge.joint and not edge.particle else rows_of_loop(system, s, at, k) @ A
-        for k, edge, A, B in zip(c.loops, closing, around, near, strict=True)
-    ]
+    blocks = []
+    for k, edge, twists, there in zip(c.loops, closing, around, near, strict=True):
+        if edge.joint and not edge.particle:
+            blocks.append(there if system.dim == 3 else there[_PLANE])
+        else:
+            blocks.append(rows_of_loop(system, s, at, k) @ twists)
     local = {int(v): i for i, v in enumerate(c.velocities)}
     for k in c.relations:
         relation = system.relations[k]
@@ -192,7 +194,7 @@ _PLANE = [0, 1, 5]
 def rows_of_loop(system: System, s: Structure, at: Screws, loop: int) -> Array:
     """Rows (k, 6) that the edge that closes a loop takes from the twist around it; their transpose gives wrenches.
 
-    They read the twist where the loop is closed, so that a loop far away in a large mechanism is seen as well as others.
+    They read the twist where the loop is closed, so that loops far away in a large mechanism are seen as others are.
     """
     i = s.loops[loop].edge
     edge = s.edges[i]

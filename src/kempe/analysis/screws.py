@@ -25,6 +25,7 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
+
 @dataclass(frozen=True, eq=False)
 class Screws:
     """The screws of all edges at one configuration, where it is closed.
