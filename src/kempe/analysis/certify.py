@@ -85,7 +85,7 @@ def _certified(
         _reach(np.concatenate([at.F[i, :3, 3], at.M[i, :3, 3]]), at.M[i[0], :3, 3]) for i in c.paths(s, short)
     ]
     bend = _bend(size, at, 2.0 * max(spans) / at.length)
-    return certify(values, J.shape, residual, bend, rounding(size.joints, reach), np.count_nonzero(J))
+    return certify(values, J.shape, residual, bend, rounding(size.joints, reach), int(np.count_nonzero(J)))
 
 
 def _reach(points: Array, center: Array) -> float:

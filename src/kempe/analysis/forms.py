@@ -80,14 +80,15 @@ def decide(
     `rows` (m, k) and `uses` (unknowns) belong to single loops; `tangents` (nv, k) say where motions were found.
     """
     at = here.split
-    k = _order(equations, at, order, rng)
+    found = reduction.obstruction(equations, at, order, rng)
+    k = _order(found)
     if k is None:
         return None
     if at.delta == 1:
         return 0, 0, f"the only velocity is obstructed at order {k}"
     directions = _directions(at, tangents)
     if at.corank == 1:
-        return _one_equation(equations, at, k, order, rng, directions)
+        return _one_equation(equations, at, k, found.noise, rng, directions)
     if k > 2:
         return None
     B = quadratic(equations, at)
@@ -100,9 +101,8 @@ def decide(
     return None
 
 
-def _order(equations: Equations, at: Split, order: int, rng: np.random.Generator) -> int | None:
+def _order(found: reduction.Obstruction) -> int | None:
     """The first order at which the reduced equations are clearly not zero."""
-    found = reduction.obstruction(equations, at, order, rng)
     k = found.order
     return None if k is None or found.size[k] < GAP * found.noise[k] else k
 
@@ -122,7 +122,7 @@ def _directions(at: Split, tangents: Sequence[Array]) -> list[Array]:
 
 
 def _one_equation(
-    equations: Equations, at: Split, k: int, order: int, rng: np.random.Generator, directions: list[Array]
+    equations: Equations, at: Split, k: int, noise: Array, rng: np.random.Generator, directions: list[Array]
 ) -> tuple[int, int | None, str] | None:  # fmt: skip
     delta = at.delta
     lines = [*reduction.unit_directions(rng, LINES, delta), *directions]
@@ -133,10 +133,10 @@ def _one_equation(
         if clear.all() and (eigen > 0).all() or clear.all() and (eigen < 0).all():
             return 0, 0, "second-order terms of one sign obstruct all velocities"
         lines += list(V.T)
-    g = reduction._solve(equations, at, reduction.lines(np.array(lines), order), None)[0][..., 0]
+    g, slow = reduction._solve(equations, at, reduction.lines(np.array(lines), len(noise) - 1), None)
     signs: set[int] = set()
-    for row in g:
-        seen = np.flatnonzero(np.abs(row) > reduction.NOT_ZERO)
+    for row in (g / slow)[..., 0]:
+        seen = np.flatnonzero(np.abs(row) > np.maximum(reduction.NOT_ZERO, GAP * noise))
         if not seen.size or np.abs(row[: seen[0]]).max(initial=0.0) > reduction.ZERO:
             continue
         sign = int(np.sign(row[seen[0]]))
@@ -265,7 +265,7 @@ def _isolated(equations: Equations, here: Here, order: int, rng: np.random.Gener
         return True
     if at.corank == 0:
         return False
-    k = _order(equations, at, order, rng)
+    k = _order(reduction.obstruction(equations, at, order, rng))
     if k is None or at.delta == 1:
         return k is not None
     return k == 2 and _no_zero(quadratic(equations, at), at.delta, rng)
