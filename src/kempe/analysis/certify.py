@@ -76,7 +76,7 @@ def _certified(
 ) -> Certificate:  # fmt: skip
     """The certificate of equations of a cluster, of `short` loops or those of the tree, with singular values of J."""
     size = c.size_of_loops(s, short)
-    reach = _reach(np.concatenate([at.F[:, :3, 3], at.M[:, :3, 3]]), at.center) / at.length
+    reach = at.reach
     residual *= len(c.loops) * (1.0 + reach) + 1.0  # loops are sums of others, and read elsewhere
     out = certify(values, J.shape, residual, _bend(size, at, 2.0 * reach), rounding(size.joints, reach), J.size)
     if out.regular or not len(c.loops):
@@ -141,14 +141,20 @@ def _parts(system: System, s: Structure, at: Screws, equations: Equations, J: Ar
         rows, uses = [], []
         for k in c.loops:
             path = [i for i, _ in s.loops[k].path]
-            E = np.eye(equations.m)[:, edges[s.edges[s.loops[k].edge].name]]
-            rows.append(E @ _group(system, s, at, k, path, E.T @ J, equations.length))
+            own = edges[s.edges[s.loops[k].edge].name]
+            rows.append(_rows(equations.m, own, _group(system, s, at, k, path, J[own], equations.length)))
             uses.append(np.unique([col.index for i in path for col in s.edges[i].columns if col.index >= 0]))
         for k in c.relations:
             r = system.relations[k]
-            rows.append(np.eye(equations.m)[:, relations[r.of]])
+            rows.append(_rows(equations.m, relations[r.of], np.eye(1)))
             uses.append(np.array([system.velocity_names.index(n) for n in (r.of, *r.sources)]))
         out.append(Part(c, rows, c.velocities, uses))
+    return out
+
+
+def _rows(m: int, at: np.ndarray, mix: Array) -> Array:
+    out = np.zeros((m, mix.shape[1]))
+    out[at] = mix
     return out
 
 

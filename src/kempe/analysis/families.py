@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from kempe.analysis.equations import Equations
+from kempe.kinematics.loops import evaluate
 from kempe.spatial import Array
 
 PARTS = 12
@@ -39,7 +40,7 @@ def dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
         if K is None:
             continue
         s = np.random.default_rng(0).uniform(-np.pi, np.pi, size=(POINTS, k)) * PARTS
-        value = e.linearise(e.move(q, s @ K.T))[0]
+        value = evaluate(e.system, e.move(q, s @ K.T), False, True)[0]
         if np.abs(value).max(initial=0.0) < ZERO * (1.0 + np.abs(K).sum() * PARTS):
             best = k
     return best
@@ -74,7 +75,7 @@ def half_angles(equations: Equations, q: Array, axes: Array, places: Sequence[in
             by = sense * np.stack([turn - theta[0], other - theta[1]], axis=1)
             step = np.zeros((POINTS, equations.nv))
             step[:, places] = np.concatenate([by, by * np.sign(opposite)], axis=1)
-            if np.abs(equations.linearise(equations.move(q, step))[0]).max() < ZERO * POINTS:
+            if np.abs(evaluate(equations.system, equations.move(q, step), False, True)[0]).max() < ZERO * POINTS:
                 return True
     return False
 

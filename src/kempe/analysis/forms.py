@@ -36,6 +36,8 @@ LINES, MIXTURES = 24, 400
 """Random lines on which signs are looked at, and random combinations of forms that may be definite."""
 VARIABLES = 5
 """Unknowns of quadratic forms up to which common zeros are excluded by a rank."""
+MANY = 40
+"""Unknowns above which forms are not looked at."""
 HELD = 24
 """Choices of held coordinates that are tried."""
 
@@ -89,7 +91,7 @@ def decide(
     directions = _directions(at, tangents)
     if at.corank == 1:
         return _one_equation(equations, at, k, found.noise, rng, directions)
-    if k > 2:
+    if k > 2 or at.delta > MANY:
         return None
     B = quadratic(equations, at)
     lower = max(known, at.delta - at.corank if any(_regular_zero(B, d) for d in directions) else 0)
@@ -127,7 +129,7 @@ def _one_equation(
     delta = at.delta
     lines = [*reduction.unit_directions(rng, LINES, delta), *directions]
     eigen = np.zeros(delta)
-    if k == 2:
+    if k == 2 and delta <= MANY:
         eigen, V = np.linalg.eigh(quadratic(equations, at)[0])
         clear = np.abs(eigen) > CLEAR * np.abs(eigen).max()
         if clear.all() and (eigen > 0).all() or clear.all() and (eigen < 0).all():

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,6 +41,12 @@ class Screws:
     length: float
     cross: dict[int, Array] = field(repr=False)
     """Rotation after the first turn of the joints whose constraint directions it carries (universal joints)."""
+
+    @cached_property
+    def reach(self) -> float:
+        """How many lengths the frames are away from the reference point, at most."""
+        d = np.concatenate([self.F[:, :3, 3], self.M[:, :3, 3]]) - self.center
+        return float(np.sqrt(np.max(np.sum(d * d, axis=1), initial=0.0))) / self.length
 
     def wrench_rows(self, edge: int, of: Constraint, dim: int) -> Array:
         """Rows (k, 6) that a declared constraint takes from the relative twist of its bodies."""
