@@ -236,11 +236,26 @@ def _two_groups(s: Structure, at: Screws, c: Cluster) -> bool:
     path = [i for i, _ in s.loops[c.loops[0]].path if at.twists[i].shape[1]]
     if len(path) > LONG or any(s.edges[i].particle or any(x.index < 0 for x in s.edges[i].columns) for i in path):
         return False
-    n = len(path)
-    turned = path + path
+    n, twists = len(path), np.concatenate([at.twists[i] for i in path], axis=1)
+    first = np.cumsum([0, *(at.twists[i].shape[1] for i in path)]).tolist()
+    columns = list(range(first[-1])) * 2
+    parallel, meeting = _side_by_side(twists)
 
     def fills(i: int, k: int) -> bool:
-        twists = np.concatenate([at.twists[e] for e in turned[i:k]], axis=1)
-        return fills_group(twists, SAME, forms.CLEAR)
+        end = first[k] if k <= n else first[-1] + first[k - n]
+        own = columns[first[i] : end]
+        among = np.ix_(own, own)
+        possible = len(own) > 5 or parallel[among].all() or meeting[among].all()
+        return bool(possible) and fills_group(twists[:, own], SAME, forms.CLEAR)
 
-    return any(fills(i, k) and fills(k, i + n) for i in range(n) for k in range(i + 1, n + (i > 0)))
+    return any(fills(i, k) and fills(k, i + n) for i in range(n) for k in range(i + 1, n))
+
+
+def _side_by_side(twists: Array) -> tuple[np.ndarray, np.ndarray]:
+    """Which screws (6, n) have parallel turns, or slides, and which are reciprocal, as axes that meet: (n, n) masks.
+
+    Fewer than six screws fill a group only if all have parallel turns, or all axes meet in one point.
+    """
+    v, w = twists[:3].T, twists[3:].T
+    turned = np.cross(w[:, None], w[None])
+    return np.abs(turned).max(axis=2) < forms.CLEAR, np.abs(v @ w.T + w @ v.T) < forms.CLEAR
