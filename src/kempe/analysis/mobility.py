@@ -158,7 +158,7 @@ def mobility(
     `local` are then about angles measured from there. Errors: `InputError`, `UnknownNameError`.
     """
     s = structure(system)
-    motors = driven(system, actuated)  # a wrong name is refused before any work
+    driven(system, actuated)  # a wrong name is refused before any work
     at = close(system, _given(system, q)) if q is not None else find_closed(system)
     rng = np.random.default_rng(rng)
     if not at.closed:
@@ -177,7 +177,7 @@ def _found(
     system: System, at: Closed, actuated: Iterable[str] | None, local: bool, rng: np.random.Generator
 ) -> Mobility:  # fmt: skip
     """Everything, at a closed configuration whose coordinates are regular."""
-    s = structure(system)
+    s, motors = structure(system), driven(system, actuated)
     rank = rank_at(system, at.q)
     generic = nearby(system, rank, rng) if rank.dependent or motors or may_idle(system, rank, motors) else []
     truth = _local(system, rank, local, rng)
