@@ -92,7 +92,9 @@ class Cluster:
     velocities: np.ndarray
     edges: tuple[int, ...]
     signs: Array = field(repr=False)
-    """(loops, edges): +1, -1 or 0, how each loop, shortened by others, passes each edge."""
+    """(loops, edges): +1, -1 or 0, how each loop passes each edge."""
+    cells: Array = field(repr=False)
+    """The same for loops that are shortened by others."""
     moving: np.ndarray = field(repr=False)
     """Of all velocities of the edges, one edge after the other, those that are not held (mask)."""
     owner: np.ndarray = field(repr=False)
@@ -107,7 +109,7 @@ class Cluster:
     def paths(self, s: Structure, short: bool) -> list[np.ndarray]:
         """The edges of each loop, shortened or as the tree closes it."""
         if short:
-            return [np.array(self.edges)[np.flatnonzero(signs)] for signs in self.signs]
+            return [np.array(self.edges)[np.flatnonzero(signs)] for signs in self.cells]
         return [np.array([i for i, _ in s.loops[k].path]) for k in self.loops]
 
     def size_of_loops(self, s: Structure, short: bool) -> LoopSizes:
@@ -299,14 +301,14 @@ def _clusters(system: System, edges: list[Edge], loops: list[Loop]) -> tuple[Clu
                 signs[n, place[i]] = sign
         whole = np.array([edges[loops[k].edge].joint and not edges[loops[k].edge].particle for k in own], dtype=bool)
         ends = np.array([(edges[i].parent, edges[i].child) for i in inside], dtype=np.int64).reshape(-1, 2)
-        signs = shortened(signs, whole, ends[:, 0], ends[:, 1])
+        cells = shortened(signs, whole, ends[:, 0], ends[:, 1])
         relations = tuple(k - len(loops) for k in members if k >= len(loops))
         columns = [(n, c) for n, i in enumerate(inside) for c in edges[i].columns]
         moving = np.array([c.index >= 0 for _, c in columns], dtype=bool)
         at = {v: n for n, v in enumerate(velocities)}
         out.append(
             Cluster(
-                tuple(own), relations, np.array(velocities, dtype=np.int64), tuple(inside), signs, moving,
+                tuple(own), relations, np.array(velocities, dtype=np.int64), tuple(inside), signs, cells, moving,
                 np.array([n for n, c in columns if c.index >= 0], dtype=np.int64),
                 np.array([at[c.index] for _, c in columns if c.index >= 0], dtype=np.int64),
                 np.array([c.multiplier for _, c in columns if c.index >= 0]),

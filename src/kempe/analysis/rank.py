@@ -162,7 +162,7 @@ def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array
         twists = np.concatenate([at.twists[i] for i in c.edges], axis=1)[:, c.moving]
         own = np.where(c.sliding, at.length, 1.0)
         twists = twists * (c.factor * units[c.velocities[c.local]] / own)
-        each = c.signs[:, None, c.owner] * twists
+        each = c.cells[:, None, c.owner] * twists
         if c.shared:
             for k, local in enumerate(c.local):
                 around[:, :, local] += each[:, :, k]
