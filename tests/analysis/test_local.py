@@ -121,13 +121,20 @@ def test_planar_mechanisms(case: Case):
     assert found.smooth == (case.rank == case.true and len(case.branches) < 2)
 
 
+TO_AN_ORDER = {
+    "bricard_trihedral", "bricard_rectangular", "bricard_line_symmetric", "goldberg_5r", "schatz", "delta_uu",
+}  # fmt: skip
+"""Mechanisms that move by theorems about their lengths, which are not looked at."""
+
+
 @pytest.mark.parametrize("case", SPATIAL, ids=lambda c: c.name)
 def test_spatial_mechanisms(case: Spatial):
     found = of_library(case.name, "closed")
     assert (found.rank_dim, found.dim) == (case.rank, case.dof), str(found)
-    assert found.certain, str(found)
+    assert found.certain == (case.name not in TO_AN_ORDER), str(found)
+    assert found.certain or "to order 8, not proven" in str(found) and not found.doubts
     assert found.smooth == (case.rank == case.dof)
-    assert (found.sampled is None) == (found.corank == 0)
+    assert (found.sampled is None) == (found.smooth and found.certain)
 
 
 @pytest.mark.parametrize("name", ["parallelogram", "kite", "slider_crank_equal", "row_of_four_bars", "wunderlich"])
@@ -193,11 +200,11 @@ def test_double_watt_has_a_cusp(second, turned):
     assert "cusp" in str(found)
 
 
-def test_branches_that_touch_too_closely_are_not_called_certain():
+def test_branches_that_touch_too_closely_are_not_counted():
     """Two equal linkages of Watt: the bar translates, or turns by a fourth power: two curves that nearly coincide."""
     found = local_dimension(*double_watt(1.0, False))
     assert (found.rank_dim, found.dim) == (2, 1)
-    assert not found.certain and "nearly coincide" in str(found) and "uncertain" in str(found)
+    assert not found.counted and "nearly coincide" in str(found)
 
 
 def beside_a_pendulum(system: System, q: np.ndarray) -> tuple[System, np.ndarray]:

@@ -176,12 +176,19 @@ KNOWN = {  # the count, the rank, the truth
 }  # fmt: skip
 
 
+PROVEN = {
+    "K33 on a conic: shaky", "Cauchy: regular octahedron", "octahedron turned by 30 degrees: shaky",
+    "four screws that do not fit", "Hoberman's ring of six", "double Cardan",
+}  # fmt: skip
+"""The others move by theorems about their lengths, which are not looked at."""
+
+
 @pytest.mark.parametrize("name", KNOWN)
 def test_known_degrees_of_freedom(name):
     world, count, rank, dof = KNOWN[name]
     for scale, moved in ((1.0, False), (1e-4, True), (1e4, True)):
         m = look(world, scale, moved)
-        assert (m.gruebler, m.rank_dof, m.dof, m.certain) == (count, rank, dof, True), str(m)
+        assert (m.gruebler, m.rank_dof, m.dof, m.certain) == (count, rank, dof, name in PROVEN), str(m)
         assert m.singular == (rank > dof) and m.redundant == rank - count
         assert sum(len(r.reactions) for r in m.redundancy.releases) == m.redundant
 
@@ -236,14 +243,14 @@ def test_a_roller_on_its_pin_is_idle_and_links_that_happen_to_be_in_line_are_not
 def test_a_platform_on_parallel_legs_of_one_length_translates():
     """All legs are one vector of that length: a sphere of translations; the turn about the legs is to first order."""
     m = look(on_rods("translation", BENT, BENT + [0.3, 0.2, 1.4]))
-    assert (m.gruebler, m.rank_dof, m.dof, m.local.branch_dims, m.certain) == (0, 3, 2, (2,), True)
+    assert (m.gruebler, m.rank_dof, m.dof, m.local.branch_dims, m.local.doubts) == (0, 3, 2, (2,), ())
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_branches_with_the_same_kernel_are_told_apart(seed):
     """Legs on a circle, straight up: it translates (2), or turns while it sinks (1); the kernel is 3 all along both."""
     m = look(on_rods("circle", HEXAGON, HEXAGON + [0, 0, 1.4]), rng=seed)
-    assert (m.rank_dof, m.dof, m.local.branch_dims, m.certain) == (3, 2, (2, 1), True), str(m)
+    assert (m.rank_dof, m.dof, m.local.branch_dims, m.local.doubts) == (3, 2, (2, 1), ()), str(m)
 
 
 def dead_centres(stages: int) -> World:
@@ -270,7 +277,7 @@ def test_what_is_shaky_of_a_high_order_is_not_called_mobile_for_certain(stages):
     """Rigid, though s^(2^stages) = 0 is all that says so; s^16 is beyond rounding for s = 0.1."""
     m = look(dead_centres(stages))
     assert m.rank_dof == 1
-    assert m.dof == 0 or not m.certain and "probably" in m.sentence
+    assert m.dof == 0 or not m.certain and "the truth to order 8" in m.sentence or "1 to order 8" in m.sentence
     assert stages > 3 or (m.dof, m.local.obstruction_order) == (0, 2**stages)
 
 
@@ -315,7 +322,7 @@ def test_the_rank_can_be_zero():
 
 
 @pytest.mark.parametrize("off", [1e-6, 1e-7, 1e-8])
-def test_what_is_nearly_singular_is_not_certain(off):
+def test_what_is_nearly_a_mechanism_is_none_for_certain_or_probably_one(off):
     """A Bennett linkage whose axes are off by this much is no mechanism, but nearly one."""
     system = kempe.load("bennett")
     rng = np.random.default_rng(0)
@@ -326,7 +333,7 @@ def test_what_is_nearly_singular_is_not_certain(off):
         p, z = F[:3, 3] + off * rng.normal(size=3), F[:3, 2] + off * rng.normal(size=3)
         world.turn(*("ground" if b == system.body_names[0] else b for b in (j.parent, j.child)), p, z)
     report = look(world)
-    assert not report.certain and "probably" in report.sentence
+    assert report.dof == 0 if report.certain else "probably" in report.sentence
 
 
 # ---- arguments and words

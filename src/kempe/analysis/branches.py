@@ -30,10 +30,12 @@ ALONG, TURNED = 0.5, 0.15
 """Way along the sphere, as a part of its radius, and the turn of the tangent space over it that shows a cone."""
 FELL_BACK = 0.1
 """A start that ends nearer to the configuration than this part of the radius found no motion."""
-BATCH, MOST_STARTS, MOST_KEPT = 32, 480, 20
-"""Starts at a time and in all, and points kept of a family."""
+BATCH, MOST_STARTS, MOST_KEPT, ENOUGH = 32, 480, 20, 2
+"""Starts at a time and in all, points kept of a family, and hits of each beyond which the search ends."""
 SAME_PLANE = 0.2
 """Tangent spaces nearer to each other (root sum square of sines) belong to one branch."""
+SAME_LIMIT = 0.1
+"""The same on the smallest sphere, where they are nearly those at the configuration itself."""
 STEP = 0.2
 """Steps from a point of a branch, to see which directions it has, as a part of the radius."""
 
@@ -66,6 +68,8 @@ class Spot:
     split: Split
     dim: int | None = None
     tangent: Array | None = None
+    near: Array | None = None
+    """Basis of the kernel on the smallest sphere."""
     obstructed: int | None = None
     """The first order at which kernel vectors there cannot be continued."""
 
@@ -125,7 +129,7 @@ def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[lis
     """Families of points on the largest sphere that can be followed to the smallest; whether all were hit twice.
 
     The part of the branches, by how often random starts lead to them, that was never hit is about the number of
-    families hit once over the number of starts (Good, 1953): so the search ends when there is none.
+    families hit once over the number of starts (Good, 1953): so the search ends when there is none hit that rarely.
     """
     families: list[Family] = []
     starts = 0
@@ -133,16 +137,33 @@ def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[lis
         d = reduction.unit_directions(rng, BATCH, at.delta) @ at.kernel.T
         starts += len(d)
         _sort_in(equations, at, families, _spots(equations, at, d))
-        if starts >= 2 * BATCH and all(f.hits > 1 for f in families):
+        if starts >= 2 * BATCH and all(f.hits > ENOUGH for f in families):
             break
-    complete = all(f.hits > 1 for f in families)
     across = [-s.offsets[0] / RADII[0] for f in families for s in f.spots]
     if across:
         _sort_in(equations, at, families, _spots(equations, at, np.array(across)))
     followed = {id(s) for s in _shrink(equations, at, [s for f in families for s in f.spots])}
     for family in families:
         family.spots = [s for s in family.spots if id(s) in followed]
-    return [f for f in families if f.spots], complete
+    families = _joined([f for f in families if f.spots])
+    return families, all(f.hits > 1 for f in families)
+
+
+def _joined(families: list[Family]) -> list[Family]:
+    """The families, those as one whose tangent spaces meet at the configuration: a bent branch seems to be several."""
+    out: list[Family] = []
+    for family in families:
+        near = family.spots[0].near
+        for other in out:
+            like = other.spots[0].near
+            if near is None or like is None or family.cone or other.cone or near.shape[1] < 2:
+                continue
+            if apart(near, like) < SAME_LIMIT:
+                other.spots, other.hits = (other.spots + family.spots)[:MOST_KEPT], other.hits + family.hits
+                break
+        else:
+            out.append(family)
+    return out
 
 
 def _spots(equations: Equations, at: Split, directions: Array) -> list[Spot]:
@@ -188,6 +209,7 @@ def _shrink(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
         good = ring.good & (np.linalg.norm(ring.offsets / radius - d, axis=1) < 0.5)
         for i, spot in enumerate(spots):
             spot.offsets = np.concatenate([spot.offsets, ring.offsets[None, i]])
+            spot.near = reduction.split_matrix(ring.q[i], ring.jacobian[i]).kernel if good[i] else None
         spots = [s for s, ok in zip(spots, good, strict=True) if ok]
     return spots
 

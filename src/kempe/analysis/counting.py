@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -189,27 +190,51 @@ def loop_counts(system: System, at: Screws | None) -> tuple[LoopCount, ...]:
 
 
 def group_of(twists: Array) -> tuple[int, int]:
-    """Dimension of the smallest group of motions that contains these screws (6, n), and of its turns.
+    """Dimension of the smallest group of motions that contains these screws (6, n), and of its turns."""
+    basis = group_basis(twists, SAME)
+    return basis.shape[1], _span(basis[3:], SAME).shape[1]
 
-    The span is completed by Lie brackets until it no longer grows.
+
+def group_basis(twists: Array, same: float) -> Array:
+    """Orthonormal basis (6, d) of the smallest algebra that contains these screws (6, n).
+
+    The span is completed by Lie brackets until it no longer grows by more than `same`.
     """
-    basis = _span(twists)
+    basis = _span(twists, same)
     while True:
-        v, w = basis[:3].T, basis[3:].T
-        a, b = np.triu_indices(len(v), 1)
         if basis.shape[1] in (0, 1, 6):
-            break
-        turned = np.cross(w[a], w[b])
-        moved = np.cross(w[a], v[b]) + np.cross(v[a], w[b])
-        grown = _span(np.hstack([basis, np.concatenate([moved, turned], axis=1).T]))
+            return basis
+        grown = _span(np.hstack([basis, _brackets(basis)]), same)
         if grown.shape[1] == basis.shape[1]:
-            break
+            return basis
         basis = grown
-    return basis.shape[1], _span(basis[3:]).shape[1]
 
 
-def _span(columns: Array) -> Array:
+def fills_group(twists: Array, same: float, clear: float) -> bool:
+    """Whether screws (6, n) span the algebra that they generate: all brackets lie in their span, which is clear."""
+    U, s, _ = np.linalg.svd(twists, full_matrices=False)
+    basis = U[:, s > same * s[0]]
+    d = basis.shape[1]
+    if s[d - 1] < clear * s[0]:
+        return False
+    if d in (1, 6):
+        return True
+    return basis.shape[1] == _span(np.hstack([basis, _brackets(basis)]), same).shape[1]
+
+
+def _brackets(basis: Array) -> Array:
+    """All Lie brackets (6, n (n - 1) / 2) of screws (6, n): [v; w] with [v'; w'] is [w x v' + v x w'; w x w']."""
+    i, k = zip(*combinations(range(basis.shape[1]), 2), strict=True)
+    a, b = basis[:, i], basis[:, k]
+    out = np.empty_like(a)
+    for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[x] = a[y + 3] * b[z] - a[z + 3] * b[y] + a[y] * b[z + 3] - a[z] * b[y + 3]
+        out[x + 3] = a[y + 3] * b[z + 3] - a[z + 3] * b[y + 3]
+    return out
+
+
+def _span(columns: Array, same: float) -> Array:
     if not columns.size:
         return columns[:, :0]
     U, s, _ = np.linalg.svd(columns, full_matrices=False)
-    return U[:, s > SAME * max(s[0], SAME)]
+    return U[:, s > same * max(s[0], same)]

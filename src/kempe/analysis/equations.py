@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe.kernels.layout import HEADER, KIND, N_OUT, N_ROWS, ROW_INTS, TURN, V_INDEX
+from kempe.kernels.layout import HEADER, KIND, N_OUT, N_ROWS, ROW_INTS, SLIDE, TURN, V_INDEX
 from kempe.kernels.loop_layout import LINEAR
 from kempe.kinematics.configuration import as_q
 from kempe.model.loops import loops_of
@@ -28,7 +28,7 @@ LONGEST = 0.2
 """Longest step of a projection, in scaled coordinates: it is to find what is near."""
 SHARP, BLUNT = 1e-15, 1e-4
 """Residuals between these (the first for each equation), where a projection ends, may be halved many times."""
-SLIDE = 0.6
+LEAP = 0.6
 """Plain steps longer than this part of the distance from the center are not taken: where the residual is what the
 digits of a description allow, they would run along the motion to where it is less."""
 PLAIN, HOPELESS = 40, 4
@@ -63,7 +63,9 @@ class Equations:
         turning = np.array(system.coordinates.turning)
         for iv in system.layout.quaternion_v:
             turning[iv : iv + 3] = True
-        self.turning = turning | np.isin(np.arange(self.nv), self._screws())
+        self.turning = turning | np.isin(np.arange(self.nv), self._driving(TURN))
+        self.sliding = np.isin(np.arange(self.nv), self._driving(SLIDE))
+        """Which velocities (nv,) slide something, screws among them."""
         self.scale = np.where(self.turning, 1.0, self.length)
         self.ties, self.numbers = self._pack()
         self.places = np.full(self.nv, BALL_REST, dtype=np.int64)
@@ -71,10 +73,10 @@ class Equations:
         for iq, iv in zip(system.layout.quaternion_q, system.layout.quaternion_v, strict=True):
             self.places[iv] = -1 - iq
 
-    def _screws(self) -> list[int]:
-        """Velocity coordinates of screws: they turn and slide, and are angles."""
+    def _driving(self, kind: int) -> list[int]:
+        """Velocity coordinates that move primitives of a kind; those of screws turn and slide, and are angles."""
         rows = self.ints[HEADER : HEADER + ROW_INTS * int(self.ints[N_ROWS])].reshape(-1, ROW_INTS)
-        return rows[rows[:, KIND] == TURN, V_INDEX].tolist()
+        return rows[rows[:, KIND] == kind, V_INDEX].tolist()
 
     def _pack(self) -> tuple[np.ndarray, Array]:
         """The arrays `ties` and `numbers` of `kempe.kernels.jet`."""
@@ -142,7 +144,7 @@ class Equations:
                 kept[slow[better]] = new[better]
             there = self._step(at, centers, radii, FLAT)
             step = np.linalg.norm(self.offset(at.q, there), axis=1)
-            on = (left > self.m * SHARP) & (since < HOPELESS) & (step < SLIDE * at.distance)
+            on = (left > self.m * SHARP) & (since < HOPELESS) & (step < LEAP * at.distance)
             if not on.any():
                 return
             slow, best, since, centers, radii, q = (x[on] for x in (slow, best, since, centers, radii, there))
@@ -184,6 +186,19 @@ class Equations:
     def series(self, q: Array, n: int, order: int) -> Series:
         """Taylor series along n curves that begin at q (nq,) or at n configurations (n, nq)."""
         return Series(self, np.array(np.broadcast_to(q, (n, self.nq)), dtype=float), order)
+
+    @cached_property
+    def rows_of(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Places of the equations of joints and constraints by name, and of relations by the coordinate they give."""
+        edges, relations, row = {}, {}, 0
+        for tie in self._loops.ties:
+            at = np.arange(row, row + len(tie.rows))
+            row += len(at)
+            if tie.relation is None:
+                edges[tie.name] = at
+            else:
+                relations[tie.relation.of] = at
+        return edges, relations
 
     @cached_property
     def sizes(self) -> tuple[int, int]:

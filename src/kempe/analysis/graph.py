@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from kempe.analysis.cycles import shortened
 from kempe.description.parts import Constraint, Joint
 from kempe.joints import P, Primitive, Q
 from kempe.spatial import Array
@@ -73,6 +74,15 @@ class Loop:
     rows: int
 
 
+class LoopSizes(NamedTuple):
+    """How large the loops of a cluster are: sums of squares of what their velocities move, the most of them, times the
+    square root of how many loops share a joint; joints of the longest; edges that are rods."""
+
+    most: float
+    joints: int
+    rods: np.ndarray
+
+
 @dataclass(frozen=True, eq=False)
 class Cluster:
     """Loops and relations that share velocities, directly or through others: `velocities` are their columns."""
@@ -83,6 +93,8 @@ class Cluster:
     edges: tuple[int, ...]
     signs: Array = field(repr=False)
     """(loops, edges): +1, -1 or 0, how each loop passes each edge."""
+    cells: Array = field(repr=False)
+    """The same for loops that are shortened by others."""
     moving: np.ndarray = field(repr=False)
     """Of all velocities of the edges, one edge after the other, those that are not held (mask)."""
     owner: np.ndarray = field(repr=False)
@@ -93,6 +105,33 @@ class Cluster:
     """its multiplier,"""
     sliding: np.ndarray = field(repr=False)
     """and whether it slides."""
+
+    def paths(self, s: Structure, short: bool) -> list[np.ndarray]:
+        """The edges of each loop, shortened or as the tree closes it."""
+        if short:
+            return [np.array(self.edges)[np.flatnonzero(signs)] for signs in self.cells]
+        return [np.array([i for i, _ in s.loops[k].path]) for k in self.loops]
+
+    def size_of_loops(self, s: Structure, short: bool) -> LoopSizes:
+        """The `LoopSizes`, found once."""
+        found = self.__dict__.setdefault("sizes", {})
+        if short not in found:
+            found[short] = self._sizes(s, self.paths(s, short))
+        return found[short]
+
+    def _sizes(self, s: Structure, paths: list[np.ndarray]) -> LoopSizes:
+        most, joints, rods = 0.0, 1, []
+        for k, path in zip(self.loops, paths, strict=True):
+            moving = [c for i in path for c in s.edges[i].columns if c.index >= 0]
+            own = len({c.index for c in moving}) == len(moving)
+            sizes = [abs(c.multiplier) for c in moving]
+            most = max(most, sum(x * x for x in sizes) if own else sum(sizes) ** 2)
+            joints = max(joints, len(path))
+            edge = s.edges[s.loops[k].edge]
+            if isinstance(edge.of, Constraint) and edge.of.kind == "distance":
+                rods.append(s.loops[k].edge)
+        passed = float(np.bincount(np.concatenate(paths)).max()) if paths else 1.0
+        return LoopSizes(most * float(np.sqrt(passed)), joints, np.array(rods, dtype=np.int64))
 
     @cached_property
     def shared(self) -> bool:
@@ -260,13 +299,16 @@ def _clusters(system: System, edges: list[Edge], loops: list[Loop]) -> tuple[Clu
         for n, k in enumerate(own):
             for i, sign in loops[k].path:
                 signs[n, place[i]] = sign
+        whole = np.array([edges[loops[k].edge].joint and not edges[loops[k].edge].particle for k in own], dtype=bool)
+        ends = np.array([(edges[i].parent, edges[i].child) for i in inside], dtype=np.int64).reshape(-1, 2)
+        cells = shortened(signs, whole, ends[:, 0], ends[:, 1])
         relations = tuple(k - len(loops) for k in members if k >= len(loops))
         columns = [(n, c) for n, i in enumerate(inside) for c in edges[i].columns]
         moving = np.array([c.index >= 0 for _, c in columns], dtype=bool)
         at = {v: n for n, v in enumerate(velocities)}
         out.append(
             Cluster(
-                tuple(own), relations, np.array(velocities, dtype=np.int64), tuple(inside), signs, moving,
+                tuple(own), relations, np.array(velocities, dtype=np.int64), tuple(inside), signs, cells, moving,
                 np.array([n for n, c in columns if c.index >= 0], dtype=np.int64),
                 np.array([at[c.index] for _, c in columns if c.index >= 0], dtype=np.int64),
                 np.array([c.multiplier for _, c in columns if c.index >= 0]),

@@ -3,13 +3,13 @@
 The rank of the constraint Jacobian gives an upper bound only. Where equations are dependent, the reduction of Lyapunov
 and Schmidt tells by Taylor coefficients whether kernel vectors are velocities of motions; where not all are, the
 branches are found on small spheres, and what they are is measured at their own points. Kicking the mechanism and
-letting it snap back is a second method that shares nothing with the first but equations and projection. Limits of
-joints are not looked at.
+letting it snap back is a second method that shares nothing with the first but equations and projection. Neither proves
+a number; where a theorem does (`analysis.certify`), the answer is certain. Limits of joints are not looked at.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +17,8 @@ import numpy as np
 from kempe.analysis import branches as follow
 from kempe.analysis import reduction
 from kempe.analysis.branches import Branch
+from kempe.analysis.certify import Proof, proven
+from kempe.analysis.charts import back, regular_chart
 from kempe.analysis.equations import Equations
 from kempe.analysis.reduction import Split
 from kempe.errors import InputError
@@ -49,8 +51,12 @@ class LocalDimension:
     the Jacobian, an upper bound; `smooth` says that the set is a manifold of dimension `rank_dim` there.
     `obstruction_order` is the first order at which a kernel vector cannot be continued (None: all can, to `order`).
     `q` is the configuration with its last digits corrected. `sampled` is the dimension by the second method (None: not
-    asked for, or a theorem decides). `certain` is False where the methods disagree or a number is too near its
-    tolerance; `doubts` says which.
+    asked for, or a theorem decides).
+
+    `certain` says that `dim` is proven, for the mechanism in which what is zero to rounding is zero; `proof` names the
+    theorem. Otherwise `dim` is what Taylor coefficients to `order` and the second method say. `counted` says that the
+    number of branches is proven, too; otherwise these were found. `doubts` names disagreements of the methods, and
+    numbers too near their tolerance.
     """
 
     dim: int
@@ -66,6 +72,8 @@ class LocalDimension:
     sampled: int | None
     certain: bool
     doubts: tuple[str, ...] = ()
+    proof: str = ""
+    counted: bool = False
     q: Array = field(default_factory=lambda: np.zeros(0), repr=False)
 
     @property
@@ -79,11 +87,11 @@ class LocalDimension:
         return tuple(b.dim for b in self.branches)
 
     def __str__(self) -> str:
-        head = f"true local DoF {self.dim}" + ("" if self.certain else " (uncertain)")
+        head = f"true local DoF {self.dim}" + ("" if self.certain else f" (to order {self.order}, not proven)")
         text = [f"{head}; rank DoF {self.rank_dim}", self.method]
         if len(self.branches) > 1 or any(b.dim != self.rank_dim or b.cusp or b.cone for b in self.branches):
             text.append("branches: " + ", ".join(_describe(b) for b in self.branches))
-        return "; ".join([*text, *self.doubts])
+        return "; ".join([*text, *([f"proven: {self.proof}"] if self.proof else []), *self.doubts])
 
 
 def _describe(branch: Branch) -> str:
@@ -101,7 +109,8 @@ def local_dimension(
 
     `q` (nq,) or a dict by coordinate name must be closed; `order` is that of the Taylor coefficients, `tolerance` the
     part of the largest singular value below which one counts as zero; `sampling=False` leaves out the second method,
-    which is used wherever no theorem decides. Errors: `InputError` for an open configuration.
+    which is used wherever no theorem decides. Where three angles of a ball joint are singular coordinates, tangents are
+    in rates of angles measured from there. Errors: `InputError` for an open configuration.
 
     >>> import kempe
     >>> system = kempe.load("parallelogram")
@@ -116,14 +125,34 @@ def local_dimension(
         raise InputError(f"order is {order!r}; it must be a whole number from 2 to 16")
     if not 0.0 < tolerance < 1.0:
         raise InputError(f"tolerance is {tolerance!r}; it must be a part of one, such as {reduction.RANK:g}")
-    equations, rng = _equations(system), np.random.default_rng(rng)
+    other, there, turned = regular_chart(system, q)
+    rng = np.random.default_rng(rng)
+    return in_chart(system, _found(other, there, order, rng, tolerance, sampling), turned)
+
+
+def in_chart(system: System, found: LocalDimension, turned: dict[str, Array]) -> LocalDimension:
+    """The answer with its configurations in the coordinates of the system itself."""
+    if not turned:
+        return found
+    own = tuple(replace(b, q=back(system, b.q, turned)) for b in found.branches)
+    return replace(found, branches=own, q=back(system, found.q, turned))
+
+
+def _found(
+    system: System, q: Array, order: int, rng: np.random.Generator, tolerance: float, sampling: bool
+) -> LocalDimension:  # fmt: skip
+    """The answer at a configuration whose coordinates are regular."""
+    equations = _equations(system)
     at = reduction.split(equations, _closed(equations, q), tolerance)
+    proof = proven(system, equations, at.q, order)
     doubts = [] if at.gap >= CLEAR_GAP else [f"singular values differ by a factor {at.gap:.1g} only across the rank"]
-    if at.corank == 0 or at.delta == 0:
+    if at.corank == 0 or at.delta == 0 or (proof is not None and proof.dim == at.delta):
         why = "the equations are independent: a manifold by the implicit function theorem"
+        if at.corank and at.delta:
+            why = "a manifold, though some equations depend on others"
         if at.delta == 0:
             why = "the Jacobian has no kernel: rigid, to first order"
-        return _answer(equations, at, order, tolerance, [_whole(equations, at)], True, None, why, doubts, None)
+        return _answer(equations, at, order, tolerance, [_whole(equations, at)], True, None, why, doubts, None, proof)
     found = reduction.obstruction(equations, at, order, rng)
     k = found.order
     if found.doubt:
@@ -131,22 +160,26 @@ def local_dimension(
     if k is None:
         found, smooth = [_whole(equations, at)], True
         why = f"no obstruction to order {order} (below {reduction.ZERO:g}): a manifold, to that order"
-        faded = _fades(equations, at, rng) if sampling else 0.0
+        reached, faded = _walked(equations, at, rng) if sampling else (0.0, False)
         if faded:
-            doubts.append(f"the motion fades at a distance of {faded:.1g}: it may be shaky of an order above {order}")
+            doubts.append(f"the motion fades at a distance of {reached:.1g}: it may be shaky of an order above {order}")
+        elif reached:
+            why += f"; followed to a distance of {reached:.1g}"
     elif at.delta == 1:
         found, smooth = [], False
         why = f"isolated: the only velocity is obstructed at order {k} (shaky of order {k - 1})"
     else:
         found, smooth = _branches(equations, at, order, rng, doubts), False
         why = f"obstruction of order {k}; branches followed on spheres of radius {follow.RADII[0]:g}"
+    if proof is None and k is not None:
+        proof = proven(system, equations, at.q, order, [b.tangent / equations.scale[:, None] for b in found])
     sampled = None
     if sampling:
         sampled = sampled_dimension(equations, at, rng)
         truth = max((b.dim for b in found), default=0)
         if sampled != truth:
             doubts.append(f"sampling finds dimension {sampled}, following branches {truth}")
-    return _answer(equations, at, order, tolerance, found, smooth, k, why, doubts, sampled)
+    return _answer(equations, at, order, tolerance, found, smooth, k, why, doubts, sampled, proof)
 
 
 def _equations(system: System) -> Equations:
@@ -199,26 +232,30 @@ def _branches(
 
 def _answer(
     equations: Equations, at: Split, order: int, tolerance: float, found: list[Branch], smooth: bool,
-    k: int | None, why: str, doubts: list[str], sampled: int | None,
+    k: int | None, why: str, doubts: list[str], sampled: int | None, proof: Proof | None,
 ) -> LocalDimension:  # fmt: skip
-    found = [b for b in found if b.dim]
+    found = [b for b in found if b.dim and (proof is None or b.dim <= proof.dim)]
+    dim = max((b.dim for b in found), default=0) if proof is None else proof.dim
+    counted = proof is not None and proof.branches == len(found)
     return LocalDimension(
-        max((b.dim for b in found), default=0), at.delta, at.corank, tuple(found), smooth, k, why, order, tolerance,
-        at.gap, sampled, not doubts, tuple(doubts), at.q,
+        dim, at.delta, at.corank, tuple(found), smooth, k, why, order, tolerance, at.gap, sampled, proof is not None,
+        tuple(doubts), "" if proof is None else proof.why, counted, at.q,
     )  # fmt: skip
 
 
-def _fades(equations: Equations, at: Split, rng: np.random.Generator) -> float:
-    """Distance at which what seems to be a motion along the kernel is seen to be none; 0 if it is not seen."""
+def _walked(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[float, bool]:
+    """How far what seems to be a motion along the kernel can be followed; whether it is seen to be none there."""
     x = reduction.axes(rng, at.delta) @ at.kernel.T
+    reached = 0.0
     for radius in WALK:
         found = equations.project(equations.move(at.q, radius * x), at.q, radius)
         left = np.hypot(found.residual, found.distance - radius)
         good = left < follow.CLOSED
         if not good.any():
-            return radius if left.min() < FAINT else 0.0
+            return (radius, True) if left.min() < FAINT else (reached, False)
+        reached = radius
         x = equations.offset(at.q, found.q[good]) / radius
-    return 0.0
+    return reached, False
 
 
 def sampled_dimension(equations: Equations, at: Split, rng: np.random.Generator) -> int:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.analysis.certify import regular
+from kempe.analysis.charts import regular_chart
 from kempe.analysis.control import Control, control, driven
 from kempe.analysis.counting import Counting, LoopCount, counting, loop_counts
 from kempe.analysis.generic import Closed, close, find_closed, nearby
 from kempe.analysis.graph import Structure, structure
+from kempe.analysis.mobility_text import dimensions
 from kempe.analysis.passive import IdleFreedom, idle_freedoms, may_idle
 from kempe.analysis.rank import Rank, rank_at
 from kempe.analysis.redundancy import Redundancy, redundancy
@@ -69,6 +72,8 @@ class Mobility:
     control: Control | None
     singular: bool | None
     kind: str
+    regular: bool = False
+    """Whether the rank is full beyond rounding, so that the implicit function theorem gives `dof`."""
 
     @property
     def gruebler(self) -> int:
@@ -107,8 +112,13 @@ class Mobility:
 
     @property
     def certain(self) -> bool:
-        """Whether no number is too near its tolerance, and the tests agree where there are two."""
-        return self.rank is not None and not self.rank.doubtful and (self.local is None or self.local.certain)
+        """Whether `dof` is proven, for the mechanism in which what is zero to rounding is exactly zero.
+
+        Either the rank is full, the smallest singular value being above a bound of all rounding and an exactly closed
+        configuration near by (Newton and Kantorovich), or a theorem about singular or overconstrained mechanisms
+        holds, whose hypotheses were checked: see `kempe.analysis.certify`. Otherwise `dof` is known to an order only.
+        """
+        return self.regular if self.local is None else self.local.certain
 
     @property
     def sentence(self) -> str:
@@ -144,14 +154,30 @@ def mobility(
     where it is not exactly closed the nearest closed configuration is taken, and where there is none only the count is
     given. `actuated` names joints or coordinates whose control is looked at (default: those marked in the file).
     `local=False` leaves out the true number, where the rank does not prove it, and is faster. `rng` draws the generic
-    configurations. Errors: `InputError`, `UnknownNameError`.
+    configurations. Where three angles of a ball joint are singular coordinates, it is looked at in others: `rank` and
+    `local` are then about angles measured from there. Errors: `InputError`, `UnknownNameError`.
     """
     s = structure(system)
-    motors = driven(system, actuated)  # a wrong name is refused before any work
+    driven(system, actuated)  # a wrong name is refused before any work
     at = close(system, _given(system, q)) if q is not None else find_closed(system)
     rng = np.random.default_rng(rng)
     if not at.closed:
         return _open(system, s, at)
+    other, q, turned = regular_chart(system, at.q)
+    if turned:  # angles of a ball have velocities there that move nothing
+        found = _found(other, replace(at, q=q), actuated, local, rng)
+        from kempe.analysis.local import in_chart
+
+        truth = None if found.local is None else in_chart(system, found.local, turned)
+        return replace(found, q=at.q, local=truth)
+    return _found(system, at, actuated, local, rng)
+
+
+def _found(
+    system: System, at: Closed, actuated: Iterable[str] | None, local: bool, rng: np.random.Generator
+) -> Mobility:  # fmt: skip
+    """Everything, at a closed configuration whose coordinates are regular."""
+    s, motors = structure(system), driven(system, actuated)
     rank = rank_at(system, at.q)
     generic = nearby(system, rank, rng) if rank.dependent or motors or may_idle(system, rank, motors) else []
     truth = _local(system, rank, local, rng)
@@ -159,10 +185,12 @@ def mobility(
     idle = idle_freedoms(system, [rank, *generic], motors)
     dof = truth.dim if truth is not None else rank.nullity if not rank.dependent or not rank.nullity else None
     singular, kind = _kind(rank, best, truth)
+    sure = truth is None and dof is not None and regular(system, rank, at.residual)
     return Mobility(
         system.name, system.dim, at.q, True, at.residual, at.given, "", counting(system),
         loop_counts(system, rank.screws), _clusters(s, rank), _outside(system, s), rank, best.nullity, truth, dof,
         redundancy(system, best), idle, control(system, rank, generic, idle, actuated), singular, kind,
+        sure,
     )  # fmt: skip
 
 
@@ -228,9 +256,9 @@ def _kind(rank: Rank, best: Rank, truth: LocalDimension | None) -> tuple[bool, s
         return False, ""
     if len(truth.branches) == 0:
         return True, "shaky: it can move to first order, but is rigid"
-    dims = ", ".join(str(b.dim) for b in truth.branches)
+    dims = dimensions(truth.branch_dims)
     if len(truth.branches) > 1:
-        found = "meet" if truth.certain else "were found"
+        found = "meet" if truth.counted else "were found"
         return True, f"bifurcation: {len(truth.branches)} branches {found}, of dimensions {dims}"
     branch = truth.branches[0]
     if branch.multiple:

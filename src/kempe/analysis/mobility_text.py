@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from kempe.analysis.mobility import Mobility
 
+FEW = 4
+"""Branches whose dimensions are listed one by one."""
 SHOWN = 12
 """Loops, clusters and idle freedoms that are listed one by one."""
 
@@ -29,9 +33,12 @@ def sentence(m: Mobility) -> str:
         seen = "exists" if false == 1 else "exist"
         why.append(f"{_count(false, 'freedom')} that the rank sees {seen} to first order only")
     if m.local is not None and len({b.dim for b in m.local.branches}) > 1:
-        why.append(f"branches of dimensions {', '.join(str(d) for d in m.local.branch_dims)} meet here")
-    sure = "" if m.certain else "probably "
-    said = f"the truth is {sure}{m.dof}" if m.gruebler != m.dof else f"which is {sure}the truth"
+        meet = "meet" if m.local.counted else "were found"
+        why.append(f"branches of dimensions {dimensions(m.local.branch_dims)} {meet} here")
+    doubtful = m.local is None or m.local.doubts or (m.rank is not None and m.rank.doubtful)
+    sure = "probably " if not m.certain and doubtful else ""
+    order = "" if m.certain or m.local is None else f" to order {m.local.order}"
+    said = f"the truth is {sure}{m.dof}{order}" if m.gruebler != m.dof else f"which is {sure}the truth{order}"
     return f"Gruebler says {m.gruebler}, {said}" + (": " + ", ".join(why) if why else "")
 
 
@@ -40,16 +47,19 @@ def how_known(m: Mobility) -> str:
     if m.rank is None or m.dof is None:
         return ""
     if m.local is not None:
-        sure = "" if m.local.certain else "; uncertain: " + ", ".join(m.local.doubts)
+        sure = f"; proven: {m.local.proof}" if m.local.certain else f"; true to order {m.local.order}, not proven"
+        sure += "".join(f"; {doubt}" for doubt in m.local.doubts)
         sampled = "" if m.local.sampled is None else f"; sampling agrees: {m.local.sampled}"
         if m.local.sampled is not None and m.local.sampled != m.local.dim:
             sampled = ""
         return f"{m.local.method}{sampled}{sure}"
     if not m.loops and not m.rank.clusters:
         return "no loops: each joint moves as it likes"
+    unsure = "" if m.certain else "; not proven: a singular value is too near zero to be told from it"
     if not m.rank.dependent:
-        return "all constraints are independent here, so the configurations are a manifold (implicit function theorem)"
-    return "no velocity keeps all loops closed: rigid"
+        why = "all constraints are independent here, so the configurations are a manifold (implicit function theorem)"
+        return why + unsure
+    return "no velocity keeps all loops closed: rigid" + unsure
 
 
 def rank_text(m: Mobility) -> str:
@@ -160,6 +170,13 @@ def _cluster(c: Any) -> str:
 
 def _cut(own: list[str]) -> list[str]:
     return own if len(own) <= SHOWN else [*own[:SHOWN], f"... and {len(own) - SHOWN} more"]
+
+
+def dimensions(dims: Sequence[int]) -> str:
+    """'2, 1, 1', or '2 (5 times), 1 (8 times)' where there are many: dimensions of branches."""
+    if len(dims) <= FEW:
+        return ", ".join(str(d) for d in dims)
+    return ", ".join(str(d) if n == 1 else f"{d} ({n} times)" for d, n in Counter(dims).items())
 
 
 def _are(n: int) -> str:

@@ -43,7 +43,9 @@ class ClusterRank:
     stresses: Array = field(repr=False)
     """Left null space (equations, k): the wrenches that can run around the loops with no load."""
     kernel: Array = field(repr=False)
-    """Null space (velocities of the cluster, k), slides in units of the mechanism's size."""
+    """Null space (velocities of the cluster, k), slides in lengths of a link."""
+    size: float = 1.0
+    """What `values` are parts of."""
 
     @property
     def nullity(self) -> int:
@@ -64,7 +66,7 @@ class Rank:
     clusters: tuple[ClusterRank, ...]
     screws: Screws = field(repr=False)
     units: Array = field(repr=False)
-    """Units (nv,) of the scaled velocities: the size of the mechanism for slides, 1 for turns."""
+    """Units (nv,) of the scaled velocities: the length of a link for slides, 1 for turns."""
 
     @cached_property
     def rank(self) -> int:
@@ -148,7 +150,8 @@ def _cluster(system: System, s: Structure, at: Screws, c: Cluster, units: Array)
         return ClusterRank(c, J, np.zeros(0), 0, np.inf, np.eye(len(J)), np.eye(n))
     U, values, Vt = np.linalg.svd(J)
     r, gap = decide(values, J.shape[1], size)
-    return ClusterRank(c, J, values / max(values[0], size, 1e-300), r, gap, U[:, r:], Vt[r:].T)
+    size = max(values[0], size, 1e-300)
+    return ClusterRank(c, J, values / size, r, gap, U[:, r:], Vt[r:].T, size)
 
 
 def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array) -> tuple[Array, float]:
@@ -159,14 +162,21 @@ def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array
         twists = np.concatenate([at.twists[i] for i in c.edges], axis=1)[:, c.moving]
         own = np.where(c.sliding, at.length, 1.0)
         twists = twists * (c.factor * units[c.velocities[c.local]] / own)
-        each = c.signs[:, None, c.owner] * twists
+        each = c.cells[:, None, c.owner] * twists
         if c.shared:
             for k, local in enumerate(c.local):
                 around[:, :, local] += each[:, :, k]
         else:
             around[:, :, c.local] = each
-    size = float(np.sqrt(np.max(np.sum(around * around, axis=1), initial=0.0)))
-    blocks = [rows_of_loop(system, s, at, k) @ A for k, A in zip(c.loops, around, strict=True)]
+    near = at.moved([s.loops[k].edge for k in c.loops]) @ around
+    size = float(np.sqrt(np.max(np.sum(near * near, axis=1), initial=0.0)))
+    closing = [s.edges[s.loops[k].edge] for k in c.loops]
+    blocks = []
+    for k, edge, twists, there in zip(c.loops, closing, around, near, strict=True):
+        if edge.joint and not edge.particle:
+            blocks.append(there if system.dim == 3 else there[_PLANE])
+        else:
+            blocks.append(rows_of_loop(system, s, at, k) @ twists)
     local = {int(v): i for i, v in enumerate(c.velocities)}
     for k in c.relations:
         relation = system.relations[k]
@@ -178,15 +188,19 @@ def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array
     return np.concatenate(blocks) if blocks else np.zeros((0, n)), size
 
 
-_SPACE, _PLANE = np.eye(6), np.eye(6)[[0, 1, 5]]
+_PLANE = [0, 1, 5]
 
 
 def rows_of_loop(system: System, s: Structure, at: Screws, loop: int) -> Array:
-    """Rows (k, 6) that the edge that closes a loop takes from the twist around it; their transpose gives wrenches."""
+    """Rows (k, 6) that the edge that closes a loop takes from the twist around it; their transpose gives wrenches.
+
+    They read the twist where the loop is closed, so that loops far away in a large mechanism are seen as others are.
+    """
     i = s.loops[loop].edge
     edge = s.edges[i]
     if isinstance(edge.of, Constraint):
         return at.wrench_rows(i, edge.of, system.dim)
     if edge.particle:
         return at.point_rows(i, system.dim)
-    return _SPACE if system.dim == 3 else _PLANE
+    whole = at.moved([i])[0]
+    return whole if system.dim == 3 else whole[_PLANE]

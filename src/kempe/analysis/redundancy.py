@@ -141,7 +141,7 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_Row]:
         if isinstance(edge.of, Constraint):
             labels = ("F",) if len(R) == 1 else ("Fx", "Fy")
             rows += [_Row(edge.name, label, True, edge, x) for label, x in zip(labels, own, strict=True)]
-    inside = np.tensordot(c.cluster.signs, wrenches, (0, 0))  # (edges, 6, stresses)
+    inside = np.tensordot(c.cluster.cells, wrenches, (0, 0))  # (edges, 6, stresses)
     for i, wrench in zip(c.cluster.edges, inside, strict=True):
         edge = s.edges[i]
         if isinstance(edge.of, Constraint):

@@ -1,14 +1,17 @@
 """The joints of a system as screws at one configuration.
 
 All twists are [v; w] of the child relative to the parent, in axes of the ground, at one reference point in the middle
-of the mechanism, with lengths in units of its size: so ranks and self-stresses depend neither on the cut nor on units.
+of the mechanism, with lengths in units of a typical link: so ranks and self-stresses depend neither on the cut nor on
+units, nor do singular values fade with the number of links.
 A closed loop says that the twists around it add up to zero (Davies, 1981); what multiplies that equation is the
 wrench that runs around the loop, and the wrench in a joint is the sum of those of the loops through it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,15 +20,11 @@ from kempe import spatial
 from kempe.analysis.graph import Edge, structure
 from kempe.description.parts import Constraint
 from kempe.joints import P, Q
-from kempe.model.lengths import characteristic_length
+from kempe.kinematics.loops import full
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-
-ONE_POINT = 1e-12
-"""Spread of the joints, as a part of their distance from the origin, below which they all sit on one point: what is
-left is rounding, and no length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +41,12 @@ class Screws:
     length: float
     cross: dict[int, Array] = field(repr=False)
     """Rotation after the first turn of the joints whose constraint directions it carries (crosses)."""
+
+    @cached_property
+    def reach(self) -> float:
+        """How many lengths the frames are away from the reference point, at most."""
+        d = np.concatenate([self.F[:, :3, 3], self.M[:, :3, 3]]) - self.center
+        return float(np.sqrt(np.max(np.sum(d * d, axis=1), initial=0.0))) / self.length
 
     def wrench_rows(self, edge: int, of: Constraint, dim: int) -> Array:
         """Rows (k, 6) that a declared constraint takes from the relative twist of its bodies."""
@@ -64,6 +69,15 @@ class Screws:
         r = (self.M[edge, :3, 3] - self.center) / self.length
         return np.hstack([np.eye(3), -spatial.skew(r)])[:dim]
 
+    def moved(self, edges: Sequence[int]) -> Array:
+        """Matrices (n, 6, 6) that take twists to the origins of the frames M of edges."""
+        out = np.zeros((len(edges), 6, 6))
+        out[:, range(6), range(6)] = 1.0
+        x, y, z = ((self.M[list(edges), :3, 3] - self.center) / self.length).T
+        out[:, 0, 4], out[:, 0, 5], out[:, 1, 5] = z, -y, x
+        out[:, 1, 3], out[:, 2, 3], out[:, 2, 4] = -z, y, -x
+        return out
+
 
 def screws(system: System, q: Array) -> Screws:
     """The screws of all joints at a closed configuration `q` (nq,)."""
@@ -72,9 +86,7 @@ def screws(system: System, q: Array) -> Screws:
     F, M = bodies[s.parent] @ s.X_PF, bodies[s.child] @ s.X_CM
     points = M[:, :3, 3]
     center = points.mean(axis=0) if len(points) else np.zeros(3)
-    spread = float(np.sqrt(np.mean(np.sum((points - center) ** 2, axis=-1)))) if len(points) else 0.0
-    far = float(np.abs(bodies[:, :3, 3]).max()) + float(np.abs(points).max(initial=0.0))
-    length = spread if spread > ONE_POINT * far else characteristic_length(system)
+    length = full(system, True).length
     twists: list[Array] = []
     cross: dict[int, Array] = {}
     values = q.tolist()

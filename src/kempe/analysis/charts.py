@@ -1,0 +1,74 @@
+"""Charts: the same mechanism in angles that are regular where those of its balls are not.
+
+Three angles of one ball joint are coordinates of its rotation, and fail where the second is +-90 degrees: there they
+have a velocity that moves nothing. That is no freedom of the mechanism. Three hinges in a row are: there bodies turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe import spatial
+from kempe.description.parts import Joint
+from kempe.description.placement import place
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+NEAR = 0.1
+"""Cosine of the second angle below which angles are measured from here instead."""
+
+
+def regular_chart(system: System, q: Array) -> tuple[System, Array, dict[str, Array]]:
+    """The system and q (nq,), with the angles of balls near the singularity of their chart measured from q.
+
+    The frame M of such a ball is turned on its child so that the angles are 0 at q; nothing else changes, neither names
+    nor numbers. Balls with an angle that is coupled or held stay, for such an angle has a meaning of its own. The third
+    answer are the rotations (3, 3) by which frames were turned, by name of the joint.
+    """
+    turned: dict[str, Array] = {}
+    for name, at in _balls(system).items():
+        z, y, x = q[at].tolist()
+        if abs(np.cos(y)) < NEAR:
+            turned[name] = spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x)
+    if not turned:
+        return system, q, turned
+    mechanism = system.mechanism.copy()
+    for name, R in turned.items():
+        joint: Joint = mechanism.joints[name]
+        mechanism.joints[name] = replace(joint, X_CM=joint.X_CM @ place(matrix=R.T))
+    other = mechanism.build()
+    values = np.array(q)
+    for name in turned:
+        values[_balls(system)[name]] = 0.0
+    return other, values, turned
+
+
+def back(system: System, q: Array, turned: dict[str, Array]) -> Array:
+    """The configuration (nq,) of the system itself for one in the other chart."""
+    q = np.array(q)
+    for name, R in turned.items():
+        at = _balls(system)[name]
+        z, y, x = q[at]
+        q[at] = spatial.matrix_to_rpy(spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x) @ R)[::-1]
+    return q
+
+
+def _balls(system: System) -> dict[str, list[int]]:
+    """Places in q of the three angles of each ball that has its own, found once."""
+    found = system._queries.get("analysis balls")
+    if found is None:
+        names = {n: i for i, n in enumerate(system.coordinate_names)}
+        related = {f.source for f in system.couplings.values()} | set(system.couplings)
+        related |= {n for r in system.relations for n in (r.of, *r.sources)}
+        found = {}
+        for joint in system.joints.values():
+            angles = [f"{joint.name}.{n}" for n in ("rz", "ry", "rx")]
+            if joint.type.options.get("angles") and set(angles) <= set(names) and not related & set(angles):
+                found[joint.name] = [names[n] for n in angles]
+        system._queries["analysis balls"] = found
+    return found
