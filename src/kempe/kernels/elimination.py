@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from kempe.kernels._jit import device, routine
 from kempe.kernels.eigen import EIGEN_SCRATCH, balance, hessenberg, shifted_qr
+from kempe.kernels.elimination_cluster import CLUSTER_SCRATCH, MOST, postures_at
 from kempe.kernels.elimination_loop import (
     EQUATIONS,
     FANS_SIZE,
@@ -49,20 +50,35 @@ from kempe.kernels.elimination_pencil import (
     pivot_ratio,
 )
 from kempe.kernels.elimination_polish import polish, wrapped
+from kempe.kernels.elimination_roots import (
+    ANGLE,
+    DOUBT,
+    IMAGINARY,
+    NEARLY,
+    REAL,
+    ROOT,
+    TOGETHER,
+    expected,
+    matched,
+    stand_for,
+    together,
+    write_roots,
+)
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.scratch import beyond
 
 CANDIDATES = 24
 """Candidates at most; 16 postures are possible."""
 
-ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, SINGULAR, FREE = (
-    2**k for k in range(10)
+ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, SINGULAR, FREE, UNMATCHED = (
+    2**k for k in range(11)
 )
 """Bits of `suspect`: an odd number of candidates; a pair of roots so nearly real that two postures may have been lost;
-eigenvalues not found; leading matrix nearly singular; more than two null vectors, two that cannot be told apart, or too
-many candidates; a real root that led to no posture; two that led to the same; no independent equations; a singular
+eigenvalues not found; leading matrix nearly singular; fewer null vectors than roots, some that cannot be told apart, or
+too many candidates; a real root that led to no posture; two that led to the same; no independent equations; a singular
 posture, where others may merge with it or be connected with it by a self-motion; a hidden joint that is nearly free, as
-on a self-motion, or near one, where the eigenvalues are those of noise."""
+on a self-motion, or near one, where the eigenvalues are those of noise; a real root without a posture of its own that
+has its value of the hidden joint, or a posture without a root."""
 
 DEGENERATE = NO_EIGENVALUES | ILL_LEAD | ILL_NULL | UNUSABLE
 """Bits of doubts that a goal nearby may not raise."""
@@ -78,10 +94,6 @@ Newton's steps up to which a candidate that they lead astray is a stray."""
 STEPS = 12
 """Newton steps of a candidate at most; two or three are usual, where postures merge each halves the distance."""
 
-REAL, DOUBT, NEARLY = 1e-7, 1e-3, 1e-2
-"""Imaginary parts of angles: up to the first a root is real; up to the second a pair of postures that are about to
-merge may hide behind it; up to the third it is tried."""
-
 ACCEPT = 1e-9
 """Error up to which a candidate is kept."""
 
@@ -90,6 +102,9 @@ SINGULAR_RATIO = 1e-5
 
 APART = 1e-6
 """Coordinates that differ by less are the same posture."""
+
+RESIDUE = 1e-4
+"""How far from singular, relative to the first pivot, a matrix may be in the directions of roots that share a value."""
 
 NULL = 1e-9
 """Third last pivot, relative to the first, below which there are more than two null vectors."""
@@ -120,9 +135,11 @@ _REAL_PARTS = _MATRIX + STRIDE * STRIDE
 _IMAGINARY_PARTS = _REAL_PARTS + STRIDE
 _EIGEN = _IMAGINARY_PARTS + STRIDE
 _VECTORS = _EIGEN + EIGEN_SCRATCH
-_GOAL = _VECTORS + 2 * ROW
+_GOAL = _VECTORS + MOST * ROW
 _WORK = _GOAL + 12
-FOUNDLINGS = _WORK + PAIR_SIZE
+_CLUSTER = _WORK + PAIR_SIZE
+_ROOTS = _CLUSTER + CLUSTER_SCRATCH
+FOUNDLINGS = _ROOTS + ROOT * STRIDE
 """Place of the candidates in scratch."""
 ELIMINATION_SCRATCH = FOUNDLINGS + FOUND * (CANDIDATES + 2)
 """Numbers of scratch that `eliminate` needs."""
@@ -210,11 +227,15 @@ def _eigenvalues(n, w):
 
 
 @device
-def _vectors_at(u, w_, w):
-    """(vectors, suspicion): writes what the null space at the hidden joint's root (u, w_) stands for."""
+def _vectors_at(angle, together, w):
+    """(vectors, suspicion): writes what the null space at the hidden joint's root stands for, at so many roots."""
     m, x, work = beyond(w, _MATRIX), beyond(w, _VECTORS), beyond(w, _WORK)
-    size = 1.0 / math.sqrt(u * u + w_ * w_)
-    matrix_at(beyond(w, _FORMS), u * size, w_ * size, m)
+    matrix_at(beyond(w, _FORMS), math.cos(0.5 * angle), math.sin(0.5 * angle), m)
+    if together > 2:
+        if together > MOST:
+            return 0, ILL_NULL
+        vectors, residue = postures_at(m, together, beyond(w, _MASK), beyond(w, _FREE), x, beyond(w, _CLUSTER))
+        return vectors, 0 if residue < RESIDUE else ILL_NULL
     vectors, third = null_vectors(m, beyond(w, _MASK), beyond(w, _FREE), x)
     if vectors < 2:
         return vectors, 0 if vectors == 1 else ILL_NULL
@@ -265,19 +286,38 @@ class Search(NamedTuple):
     formulation: int
 
 
+@device
+def _unmatched(s, n, count):
+    """Whether a root that is expected to have a posture, or a posture, has no partner."""
+    place, roots = TRIPLE + LINE_STRIDE * hidden_of(s.formulation), beyond(s.w, _ROOTS)
+    number, slides = int(s.w[place + NUMBER]), s.w[place + IS_SLIDE] != 0.0
+    for k in range(count):
+        x = s.w[FOUNDLINGS + FOUND * k + number]
+        if not matched(roots, n, 2.0 * math.atan2(x, 1.0) if slides else x):
+            return True
+    return expected(roots, n) > 0
+
+
 @routine
-def _add(s, u, w_, imaginary, twins, count, strays):
-    """(postures, strays, suspicion) with those of the hidden joint's root (u, w_) added.
+def _add(s, i, n, twins, count, strays):
+    """(postures, strays, suspicion) with those of root i of n added.
 
     A stray is a start that was close, but Newton's steps led astray: written to `out`, from its end.
     """
-    found, work = beyond(s.w, FOUNDLINGS), beyond(s.w, _WORK)
-    vectors, suspect = _vectors_at(u, w_, s.w)
+    found, work, roots = beyond(s.w, FOUNDLINGS), beyond(s.w, _WORK), beyond(s.w, _ROOTS)
+    imaginary, angle = roots[ROOT * i + IMAGINARY], roots[ROOT * i + ANGLE]
+    alike, met, aside = together(roots, n, i) if imaginary < TOGETHER else (1, False, 0.0)
+    if alike > 2 and met:
+        return count, strays, 0
+    angle += aside if alike > 2 else 0.0
+    vectors, suspect = _vectors_at(angle, alike, s.w)
+    if suspect == 0 and (alike > 2 or vectors == 0):
+        stand_for(roots, n, i, alike, vectors)
     for k in range(vectors):
         if count == CANDIDATES:
             return count, strays, suspect | ILL_NULL
         theta = beyond(found, FOUND * count)
-        _posture(s.kinds, s.lines, s.near, s.formulation, 2.0 * math.atan2(w_, u), k, theta, s.w)
+        _posture(s.kinds, s.lines, s.near, s.formulation, angle, k, theta, s.w)
         state, doubt = _settle(s.kinds, s.lines, s.goal, found, count, work)
         suspect |= doubt
         if state < 0:
@@ -294,6 +334,19 @@ def _add(s, u, w_, imaginary, twins, count, strays):
             suspect |= doubt | (TWICE if state < 1 and imaginary < DOUBT else 0)
             count += max(state, 0)
     return count, strays, suspect
+
+
+@routine
+def _postures(s, n, half, disturbed, count, strays):
+    """(postures, strays, suspicion) with those of the n roots added."""
+    suspect, roots, narrower = 0, beyond(s.w, _ROOTS), 1.0 if disturbed == 0 else WIDER
+    write_roots(beyond(s.w, _REAL_PARTS), beyond(s.w, _IMAGINARY_PARTS), n, half, narrower, roots)
+    for i in range(n):
+        if 0.0 <= roots[ROOT * i + IMAGINARY] < NEARLY:  # of a pair of conjugates the first is enough
+            count, strays, doubt = _add(s, i, n, disturbed == 0, count, strays)
+            suspect |= doubt
+    lost = _unmatched(s, n, count) if disturbed == 0 else expected(roots, n) != count
+    return count, strays, suspect | (UNMATCHED if lost else 0)
 
 
 @routine
@@ -326,13 +379,8 @@ def eliminate(kinds, lines, goal, formulation, w, out):
             continue
         suspect = suspect & SINGULAR | (0 if ratio > GOOD_LEAD else ILL_LEAD)
         suspect |= NO_EIGENVALUES if _eigenvalues(n, w) > 0 else 0
-        c, sine = math.cos(half), math.sin(half)
-        for i in range(n):
-            t, y = w[_REAL_PARTS + i], w[_IMAGINARY_PARTS + i]
-            imaginary = 2.0 * y / (1.0 + t * t) / (1.0 if disturbed == 0 else WIDER)
-            if 0.0 <= imaginary < NEARLY:  # of a pair of conjugates the first is enough
-                count, strays, doubt = _add(s, c - sine * t, sine + c * t, imaginary, disturbed == 0, count, strays)
-                suspect |= doubt
+        count, strays, doubt = _postures(s, n, half, disturbed, count, strays)
+        suspect |= doubt
     strays = min(strays, CANDIDATES - count)
     for k in range(strays):  # those that came first stand last
         for j in range(6):

@@ -14,7 +14,7 @@ ALIKE = 1e-6
 
 
 @device
-def _clear(m, row, column):
+def clear(m, row, column):
     """Divide a row by its pivot and clear the pivot's column in the others."""
     over = 1.0 / m[row * ROW + column]
     for c in range(0, ROW, LANES):
@@ -27,7 +27,7 @@ def _clear(m, row, column):
 
 
 @device
-def _vector(m, order, steps, column, x):
+def vector(m, order, steps, column, x):
     """Write the vector that m, reduced by `steps` pivots, takes to zero: 1 at `column`, 0 at the others left over."""
     for j in range(ROW):
         x[j] = 0.0
@@ -62,11 +62,11 @@ def null_vectors(m, mask, order, x):
             return 0, 0.0
         order[2 * k], order[2 * k + 1] = float(column), float(row)
         mask[column], mask[ROW + row] = 0.0, 0.0
-        _clear(m, row, column)
+        clear(m, row, column)
     left = 0
     for c in range(SIZE):
         if mask[c] != 0.0 and left < vectors:
-            _vector(m, order, SIZE - vectors, c, beyond(x, ROW * left))
+            vector(m, order, SIZE - vectors, c, beyond(x, ROW * left))
             left += 1
     return vectors, third / first
 
@@ -96,7 +96,7 @@ def angles_of(x):
 
 
 @device
-def _entry_of_a(x, i, j):
+def entry_of_a(x, i, j):
     """(u part, w part) of null vector x at place i < 3 of joint a's cubic form, j < 3 of b's quadratic form."""
     left = x[3 * i + j] if i == 0 else ROOT_1_3 * x[3 * i + j]
     right = x[3 * i + 3 + j] if i == 2 else ROOT_1_3 * x[3 * i + 3 + j]
@@ -104,7 +104,7 @@ def _entry_of_a(x, i, j):
 
 
 @device
-def _entry_of_b(x, i, j):
+def entry_of_b(x, i, j):
     """(u part, w part) of null vector x at place i < 4 of joint a's cubic form, j < 2 of b's quadratic form."""
     left = x[3 * i] if j == 0 else ROOT_1_2 * x[3 * i + 1]
     right = ROOT_1_2 * x[3 * i + 1] if j == 0 else x[3 * i + 2]
@@ -120,12 +120,12 @@ def _products(x, joint, out):
     for i in range(3 if joint == 0 else 4):
         for j in range(3 if joint == 0 else 2):
             if joint == 0:
-                u0, w0 = _entry_of_a(x, i, j)
-                u1, w1 = _entry_of_a(y, i, j)
+                u0, w0 = entry_of_a(x, i, j)
+                u1, w1 = entry_of_a(y, i, j)
                 f = 2.0 if i == 1 else 1.0
             else:
-                u0, w0 = _entry_of_b(x, i, j)
-                u1, w1 = _entry_of_b(y, i, j)
+                u0, w0 = entry_of_b(x, i, j)
+                u1, w1 = entry_of_b(y, i, j)
                 f = 1.0
             out[0], out[1], out[3] = out[0] + f * u0 * u0, out[1] + f * u0 * u1, out[3] + f * u1 * u1
             out[4], out[5] = out[4] + f * u0 * w0, out[5] + f * u0 * w1
