@@ -83,6 +83,9 @@ has its value of the hidden joint, or a posture without a root."""
 DEGENERATE = NO_EIGENVALUES | ILL_LEAD | ILL_NULL | UNUSABLE
 """Bits of doubts that a goal nearby may not raise."""
 
+UNSOUND = DEGENERATE | UNMATCHED
+"""Bits of doubts that do not vanish where another formulation finds the same."""
+
 DISTURBANCE, WIDER = 1e-4, 100.0
 """How far, in radians and units of the chain's length, a disturbed goal is from the goal; and how much larger the
 imaginary parts of postures that merge are there: as the root of that."""
@@ -118,8 +121,9 @@ NO_MATRIX, GOOD_LEAD = 1e-12, 1e-7
 REFERENCES, GOOD_REFERENCE = 4, 1e-3
 """Zeros of the hidden joint that are tried, and the pivot ratio of the leading matrix that is good enough."""
 
-FOUND, RAW_ERROR, START = 16, 6, 8
-"""Numbers of a candidate in scratch: coordinates, error before Newton's steps, 0, coordinates before them."""
+FOUND, RAW_ERROR, PIVOTS, START = 16, 6, 7, 8
+"""Numbers of a candidate in scratch: coordinates, error before Newton's steps, pivot ratio of the Jacobian after them,
+coordinates before them."""
 
 _LOOP = 0
 _FANS = _LOOP + LOOP_SIZE
@@ -188,7 +192,7 @@ def _settle(kinds, lines, goal, found, count, work):
     for j in range(6):
         theta[START + j] = theta[j]
     begin, end, ratio = polish(kinds, lines, goal, theta, work, STEPS)
-    theta[RAW_ERROR] = begin
+    theta[RAW_ERROR], theta[PIVOTS] = begin, ratio
     if not end < ACCEPT:
         return -1, 0
     for j in range(6):
@@ -288,14 +292,18 @@ class Search(NamedTuple):
 
 @device
 def _unmatched(s, n, count):
-    """Whether a root that is expected to have a posture, or a posture, has no partner."""
+    """Whether a root that is expected to have a posture, or a posture, has no partner; a singular posture has two."""
     place, roots = TRIPLE + LINE_STRIDE * hidden_of(s.formulation), beyond(s.w, _ROOTS)
-    number, slides = int(s.w[place + NUMBER]), s.w[place + IS_SLIDE] != 0.0
-    for k in range(count):
-        x = s.w[FOUNDLINGS + FOUND * k + number]
-        if not matched(roots, n, 2.0 * math.atan2(x, 1.0) if slides else x):
-            return True
-    return expected(roots, n) > 0
+    number, slides, alone = int(s.w[place + NUMBER]), s.w[place + IS_SLIDE] != 0.0, False
+    for again in range(2):
+        for k in range(count):
+            posture = beyond(s.w, FOUNDLINGS + FOUND * k)
+            x = 2.0 * math.atan2(posture[number], 1.0) if slides else posture[number]
+            if again == 0:
+                alone = alone or not matched(roots, n, x)
+            elif not posture[PIVOTS] > SINGULAR_RATIO:
+                matched(roots, n, x)
+    return alone or expected(roots, n) > 0
 
 
 @routine
