@@ -49,7 +49,7 @@ from kempe.kernels.elimination_pencil import (
     null_at_i,
     pivot_ratio,
 )
-from kempe.kernels.elimination_polish import polish, wrapped
+from kempe.kernels.elimination_polish import disturb, polish, wrapped
 from kempe.kernels.elimination_roots import (
     ANGLE,
     DOUBT,
@@ -58,6 +58,7 @@ from kempe.kernels.elimination_roots import (
     REAL,
     ROOT,
     TOGETHER,
+    at_infinity,
     expected,
     matched,
     stand_for,
@@ -86,9 +87,8 @@ DEGENERATE = NO_EIGENVALUES | ILL_LEAD | ILL_NULL | UNUSABLE
 UNSOUND = DEGENERATE | UNMATCHED
 """Bits of doubts that do not vanish where another formulation finds the same."""
 
-DISTURBANCE, WIDER = 1e-4, 100.0
-"""How far, in radians and units of the chain's length, a disturbed goal is from the goal; and how much larger the
-imaginary parts of postures that merge are there: as the root of that."""
+WIDER = 100.0
+"""How much larger the imaginary parts of postures that merge are at a disturbed goal: as its root."""
 
 NEARLY_FREE, CLOSE = 1e-5, 0.1
 """Pivot ratio of the leading matrix below which all values of the hidden joint are roots, or nearly; error before
@@ -108,6 +108,9 @@ APART = 1e-6
 
 RESIDUE = 1e-4
 """How far from singular, relative to the first pivot, a matrix may be in the directions of roots that share a value."""
+
+NOISE = 1e-6
+"""Error of a matrix, relative to its first pivot, up to which its null vector may be that of a posture."""
 
 NULL = 1e-9
 """Third last pivot, relative to the first, below which there are more than two null vectors."""
@@ -231,51 +234,37 @@ def _eigenvalues(n, w):
 
 
 @device
-def _vectors_at(angle, together, w):
-    """(vectors, suspicion): writes what the null space at the hidden joint's root stands for, at so many roots."""
+def _vectors_at(angle, alike, w):
+    """(vectors, suspicion, last but one pivot over the first); writes the null vectors of `alike` roots."""
     m, x, work = beyond(w, _MATRIX), beyond(w, _VECTORS), beyond(w, _WORK)
     matrix_at(beyond(w, _FORMS), math.cos(0.5 * angle), math.sin(0.5 * angle), m)
-    if together > 2:
-        if together > MOST:
-            return 0, ILL_NULL
-        vectors, residue = postures_at(m, together, beyond(w, _MASK), beyond(w, _FREE), x, beyond(w, _CLUSTER))
-        return vectors, 0 if residue < RESIDUE else ILL_NULL
-    vectors, third = null_vectors(m, beyond(w, _MASK), beyond(w, _FREE), x)
+    if alike > 2:
+        if alike > MOST:
+            return 0, ILL_NULL, 0.0
+        vectors, residue = postures_at(m, alike, beyond(w, _MASK), beyond(w, _FREE), x, beyond(w, _CLUSTER))
+        return vectors, 0 if residue < RESIDUE else ILL_NULL, 0.0
+    vectors, third, second = null_vectors(m, beyond(w, _MASK), beyond(w, _FREE), x)
     if vectors < 2:
-        return vectors, 0 if vectors == 1 else ILL_NULL
+        return vectors, 0 if vectors == 1 else ILL_NULL, second
     vectors, separation = split(x, work)
-    return vectors, 0 if third > NULL and separation > SEPARATE else ILL_NULL
+    return vectors, 0 if third > NULL and separation > SEPARATE else ILL_NULL, second
 
 
 @routine
-def _posture(kinds, lines, goal, formulation, hidden_angle, k, theta, w):
-    """Write the six coordinates that null vector k and the hidden joint's angle give."""
-    hidden, removed, work = hidden_of(formulation), removed_of(formulation), beyond(w, _WORK)
-    place = TRIPLE + LINE_STRIDE * hidden
-    theta[int(w[place + NUMBER])] = _coordinate(w, place, hidden_angle)
-    first, second = angles_of(beyond(w, _VECTORS + ROW * k))
-    place = TRIPLE + LINE_STRIDE * (1 if hidden == 0 else 0)
-    theta[int(w[place + NUMBER])] = _coordinate(w, place, first)
-    place = TRIPLE + LINE_STRIDE * (1 if hidden == 2 else 2)
-    theta[int(w[place + NUMBER])] = _coordinate(w, place, second)
+def _posture(s, angle, k, theta):
+    """How far null vector k is from one of a posture, infinite at infinity; writes the six coordinates."""
+    w, work = s.w, beyond(s.w, _WORK)
+    hidden, removed = hidden_of(s.formulation), removed_of(s.formulation)
+    first, second, defect = angles_of(beyond(w, _VECTORS + ROW * k))
+    for joint in range(3):
+        place = TRIPLE + LINE_STRIDE * joint
+        x = angle if joint == hidden else first if joint == (1 if hidden == 0 else 0) else second
+        if at_infinity(w[place + IS_SLIDE] != 0.0, x):
+            return math.inf
+        theta[int(w[place + NUMBER])] = _coordinate(w, place, x)
     pair_of(w, theta, work)
-    theta[removed] = removed_turn(kinds, lines, goal, removed, theta, work)
-
-
-@routine
-def disturb(goal, out):
-    """Write the goal, moved a little in no special direction."""
-    x, y, z = 0.55 * DISTURBANCE, -0.71 * DISTURBANCE, 0.44 * DISTURBANCE
-    size = 1.0 / math.sqrt(1.0 + x * x + y * y + z * z)
-    for j in range(4):
-        a, b, c = goal[j], goal[4 + j], goal[8 + j]
-        # Cayley's rotation of the vector (x, y, z): v + 2 (r x v + r x (r x v)) / (1 + r.r)
-        p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
-        f = 2.0 * size * size
-        out[j] = a + f * (p + y * r - z * q)
-        out[4 + j] = b + f * (q + z * p - x * r)
-        out[8 + j] = c + f * (r + x * q - y * p)
-    out[3], out[7], out[11] = out[3] - z, out[7] + x, out[11] + y
+    theta[removed] = removed_turn(s.kinds, s.lines, s.near, removed, theta, work)
+    return defect
 
 
 class Search(NamedTuple):
@@ -313,19 +302,21 @@ def _add(s, i, n, twins, count, strays):
     A stray is a start that was close, but Newton's steps led astray: written to `out`, from its end.
     """
     found, work, roots = beyond(s.w, FOUNDLINGS), beyond(s.w, _WORK), beyond(s.w, _ROOTS)
-    imaginary, angle = roots[ROOT * i + IMAGINARY], roots[ROOT * i + ANGLE]
+    imaginary, angle, none = roots[ROOT * i + IMAGINARY], roots[ROOT * i + ANGLE], 0
     alike, met, aside = together(roots, n, i) if imaginary < TOGETHER else (1, False, 0.0)
     if alike > 2 and met:
         return count, strays, 0
     angle += aside if alike > 2 else 0.0
-    vectors, suspect = _vectors_at(angle, alike, s.w)
-    if suspect == 0 and (alike > 2 or vectors == 0):
-        stand_for(roots, n, i, alike, vectors)
+    vectors, ill, second = _vectors_at(angle, alike, s.w)
+    suspect = ill
     for k in range(vectors):
         if count == CANDIDATES:
             return count, strays, suspect | ILL_NULL
         theta = beyond(found, FOUND * count)
-        _posture(s.kinds, s.lines, s.near, s.formulation, angle, k, theta, s.w)
+        defect = _posture(s, angle, k, theta)
+        if defect == math.inf or (vectors == 1 and defect * second > NOISE):
+            none += 1
+            continue
         state, doubt = _settle(s.kinds, s.lines, s.goal, found, count, work)
         suspect |= doubt
         if state < 0:
@@ -341,16 +332,19 @@ def _add(s, i, n, twins, count, strays):
             state, doubt = _twin(s.kinds, s.lines, s.goal, found, source, count, work)
             suspect |= doubt | (TWICE if state < 1 and imaginary < DOUBT else 0)
             count += max(state, 0)
+    if ill == 0 and imaginary < TOGETHER and (alike > 2 or none > 0 or vectors == 0):
+        stand_for(roots, n, i, vectors - none)
     return count, strays, suspect
 
 
 @routine
 def _postures(s, n, half, disturbed, count, strays):
-    """(postures, strays, suspicion) with those of the n roots added."""
+    """(postures, strays, suspicion) with those of the n roots added; of a pair of conjugates the first is enough."""
     suspect, roots, narrower = 0, beyond(s.w, _ROOTS), 1.0 if disturbed == 0 else WIDER
-    write_roots(beyond(s.w, _REAL_PARTS), beyond(s.w, _IMAGINARY_PARTS), n, half, narrower, roots)
+    slides = s.w[TRIPLE + LINE_STRIDE * hidden_of(s.formulation) + IS_SLIDE] != 0.0
+    write_roots(beyond(s.w, _REAL_PARTS), beyond(s.w, _IMAGINARY_PARTS), n, half, narrower, slides, roots)
     for i in range(n):
-        if 0.0 <= roots[ROOT * i + IMAGINARY] < NEARLY:  # of a pair of conjugates the first is enough
+        if 0.0 <= roots[ROOT * i + IMAGINARY] < NEARLY and not at_infinity(slides, roots[ROOT * i + ANGLE]):
             count, strays, doubt = _add(s, i, n, disturbed == 0, count, strays)
             suspect |= doubt
     lost = _unmatched(s, n, count) if disturbed == 0 else expected(roots, n) != count

@@ -14,7 +14,7 @@ import math
 
 from kempe.kernels._jit import device, routine
 from kempe.kernels.eigen import EIGEN_SCRATCH, eigenvalues
-from kempe.kernels.elimination_null import entry_of_a, entry_of_b, clear, vector
+from kempe.kernels.elimination_null import clear, entry_of_a, entry_of_b, vector
 from kempe.kernels.elimination_pencil import FLOOR, ROW, SIZE, largest_entry
 from kempe.kernels.scratch import beyond
 

@@ -38,7 +38,7 @@ def vector(m, order, steps, column, x):
 
 @routine
 def null_vectors(m, mask, order, x):
-    """(vectors, third last pivot over the first); writes one null vector, or two at x and x + ROW.
+    """(vectors, third last pivot, last but one), over the first; writes one null vector, or two at x and x + ROW.
 
     Gauss-Jordan elimination with complete pivoting of m (12 rows of stride ROW, lost). The matrix is known to be
     singular: a second vector is written where the last but one pivot is below ALIKE. mask: 2 ROW numbers. order: 2 SIZE
@@ -59,7 +59,7 @@ def null_vectors(m, mask, order, x):
             vectors = 2
             break
         if not size > 0.0:
-            return 0, 0.0
+            return 0, 0.0, 0.0
         order[2 * k], order[2 * k + 1] = float(column), float(row)
         mask[column], mask[ROW + row] = 0.0, 0.0
         clear(m, row, column)
@@ -68,16 +68,17 @@ def null_vectors(m, mask, order, x):
         if mask[c] != 0.0 and left < vectors:
             vector(m, order, SIZE - vectors, c, beyond(x, ROW * left))
             left += 1
-    return vectors, third / first
+    return vectors, third / first, second / first
 
 
 @routine
 def angles_of(x):
-    """(angle of a, angle of b) that the null vector x stands for; slides as 2 atan d.
+    """(angle of a, angle of b, defect) that the null vector x stands for; slides as 2 atan d.
 
     x[3 i + j] is (u^3, sqrt(3) u^2 w, sqrt(3) u w^2, w^3)_i of joint a times (u^2, sqrt(2) u w, w^2)_j of joint b. Of
     vectors (u, w) along one line with a = sum u u, b = sum u w and d = sum w w, (a - d, 2 b) points to twice the line's
-    angle. So all ratios count and none is divided out: a joint at pi is as good as any other.
+    angle. So all ratios count and none is divided out: a joint at pi is as good as any other. The defect is how far the
+    vectors are from one line, 0 to 1/2: that of a posture is 0.
     """
     a = b = d = 0.0
     for j in range(3):
@@ -85,14 +86,15 @@ def angles_of(x):
         a += m0 * m0 + 2.0 * m1 * m1 + m2 * m2
         b += m0 * m1 + 2.0 * m1 * m2 + m2 * m3
         d += m1 * m1 + 2.0 * m2 * m2 + m3 * m3
-    first = math.atan2(2.0 * b, a - d)
+    first, across = math.atan2(2.0 * b, a - d), (a * d - b * b) / ((a + d) * (a + d) + FLOOR)
     a = b = d = 0.0
     for i in range(4):
         n0, n1, n2 = x[3 * i], ROOT_1_2 * x[3 * i + 1], x[3 * i + 2]
         a += n0 * n0 + n1 * n1
         b += n0 * n1 + n1 * n2
         d += n1 * n1 + n2 * n2
-    return first, math.atan2(2.0 * b, a - d)
+    across = max(across, (a * d - b * b) / ((a + d) * (a + d) + FLOOR))
+    return first, math.atan2(2.0 * b, a - d), math.sqrt(max(across, 0.0))
 
 
 @device

@@ -15,7 +15,7 @@ from kempe.kernels.scratch import beyond
 ROOT, ANGLE, IMAGINARY, STANDS_FOR = 3, 0, 1, 2
 """Numbers of a root: value of the hidden joint, imaginary part (an angle each), what it stands for."""
 
-COMPLEX, OPTIONAL, EXPECTED = 0.0, 1.0, 2.0
+NONE, OPTIONAL, EXPECTED = 0.0, 1.0, 2.0
 """What a root stands for: no posture, at most one, one."""
 
 REAL, DOUBT, NEARLY = 1e-7, 1e-3, 1e-2
@@ -23,12 +23,23 @@ REAL, DOUBT, NEARLY = 1e-7, 1e-3, 1e-2
 merge may hide behind it; up to the third it is tried, and a root belongs to a posture whose value is so near."""
 
 TOGETHER = 1e-6
-"""Difference of roots, in radians, up to which three or more share a null space."""
+"""Difference of roots, in radians, up to which three or more share a null space; and imaginary part up to which a root
+must have a posture: the larger ones of ill-conditioned roots leave it open."""
+
+
+FAR = 1e-5
+"""Angle from pi at which a slide, whose angle is 2 atan d, is at infinity, where roots belong to no posture."""
 
 
 @device
-def write_roots(re, im, n, half, narrower, roots):
-    """Write n roots: expected are those that are real, or nearly so once imaginary parts are `narrower`.
+def at_infinity(slides, angle):
+    """Whether a joint's value is that of a slide at infinity."""
+    return slides and abs(wrapped(angle - math.pi)) < FAR
+
+
+@device
+def write_roots(re, im, n, half, narrower, slides, roots):
+    """Write n roots, with what they stand for by their imaginary parts, over `narrower`.
 
     re, im: the roots as the tangent of half their angle, zero at twice the angle `half`; NaN for one that is not known.
     """
@@ -36,8 +47,10 @@ def write_roots(re, im, n, half, narrower, roots):
         t, root = re[i], beyond(roots, ROOT * i)
         root[IMAGINARY] = 2.0 * im[i] / (1.0 + t * t) / narrower
         size = abs(root[IMAGINARY])
-        root[STANDS_FOR] = EXPECTED if size < DOUBT else OPTIONAL if size < NEARLY else COMPLEX
+        root[STANDS_FOR] = EXPECTED if size < TOGETHER else OPTIONAL if size < NEARLY else NONE
         root[ANGLE] = 2.0 * (half + math.atan2(t, 1.0)) if size < NEARLY else 0.0
+        if at_infinity(slides, root[ANGLE]):
+            root[STANDS_FOR] = NONE
 
 
 @device
@@ -59,16 +72,12 @@ def together(roots, n, i):
 
 
 @device
-def stand_for(roots, n, i, count, postures):
-    """Nothing; of `count` roots at the value of root i the first `postures` are expected to have one, no others."""
-    if count < 3:  # of two equal roots each is looked at; conjugates stand side by side
-        for j in range(i, min(i + 2, n) if roots[ROOT * i + IMAGINARY] > 0.0 else i + 1):
-            roots[ROOT * j + STANDS_FOR] = EXPECTED if postures > 0 else COMPLEX
-        return
+def stand_for(roots, n, i, postures):
+    """Nothing; of the roots at the value of root i the first `postures` are expected to have one, no others."""
     left = postures
-    for j in range(i, n):
+    for j in range(n):
         if is_with(roots, j, i):
-            roots[ROOT * j + STANDS_FOR] = EXPECTED if left > 0 else COMPLEX
+            roots[ROOT * j + STANDS_FOR] = EXPECTED if left > 0 else NONE
             left -= 1
 
 
@@ -87,9 +96,9 @@ def matched(roots, n, angle):
     best, at = 0.0, -1
     for i in range(n):
         what, d = roots[ROOT * i + STANDS_FOR], abs(wrapped(roots[ROOT * i + ANGLE] - angle))
-        if what != COMPLEX and d < NEARLY and what - d > best:
+        if what != NONE and d < NEARLY and what - d > best:
             best, at = what - d, i
     if at < 0:
         return False
-    roots[ROOT * at + STANDS_FOR] = COMPLEX
+    roots[ROOT * at + STANDS_FOR] = NONE
     return True
