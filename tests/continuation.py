@@ -21,7 +21,7 @@ PI = np.pi
 
 
 def newton(model: oracle.Model, X, theta, steps: int = 25) -> tuple[np.ndarray, np.ndarray]:
-    """(theta (N, n), smallest singular value (N,), 0 where not converged) by undamped steps towards targets (N, 4, 4)."""
+    """(theta (N, n), smallest singular value (N,) or 0 where not converged) by undamped steps to targets (N, 4, 4)."""
     theta, X = np.array(theta, dtype=float), np.asarray(X, dtype=float)
     scale = np.where(model.kinds == oracle.SLIDE, model.size, 1.0)
     live, done = np.arange(len(theta)), np.zeros(len(theta), dtype=bool)

@@ -33,7 +33,7 @@ from kempe.kernels.elimination_loop import (
     removed_of,
     sample,
 )
-from kempe.kernels.elimination_null import angles_of, null_vectors, split
+from kempe.kernels.elimination_null import ALIKE, angles_of, null_vectors, split
 from kempe.kernels.elimination_pair import PAIR_SIZE, pair_of, removed_turn
 from kempe.kernels.elimination_pencil import (
     FORMS,
@@ -106,11 +106,11 @@ SINGULAR_RATIO = 1e-5
 APART = 1e-6
 """Coordinates that differ by less are the same posture."""
 
-RESIDUE = 1e-4
-"""How far from singular, relative to the first pivot, a matrix may be in the directions of roots that share a value."""
+BLURRED, SURELY = 1e-2, 100.0
+"""Error of a null space from which it means nothing; how many times that it must be away from having more postures."""
 
-NOISE = 1e-6
-"""Error of a matrix, relative to its first pivot, up to which its null vector may be that of a posture."""
+NOISE, SIMPLE = 1e-6, 1e-4
+"""Error of a matrix up to which its null vector may be that of a posture; last but one pivot of a simple root."""
 
 NULL = 1e-9
 """Third last pivot, relative to the first, below which there are more than two null vectors."""
@@ -235,19 +235,23 @@ def _eigenvalues(n, w):
 
 @device
 def _vectors_at(angle, alike, w):
-    """(vectors, suspicion, last but one pivot over the first); writes the null vectors of `alike` roots."""
-    m, x, work = beyond(w, _MATRIX), beyond(w, _VECTORS), beyond(w, _WORK)
+    """(vectors, suspicion, proven, last but one pivot over the first); writes the null vectors of `alike` roots.
+
+    Proven is that there are no more postures than vectors.
+    """
+    m, x = beyond(w, _MATRIX), beyond(w, _VECTORS)
     matrix_at(beyond(w, _FORMS), math.cos(0.5 * angle), math.sin(0.5 * angle), m)
+    if alike > MOST:
+        return 0, ILL_NULL, False, 0.0
     if alike > 2:
-        if alike > MOST:
-            return 0, ILL_NULL, 0.0
-        vectors, residue = postures_at(m, alike, beyond(w, _MASK), beyond(w, _FREE), x, beyond(w, _CLUSTER))
-        return vectors, 0 if residue < RESIDUE else ILL_NULL, 0.0
+        vectors, error, margin = postures_at(m, alike, beyond(w, _MASK), beyond(w, _FREE), x, beyond(w, _CLUSTER))
+        return vectors, 0 if error < BLURRED else ILL_NULL, SURELY * error < margin, 0.0
     vectors, third, second = null_vectors(m, beyond(w, _MASK), beyond(w, _FREE), x)
     if vectors < 2:
-        return vectors, 0 if vectors == 1 else ILL_NULL, second
-    vectors, separation = split(x, work)
-    return vectors, 0 if third > NULL and separation > SEPARATE else ILL_NULL, second
+        return vectors, 0 if vectors == 1 else ILL_NULL, False, second
+    vectors, separation = split(x, beyond(w, _WORK))
+    ill = 0 if third > NULL and separation > SEPARATE else ILL_NULL
+    return vectors, ill, min(separation, 1.0) * third > SURELY * ALIKE, second
 
 
 @routine
@@ -307,24 +311,27 @@ def _add(s, i, n, twins, count, strays):
     if alike > 2 and met:
         return count, strays, 0
     angle += aside if alike > 2 else 0.0
-    vectors, ill, second = _vectors_at(angle, alike, s.w)
+    vectors, ill, proven, second = _vectors_at(angle, alike, s.w)
     suspect = ill
     for k in range(vectors):
         if count == CANDIDATES:
             return count, strays, suspect | ILL_NULL
         theta = beyond(found, FOUND * count)
         defect = _posture(s, angle, k, theta)
-        if defect == math.inf or (vectors == 1 and defect * second > NOISE):
+        if defect == math.inf:
             none += 1
             continue
+        other = vectors == 1 and second > SIMPLE and defect * second > NOISE
         state, doubt = _settle(s.kinds, s.lines, s.goal, found, count, work)
         suspect |= doubt
-        if state < 0:
+        none += int(other)
+        if state < 0 and not other:
             suspect |= ASTRAY if imaginary < REAL else (NEARLY_REAL if imaginary < DOUBT else 0)
             if theta[RAW_ERROR] < CLOSE and strays < CANDIDATES:
                 strays += 1
                 for j in range(6):
                     s.out[6 * (CANDIDATES - strays) + j] = theta[START + j]
+        if state < 0:
             continue
         merging = vectors == 1 and (imaginary > 0.0 or (state == 0 and twins))
         source, count = count, count + state
@@ -332,7 +339,7 @@ def _add(s, i, n, twins, count, strays):
             state, doubt = _twin(s.kinds, s.lines, s.goal, found, source, count, work)
             suspect |= doubt | (TWICE if state < 1 and imaginary < DOUBT else 0)
             count += max(state, 0)
-    if ill == 0 and imaginary < TOGETHER and (alike > 2 or none > 0 or vectors == 0):
+    if ill == 0 and imaginary < TOGETHER and (proven or vectors == 1) and (alike > 2 or none > 0 or vectors == 0):
         stand_for(roots, n, i, vectors - none)
     return count, strays, suspect
 

@@ -135,29 +135,33 @@ def _best_values(space, n, joint, out, work):
 
 @routine
 def postures_at(m, count, mask, order, x, scratch):
-    """(vectors, residue): writes a vector, ROW numbers, for each real posture among `count` roots at one value.
+    """(vectors, error, margin): writes a vector, ROW numbers, for each real posture among `count` roots at one value.
 
-    m: the 12x12 matrix there (12 rows of stride ROW, lost). The residue is how far its null space is from having
-    `count` dimensions. x: count ROW numbers. mask, order: as of `null_space`. scratch: CLUSTER_SCRATCH numbers.
+    The error is that of a null space of `count` dimensions; the margin is the least imaginary part of a posture that is
+    complex, relative to its size, 1 where there is none. m: the 12x12 matrix there (12 rows of stride ROW, lost). x:
+    count ROW numbers. mask, order: as of `null_space`. scratch: CLUSTER_SCRATCH numbers.
     """
     space, matrix, work = beyond(scratch, _SPACE), beyond(scratch, _MATRIX), beyond(scratch, _WORK)
     for i in range(CLUSTER_SCRATCH):
         scratch[i] = 0.0
-    residue, _ = null_space(m, count, mask, order, space)
+    residue, last = null_space(m, count, mask, order, space)
     other = beyond(matrix, MOST * ROW)
-    if not residue < math.inf:
-        return 0, residue
+    if not residue < last:
+        return 0, math.inf, 0.0
+    error, margin = residue / last, 1.0
     if not (_best_values(space, count, 0, matrix, work) > 0.0 and _best_values(space, count, 1, other, work) > 0.0):
-        return 0, math.inf
+        return 0, math.inf, 0.0
     for i in range(count * ROW):
         matrix[i] += MIX * other[i]
         work[i] = matrix[i]
     re, im = beyond(scratch, _VALUES), beyond(scratch, _VALUES + MOST)
     if eigenvalues(work, count, ROW, re, im, beyond(scratch, _VALUES + 2 * MOST)) > 0:
-        return 0, math.inf
+        return 0, math.inf, 0.0
     vectors = 0
     for k in range(count):
-        if not abs(im[k]) <= REAL * (1.0 + abs(re[k])):
+        size = abs(im[k]) / (1.0 + abs(re[k]))
+        if not size <= REAL:
+            margin = min(margin, size)
             continue
         for i in range(count):
             for j in range(ROW):
@@ -165,7 +169,7 @@ def postures_at(m, count, mask, order, x, scratch):
             work[i * ROW + i] -= re[k]
         _combined(work, space, count, beyond(x, ROW * vectors))
         vectors += 1
-    return vectors, residue
+    return vectors, error, margin
 
 
 @device

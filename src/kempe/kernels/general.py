@@ -115,10 +115,11 @@ def eliminated(d, scratch, thetas):
         count = take_candidates(d, beyond(d.ints, ORDER), 0, k, ROOT if f == 0 else AGAIN, count)
         count = take_candidates(d, beyond(d.ints, ORDER), k, k + strays, AGAIN, count)
         enough = count > 0 or f >= 2  # that there is no solution has to be said thrice
-        if suspect & ~FREE == 0 and enough and (f == 0 or count == before) and (resting or count <= k):
+        each = resting or count == k  # no two were the same in the end, and none was missed that is known
+        if suspect == 0 and enough and (f == 0 or count == before) and each:
             doubt = 0
             break
-        agreed, sound = sound and suspect & UNSOUND == 0, suspect & UNSOUND == 0
+        agreed, sound = sound and suspect & UNSOUND == 0 and each, suspect & UNSOUND == 0
         if f > 0 and enough and count == before and count % 2 == 0 and agreed:
             doubt = 0
             break
