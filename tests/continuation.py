@@ -17,6 +17,9 @@ ISOLATED = 1e-5
 EXACT = 1e-12
 """Error of a solution, lengths in units of the chain's size."""
 
+NUDGE = 1e-13 * np.random.default_rng(0).standard_normal((6, 6))
+"""Added to Jacobians, of which some are singular."""
+
 PI = np.pi
 
 
@@ -38,7 +41,7 @@ def newton(model: oracle.Model, X, theta, steps: int = 25) -> tuple[np.ndarray, 
         if k == steps - 1 or not go.any():
             break
         live, J, r = live[go], J[go], r[go]
-        J = J + 1e-14 * np.eye(6)
+        J = J + NUDGE
         step = np.linalg.solve(J, r[..., None])[..., 0]
         longest = np.abs(step).max(axis=1)
         step *= np.minimum(1.0, 0.5 / np.maximum(longest, 1e-300))[:, None]

@@ -33,7 +33,7 @@ from kempe.kernels.elimination_loop import (
     removed_of,
     sample,
 )
-from kempe.kernels.elimination_null import ALIKE, angles_of, null_vectors, split
+from kempe.kernels.elimination_null import angles_of, null_vectors, split
 from kempe.kernels.elimination_pair import PAIR_SIZE, pair_of, removed_turn
 from kempe.kernels.elimination_pencil import (
     FORMS,
@@ -106,10 +106,10 @@ SINGULAR_RATIO = 1e-5
 APART = 1e-6
 """Coordinates that differ by less are the same posture."""
 
-BLURRED, SURELY = 1e-2, 100.0
+BLURRED, SURELY = 1e-2, 10.0
 """Error of a null space from which it means nothing; how many times that it must be away from having more postures."""
 
-NOISE, SIMPLE = 1e-6, 1e-4
+NOISE, SIMPLE = 1e-7, 1e-5
 """Error of a matrix up to which its null vector may be that of a posture; last but one pivot of a simple root."""
 
 NULL = 1e-9
@@ -251,7 +251,7 @@ def _vectors_at(angle, alike, w):
         return vectors, 0 if vectors == 1 else ILL_NULL, False, second
     vectors, separation = split(x, beyond(w, _WORK))
     ill = 0 if third > NULL and separation > SEPARATE else ILL_NULL
-    return vectors, ill, min(separation, 1.0) * third > SURELY * ALIKE, second
+    return vectors, ill, min(separation, 1.0) * third > SURELY * (second + NULL), second
 
 
 @routine
@@ -311,27 +311,27 @@ def _add(s, i, n, twins, count, strays):
     if alike > 2 and met:
         return count, strays, 0
     angle += aside if alike > 2 else 0.0
-    vectors, ill, proven, second = _vectors_at(angle, alike, s.w)
-    suspect = ill
+    vectors, suspect, proven, second = _vectors_at(angle, alike, s.w)
+    proven = suspect == 0 and imaginary < TOGETHER and (proven or vectors == 1)
     for k in range(vectors):
         if count == CANDIDATES:
             return count, strays, suspect | ILL_NULL
         theta = beyond(found, FOUND * count)
         defect = _posture(s, angle, k, theta)
+        other = defect == math.inf or (vectors == 1 and second > SIMPLE and defect * second > NOISE)
+        none += int(other)
         if defect == math.inf:
-            none += 1
             continue
-        other = vectors == 1 and second > SIMPLE and defect * second > NOISE
         state, doubt = _settle(s.kinds, s.lines, s.goal, found, count, work)
         suspect |= doubt
-        none += int(other)
         if state < 0 and not other:
             suspect |= ASTRAY if imaginary < REAL else (NEARLY_REAL if imaginary < DOUBT else 0)
             if theta[RAW_ERROR] < CLOSE and strays < CANDIDATES:
                 strays += 1
                 for j in range(6):
                     s.out[6 * (CANDIDATES - strays) + j] = theta[START + j]
-        if state < 0:
+        if state < 0 or other:
+            count += max(state, 0)
             continue
         merging = vectors == 1 and (imaginary > 0.0 or (state == 0 and twins))
         source, count = count, count + state
@@ -339,7 +339,7 @@ def _add(s, i, n, twins, count, strays):
             state, doubt = _twin(s.kinds, s.lines, s.goal, found, source, count, work)
             suspect |= doubt | (TWICE if state < 1 and imaginary < DOUBT else 0)
             count += max(state, 0)
-    if ill == 0 and imaginary < TOGETHER and (proven or vectors == 1) and (alike > 2 or none > 0 or vectors == 0):
+    if proven and (alike > 2 or none > 0 or vectors == 0):
         stand_for(roots, n, i, vectors - none)
     return count, strays, suspect
 

@@ -116,7 +116,8 @@ def eliminated(d, scratch, thetas):
         count = take_candidates(d, beyond(d.ints, ORDER), k, k + strays, AGAIN, count)
         enough = count > 0 or f >= 2  # that there is no solution has to be said thrice
         each = resting or count == k  # no two were the same in the end, and none was missed that is known
-        if suspect == 0 and enough and (f == 0 or count == before) and each:
+        clean = suspect == 0 or (count == 0 and suspect == FREE)  # far away the leading matrix is small
+        if clean and enough and (f == 0 or count == before) and each:
             doubt = 0
             break
         agreed, sound = sound and suspect & UNSOUND == 0 and each, suspect & UNSOUND == 0
