@@ -318,8 +318,8 @@ def _add(s, i, n, twins, count, strays):
             return count, strays, suspect | ILL_NULL
         theta = beyond(found, FOUND * count)
         defect = _posture(s, angle, k, theta)
-        other = defect == math.inf or (vectors == 1 and second > SIMPLE and defect * second > NOISE)
-        none += int(other)
+        other = vectors == 1 and second > SIMPLE and imaginary == 0.0 and defect * second > NOISE
+        none += int(other or defect == math.inf)
         if defect == math.inf:
             continue
         state, doubt = _settle(s.kinds, s.lines, s.goal, found, count, work)
