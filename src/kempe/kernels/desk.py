@@ -35,6 +35,7 @@ from kempe.kernels.closed import CANDIDATE, MOST_CANDIDATES, SAMPLE
 from kempe.kernels.closed import SLOT as CANDIDATE_SLOT
 from kempe.kernels.distinct import (
     ERROR,
+    MERGED,
     MOST_SOLUTIONS,
     OPENED,
     SAMPLED,
@@ -133,6 +134,14 @@ def six_lines(ints, floats, moves, theta, goal, shift, six, kinds):
     goal[3], goal[7], goal[11] = p[0], p[1], p[2]
 
 
+@device
+def rank_of(row):
+    """0 for a solution that is isolated beyond doubt, 1 for one that may lie on a curve of them, 2 for a sample."""
+    if row[TURNS] == 0.0:
+        return 2
+    return 1 if row[WEAKEST] < MERGED else 0
+
+
 @routine
 def write_out(found, floats, joints, count, near, out, slots, placed):
     """Number of rows written: each solution in the row of its slot where that is free, else in the first free one."""
@@ -143,10 +152,10 @@ def write_out(found, floats, joints, count, near, out, slots, placed):
             out[width * k + i] = math.nan
         out[width * k + m.n + CODE] = UNUSED
     written = 0
-    for sampled in range(2):  # samples of families come last, as far as there is room
+    for rank in range(3):  # what may lie on a curve of solutions comes after the isolated ones, as far as there is room
         for k in range(count):
-            row = beyond(found.rows, stride * k)
-            if (row[TURNS] == 0.0) != (sampled == 1) or written == slots:
+            row, sampled = beyond(found.rows, stride * k), int(rank == 2)
+            if rank_of(row) != rank or written == slots:
                 continue
             at = int(row[SIGNS]) if sampled == 0 else 0
             if at < 0 or at >= slots:

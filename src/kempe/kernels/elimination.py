@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from kempe.kernels._jit import device, routine
 from kempe.kernels.eigen import EIGEN_SCRATCH, balance, hessenberg, shifted_qr
+from kempe.kernels.elimination_cluster import CLUSTER_SCRATCH, MOST, postures_at
 from kempe.kernels.elimination_loop import (
     EQUATIONS,
     FANS_SIZE,
@@ -48,28 +49,46 @@ from kempe.kernels.elimination_pencil import (
     null_at_i,
     pivot_ratio,
 )
-from kempe.kernels.elimination_polish import polish, wrapped
+from kempe.kernels.elimination_polish import disturb, polish, wrapped
+from kempe.kernels.elimination_roots import (
+    ANGLE,
+    DOUBT,
+    IMAGINARY,
+    NEARLY,
+    REAL,
+    ROOT,
+    TOGETHER,
+    at_infinity,
+    expected,
+    matched,
+    stand_for,
+    together,
+    write_roots,
+)
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.scratch import beyond
 
 CANDIDATES = 24
 """Candidates at most; 16 postures are possible."""
 
-ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, SINGULAR, FREE = (
-    2**k for k in range(10)
+ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, SINGULAR, FREE, UNMATCHED = (
+    2**k for k in range(11)
 )
 """Bits of `suspect`: an odd number of candidates; a pair of roots so nearly real that two postures may have been lost;
-eigenvalues not found; leading matrix nearly singular; more than two null vectors, two that cannot be told apart, or too
-many candidates; a real root that led to no posture; two that led to the same; no independent equations; a singular
+eigenvalues not found; leading matrix nearly singular; fewer null vectors than roots, some that cannot be told apart, or
+too many candidates; a real root that led to no posture; two that led to the same; no independent equations; a singular
 posture, where others may merge with it or be connected with it by a self-motion; a hidden joint that is nearly free, as
-on a self-motion, or near one, where the eigenvalues are those of noise."""
+on a self-motion, or near one, where the eigenvalues are those of noise; a real root without a posture of its own that
+has its value of the hidden joint, or a posture without a root."""
 
 DEGENERATE = NO_EIGENVALUES | ILL_LEAD | ILL_NULL | UNUSABLE
 """Bits of doubts that a goal nearby may not raise."""
 
-DISTURBANCE, WIDER = 1e-4, 100.0
-"""How far, in radians and units of the chain's length, a disturbed goal is from the goal; and how much larger the
-imaginary parts of postures that merge are there: as the root of that."""
+UNSOUND = DEGENERATE | UNMATCHED
+"""Bits of doubts that do not vanish where another formulation finds the same."""
+
+WIDER = 100.0
+"""How much larger the imaginary parts of postures that merge are at a disturbed goal: as its root."""
 
 NEARLY_FREE, CLOSE = 1e-5, 0.1
 """Pivot ratio of the leading matrix below which all values of the hidden joint are roots, or nearly; error before
@@ -77,10 +96,6 @@ Newton's steps up to which a candidate that they lead astray is a stray."""
 
 STEPS = 12
 """Newton steps of a candidate at most; two or three are usual, where postures merge each halves the distance."""
-
-REAL, DOUBT, NEARLY = 1e-7, 1e-3, 1e-2
-"""Imaginary parts of angles: up to the first a root is real; up to the second a pair of postures that are about to
-merge may hide behind it; up to the third it is tried."""
 
 ACCEPT = 1e-9
 """Error up to which a candidate is kept."""
@@ -90,6 +105,12 @@ SINGULAR_RATIO = 1e-5
 
 APART = 1e-6
 """Coordinates that differ by less are the same posture."""
+
+BLURRED, SURELY = 1e-2, 10.0
+"""Error of a null space from which it means nothing; how many times that it must be away from having more postures."""
+
+NOISE, SIMPLE = 1e-7, 1e-5
+"""Error of a matrix up to which its null vector may be that of a posture; last but one pivot of a simple root."""
 
 NULL = 1e-9
 """Third last pivot, relative to the first, below which there are more than two null vectors."""
@@ -103,8 +124,9 @@ NO_MATRIX, GOOD_LEAD = 1e-12, 1e-7
 REFERENCES, GOOD_REFERENCE = 4, 1e-3
 """Zeros of the hidden joint that are tried, and the pivot ratio of the leading matrix that is good enough."""
 
-FOUND, RAW_ERROR, START = 16, 6, 8
-"""Numbers of a candidate in scratch: coordinates, error before Newton's steps, 0, coordinates before them."""
+FOUND, RAW_ERROR, PIVOTS, START = 16, 6, 7, 8
+"""Numbers of a candidate in scratch: coordinates, error before Newton's steps, pivot ratio of the Jacobian after them,
+coordinates before them."""
 
 _LOOP = 0
 _FANS = _LOOP + LOOP_SIZE
@@ -120,9 +142,11 @@ _REAL_PARTS = _MATRIX + STRIDE * STRIDE
 _IMAGINARY_PARTS = _REAL_PARTS + STRIDE
 _EIGEN = _IMAGINARY_PARTS + STRIDE
 _VECTORS = _EIGEN + EIGEN_SCRATCH
-_GOAL = _VECTORS + 2 * ROW
+_GOAL = _VECTORS + MOST * ROW
 _WORK = _GOAL + 12
-FOUNDLINGS = _WORK + PAIR_SIZE
+_CLUSTER = _WORK + PAIR_SIZE
+_ROOTS = _CLUSTER + CLUSTER_SCRATCH
+FOUNDLINGS = _ROOTS + ROOT * STRIDE
 """Place of the candidates in scratch."""
 ELIMINATION_SCRATCH = FOUNDLINGS + FOUND * (CANDIDATES + 2)
 """Numbers of scratch that `eliminate` needs."""
@@ -171,7 +195,7 @@ def _settle(kinds, lines, goal, found, count, work):
     for j in range(6):
         theta[START + j] = theta[j]
     begin, end, ratio = polish(kinds, lines, goal, theta, work, STEPS)
-    theta[RAW_ERROR] = begin
+    theta[RAW_ERROR], theta[PIVOTS] = begin, ratio
     if not end < ACCEPT:
         return -1, 0
     for j in range(6):
@@ -210,47 +234,41 @@ def _eigenvalues(n, w):
 
 
 @device
-def _vectors_at(u, w_, w):
-    """(vectors, suspicion): writes what the null space at the hidden joint's root (u, w_) stands for."""
-    m, x, work = beyond(w, _MATRIX), beyond(w, _VECTORS), beyond(w, _WORK)
-    size = 1.0 / math.sqrt(u * u + w_ * w_)
-    matrix_at(beyond(w, _FORMS), u * size, w_ * size, m)
-    vectors, third = null_vectors(m, beyond(w, _MASK), beyond(w, _FREE), x)
+def _vectors_at(angle, alike, w):
+    """(vectors, suspicion, proven, last but one pivot over the first); writes the null vectors of `alike` roots.
+
+    Proven is that there are no more postures than vectors.
+    """
+    m, x = beyond(w, _MATRIX), beyond(w, _VECTORS)
+    matrix_at(beyond(w, _FORMS), math.cos(0.5 * angle), math.sin(0.5 * angle), m)
+    if alike > MOST:
+        return 0, ILL_NULL, False, 0.0
+    if alike > 2:
+        vectors, error, margin = postures_at(m, alike, beyond(w, _MASK), beyond(w, _FREE), x, beyond(w, _CLUSTER))
+        return vectors, 0 if error < BLURRED else ILL_NULL, SURELY * error < margin, 0.0
+    vectors, third, second = null_vectors(m, beyond(w, _MASK), beyond(w, _FREE), x)
     if vectors < 2:
-        return vectors, 0 if vectors == 1 else ILL_NULL
-    vectors, separation = split(x, work)
-    return vectors, 0 if third > NULL and separation > SEPARATE else ILL_NULL
+        return vectors, 0 if vectors == 1 else ILL_NULL, False, second
+    vectors, separation = split(x, beyond(w, _WORK))
+    ill = 0 if third > NULL and separation > SEPARATE else ILL_NULL
+    return vectors, ill, min(separation, 1.0) * third > SURELY * (second + NULL), second
 
 
 @routine
-def _posture(kinds, lines, goal, formulation, hidden_angle, k, theta, w):
-    """Write the six coordinates that null vector k and the hidden joint's angle give."""
-    hidden, removed, work = hidden_of(formulation), removed_of(formulation), beyond(w, _WORK)
-    place = TRIPLE + LINE_STRIDE * hidden
-    theta[int(w[place + NUMBER])] = _coordinate(w, place, hidden_angle)
-    first, second = angles_of(beyond(w, _VECTORS + ROW * k))
-    place = TRIPLE + LINE_STRIDE * (1 if hidden == 0 else 0)
-    theta[int(w[place + NUMBER])] = _coordinate(w, place, first)
-    place = TRIPLE + LINE_STRIDE * (1 if hidden == 2 else 2)
-    theta[int(w[place + NUMBER])] = _coordinate(w, place, second)
+def _posture(s, angle, k, theta):
+    """How far null vector k is from one of a posture, infinite at infinity; writes the six coordinates."""
+    w, work = s.w, beyond(s.w, _WORK)
+    hidden, removed = hidden_of(s.formulation), removed_of(s.formulation)
+    first, second, defect = angles_of(beyond(w, _VECTORS + ROW * k))
+    for joint in range(3):
+        place = TRIPLE + LINE_STRIDE * joint
+        x = angle if joint == hidden else first if joint == (1 if hidden == 0 else 0) else second
+        if at_infinity(w[place + IS_SLIDE] != 0.0, x):
+            return math.inf
+        theta[int(w[place + NUMBER])] = _coordinate(w, place, x)
     pair_of(w, theta, work)
-    theta[removed] = removed_turn(kinds, lines, goal, removed, theta, work)
-
-
-@routine
-def disturb(goal, out):
-    """Write the goal, moved a little in no special direction."""
-    x, y, z = 0.55 * DISTURBANCE, -0.71 * DISTURBANCE, 0.44 * DISTURBANCE
-    size = 1.0 / math.sqrt(1.0 + x * x + y * y + z * z)
-    for j in range(4):
-        a, b, c = goal[j], goal[4 + j], goal[8 + j]
-        # Cayley's rotation of the vector (x, y, z): v + 2 (r x v + r x (r x v)) / (1 + r.r)
-        p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
-        f = 2.0 * size * size
-        out[j] = a + f * (p + y * r - z * q)
-        out[4 + j] = b + f * (q + z * p - x * r)
-        out[8 + j] = c + f * (r + x * q - y * p)
-    out[3], out[7], out[11] = out[3] - z, out[7] + x, out[11] + y
+    theta[removed] = removed_turn(s.kinds, s.lines, s.near, removed, theta, work)
+    return defect
 
 
 class Search(NamedTuple):
@@ -265,27 +283,55 @@ class Search(NamedTuple):
     formulation: int
 
 
+@device
+def _unmatched(s, n, count):
+    """Whether a root that is expected to have a posture, or a posture, has no partner; a singular posture has two."""
+    place, roots = TRIPLE + LINE_STRIDE * hidden_of(s.formulation), beyond(s.w, _ROOTS)
+    number, slides, alone = int(s.w[place + NUMBER]), s.w[place + IS_SLIDE] != 0.0, False
+    for again in range(2):
+        for k in range(count):
+            posture = beyond(s.w, FOUNDLINGS + FOUND * k)
+            x = 2.0 * math.atan2(posture[number], 1.0) if slides else posture[number]
+            if again == 0:
+                alone = alone or not matched(roots, n, x)
+            elif not posture[PIVOTS] > SINGULAR_RATIO:
+                matched(roots, n, x)
+    return alone or expected(roots, n) > 0
+
+
 @routine
-def _add(s, u, w_, imaginary, twins, count, strays):
-    """(postures, strays, suspicion) with those of the hidden joint's root (u, w_) added.
+def _add(s, i, n, twins, count, strays):
+    """(postures, strays, suspicion) with those of root i of n added.
 
     A stray is a start that was close, but Newton's steps led astray: written to `out`, from its end.
     """
-    found, work = beyond(s.w, FOUNDLINGS), beyond(s.w, _WORK)
-    vectors, suspect = _vectors_at(u, w_, s.w)
+    found, work, roots = beyond(s.w, FOUNDLINGS), beyond(s.w, _WORK), beyond(s.w, _ROOTS)
+    imaginary, angle, none = roots[ROOT * i + IMAGINARY], roots[ROOT * i + ANGLE], 0
+    alike, met, aside = together(roots, n, i) if imaginary < TOGETHER else (1, False, 0.0)
+    if alike > 2 and met:
+        return count, strays, 0
+    angle += aside if alike > 2 else 0.0
+    vectors, suspect, proven, second = _vectors_at(angle, alike, s.w)
+    proven = suspect == 0 and imaginary < TOGETHER and (proven or vectors == 1)
     for k in range(vectors):
         if count == CANDIDATES:
             return count, strays, suspect | ILL_NULL
         theta = beyond(found, FOUND * count)
-        _posture(s.kinds, s.lines, s.near, s.formulation, 2.0 * math.atan2(w_, u), k, theta, s.w)
+        defect = _posture(s, angle, k, theta)
+        other = vectors == 1 and second > SIMPLE and imaginary == 0.0 and defect * second > NOISE
+        none += int(other or defect == math.inf)
+        if defect == math.inf:
+            continue
         state, doubt = _settle(s.kinds, s.lines, s.goal, found, count, work)
         suspect |= doubt
-        if state < 0:
+        if state < 0 and not other:
             suspect |= ASTRAY if imaginary < REAL else (NEARLY_REAL if imaginary < DOUBT else 0)
             if theta[RAW_ERROR] < CLOSE and strays < CANDIDATES:
                 strays += 1
                 for j in range(6):
                     s.out[6 * (CANDIDATES - strays) + j] = theta[START + j]
+        if state < 0 or other:
+            count += max(state, 0)
             continue
         merging = vectors == 1 and (imaginary > 0.0 or (state == 0 and twins))
         source, count = count, count + state
@@ -293,7 +339,23 @@ def _add(s, u, w_, imaginary, twins, count, strays):
             state, doubt = _twin(s.kinds, s.lines, s.goal, found, source, count, work)
             suspect |= doubt | (TWICE if state < 1 and imaginary < DOUBT else 0)
             count += max(state, 0)
+    if proven and (alike > 2 or none > 0 or vectors == 0):
+        stand_for(roots, n, i, vectors - none)
     return count, strays, suspect
+
+
+@routine
+def _postures(s, n, half, disturbed, count, strays):
+    """(postures, strays, suspicion) with those of the n roots added; of a pair of conjugates the first is enough."""
+    suspect, roots, narrower = 0, beyond(s.w, _ROOTS), 1.0 if disturbed == 0 else WIDER
+    slides = s.w[TRIPLE + LINE_STRIDE * hidden_of(s.formulation) + IS_SLIDE] != 0.0
+    write_roots(beyond(s.w, _REAL_PARTS), beyond(s.w, _IMAGINARY_PARTS), n, half, narrower, slides, roots)
+    for i in range(n):
+        if 0.0 <= roots[ROOT * i + IMAGINARY] < NEARLY and not at_infinity(slides, roots[ROOT * i + ANGLE]):
+            count, strays, doubt = _add(s, i, n, disturbed == 0, count, strays)
+            suspect |= doubt
+    lost = _unmatched(s, n, count) if disturbed == 0 else expected(roots, n) != count
+    return count, strays, suspect | (UNMATCHED if lost else 0)
 
 
 @routine
@@ -326,13 +388,8 @@ def eliminate(kinds, lines, goal, formulation, w, out):
             continue
         suspect = suspect & SINGULAR | (0 if ratio > GOOD_LEAD else ILL_LEAD)
         suspect |= NO_EIGENVALUES if _eigenvalues(n, w) > 0 else 0
-        c, sine = math.cos(half), math.sin(half)
-        for i in range(n):
-            t, y = w[_REAL_PARTS + i], w[_IMAGINARY_PARTS + i]
-            imaginary = 2.0 * y / (1.0 + t * t) / (1.0 if disturbed == 0 else WIDER)
-            if 0.0 <= imaginary < NEARLY:  # of a pair of conjugates the first is enough
-                count, strays, doubt = _add(s, c - sine * t, sine + c * t, imaginary, disturbed == 0, count, strays)
-                suspect |= doubt
+        count, strays, doubt = _postures(s, n, half, disturbed, count, strays)
+        suspect |= doubt
     strays = min(strays, CANDIDATES - count)
     for k in range(strays):  # those that came first stand last
         for j in range(6):

@@ -14,7 +14,7 @@ ALIKE = 1e-6
 
 
 @device
-def _clear(m, row, column):
+def clear(m, row, column):
     """Divide a row by its pivot and clear the pivot's column in the others."""
     over = 1.0 / m[row * ROW + column]
     for c in range(0, ROW, LANES):
@@ -27,7 +27,7 @@ def _clear(m, row, column):
 
 
 @device
-def _vector(m, order, steps, column, x):
+def vector(m, order, steps, column, x):
     """Write the vector that m, reduced by `steps` pivots, takes to zero: 1 at `column`, 0 at the others left over."""
     for j in range(ROW):
         x[j] = 0.0
@@ -38,7 +38,7 @@ def _vector(m, order, steps, column, x):
 
 @routine
 def null_vectors(m, mask, order, x):
-    """(vectors, third last pivot over the first); writes one null vector, or two at x and x + ROW.
+    """(vectors, third last pivot, last but one), over the first; writes one null vector, or two at x and x + ROW.
 
     Gauss-Jordan elimination with complete pivoting of m (12 rows of stride ROW, lost). The matrix is known to be
     singular: a second vector is written where the last but one pivot is below ALIKE. mask: 2 ROW numbers. order: 2 SIZE
@@ -59,25 +59,26 @@ def null_vectors(m, mask, order, x):
             vectors = 2
             break
         if not size > 0.0:
-            return 0, 0.0
+            return 0, 0.0, 0.0
         order[2 * k], order[2 * k + 1] = float(column), float(row)
         mask[column], mask[ROW + row] = 0.0, 0.0
-        _clear(m, row, column)
+        clear(m, row, column)
     left = 0
     for c in range(SIZE):
         if mask[c] != 0.0 and left < vectors:
-            _vector(m, order, SIZE - vectors, c, beyond(x, ROW * left))
+            vector(m, order, SIZE - vectors, c, beyond(x, ROW * left))
             left += 1
-    return vectors, third / first
+    return vectors, third / first, second / first
 
 
 @routine
 def angles_of(x):
-    """(angle of a, angle of b) that the null vector x stands for; slides as 2 atan d.
+    """(angle of a, angle of b, defect) that the null vector x stands for; slides as 2 atan d.
 
     x[3 i + j] is (u^3, sqrt(3) u^2 w, sqrt(3) u w^2, w^3)_i of joint a times (u^2, sqrt(2) u w, w^2)_j of joint b. Of
     vectors (u, w) along one line with a = sum u u, b = sum u w and d = sum w w, (a - d, 2 b) points to twice the line's
-    angle. So all ratios count and none is divided out: a joint at pi is as good as any other.
+    angle. So all ratios count and none is divided out: a joint at pi is as good as any other. The defect is how far the
+    vectors are from one line, 0 to 1/2: that of a posture is 0.
     """
     a = b = d = 0.0
     for j in range(3):
@@ -85,18 +86,19 @@ def angles_of(x):
         a += m0 * m0 + 2.0 * m1 * m1 + m2 * m2
         b += m0 * m1 + 2.0 * m1 * m2 + m2 * m3
         d += m1 * m1 + 2.0 * m2 * m2 + m3 * m3
-    first = math.atan2(2.0 * b, a - d)
+    first, across = math.atan2(2.0 * b, a - d), (a * d - b * b) / ((a + d) * (a + d) + FLOOR)
     a = b = d = 0.0
     for i in range(4):
         n0, n1, n2 = x[3 * i], ROOT_1_2 * x[3 * i + 1], x[3 * i + 2]
         a += n0 * n0 + n1 * n1
         b += n0 * n1 + n1 * n2
         d += n1 * n1 + n2 * n2
-    return first, math.atan2(2.0 * b, a - d)
+    across = max(across, (a * d - b * b) / ((a + d) * (a + d) + FLOOR))
+    return first, math.atan2(2.0 * b, a - d), math.sqrt(max(across, 0.0))
 
 
 @device
-def _entry_of_a(x, i, j):
+def entry_of_a(x, i, j):
     """(u part, w part) of null vector x at place i < 3 of joint a's cubic form, j < 3 of b's quadratic form."""
     left = x[3 * i + j] if i == 0 else ROOT_1_3 * x[3 * i + j]
     right = x[3 * i + 3 + j] if i == 2 else ROOT_1_3 * x[3 * i + 3 + j]
@@ -104,7 +106,7 @@ def _entry_of_a(x, i, j):
 
 
 @device
-def _entry_of_b(x, i, j):
+def entry_of_b(x, i, j):
     """(u part, w part) of null vector x at place i < 4 of joint a's cubic form, j < 2 of b's quadratic form."""
     left = x[3 * i] if j == 0 else ROOT_1_2 * x[3 * i + 1]
     right = ROOT_1_2 * x[3 * i + 1] if j == 0 else x[3 * i + 2]
@@ -120,12 +122,12 @@ def _products(x, joint, out):
     for i in range(3 if joint == 0 else 4):
         for j in range(3 if joint == 0 else 2):
             if joint == 0:
-                u0, w0 = _entry_of_a(x, i, j)
-                u1, w1 = _entry_of_a(y, i, j)
+                u0, w0 = entry_of_a(x, i, j)
+                u1, w1 = entry_of_a(y, i, j)
                 f = 2.0 if i == 1 else 1.0
             else:
-                u0, w0 = _entry_of_b(x, i, j)
-                u1, w1 = _entry_of_b(y, i, j)
+                u0, w0 = entry_of_b(x, i, j)
+                u1, w1 = entry_of_b(y, i, j)
                 f = 1.0
             out[0], out[1], out[3] = out[0] + f * u0 * u0, out[1] + f * u0 * u1, out[3] + f * u1 * u1
             out[4], out[5] = out[4] + f * u0 * w0, out[5] + f * u0 * w1

@@ -28,6 +28,9 @@ POLISH_SIZE = TURN + 9
 ENOUGH, NEARLY_ENOUGH = 1e-13, 1e-10
 """Error at which no further step is taken; error at which a step must halve it, else it is the last."""
 
+DISTURBANCE = 1e-4
+"""How far, in radians and units of the chain's length, a disturbed goal is from the goal."""
+
 LONGEST_STEP = 0.5
 """Largest change of a coordinate in one Newton step."""
 
@@ -170,3 +173,19 @@ def polish(kinds, lines, goal, theta, work, steps):
         for i in range(6):
             theta[i] += factor * work[JACOBIAN * i + TWIST]
     return begin, now, ratio
+
+
+@routine
+def disturb(goal, out):
+    """Write the goal, moved a little in no special direction."""
+    x, y, z = 0.55 * DISTURBANCE, -0.71 * DISTURBANCE, 0.44 * DISTURBANCE
+    size = 1.0 / math.sqrt(1.0 + x * x + y * y + z * z)
+    for j in range(4):
+        a, b, c = goal[j], goal[4 + j], goal[8 + j]
+        # Cayley's rotation of the vector (x, y, z): v + 2 (r x v + r x (r x v)) / (1 + r.r)
+        p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
+        f = 2.0 * size * size
+        out[j] = a + f * (p + y * r - z * q)
+        out[4 + j] = b + f * (q + z * p - x * r)
+        out[8 + j] = c + f * (r + x * q - y * p)
+    out[3], out[7], out[11] = out[3] - z, out[7] + x, out[11] + y

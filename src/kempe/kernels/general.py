@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kempe.kernels._jit import kernel, routine
+from kempe.kernels._jit import device, kernel, routine
 from kempe.kernels.analytic_layout import FORMS, INFO, N_FORMS, N_JOINTS, ORDER, REST, ROLES
 from kempe.kernels.closed import CANDIDATE, SAMPLE
 from kempe.kernels.closed import SLOT as CANDIDATE_SLOT
@@ -16,6 +16,7 @@ from kempe.kernels.distinct import (
     AGAIN,
     CLOSE,
     MERGED,
+    MOST_SOLUTIONS,
     ROOT,
     SOLUTION,
     TURNS,
@@ -24,7 +25,7 @@ from kempe.kernels.distinct import (
     add,
     distance,
 )
-from kempe.kernels.elimination import CANDIDATES, ELIMINATION_SCRATCH, FREE, eliminate
+from kempe.kernels.elimination import CANDIDATES, ELIMINATION_SCRATCH, FREE, UNSOUND, eliminate
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.polish import error_at, polish, tangent
 from kempe.kernels.random import mix, unit
@@ -86,10 +87,23 @@ def walked(d, count):
     return count
 
 
+@device
+def rests(d):
+    """Whether lines must stay at rest: then most roots are no solutions."""
+    for i in range(6):
+        if d.ints[ROLES + i] == REST:
+            return True
+    return False
+
+
 @routine
 def eliminated(d, scratch, thetas):
-    """(number of solutions, doubt): formulations are tried until the answer of one of them is beyond doubt."""
-    count, doubt, free = 0, 1, False
+    """(number of solutions, doubt): formulations are tried until the answer of one of them is beyond doubt.
+
+    It is where each root of one formulation has a solution of its own, or of two, except for singular solutions.
+    """
+    count, doubt, free, sound = 0, 1, False, False
+    resting = rests(d)
     for f in range(d.ints[N_FORMS]):
         k, strays, suspect = eliminate(d.kinds, d.six, d.goal, d.ints[FORMS + f], scratch, thetas)
         for i in range(k + strays):
@@ -101,13 +115,17 @@ def eliminated(d, scratch, thetas):
         count = take_candidates(d, beyond(d.ints, ORDER), 0, k, ROOT if f == 0 else AGAIN, count)
         count = take_candidates(d, beyond(d.ints, ORDER), k, k + strays, AGAIN, count)
         enough = count > 0 or f >= 2  # that there is no solution has to be said thrice
-        if suspect & ~FREE == 0 and enough and (f == 0 or count == before):
+        each = resting or count == k  # no two were the same in the end, and none was missed that is known
+        clean = suspect == 0 or (count == 0 and suspect == FREE)  # far away the leading matrix is small
+        if clean and enough and (f == 0 or count == before) and each:
             doubt = 0
             break
-        if f > 0 and enough and count == before and count % 2 == 0:  # two formulations agree
+        agreed, sound = sound and suspect & UNSOUND == 0 and each, suspect & UNSOUND == 0
+        if f > 0 and enough and count == before and count % 2 == 0 and agreed:
             doubt = 0
             break
-    return walked(d, searched(d, count)) if free else count, doubt
+    count = walked(d, searched(d, count)) if free else count
+    return count, doubt if count < MOST_SOLUTIONS else 1
 
 
 @routine
@@ -117,9 +135,8 @@ def mark_fold(d, count):
     Where lines must stay at rest, most roots are no solutions, and any number is right.
     """
     total, folds, at = 0.0, 0, 0
-    for i in range(6):
-        if d.ints[ROLES + i] == REST:
-            return True
+    if rests(d):
+        return True
     for k in range(count):
         row = beyond(d.found.rows, (SOLUTION + d.n) * k)
         total += row[TURNS]
@@ -154,6 +171,8 @@ def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, 
             if not mark_fold(d, count):
                 doubt = 1
         written = end(d, count, close_to, beyond(raw(out), slots * (n + INFO) * i), slots, sort)
+        if written == slots and count > slots:
+            doubt = 1
         counts[i, 0], counts[i, 1] = written if sound else -1, doubt
     keep(block)
     keep(flags)
