@@ -156,7 +156,7 @@ def parse_targets(system: System, target: Any) -> tuple[Array, tuple[int, ...], 
             out = np.where(bad[:, None, None], math.nan, out)
             if not lead and np.isfinite(array).all():
                 raise InputError(f"target is not a pose: its last row is {array[3].tolist()}; it must be 0 0 0 1")
-        return np.require(out, requirements="CA"), lead, False
+        return np.require(out, requirements=["C", "A"]), lead, False
     if array.ndim and (array.shape[-1] == 3 or (planar and array.shape[-1] == 2)):
         lead = array.shape[:-1]
         out = np.zeros((math.prod(lead), 4, 4))
