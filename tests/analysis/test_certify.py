@@ -15,7 +15,7 @@ from world_mechanisms import World
 import kempe
 from kempe import Mechanism, System
 from kempe.analysis import forms
-from kempe.analysis.charts import regular_chart
+from kempe.kinematics.ball_angles import regular_chart
 from kempe.analysis.counting import fills_group, group_basis
 from kempe.analysis.local import local_dimension
 from kempe.analysis.mobility import Mobility, mobility

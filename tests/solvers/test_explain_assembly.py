@@ -44,6 +44,32 @@ def test_a_scissor_that_closes_folded_says_so(n):
         assert answer.success and answer.status.endswith("; 1 freedom left open")
 
 
+@pytest.mark.parametrize("rods", [3, 2])
+def test_angles_of_a_ball_at_their_own_singularity_are_no_freedom(rods):
+    m = Mechanism("platform")
+    m.spherical("S", m.ground, m.body("plate"), angles=True)
+    rng = np.random.default_rng(5)
+    for k in range(rods):
+        m.frame(f"g{k}", m.ground, at=rng.normal(size=3))
+        m.frame(f"h{k}", "plate", at=rng.normal(size=3))
+    bare = m.build()
+    q = bare.q({"S.ry": np.pi / 2, "S.rx": 0.3})
+    for k in range(rods):
+        length = float(np.linalg.norm(bare.fk(q, f"g{k}")[:3, 3] - bare.fk(q, f"h{k}")[:3, 3]))
+        m.distance(f"rod{k}", f"g{k}", f"h{k}", length)
+    status = m.build().assemble(near=q).status
+    assert "closed" in status and ("1 freedom left open" in status) == (rods == 2)
+
+
+def test_three_hinges_in_gimbal_lock_keep_their_freedom():
+    m = Mechanism("wrist")
+    m.revolute("z", m.ground, m.body("a"), axis=(0, 0, 1))
+    m.revolute("y", "a", m.body("b"), axis=(0, 1, 0))
+    m.revolute("x", "b", m.body("c"), axis=(1, 0, 0))
+    m.spherical("S", m.ground, "c")
+    assert "3 freedoms left open" in m.build().assemble(near={"y": np.pi / 2}).status
+
+
 def test_hunt_folded_cells(hunt):
     """A warning where pins of a cell coincide and more than one freedom is open, and none elsewhere."""
     rng, seen = hunt.rng(), set()

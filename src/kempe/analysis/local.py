@@ -18,7 +18,7 @@ from kempe.analysis import branches as follow
 from kempe.analysis import reduction
 from kempe.analysis.branches import Branch
 from kempe.analysis.certify import Proof, proven
-from kempe.analysis.charts import back, regular_chart
+from kempe.kinematics.ball_angles import back, regular_chart
 from kempe.analysis.equations import Equations
 from kempe.analysis.reduction import Split
 from kempe.errors import InputError

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.analysis.certify import regular
-from kempe.analysis.charts import regular_chart
+from kempe.kinematics.ball_angles import regular_chart
 from kempe.analysis.control import Control, control, driven
 from kempe.analysis.counting import Counting, LoopCount, counting, loop_counts
 from kempe.analysis.generic import Closed, close, find_closed, nearby

@@ -302,9 +302,14 @@ def limitless(system: System, loops: Loops) -> Array:
 
 
 def freedoms_left(system: System, q: Array, held: frozenset[str] = frozenset()) -> int:
-    """Nullity of the constraint Jacobian at q over the coordinates that are not held."""
-    from kempe.kinematics.loops import evaluate  # its kernel is not needed to assemble
+    """Nullity of the constraint Jacobian at q over the coordinates that are not held.
 
+    The angles of a ball near their own singularity are measured from q, unless some of them are held.
+    """
+    from kempe.kinematics.ball_angles import regular_chart  # only here: to assemble needs none of it
+    from kempe.kinematics.loops import evaluate
+
+    system, q, _ = regular_chart(system, q, held)
     free = [i for i, n in enumerate(system.velocity_names) if n not in held]
     J = evaluate(system, q, True, True)[1][:, free]
     values = np.linalg.svd(J, compute_uv=False) if J.size else np.zeros(0)

@@ -1,4 +1,4 @@
-"""Charts: the same mechanism in angles that are regular where those of its balls are not.
+"""The same mechanism in angles that are regular where those of its balls are not.
 
 Three angles of one ball joint are coordinates of its rotation, and fail where the second is +-90 degrees: there they
 have a velocity that moves nothing. That is no freedom of the mechanism. Three hinges in a row are: there bodies turn.
@@ -6,6 +6,7 @@ have a velocity that moves nothing. That is no freedom of the mechanism. Three h
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -23,17 +24,17 @@ NEAR = 0.1
 """Cosine of the second angle below which angles are measured from here instead."""
 
 
-def regular_chart(system: System, q: Array) -> tuple[System, Array, dict[str, Array]]:
+def regular_chart(system: System, q: Array, held: Collection[str] = ()) -> tuple[System, Array, dict[str, Array]]:
     """The system and q (nq,), with the angles of balls near the singularity of their chart measured from q.
 
     The frame M of such a ball is turned on its child so that the angles are 0 at q; nothing else changes, neither names
-    nor numbers. Balls with an angle that is coupled or held stay, for such an angle has a meaning of its own. The third
-    answer are the rotations (3, 3) by which frames were turned, by name of the joint.
+    nor numbers. Balls with an angle that is coupled, or one of `held`, stay, for such an angle has a meaning of its own.
+    The third answer are the rotations (3, 3) by which frames were turned, by name of the joint.
     """
     turned: dict[str, Array] = {}
     for name, at in _balls(system).items():
         z, y, x = q[at].tolist()
-        if abs(np.cos(y)) < NEAR:
+        if abs(np.cos(y)) < NEAR and not any(system.coordinate_names[i] in held for i in at):
             turned[name] = spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x)
     if not turned:
         return system, q, turned
@@ -60,7 +61,7 @@ def back(system: System, q: Array, turned: dict[str, Array]) -> Array:
 
 def _balls(system: System) -> dict[str, list[int]]:
     """Places in q of the three angles of each ball that has its own, found once."""
-    found = system._queries.get("analysis balls")
+    found = system._queries.get("ball angles")
     if found is None:
         names = {n: i for i, n in enumerate(system.coordinate_names)}
         related = {f.source for f in system.couplings.values()} | set(system.couplings)
@@ -70,5 +71,5 @@ def _balls(system: System) -> dict[str, list[int]]:
             angles = [f"{joint.name}.{n}" for n in ("rz", "ry", "rx")]
             if joint.type.options.get("angles") and set(angles) <= set(names) and not related & set(angles):
                 found[joint.name] = [names[n] for n in angles]
-        system._queries["analysis balls"] = found
+        system._queries["ball angles"] = found
     return found
