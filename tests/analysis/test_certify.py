@@ -15,10 +15,10 @@ from world_mechanisms import World
 import kempe
 from kempe import Mechanism, System
 from kempe.analysis import forms
-from kempe.kinematics.ball_angles import regular_chart
 from kempe.analysis.counting import fills_group, group_basis
 from kempe.analysis.local import local_dimension
 from kempe.analysis.mobility import Mobility, mobility
+from kempe.kinematics.ball_angles import regular_chart
 from kempe.kinematics.certify import certify
 from kempe.kinematics.loops import residual
 from kempe.spatial import matrix_to_quat_wxyz, rot_x, rot_y, rot_z

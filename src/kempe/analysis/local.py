@@ -18,10 +18,10 @@ from kempe.analysis import branches as follow
 from kempe.analysis import reduction
 from kempe.analysis.branches import Branch
 from kempe.analysis.certify import Proof, proven
-from kempe.kinematics.ball_angles import back, regular_chart
 from kempe.analysis.equations import Equations
 from kempe.analysis.reduction import Split
 from kempe.errors import InputError
+from kempe.kinematics.ball_angles import back, regular_chart
 from kempe.kinematics.configuration import as_q
 from kempe.spatial import Array
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.analysis.certify import regular
-from kempe.kinematics.ball_angles import regular_chart
 from kempe.analysis.control import Control, control, driven
 from kempe.analysis.counting import Counting, LoopCount, counting, loop_counts
 from kempe.analysis.generic import Closed, close, find_closed, nearby
@@ -19,6 +18,7 @@ from kempe.analysis.passive import IdleFreedom, idle_freedoms, may_idle
 from kempe.analysis.rank import Rank, rank_at
 from kempe.analysis.redundancy import Redundancy, redundancy
 from kempe.errors import InputError
+from kempe.kinematics.ball_angles import regular_chart
 from kempe.kinematics.configuration import as_q
 from kempe.spatial import Array
 

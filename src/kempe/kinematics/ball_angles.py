@@ -28,7 +28,7 @@ def regular_chart(system: System, q: Array, held: Collection[str] = ()) -> tuple
     """The system and q (nq,), with the angles of balls near the singularity of their chart measured from q.
 
     The frame M of such a ball is turned on its child so that the angles are 0 at q; nothing else changes, neither names
-    nor numbers. Balls with an angle that is coupled, or one of `held`, stay, for such an angle has a meaning of its own.
+    nor numbers. Balls with an angle that is coupled, or one of `held`, stay, for it has a meaning of its own.
     The third answer are the rotations (3, 3) by which frames were turned, by name of the joint.
     """
     turned: dict[str, Array] = {}
