@@ -8,14 +8,11 @@ REVIEWED = {
         "docs/dof.md": (
             "It is right for almost all lengths, and wrong for many",
             "The formula is not wrong about *almost all* linkages of four hinges.",
-            "*All constraints are independent* ($J$ has full row rank).",
             "Along $q(t) = q_0 \\oplus (N s(t) + w(t))$ the normal part",
-            "If all of them vanish, every velocity is one of a motion.",
         ),
     },
     "says that it is no proof, or where one cannot be sure": {
         "docs/branches.md": ("The search ends when each mode has been found six times,",),
-        "docs/ik_all.md": ("- by elimination it is true where nothing is suspicious.",),
     },
     "title of a paper": {
         "docs/structure.md": ("Iteration methods for finding all zeros of a polynomial simultaneously.",),

@@ -201,20 +201,20 @@ def solve_held(
 
         search(question, plan, chain_near, locked, out, counts, np.arange(n))
         return out, counts
-    side_by_side = side_by_side_of(plan) if len(locked) == 1 or not plan.locked else None
-    if side_by_side and not plan.locked:
+    side_by_side = side_by_side_of(plan)
+    if not plan.locked:
         locked = locked[:1]
 
     def work(i: int, j: int) -> int:
         some = chain_near[i:j] if len(chain_near) > 1 else chain_near
+        held_at = locked[i:j] if len(locked) > 1 else locked
         which = np.arange(j - i)
         if side_by_side:
-            padded = np.resize(some, (A.LANES, len(lines))) if 1 < len(some) < A.LANES else some
-            left = side_by_side(plan.ints, plan.floats, targets[i:j], padded, locked, int(single), out[i:j], which)
+            padded = np.resize(some, (A.LANES, len(lines))) if 1 < len(some) < A.LANES and len(locked) == 1 else some
+            left = side_by_side(plan.ints, plan.floats, targets[i:j], padded, held_at, int(single), out[i:j], which)
             if left <= 0:
                 return 0
             which = which[:left].copy()
-        held_at = locked[i:j] if len(locked) > 1 else locked
         kernel_of(plan)(
                plan.ints, plan.floats, targets[i:j], some, held_at, question.tolerance, question.angular,
                int(single), which, out[i:j], counts[i:j])  # fmt: skip
@@ -259,5 +259,3 @@ def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Ar
     if question.lead is None and not np.isfinite(out[:, list(plan.locked)]).all():
         raise InputError("a joint is held at a value that is not finite")
     return np.ascontiguousarray(out)
-
-
