@@ -329,3 +329,25 @@ def test_values_of_their_own_give_the_same_bits_in_batches(name, hunt):
         for i in range(len(X)):
             alone = ik_all(robot, X[i], frame, **way(i))
             assert sorted(map(tuple, alone.q)) == sorted(map(tuple, together.q[i][together.mask[i]]))
+
+
+@pytest.mark.parametrize("name", ["panda", "iiwa14", "gen3"])
+def test_what_is_held_beyond_its_limits_is_outside(name, hunt):
+    """Also where the value less a turn is inside; alone, in a batch, and with values of their own."""
+    rng, robot = hunt.rng(), kempe.load(name)
+    frame = list(robot.frames)[-1]
+    at = max(i for i in range(robot.nq) if np.isfinite(robot.upper[i]))
+    joint, X = robot.coordinate_names[at], robot.fk(robot.random(rng, hunt.cases(20)), frame)
+    first = robot.lower[at] + 0.1
+
+    def is_told(answer):
+        q, inside = answer.q.reshape(-1, robot.nq), answer.inside.reshape(-1)
+        truth = ((q >= robot.lower - 1e-9) & (q <= robot.upper + 1e-9)).all(axis=1)
+        return np.array_equal(inside, truth)
+
+    for value in (first, first + 2 * math.pi, robot.upper[at] + 0.01):
+        batch = ik_all(robot, X, frame, fixed={joint: value})
+        assert batch.mask.any()
+        assert is_told(batch)
+        assert is_told(ik_all(robot, X, frame, fixed={joint: np.full(len(X), value)}))
+        assert all(is_told(ik_all(robot, x, frame, fixed={joint: value})) for x in X)
