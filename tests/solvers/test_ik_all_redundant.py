@@ -312,3 +312,42 @@ def test_a_sweep_holds_the_others_where_there_is_a_solution():
     system, frame = robot("pr2")
     targets = system.fk(system.random(5, 4), frame)
     assert all(ik_sweep(system, X, frame, samples=32) for X in targets)
+
+
+@pytest.mark.parametrize("name", ["panda", "iiwa14", "gen3", "ur5"])
+def test_values_of_their_own_give_the_same_bits_in_batches(name, hunt):
+    """Held by name at arrays, held near configurations, and held elsewhere by choice: as each target alone."""
+    rng, robot = hunt.rng(), kempe.load(name)
+    frame, joint = list(robot.frames)[-1], robot.coordinate_names[-1]
+    q = robot.random(rng, hunt.cases(30))
+    X = robot.fk(q, frame)
+    ways = [lambda k: {}, lambda k: {"near": q[k]}, lambda k: {"fixed": {joint: q[k][..., -1]}}]
+    for way in ways:
+        together = ik_all(robot, X, frame, **way(slice(None)))
+        few = ik_all(robot, X[:3], frame, **way(slice(3)))
+        assert np.array_equal(few.q, together.q[:3, : few.q.shape[1]], equal_nan=True)
+        for i in range(len(X)):
+            alone = ik_all(robot, X[i], frame, **way(i))
+            assert sorted(map(tuple, alone.q)) == sorted(map(tuple, together.q[i][together.mask[i]]))
+
+
+@pytest.mark.parametrize("name", ["panda", "iiwa14", "gen3"])
+def test_what_is_held_beyond_its_limits_is_outside(name, hunt):
+    """Also where the value less a turn is inside; alone, in a batch, and with values of their own."""
+    rng, robot = hunt.rng(), kempe.load(name)
+    frame = list(robot.frames)[-1]
+    at = max(i for i in range(robot.nq) if np.isfinite(robot.upper[i]))
+    joint, X = robot.coordinate_names[at], robot.fk(robot.random(rng, hunt.cases(20)), frame)
+    first = robot.lower[at] + 0.1
+
+    def is_told(answer):
+        q, inside = answer.q.reshape(-1, robot.nq), answer.inside.reshape(-1)
+        truth = ((q >= robot.lower - 1e-9) & (q <= robot.upper + 1e-9)).all(axis=1)
+        return np.array_equal(inside, truth)
+
+    for value in (first, first + 2 * math.pi, robot.upper[at] + 0.01):
+        batch = ik_all(robot, X, frame, fixed={joint: value})
+        assert batch.mask.any()
+        assert is_told(batch)
+        assert is_told(ik_all(robot, X, frame, fixed={joint: np.full(len(X), value)}))
+        assert all(is_told(ik_all(robot, x, frame, fixed={joint: value})) for x in X)

@@ -152,14 +152,14 @@ def spread_rows(answers, n, order, moves, locked, count, out):
         row[n], row[n + 1] = from_[6], from_[7]
 
 
-@kernel(I("_"), F("_"), F("N", 4, 4), F("_", "n"), F(1, "n"), INT, OUT("N", "_", f"n+{INFO}"), OUTI("N"))
+@kernel(I("_"), F("_"), F("N", 4, 4), F("_", "n"), F("_", "n"), INT, OUT("N", "_", f"n+{INFO}"), OUTI("N"))
 def closed_side_by_side(ints, floats, targets, near, locked, sort, out, left):
     """Number of targets left to the careful path, whose numbers are written to `left` (N,); the others are done.
 
     ints, floats: plan, see `analytic_layout`, of six unknown turning joints with an equation in one unknown. targets:
-    (N, 4, 4). near: (1 or N, n), at least LANES rows if not one. locked: (1, n), of which the locked joints count.
-    sort: 1 for rows in order; if none are left, -1 less the rows in use of the last target is returned. out:
-    (N, SLOTS, n + INFO).
+    (N, 4, 4). near: (1 or N, n), at least LANES rows if not one and locked is one. locked: (1 or N, n), of which the
+    locked joints count. sort: 1 for rows in order; if none are left, -1 less the rows in use of the last target is
+    returned. out: (N, SLOTS, n + INFO).
     """
     scratch = np.empty(ROWS * LANES + (16 + SLOTS * ROW) * LANES + SIX)
     n_targets, n = targets.shape[0], ints[N_JOINTS]
@@ -167,28 +167,31 @@ def closed_side_by_side(ints, floats, targets, near, locked, sort, out, left):
     goals, answers = beyond(lanes, ROWS * LANES), beyond(lanes, (ROWS + 16) * LANES)
     six = beyond(answers, SLOTS * ROW * LANES)
     moves = beyond(raw(ints), PLAN_HEADER + ints[N_LINES])
-    reduced(raw(ints), raw(floats), moves, raw(locked), six)
-    few, step = n_targets < LANES, n if near.shape[0] > 1 else 0
-    direct = n == 6 and not few
-    if few:  # the lanes are filled up with the last target
-        for i in range(LANES if n_targets > 0 else 0):
-            for j in range(16):
-                goals[16 * i + j] = raw(targets)[16 * min(i, n_targets - 1) + j]
+    apart, step = locked.shape[0] > 1, n if near.shape[0] > 1 else 0
+    group = 1 if apart else n_targets  # targets of which the lines are the same
+    few, width = group < LANES, SLOTS * (n + INFO)
+    direct, next_ = n == 6 and not few, 0 if apart else step
     count, done = 0, 0
-    for i in range(0, n_targets, LANES):
-        at = 0 if few else min(i, n_targets - LANES)
-        pr = problem_of(raw(ints), raw(floats), six, lanes, beyond(raw(out), SLOTS * ROW * at) if direct else answers,
-                        beyond(raw(near), step * at), step)  # fmt: skip
-        some = goals if few else beyond(raw(targets), 16 * at)
-        sound = take_targets(some, 0, raw(floats), six, lanes)
-        clear = sound * block(pr, 0)
-        if not direct:
-            width = SLOTS * (n + INFO)
-            spread_rows(answers, n, pr.order, moves, raw(locked), min(LANES, n_targets), beyond(raw(out), width * at))
-        for lane in range(i - at, min(LANES, n_targets - at)):
-            if not entry(clear, lane) > 0.5:
-                left[count] = at + lane
-                count += 1
+    for first in range(0, n_targets, max(1, group)):
+        wanted, rows = beyond(raw(targets), 16 * first), beyond(raw(out), width * first)
+        held = beyond(raw(locked), n * first if apart else 0)
+        reduced(raw(ints), raw(floats), moves, held, six)
+        if few:  # the lanes are filled up with the last target
+            for i in range(LANES):
+                for j in range(16):
+                    goals[16 * i + j] = wanted[16 * min(i, group - 1) + j]
+        for i in range(0, group, LANES):
+            at = 0 if few else min(i, group - LANES)
+            pr = problem_of(raw(ints), raw(floats), six, lanes, beyond(rows, width * at) if direct else answers,
+                            beyond(raw(near), step * (first + at)), next_)  # fmt: skip
+            sound = take_targets(goals if few else beyond(wanted, 16 * at), 0, raw(floats), six, lanes)
+            clear = sound * block(pr, 0)
+            if not direct:
+                spread_rows(answers, n, pr.order, moves, held, min(LANES, group), beyond(rows, width * at))
+            for lane in range(i - at, min(LANES, group - at)):
+                if not entry(clear, lane) > 0.5:
+                    left[count] = first + at + lane
+                    count += 1
     if sort != 0:
         joints = beyond(raw(floats), LINES + LINE_STRIDE * ints[N_LINES])
         for i in range(n_targets):

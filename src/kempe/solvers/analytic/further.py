@@ -42,6 +42,9 @@ ROOM = 512
 
 CHUNK, SERIAL_BELOW = 256, 1024
 
+SIGN = -(2**63)
+"""The bit that codes of rows in use do not have."""
+
 Solve = Callable[[Question, Array, Array], tuple[Array, np.ndarray]]
 
 
@@ -100,8 +103,8 @@ def _used(rows: Array) -> np.ndarray:
 
 def _reached(rows: Array) -> np.ndarray:
     """Which targets (N,) have a solution inside the limits."""
-    code = rows[..., -A.INFO + A.CODE]
-    return np.any((code >= 0.0) & (code % 2.0 == 1.0), axis=1)
+    code = np.ascontiguousarray(rows[..., -A.INFO + A.CODE].T).astype(np.int64)  # by solutions: many times as fast
+    return np.any((code & (SIGN | int(A.INSIDE_BIT))) == int(A.INSIDE_BIT), axis=0)
 
 
 @dataclass(frozen=True, eq=False)

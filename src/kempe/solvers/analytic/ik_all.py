@@ -171,6 +171,7 @@ def solve(
     code = out[0, 0, -A.INFO + A.CODE] if question.lead is None else A.UNUSED
     fits = code >= 0.0 and code % 2.0 == 1.0  # the first of rows in order is inside the limits
     if fits or (plan.locked == plan.fixed and not lines.span.wide):
+        _outside(plan, out)
         return Solutions(question, plan, base, out, counts, question.lead, locked=first, first=first)
     from kempe.solvers.analytic.further import look_further
 
@@ -178,8 +179,19 @@ def solve(
         return solve_held(some, plan, near, locked, threads)
 
     held_at = look_further(question, plan, chain_near, first, out, counts, at, threads)
+    _outside(plan, out)
     return Solutions(question, plan, base, out, counts, question.lead, locked=held_at.locked, first=first,
                      tried=held_at.tried)  # fmt: skip
+
+
+def _outside(plan: Plan, rows: Array) -> None:
+    """Rows (N, K, n + 2) say that they are outside the limits where a joint held by name is beyond its own."""
+    if not plan.fixed:
+        return
+    at, (low, high) = list(plan.fixed), plan.lines.limits
+    q, code = rows[..., at], rows[..., -A.INFO + A.CODE]
+    off = ((q < low[at] - TOLERANCE) | (q > high[at] + TOLERANCE)).any(axis=-1)
+    code[off & (code >= 0.0) & (code % 2.0 == 1.0)] -= A.INSIDE_BIT
 
 
 def solve_held(
@@ -201,20 +213,20 @@ def solve_held(
 
         search(question, plan, chain_near, locked, out, counts, np.arange(n))
         return out, counts
-    side_by_side = side_by_side_of(plan) if len(locked) == 1 or not plan.locked else None
-    if side_by_side and not plan.locked:
+    side_by_side = side_by_side_of(plan)
+    if not plan.locked:
         locked = locked[:1]
 
     def work(i: int, j: int) -> int:
         some = chain_near[i:j] if len(chain_near) > 1 else chain_near
+        held_at = locked[i:j] if len(locked) > 1 else locked
         which = np.arange(j - i)
         if side_by_side:
-            padded = np.resize(some, (A.LANES, len(lines))) if 1 < len(some) < A.LANES else some
-            left = side_by_side(plan.ints, plan.floats, targets[i:j], padded, locked, int(single), out[i:j], which)
+            padded = np.resize(some, (A.LANES, len(lines))) if 1 < len(some) < A.LANES and len(locked) == 1 else some
+            left = side_by_side(plan.ints, plan.floats, targets[i:j], padded, held_at, int(single), out[i:j], which)
             if left <= 0:
                 return 0
             which = which[:left].copy()
-        held_at = locked[i:j] if len(locked) > 1 else locked
         kernel_of(plan)(
                plan.ints, plan.floats, targets[i:j], some, held_at, question.tolerance, question.angular,
                int(single), which, out[i:j], counts[i:j])  # fmt: skip
@@ -222,7 +234,7 @@ def solve_held(
 
     over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
     none = np.flatnonzero(counts[:, 0] == 0)
-    if plan.rests and len(none) and (other := plan.other) is not None:  # two completions have to agree
+    if len(none) and plan.rests and (other := plan.other) is not None:  # two completions have to agree
         kernel_of(other)(
             other.ints, other.floats, targets, chain_near, locked, question.tolerance, question.angular,
             int(single), none, out, counts,
@@ -247,7 +259,7 @@ def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Ar
     for i in plan.locked:
         given = values.get(lines.names[i])
         if given is None:
-            out[:, i] = np.clip(out[:, i], low[i], high[i])
+            out[:, i] = out[:, i].clip(low[i], high[i])
             continue
         lead = question.lead or ()
         try:
@@ -259,5 +271,3 @@ def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Ar
     if question.lead is None and not np.isfinite(out[:, list(plan.locked)]).all():
         raise InputError("a joint is held at a value that is not finite")
     return np.ascontiguousarray(out)
-
-
