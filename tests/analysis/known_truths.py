@@ -235,7 +235,7 @@ def stopped_row(rng: np.random.Generator) -> Truth:
 def nearly_flat(rng: np.random.Generator) -> Truth | None:
     """A flat loop that is bent by more than rounding: regular, a motion even where the flat one is rigid."""
     n, w = int(rng.integers(3, 6)), World("nearly flat", 2)
-    off = 10.0 ** rng.uniform(-5.5, -1)
+    off = 10.0 ** rng.uniform(-10, -1)
     v = rng.uniform(0.6, 1.4, size=n) * rng.choice([1, -1], size=n)
     if abs(v.sum()) < 0.2:
         return None
@@ -244,6 +244,24 @@ def nearly_flat(rng: np.random.Generator) -> Truth | None:
     for i in range(n + 1):
         w.turn(bodies[i], bodies[i + 1], points[i])
     return w, n - 2
+
+
+def nearly_parallel(rng: np.random.Generator) -> Truth:
+    """Two chains of three hinges whose directions differ by what is no rounding: one straight line, as Sarrus' has."""
+    R, w, off = rotation(rng), World("nearly parallel"), 10.0 ** rng.uniform(-10, -1)
+    for c in range(2):
+        z, p = R @ [cos(c * off), sin(c * off), 0], rng.uniform(-1, 1, (3, 3))
+        w.turn("ground", f"a{c}", p[0], z)
+        w.turn(f"a{c}", f"b{c}", p[1], z)
+        w.turn(f"b{c}", "top", p[2], z)
+    return w, 1
+
+
+def nearly_coplanar(rng: np.random.Generator) -> Truth:
+    """Three slides in a loop whose directions leave one plane by what is no rounding: rigid."""
+    R, off = rotation(rng), 10.0 ** rng.uniform(-10, -1)
+    along = [[cos(a), sin(a), off * (k == 2)] for k, a in enumerate(np.cumsum(rng.uniform(0.5, 0.9, 3)))]
+    return loop("nearly coplanar", [("prismatic", rng.uniform(-1, 1, 3), R @ unit(a)) for a in along]), 0
 
 
 def nearly_overconstrained(rng: np.random.Generator) -> Truth:
@@ -305,6 +323,6 @@ def moved(rng: np.random.Generator, world: World) -> dict:
 
 KINDS = (
     dead_centres, weak_dead_centres, flat_loop, row_of_parallelograms, parallelograms_apart, scissor, loop_in_a_group,
-    sarrus, frameworks, bars, hinges, gimbal, stopped_row, nearly_flat, nearly_overconstrained, three_cranks,
-    wunderlich, side_by_side,
+    sarrus, frameworks, bars, hinges, gimbal, stopped_row, nearly_flat, nearly_parallel, nearly_coplanar,
+    nearly_overconstrained, three_cranks, wunderlich, side_by_side,
 )  # fmt: skip

@@ -195,7 +195,7 @@ def _prove(
         return None if len(A) else Proof(delta, 1, "")
     if not here.clear:
         return None
-    if _two_groups(s, at, part.cluster):
+    if here.exact and _two_groups(s, at, part.cluster):
         return Proof(delta, 1, "both chains of the loop fill a group of motions")
     spans = [here.split.kernel, *(_within(t, part.columns) for t in tangents or ())]
     lower = families.dimension(equations, q, spans)

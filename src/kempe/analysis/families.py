@@ -75,7 +75,7 @@ def half_angles(equations: Equations, q: Array, axes: Array, places: Sequence[in
             by = sense * np.stack([turn - theta[0], other - theta[1]], axis=1)
             step = np.zeros((POINTS, equations.nv))
             step[:, places] = np.concatenate([by, by * np.sign(opposite)], axis=1)
-            if np.abs(evaluate(equations.system, equations.move(q, step), False, True)[0]).max() < ZERO * POINTS:
+            if np.abs(evaluate(equations.system, equations.move(q, step), False, True)[0]).max() < ZERO:
                 return True
     return False
 

@@ -30,6 +30,9 @@ CLEAR = 1e-5
 """Numbers above this part of what they would be at most are not zero, where they are not computed to more digits."""
 ROUNDING = 1e-11
 """Singular values below this part of the largest are rounding, or what is left where roots are double."""
+SINGULAR = 1e-12
+"""Singular values below this part of the largest are zero to rounding. Where they are not, but too small for a proof
+that they are not zero, only what holds in both cases is proven."""
 GAP = 1e3
 """Ratio of the last singular value that counts to the first that does not from which the rank is beyond doubt."""
 LINES, MIXTURES = 24, 400
@@ -45,7 +48,8 @@ HELD = 24
 class Here(NamedTuple):
     """Equations of a part at a configuration: their reduced Jacobian `matrix`, its singular values and its split.
 
-    `basis` (m, k) are the rows that are looked at, `clear` whether the rank is beyond doubt.
+    `basis` (m, k) are the rows that are looked at, `clear` whether the rank is beyond doubt, `exact` whether what does
+    not count is zero to rounding.
     """
 
     matrix: Array
@@ -53,6 +57,7 @@ class Here(NamedTuple):
     split: Split
     basis: Array
     clear: bool
+    exact: bool
 
 
 def split_of(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
@@ -70,7 +75,7 @@ def split_of(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
     kernel[columns] = Vt[rank:].T
     inverse[columns] = (Vt[:rank].T / sigma[:rank]) @ (basis @ U[:, :rank]).T
     padded = np.concatenate([np.full(nv - n, most), sigma])
-    return Here(A, sigma, Split(q, padded, kernel, basis @ U[:, rank:], inverse), basis, clear)
+    return Here(A, sigma, Split(q, padded, kernel, basis @ U[:, rank:], inverse), basis, clear, rest <= SINGULAR * most)
 
 
 def decide(
@@ -90,8 +95,8 @@ def decide(
         return 0, 0, f"the only velocity is obstructed at order {k}"
     directions = _directions(at, tangents)
     if at.corank == 1:
-        return _one_equation(equations, at, k, found.noise, rng, directions)
-    if k > 2 or at.delta > MANY:
+        return _one_equation(equations, here, k, found.noise, rng, directions)
+    if k > 2 or at.delta > MANY or not here.exact:
         return None
     B = quadratic(equations, at)
     lower = max(known, at.delta - at.corank if any(_regular_zero(B, d) for d in directions) else 0)
@@ -124,15 +129,19 @@ def _directions(at: Split, tangents: Sequence[Array]) -> list[Array]:
 
 
 def _one_equation(
-    equations: Equations, at: Split, k: int, noise: Array, rng: np.random.Generator, directions: list[Array]
+    equations: Equations, here: Here, k: int, noise: Array, rng: np.random.Generator, directions: list[Array]
 ) -> tuple[int, int | None, str] | None:  # fmt: skip
-    delta = at.delta
+    at, delta = here.split, here.split.delta
+    if k > 2 and not here.exact:
+        return None
     lines = [*reduction.unit_directions(rng, LINES, delta), *directions]
     eigen = np.zeros(delta)
     if k == 2 and delta <= MANY:
         eigen, V = np.linalg.eigh(quadratic(equations, at)[0])
         clear = np.abs(eigen) > CLEAR * np.abs(eigen).max()
         if clear.all() and (eigen > 0).all() or clear.all() and (eigen < 0).all():
+            if not here.exact:
+                return None  # a small sphere passes through q where the equation has a linear term
             return 0, 0, "second-order terms of one sign obstruct all velocities"
         lines += list(V.T)
     g, slow = reduction._solve(equations, at, reduction.lines(np.array(lines), len(noise) - 1), None)
@@ -145,7 +154,7 @@ def _one_equation(
         signs |= {sign, sign * (-1) ** int(seen[0])}
     if len(signs) < 2:
         return None
-    crossing = delta == 2 and k == 2 and bool((np.abs(eigen) > CLEAR * np.abs(eigen).max()).all())
+    crossing = here.exact and delta == 2 and k == 2 and bool((np.abs(eigen) > CLEAR * np.abs(eigen).max()).all())
     why = "the one equation that is left has both signs at all small distances"
     return delta - 1, 2 if crossing else None, why
 
@@ -270,4 +279,4 @@ def _isolated(equations: Equations, here: Here, order: int, rng: np.random.Gener
     k = _order(reduction.obstruction(equations, at, order, rng))
     if k is None or at.delta == 1:
         return k is not None
-    return k == 2 and _no_zero(quadratic(equations, at), at.delta, rng)
+    return k == 2 and here.exact and _no_zero(quadratic(equations, at), at.delta, rng)
