@@ -284,3 +284,16 @@ def test_a_trammel_turns_as_it_slides():
     system = w.build()
     m = mobility(system, system.neutral)
     assert (m.dof, m.certain) == (1, False) and m.sentence.startswith("Gruebler says 0, the truth is 1 to order 8")
+
+
+@pytest.mark.parametrize("off", [1e-12, 1e-10, 1e-8, 1e-6])
+def test_axes_that_nearly_meet_leave_lengths_typical(off, hunt):
+    """Two balls of three hinges whose axes miss each other by little: links of that length are no unit of measure."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(5)):
+        centers, around = rng.uniform(-1, 1, (2, 3)), rng.normal(size=(6, 3, 3))
+        joints = [("revolute", centers[i // 3] + off * p, z / np.linalg.norm(z)) for i, (p, z, _) in enumerate(around)]
+        system = known_truths.loop("two balls of hinges", joints).build()
+        m = mobility(system, system.neutral)
+        assert m.closed and system.assemble(near=system.neutral).success
+        assert m.dof == 0 if m.certain else m.dof in (0, 1)

@@ -11,6 +11,7 @@ from kempe import Mechanism, System
 from kempe.description.placement import placement_of_pose
 from kempe.solvers.many_starts import estimates, must_be_even, search
 from kempe.solvers.modes import assembly_modes
+from kempe.spatial import exp_se3
 
 
 def missing(modes: np.ndarray, wanted: np.ndarray) -> int:
@@ -221,3 +222,23 @@ def test_hunt_many_loops(hunt):
     for _ in range(hunt.cases(80)):
         check_rssr(Rssr.random(rng))
         check_six_sps(rng)
+
+
+@pytest.mark.parametrize("factors", [(1.0, 1.0), (0.5, -1.0)], ids=str)
+def test_angles_that_wind_up_make_no_modes(factors):
+    """A differential's angles may go around together, and all bodies are where they were: no mode is listed twice."""
+    rng = np.random.default_rng(3)
+    m = Mechanism("7R with a differential")
+    bodies = ["ground", *(m.body(f"b{i}") for i in range(7)), "ground"]
+    for i in range(8):
+        place = placement_of_pose(exp_se3(rng.uniform(-2, 2, 6)))
+        m.revolute(f"J{i}", bodies[i], bodies[i + 1], at=place, child_at=place)
+    m.couple("J5", {"J1": factors[0], "J2": factors[1]})
+    system, counts = m.build(), set()
+    for seed in range(3):
+        found = system.assembly_modes({"J3": 0.0}, rng=seed)
+        poses = system.fk(found.q)
+        apart = np.abs(poses[:, None] - poses[None]).max(axis=(2, 3, 4)) + 10.0 * np.eye(len(poses))
+        assert len(found.q) > 1 and apart.min() > 1e-5
+        counts.add(len(found.q))
+    assert len(counts) == 1

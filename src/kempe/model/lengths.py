@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 NOTHING = 1e-12
 """Lengths, in metres, that are nobody's link."""
+SHORT = 1e-6
+"""Links shorter than this part of the longest but one are offsets by which axes miss each other, and not typical."""
 FAR = 10.0
 """Characteristic lengths from the ground's origin to its joints beyond which loops are measured from there."""
 
@@ -33,7 +35,8 @@ def characteristic_length(system: System) -> float:
         if spread > NOTHING * (1.0 + float(np.abs(points).max())):
             found.append(spread)
     if found:
-        return float(np.median(found))
+        least = SHORT * sorted(found)[-2:][0]
+        return float(np.median([x for x in found if x > least]))
     table = system.table
     found = np.linalg.norm(table.placement[..., :3, 3], axis=-1).ravel().tolist()
     found += [float(np.linalg.norm(np.asarray(X)[..., :3, 3], axis=-1).max()) for _, X, _ in table.at.values()]

@@ -51,8 +51,8 @@ CONFIDENCE = 0.95
 class Search:
     """Modes found: `clusters`, `free` (k,) freedoms left at each, `twin` (k,) the first of those that are its images.
 
-    `spins` are the idle freedoms that do not count (`asked` whether they were looked for), `odd` says that the number
-    found must be even, and is not.
+    With a `frame`, modes are one that put it at the same pose. `spins` are the idle freedoms that do not count (`asked`
+    whether they were looked for), `odd` says that the number found must be even, and is not.
     """
 
     system: System
@@ -61,6 +61,7 @@ class Search:
     rng: np.random.Generator
     bound: Assembler
     clusters: Clusters
+    frame: str | None = None
     free: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     twin: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     spins: tuple[Any, ...] = ()
@@ -86,7 +87,7 @@ class Search:
         tolerance = np.maximum(SAME, 10.0 * np.sqrt(np.asarray(answer.residual)[good]))
         where = self.clusters.add(found, tolerance, counted)
         self._look(len(self.free))
-        if counted and not self.clusters.frames and not self.asked and self.free.any():
+        if counted and self.frame is None and not self.asked and self.free.any():
             self.asked = True
             self._leave_out_spins(found, tolerance)
         return good, where
@@ -144,7 +145,7 @@ def search(
 ) -> Search:
     """Assembly modes from at most so many random starts, the first of them `near` or home."""
     bound = assembler(system, known)
-    s = Search(system, known, near, rng, bound, Clusters(system, () if frame is None else (frame,)))
+    s = Search(system, known, near, rng, bound, Clusters(system, _places(system, frame)), frame)
     while s.tried < starts:
         n = min(ROUND, starts - s.tried)
         start = _scattered(s, n)
@@ -159,6 +160,18 @@ def search(
             break
     s.odd = s.is_odd()
     return s
+
+
+def _places(system: System, frame: str | None) -> tuple[str, ...]:
+    """The frames whose poses tell modes apart; none where coordinates do.
+
+    Angles in a relation of several wind up: after full turns of some of them all bodies are where they were.
+    """
+    if frame is not None:
+        return (frame,)
+    turning = dict(zip(system.velocity_names, system.coordinates.turning.tolist(), strict=True))
+    winds = any(sum(turning[n] for n in (r.of, *r.sources)) > 1 for r in system.relations)
+    return tuple(system.body_names[1:]) if winds else ()
 
 
 def _scattered(s: Search, n: int) -> Array:
