@@ -148,7 +148,7 @@ def lower_again(loops, work, ask, key, tries, limit, stop):
 
 @routine
 def unwind(loops, work, ask, stage):
-    """Turn angles that a stage holds back by whole turns towards their goals, where that costs no other stage."""
+    """Turn angles that a stage holds back by whole turns towards their goals, where that costs no earlier stage."""
     plan, q = loops.plan, loops.q
     for k in range(plan[L.N_TIES]):
         tie = plan[L.AT_TIES] + L.TIE_INTS * k
@@ -159,11 +159,11 @@ def unwind(loops, work, ask, stage):
         x, y = q[i], nearest_turn(q[i], number_of(loops, k))
         if abs(x - y) < 1.0 or y < number(loops, 1, v) or y > number(loops, 2, v):
             continue
-        own, all_ = square_of(loops, ask, stage, stage, False), square_of(loops, ask, 0, ask.stages, False)
+        own, before = square_of(loops, ask, stage, stage, False), square_of(loops, ask, 0, stage - 1, False)
         q[i] = y
         assess(loops, work)
         now = square_of(loops, ask, stage, stage, False)
-        if now > own or square_of(loops, ask, 0, ask.stages, False) - now > all_ - own + TIGHT:
+        if now > own or square_of(loops, ask, 0, stage - 1, False) > before + TIGHT:
             q[i] = x
             assess(loops, work)
 
@@ -232,9 +232,10 @@ def solve(
     ints, floats: the table; plan, weights: the loops, and pins (N or 1, k), as `loop_layout` says. stages (2 ties):
     stage of each tie and 1 if it is hard. strengths (ties, 3): weight, tolerance of its lengths, in characteristic
     lengths, and of its other rows. starts (N or 1, nq); goals (N or 1, nq): where the last stage leads in mode 1.
-    tries: starts at most, drawn from `seed`, for all rows alike. limit: steps of a start. mode: NOTHING, AHEAD, or the
-    address of a function to lower. stop: address of a function that writes whether the time is up, or 0: it is asked
-    before each start and each step of a lower stage. loose: whether a free base may be moved before the first start.
+    tries: starts at most, drawn from `seed`, for all rows alike; with 0 each stage is lowered in turn from `starts`.
+    limit: steps of a start. mode: NOTHING, AHEAD, or the address of a function to lower. stop: address of a function
+    that writes whether the time is up, or 0: it is asked before each start and each step of a lower stage. loose:
+    whether a free base may be moved before the first start.
     out_q: (N, nq). info: (N, 3) status, steps, starts.
     """
     nq, nv, n_rows, m, ties = ints[NQ], ints[NV], ints[TABLE_ROWS], plan[L.N_ROWS], plan[L.N_TIES]

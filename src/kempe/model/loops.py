@@ -68,10 +68,12 @@ def pack(
     system: System, carried: frozenset[str], held: frozenset[str] = frozenset(),
     pins: tuple[tuple[str, bool], ...] = (), length: float | None = None,
     further: Callable[[Table], list[Tie]] | None = None, wide: np.ndarray | None = None,
+    level: Callable[[Tie], int] | None = None,
 ) -> Loops:  # fmt: skip
     """As `loops_of`, but packed anew, and with `further` ties over the rows of the table that it is given.
 
-    `wide` (nv,) marks angles whose limits do not count, for whole turns lead back into them.
+    `wide` (nv,) marks angles whose limits do not count, for whole turns lead back into them. Ties of a lower `level`
+    stand before others, so that of rows that depend on each other the later ones yield.
     """
     mechanism = system.mechanism
     table = lower(
@@ -82,6 +84,7 @@ def pack(
         table = moved(table, -origin)
     ties = _ties(system, table, carried, pins) + (further(table) if further else [])
     ties = _in_order([t for t in ties if t.rows or t.joint], table)
+    ties = sorted(ties, key=level) if level else ties
     at = dict(table.at)
     for k, tie in enumerate(ties):
         at["tie", k, 0], at["tie", k, 1] = tie.a, tie.b

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from kempe.solvers.contradictions import contradictory
 from kempe.solvers.effort import most_starts
 from kempe.solvers.home import beside, home_of
 from kempe.solvers.lengths import unreachable
+from kempe.solvers.levels import keep, keep_levels, level_of, packed_for
 from kempe.solvers.reached import Reached
 from kempe.solvers.solution import BAD_INPUT, CONTRADICTORY, NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED
 from kempe.spatial import Array
@@ -40,8 +41,6 @@ STARTS = effort.FIRST
 STEPS = 60
 """Steps of one start; those that succeed need 5 to 20."""
 CHUNK, SERIAL_BELOW = 16, 32
-KEPT = 64
-"""Structures of tasks whose packed ties a system keeps, and sets of weights and tolerances kept with each."""
 SLACK = 1.0 + 1e-6
 """By which part of a tolerance the check by the forward model may differ from the solver's own: rounding."""
 PREFER = ("nearest", "mid")
@@ -142,11 +141,11 @@ class Problem:
         if found is None:
             hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
             allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
-            found = _keep(self.packed.stages, asked, (*self._staged(), hard, allowed))
+            found = keep(self.packed.stages, asked, (*self._staged(), hard, allowed))
         return found
 
     def _staged(self) -> tuple[np.ndarray, Array]:
-        keys = [(t.priority, t.weight is not None) for t in self.tasks]
+        keys = [level_of(t) for t in self.tasks]
         order = sorted({k for k, used in zip(keys, self.use, strict=True) if used})
         top = {k: max(t.weight or 0.0 for t, key in zip(self.tasks, keys, strict=True) if key == k) for k in keys}
         ties, length = self.packed.loops.ties, self.packed.loops.length
@@ -195,7 +194,7 @@ def reach(
         raise InputError(f"task is {task!r}; it belongs to a target of one frame, tasks say themselves what they ask")
     turns = prefer is None or prefer == "nearest"
     problem, base = pose_problem(system, wanted, seed, tolerance, starts, rng, turns)
-    search = Problem.run if starts is not None else effort.search
+    search = partial(_search, plain=starts is not None)
     if iterations != STEPS or time_limit is not None:
         end = deadline(time_limit)
         problem = replace(problem, iterations=step_count(iterations), time_limit=time_limit, end=end)
@@ -234,7 +233,7 @@ def pose_problem(
         except ValueError:
             raise InputError(f"seed has shape {base.shape}, the goals have the leading shape {lead}") from None
         base = np.broadcast_to(base, (*lead, system.nq)).reshape(math.prod(lead), system.nq)
-    packed = _packed(system, tasks, turns)
+    packed = packed_for(system, tasks, turns)
     pins = packed.pins(goals, lead if own else ())
     use = (True,) * len(tasks)
     most = most_starts(system, packed) if starts is None else start_count(starts)
@@ -244,6 +243,13 @@ def pose_problem(
     )  # fmt: skip
     starts_at = beside(problem, base) if seed is None else base.reshape(-1, system.nq)
     return problem, np.ascontiguousarray(starts_at)
+
+
+def _search(problem: Problem, base: Array, threads: int | None = 1, plain: bool = False) -> tuple[Array, np.ndarray]:
+    """Configurations (N, nq) and (status, steps, starts) (N, 3), with as many starts as are given, or deserved."""
+    q, info = problem.run(base, threads) if plain else effort.search(problem, base, threads)
+    keep_levels(problem, base, q, info, threads)
+    return q, info
 
 
 def _home(system: System) -> Array:
@@ -290,26 +296,6 @@ def _row(goals: Goals, index: int, lead: tuple[int, ...]) -> Goals:
             index] for x, c in zip(pair, cores, strict=True)]  # fmt: skip
         out.append(tuple(row))
     return out
-
-
-def _packed(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
-    """The packed ties of tasks, made once for each structure; the last few are kept."""
-    key = (turns, *((type(t), t.label, t.structure(system)) for t in tasks))
-    kept = system._queries.setdefault("tasks", {})
-    found = kept.get(key)
-    if found is None:
-        found = Packed(system, tasks, turns=turns)
-        if all(t.lasting for t in tasks):
-            _keep(kept, key, found)
-    return found
-
-
-def _keep(kept: dict[Any, Any], key: Any, value: Any) -> Any:
-    """The value, kept in place of the oldest where there are many."""
-    while len(kept) >= KEPT:
-        kept.pop(next(iter(list(kept)), None), None)
-    kept[key] = value
-    return value
 
 
 def _preferring(problem: Problem, prefer: Any, base: Array) -> Problem:
