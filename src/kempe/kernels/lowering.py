@@ -31,7 +31,7 @@ PASSES = 2
 """Solves of one step: the second with what the first led out of its bounds."""
 TIGHT, ROUNDING = 1e-22, 1e-25
 """Square of what a soft stage misses from which on it is met, and of what earlier ones may miss after each step."""
-CLOSING, MORE, LONG = 6, 3, 24
+CLOSING, MORE, LONG = 6, 3, 12
 """Steps that they may take for that: after a step, at the end, and after a push."""
 """What the last stage lowers: nothing; the distance to `goal`. Anything else is the address of a function."""
 STREAK = 3

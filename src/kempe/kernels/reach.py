@@ -41,7 +41,7 @@ from kempe.kernels.loop_coordinates import (
     sort_of,
     sound,
 )
-from kempe.kernels.lowering import TIGHT, descend, is_late, lower
+from kempe.kernels.lowering import ROUNDING, TIGHT, descend, is_late, lower
 from kempe.kernels.random import mix
 from kempe.kernels.restarts import begin, begin_at, to_middle
 from kempe.kernels.rows import poses_at, scratch_size
@@ -200,6 +200,8 @@ def reach(loops, work, ask, key, tries, limit, mode, stop):
         pinned = pinned or is_hard(loops, ask, s)
     for s in range(1, ask.stages + (1 if mode == NOTHING else 2)):
         if not late and (s > last or not is_hard(loops, ask, s) or missed(loops, ask, s, s) > 1.0):
+            copy(work.held, loops.q, 0, loops.nq)
+            enough, worst = 4.0 * square_of(loops, ask, 0, s - 1, False), missed(loops, ask, 0, s - 1)
             if s <= ask.stages:
                 unwind(loops, work, ask, s)
             used, late = lower_first(loops, work, ask, s, 4 * limit, mode if s > ask.stages else NOTHING, stop)
@@ -207,6 +209,10 @@ def reach(loops, work, ask, key, tries, limit, mode, stop):
             if s == 1 and s <= ask.stages and not (pinned or late):
                 used, late, count = lower_again(loops, work, ask, key, tries, 4 * limit, stop)
                 steps, most = steps + used, max(most, count)
+            lost = not square_of(loops, ask, 0, s - 1, False) <= max(enough, ROUNDING)
+            if lost or missed(loops, ask, 0, s - 1) > max(worst, 1.0):
+                copy(loops.q, work.held, 0, loops.nq)
+                assess(loops, work)
             freeze(loops, work, ask, s)
     unbind(loops, work)
     assess(loops, work)
@@ -240,10 +246,10 @@ def solve(
     """
     nq, nv, n_rows, m, ties = ints[NQ], ints[NV], ints[TABLE_ROWS], plan[L.N_ROWS], plan[L.N_TIES]
     sweep = scratch_size(n_rows)
-    block = np.empty(sweep + 8 * nq + 5 * nv + 9 * m + 3 * ties + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8)
+    block = np.empty(sweep + 9 * nq + 5 * nv + 9 * m + 3 * ties + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8)
     scratch = raw(block)
     q = beyond(scratch, sweep)
-    v = beyond(q, 8 * nq)
+    v = beyond(q, 9 * nq)
     rows = beyond(v, 5 * nv)
     weight = beyond(rows, 9 * m)
     blocks = beyond(weight, 3 * ties)
@@ -252,7 +258,7 @@ def solve(
                 beyond(rows, 2 * m), beyond(rows, 3 * m), beyond(rows, 4 * m), beyond(rows, 5 * m),
                 beyond(rows, 6 * m), beyond(rows, 7 * m), beyond(rows, 8 * m), a, beyond(q, nq), beyond(q, 2 * nq),
                 beyond(q, 3 * nq), beyond(q, 4 * nq), beyond(q, 5 * nq), beyond(q, 6 * nq),
-                beyond(q, 7 * nq))  # fmt: skip
+                beyond(q, 7 * nq), beyond(q, 8 * nq))  # fmt: skip
     last, between = 0, False
     for k in range(ties):
         weight[k], weight[ties + 2 * k], weight[ties + 2 * k + 1] = strengths[k, 0], strengths[k, 1], strengths[k, 2]

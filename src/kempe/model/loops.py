@@ -190,6 +190,20 @@ def _in_order(ties: list[Tie], table: Table) -> list[Tie]:
     return [ties[k] for k in reverse_cuthill_mckee(graph, symmetric_mode=True)]
 
 
+def _by_level(ties: list[Tie], table: Table, level: Callable[[Tie], int]) -> list[Tie]:
+    """The ties in the order of levels, each in an order of its own, so that it is the same without the last level.
+
+    Those of the last level that hold one coordinate each stay where the envelope is smallest.
+    """
+    levels = sorted({level(t) for t in ties})
+    loose = [t.own >= 0 and level(t) == levels[-1] for t in ties]
+    firm = [t for t, free in zip(ties, loose, strict=True) if not free]
+    groups = ([t for t in firm if level(t) == n] for n in levels)
+    strict = iter([t for group in groups for t in _in_order(group, table)])
+    free = {id(t) for t, free in zip(ties, loose, strict=True) if free}
+    return [t if id(t) in free else next(strict) for t in _in_order(ties, table)]
+
+
 def _movers(tie: Tie, table: Table) -> set[int]:
     """Velocity coordinates that a tie shares with others; a relation is said to have none."""
     if tie.own >= 0:

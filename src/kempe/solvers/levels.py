@@ -40,7 +40,8 @@ def packed_for(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
     levels: tuple[int, ...] = ()
     if len(tasks) > 1:
         order = sorted({level_of(t) for t in tasks})
-        levels = tuple(order.index(level_of(t)) for t in tasks) if len(order) > 1 else ()
+        if any(soft for _, soft in order[:-1]):
+            levels = tuple(order.index(level_of(t)) for t in tasks)
     key = (turns, levels, *((type(t), t.label, t.structure(system)) for t in tasks))
     kept = system._queries.setdefault("tasks", {})
     found = kept.get(key)
@@ -68,7 +69,7 @@ def keep_levels(problem: Problem, base: Array, q: Array, info: np.ndarray, threa
     for part in _parts(problem):
         rows = np.flatnonzero((info[:, 0] < S.LATE) & (info[:, 0] != S.BAD_INPUT))
         here = values(part, q[rows], rows)
-        missed = here[:, -1] > MET  # its last level is the soft one
+        missed = (here > MET).any(axis=1)
         rows, here = rows[missed], here[missed]
         if not rows.size or time.monotonic() >= problem.end:
             continue
@@ -82,20 +83,24 @@ def keep_levels(problem: Problem, base: Array, q: Array, info: np.ndarray, threa
         starts = q.copy()
         starts[rows] = alone[better]
         again, more = problem.run(starts, threads, tries=0, rows=rows)
-        kept = (more[:, 0] < S.LATE) & ~is_lower(there, values(part, again, rows))
-        q[rows[kept]], info[rows[kept], 0] = again[kept], more[kept, 0]
+        lost = is_lower(there, values(part, again, rows))
+        again[lost], more[lost, 0] = starts[rows[lost]], S.NOT_FOUND
+        in_time = more[:, 0] < S.LATE
+        q[rows[in_time]], info[rows[in_time], 0] = again[in_time], more[in_time, 0]
         info[rows, 1] += more[:, 1]
 
 
 def _parts(problem: Problem) -> list[Problem]:
-    """The problem up to each soft level that hard tasks follow, or tasks that name angles which could turn on."""
+    """The problem up to each level, from the first soft one on, that hard tasks follow, or tasks that name angles
+    which could turn on without them."""
     levels = tuple(level_of(t) for t in problem.tasks)
     order = sorted(set(levels))
     if len(order) < 2 or not any(soft for _, soft in order[:-1]):
         return []
     ends = problem.packed.stages.get(levels)
     if ends is None:
-        ends = [end for end in order[:-1] if end[1] and _may_differ(problem, end)]
+        first = [soft for _, soft in order].index(True)
+        ends = [end for end in order[first:-1] if _may_differ(problem, end)]
         keep(problem.packed.stages, levels, ends)
     return [_part(problem, end) for end in ends]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -194,17 +194,21 @@ def reach(
         raise InputError(f"task is {task!r}; it belongs to a target of one frame, tasks say themselves what they ask")
     turns = prefer is None or prefer == "nearest"
     problem, base = pose_problem(system, wanted, seed, tolerance, starts, rng, turns)
-    search = partial(_search, plain=starts is not None)
+    search = Problem.run if starts is not None else effort.search
     if iterations != STEPS or time_limit is not None:
         end = deadline(time_limit)
         problem = replace(problem, iterations=step_count(iterations), time_limit=time_limit, end=end)
     if prefer == "manipulability" and problem.lead:  # it depends on the goal, of which each row has its own
         rows = [_preferring(problem.of(i), prefer, base) for i in range(math.prod(problem.lead))]
         each = [search(row, base[i : i + 1] if len(base) > 1 else base) for i, row in enumerate(rows)]
+        for i, (row, (q, info)) in enumerate(zip(rows, each, strict=True)):
+            keep_levels(row, base[i : i + 1] if len(base) > 1 else base, q, info)
         q, info = (np.concatenate([x[k] for x in each] or [np.empty((0, n))]) for k, n in ((0, system.nq), (1, 3)))
     else:
         problem = problem if prefer is None else _preferring(problem, prefer, base)
         q, info = search(problem, base, threads)
+        if len(problem.tasks) > 1:
+            keep_levels(problem, base, q, info, threads)
     answer = judge(problem, q, info)
     if not problem.lead and answer.code == BAD_INPUT:
         for each, goals in zip(problem.tasks, problem.goals, strict=True):
@@ -243,13 +247,6 @@ def pose_problem(
     )  # fmt: skip
     starts_at = beside(problem, base) if seed is None else base.reshape(-1, system.nq)
     return problem, np.ascontiguousarray(starts_at)
-
-
-def _search(problem: Problem, base: Array, threads: int | None = 1, plain: bool = False) -> tuple[Array, np.ndarray]:
-    """Configurations (N, nq) and (status, steps, starts) (N, 3), with as many starts as are given, or deserved."""
-    q, info = problem.run(base, threads) if plain else effort.search(problem, base, threads)
-    keep_levels(problem, base, q, info, threads)
-    return q, info
 
 
 def _home(system: System) -> Array:
