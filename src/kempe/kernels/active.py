@@ -52,13 +52,14 @@ class Work(NamedTuple):
     column: object
     a: object
     home: object
-    """Configurations: where the search starts, five to keep, and where the last stage leads."""
+    """Configurations: where the search starts, six to keep, and where the last stage leads."""
     kept: object
     best: object
     trial: object
     rest: object
     aside: object
     goal: object
+    held: object
 
 
 @device

@@ -31,8 +31,8 @@ PASSES = 2
 """Solves of one step: the second with what the first led out of its bounds."""
 TIGHT, ROUNDING = 1e-22, 1e-25
 """Square of what a soft stage misses from which on it is met, and of what earlier ones may miss after each step."""
-CLOSING, MORE = 6, 3
-"""Steps that they may take for that."""
+CLOSING, MORE, LONG = 6, 3, 12
+"""Steps that they may take for that: after a step, at the end, and after a push."""
 """What the last stage lowers: nothing; the distance to `goal`. Anything else is the address of a function."""
 STREAK = 3
 """Steps that must succeed after one that did not, before the steps of an aim grow again."""
@@ -177,11 +177,11 @@ def value_of(loops, work, ask, stage, mode, part):
 
 
 @routine
-def look_along(loops, work, ask, stage, enough, mode, part, best, slope, longest):
+def look_along(loops, work, ask, stage, bound, mode, part, best, slope, longest):
     """Least value found along the step that was taken, its curvature there, and the length that a parabola suggests.
 
     Every trial is closed; one that is much too long or too short is made once more with the length of the parabola.
-    `trial` is where the least is, `way` the first step.
+    `trial` is where the least is, `way` the first step. A trial counts where earlier stages are within the bound.
     """
     share, least, curve = 1.0, best, 0.0
     copy(work.way, work.step, 0, loops.nv)
@@ -191,7 +191,8 @@ def look_along(loops, work, ask, stage, enough, mode, part, best, slope, longest
             for v in range(loops.nv):
                 work.step[v] = share * work.way[v]
             take(loops, work, FURTHEST * longest)
-        _, held, _ = descend(loops, work, ask, stage - 1, enough, CLOSING)
+        _, held, _ = descend(loops, work, ask, stage - 1, bound[0], CLOSING)
+        held = held and missed(loops, ask, 0, stage - 1) <= bound[1]
         found = value_of(loops, work, ask, stage, mode, part)
         if held and found < least:
             least = found
@@ -217,11 +218,17 @@ def damping_for(loops, work, damping, extra, better):
 
 
 @routine
-def ease(loops, work, ask, stage, limit, mode, stop):
-    """Steps taken from q that lower what a stage misses (mode 0) or the aim, all earlier stages held, whether the time
-    was up, and the value reached; ends in q, assessed.
+def bound_of(loops, work, ask, stage):
+    """What the stages before this one may miss from here on, q closed: square, and largest part of a tolerance."""
+    square = close(loops, work, ask, stage - 1, ROUNDING, CLOSING)
+    return max(ROUNDING, 4.0 * square), max(1.0, missed(loops, ask, 0, stage - 1))
+
+
+@routine
+def ease(loops, work, ask, stage, bound, limit, mode, stop):
+    """Steps taken from q that lower what a stage misses (mode 0) or the aim, whether the time was up, and the value
+    reached; ends in q, assessed. All earlier stages stay within the bound, as they are at q.
     """
-    enough = max(ROUNDING, 4.0 * close(loops, work, ask, stage - 1, ROUNDING, CLOSING))
     copy(work.best, loops.q, 0, loops.nq)
     damping, part, steps, idle, streak, late, longest = 1e-3, 1.0, 0, 0, 0, False, LONGEST
     best, flat = value_of(loops, work, ask, stage, mode, part), FLAT_AIM
@@ -241,7 +248,7 @@ def ease(loops, work, ask, stage, limit, mode, stop):
         step_to(loops, work, 4 + loops.nv, ask.between, True)
         size, _ = take(loops, work, longest)
         slope, bend = slope_of(loops, work, ask, stage, mode, part)
-        least, curve, share = look_along(loops, work, ask, stage, enough, mode, part, best, slope, longest)
+        least, curve, share = look_along(loops, work, ask, stage, bound, mode, part, best, slope, longest)
         better, fall = least < best, best - least
         longest = longest * LONGER if better and share >= FURTHEST else LONGEST
         if not better or fall > CLEAR * abs(best):
@@ -283,16 +290,20 @@ def nudge(loops, key):
 def lower(loops, work, ask, stage, limit, mode, stop):
     """Steps, and whether the time was up; as `ease`, but does not stay on a saddle or a maximum.
 
-    Where the gradient vanishes and the error does not, a little push and a few steps show whether it is one.
+    Where the gradient vanishes and the error does not, a little push and a few steps show whether it is one. The bound
+    is that of before the push: where the earlier stages cannot be closed as they were, there is no way down.
     """
-    steps, late, best = ease(loops, work, ask, stage, limit, mode, stop)
+    bound = bound_of(loops, work, ask, stage)
+    steps, late, best = ease(loops, work, ask, stage, bound, limit, mode, stop)
     if mode == NOTHING and not late and best > TIGHT and steps < limit:
         copy(work.rest, loops.q, 0, loops.nq)
         nudge(loops, mix(np.uint64(0), np.uint64(stage)))
-        used, late, least = ease(loops, work, ask, stage, min(PROBE, limit - steps), mode, stop)
+        used, least = 0, np.inf
+        if close(loops, work, ask, stage - 1, bound[0], LONG) <= bound[0]:
+            used, late, least = ease(loops, work, ask, stage, bound, min(PROBE, limit - steps), mode, stop)
         steps += used
         if least < (1.0 - SADDLE) * best:
-            used, late, best = ease(loops, work, ask, stage, limit - steps, mode, stop)
+            used, late, best = ease(loops, work, ask, stage, bound, limit - steps, mode, stop)
             steps += used
         else:
             copy(loops.q, work.rest, 0, loops.nq)

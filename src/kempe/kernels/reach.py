@@ -41,7 +41,7 @@ from kempe.kernels.loop_coordinates import (
     sort_of,
     sound,
 )
-from kempe.kernels.lowering import TIGHT, descend, is_late, lower
+from kempe.kernels.lowering import ROUNDING, TIGHT, descend, is_late, lower
 from kempe.kernels.random import mix
 from kempe.kernels.restarts import begin, begin_at, to_middle
 from kempe.kernels.rows import poses_at, scratch_size
@@ -148,7 +148,7 @@ def lower_again(loops, work, ask, key, tries, limit, stop):
 
 @routine
 def unwind(loops, work, ask, stage):
-    """Turn angles that a stage holds back by whole turns towards their goals, where that costs no other stage."""
+    """Turn angles that a stage holds back by whole turns towards their goals, where that costs no earlier stage."""
     plan, q = loops.plan, loops.q
     for k in range(plan[L.N_TIES]):
         tie = plan[L.AT_TIES] + L.TIE_INTS * k
@@ -159,11 +159,11 @@ def unwind(loops, work, ask, stage):
         x, y = q[i], nearest_turn(q[i], number_of(loops, k))
         if abs(x - y) < 1.0 or y < number(loops, 1, v) or y > number(loops, 2, v):
             continue
-        own, all_ = square_of(loops, ask, stage, stage, False), square_of(loops, ask, 0, ask.stages, False)
+        own, before = square_of(loops, ask, stage, stage, False), square_of(loops, ask, 0, stage - 1, False)
         q[i] = y
         assess(loops, work)
         now = square_of(loops, ask, stage, stage, False)
-        if now > own or square_of(loops, ask, 0, ask.stages, False) - now > all_ - own + TIGHT:
+        if now > own or square_of(loops, ask, 0, stage - 1, False) > before + TIGHT:
             q[i] = x
             assess(loops, work)
 
@@ -200,6 +200,8 @@ def reach(loops, work, ask, key, tries, limit, mode, stop):
         pinned = pinned or is_hard(loops, ask, s)
     for s in range(1, ask.stages + (1 if mode == NOTHING else 2)):
         if not late and (s > last or not is_hard(loops, ask, s) or missed(loops, ask, s, s) > 1.0):
+            copy(work.held, loops.q, 0, loops.nq)
+            enough, worst = 4.0 * square_of(loops, ask, 0, s - 1, False), missed(loops, ask, 0, s - 1)
             if s <= ask.stages:
                 unwind(loops, work, ask, s)
             used, late = lower_first(loops, work, ask, s, 4 * limit, mode if s > ask.stages else NOTHING, stop)
@@ -207,6 +209,10 @@ def reach(loops, work, ask, key, tries, limit, mode, stop):
             if s == 1 and s <= ask.stages and not (pinned or late):
                 used, late, count = lower_again(loops, work, ask, key, tries, 4 * limit, stop)
                 steps, most = steps + used, max(most, count)
+            lost = not square_of(loops, ask, 0, s - 1, False) <= max(enough, ROUNDING)
+            if lost or missed(loops, ask, 0, s - 1) > max(worst, 1.0):
+                copy(loops.q, work.held, 0, loops.nq)
+                assess(loops, work)
             freeze(loops, work, ask, s)
     unbind(loops, work)
     assess(loops, work)
@@ -232,17 +238,18 @@ def solve(
     ints, floats: the table; plan, weights: the loops, and pins (N or 1, k), as `loop_layout` says. stages (2 ties):
     stage of each tie and 1 if it is hard. strengths (ties, 3): weight, tolerance of its lengths, in characteristic
     lengths, and of its other rows. starts (N or 1, nq); goals (N or 1, nq): where the last stage leads in mode 1.
-    tries: starts at most, drawn from `seed`, for all rows alike. limit: steps of a start. mode: NOTHING, AHEAD, or the
-    address of a function to lower. stop: address of a function that writes whether the time is up, or 0: it is asked
-    before each start and each step of a lower stage. loose: whether a free base may be moved before the first start.
+    tries: starts at most, drawn from `seed`, for all rows alike; with 0 each stage is lowered in turn from `starts`.
+    limit: steps of a start. mode: NOTHING, AHEAD, or the address of a function to lower. stop: address of a function
+    that writes whether the time is up, or 0: it is asked before each start and each step of a lower stage. loose:
+    whether a free base may be moved before the first start.
     out_q: (N, nq). info: (N, 3) status, steps, starts.
     """
     nq, nv, n_rows, m, ties = ints[NQ], ints[NV], ints[TABLE_ROWS], plan[L.N_ROWS], plan[L.N_TIES]
     sweep = scratch_size(n_rows)
-    block = np.empty(sweep + 8 * nq + 5 * nv + 9 * m + 3 * ties + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8)
+    block = np.empty(sweep + 9 * nq + 5 * nv + 9 * m + 3 * ties + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8)
     scratch = raw(block)
     q = beyond(scratch, sweep)
-    v = beyond(q, 8 * nq)
+    v = beyond(q, 9 * nq)
     rows = beyond(v, 5 * nv)
     weight = beyond(rows, 9 * m)
     blocks = beyond(weight, 3 * ties)
@@ -251,7 +258,7 @@ def solve(
                 beyond(rows, 2 * m), beyond(rows, 3 * m), beyond(rows, 4 * m), beyond(rows, 5 * m),
                 beyond(rows, 6 * m), beyond(rows, 7 * m), beyond(rows, 8 * m), a, beyond(q, nq), beyond(q, 2 * nq),
                 beyond(q, 3 * nq), beyond(q, 4 * nq), beyond(q, 5 * nq), beyond(q, 6 * nq),
-                beyond(q, 7 * nq))  # fmt: skip
+                beyond(q, 7 * nq), beyond(q, 8 * nq))  # fmt: skip
     last, between = 0, False
     for k in range(ties):
         weight[k], weight[ties + 2 * k], weight[ties + 2 * k + 1] = strengths[k, 0], strengths[k, 1], strengths[k, 2]

@@ -285,11 +285,14 @@ class Packed:
 
     Lengths are measured in `length` (default: the characteristic length). `owner` (ties,) is the number of the task of
     each tie, -1 for a loop. With `turns`, angles with limits a whole turn apart or more count as having none (`wide`):
-    `inside` brings them back.
+    `inside` brings them back. `levels` are those of the tasks: ties stand in their order, loops with the first.
     """
 
-    def __init__(self, system: System, tasks: Sequence[Task], length: float | None = None, turns: bool = False):
-        self.system, self.tasks = system, tuple(tasks)
+    def __init__(
+        self, system: System, tasks: Sequence[Task], length: float | None = None, turns: bool = False,
+        levels: Sequence[int] = (),
+    ):  # fmt: skip
+        self.system, self.tasks, self.turns = system, tuple(tasks), turns
         owner: dict[int, tuple[int, int]] = {}
         made: list[Tie] = []
 
@@ -302,7 +305,8 @@ class Packed:
 
         self.wide = _wide(system, self.tasks) if turns else np.zeros(system.nv, dtype=bool)
         carried = frozenset(system.closures)
-        self.loops: Loops = pack(system, carried, length=length, further=further, wide=self.wide)
+        level = (lambda tie: levels[owner[id(tie)][0]] if id(tie) in owner else 0) if any(levels) else None
+        self.loops: Loops = pack(system, carried, length=length, further=further, wide=self.wide, level=level)
         self.stages: dict[Hashable, Any] = {}
         """What solvers have worked out of weights and priorities."""
         self.scale: Array = self.loops.weights[L.SCALES : L.SCALES + system.nv]

@@ -68,10 +68,12 @@ def pack(
     system: System, carried: frozenset[str], held: frozenset[str] = frozenset(),
     pins: tuple[tuple[str, bool], ...] = (), length: float | None = None,
     further: Callable[[Table], list[Tie]] | None = None, wide: np.ndarray | None = None,
+    level: Callable[[Tie], int] | None = None,
 ) -> Loops:  # fmt: skip
     """As `loops_of`, but packed anew, and with `further` ties over the rows of the table that it is given.
 
-    `wide` (nv,) marks angles whose limits do not count, for whole turns lead back into them.
+    `wide` (nv,) marks angles whose limits do not count, for whole turns lead back into them. Ties of a lower `level`
+    stand before others, so that of rows that depend on each other the later ones yield.
     """
     mechanism = system.mechanism
     table = lower(
@@ -82,6 +84,7 @@ def pack(
         table = moved(table, -origin)
     ties = _ties(system, table, carried, pins) + (further(table) if further else [])
     ties = _in_order([t for t in ties if t.rows or t.joint], table)
+    ties = sorted(ties, key=level) if level else ties
     at = dict(table.at)
     for k, tie in enumerate(ties):
         at["tie", k, 0], at["tie", k, 1] = tie.a, tie.b
@@ -185,6 +188,20 @@ def _in_order(ties: list[Tie], table: Table) -> list[Tie]:
     i, j = np.array(pairs).T
     graph = csr_matrix((np.ones(len(pairs)), (i, j)), shape=(len(ties), len(ties)))
     return [ties[k] for k in reverse_cuthill_mckee(graph, symmetric_mode=True)]
+
+
+def _by_level(ties: list[Tie], table: Table, level: Callable[[Tie], int]) -> list[Tie]:
+    """The ties in the order of levels, each in an order of its own, so that it is the same without the last level.
+
+    Those of the last level that hold one coordinate each stay where the envelope is smallest.
+    """
+    levels = sorted({level(t) for t in ties})
+    loose = [t.own >= 0 and level(t) == levels[-1] for t in ties]
+    firm = [t for t, free in zip(ties, loose, strict=True) if not free]
+    groups = ([t for t in firm if level(t) == n] for n in levels)
+    strict = iter([t for group in groups for t in _in_order(group, table)])
+    free = {id(t) for t, free in zip(ties, loose, strict=True) if free}
+    return [t if id(t) in free else next(strict) for t in _in_order(ties, table)]
 
 
 def _movers(tie: Tie, table: Table) -> set[int]:

@@ -26,6 +26,7 @@ from kempe.solvers.contradictions import contradictory
 from kempe.solvers.effort import most_starts
 from kempe.solvers.home import beside, home_of
 from kempe.solvers.lengths import unreachable
+from kempe.solvers.levels import keep, keep_levels, level_of, packed_for
 from kempe.solvers.reached import Reached
 from kempe.solvers.solution import BAD_INPUT, CONTRADICTORY, NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED
 from kempe.spatial import Array
@@ -40,8 +41,6 @@ STARTS = effort.FIRST
 STEPS = 60
 """Steps of one start; those that succeed need 5 to 20."""
 CHUNK, SERIAL_BELOW = 16, 32
-KEPT = 64
-"""Structures of tasks whose packed ties a system keeps, and sets of weights and tolerances kept with each."""
 SLACK = 1.0 + 1e-6
 """By which part of a tolerance the check by the forward model may differ from the solver's own: rounding."""
 PREFER = ("nearest", "mid")
@@ -142,11 +141,11 @@ class Problem:
         if found is None:
             hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
             allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
-            found = _keep(self.packed.stages, asked, (*self._staged(), hard, allowed))
+            found = keep(self.packed.stages, asked, (*self._staged(), hard, allowed))
         return found
 
     def _staged(self) -> tuple[np.ndarray, Array]:
-        keys = [(t.priority, t.weight is not None) for t in self.tasks]
+        keys = [level_of(t) for t in self.tasks]
         order = sorted({k for k, used in zip(keys, self.use, strict=True) if used})
         top = {k: max(t.weight or 0.0 for t, key in zip(self.tasks, keys, strict=True) if key == k) for k in keys}
         ties, length = self.packed.loops.ties, self.packed.loops.length
@@ -202,10 +201,14 @@ def reach(
     if prefer == "manipulability" and problem.lead:  # it depends on the goal, of which each row has its own
         rows = [_preferring(problem.of(i), prefer, base) for i in range(math.prod(problem.lead))]
         each = [search(row, base[i : i + 1] if len(base) > 1 else base) for i, row in enumerate(rows)]
+        for i, (row, (q, info)) in enumerate(zip(rows, each, strict=True)):
+            keep_levels(row, base[i : i + 1] if len(base) > 1 else base, q, info)
         q, info = (np.concatenate([x[k] for x in each] or [np.empty((0, n))]) for k, n in ((0, system.nq), (1, 3)))
     else:
         problem = problem if prefer is None else _preferring(problem, prefer, base)
         q, info = search(problem, base, threads)
+        if len(problem.tasks) > 1:
+            keep_levels(problem, base, q, info, threads)
     answer = judge(problem, q, info)
     if not problem.lead and answer.code == BAD_INPUT:
         for each, goals in zip(problem.tasks, problem.goals, strict=True):
@@ -234,7 +237,7 @@ def pose_problem(
         except ValueError:
             raise InputError(f"seed has shape {base.shape}, the goals have the leading shape {lead}") from None
         base = np.broadcast_to(base, (*lead, system.nq)).reshape(math.prod(lead), system.nq)
-    packed = _packed(system, tasks, turns)
+    packed = packed_for(system, tasks, turns)
     pins = packed.pins(goals, lead if own else ())
     use = (True,) * len(tasks)
     most = most_starts(system, packed) if starts is None else start_count(starts)
@@ -290,26 +293,6 @@ def _row(goals: Goals, index: int, lead: tuple[int, ...]) -> Goals:
             index] for x, c in zip(pair, cores, strict=True)]  # fmt: skip
         out.append(tuple(row))
     return out
-
-
-def _packed(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
-    """The packed ties of tasks, made once for each structure; the last few are kept."""
-    key = (turns, *((type(t), t.label, t.structure(system)) for t in tasks))
-    kept = system._queries.setdefault("tasks", {})
-    found = kept.get(key)
-    if found is None:
-        found = Packed(system, tasks, turns=turns)
-        if all(t.lasting for t in tasks):
-            _keep(kept, key, found)
-    return found
-
-
-def _keep(kept: dict[Any, Any], key: Any, value: Any) -> Any:
-    """The value, kept in place of the oldest where there are many."""
-    while len(kept) >= KEPT:
-        kept.pop(next(iter(list(kept)), None), None)
-    kept[key] = value
-    return value
 
 
 def _preferring(problem: Problem, prefer: Any, base: Array) -> Problem:

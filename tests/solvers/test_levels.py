@@ -1,0 +1,145 @@
+"""Levels of tasks: none is disturbed by those behind it, compared with the same call without them, on random robots."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import Mechanism, System, tasks
+from kempe.solvers.reached import Reached
+
+HAND = "panda_hand_tcp"
+NAMES = ("panda", "ur5", "xarm6", "iiwa14")
+CLOSE, LITTLE = 1e-5, 2e-6
+"""By which part of what a level misses, and by how much, it may differ with and without the levels behind it."""
+KINDS = ("Pose", "Position", "Orientation", "Pointing", "OnPlane", "OnLine", "HalfSpace", "Posture")
+
+
+def solve(s: System, wanted: list[tasks.Task], **more) -> Reached:
+    answer = s.ik(wanted, **more)
+    assert isinstance(answer, Reached)
+    return answer
+
+
+def arm(rng: np.random.Generator) -> System:
+    """Four to seven joints that turn, some within more than a turn, or slide, on the ground or on a flying body."""
+    m, before = Mechanism("arm"), "ground"
+    if rng.random() < 0.2:
+        m.free("base", m.ground, m.body("torso"))
+        before = "torso"
+    for k in range(int(rng.integers(4, 8))):
+        at, rpy, body = rng.normal(0.0, 0.3, 3), rng.normal(0.0, 1.5, 3), m.body(f"b{k}")
+        if rng.random() < 0.15:
+            m.prismatic(f"j{k}", before, body, at=at, rpy=rpy, limits=(-0.3, 0.3))
+        else:
+            turn = rng.choice([1.0, 2.0, 3.0, 2.0 * math.pi])
+            m.revolute(f"j{k}", before, body, at=at, rpy=rpy, limits=(-turn, turn))
+        before = f"b{k}"
+    m.frame("tip", before, at=rng.normal(0.0, 0.3, 3))
+    return m.build()
+
+
+def task(s: System, rng: np.random.Generator, q: np.ndarray, level: int, soft: bool) -> tasks.Task:
+    """A task that q holds, of any kind."""
+    frames, kind = s.frame_names, KINDS[rng.integers(len(KINDS))]
+    frame = frames[int(rng.integers(len(frames) // 2, len(frames)))]
+    X = s.fk(q, frame)
+    goal = {"Pose": (X,), "Position": (X[:3, 3],), "Orientation": (X[:3, :3],), "Pointing": (X[:3, 2],)}
+    more = {"weight": float(rng.uniform(0.2, 3.0)) if soft else None, "priority": level, "name": f"level {level}"}
+    if kind == "Posture":
+        return tasks.Posture(q, **more)
+    return getattr(tasks, kind)(frame, *goal.get(kind, (X[:3, 3], X[:3, 1])), **more)
+
+
+def missed(s: System, answer: Reached, wanted: tasks.Task) -> float:
+    """What a task misses, by the forward model; lengths in those of the solver."""
+    if isinstance(wanted, tasks.Posture):
+        return float(np.linalg.norm(s.difference(np.asarray(wanted.q), answer.q)))
+    linear, angular = answer.errors[wanted.name]
+    return math.hypot(linear / answer.asked.packed.loops.length, angular)
+
+
+def compare(s: System, wanted: list[tasks.Task], seed: np.ndarray) -> None:
+    """While hard tasks hold, each level misses as much, or less, with those behind it, up to the first that misses
+    less, and only a hard task behind them can cost a success."""
+    before = solve(s, wanted[:1], seed=seed, starts=60)
+    for n in range(1, len(wanted)):
+        after = solve(s, wanted[: n + 1], seed=seed, starts=60)
+        if not before.success:
+            return
+        assert after.success or wanted[n].weight is None
+        for each in wanted[:n]:
+            least, now = missed(s, before, each), missed(s, after, each)
+            assert now <= least * (1.0 + CLOSE) + LITTLE / after.asked.packed.loops.length, (n, each, least, now)
+            if now < least * (1.0 - CLOSE) - LITTLE:
+                break
+        before = after
+
+
+def hunted(rng: np.random.Generator, mixed: bool) -> None:
+    """One case: two to four levels, most of the later ones out of reach of what the earlier ones hold."""
+    s = arm(rng) if rng.random() < 0.5 else kempe.load(NAMES[rng.integers(len(NAMES))])
+    q, count = s.random(rng), int(rng.integers(2, 5))
+    goals = [q if k == 0 or rng.random() < 0.4 else s.random(rng) for k in range(count)]
+    soft = [bool(rng.random() < 0.6) if mixed else k > 0 for k in range(count)]
+    wanted = [task(s, rng, goals[k], k, soft[k]) for k in range(count)]
+    compare(s, wanted, q if rng.random() < 0.5 else s.random(rng))
+
+
+@pytest.mark.parametrize("seed", [856, 1232, 1747, 2020, 2061, 2462])
+def test_a_posture_costs_neither_the_place_nor_the_direction(seed):
+    """The direction cannot be met in this place: its least leaves next to no freedom, and its rows depend on the
+    others."""
+    s, rng = kempe.load("panda"), np.random.default_rng(seed)
+    q, other = s.random(rng), s.random(rng)
+    X, Y = s.fk(q, HAND), s.fk(other, HAND)
+    place = tasks.Position(HAND, X[:3, 3], name="place")
+    direction = tasks.Pointing(HAND, Y[:3, 2], weight=1.0, priority=1, name="direction")
+    without = solve(s, [place, direction], seed=q)
+    answer = solve(s, [place, direction, tasks.Posture(other, weight=1.0, priority=2)], seed=q)
+    assert without.success and answer.success and answer.errors["place"][0] <= 1e-9
+    assert answer.errors["direction"][1] == pytest.approx(without.errors["direction"][1], abs=1e-9)
+
+
+@pytest.mark.parametrize("mixed", [False, True], ids=["soft", "mixed"])
+def test_no_level_is_disturbed_by_those_behind_it(mixed, hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(60)):
+        hunted(rng, mixed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mixed", [False, True], ids=["soft", "mixed"])
+def test_no_level_is_disturbed_by_those_behind_it_in_many_cases(mixed, hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(600)):
+        hunted(rng, mixed)
+
+
+def test_a_turn_is_taken_for_an_earlier_level_whatever_a_later_one_wants():
+    """The second posture wants what the first leaves, nothing: the first turns back by a whole turn all the same."""
+    s = kempe.load("ur5")
+    frame, q = s.frame_names[-1], 0.3 * s.random(0)
+    turned = q - 2.0 * math.pi * np.sign(q)
+    first, second = tasks.Posture(q, priority=1, name="first"), tasks.Posture(turned, priority=2, name="second")
+    answer = solve(s, [tasks.Pose(frame, s.fk(q, frame)), first, second], seed=turned)
+    np.testing.assert_allclose(answer.q, q, atol=1e-6)
+
+
+def test_rows_of_a_batch_are_single_calls_whatever_the_threads():
+    """A soft place out of reach before a hard direction: each row is also looked at without the direction."""
+    s, rng, n = kempe.load("ur5"), np.random.default_rng(3), 40
+    frame = s.frame_names[-1]
+    X, Y, seed = 1.3 * s.fk(s.random(rng, n), frame), s.fk(s.random(rng, n), frame), s.random(rng, n)
+
+    def wanted(i) -> list[tasks.Task]:
+        place = tasks.Position(frame, X[i, :3, 3], weight=1.0, name="place")
+        return [place, tasks.Pointing(frame, Y[i, :3, 2], priority=1), tasks.Posture(s.mid, priority=2)]
+
+    together = solve(s, wanted(slice(None)), seed=seed, threads=1)
+    np.testing.assert_array_equal(together.q, solve(s, wanted(slice(None)), seed=seed, threads=4).q)
+    for i in range(n):
+        np.testing.assert_array_equal(together.q[i], solve(s, wanted(i), seed=seed[i]).q)
