@@ -71,20 +71,21 @@ from kempe.kernels.scratch import beyond
 CANDIDATES = 24
 """Candidates at most; 16 postures are possible."""
 
-ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, SINGULAR, FREE, UNMATCHED = (
-    2**k for k in range(11)
+ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, SINGULAR, FREE, UNMATCHED, SHARED = (
+    2**k for k in range(12)
 )
 """Bits of `suspect`: an odd number of candidates; a pair of roots so nearly real that two postures may have been lost;
 eigenvalues not found; leading matrix nearly singular; fewer null vectors than roots, some that cannot be told apart, or
 too many candidates; a real root that led to no posture; two that led to the same; no independent equations; a singular
 posture, where others may merge with it or be connected with it by a self-motion; a hidden joint that is nearly free, as
 on a self-motion, or near one, where the eigenvalues are those of noise; a real root without a posture of its own that
-has its value of the hidden joint, or a posture without a root."""
+has its value of the hidden joint, or a posture without a root; a triple that does not determine the pair, so that two
+postures may share it."""
 
 DEGENERATE = NO_EIGENVALUES | ILL_LEAD | ILL_NULL | UNUSABLE
 """Bits of doubts that a goal nearby may not raise."""
 
-UNSOUND = DEGENERATE | UNMATCHED
+UNSOUND = DEGENERATE | UNMATCHED | SHARED
 """Bits of doubts that do not vanish where another formulation finds the same."""
 
 WIDER = 100.0
@@ -96,6 +97,9 @@ Newton's steps up to which a candidate that they lead astray is a stray."""
 
 BLURRED, SURELY = 1e-2, 10.0
 """Error of a null space from which it means nothing; how many times that it must be away from having more postures."""
+
+DETERMINED = 1e-6
+"""Least over largest column of the pair's equations below which they have more than one solution."""
 
 NOISE, SIMPLE = 1e-7, 1e-5
 """Error of a matrix up to which its null vector may be that of a posture; last but one pivot of a simple root."""
@@ -204,7 +208,10 @@ def _vectors_at(angle, alike, w):
 
 @routine
 def _posture(s, angle, k, theta):
-    """How far null vector k is from one of a posture, infinite at infinity; writes the six coordinates."""
+    """(how far null vector k is from one of a posture, infinite at infinity; how well it determines the pair).
+
+    Writes the six coordinates.
+    """
     w, work = s.w, beyond(s.w, _WORK)
     hidden, removed = hidden_of(s.formulation), removed_of(s.formulation)
     first, second, defect = angles_of(beyond(w, _VECTORS + ROW * k))
@@ -212,11 +219,11 @@ def _posture(s, angle, k, theta):
         place = TRIPLE + LINE_STRIDE * joint
         x = angle if joint == hidden else first if joint == (1 if hidden == 0 else 0) else second
         if at_infinity(w[place + IS_SLIDE] != 0.0, x):
-            return math.inf
+            return math.inf, 1.0
         theta[int(w[place + NUMBER])] = _coordinate(w, place, x)
-    pair_of(w, theta, work)
+    quality = pair_of(w, theta, work)
     theta[removed] = removed_turn(s.kinds, s.lines, s.near, removed, theta, work)
-    return defect
+    return defect, quality
 
 
 class Search(NamedTuple):
@@ -279,13 +286,14 @@ def _add(s, i, n, twins, count, strays):
         if count == CANDIDATES:
             return count, strays, suspect | ILL_NULL
         theta = beyond(found, FOUND * count)
-        defect = _posture(s, angle, k, theta)
+        defect, quality = _posture(s, angle, k, theta)
         other = vectors == 1 and second > SIMPLE and imaginary == 0.0 and defect * second > NOISE
         none += int(other or defect == math.inf)
         if defect == math.inf:
             continue
         state = settle(s.kinds, s.lines, s.goal, found, count, work)
         suspect |= SINGULAR if state > 0 and is_singular(found, count) else 0
+        suspect |= SHARED if state >= 0 and quality < DETERMINED else 0
         if state < 0 and not other:
             suspect |= ASTRAY if imaginary < REAL else (NEARLY_REAL if imaginary < DOUBT else 0)
             if theta[RAW_ERROR] < CLOSE and strays < CANDIDATES:

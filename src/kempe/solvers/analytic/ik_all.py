@@ -168,9 +168,11 @@ def solve(
     start = np.array([plan.first]) if near is None and plan.first else chain_near
     first = _locked(question, plan, start, values) if plan.locked else chain_near
     out, counts = solve_held(question, plan, chain_near, first, threads)
-    code = out[0, 0, -A.INFO + A.CODE] if question.lead is None else A.UNUSED
-    fits = code >= 0.0 and code % 2.0 == 1.0  # the first of rows in order is inside the limits
-    if fits or (plan.locked == plan.fixed and not lines.span.wide):
+    settled = plan.locked == plan.fixed and not lines.span.wide
+    if question.lead is None and not settled:
+        code = float(out[0, 0, -A.INFO + A.CODE])
+        settled = code >= 0.0 and code % 2.0 == 1.0  # the first of rows in order is inside the limits
+    if settled:
         return Solutions(question, plan, base, out, counts, question.lead, locked=first, first=first)
     from kempe.solvers.analytic.further import look_further
 
