@@ -101,9 +101,9 @@ def moved(arm: arms.Arm, rng: np.random.Generator, q: np.ndarray) -> tuple[int, 
     if answers[0].plan.method == "search" or answers[0].plan.locked:
         return 0, 0
     scale = np.where(model.kinds == oracle.SLIDE, model.size, 1.0)
-    shift, angles = model.theta(q + d) - model.theta(q), [0, 0]
+    shift, angles = model.theta(q + d) - model.theta(q), []
     for i, answer in enumerate(answers):
-        angles[i] = model.theta(np.where(answer.mask[..., None], answer.q, 0.0)) - i * shift[:, None]
+        angles.append(model.theta(np.where(answer.mask[..., None], answer.q, 0.0)) - i * shift[:, None])
         lost = (gaps(arm, answer, q + i * d) > 1e-6) & (regularity(model, model.theta(q + i * d), scale) > 1e-4)
         assert not (lost & answer.complete).any(), f"{arm.name}: complete without the given one, steps {arm.steps}"
     for here, there in ((0, 1), (1, 0)):

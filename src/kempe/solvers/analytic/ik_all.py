@@ -30,6 +30,8 @@ TOLERANCE = 1e-9
 
 EPSILON = float(np.finfo(float).eps)
 CHUNK, SERIAL_BELOW = 256, 4096
+NONE = np.zeros(0, dtype=np.int64)
+"""No targets."""
 
 
 def ik_all(
@@ -223,13 +225,14 @@ def solve_held(
         return 0
 
     over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
-    none = np.flatnonzero(counts[:, 0] == 0)
-    if plan.rests and len(none) and (other := plan.other) is not None:  # two completions have to agree
+    maybe_none = n != 1 or counts.item(0) == 0
+    none = np.flatnonzero(counts[:, 0] == 0) if maybe_none and plan.rests else NONE
+    if len(none) and (other := plan.other) is not None:  # two completions have to agree
         kernel_of(other)(
             other.ints, other.floats, targets, chain_near, locked, question.tolerance, question.angular,
             int(single), none, out, counts,
         )  # fmt: skip
-    lost = np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0))
+    lost = np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0)) if maybe_none else NONE
     if len(lost):  # the equations said nothing: starts may
         from kempe.solvers.analytic.search import search
 
