@@ -264,5 +264,3 @@ def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Ar
     if question.lead is None and not np.isfinite(out[:, list(plan.locked)]).all():
         raise InputError("a joint is held at a value that is not finite")
     return np.ascontiguousarray(out)
-
-
