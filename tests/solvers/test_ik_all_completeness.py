@@ -71,6 +71,76 @@ def test_points_of_a_curve_leave_room_for_the_isolated_solutions(name):
     assert not (missed & answer.complete[where]).any()
 
 
+SHARING = {  # rows (a, alpha [degrees], d, type) and a configuration
+    "closed": ([(0.3, 60, 0.3, "prismatic"), (0, -90, 0.5), (0, 90, 0), (0.3, 60, 0.3), (0.3, -90, 0.3),
+                (0.3, 90, 0.3)],
+               [-0.726509, -H, -1.349116, H, -H, 3.484955]),
+    "elimination": ([(-0.2, -90, 0.5, "prismatic"), (0.3, 90, 0.5), (0.3, 180, -0.2), (0, 60, 0.5), (0.3, 90, 0.3),
+                     (0.3, -90, 0)], [0.063988483, 1.581321318, 0, H, -H, -0.101023264]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("method", SHARING)
+def test_two_solutions_that_differ_in_a_slide_and_its_neighbours_only(method):
+    """Three joints have the same values in both: what the first are computed from does not say all of the others."""
+    rows, q = SHARING[method]
+    arm = arms.table(method, [(a, np.radians(t), d, 0.0, *kind) for a, t, d, *kind in rows], "structured", 16)
+    answer = arm.system.ik_all(arm.model.fk(np.array([q])), arm.frame)
+    assert answer.plan.method == method
+    assert answer.mask.sum() == 8 and answer.complete.all()
+
+
+def moved(arm: arms.Arm, rng: np.random.Generator, q: np.ndarray) -> tuple[int, int]:
+    """(poses judged, poses whose answer is not complete): answers have the configuration that gave the target.
+
+    And where the first and the last joint are moved, the same solutions moved with them.
+    """
+    model, d = arm.model, np.zeros(q.shape)
+    d[:, [0, -1]] = rng.uniform(-2, 2, (len(q), 2))
+    answers = [arm.system.ik_all(model.fk(x), arm.frame) for x in (q, q + d)]
+    if answers[0].plan.method == "search" or answers[0].plan.locked:
+        return 0, 0
+    scale = np.where(model.kinds == oracle.SLIDE, model.size, 1.0)
+    shift, angles = model.theta(q + d) - model.theta(q), []
+    for i, answer in enumerate(answers):
+        angles.append(model.theta(np.where(answer.mask[..., None], answer.q, 0.0)) - i * shift[:, None])
+        lost = (gaps(arm, answer, q + i * d) > 1e-6) & (regularity(model, model.theta(q + i * d), scale) > 1e-4)
+        assert not (lost & answer.complete).any(), f"{arm.name}: complete without the given one, steps {arm.steps}"
+    for here, there in ((0, 1), (1, 0)):
+        off = np.abs(model.wrapped(angles[here][:, :, None] - angles[there][:, None]) / scale).max(axis=-1)
+        off = np.where(answers[there].mask[:, None], off, np.inf).min(axis=-1)
+        at = np.nonzero(answers[here].mask & (off > 1e-5) & answers[there].complete[:, None])
+        false = regularity(model, model.theta(answers[here].q[at]), scale) > 1e-4
+        assert not false.any(), (
+            f"{arm.name}: {answers[here].q[at][false][0].tolist()} is missed when joints 1 and 6 are moved, "
+            f"for q = {q[at[0][false][0]].tolist()}, steps {arm.steps}"
+        )
+    return 2 * len(q), sum(int((~answer.complete).sum()) for answer in answers)
+
+
+def regularity(model: oracle.Model, theta: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Smallest singular value of the Jacobian over the largest, (m,) of configurations (m, n)."""
+    if not len(theta):
+        return np.zeros(0)
+    J = model.jacobian(theta)
+    J[:, :3] /= model.size
+    values = np.linalg.svd(J * scale, compute_uv=False)
+    return values[:, -1] / values[:, 0]
+
+
+def poses(arm: arms.Arm, rng: np.random.Generator, count: int) -> np.ndarray:
+    """Structured configurations (count, nq); half of them on lines, right angles but for one joint and the ends."""
+    q = continuation.structured_poses(arm, rng, count)
+    half, n = count // 2, q.shape[1]
+    line = PI * rng.choice([0, 0.25, 0.5, 0.5, -0.5, -0.5, 1.0, -0.25], (half, n))
+    line[np.arange(half), rng.integers(1, n - 1, half)] = rng.uniform(-PI, PI, half)
+    line[:, [0, -1]] = rng.uniform(-3, 3, (half, 2))
+    slides = np.zeros(n, dtype=bool)
+    slides[arm.model.index[arm.model.kinds == oracle.SLIDE]] = True
+    q[:half] = np.where(slides, 0.1 * line, line)
+    return q
+
+
 def judged(arm: arms.Arm, rng: np.random.Generator, count: int) -> tuple[int, int]:
     """(poses judged, poses whose answer is not complete): structured poses whose answers miss nothing if complete."""
     q = continuation.structured_poses(arm, rng, count)
@@ -126,18 +196,37 @@ def test_complete_answers_are_what_thousands_of_starts_find(name, hunt):
             assert arm.model.apart(theta, solution).min() < 1e-6
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["hc20", *NAMED])
-def test_long_hunt_for_missed_solutions(name, hunt):
-    """Thousands of structured poses of each robot; `--hunt-times 3` makes 10^5 of all."""
-    arm, rng = arm_of(name), hunt.rng()
-    for _ in range(hunt.cases(2)):
-        judged(arm, rng, 1000)
+def test_moved_targets_have_the_same_solutions(hunt):
+    """Robots and structured arms, a few of the poses of the long hunt."""
+    rng, count = hunt.rng(), 0
+    for name in ("hc20", *NAMED):
+        arm = arm_of(name)
+        count += moved(arm, rng, poses(arm, rng, hunt.cases(40)))[0]
+    for i in range(hunt.cases(10)):
+        arm = continuation.structured_arm(rng, i)
+        count += moved(arm, rng, poses(arm, rng, 20))[0]
+    assert count > 0
 
 
 @pytest.mark.slow
-def test_long_hunt_with_structured_arms(hunt):
-    """Many arms, few poses of each."""
+@pytest.mark.parametrize("part", range(5))
+def test_long_hunt_for_missed_solutions(part, hunt):
+    """10^5 structured poses in all: of the robots by turns, and of as many structured arms."""
+    rng, names, count, i = hunt.rng(), ["hc20", *NAMED], 0, part
+    while count < hunt.cases(20_000):
+        arm = arm_of(names[i % len(names)])
+        count += moved(arm, rng, poses(arm, rng, 1000))[0]
+        for _ in range(4):
+            i += 1
+            arm = continuation.structured_arm(rng, i)
+            count += moved(arm, rng, poses(arm, rng, 100))[0]
+
+
+@pytest.mark.slow
+def test_followed_solutions_are_not_missed(hunt):
+    """10^4 structured poses, judged by solutions that are followed from targets aside."""
     rng = hunt.rng()
-    for i in range(hunt.cases(60)):
-        judged(continuation.structured_arm(rng, i), rng, 50)
+    for name in ("hc20", *NAMED):
+        judged(arm_of(name), rng, hunt.cases(400))
+    for i in range(hunt.cases(100)):
+        judged(continuation.structured_arm(rng, i), rng, 30)

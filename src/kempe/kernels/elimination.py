@@ -49,7 +49,7 @@ from kempe.kernels.elimination_pencil import (
     null_at_i,
     pivot_ratio,
 )
-from kempe.kernels.elimination_polish import disturb, polish, wrapped
+from kempe.kernels.elimination_polish import disturb, wrapped
 from kempe.kernels.elimination_roots import (
     ANGLE,
     DOUBT,
@@ -65,26 +65,27 @@ from kempe.kernels.elimination_roots import (
     together,
     write_roots,
 )
-from kempe.kernels.layout import SLIDE
+from kempe.kernels.elimination_settle import CLAIMED, FOUND, KNOWN, RAW_ERROR, START, is_singular, settle, twin
 from kempe.kernels.scratch import beyond
 
 CANDIDATES = 24
 """Candidates at most; 16 postures are possible."""
 
-ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, SINGULAR, FREE, UNMATCHED = (
-    2**k for k in range(11)
+ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, SINGULAR, FREE, UNMATCHED, SHARED = (
+    2**k for k in range(12)
 )
 """Bits of `suspect`: an odd number of candidates; a pair of roots so nearly real that two postures may have been lost;
 eigenvalues not found; leading matrix nearly singular; fewer null vectors than roots, some that cannot be told apart, or
 too many candidates; a real root that led to no posture; two that led to the same; no independent equations; a singular
 posture, where others may merge with it or be connected with it by a self-motion; a hidden joint that is nearly free, as
 on a self-motion, or near one, where the eigenvalues are those of noise; a real root without a posture of its own that
-has its value of the hidden joint, or a posture without a root."""
+has its value of the hidden joint, or a posture without a root; a triple that does not determine the pair, so that two
+postures may share it."""
 
 DEGENERATE = NO_EIGENVALUES | ILL_LEAD | ILL_NULL | UNUSABLE
 """Bits of doubts that a goal nearby may not raise."""
 
-UNSOUND = DEGENERATE | UNMATCHED
+UNSOUND = DEGENERATE | UNMATCHED | SHARED
 """Bits of doubts that do not vanish where another formulation finds the same."""
 
 WIDER = 100.0
@@ -94,20 +95,11 @@ NEARLY_FREE, CLOSE = 1e-5, 0.1
 """Pivot ratio of the leading matrix below which all values of the hidden joint are roots, or nearly; error before
 Newton's steps up to which a candidate that they lead astray is a stray."""
 
-STEPS = 12
-"""Newton steps of a candidate at most; two or three are usual, where postures merge each halves the distance."""
-
-ACCEPT = 1e-9
-"""Error up to which a candidate is kept."""
-
-SINGULAR_RATIO = 1e-5
-"""Pivot ratio of the Jacobian below which a posture counts as singular."""
-
-APART = 1e-6
-"""Coordinates that differ by less are the same posture."""
-
 BLURRED, SURELY = 1e-2, 10.0
 """Error of a null space from which it means nothing; how many times that it must be away from having more postures."""
+
+DETERMINED = 1e-6
+"""Least over largest column of the pair's equations below which they have more than one solution."""
 
 NOISE, SIMPLE = 1e-7, 1e-5
 """Error of a matrix up to which its null vector may be that of a posture; last but one pivot of a simple root."""
@@ -123,10 +115,6 @@ NO_MATRIX, GOOD_LEAD = 1e-12, 1e-7
 
 REFERENCES, GOOD_REFERENCE = 4, 1e-3
 """Zeros of the hidden joint that are tried, and the pivot ratio of the leading matrix that is good enough."""
-
-FOUND, RAW_ERROR, PIVOTS, START = 16, 6, 7, 8
-"""Numbers of a candidate in scratch: coordinates, error before Newton's steps, pivot ratio of the Jacobian after them,
-coordinates before them."""
 
 _LOOP = 0
 _FANS = _LOOP + LOOP_SIZE
@@ -188,42 +176,6 @@ def _coordinate(w, place, angle):
     return angle if w[place + IS_SLIDE] == 0.0 else math.tan(0.5 * angle)
 
 
-@routine
-def _settle(kinds, lines, goal, found, count, work):
-    """(state, suspicion): candidate `count` becomes a new posture (1), one of those before (0), or none (-1)."""
-    theta = beyond(found, FOUND * count)
-    for j in range(6):
-        theta[START + j] = theta[j]
-    begin, end, ratio = polish(kinds, lines, goal, theta, work, STEPS)
-    theta[RAW_ERROR], theta[PIVOTS] = begin, ratio
-    if not end < ACCEPT:
-        return -1, 0
-    for j in range(6):
-        if kinds[j] != SLIDE:
-            theta[j] = wrapped(theta[j])
-    for k in range(count):
-        far = 0.0
-        for j in range(6):
-            d = theta[j] - found[FOUND * k + j]
-            far = max(far, abs(d if kinds[j] == SLIDE else wrapped(d)))
-        if far < APART:
-            return 0, 0
-    return 1, 0 if ratio > SINGULAR_RATIO else SINGULAR
-
-
-@routine
-def _twin(kinds, lines, goal, found, source, count, work):
-    """What `_settle` says of candidate `count`, begun at the mirror image of candidate `source` about its own start.
-
-    Two postures that are about to merge lie on both sides of where their common root, or two close ones, point.
-    """
-    one, other = beyond(found, FOUND * source), beyond(found, FOUND * count)
-    for j in range(6):
-        d = one[j] - one[START + j]
-        other[j] = one[START + j] - (d if kinds[j] == SLIDE else wrapped(d))
-    return _settle(kinds, lines, goal, found, count, work)
-
-
 @device
 def _eigenvalues(n, w):
     """Eigenvalues of the hidden joint's matrix that were not found; writes the others."""
@@ -256,7 +208,10 @@ def _vectors_at(angle, alike, w):
 
 @routine
 def _posture(s, angle, k, theta):
-    """How far null vector k is from one of a posture, infinite at infinity; writes the six coordinates."""
+    """(how far null vector k is from one of a posture, infinite at infinity; how well it determines the pair).
+
+    Writes the six coordinates.
+    """
     w, work = s.w, beyond(s.w, _WORK)
     hidden, removed = hidden_of(s.formulation), removed_of(s.formulation)
     first, second, defect = angles_of(beyond(w, _VECTORS + ROW * k))
@@ -264,11 +219,11 @@ def _posture(s, angle, k, theta):
         place = TRIPLE + LINE_STRIDE * joint
         x = angle if joint == hidden else first if joint == (1 if hidden == 0 else 0) else second
         if at_infinity(w[place + IS_SLIDE] != 0.0, x):
-            return math.inf
+            return math.inf, 1.0
         theta[int(w[place + NUMBER])] = _coordinate(w, place, x)
-    pair_of(w, theta, work)
+    quality = pair_of(w, theta, work)
     theta[removed] = removed_turn(s.kinds, s.lines, s.near, removed, theta, work)
-    return defect
+    return defect, quality
 
 
 class Search(NamedTuple):
@@ -284,18 +239,32 @@ class Search(NamedTuple):
 
 
 @device
+def _hidden_value(s, k):
+    """The hidden joint's value in posture k as an angle."""
+    place = TRIPLE + LINE_STRIDE * hidden_of(s.formulation)
+    x = s.w[FOUNDLINGS + FOUND * k + int(s.w[place + NUMBER])]
+    return x if s.w[place + IS_SLIDE] == 0.0 else 2.0 * math.atan2(x, 1.0)
+
+
+@device
+def _claimed_twice(s, k, angle):
+    """Whether posture k is that of a root with this value of the hidden joint, and was that of another one before."""
+    posture = beyond(s.w, FOUNDLINGS + FOUND * k)
+    here, before = abs(wrapped(_hidden_value(s, k) - angle)) < NEARLY, posture[CLAIMED] != 0.0
+    posture[CLAIMED] = 1.0 if here else posture[CLAIMED]
+    return here and before
+
+
+@device
 def _unmatched(s, n, count):
     """Whether a root that is expected to have a posture, or a posture, has no partner; a singular posture has two."""
-    place, roots = TRIPLE + LINE_STRIDE * hidden_of(s.formulation), beyond(s.w, _ROOTS)
-    number, slides, alone = int(s.w[place + NUMBER]), s.w[place + IS_SLIDE] != 0.0, False
+    roots, alone = beyond(s.w, _ROOTS), False
     for again in range(2):
         for k in range(count):
-            posture = beyond(s.w, FOUNDLINGS + FOUND * k)
-            x = 2.0 * math.atan2(posture[number], 1.0) if slides else posture[number]
             if again == 0:
-                alone = alone or not matched(roots, n, x)
-            elif not posture[PIVOTS] > SINGULAR_RATIO:
-                matched(roots, n, x)
+                alone = alone or not matched(roots, n, _hidden_value(s, k))
+            elif is_singular(beyond(s.w, FOUNDLINGS), k):
+                matched(roots, n, _hidden_value(s, k))
     return alone or expected(roots, n) > 0
 
 
@@ -317,13 +286,14 @@ def _add(s, i, n, twins, count, strays):
         if count == CANDIDATES:
             return count, strays, suspect | ILL_NULL
         theta = beyond(found, FOUND * count)
-        defect = _posture(s, angle, k, theta)
+        defect, quality = _posture(s, angle, k, theta)
         other = vectors == 1 and second > SIMPLE and imaginary == 0.0 and defect * second > NOISE
         none += int(other or defect == math.inf)
         if defect == math.inf:
             continue
-        state, doubt = _settle(s.kinds, s.lines, s.goal, found, count, work)
-        suspect |= doubt
+        state = settle(s.kinds, s.lines, s.goal, found, count, work)
+        suspect |= SINGULAR if state > 0 and is_singular(found, count) else 0
+        suspect |= SHARED if state >= 0 and quality < DETERMINED else 0
         if state < 0 and not other:
             suspect |= ASTRAY if imaginary < REAL else (NEARLY_REAL if imaginary < DOUBT else 0)
             if theta[RAW_ERROR] < CLOSE and strays < CANDIDATES:
@@ -333,11 +303,13 @@ def _add(s, i, n, twins, count, strays):
         if state < 0 or other:
             count += max(state, 0)
             continue
-        merging = vectors == 1 and (imaginary > 0.0 or (state == 0 and twins))
+        again = _claimed_twice(s, int(theta[KNOWN]), angle) and twins
+        merging = vectors == 1 and (imaginary > 0.0 or again)
         source, count = count, count + state
         if merging and count < CANDIDATES:
-            state, doubt = _twin(s.kinds, s.lines, s.goal, found, source, count, work)
-            suspect |= doubt | (TWICE if state < 1 and imaginary < DOUBT else 0)
+            state = twin(s.kinds, s.lines, s.goal, found, source, count, work)
+            suspect |= SINGULAR if state > 0 and is_singular(found, count) else 0
+            suspect |= TWICE if state < 1 and imaginary < DOUBT else 0
             count += max(state, 0)
     if proven and (alike > 2 or none > 0 or vectors == 0):
         stand_for(roots, n, i, vectors - none)

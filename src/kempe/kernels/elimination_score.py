@@ -12,13 +12,12 @@ from kempe.kernels.declare import OUT, F, I
 from kempe.kernels.elimination import (
     CANDIDATES,
     ELIMINATION_SCRATCH,
-    FOUND,
     FOUNDLINGS,
-    RAW_ERROR,
     eliminate,
 )
 from kempe.kernels.elimination_loop import LINE_STRIDE, hidden_of, removed_of
 from kempe.kernels.elimination_polish import POLISH_SIZE, POSE, trace, wrapped
+from kempe.kernels.elimination_settle import FOUND, RAW_ERROR
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.random import mix, unit
 from kempe.kernels.scratch import beyond

@@ -38,6 +38,9 @@ STARTS, PACES, PACE = 64, 40, 0.3
 FOLD = 1e-4
 """Bound of the smallest singular value squared of a solution in which two roots may have merged."""
 
+EVEN, UNEXPLAINED = -1, -2
+"""An even number of solutions; an odd one of which no solution is a double one."""
+
 
 @routine
 def searched(d, count):
@@ -97,12 +100,41 @@ def rests(d):
 
 
 @routine
+def parity(d, count):
+    """Place of the one solution where two roots have merged, which explains an odd number; or EVEN, or UNEXPLAINED.
+
+    Where lines must stay at rest, most roots are no solutions, and any number is right.
+    """
+    total, folds, at = 0.0, 0, 0
+    if rests(d):
+        return EVEN
+    for k in range(count):
+        row = beyond(d.found.rows, (SOLUTION + d.n) * k)
+        total += row[TURNS]
+        if row[WEAKEST] < FOLD and row[TURNS] == 1.0:
+            folds += 1
+            at = k
+    if total % 2.0 == 0.0:
+        return EVEN
+    return at if folds == 1 else UNEXPLAINED
+
+
+@routine
+def mark_fold(d, count):
+    """Whether the number of solutions is even, or is explained: a solution where two roots have merged counts twice."""
+    at = parity(d, count)
+    if at >= 0:
+        beyond(d.found.rows, (SOLUTION + d.n) * at)[TURNS] = 2.0
+    return at != UNEXPLAINED
+
+
+@routine
 def eliminated(d, scratch, thetas):
     """(number of solutions, doubt): formulations are tried until the answer of one of them is beyond doubt.
 
     It is where each root of one formulation has a solution of its own, or of two, except for singular solutions.
     """
-    count, doubt, free, sound = 0, 1, False, False
+    count, doubt, free, witnesses = 0, 1, False, 0
     resting = rests(d)
     for f in range(d.ints[N_FORMS]):
         k, strays, suspect = eliminate(d.kinds, d.six, d.goal, d.ints[FORMS + f], scratch, thetas)
@@ -120,35 +152,12 @@ def eliminated(d, scratch, thetas):
         if clean and enough and (f == 0 or count == before) and each:
             doubt = 0
             break
-        agreed, sound = sound and suspect & UNSOUND == 0 and each, suspect & UNSOUND == 0
-        if f > 0 and enough and count == before and count % 2 == 0 and agreed:
+        witnesses = (witnesses if count == before else 0) + int(suspect & UNSOUND == 0 and each)
+        if witnesses > 1 and count == before and enough and each and parity(d, count) != UNEXPLAINED:
             doubt = 0
             break
     count = walked(d, searched(d, count)) if free else count
     return count, doubt if count < MOST_SOLUTIONS else 1
-
-
-@routine
-def mark_fold(d, count):
-    """Whether an odd number of solutions is explained: one of them is where two roots have merged; it counts twice.
-
-    Where lines must stay at rest, most roots are no solutions, and any number is right.
-    """
-    total, folds, at = 0.0, 0, 0
-    if rests(d):
-        return True
-    for k in range(count):
-        row = beyond(d.found.rows, (SOLUTION + d.n) * k)
-        total += row[TURNS]
-        if row[WEAKEST] < FOLD and row[TURNS] == 1.0:
-            folds += 1
-            at = k
-    if total % 2.0 == 0.0:
-        return True
-    if folds != 1:
-        return False
-    beyond(d.found.rows, (SOLUTION + d.n) * at)[TURNS] = 2.0
-    return True
 
 
 @kernel(

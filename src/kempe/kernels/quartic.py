@@ -14,6 +14,9 @@ TURNS, ENOUGH = 60, 1e-15
 NEARLY_REAL = 1e-4
 """Imaginary part, relative to the size of the root, that rounding can give a double root."""
 
+SMALL = 1e-3
+"""Size of a row of factors from which it counts in full; lengths are in units of the chain's."""
+
 
 @device
 def value_and_slope(p, x):
@@ -80,9 +83,9 @@ def eliminated(t, other):
 
 @device
 def steadiness(t):
-    """How far from dependent the two rows of factors of one joint are: 0 to 1."""
-    size = math.hypot(t[1], t[2]) * math.hypot(t[4], t[5])
-    return abs(t[1] * t[5] - t[2] * t[4]) / size if size > 0.0 else 0.0
+    """How far from dependent the two rows of factors of one joint are: 0 to 1. A row that hardly says anything is."""
+    size = max(math.hypot(t[1], t[2]), SMALL) * max(math.hypot(t[4], t[5]), SMALL)
+    return abs(t[1] * t[5] - t[2] * t[4]) / size
 
 
 @device

@@ -30,6 +30,8 @@ TOLERANCE = 1e-9
 
 EPSILON = float(np.finfo(float).eps)
 CHUNK, SERIAL_BELOW = 256, 4096
+NONE = np.zeros(0, dtype=np.int64)
+"""No targets."""
 
 
 def ik_all(
@@ -168,9 +170,11 @@ def solve(
     start = np.array([plan.first]) if near is None and plan.first else chain_near
     first = _locked(question, plan, start, values) if plan.locked else chain_near
     out, counts = solve_held(question, plan, chain_near, first, threads)
-    code = out[0, 0, -A.INFO + A.CODE] if question.lead is None else A.UNUSED
-    fits = code >= 0.0 and code % 2.0 == 1.0  # the first of rows in order is inside the limits
-    if fits or (plan.locked == plan.fixed and not lines.span.wide):
+    settled = plan.locked == plan.fixed and not lines.span.wide
+    if question.lead is None and not settled:
+        code = float(out[0, 0, -A.INFO + A.CODE])
+        settled = code >= 0.0 and code % 2.0 == 1.0  # the first of rows in order is inside the limits
+    if settled:
         _outside(plan, out)
         return Solutions(question, plan, base, out, counts, question.lead, locked=first, first=first)
     from kempe.solvers.analytic.further import look_further
@@ -233,13 +237,14 @@ def solve_held(
         return 0
 
     over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
-    none = np.flatnonzero(counts[:, 0] == 0)
-    if len(none) and plan.rests and (other := plan.other) is not None:  # two completions have to agree
+    maybe_none = n != 1 or counts.item(0) == 0
+    none = np.flatnonzero(counts[:, 0] == 0) if maybe_none and plan.rests else NONE
+    if len(none) and (other := plan.other) is not None:  # two completions have to agree
         kernel_of(other)(
             other.ints, other.floats, targets, chain_near, locked, question.tolerance, question.angular,
             int(single), none, out, counts,
         )  # fmt: skip
-    lost = np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0))
+    lost = np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0)) if maybe_none else NONE
     if len(lost):  # the equations said nothing: starts may
         from kempe.solvers.analytic.search import search
 
