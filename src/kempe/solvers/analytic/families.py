@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels import analytic_layout as A
-from kempe.solvers.analytic.family_curves import SINGULAR, Motion
+from kempe.solvers.analytic.family_curves import Motion
+from kempe.solvers.analytic.family_points import SINGULAR
 from kempe.solvers.analytic.nearest import Aim, aim_of, held_coordinates
 from kempe.solvers.analytic.plan import kernel_of
 from kempe.spatial import Array
