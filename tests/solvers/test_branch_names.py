@@ -105,7 +105,7 @@ def test_chains_without_names(robot, frame):
 
 
 def test_hyphens_and_spaces_are_alike():
-    """A word is understood in both spellings, of planar arms and of spatial ones; "elbow -" stays apart from "elbow"."""
+    """A word is understood in both spellings, of planar arms and of spatial ones; "elbow -" is not "elbow"."""
     arm, puma = kempe.load("two_link"), kempe.load("puma560")
     a = arm.ik_all([0.6, 0.3], "e")
     for other in ("elbow up", "elbow-up", " elbow  up "):

@@ -80,7 +80,7 @@ def test_merged_roots_add_no_freedom():
 def test_freedoms_of_stretched_arms(hunt):
     """Random arms with the target on axis 1, stretched or with the elbow folded back: only turns about it are free."""
     rng = hunt.rng()
-    for _ in range(hunt.cases(12)):
+    for _ in range(hunt.cases(8)):
         turns, k = int(rng.integers(1, 3)), int(rng.integers(1, 4))
         signs = [1.0] * k if k != 2 else [1.0, float(rng.choice([-1.0, 1.0]))]
         links = rng.uniform(0.1, 1.0, k)
@@ -99,7 +99,7 @@ def test_freedoms_of_stretched_arms(hunt):
 
 @pytest.mark.parametrize(("length", "size"), [("d6", 1e6), ("d6", 1e8), ("d4", 1e4)])
 def test_one_long_link_makes_no_family(length, size):
-    """Regular configurations of a robot stay isolated with one very long link, be its error ever so small in lengths."""
+    """Regular configurations of a robot stay isolated with one very long link."""
     s = kempe.load("ur5").with_parameters(**{length: size})
     a = s.ik_all(s.fk(s.random(1, 20), "tool"), "tool")
     assert not [text for text in a.status if "famil" in text]

@@ -14,6 +14,7 @@ from kempe.solvers.analytic.family_points import (
     DIRECTIONS,
     SETTLED,
     SINGULAR,
+    SLACK,
     Points,
 )
 from kempe.spatial import Array
@@ -151,7 +152,7 @@ class Motion(Points):
             turn = self._tangent(J, t)
             bend = math.acos(min(1.0, max(-1.0, float(t @ turn))))
             missed = self.missed(e)
-            if not self.on_target(e) or bend > BEND or np.abs(new - ahead).max() > 0.3 * h:
+            if missed > SLACK * self.tolerance or bend > BEND or np.abs(new - ahead).max() > 0.3 * h:
                 h *= 0.5
                 if h < SHORTEST:
                     break
@@ -272,7 +273,7 @@ class Motion(Points):
         rng, x, out, worst, d = np.random.default_rng(2), start, [theta, start], 0.0, len(wide)
         for _ in range(SAMPLES):
             free = self.kernel(self.linear(x)[1], d)
-            way, far = rng.normal(size=len(free)) @ free, 0.6 * rng.random()
+            way, far = rng.normal(size=d) @ (free if len(free) == d else wide @ free.T @ free), 0.6 * rng.random()
             ahead = x + far * way / np.linalg.norm(way)
             new = self.corrected(ahead, free)[0] if len(free) == d else self.at_distance(x, ahead, far)
             if new is not None and self.on_target(e := self.linear(new)[0]):

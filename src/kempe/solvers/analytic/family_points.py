@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from kempe import spatial
 from kempe.solvers.analytic.nearest import Aim
 from kempe.spatial import Array
 
@@ -28,7 +30,7 @@ SLACK = 1.01
 """How much more than the tolerance the error may be along a family."""
 
 LONG = 1e3
-"""Lever of the tip, in lengths of the chain, beyond which an error of angles counts as one of the chain's position."""
+"""Length of a tool, in lengths of the chain, from which errors are brought to the last axis."""
 
 STRIDE, SPANNED = 0.3, 0.2
 """Where freedoms are counted: the step, in parts of the first one; singular values of the directions found, in parts of
@@ -50,17 +52,34 @@ class Points:
         d = a - b
         return np.where(self.aim.slides, d, d - 2.0 * math.pi * np.round(d / (2.0 * math.pi)))
 
+    @cached_property
+    def shift(self) -> Array:
+        """Rows (m, m) that bring errors to the last axis, of tools much longer than the chain; else none (0, 0).
+
+        There, a turn that is hardly an error of the tool would move the chain by a lot.
+        """
+        lines = self.aim.lines
+        c = lines.tip[:3, :3].T @ (lines.o[-1] - lines.tip[:3, 3])
+        if len(self.aim.rows) < 6 or self.aim.slides[-1] or np.linalg.norm(c) <= LONG:
+            return np.zeros((0, 0))
+        out = np.eye(6)
+        out[:3, 3:] = -spatial.skew(c)
+        return out
+
     def linear(self, theta: Array) -> tuple[Array, Array]:
-        """Errors (m,) and Jacobian (m, n) at theta (n,); columns of joints that are held are zero."""
+        """Errors (m,) and Jacobian (m, n) at theta (n,), see `shift`; columns of joints that are held are zero."""
         e, columns = self.aim.at(theta[None])
         J = np.zeros((e.shape[1], len(theta)))
         J[:, self.aim.moves] = columns[0]
-        return e[0], J
+        return (self.shift @ e[0], self.shift @ J) if len(self.shift) else (e[0], J)
 
     def missed(self, e: Array) -> float:
-        """The larger of both errors, of position [m] and of orientation [rad]."""
+        """The larger of both errors, of position [m], also where it is brought to, and of orientation [rad]."""
         place = self.aim.rows < 3
-        return max(float(np.linalg.norm(e[place])) * self.aim.lines.length, float(np.linalg.norm(e[~place])))
+        far = float(np.linalg.norm(e[place]))
+        if len(self.shift):
+            far = max(far, float(np.linalg.norm(e[:3] - self.shift[:3, 3:] @ e[3:])))
+        return max(far * self.aim.lines.length, float(np.linalg.norm(e[~place])))
 
     def kernel(self, J: Array, least: int = 1) -> Array:
         """Orthonormal directions (d, n), at least so many, in which the tip hardly moves, the freest last."""
@@ -86,18 +105,8 @@ class Points:
         return theta, e, J
 
     def on_target(self, e: Array) -> bool:
-        """Whether these errors are within the tolerance, at the tip and, of a pose, among the axes of the chain.
-
-        With a tool much longer than the chain, a turn within the tolerance would move the chain by a lot.
-        """
-        return max(self.missed(e), self._carried(e)) <= SLACK * self.tolerance
-
-    def _carried(self, e: Array) -> float:
-        """What an error of the angles means to the chain [m], if its tool is longer than the chain itself."""
-        lever = float(np.linalg.norm(self.aim.lines.tip[:3, 3] - self.aim.lines.o.mean(axis=0)))
-        if len(self.aim.rows) < 6 or lever <= LONG:
-            return 0.0
-        return float(np.linalg.norm(e[self.aim.rows >= 3])) * lever * self.aim.lines.length
+        """Whether these errors are within the tolerance."""
+        return self.missed(e) <= SLACK * self.tolerance
 
     @property
     def undetermined(self) -> float:
