@@ -104,6 +104,19 @@ def test_chains_without_names(robot, frame):
         a.named("elbow up")
 
 
+def test_hyphens_and_spaces_are_alike():
+    """A word is understood in both spellings, of planar arms and of spatial ones; "elbow -" is not "elbow"."""
+    arm, puma = kempe.load("two_link"), kempe.load("puma560")
+    a = arm.ik_all([0.6, 0.3], "e")
+    for other in ("elbow up", "elbow-up", " elbow  up "):
+        assert a.named(other).tolist() == a.named("elbow-up").tolist() and a.named(other).sum() == 1
+    b = puma.ik_all(puma.fk(puma.random(1), "tool"), "tool")
+    for word in WORDS:
+        assert b.named(word.replace(" ", "-")).tolist() == b.named(word).tolist() and b.named(word).sum() == len(b) / 2
+    with pytest.raises(UnknownNameError):
+        b.named("elbow")
+
+
 def test_words_that_do_not_exist():
     puma = kempe.load("puma560")
     a = puma.ik_all(puma.fk(puma.random(1), "tool"), "tool")

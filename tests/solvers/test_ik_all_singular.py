@@ -56,6 +56,69 @@ def two_links(l1: float = 0.5, l2: float = 0.5) -> kempe.System:
 # ---- families
 
 
+def stretched(signs: list[float], links: list[float], turns: int = 1, rpy=(0.0, 0.0, 0.0)) -> kempe.System:
+    """An arm on its first axis, about which `turns` joints turn; the links lie along it, forwards or backwards."""
+    m = kempe.Mechanism("stretched")
+    body = m.body("base")
+    m.fixed("mount", m.ground, body, at=(0.3, -0.2, 0.1), rpy=rpy)
+    at = 0.3
+    for i in range(turns + len(links)):
+        new = m.body(f"b{i}")
+        m.revolute(f"j{i}", body, new, at=(0.0, 0.0, at), axis=(0, 1, 0) if i >= turns else (0, 0, 1))
+        body, at = new, signs[i - turns] * links[i - turns] if i >= turns else 0.0
+    m.frame("e", body, at=(0.0, 0.0, at))
+    return m.build()
+
+
+def test_merged_roots_add_no_freedom():
+    """Target on axis 1, arm stretched: axis 1 turns, the elbow is a double root. At first order two joints are free."""
+    r = stretched([1.0, 1.0], [0.3, 0.1])
+    a = r.ik_all(r.fk([0.3, 0.0, 0.0], "e")[:3, 3], "e")
+    assert a.status == "no isolated solution, and a family with one freedom: j0 is free while j1 = 0 and j2 = 0"
+
+
+def test_freedoms_of_stretched_arms(hunt):
+    """Random arms with the target on axis 1, stretched or with the elbow folded back: only turns about it are free."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(8)):
+        turns, k = int(rng.integers(1, 3)), int(rng.integers(1, 4))
+        signs = [1.0] * k if k != 2 else [1.0, float(rng.choice([-1.0, 1.0]))]
+        links = rng.uniform(0.1, 1.0, k)
+        if k == 2:
+            links[1] = links[0] * rng.uniform(0.2, 0.8)
+        r = stretched(signs, links.tolist(), turns, tuple(rng.uniform(-3, 3, 3)))
+        q = np.zeros(turns + k)
+        q[:turns] = rng.uniform(-2, 2, turns)
+        x = r.fk(q, "e")[:3, 3]
+        families, _ = families_of(r.ik_all(x, "e"), 0)
+        assert [f.dimension for f in families] == [turns], (turns, signs, links)
+        (f,) = families
+        assert set(f.joints) <= {f"j{i}" for i in range(turns)}
+        assert np.abs(r.fk(f.q, "e")[:, :3, 3] - x).max() < 1e-9
+
+
+@pytest.mark.parametrize(("length", "size"), [("d6", 1e6), ("d6", 1e8), ("d4", 1e4)])
+def test_one_long_link_makes_no_family(length, size):
+    """Regular configurations of a robot stay isolated with one very long link."""
+    s = kempe.load("ur5").with_parameters(**{length: size})
+    a = s.ik_all(s.fk(s.random(1, 20), "tool"), "tool")
+    assert not [text for text in a.status if "famil" in text]
+    assert not any(families_of(a, i)[0] for i in range(20))
+
+
+def test_a_batch_says_that_matrices_are_no_rotations():
+    """Poses rounded to four digits are finite; the single call and the batch name the same reason."""
+    puma = kempe.load("puma560")
+    X = puma.fk(puma.random(1, 3), "tool").round(4)
+    X[2] = math.nan
+    for ask in (puma.ik, puma.ik_all):
+        with pytest.raises(InputError, match="must be orthonormal"):
+            ask(X[0], "tool")
+        answer = ask(X, "tool")
+        assert "must be orthonormal" in answer.status[0] and "must be orthonormal" in answer.status[1]
+        assert "not a finite pose" in answer.status[2]
+
+
 def test_wrist_in_line():
     """Puma with q5 = 0: axes 4 and 6 are one line, only the sum of their angles counts (Paul, 1981)."""
     q = np.array([0.1, 0.2, 0.3, 0.4, 0.0, 0.6])

@@ -18,11 +18,14 @@ from kempe.solvers.inverse import run
 from kempe.solvers.rounds import ITERATIONS, MOST, Task, outside
 from kempe.solvers.shut_out import shut_out
 from kempe.solvers.solution import BAD_INPUT, OUT_OF_REACH, OUT_OF_TIME, SOLVED, Solution
-from kempe.solvers.targets import Z_AXIS, frame_of
+from kempe.solvers.targets import Z_AXIS, frame_of, not_a_pose
 from kempe.spatial import Array
 
 AT_LIMIT = 1e-9
 """How near to a limit a coordinate is at it."""
+NEAR_MISS, NEAR_TURN, SMALL = 1e-6, 1e-2, 1e-2
+"""Errors [m, rad] of a near miss, of which it is not said that the target may be outside; length of links [m] that are
+small for tolerances in metres."""
 FEW_LIMITS = 12
 """Limits up to which each is lifted in turn; of more, only those that a configuration touches."""
 STARTS = 250
@@ -46,10 +49,10 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     if code == SOLVED:
         work = f"{_count(steps, 'step')}, {_count(starts, 'start')}" if starts else "analytically"
         return f"reached: {_errors(task, f'position error {position:.1e} m', angle)} ({work})"
-    if code == BAD_INPUT:
-        return "target or seed is not a finite pose"
     at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
     target = task.targets[at : at + 1]
+    if code == BAD_INPUT:
+        return not_a_pose(target[0], " or seed")
     near = f"the nearest configuration found misses it by {_errors(task, f'{position:.6g} m', angle)}"
     if code == OUT_OF_REACH:
         return f"{_beyond(task, target)}; {near}"
@@ -65,7 +68,8 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
         return f"the tolerance is finer than rounding: {near}"
     span = task.chain.span
     reason = span.sentence() if span.wide else _again(task, target, q)
-    reason = reason or _limits(task, target, q) or _over_determined(task, target) or _why(task)
+    reason = reason or _limits(task, target, q) or _over_determined(task, target)
+    reason = reason or _close(task, position, angle) or _why(task)
     return f"not reached after {_count(starts, 'start')}: {reason}; {near}"
 
 
@@ -191,6 +195,17 @@ def _suspects(chain: Chain, bounded: np.ndarray, nearest: Array, free: Array) ->
     low, high = chain.limits
     at = (nearest <= low + AT_LIMIT) | (nearest >= high - AT_LIMIT) | (free < low) | (free > high)
     return bounded[at[bounded]]
+
+
+def _close(task: Task, position: float, angle: float) -> str:
+    """What a near miss means, where it is one: by then neither the search nor the workspace is known to end there."""
+    longest = task.chain.span.largest
+    if not any(task.mask[:3]) or position > NEAR_MISS or angle > NEAR_TURN:
+        return ""
+    came = f"the search came within {_errors(task, f'{position:.1g} m', angle)}"
+    if longest <= SMALL:
+        return f"{came} with links of at most {longest:.2g} m: it may have ended early at so small a scale"
+    return f"{came}, so it may have ended early, or the target is just outside the workspace"
 
 
 def _why(task: Task) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError
+from kempe.kernels.search_layout import ROTATION_TOLERANCE
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -173,3 +174,14 @@ def check_particle(targets: Array, name: str) -> None:
     turned = np.abs(targets[:, :3, :3] - np.eye(3)).max(axis=(1, 2), initial=0.0) > UNTURNED  # a NaN stays one
     if turned.any():
         raise InputError(f"{name!r} is a particle, which has no orientation; give a position (..., 3) as target")
+
+
+def not_a_pose(target: Array, other: str = "") -> str:
+    """Why a target (4, 4) was refused: it has no rotation, or is not finite, which `other` may not be either."""
+    R = target[:3, :3]
+    if np.isfinite(target).all():
+        off = max(float(np.abs(R.T @ R - np.eye(3)).max()), 2.0 if np.linalg.det(R) < 0.0 else 0.0)
+        if off > ROTATION_TOLERANCE:
+            text = "target is not a pose: its rotation part must be orthonormal with determinant +1"
+            return f"{text}; R'R differs from 1 by {off:.1g}" if np.linalg.det(R) > 0.0 else text
+    return f"target{other} is not a finite pose"

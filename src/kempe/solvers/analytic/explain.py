@@ -28,7 +28,7 @@ from kempe.solvers.analytic.plan import freedoms as rank_of
 from kempe.solvers.analytic.structure import Axes, Way
 from kempe.solvers.chain import chain_of
 from kempe.solvers.rounds import Task, outside
-from kempe.solvers.targets import Z_AXIS
+from kempe.solvers.targets import Z_AXIS, not_a_pose
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -47,6 +47,9 @@ CONDITION, PERTURBED = 1e-6, 0.1
 """A joint that rests is a condition of a family if moving it by PERTURBED makes this singular value of the joints that
 move larger."""
 
+AT_ZERO = 1e-7
+"""Angle [rad] below which a joint that rests is at zero: merged roots are known to the root of rounding."""
+
 NO_ROOT = {
     "closed": "the equations of the closed form have no real root", "elimination": "no real root among 16",
     "search": "not found; no closed form applies",
@@ -57,7 +60,7 @@ NO_ROOT = {
 def status(solutions: Solutions, index: int) -> str:
     """The sentence for target number `index`: how many solutions and why these are all, or why there are none."""
     if solutions._counts[index, 0] < 0:
-        return "target is not a finite pose"
+        return not_a_pose(solutions.question.targets[index])
     if solutions._used[index].any():
         return _reached(solutions, index)
     size = float(np.abs(solutions.question.targets[index]).max())
@@ -364,7 +367,8 @@ def _conditions(family: Family) -> list[tuple[str, float]]:
         other[i] += PERTURBED
         J = motion.linear(other)[1][:, at]
         if J.shape[0] >= len(at) and np.linalg.svd(J, compute_uv=False)[-1] > CONDITION:
-            out.append((names[i], float(family.q[0, lines.q_index[i]])))
+            x = float(family.q[0, lines.q_index[i]])
+            out.append((names[i], 0.0 if abs(x) < AT_ZERO and not motion.aim.slides[i] else x))
     return out
 
 

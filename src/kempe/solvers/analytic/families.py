@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels import analytic_layout as A
-from kempe.solvers.analytic.family_curves import SINGULAR, Motion
+from kempe.solvers.analytic.family_curves import Motion
+from kempe.solvers.analytic.family_points import SINGULAR
 from kempe.solvers.analytic.nearest import Aim, aim_of, held_coordinates
 from kempe.solvers.analytic.plan import kernel_of
 from kempe.spatial import Array
@@ -28,6 +29,9 @@ MOST, ROOM = 64, 48
 
 STRAIGHT = 1e-6
 """How far samples may be from a straight line in a family that is called linear; joints that move less rest."""
+
+MERGED = 1e-4
+"""Joints that move less rest where roots have merged, which the tolerance leaves open to its root."""
 
 EXACT = 1e-12
 """Largest error of the samples of a family that is exact [m, rad]; beyond, it holds within the tolerance only."""
@@ -202,13 +206,14 @@ def families_of(solutions: Solutions, index: int) -> tuple[list[Family], np.ndar
         return [], row_family
     aim, rows = aim_of(solutions, index, spare=True), np.flatnonzero(used)
     theta = plan.lines.theta(numbers[rows, : len(plan.lines)])
+    motion = Motion(aim, solutions.question.tolerance)
     J = aim.at(theta)[1]
     if J.shape[2] == 0:
         return [], row_family
+    J = motion.shift @ J if len(motion.shift) else J
     if J.shape[1] >= J.shape[2]:
         weak = np.linalg.svd(J, compute_uv=False)[:, -1] < SINGULAR
         rows, theta = rows[weak], theta[weak]
-    motion = Motion(aim, solutions.question.tolerance)
     base = solutions._base[index if len(solutions._base) > 1 else 0]
     families: list[Family] = []
     for row, x in zip(rows, theta, strict=True):
@@ -293,7 +298,8 @@ def _family(motion: Motion, curve: Any, base: Array) -> Family:
     basis = np.zeros((curve.dimension, len(base)))
     basis[:, lines.q_index] = curve.basis / lines.multiplier
     basis /= np.linalg.norm(basis, axis=1, keepdims=True)
-    moved = np.ptp(theta, axis=0) > STRAIGHT
+    merged = len(motion.kernel(motion.linear(theta[0])[1], 0)) > curve.dimension
+    moved = np.ptp(theta, axis=0) > (MERGED if merged else STRAIGHT)
     joints = tuple(n for n, m in zip(lines.names, moved, strict=True) if m)
     parameter = motion.parameter(curve) if curve.dimension == 1 else None
     residual = float(curve.residual)

@@ -8,19 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kempe.solvers.analytic.nearest import Aim
+from kempe.solvers.analytic.family_points import (
+    CORRECTIONS,
+    CUT,
+    DIRECTIONS,
+    SETTLED,
+    SINGULAR,
+    SLACK,
+    Points,
+)
 from kempe.spatial import Array
-
-SINGULAR = 1e-5
-"""Singular values of the Jacobian below this (radians, lengths of the chain) are looked at as zero; whether a motion
-remains is decided by moving."""
-
-UNDETERMINED = 5e-9
-"""Singular values below this leave a solution undetermined by more than rounding of its target times 1e8: then the part
-of a curve that is on target within the tolerance counts as a family, though it is not all of it."""
-
-CUT = 1e-9
-"""Singular values below this fraction of the largest are not used in corrections."""
 
 REACH, NEAR = 0.05, 3e-3
 """The first step off a solution; another one, for those that are undetermined (radians, lengths of the chain)."""
@@ -34,20 +31,14 @@ BEND = 0.2
 MOST, FAR = 6000, 50.0
 """Samples of a curve at most; how many lengths a slide is followed."""
 
-CORRECTIONS, SETTLED, QUADRATIC = 12, 1e-13, 1e-8
-"""Corrections of a step at most; one that is nothing; one after which the next would be nothing."""
-
 CLOSE = 0.3
 """Second singular value at a sample below which a crossing is looked for."""
 
 SLOW = 1e-4
 """Speed along a curve below which a joint does not tell its configurations apart."""
 
-SLACK = 1.01
-"""How much more than the tolerance the error may be along a family."""
-
-DIRECTIONS, SAMPLES = 24, 64
-"""Directions tried where several may be free; samples of families with several freedoms."""
+SAMPLES = 64
+"""Samples of families with several freedoms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,55 +56,8 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(Points):
     """What a chain can do with its target reached to a tolerance [m, rad]."""
-
-    aim: Aim
-    tolerance: float
-
-    def gap(self, a: Array, b: Array) -> Array:
-        """Difference a - b (..., n), of angles the shortest."""
-        d = a - b
-        return np.where(self.aim.slides, d, d - 2.0 * math.pi * np.round(d / (2.0 * math.pi)))
-
-    def linear(self, theta: Array) -> tuple[Array, Array]:
-        """Errors (m,) and Jacobian (m, n) at theta (n,); columns of joints that are held are zero."""
-        e, columns = self.aim.at(theta[None])
-        J = np.zeros((e.shape[1], len(theta)))
-        J[:, self.aim.moves] = columns[0]
-        return e[0], J
-
-    def missed(self, e: Array) -> float:
-        """The larger of both errors, of position [m] and of orientation [rad]."""
-        place = self.aim.rows < 3
-        return max(float(np.linalg.norm(e[place])) * self.aim.lines.length, float(np.linalg.norm(e[~place])))
-
-    def kernel(self, J: Array, least: int = 1) -> Array:
-        """Orthonormal directions (d, n), at least so many, in which the tip hardly moves, the freest last."""
-        moves = self.aim.moves
-        _, s, Vt = np.linalg.svd(J[:, moves])
-        d = max(least, len(moves) - int((s > SINGULAR).sum()))
-        out = np.zeros((d, J.shape[1]))
-        out[:, moves] = Vt[len(moves) - d :]
-        return out
-
-    def corrected(self, theta: Array, free: Array) -> tuple[Array, Array, Array]:
-        """Variables (n,) moved across directions `free` (d, n) until the error is least; error and Jacobian there."""
-        e, J = self.linear(theta)
-        for _ in range(CORRECTIONS):
-            step = np.linalg.lstsq(J - (J @ free.T) @ free, e, rcond=CUT)[0]
-            size = float(np.abs(step).max(initial=0.0))
-            if size < SETTLED or size > 1.0:
-                break
-            theta = theta + step
-            e, J = self.linear(theta)
-            if size < QUADRATIC:
-                break
-        return theta, e, J
-
-    def on_target(self, e: Array) -> bool:
-        """Whether these errors are within the tolerance."""
-        return self.missed(e) <= SLACK * self.tolerance
 
     # ---- from a solution
 
@@ -123,10 +67,10 @@ class Motion:
         if not len(free):
             return []
         near = list(self._neighbours(theta, free, REACH))
-        if not near and self.spectrum(self.linear(theta)[1])[0] < UNDETERMINED:
+        if not near and self.spectrum(self.linear(theta)[1])[0] < self.undetermined:
             near = list(self._neighbours(theta, free, NEAR))
         for start, way, wide in near:
-            if wide > 1:
+            if len(wide) > 1:
                 return [self._surface(theta, start, wide)]
             if known(start) or any(self._passes(curve, start) for curve in found):
                 continue
@@ -135,8 +79,8 @@ class Motion:
                 found.append(curve)
         return found
 
-    def _neighbours(self, theta: Array, free: Array, far: float) -> Iterator[tuple[Array, Array, int]]:
-        """Configurations on target at a small distance, the way there, and the freedoms that they have."""
+    def _neighbours(self, theta: Array, free: Array, far: float) -> Iterator[tuple[Array, Array, Array]]:
+        """Configurations on target at a small distance, the way there, and the directions (d, n) free in them."""
         if len(free) == 1:
             ways = np.array([free[0], -free[0]])
         else:
@@ -147,25 +91,11 @@ class Motion:
             ways = c @ free / np.linalg.norm(c, axis=1, keepdims=True)
         seen: list[Array] = []
         for way in ways:
-            x = self._at_distance(theta, theta + far * way, far)
+            x = self.at_distance(theta, theta + far * way, far)
             if x is None or any(np.abs(x - y).max() < 0.05 * far for y in seen):
                 continue
             seen.append(x)
-            yield x, (x - theta) / np.linalg.norm(x - theta), len(self.kernel(self.linear(x)[1]))
-
-    def _at_distance(self, centre: Array, theta: Array, far: float) -> Array | None:
-        """A configuration (n,) on target so far from `centre`, from a start; None if none is found."""
-        for _ in range(2 * CORRECTIONS):
-            e, J = self.linear(theta)
-            r = theta - centre
-            size = float(np.linalg.norm(r))
-            if not 0.3 * far < size < 3.0 * far:
-                return None
-            step = np.linalg.lstsq(np.vstack([J, r / size]), np.append(e, far - size), rcond=CUT)[0]
-            theta = theta + step
-            if np.abs(step).max() < SETTLED:
-                break
-        return theta if self.on_target(self.linear(theta)[0]) else None
+            yield x, (x - theta) / np.linalg.norm(x - theta), self.spanned(x, far)
 
     def _passes(self, curve: Curve, theta: Array) -> bool:
         near = self.nearest_on(curve.theta, theta)
@@ -181,7 +111,7 @@ class Motion:
         if end != "closed":
             back_x, back_t, back, other, more = self._trace(theta, -tangent)
             worst = max(worst, more)
-            if "off" in (end, other) and worst > 1e-3 * self.tolerance and self.spectrum(J)[0] > UNDETERMINED:
+            if "off" in (end, other) and worst > 1e-3 * self.tolerance and self.spectrum(J)[0] > self.undetermined:
                 return None
             x, t = np.vstack([back_x[:0:-1], x]), np.vstack([-back_t[:0:-1], t])
             second = np.concatenate([back[:0:-1], second])
@@ -204,12 +134,6 @@ class Motion:
                                     method="bounded", options={"xatol": 1e-8})  # fmt: skip
             if found.fun < SINGULAR:
                 yield at(found.x)[0]
-
-    def spectrum(self, J: Array) -> tuple[float, float]:
-        """The smallest and the second smallest singular value of the joints that move."""
-        k, s = len(self.aim.moves), np.linalg.svd(J[:, self.aim.moves], compute_uv=False)
-        least, second = sorted([*s, *[0.0] * (k - len(s)), math.inf])[:2]
-        return float(least), float(second)
 
     def _tangent(self, J: Array, way: Array) -> Array:
         free = self.kernel(J)
@@ -344,18 +268,20 @@ class Motion:
 
     # ---- more than one freedom
 
-    def _surface(self, theta: Array, start: Array, dimension: int) -> Curve:
-        """A family with several freedoms: samples of a random walk on it."""
-        rng, x, out, worst = np.random.default_rng(2), start, [theta, start], 0.0
+    def _surface(self, theta: Array, start: Array, wide: Array) -> Curve:
+        """A family with several freedoms, those `wide` (d, n) next to a solution: samples of a random walk on it."""
+        rng, x, out, worst, d = np.random.default_rng(2), start, [theta, start], 0.0, len(wide)
         for _ in range(SAMPLES):
-            free = self.kernel(self.linear(x)[1], dimension)[-dimension:]
-            way = rng.normal(size=dimension) @ free
-            new, e, _ = self.corrected(x + 0.6 * rng.random() * way / np.linalg.norm(way), free)
-            if self.on_target(e):
+            free = self.kernel(self.linear(x)[1], d)
+            way, far = rng.normal(size=d) @ (free if len(free) == d else wide @ free.T @ free), 0.6 * rng.random()
+            ahead = x + far * way / np.linalg.norm(way)
+            new = self.corrected(ahead, free)[0] if len(free) == d else self.at_distance(x, ahead, far)
+            if new is not None and self.on_target(e := self.linear(new)[0]):
                 x, worst = new, max(worst, self.missed(e))
                 out.append(x)
-        free = self.kernel(self.linear(theta)[1], dimension)[-dimension:]
-        return Curve(dimension, np.array(out), np.zeros((0, len(theta))), free, False, worst, np.zeros(0))
+        free = self.kernel(self.linear(theta)[1], d)
+        basis = free if len(free) == d else wide
+        return Curve(d, np.array(out), np.zeros((0, len(theta))), basis, False, worst, np.zeros(0))
 
     def projected(self, theta: Array, dimension: int) -> Array:
         """The configuration on target next to theta (n,), by shortest steps."""

@@ -6,6 +6,7 @@ nowhere else. Nothing of it depends on where the joints have their zero, on the 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -87,17 +88,24 @@ def branch_names(kind: Kind, lines: Lines, theta: Array, merged: np.ndarray | No
 
 
 def named(kind: Kind | None, names: np.ndarray, words: str | Iterable[str]) -> np.ndarray:
-    """Which of the names hold all these words. Errors: `InputError`, `UnknownNameError`."""
+    """Which of the names hold all these words, hyphens and spaces alike. Errors: `InputError`, `UnknownNameError`."""
     if kind is None:
         raise InputError("the branches of this chain have no names; `branch` has their numbers where there are any")
     wanted = words.split(",") if isinstance(words, str) else words
     wanted = [word.strip() for word in wanted]
     known = [word for choice in kind.words for word in choice] + list(NEITHER) * (len(kind.words) > 1)
+    spelled = {_plain(word): word for word in known}
     for word in wanted:
-        if word not in known:
+        if _plain(word) not in spelled:
             raise UnknownNameError("branch", word, known, "the chain")
+    wanted = [spelled[_plain(word)] for word in wanted]
     flat = [all(word in name.split(", ") for word in wanted) for name in names.ravel()]
     return np.array(flat, dtype=bool).reshape(names.shape)
+
+
+def _plain(word: str) -> str:
+    """A word as it is compared: letters joined by a hyphen or by spaces are the same; "elbow -" keeps its sign."""
+    return " ".join(re.sub(r"(?<=\w)-(?=\w)", " ", word).split())
 
 
 def _bend_in_plane(o: Array, tip: Array) -> Array:

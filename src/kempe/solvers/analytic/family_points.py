@@ -1,0 +1,155 @@
+"""Whether configurations are on a target, and in how many directions others are next to them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from kempe import spatial
+from kempe.solvers.analytic.nearest import Aim
+from kempe.spatial import Array
+
+SINGULAR = 1e-5
+"""Singular values of the Jacobian below this (radians, lengths of the chain) are looked at as zero; whether a motion
+remains is decided by moving."""
+
+UNDETERMINED = 5e-9
+"""Singular values below this leave a solution undetermined by more than rounding of its target times 1e8: then the part
+of a curve that is on target within the tolerance counts as a family, though it is not all of it."""
+
+CUT = 1e-9
+"""Singular values below this fraction of the largest are not used in corrections."""
+
+CORRECTIONS, SETTLED, QUADRATIC = 12, 1e-13, 1e-8
+"""Corrections of a step at most; one that is nothing; one after which the next would be nothing."""
+
+SLACK = 1.01
+"""How much more than the tolerance the error may be along a family."""
+
+LONG = 1e3
+"""Length of a tool, in lengths of the chain, from which errors are brought to the last axis."""
+
+STRIDE, SPANNED = 0.3, 0.2
+"""Where freedoms are counted: the step, in parts of the first one; singular values of the directions found, in parts of
+the largest, that count."""
+
+DIRECTIONS = 24
+"""Directions tried where several may be free."""
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Configurations of a chain that reach a target to a tolerance [m, rad]."""
+
+    aim: Aim
+    tolerance: float
+
+    def gap(self, a: Array, b: Array) -> Array:
+        """Difference a - b (..., n), of angles the shortest."""
+        d = a - b
+        return np.where(self.aim.slides, d, d - 2.0 * math.pi * np.round(d / (2.0 * math.pi)))
+
+    @cached_property
+    def shift(self) -> Array:
+        """Rows (m, m) that bring errors to the last axis, of tools much longer than the chain; else none (0, 0).
+
+        There, a turn that is hardly an error of the tool would move the chain by a lot.
+        """
+        lines = self.aim.lines
+        c = lines.tip[:3, :3].T @ (lines.o[-1] - lines.tip[:3, 3])
+        if len(self.aim.rows) < 6 or self.aim.slides[-1] or np.linalg.norm(c) <= LONG:
+            return np.zeros((0, 0))
+        out = np.eye(6)
+        out[:3, 3:] = -spatial.skew(c)
+        return out
+
+    def linear(self, theta: Array) -> tuple[Array, Array]:
+        """Errors (m,) and Jacobian (m, n) at theta (n,), see `shift`; columns of joints that are held are zero."""
+        e, columns = self.aim.at(theta[None])
+        J = np.zeros((e.shape[1], len(theta)))
+        J[:, self.aim.moves] = columns[0]
+        return (self.shift @ e[0], self.shift @ J) if len(self.shift) else (e[0], J)
+
+    def missed(self, e: Array) -> float:
+        """The larger of both errors, of position [m], also where it is brought to, and of orientation [rad]."""
+        place = self.aim.rows < 3
+        far = float(np.linalg.norm(e[place]))
+        if len(self.shift):
+            far = max(far, float(np.linalg.norm(e[:3] - self.shift[:3, 3:] @ e[3:])))
+        return max(far * self.aim.lines.length, float(np.linalg.norm(e[~place])))
+
+    def kernel(self, J: Array, least: int = 1) -> Array:
+        """Orthonormal directions (d, n), at least so many, in which the tip hardly moves, the freest last."""
+        moves = self.aim.moves
+        _, s, Vt = np.linalg.svd(J[:, moves])
+        d = max(least, len(moves) - int((s > SINGULAR).sum()))
+        out = np.zeros((d, J.shape[1]))
+        out[:, moves] = Vt[len(moves) - d :]
+        return out
+
+    def corrected(self, theta: Array, free: Array) -> tuple[Array, Array, Array]:
+        """Variables (n,) moved across directions `free` (d, n) until the error is least; error and Jacobian there."""
+        e, J = self.linear(theta)
+        for _ in range(CORRECTIONS):
+            step = np.linalg.lstsq(J - (J @ free.T) @ free, e, rcond=CUT)[0]
+            size = float(np.abs(step).max(initial=0.0))
+            if size < SETTLED or size > 1.0:
+                break
+            theta = theta + step
+            e, J = self.linear(theta)
+            if size < QUADRATIC:
+                break
+        return theta, e, J
+
+    def on_target(self, e: Array) -> bool:
+        """Whether these errors are within the tolerance."""
+        return self.missed(e) <= SLACK * self.tolerance
+
+    @property
+    def undetermined(self) -> float:
+        """Singular values below this leave a solution undetermined; smaller for long chains, as the tolerance is."""
+        return UNDETERMINED / max(1.0, self.aim.lines.length)
+
+    def spectrum(self, J: Array) -> tuple[float, float]:
+        """The smallest and the second smallest singular value of the joints that move."""
+        k, s = len(self.aim.moves), np.linalg.svd(J[:, self.aim.moves], compute_uv=False)
+        least, second = sorted([*s, *[0.0] * (k - len(s)), math.inf])[:2]
+        return float(least), float(second)
+
+    # ---- what is next to a configuration
+
+    def spanned(self, theta: Array, far: float) -> Array:
+        """Orthonormal directions (d, n) that configurations on target next to one (n,) span.
+
+        They are the kernel of the Jacobian, or a part of it where roots have merged: there, the tip hardly moves at
+        first order, but it moves.
+        """
+        free = self.kernel(self.linear(theta)[1])
+        if len(free) == 1:
+            return free
+        near, ways = STRIDE * far, []
+        for way in np.random.default_rng(3).normal(size=(DIRECTIONS, len(free))) @ free:
+            x = self.at_distance(theta, theta + near * way / np.linalg.norm(way), near)
+            if x is not None:
+                ways.append((x - theta) / np.linalg.norm(x - theta))
+        if not ways:
+            return free[-1:]
+        _, s, Vt = np.linalg.svd(np.array(ways))
+        return Vt[: min(len(free), int((s > SPANNED * s[0]).sum()))]
+
+    def at_distance(self, centre: Array, theta: Array, far: float) -> Array | None:
+        """A configuration (n,) on target so far from `centre`, from a start; None if none is found."""
+        for _ in range(2 * CORRECTIONS):
+            e, J = self.linear(theta)
+            r = theta - centre
+            size = float(np.linalg.norm(r))
+            if not 0.3 * far < size < 3.0 * far:
+                return None
+            step = np.linalg.lstsq(np.vstack([J, r / size]), np.append(e, far - size), rcond=CUT)[0]
+            theta = theta + step
+            if np.abs(step).max() < SETTLED:
+                break
+        return theta if self.on_target(self.linear(theta)[0]) else None
