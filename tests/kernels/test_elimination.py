@@ -217,7 +217,7 @@ def battery(name, n, seed):
     answers, suspects = solve(lines, goals, forms_of(name))
     found = np.array([(gaps(a, t) < 1e-5).any() for a, t in zip(answers, theta, strict=True)])
     assert merged(lines, theta[~found]), f"{(~found).sum()} postures of {n} not found"
-    assert (suspects != 0).mean() < 0.1
+    assert (suspects != 0).mean() < 0.15  # each costs another formulation
     for i, postures_ in enumerate(answers):
         if len(postures_):
             back = reach(lines, postures_)

@@ -99,7 +99,7 @@ BLURRED, SURELY = 1e-2, 10.0
 """Error of a null space from which it means nothing; how many times that it must be away from having more postures."""
 
 DETERMINED = 1e-6
-"""Least over largest column of the pair's equations below which they have more than one solution."""
+"""Least sine between columns of the pair's equations below which these have more than one solution."""
 
 NOISE, SIMPLE = 1e-7, 1e-5
 """Error of a matrix up to which its null vector may be that of a posture; last but one pivot of a simple root."""

@@ -26,6 +26,9 @@ from kempe.kernels.vectors import LANES, load_lanes, store
 COLUMN = 16
 """Stride of the pair's columns: fourteen numbers, two zeros."""
 
+NOTHING = 1e-18
+"""Square of the size of a column beside the largest below which it tells nothing."""
+
 PAIR_SIZE = 32 + 8 * COLUMN + 32
 """Numbers of scratch that the pair needs."""
 
@@ -78,14 +81,19 @@ def _dot(columns, j, k):
 
 @routine
 def _four(columns, y):
-    """Least over largest column; y: the four unknowns of columns 0 to 3 against column 4 (modified Gram-Schmidt)."""
-    least, largest = math.inf, 0.0
+    """Least sine between a column and those before it; y: the four unknowns of columns 0 to 3 against column 4.
+
+    Modified Gram-Schmidt. A column that is next to nothing beside the largest counts by its size instead.
+    """
+    least, largest = 1.0, 0.0
+    for k in range(4):
+        y[4 + k] = _dot(columns, k, k)
+        largest = max(largest, y[4 + k])
     for k in range(4):
         size = _dot(columns, k, k)
-        least, largest = min(least, size), max(largest, size)
-        y[4 + k] = size
         if not size > 0.0:
             return 0.0
+        least = min(least, size / (y[4 + k] if y[4 + k] > NOTHING * largest else largest))
         for j in range(k + 1, 5):
             f = _dot(columns, k, j) / size
             y[8 + 5 * k + j] = f
@@ -98,7 +106,7 @@ def _four(columns, y):
         for j in range(k + 1, 4):
             value -= y[8 + 5 * k + j] * y[j]
         y[k] = value
-    return math.sqrt(least / largest)
+    return math.sqrt(least)
 
 
 @routine
