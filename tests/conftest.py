@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import zlib
 
-import numpy as np
 import pytest
+from hunts import Hunt
 from hypothesis import HealthCheck, settings
 
 os.environ.setdefault("KEMPE_QUIET", "1")
@@ -20,22 +19,6 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 settings.load_profile("kempe")
-
-
-class Hunt:
-    """Seeded random cases in search of a counter-example to something that Kempe says."""
-
-    def __init__(self, seed: int, times: float, name: str) -> None:
-        self.seed = seed
-        self._times, self._name = times, name
-
-    def rng(self) -> np.random.Generator:
-        """Random numbers of this test under the seed of the command line."""
-        return np.random.default_rng([self.seed, zlib.crc32(self._name.encode())])
-
-    def cases(self, count: int) -> int:
-        """As many cases as the test asks for, times the factor of the command line; at least one."""
-        return max(1, round(count * self._times))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

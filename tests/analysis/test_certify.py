@@ -8,8 +8,8 @@ from math import cos, pi, sin
 import known_truths
 import numpy as np
 import pytest
-from conftest import Hunt
 from frozen_mechanisms import Change, rebuilt
+from hunts import Hunt
 from known_truths import KINDS, dead_centres, gimbal, moved, row_of_parallelograms, scissor
 from world_mechanisms import World
 
