@@ -19,6 +19,7 @@ from kempe.solvers.rounds import ITERATIONS, MOST, Task, outside
 from kempe.solvers.shut_out import shut_out
 from kempe.solvers.solution import BAD_INPUT, OUT_OF_REACH, OUT_OF_TIME, SOLVED, Solution
 from kempe.solvers.targets import Z_AXIS, frame_of, not_a_pose
+from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 AT_LIMIT = 1e-9
@@ -47,7 +48,7 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     )  # fmt: skip
     code, position, angle, starts, steps = (np.asarray(x)[index].item() for x in figures)
     if code == SOLVED:
-        work = f"{_count(steps, 'step')}, {_count(starts, 'start')}" if starts else "analytically"
+        work = f"{counted(steps, 'step')}, {counted(starts, 'start')}" if starts else "analytically"
         return f"reached: {_errors(task, f'position error {position:.1e} m', angle)} ({work})"
     at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
     target = task.targets[at : at + 1]
@@ -60,7 +61,7 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     if tilt > max(task.tolerance[1], TILTED):
         return f"tilted out of the plane of the system by {tilt:.2g} rad; {near}"
     if code == OUT_OF_TIME:
-        tried = f"{starts} of {_count(task.starts, 'start')}"
+        tried = f"{starts} of {counted(task.starts, 'start')}"
         return f"not reached within the time limit of {task.time_limit:g} s, after {tried}; {near}"
     q = np.asarray(solution.q)[index][task.chain.q_index]
     size = 1.0 + float(np.linalg.norm(target[0, :3, 3]))
@@ -70,7 +71,7 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     reason = span.sentence() if span.wide else _again(task, target, q)
     reason = reason or _limits(task, target, q) or _over_determined(task, target)
     reason = reason or _close(task, position, angle) or _why(task)
-    return f"not reached after {_count(starts, 'start')}: {reason}; {near}"
+    return f"not reached after {counted(starts, 'start')}: {reason}; {near}"
 
 
 def _beyond(task: Task, target: Array) -> str:
@@ -86,10 +87,6 @@ def _beyond(task: Task, target: Array) -> str:
 def _errors(task: Task, position: str, angle: float) -> str:
     parts = [position] * bool(any(task.mask[:3])) + [f"{angle:.2g} rad"] * bool(any(task.mask[3:]))
     return ", ".join(parts)
-
-
-def _count(n: int, what: str) -> str:
-    return f"{n} {what}{'' if n == 1 else 's'}"
 
 
 def _solved(task: Task, target: Array, limits: Array | None = None, near: Array | None = None) -> Array | None:

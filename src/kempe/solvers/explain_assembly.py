@@ -10,6 +10,7 @@ import numpy as np
 from kempe.kinematics import loops
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
 from kempe.solvers.assembly import Assembler, assembler, freedoms_left
+from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -31,14 +32,15 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     if code == BAD_INPUT:
         return "known values, places or near are not finite"
     if code == CLOSED:
-        return f"closed: residual {residual:.1e} ({_count(steps, 'step')}, {_count(starts, 'start')}){_left(bound, q)}"
+        work = f"{counted(steps, 'step')}, {counted(starts, 'start')}"
+        return f"closed: residual {residual:.1e} ({work}){_left(bound, q)}"
     if code == OUTSIDE:
         return f"a known value is outside its limits: {_outside(bound, q)}"
     if code == OTHER_BRANCH:
         return "the branch asked for cannot be closed with these values; q is closed on another one"
     reason = _limits(bound, q) or _too_many(bound) or "with these values no closed configuration was found"
     what = _open(bound, q, residual)
-    return f"not closed after {_count(starts, 'start')}: {what}; {reason}; q is the nearest to closing"
+    return f"not closed after {counted(starts, 'start')}: {what}; {reason}; q is the nearest to closing"
 
 
 def _left(bound: Assembler, q: Array) -> str:
@@ -54,12 +56,12 @@ def _left(bound: Assembler, q: Array) -> str:
     if folded:
         who = ", ".join(f"{a} and {b}" for a, b in folded[:3]) + (", ..." if len(folded) > 3 else "")
         return (
-            f"; {_count(left, 'freedom')} left open, {count} by the count: the mechanism is folded or singular here, "
+            f"; {counted(left, 'freedom')} left open, {count} by the count: the mechanism is folded or singular here, "
             f"where {who} coincide"
         )
     if 0 <= bound.freedoms < left:
-        return f"; {_count(left, 'freedom')} left open, {bound.freedoms} at home: singular here, or on another branch"
-    return f"; {_count(left, 'freedom')} left open"
+        return f"; {counted(left, 'freedom')} left open, {bound.freedoms} at home: singular here, or on another branch"
+    return f"; {counted(left, 'freedom')} left open"
 
 
 def _coinciding(system: System, q: Array) -> list[tuple[str, str]]:
@@ -80,10 +82,6 @@ def _coinciding(system: System, q: Array) -> list[tuple[str, str]]:
             groups.append((ends.union(*(g[0] for g in met)), met[0][1] if met else joints[i].name))
         out += [(groups[0][1], g[1]) for g in groups[1:]]
     return out
-
-
-def _count(n: int, what: str) -> str:
-    return f"{n} {what}{'' if n == 1 else 's'}"
 
 
 def _outside(bound: Assembler, q: Array) -> str:
@@ -143,4 +141,4 @@ def _too_many(bound: Assembler) -> str:
     freedoms = assembler(bound.system).freedoms
     if not bound.held or not 0 <= freedoms < len(bound.held):
         return ""
-    return f"{len(bound.held)} coordinates are given, but it has {_count(freedoms, 'freedom')}"
+    return f"{len(bound.held)} coordinates are given, but it has {counted(freedoms, 'freedom')}"

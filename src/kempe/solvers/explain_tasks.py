@@ -17,6 +17,7 @@ from kempe.solvers.lengths import beyond
 from kempe.solvers.reached import Reached, analyse
 from kempe.solvers.solution import BAD_INPUT, OUT_OF_TIME, SOLVED
 from kempe.solvers.tasks import STARTS, judge
+from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     more = "; " + ", ".join(soft) if soft else ""
     limit = f"the time limit of {problem.time_limit:g} s" if np.asarray(answer.late)[index] else ""
     if code == SOLVED:
-        work = f"{_count(steps, 'step')}, {_count(starts, 'start')}"
+        work = f"{counted(steps, 'step')}, {counted(starts, 'start')}"
         hard = [t for t in problem.tasks if t.weight is None]
         if limit:
             more = f"; {limit} ended it before all was lowered as far as can be{more}"
@@ -54,13 +55,9 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     what = ", ".join(f"{t.label!r} is missed by {_amount(t, misses[t.label])}" for t in failing)
     what = what or "the hard tasks hold, but not with closed loops"
     if code == OUT_OF_TIME:
-        tried = f"{starts} of {_count(problem.starts, 'start')}"
+        tried = f"{starts} of {counted(problem.starts, 'start')}"
         return f"not reached within {limit}, after {tried}: {what}; q is the nearest found{more}"
-    return f"not reached after {_count(starts, 'start')}: {what}; {_reason(problem, q)}; q is the nearest found{more}"
-
-
-def _count(n: int, what: str) -> str:
-    return f"{n} {what}{'' if n == 1 else 's'}"
+    return f"not reached after {counted(starts, 'start')}: {what}; {_reason(problem, q)}; q is the nearest found{more}"
 
 
 def _amount(task: Task, error: Array) -> str:
@@ -83,7 +80,7 @@ def _freedoms(problem: Problem, q: Array) -> str:
     """How many freedoms are left, or that there are more equations than freedoms."""
     local = Local(problem, q)
     left = freedoms_text(local) if local.left.shape[1] else "no freedom is left"
-    return f"{left}, though {local.m} equations meet {_count(local.n, 'freedom')}" if local.m > local.n else left
+    return f"{left}, though {local.m} equations meet {counted(local.n, 'freedom')}" if local.m > local.n else left
 
 
 def _solved(problem: Problem, q: Array, tasks: list[int], limits: bool = True) -> Array | None:
@@ -108,7 +105,7 @@ def _reason(problem: Problem, q: Array) -> str:
     alone = [i for i in hard if len(hard) == 1 or _solved(problem, q, [i]) is None]
     if alone:
         return "; ".join(_alone(problem, q, i, len(hard) > 1) for i in alone)
-    tried = _count(min(problem.starts, STARTS), "start")
+    tried = counted(min(problem.starts, STARTS), "start")
     if len(hard) * (len(hard) - 1) // 2 <= MOST_PAIRS:
         labels = [t.label for t in problem.tasks]
         against = [(i, j) for i, j in combinations(hard, 2) if _solved(problem, q, [i, j]) is None]
@@ -164,7 +161,7 @@ def _alone(problem: Problem, q: Array, i: int, among: bool) -> str:
 def _more(problem: Problem, q: Array, tasks: list[int]) -> str:
     """Whether tasks have more equations than the system has freedoms."""
     m, n, _, _ = analyse(problem.only(tasks), q)
-    return f" ({m} equations, but {_count(n, 'freedom')})" if m > n else ""
+    return f" ({m} equations, but {counted(n, 'freedom')})" if m > n else ""
 
 
 def outside(problem: Problem, q: Array) -> list[str]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -181,13 +182,11 @@ def freedoms_text(local: Local) -> str:
     """How many freedoms are left, of which some may be there to first order only."""
     first, finite = local.left.shape[1], local.finite
     if finite == first:
-        return f"{_count(finite)} left"
-    said = f"{_count(finite)} left, {first} to first order" if finite else f"{_count(first)} to first order only"
+        return f"{counted(finite, 'freedom')} left"
+    said = f"{counted(first, 'freedom')} to first order only"
+    if finite:
+        said = f"{counted(finite, 'freedom')} left, {first} to first order"
     return f"{said} (the Jacobian loses rank here)"
-
-
-def _count(n: int) -> str:
-    return "1 freedom" if n == 1 else f"{n} freedoms"
 
 
 def null(J: Array) -> Array:

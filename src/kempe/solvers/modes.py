@@ -12,6 +12,7 @@ from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q
 from kempe.solvers.clusters import INSIDE, SAME, Clusters, Metric
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
+from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -161,19 +162,15 @@ def by_dyads(question: Question) -> Modes | None:
     if not len(ok):
         status = f"complete: none of the {len(signs)} branches closes; the best is open by {closed.gap.min():.3g} m"
     if any(len(g) > 1 for g in groups):
-        status += f", {_count_of(sum(len(g) > 1 for g in groups), 'multiple root')}"
+        status += f", {counted(sum(len(g) > 1 for g in groups), 'multiple root')}"
     if free.any():
         status = (
-            f"not finite: {int((free > 0).sum())} of {_count_of(len(groups), 'configuration')} can move with these "
+            f"not finite: {int((free > 0).sum())} of {counted(len(groups), 'configuration')} can move with these "
             "inputs held (coinciding centres or parallel slides leave a dyad undetermined)"
         )
     sizes = np.array([len(g) for g in groups], dtype=np.int64)
     branches = [_merged([names[i] for i in g]) for g in groups]
     return _answer(question, closed.q[[g[0] for g in groups]], status, branches, sizes, free, not free.any())
-
-
-def _count_of(n: int, what: str) -> str:
-    return f"{n} {what}{'' if n == 1 else 's'}"
 
 
 def _merged(names: list[str]) -> str:
@@ -208,13 +205,13 @@ def by_starts(question: Question) -> Modes:
     if not closed:
         status = f"none found: of {found.tried} starts none closed"
     if len(families):
-        besides = f"besides {_count_of(len(isolated), 'isolated configuration')}, " if len(isolated) else ""
+        besides = f"besides {counted(len(isolated), 'isolated configuration')}, " if len(isolated) else ""
         left = "1 freedom" if free.max() == 1 else f"up to {free.max()} freedoms"
         status = f"not finite: {besides}there are some with {left} left, of which one is shown; give more inputs"
         near = home_of(system) if question.near is None else question.near
         families = families[[int(np.argmin(found.clusters.metric.distances(q[families], near)))]]
     if found.spins:
-        status += f"; {_count_of(len(found.spins), 'idle spin')} left out: " + ", ".join(map(str, found.spins[:3]))
+        status += f"; {counted(len(found.spins), 'idle spin')} left out: " + ", ".join(map(str, found.spins[:3]))
         status += ", ..." if len(found.spins) > 3 else ""
     keep = np.concatenate([isolated, families])
     guess = (coverage, float(expected))

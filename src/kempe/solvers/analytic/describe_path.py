@@ -13,12 +13,12 @@ from kempe.solvers.analytic.describe_axes import listed
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.plan import Plan, carried_lines, free_lines, freedoms, motion, spread, sweep
 from kempe.solvers.analytic.structure import EXACT, Axes, Way
+from kempe.solvers.words import in_words
 from kempe.spatial import Array
 
 BY_SLIDES = {0: 16, 1: 16, 2: 8, 3: 2}
 """Isolated configurations of six joints at most, by the number that slide (Raghavan and Roth, 1993)."""
 
-NUMBERS = {0: "no", 1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
 LEAVES_FREE = {
     "position": "the orientation", "orientation": "the position", "position_axis": "the turn about the tool's axis",
@@ -66,7 +66,7 @@ def _held(plan: Plan, given: frozenset[str]) -> list[str]:
         out.append(f"{listed(by_user)} {_is(by_user)} held at the given value{'s' * (len(by_user) > 1)}")
     if chosen:
         them = "it" if len(chosen) == 1 else "them"
-        out.append(f"the chain has {_count(len(chosen), 'joint')} more than the task needs: {listed(chosen)} "
+        out.append(f"the chain has {in_words(len(chosen), 'joint')} more than the task needs: {listed(chosen)} "
                    f"{_is(chosen)} held where `near` has {them}, and elsewhere for targets without a solution there; "
                    "name=value holds joints at values of yours")  # fmt: skip
     return out
@@ -82,7 +82,7 @@ def _balance(plan: Plan, planar: bool) -> list[str]:
         out.append(f"the task leaves {in_plane if planar else LEAVES_FREE[plan.task]} free")
     missing = (3 if planar else 6) - freedoms(plan.lines, free, unknown)
     if missing > 0:
-        equations, moving = _count(missing, "equation"), _count(len(unknown), "joint")
+        equations, moving = in_words(missing, "equation"), in_words(len(unknown), "joint")
         why = _why(plan, planar)
         out.append(f"{equations} of the task cannot be met at will, with {moving} to move: most targets are out of "
                    f"reach{why}")  # fmt: skip
@@ -123,10 +123,6 @@ def _twists(lines: Lines, theta: Array, locked: tuple[int, ...]) -> Array:
 def _rank(M: Array) -> int:
     values = np.linalg.svd(M, compute_uv=False)
     return int((values > 1e-7 * max(values[0], 1e-300)).sum()) if values[0] > EXACT else 0
-
-
-def _count(n: int, what: str) -> str:
-    return f"{NUMBERS.get(n, str(n))} {what}{'s' * (n != 1)}"
 
 
 def _is(names: list[str]) -> str:
@@ -244,7 +240,7 @@ class _Steps:
         return self.names[k]
 
     def _inner(self, inner: list[str], after: bool) -> str:
-        ways = _count(self.inner_ways, "way")
+        ways = in_words(self.inner_ways, "way")
         then = "then " if after else ""
         if self.way.what == POINT:
             give = "give" if len(inner) > 1 else "gives"

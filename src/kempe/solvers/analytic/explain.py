@@ -13,7 +13,6 @@ from kempe.kernels.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRS
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.search_layout import LARGEST
 from kempe.solvers.analytic.explain_held import (
-    counted,
     held_at,
     more_than_enough,
     moved_sentence,
@@ -29,6 +28,7 @@ from kempe.solvers.analytic.structure import Axes, Way
 from kempe.solvers.chain import chain_of
 from kempe.solvers.rounds import Task, outside
 from kempe.solvers.targets import Z_AXIS, not_a_pose
+from kempe.solvers.words import in_words
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def _reached(solutions: Solutions, index: int) -> str:
     elif plan.method == "closed":
         text += f": {_ground(plan)}"
     if spare and not (deficient and k == 0):
-        text += f"; the chain has {counted(len(spare), 'joint')} to spare: {held_at(solutions, index, spare)}"
+        text += f"; the chain has {in_words(len(spare), 'joint')} to spare: {held_at(solutions, index, spare)}"
         text += moved_sentence(solutions, index, inside)
     return text
 
@@ -141,7 +141,7 @@ def _merged(code: np.ndarray) -> str:
 
 def _families(families: list[Family]) -> str:
     """The families, those of one description together."""
-    texts = [(counted(f.dimension, 'freedom'), family_motion(f)) for f in families]
+    texts = [(in_words(f.dimension, 'freedom'), family_motion(f)) for f in families]
     out = []
     for freedoms, moves in dict.fromkeys(texts):
         k = texts.count((freedoms, moves))
@@ -211,7 +211,7 @@ def _overdetermined(solutions: Solutions) -> str:
         return ""
     equations, held = full - len(free.kinds), " to move" if fixed_joints(plan) else ""
     able = rank - len(free.kinds)
-    few = f", which give it {counted(able, 'freedom')}" if able < len(unknown) else ""
+    few = f", which give it {in_words(able, 'freedom')}" if able < len(unknown) else ""
     return (f"the chain has {len(unknown)} joint{'' if len(unknown) == 1 else 's'}{held}{few}, the task {equations} "
             "equations: this target is not among those it can reach")  # fmt: skip
 
@@ -316,7 +316,7 @@ def _named(solutions: Solutions, way: Way, joint: int, measure: int, t: Array, w
 
 def family_sentence(family: Family) -> str:
     """What moves in a family, how, and with how many freedoms."""
-    return f"{family_motion(family)}: {counted(family.dimension, 'freedom')}"
+    return f"{family_motion(family)}: {in_words(family.dimension, 'freedom')}"
 
 
 def family_motion(family: Family) -> str:

@@ -9,11 +9,10 @@ import numpy as np
 from kempe.solvers.analytic.nearest import fixed_joints, held_coordinates
 from kempe.solvers.analytic.plan import Plan, free_lines
 from kempe.solvers.rounds import MOST
+from kempe.solvers.words import in_words
 
 if TYPE_CHECKING:
     from kempe.solvers.analytic.solutions import Solutions
-
-NUMBERS = ("no", "one", "two", "three", "four", "five", "six")
 
 
 def held_sentence(solutions: Solutions) -> str:
@@ -34,7 +33,7 @@ def held_sentence(solutions: Solutions) -> str:
             text = text if count.max() > 1 else f"{name!r}"
             text += f" at values from {number(place[0])} to {number(place[-1])}"
         parts.append(text)
-    text = f"the chain has {counted(len(solutions.spare), 'joint')} to spare"
+    text = f"the chain has {in_words(len(solutions.spare), 'joint')} to spare"
     return f"{text}, held: {', '.join(parts)}" if parts else text
 
 
@@ -75,11 +74,6 @@ def moved_sentence(solutions: Solutions, index: int, inside: int) -> str:
         return f" ({tried} values were tried)"
     there = ", ".join(number(x) for x in before[spare])
     return f" (at {there} there is none{' inside the limits' if inside else ''})"
-
-
-def counted(n: int, what: str) -> str:
-    """A number of things in words: 'two joints'."""
-    return f"{NUMBERS[n] if n < len(NUMBERS) else n} {what}{'' if n == 1 else 's'}"
 
 
 def number(x: float) -> str:

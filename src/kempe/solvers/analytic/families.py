@@ -16,6 +16,7 @@ from kempe.solvers.analytic.family_curves import Motion
 from kempe.solvers.analytic.family_points import SINGULAR
 from kempe.solvers.analytic.nearest import Aim, aim_of, held_coordinates
 from kempe.solvers.analytic.plan import kernel_of
+from kempe.solvers.words import in_words
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ class Family:
         """
         names = self._motion.aim.lines.names
         if len(values) != self.dimension:
-            raise InputError(f"{len(values)} joints are given; the family has {_freedoms(self.dimension)}")
+            raise InputError(f"{len(values)} joints are given; the family has {in_words(self.dimension, 'freedom')}")
         for name in values:
             if name not in names:
                 raise UnknownNameError("joint", name, names, "the chain")
@@ -185,8 +186,6 @@ class Family:
         return float(min(apart.max(), away))
 
 
-def _freedoms(n: int) -> str:
-    return f"{('no', 'one', 'two', 'three', 'four', 'five', 'six')[n] if n < 7 else n} freedom{'' if n == 1 else 's'}"
 
 
 def families_of(solutions: Solutions, index: int) -> tuple[list[Family], np.ndarray]:
