@@ -8,6 +8,7 @@ joints are combinations of revolute and prismatic ones; the classes say which.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from numbers import Real
 from typing import ClassVar, NamedTuple
 
@@ -283,11 +284,12 @@ class Layout:
     quaternion_q: np.ndarray
     quaternion_v: np.ndarray
 
-    @property
+    @cached_property
     def neutral(self) -> spatial.Array:
-        """Zero coordinates and identity quaternions (nq,)."""
+        """Zero coordinates and identity quaternions (nq,); read-only."""
         q = np.zeros(self.nq)
         q[self.quaternion_q] = 1.0
+        q.setflags(write=False)
         return q
 
     def _quaternions(self, q: spatial.Array) -> spatial.Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.coordinates import returning
 from kempe.model.topology import natural
+from kempe.reals import named, reals, rows_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -20,21 +21,30 @@ if TYPE_CHECKING:
 
 
 def as_q(system: System, q: object) -> Array:
-    """`q` as an aligned, C-contiguous float64 array (..., nq); a dict by name is completed with neutral values.
+    """`q` as an aligned, C-contiguous float64 array (..., nq): the one place where configurations are read.
 
-    Errors: `InputError` for a wrong length or type, `UnknownNameError` for names.
+    An array is taken as it is. What is given by names (a dict, a pandas Series or DataFrame, a list of them) is read
+    by name; what is not named is neutral, and in a system with closed loops or relations follows from these: the
+    configuration that `assemble` finds from home.
+    Errors: `InputError` for a wrong length or type, and for named values that close no loop; `UnknownNameError`.
     """
-    if isinstance(q, Mapping):
-        return q_from_dict(system, q)
-    what = type(q).__name__
-    try:
-        given = np.asarray(q)
-        if given.dtype.kind not in "fiub":
-            what = "complex" if given.dtype.kind == "c" else what
-            raise TypeError
-        array = np.require(given, np.float64, "CA")
-    except (TypeError, ValueError):
-        raise InputError(f"q is {what}; it must be an array of real numbers or a dict by coordinate name") from None
+    return _read(system, q, closed_from)
+
+
+def as_start(system: System, q: object) -> Array:
+    """Where a search starts, read as by `as_q`; what is not named is as at home, and no loop is closed."""
+    return _read(system, q, from_home)
+
+
+def _read(system: System, q: object, complete: Callable[[System, Mapping[str, Any]], Array]) -> Array:
+    if q.__class__ is not np.ndarray or q.dtype.names:
+        coordinates = named(q)
+        if coordinates is not None:
+            return complete(system, coordinates)
+        rows = rows_of(q)
+        if rows is not None:
+            return np.stack([_read(system, row, complete) for row in rows])
+    array = np.require(reals(q, "q", "an array of real numbers or a dict by coordinate name"), np.float64, "CA")
     if array.ndim == 0 or array.shape[-1] != system.nq:
         names = ", ".join(system.coordinate_names[:12]) + (", ..." if system.nq > 12 else "")
         got = "a single number" if array.ndim == 0 else f"{array.shape[-1]} coordinates"
@@ -42,34 +52,82 @@ def as_q(system: System, q: object) -> Array:
     return array
 
 
-def q_from_dict(system: System, coordinates: Mapping[str, float], base: ArrayLike | None = None) -> Array:
-    """Configuration (nq,) from values by coordinate name; the others are neutral, or as in `base` (..., nq)."""
-    if not isinstance(coordinates, Mapping):
+def has_loops(system: System) -> bool:
+    """Whether anything ties the coordinates: loops, declared constraints or relations of several coordinates."""
+    return bool(system.closures or system.relations or system._mechanism.constraints)
+
+
+def home_of(system: System) -> Array:
+    """Where a search starts that is told nothing: the posture 'closed' if there is one, else within the limits."""
+    if "closed" in system.posture_names:
+        return system.posture("closed")
+    return system.mid.copy()
+
+
+def from_home(system: System, coordinates: Mapping[str, Any]) -> Array:
+    """Named values as a configuration (..., nq) that need not be closed; the others are neutral, with loops at home."""
+    return q_from_dict(system, coordinates, home_of(system) if has_loops(system) else None)
+
+
+def closed_from(system: System, coordinates: Mapping[str, Any]) -> Array:
+    """The configuration (..., nq) that named values make: of a system with loops, the one that closes these from home.
+
+    Errors: `InputError` where none was found, with the reason.
+    """
+    q = q_from_dict(system, coordinates)  # refuses names and numbers
+    if not has_loops(system):
+        return q
+    answer = system.assemble(coordinates)
+    if np.all(answer.success):
+        return answer.q
+    rows = np.flatnonzero(~np.atleast_1d(answer.success).ravel())
+    why, where = answer.status, ""
+    if q.ndim > 1:
+        why, where = np.ravel(np.asarray(why, dtype=object))[rows[0]], f"row {rows[0]} of "
+    raise InputError(f"{where}q gives {', '.join(map(repr, coordinates)) or 'nothing'} of a system with loops, which "
+                     f"the other coordinates must close: {why}; an array (nq,) is taken as it is")  # fmt: skip
+
+
+def q_from_dict(system: System, coordinates: Mapping[str, Any], base: ArrayLike | None = None) -> Array:
+    """Configuration (..., nq) from values by coordinate name; the others are neutral, or as in `base` (..., nq)."""
+    given = named(coordinates)
+    if given is None:
         raise InputError(f"coordinates are {type(coordinates).__name__}; they must be a dict by coordinate name")
-    q = system.neutral if base is None else np.array(as_q(system, base))
     index = {n: i for i, n in enumerate(system.coordinate_names)}
-    for name, number in coordinates.items():
+    values = []
+    for name, number in given.items():
         if name not in index:
             follower = system.couplings.get(name)
             if follower is not None:
                 follows = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"
                 raise InputError(f"coordinate {name!r} is not part of q: {follows}")
             raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
-        try:
-            q[..., index[name]] = float(number)
-        except (TypeError, ValueError):
-            raise InputError(f"coordinate {name!r} is {number!r}; it must be a number") from None
+        values.append(reals(number, f"coordinate {name!r}", "a number, or an array of them"))
+    start = system.neutral if base is None else as_q(system, base)
+    try:
+        lead = np.broadcast_shapes(start.shape[:-1], *(x.shape for x in values))
+    except ValueError:
+        shapes = ", ".join(f"{n!r} {x.shape}" for n, x in zip(given, values, strict=True))
+        raise InputError(f"the values of the coordinates have shapes that do not fit together: {shapes}") from None
+    q = np.empty((*lead, system.nq))
+    q[:] = start
+    for name, x in zip(given, values, strict=True):
+        q[..., index[name]] = x
     return q
 
 
 def mid(system: System) -> Array:
-    """A configuration (nq,) inside the limits: mid-range; zero, or the nearest allowed, where a limit is missing."""
+    """A configuration (nq,) inside the limits: mid-range; zero, or the nearest allowed, where a limit is missing.
+
+    It is read-only: `copy` gives one to change.
+    """
     lower, upper = system.lower, system.upper
     both = np.isfinite(lower) & np.isfinite(upper)
     with np.errstate(invalid="ignore"):
         v = np.where(both, 0.5 * lower + 0.5 * upper, np.clip(0.0, lower, upper))
-    q = system.neutral
+    q = system.neutral.copy()
     q[system.layout.vector_q] = v[system.layout.vector_v]
+    q.setflags(write=False)
     return q
 
 
@@ -113,10 +171,7 @@ def sampling_box(system: System) -> tuple[Array, Array]:
 
 def integrate(system: System, q: Any, v: ArrayLike) -> Array:
     """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of time."""
-    try:
-        v = np.asarray(v, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"v is {type(v).__name__}; it must be an array of numbers") from None
+    v = reals(v, "v")
     if v.ndim == 0 or v.shape[-1] != system.nv:
         got = "a single number" if v.ndim == 0 else f"{v.shape[-1]} coordinates"
         raise InputError(f"v has {got}; {system.name} has {system.nv} velocity coordinates")
@@ -143,7 +198,7 @@ def circles(system: System) -> np.ndarray:
 
 def interpolate(system: System, q0: Any, q1: Any, t: ArrayLike) -> Array:
     """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go the short way."""
-    t = np.asarray(t, dtype=float)
+    t = reals(t, "t", "a real number, or an array of them")
     return integrate(system, q0, t[..., None] * _tangent(system, q0, q1))
 
 

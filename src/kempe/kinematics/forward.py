@@ -69,21 +69,19 @@ def query(system: System, frame: FrameLike) -> Query:
     def pose(q: Any, out: Any = None, threads: int | None = None) -> Array:
         try:
             if q.ndim == 1:
-                if out is None:
-                    out = new_pose()
-                if not pose_kernel(table, q, out):
-                    return out
+                X = new_pose() if out is None else out
+                if not pose_kernel(table, q, X):
+                    return X
         except (TypeError, AttributeError):
-            pass  # not float64, not contiguous, not an array
+            pass  # not float64, not contiguous, not a plain array
         return chain_of.pose(q, out, threads)
 
     def jacobian(q: Any, in_frame: str = "world_aligned", out: Any = None, threads: int | None = None) -> Array:
         try:
             if q.ndim == 1:
-                if out is None:
-                    out = new_columns()
-                if not jacobian_kernel(table if in_frame is usual else table_in(in_frame), q, out):
-                    return out
+                J = new_columns() if out is None else out
+                if not jacobian_kernel(table if in_frame is usual else table_in(in_frame), q, J):
+                    return J
         except (TypeError, AttributeError):
             pass
         return chain_of.jacobian(q, in_frame, out, threads)[1]
@@ -176,8 +174,6 @@ def fk(
     A NaN, an infinity or a zero quaternion that a pose depends on is an `InputError`; in a batch the first three rows
     of such a pose are NaN and all others are right. Errors: `UnknownNameError` for names, `InputError` for shapes.
     """
-    if isinstance(q, dict):
-        q = system.q(q)
     if frame is not None and not isinstance(frame, (list, tuple)):
         return _query(system, frame)(q, out, threads)
     key = None if frame is None else tuple(system.frame_name(f) for f in frame)
@@ -214,8 +210,6 @@ def jacobian(
     frame's origin, axes of the frame). Velocity coordinates are time derivatives of `q`, and for a quaternion the
     angular velocity in the turned axes. Source: Featherstone, 2008, section 2.8. Errors: as `fk`.
     """
-    if isinstance(q, dict):
-        q = system.q(q)
     return _query(system, frame).jacobian(q, in_frame, threads=threads)
 
 

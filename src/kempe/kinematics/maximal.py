@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from kempe import spatial
 from kempe.errors import InputError
 from kempe.kinematics import pairs
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_start
 from kempe.kinematics.forward import fk
 from kempe.kinematics.maximal_form import (
     coordinates_of,
@@ -145,7 +145,7 @@ def project_maximal(
     flat = _rigid(system, given).reshape(count, *given.shape[-3:])
     length = characteristic_length(system)
     scale = np.array([length if n.rpartition(".")[2][0] == "v" else 1.0 for n in maximal_velocity_names(system)])
-    start = None if near is None else np.broadcast_to(as_q(system, near), (*given.shape[:-3], system.nq))
+    start = None if near is None else np.broadcast_to(as_start(system, near), (*given.shape[:-3], system.nq))
     converged = np.zeros(count, dtype=bool)
     for k in np.flatnonzero(np.isfinite(flat).all(axis=(1, 2, 3))):
         at = None if start is None else start.reshape(count, system.nq)[k]

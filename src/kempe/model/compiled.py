@@ -161,27 +161,27 @@ class Compiled:
 
     @property
     def lower(self) -> Array:
-        """Lower limits (nv,) of the velocity coordinates, -inf where there is none."""
-        return self._coordinates.lower.copy()
+        """Lower limits (nv,) of the velocity coordinates, -inf where there is none; read-only: see `with_limits`."""
+        return self._coordinates.lower
 
     @property
     def upper(self) -> Array:
-        """Upper limits (nv,) of the velocity coordinates, inf where there is none."""
-        return self._coordinates.upper.copy()
+        """Upper limits (nv,) of the velocity coordinates, inf where there is none; read-only: see `with_limits`."""
+        return self._coordinates.upper
 
     @property
     def limits(self) -> Array:
-        """Lower and upper limits (nv, 2) of the velocity coordinates."""
-        return np.stack([self._coordinates.lower, self._coordinates.upper], axis=-1)
+        """Lower and upper limits (nv, 2) of the velocity coordinates; read-only: see `with_limits`."""
+        return self._coordinates.limits
 
     @property
     def velocity_limits(self) -> Array:
-        """Largest speeds (nv,) of the velocity coordinates, inf where there is none."""
-        return self._coordinates.velocity.copy()
+        """Largest speeds (nv,) of the velocity coordinates, inf where there is none; read-only: see `with_limits`."""
+        return self._coordinates.velocity
 
     @property
     def neutral(self) -> Array:
-        """Zero angles and lengths, identity quaternions (nq,), even where that is outside the limits."""
+        """Zero angles and lengths, identity quaternions (nq,), even where that is outside the limits; read-only."""
         return self.layout.neutral
 
     @property

@@ -14,12 +14,11 @@ import numpy as np
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kernels import loop_layout as L
 from kempe.kernels.compiled import assembly as kernel
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.loops import Loops, loops_of, must_carry
 from kempe.solvers.arguments import check_constraints, place_of, seed_number, start_count
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
-from kempe.solvers.home import home_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -242,7 +241,7 @@ class Assembler:
     def _starts(self, given: Mapping[str, Any], near: Any) -> tuple[Array, tuple[int, ...]]:
         """Starts (N, nq) with the known values written in, and the leading shape of the answer."""
         system = self.system
-        base = home_of(system) if near is None else as_q(system, near)
+        base = home_of(system) if near is None else as_start(system, near)
         try:
             columns = [np.asarray(given[k], dtype=float) for k in self.coordinates]
         except (TypeError, ValueError):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_q, as_start
 from kempe.kinematics.forward import fk
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers.decompose import Dyad, End, parts_of
@@ -110,7 +110,7 @@ class Plan:
         if near is None:
             targets = np.zeros((1, nq))
         else:
-            targets = _rows(as_q(self.system, near), lead, "near")
+            targets = _rows(as_start(self.system, near), lead, "near")
             if not np.isfinite(targets).all():
                 raise InputError("near has entries that are not finite")
         signs = self._signs(branch, targets if branch is None and near is not None else None, lead)
@@ -130,7 +130,7 @@ class Plan:
         given, lead = self._values(values)
         signs = self.branches()
         k, nq = len(signs), self.system.nq
-        targets = np.zeros((1, nq)) if near is None else _rows(as_q(self.system, near), (), "near")
+        targets = np.zeros((1, nq)) if near is None else _rows(as_start(self.system, near), (), "near")
         q, status = np.empty((len(given) * k, nq)), np.empty((len(given) * k, 2))
         many = np.repeat(given, k, axis=0)
         self._run(many, np.tile(signs, (len(given), 1)), targets, q, status, None)

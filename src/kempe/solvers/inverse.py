@@ -13,7 +13,7 @@ from kempe.errors import InputError, NoSolutionError
 from kempe.kernels.compiled import maker, search
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, ROTATION_TOLERANCE, STATUS
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_start
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers import rounds
 from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
@@ -269,7 +269,7 @@ def _seeds(system: System, chain: Chain, seed: Any, lead: tuple[int, ...]) -> tu
     """Configurations (1 or N, nq) to start from, and the chain's part of them as (1 or N, K, nq) for the kernel."""
     if seed is None:
         return chain.base, chain.no_seed
-    base = as_q(system, seed)
+    base = as_start(system, seed)
     if base.ndim > 1 and base.shape[:-1] != lead:
         each = f" or {(*lead, system.nq)}" if lead else ""
         raise InputError(f"seed has shape {base.shape}; it must be ({system.nq},){each}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_start, home_of
 from kempe.solvers.clusters import INSIDE, SAME, Clusters, Metric
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
 from kempe.solvers.words import counted
@@ -116,7 +116,7 @@ def assembly_modes(
     given = {} if known is None else known
     if not isinstance(given, Mapping):
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
-    base = None if near is None else as_q(system, near)
+    base = None if near is None else as_start(system, near)
     if base is not None and (base.ndim != 1 or not np.isfinite(base).all()):
         raise InputError(f"near must be one configuration ({system.nq},) of finite numbers")
     if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or starts < 1:
@@ -183,7 +183,6 @@ def _merged(names: list[str]) -> str:
 
 def by_starts(question: Question) -> Modes:
     """The answer of many starts: never proven complete."""
-    from kempe.solvers.home import home_of
     from kempe.solvers.many_starts import estimates, search  # its kernels are not needed before
 
     system = question.system

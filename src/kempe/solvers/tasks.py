@@ -13,7 +13,7 @@ import numpy as np
 from kempe.errors import InputError, NoSolutionError
 from kempe.kernels import search_layout as S
 from kempe.kernels.compiled import reach as kernel
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.parallel import over_chunks
 from kempe.kinematics.task import Goals, Packed, Task, lead_of, refuse
 from kempe.kinematics.tasks_whole import Callback
@@ -24,7 +24,7 @@ from kempe.solvers.assembly import limitless
 from kempe.solvers.clock import Clock
 from kempe.solvers.contradictions import contradictory
 from kempe.solvers.effort import most_starts
-from kempe.solvers.home import beside, home_of
+from kempe.solvers.home import beside
 from kempe.solvers.lengths import unreachable
 from kempe.solvers.levels import keep, keep_levels, level_of, packed_for
 from kempe.solvers.reached import Reached
@@ -229,7 +229,7 @@ def pose_problem(
     """
     tasks = _distinct(wanted)
     goals = tuple(t.goals(system) for t in tasks)
-    base = _home(system) if seed is None else as_q(system, seed)
+    base = _home(system) if seed is None else as_start(system, seed)
     lead = own = lead_of(goals)
     if base.ndim > 1:
         try:

@@ -10,6 +10,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.errors import InputError, UnknownNameError
+from kempe.kinematics.configuration import has_loops
 from kempe.views import facts, report, rows
 
 if TYPE_CHECKING:
@@ -147,7 +148,7 @@ def configuration(
     """
     if text is None and posture is None:
         return None, None
-    if text is not None and "=" in text and not rows.is_file(text) and facts.has_loops(system):
+    if text is not None and "=" in text and not rows.is_file(text) and has_loops(system):
         near = None if posture is None else rows.configuration(system, None, posture, degrees)
         answer = system.assemble(known(system, text.split(","), degrees, frames=False), near)
         return answer.q, answer

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_start
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def near_of(system: System, near: Any, lead: tuple[int, ...] | None) -> Array | 
     """Configurations (1 or N, nq) near which angles are given; None for none. Errors: `InputError`."""
     if near is None:
         return None
-    q = as_q(system, near)
+    q = as_start(system, near)
     if q.ndim > 1 and q.shape[:-1] != (lead or ()):
         each = f" or {(*lead, system.nq)}" if lead else ""
         raise InputError(f"near has shape {q.shape}; it must be ({system.nq},){each}")
