@@ -34,7 +34,8 @@ def reals(given: Any, what: str, wanted: str = "an array of real numbers") -> ND
     try:
         array = np.asarray(given)
     except (TypeError, ValueError, RuntimeError, OverflowError):
-        raise InputError(f"{what} is {_short(given)}; it must be {wanted}") from None
+        held = "ragged" if isinstance(given, (list, tuple)) else _short(given)
+        raise InputError(f"{what} is {held}; it must be {wanted}") from None
     if array.dtype.kind not in "fiu":
         held = KINDS.get(array.dtype.kind, str(array.dtype))
         if given is None or not array.ndim:

@@ -822,8 +822,9 @@ def test_a_built_system_does_not_see_later_changes():
     for name in ("nq", "name", "parent", "lower", "neutral"):
         with pytest.raises(AttributeError):
             setattr(s, name, 0)
-    s.lower[0] = 99.0
-    s.neutral[0] = 99.0
+    for array in (s.lower, s.upper, s.limits, s.velocity_limits, s.neutral, s.mid):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 99.0
     assert s.lower[0] == -2.0 and s.neutral[0] == 0.0
     for array in (s.coordinates.lower, s.layout.vector_q, s.table.placement, s.coordinates.turning):
         with pytest.raises(ValueError, match="read-only"):

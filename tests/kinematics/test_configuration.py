@@ -59,10 +59,10 @@ def test_one_source_of_names():
     assert error.value.allowed == s.coordinate_names
     with pytest.raises(UnknownNameError, match="chain has no coordinate 'shoulder'; did you mean 'shoulder.q"):
         s.q({"shoulder": 1.0})
-    for bad in ("x", None, [1, 2], object()):
+    for bad in ("x", None, object()):
         with pytest.raises(InputError, match="coordinate 'elbow' is .*; it must be a number"):
             s.q({"elbow": bad})  # type: ignore[dict-item]
-    with pytest.raises(InputError, match=r"q has shape \(3,\); chain needs \(5,\)"):
+    with pytest.raises(InputError, match="q has 3 coordinates; chain needs 5"):
         s.q_dict(np.zeros(3))
     with pytest.raises(InputError, match="q has 3 coordinates; chain needs 5: shoulder.qw"):
         s.q({}, base=np.zeros(3))
@@ -70,7 +70,7 @@ def test_one_source_of_names():
 
 @pytest.mark.parametrize(("v", "words"), [
     (np.zeros(5), "v has 5 coordinates; chain has 4 velocity coordinates"), (1.0, "v has a single number; chain has 4"),
-    ("fast", "v is str; it must be an array"), ([[0] * 4, [0] * 3], "v is list; it must be an array"),
+    ("fast", "v is 'fast'; it must be an array"), ([[0] * 4, [0] * 3], "v is ragged; it must be an array"),
 ])  # fmt: skip
 def test_bad_tangents(v, words):
     s = system(shoulder="spherical", elbow="revolute")

@@ -79,7 +79,7 @@ def ik(
     results(out)
     if frame is None or target is None:
         asked = _read_tasks(system, tasks, deg)
-        start = None if seed is None else rows.configuration(system, seed, None, deg)
+        start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
         options = {"rng": rng or 0, **({} if prefer is None else {"prefer": prefer})}
         _answer(system, asked.count, TASK_SLICE, lambda i, j: system.ik(
             asked.tasks(i, j), seed=_part(start, i, j), tolerance=rows.tolerance(tolerance or "1e-6"), **options
@@ -87,7 +87,7 @@ def ik(
         return
     system.frame_name(frame)  # a wrong name is told before kernels are compiled
     X, position = rows.target(system, target, deg)
-    start = None if seed is None else rows.configuration(system, seed, None, deg)
+    start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
     position = position or position_only
     task = _task(task, position)
     if all:
@@ -170,7 +170,7 @@ def path(
     from kempe.views import follow_report, rows, slices
 
     results(out)
-    start = None if seed is None else rows.configuration(system, seed, None, deg)
+    start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
     wanted: Any
     if frame is None or target is None:
         asked = _read_tasks(system, tasks, deg)

@@ -221,16 +221,16 @@ def limits(
 ) -> dict[str, Limits]:
     """Limits by coordinate: (lower, upper), or a dict of such pairs for a joint with several coordinates.
 
-    A quaternion has no limits by coordinate.
+    None is no limit on that side. A quaternion has no limits by coordinate.
     """
     coordinates = type_.coordinates(dim, particle)
     names = tuple(v for v in type_.velocities(dim, particle) if v in coordinates)
     out: dict[str, Limits] = {}
     for key, pair in _by_name(subject, "limits", given, names, where):
         numbers = tuple(pair) if isinstance(pair, (list, tuple, np.ndarray)) else ()
-        if len(numbers) != 2 or not all(_real(x) for x in numbers):
+        if len(numbers) != 2 or not all(x is None or _real(x) for x in numbers):
             refuse(subject, f"limits are {pair!r}", where, "they must be a pair (lower, upper)")
-        lower, upper = float(numbers[0]), float(numbers[1])
+        lower, upper = (end if x is None else float(x) for x, end in zip(numbers, (-math.inf, math.inf), strict=True))
         if math.isnan(lower) or math.isnan(upper) or lower == math.inf or upper == -math.inf:
             refuse(subject, f"limits are ({lower}, {upper})", where, "they must be numbers")
         if lower > upper:

@@ -24,7 +24,7 @@ def as_q(system: System, q: object) -> Array:
     """`q` as an aligned, C-contiguous float64 array (..., nq): the one place where configurations are read.
 
     An array is taken as it is. What is given by names (a dict, a pandas Series or DataFrame, a list of them) is read
-    by name; what is not named is neutral, and in a system with closed loops or relations follows from these: the
+    by name; what is not named is neutral, and in a system with closed loops or relations follows from what is: the
     configuration that `assemble` finds from home.
     Errors: `InputError` for a wrong length or type, and for named values that close no loop; `UnknownNameError`.
     """
@@ -69,23 +69,25 @@ def from_home(system: System, coordinates: Mapping[str, Any]) -> Array:
     return q_from_dict(system, coordinates, home_of(system) if has_loops(system) else None)
 
 
-def closed_from(system: System, coordinates: Mapping[str, Any]) -> Array:
-    """The configuration (..., nq) that named values make: of a system with loops, the one that closes these from home.
+def closed_from(system: System, coordinates: Mapping[str, Any], near: Any = None) -> Array:
+    """The configuration (..., nq) that named values make: of a system with loops, the one that closes these.
 
-    Errors: `InputError` where none was found, with the reason.
+    The search starts `near`, else at home. Where all coordinates are named nothing is searched for. Errors:
+    `InputError` where no closed configuration was found, with the reason.
     """
-    q = q_from_dict(system, coordinates)  # refuses names and numbers
-    if not has_loops(system):
+    q = q_from_dict(system, coordinates, near)  # refuses names and numbers
+    given = named(coordinates) or {}
+    if not has_loops(system) or len(given) == system.nq:
         return q
-    answer = system.assemble(coordinates)
+    answer = system.assemble(given, near)
     if np.all(answer.success):
         return answer.q
-    rows = np.flatnonzero(~np.atleast_1d(answer.success).ravel())
     why, where = answer.status, ""
     if q.ndim > 1:
-        why, where = np.ravel(np.asarray(why, dtype=object))[rows[0]], f"row {rows[0]} of "
-    raise InputError(f"{where}q gives {', '.join(map(repr, coordinates)) or 'nothing'} of a system with loops, which "
-                     f"the other coordinates must close: {why}; an array (nq,) is taken as it is")  # fmt: skip
+        first = int(np.flatnonzero(~np.ravel(answer.success))[0])
+        why, where = np.ravel(np.asarray(why, dtype=object))[first], f"row {first} of "
+    raise InputError(f"{where}q gives {', '.join(map(repr, given)) or 'nothing'} of a system with loops, and the other "
+                     f"coordinates must close them: {why} (an array of all {system.nq} is taken as it is)")  # fmt: skip
 
 
 def q_from_dict(system: System, coordinates: Mapping[str, Any], base: ArrayLike | None = None) -> Array:
@@ -114,6 +116,14 @@ def q_from_dict(system: System, coordinates: Mapping[str, Any], base: ArrayLike 
     for name, x in zip(given, values, strict=True):
         q[..., index[name]] = x
     return q
+
+
+def q_to_dict(system: System, q: Any) -> dict[str, float]:
+    """Values by coordinate name of one configuration (nq,)."""
+    q = as_q(system, q)
+    if q.ndim != 1:
+        raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
+    return dict(zip(system.coordinate_names, q.tolist(), strict=True))
 
 
 def mid(system: System) -> Array:

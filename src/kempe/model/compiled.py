@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kempe.description.mechanism import Mechanism
-from kempe.description.parts import Body, Frame, Joint
+from kempe.description.parts import Body, Fixed, Frame, Joint
 from kempe.errors import DescriptionError, Problem, UnknownNameError
 from kempe.joints import Layout
 from kempe.model.coordinates import Coordinates, Relation, coordinate_names, coordinates_of
@@ -29,12 +29,12 @@ class Compiled:
     _table: Table
     _queries: dict[object, Any]
 
-    def __init__(self, mechanism: Mechanism, topology: Topology | None = None):
+    def __init__(self, mechanism: Mechanism, topology: Topology | None = None, table: Table | None = None):
         own = vars(self)  # attributes cannot be set: the system is frozen
         own["_mechanism"] = mechanism = mechanism.copy()
         own["_topology"] = spanning_tree(mechanism) if topology is None else topology
         own["_coordinates"] = coordinates_of(mechanism)
-        own["_table"] = lower(mechanism, self._topology, self._coordinates, mechanism.parameters)
+        own["_table"] = lower(mechanism, self._topology, self._coordinates, mechanism.parameters) if table is None else table
         own["_queries"] = {}
         self._check()
 
@@ -85,12 +85,12 @@ class Compiled:
     @property
     def frames(self) -> dict[str, Frame]:
         """The named frames."""
-        return dict(self._mechanism.frames)
+        return Fixed(self._mechanism.frames)
 
     @property
     def joints(self) -> dict[str, Joint]:
         """All joints, fixed ones and loop closures included, in the order of the description."""
-        return dict(self._mechanism.joints)
+        return Fixed(self._mechanism.joints)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
@@ -130,12 +130,12 @@ class Compiled:
     @property
     def couplings(self) -> dict[str, Any]:
         """Coordinates that follow one other (mimic joints, gears) or are held: they are not in `q`."""
-        return dict(self._coordinates.followers)
+        return Fixed(self._coordinates.followers)
 
     @property
     def parameters(self) -> dict[str, float]:
         """Named parameters and their values."""
-        return dict(self._mechanism.parameters)
+        return Fixed(self._mechanism.parameters)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.description.mechanism import BodyLike
-from kempe.errors import InputError, UnknownNameError
+from kempe.errors import UnknownNameError
 from kempe.model.compiled import Compiled, FrameLike
 from kempe.spatial import Array
 
@@ -45,15 +45,19 @@ class System(Compiled):
     """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates, primitive table.
 
     Frozen, hashable by content, picklable, safe to share between threads. A configuration `q` is an array (..., nq) in
-    the order of `coordinate_names`, in radians and metres; a dict by coordinate name is accepted in its place. Poses
-    are relative to body 0, the ground. What the methods take is explained at the functions that they name.
+    the order of `coordinate_names`, in radians and metres; a dict by coordinate name is accepted in its place, of a
+    system with loops as what `assemble` closes. Poses are relative to body 0, the ground. What the methods take is
+    explained at the functions that they name.
     """
 
     # ---- configurations
 
     @property
     def mid(self) -> Array:
-        """A configuration (nq,) inside the limits: mid-range, or as near to neutral as a one-sided limit allows."""
+        """A configuration (nq,) inside the limits: mid-range, or as near to neutral as a one-sided limit allows.
+
+        It is read-only: `mid.copy()` is one to change.
+        """
         from kempe.kinematics.configuration import mid
 
         return mid(self)
@@ -72,17 +76,19 @@ class System(Compiled):
         return random(self, rng, shape)
 
     def q(self, coordinates: Mapping[str, float], base: ArrayLike | None = None) -> Array:
-        """Configuration (nq,) from values by coordinate name; the others are neutral, or as in `base` (..., nq)."""
+        """Configuration (..., nq) from values by coordinate name; the others are neutral, or as in `base` (..., nq).
+
+        Numbers are only written down: no loop is closed (`assemble` closes them).
+        """
         from kempe.kinematics.configuration import q_from_dict
 
         return q_from_dict(self, coordinates, base)
 
     def q_dict(self, q: ArrayLike) -> dict[str, float]:
         """Values by coordinate name of one configuration (nq,)."""
-        q = np.asarray(q, dtype=float)
-        if q.shape != (self.nq,):
-            raise InputError(f"q has shape {q.shape}; {self.name} needs ({self.nq},)")
-        return dict(zip(self.coordinate_names, q.tolist(), strict=True))
+        from kempe.kinematics.configuration import q_to_dict
+
+        return q_to_dict(self, q)
 
     # ---- the space of configurations
 
@@ -322,6 +328,12 @@ class System(Compiled):
         from kempe.kinematics.designs import with_parameters
 
         return with_parameters(self, numbers)
+
+    def with_limits(self, limits: Any = None, velocity: Any = None) -> System:
+        """The same system with other limits, by coordinate name; see `kempe.kinematics.limits.with_limits`."""
+        from kempe.kinematics.limits import with_limits
+
+        return with_limits(self, limits, velocity)
 
     def lock(self, coordinates: Mapping[str, float]) -> System:
         """The same system with some coordinates held at values: they leave `q`."""

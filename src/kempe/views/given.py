@@ -100,8 +100,7 @@ def _columns(system: System, path: Path, degrees: bool) -> dict[str, Any]:
 def start(system: System, text: str | None, degrees: bool = False) -> spatial.Array | None:
     """A start (nq,) given as the name of a posture, or as values; None where nothing is given.
 
-    What 'name=value' leaves open is as in the posture 'closed', where there is one. Errors: `InputError`,
-    `UnknownNameError`.
+    What 'name=value' leaves open is as at home. Errors: `InputError`, `UnknownNameError`.
     """
     if text is None:
         return None
@@ -118,8 +117,7 @@ def _start(system: System, text: str, degrees: bool) -> spatial.Array:
         return rows.configuration(system, None, text, degrees)
     if not any(c in text for c in ",=.") and not text.strip().lstrip("+-").isdigit():
         raise UnknownNameError("posture", text, (*system.posture_names, *SPECIAL), system.name)
-    base = "closed" if "=" in text and "closed" in system.posture_names else None
-    return rows.configuration(system, text, base, degrees)
+    return rows.configuration(system, text, None, degrees, start=True)
 
 
 def first(
