@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from kempe.reals import reals
+
 Array = NDArray[np.float64]
 
 SMALL_ANGLE = 1e-4
@@ -17,7 +19,7 @@ SMALL_ANGLE = 1e-4
 
 def unit(v: ArrayLike) -> Array:
     """Vectors (..., n) scaled to length one, however large or small; NaN for a vector that is zero or not finite."""
-    v = np.asarray(v, dtype=float)
+    v = reals(v, "v")
     with np.errstate(invalid="ignore", divide="ignore"):
         scaled = v / np.max(np.abs(v), axis=-1, keepdims=True)  # or squares would overflow or vanish
         return scaled / np.sqrt(np.sum(scaled * scaled, axis=-1, keepdims=True))
@@ -25,7 +27,7 @@ def unit(v: ArrayLike) -> Array:
 
 def skew(v: ArrayLike) -> Array:
     """Matrix (..., 3, 3) of the cross product with `v` (..., 3)."""
-    v = np.asarray(v, dtype=float)
+    v = reals(v, "v")
     out = np.zeros((*v.shape, 3))
     out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
     out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
@@ -35,8 +37,8 @@ def skew(v: ArrayLike) -> Array:
 
 def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
     """Pose (..., 4, 4) of a rotation (..., 3, 3) and a position (..., 3); what is not given is zero motion."""
-    R = np.eye(3) if R is None else np.asarray(R, dtype=float)
-    p = np.zeros(3) if p is None else np.asarray(p, dtype=float)
+    R = np.eye(3) if R is None else reals(R, "R")
+    p = np.zeros(3) if p is None else reals(p, "p")
     shape = np.broadcast_shapes(R.shape[:-2], p.shape[:-1])
     out = np.zeros((*shape, 4, 4))
     out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = R, p, 1.0
@@ -45,7 +47,7 @@ def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
 
 def inverse(X: ArrayLike) -> Array:
     """Inverse (..., 4, 4) of poses, by transposing the rotation."""
-    X = np.asarray(X, dtype=float)
+    X = reals(X, "X")
     R = np.swapaxes(X[..., :3, :3], -1, -2)
     return pose(R, -np.einsum("...ij,...j->...i", R, X[..., :3, 3]))
 
@@ -66,7 +68,7 @@ def rot_z(angle: ArrayLike) -> Array:
 
 
 def _rot(angle: ArrayLike, axis: int) -> Array:
-    angle = np.asarray(angle, dtype=float)
+    angle = reals(angle, "angle")
     c, s = np.cos(angle), np.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     out = np.zeros((*angle.shape, 3, 3))
@@ -97,20 +99,18 @@ def align_z(axis: ArrayLike) -> Array:
 
 def rpy_to_matrix(rpy: ArrayLike) -> Array:
     """Rotation Rz(yaw) Ry(pitch) Rx(roll) of fixed-axis angles `rpy` (..., 3), as URDF writes them."""
-    r, p, y = np.moveaxis(np.asarray(rpy, dtype=float), -1, 0)
+    r, p, y = np.moveaxis(reals(rpy, "rpy"), -1, 0)
     return rot_z(y) @ rot_y(p) @ rot_x(r)
 
 
 def matrix_to_rpy(R: ArrayLike) -> Array:
     """Fixed-axis angles (..., 3) roll, pitch, yaw of rotations; at pitch = +-90 degrees roll is chosen zero."""
-    R = np.asarray(R, dtype=float)
+    R = reals(R, "R")
     cos_pitch = np.hypot(R[..., 0, 0], R[..., 1, 0])
     pitch = np.arctan2(-R[..., 2, 0], cos_pitch)
     regular = cos_pitch > 1e-12
     roll = np.where(regular, np.arctan2(R[..., 2, 1], R[..., 2, 2]), 0.0 * pitch)  # or NaN
-    yaw = np.where(
-        regular, np.arctan2(R[..., 1, 0], R[..., 0, 0]), np.arctan2(-R[..., 0, 1], R[..., 1, 1])
-    )
+    yaw = np.where(regular, np.arctan2(R[..., 1, 0], R[..., 0, 0]), np.arctan2(-R[..., 0, 1], R[..., 1, 1]))
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
@@ -124,7 +124,7 @@ def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
 
 def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
     """Unit quaternion (..., 4) with w >= 0 of rotations (..., 3, 3), by the largest component (Shepperd, 1978)."""
-    R = np.asarray(R, dtype=float)
+    R = reals(R, "R")
     d = np.stack([R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]], axis=-1)
     trace = d.sum(axis=-1)
     # squares of (w, x, y, z), times 4
@@ -145,7 +145,7 @@ def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
 
 def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """Product (..., 4) of quaternions (w, x, y, z)."""
-    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    a, b = reals(a, "a"), reals(b, "b")
     w = a[..., 0] * b[..., 0] - np.sum(a[..., 1:] * b[..., 1:], axis=-1)
     v = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + np.cross(a[..., 1:], b[..., 1:])
     return np.concatenate([w[..., None], v], axis=-1)
@@ -153,19 +153,19 @@ def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
 
 def quat_wxyz_conjugate(q: ArrayLike) -> Array:
     """Conjugate (..., 4): the inverse rotation of a unit quaternion."""
-    return np.asarray(q, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0])
+    return reals(q, "q") * np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def quat_wxyz_exp(w: ArrayLike) -> Array:
     """Unit quaternion (..., 4) of the rotation vector `w` (..., 3)."""
-    w = np.asarray(w, dtype=float)
+    w = reals(w, "w")
     half = 0.5 * np.linalg.norm(w, axis=-1, keepdims=True)
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * w], axis=-1)
 
 
 def quat_wxyz_log(q: ArrayLike) -> Array:
     """Rotation vector (..., 3), at most pi long, of unit quaternions (..., 4); q and -q give the same."""
-    q = np.asarray(q, dtype=float)
+    q = reals(q, "q")
     q = np.where(q[..., :1] < 0.0, -q, q)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, q[..., :1])
@@ -187,7 +187,7 @@ def log_so3(R: ArrayLike) -> Array:
 
 def exp_se3(twist: ArrayLike) -> Array:
     """Pose (..., 4, 4) of the screw motion `twist` = [v; w] (..., 6) (Murray, Li, Sastry, 1994, eq. 2.36)."""
-    twist = np.asarray(twist, dtype=float)
+    twist = reals(twist, "twist")
     v, w = twist[..., :3], twist[..., 3:]
     K = skew(w)
     _, b, c = _series(np.linalg.norm(w, axis=-1))
@@ -197,7 +197,7 @@ def exp_se3(twist: ArrayLike) -> Array:
 
 def log_se3(X: ArrayLike) -> Array:
     """Twist [v; w] (..., 6) whose exponential is the pose; the rotation is at most a half turn."""
-    X = np.asarray(X, dtype=float)
+    X = reals(X, "X")
     w = log_so3(X[..., :3, :3])
     K = skew(w)
     a, b, _ = _series(np.linalg.norm(w, axis=-1))
@@ -221,7 +221,7 @@ def _series(angle: Array) -> tuple[Array, Array, Array]:
 
 def adjoint(X: ArrayLike) -> Array:
     """Matrix (..., 6, 6) that takes twists [v; w] seen from B to twists seen from A, for X = X_AB."""
-    X = np.asarray(X, dtype=float)
+    X = reals(X, "X")
     R, p = X[..., :3, :3], X[..., :3, 3]
     out = np.zeros((*X.shape[:-2], 6, 6))
     out[..., :3, :3], out[..., 3:, 3:] = R, R
@@ -231,11 +231,11 @@ def adjoint(X: ArrayLike) -> Array:
 
 def pose_from_xyz_rpy(values: ArrayLike) -> Array:
     """Pose (..., 4, 4) of x, y, z, roll, pitch, yaw (..., 6): fixed axes x, y, z, as in URDF."""
-    values = np.asarray(values, dtype=float)
+    values = reals(values, "values")
     return pose(rpy_to_matrix(values[..., 3:]), values[..., :3])
 
 
 def xyz_rpy_from_pose(X: ArrayLike) -> Array:
     """x, y, z, roll, pitch, yaw (..., 6) of poses."""
-    X = np.asarray(X, dtype=float)
+    X = reals(X, "X")
     return np.concatenate([X[..., :3, 3], matrix_to_rpy(X[..., :3, :3])], axis=-1)

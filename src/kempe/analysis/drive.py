@@ -20,6 +20,7 @@ from kempe.analysis.events import Limits
 from kempe.analysis.motion import Progress, angle_or_slide, begin, longest_step, periods, start_of, wish_of
 from kempe.analysis.path import Configurations, Event
 from kempe.errors import InputError
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -203,10 +204,7 @@ def _samples(
 
 
 def _numbers(values: Any, subject: str) -> Array:
-    try:
-        return np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{subject} is {values!r}; it must be numbers") from None
+    return reals(values, subject, "numbers")
 
 
 def _begin(

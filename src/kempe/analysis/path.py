@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from kempe.analysis.continuation import Closure, least_squares
 from kempe.errors import InputError, UnknownNameError
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -166,7 +167,7 @@ class Path(Configurations):
 
         Errors: `InputError` for arc lengths beyond the ends of a path that is not closed.
         """
-        s = np.asarray(s, dtype=float)
+        s = reals(s, "s")
         if not np.isfinite(s).all():
             raise InputError("s holds a NaN or an infinity; arc lengths are finite numbers")
         length = self.length

@@ -20,6 +20,7 @@ from kempe.analysis.path import Event, Path
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import P, R
 from kempe.kinematics.configuration import as_q
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -184,7 +185,7 @@ def mechanical_advantage(
     kind, name = _output(system, output)
     if (kind == "frame") != (direction is not None):
         raise InputError(f"output {name!r} is a {kind}; a frame needs a direction, a coordinate none")
-    push = np.zeros(3) if direction is None else np.asarray(direction, dtype=float)
+    push = np.zeros(3) if direction is None else reals(direction, "direction")
     if kind == "frame" and (push.shape != (3,) or not np.linalg.norm(push) > 0.0):
         raise InputError(f"direction is {direction!r}; it must be three numbers, not all zero")
     out = np.full(q.shape[:-1], np.nan)

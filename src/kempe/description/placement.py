@@ -13,6 +13,7 @@ import numpy as np
 from kempe import spatial
 from kempe.description.values import Expression, Value, evaluate, negate, value, values
 from kempe.errors import InputError
+from kempe.reals import reals
 
 Step = tuple[str, tuple[Value, ...]]
 
@@ -111,10 +112,7 @@ def placement_of_pose(X: object) -> Placement:
 
 
 def _array(x: object, what: str) -> np.ndarray:
-    try:
-        return np.asarray(x, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} is {x!r}; it must be an array of numbers") from None
+    return reals(x, what)
 
 
 def check_step(motion: str, numbers: tuple[Value, ...]) -> None:

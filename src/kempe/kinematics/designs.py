@@ -15,6 +15,7 @@ from kempe.kernels.compiled import sweep
 from kempe.kinematics.configuration import as_q
 from kempe.model.system import FrameLike, System
 from kempe.model.table import lower
+from kempe.reals import reals
 from kempe.spatial import Array
 
 
@@ -24,10 +25,7 @@ def with_parameters(system: System, numbers: Mapping[str, Any]) -> System | Desi
     for name, x in numbers.items():
         if name not in system.parameters:
             raise UnknownNameError("parameter", name, system.parameters, system.name)
-        try:
-            arrays[name] = np.asarray(x, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"parameter {name!r} is {x!r}; it must be a number or an array of numbers") from None
+        arrays[name] = reals(x, f"parameter {name!r}", "a number or an array of numbers")
         if not np.all(np.isfinite(arrays[name])):
             raise InputError(f"parameter {name!r} is not finite")
     try:

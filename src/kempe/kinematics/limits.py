@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -119,5 +118,8 @@ def _local(joint: Joint, name: str) -> str:
 def _others(system: System, name: str) -> str:
     """The coordinates that move with one, by name."""
     i = _led(system, name)[0]
-    moved = [system.velocity_names[i], *(n for n, f in system.couplings.items() if f.source == system.velocity_names[i])]
+    moved = [
+        system.velocity_names[i],
+        *(n for n, f in system.couplings.items() if f.source == system.velocity_names[i]),
+    ]
     return ", ".join(repr(n) for n in moved if n != name)

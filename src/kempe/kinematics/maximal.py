@@ -34,6 +34,7 @@ from kempe.kinematics.maximal_form import (
     off_by,
     pose_in,
 )
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def maximal_jacobian(system: System, poses: ArrayLike, near: Any = None) -> Arra
 
 def maximal_integrate(system: System, poses: ArrayLike, v: ArrayLike) -> Array:
     """Poses reached from `poses` by the twists `v` (..., n) in one unit of time: r + v and exp(w) R."""
-    poses, v = _checked(system, poses), np.asarray(v, dtype=float)
+    poses, v = _checked(system, poses), reals(v, "v")
     out = np.array(np.broadcast_to(poses, (*np.broadcast_shapes(poses.shape[:-3], v.shape[:-1]), *poses.shape[-3:])))
     for i, selector in enumerate(form_of(system).selectors[1:]):
         twist = v @ selector.T
@@ -195,7 +196,7 @@ def _rigid(system: System, poses: Array) -> Array:
 
 
 def _checked(system: System, poses: ArrayLike) -> Array:
-    array = np.asarray(poses, dtype=float)
+    array = reals(poses, "poses")
     n = len(system.body_names) - 1
     if array.ndim < 3 or array.shape[-3:] != (n, 4, 4):
         raise InputError(

@@ -18,6 +18,7 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import fk
 from kempe.model.loops import Centre, Loops, Tie, pack
 from kempe.model.table import Table
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -230,15 +231,7 @@ def refuse(goals: Goals, what: str) -> None:
 
 def numbers_of(x: Any, what: str) -> Array:
     """Real numbers as an array. Errors: `InputError`."""
-    try:
-        given = np.asarray(x)
-        if given.dtype == float:
-            return given
-        if given.dtype.kind not in "fiu":
-            raise TypeError
-        return np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} is {x!r}; it must be an array of real numbers") from None
+    return reals(x, what)
 
 
 def along(z: Array, dim: int) -> Array:

@@ -25,6 +25,7 @@ from kempe.kinematics.curves import Curve
 from kempe.kinematics.derivatives import SUPPLIED, check_supplied, checked_value, jacobian_of, way_of
 from kempe.kinematics.joint_motion import motion_of
 from kempe.model.reduced import slides_along_z
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -239,7 +240,9 @@ class UserConstraint(Constraint):
     def residual(self, system: System, q: Any) -> Array:
         """Values (..., size) of the function; it is called with one configuration (nq,) at a time."""
         shape = (self.count,)
-        return _each(lambda x: np.asarray(self.function(x), dtype=float).reshape(shape), as_q(system, q), shape)
+        return _each(
+            lambda x: reals(self.function(x), f"constraint {self.name!r}").reshape(shape), as_q(system, q), shape
+        )
 
     def jacobian(self, system: System, q: Any) -> Array:
         """Derivatives (..., size, nv)."""

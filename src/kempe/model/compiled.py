@@ -19,7 +19,6 @@ from kempe.spatial import Array
 FrameLike = Body | Frame | str
 
 
-
 class Compiled:
     """A mechanism, compiled: spanning tree, loop closures, coordinates, primitive table; frozen. Base of `System`."""
 
@@ -34,7 +33,9 @@ class Compiled:
         own["_mechanism"] = mechanism = mechanism.copy()
         own["_topology"] = spanning_tree(mechanism) if topology is None else topology
         own["_coordinates"] = coordinates_of(mechanism)
-        own["_table"] = lower(mechanism, self._topology, self._coordinates, mechanism.parameters) if table is None else table
+        own["_table"] = (
+            lower(mechanism, self._topology, self._coordinates, mechanism.parameters) if table is None else table
+        )
         own["_queries"] = {}
         self._check()
 

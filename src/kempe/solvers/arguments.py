@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -69,10 +70,7 @@ def place_of(system: System, frame: str, place: Any, whole: bool) -> Array:
 
     Errors: `InputError` for what are no numbers, no poses, or leaves the plane of a planar system.
     """
-    try:
-        x = np.asarray(place, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"the place of frame {frame!r} must be numbers") from None
+    x = reals(place, f"the place of frame {frame!r}", "numbers")
     fine = np.isfinite(x).all(axis=(-1, -2) if whole else -1)
     tilt, height = np.zeros(1), np.zeros(1)
     if whole:

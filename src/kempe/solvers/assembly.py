@@ -17,6 +17,7 @@ from kempe.kernels.compiled import assembly as kernel
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.loops import Loops, loops_of, must_carry
+from kempe.reals import reals
 from kempe.solvers.arguments import check_constraints, place_of, seed_number, start_count
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
 from kempe.spatial import Array
@@ -216,10 +217,7 @@ class Assembler:
     def _by_name(self, values: Any) -> dict[str, Any]:
         if self.frames:
             raise InputError("give the places of frames by name: a dict")
-        try:
-            array = np.asarray(values, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError("known values must be numbers or arrays of numbers") from None
+        array = reals(values, "values")
         if array.ndim == 1 and len(array) == len(self.known):
             return dict(zip(self.known, array.tolist(), strict=True))
         if array.ndim == 0 or array.shape[-1] != len(self.known):
@@ -242,10 +240,7 @@ class Assembler:
         """Starts (N, nq) with the known values written in, and the leading shape of the answer."""
         system = self.system
         base = home_of(system) if near is None else as_start(system, near)
-        try:
-            columns = [np.asarray(given[k], dtype=float) for k in self.coordinates]
-        except (TypeError, ValueError):
-            raise InputError("known values must be numbers or arrays of numbers") from None
+        columns = [reals(given[k], f"the known value of {k!r}", "a number, or an array") for k in self.coordinates]
         shapes = [c.shape for c in columns] + [base.shape[:-1]]
         shapes += [np.shape(given[f])[: -2 if t else -1] for f, t in zip(self.frames, self._turned(given), strict=True)]
         try:

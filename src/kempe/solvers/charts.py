@@ -17,6 +17,7 @@ import numpy as np
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.loops import evaluate
+from kempe.reals import reals
 from kempe.solvers.assembly import RANK_TOLERANCE, TOLERANCE, Assembly, assemble
 from kempe.solvers.custom import scales
 from kempe.spatial import Array
@@ -57,7 +58,7 @@ class Chart:
 
         Default for `near`: the origin. From far away it may be on another branch: lead it in steps.
         """
-        u = np.asarray(u, dtype=float)
+        u = reals(u, "u")
         if u.ndim == 0 and self.dim == 1:
             u = u[None]
         if u.ndim == 0 or u.shape[-1] != self.dim:
@@ -180,4 +181,3 @@ def _without(N: Array, direction: Array) -> Array:
         return N
     u = direction / size
     return N - np.outer(N @ u, u)
-

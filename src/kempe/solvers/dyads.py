@@ -15,6 +15,7 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q, as_start
 from kempe.kinematics.forward import fk
 from kempe.kinematics.parallel import over_chunks
+from kempe.reals import reals
 from kempe.solvers.decompose import Dyad, End, parts_of
 from kempe.solvers.rings import Decomposition
 from kempe.spatial import Array
@@ -176,9 +177,7 @@ class Plan:
         point = pose[..., :2, 3] + pose[..., :2, :2] @ np.array([end.x, end.y])
         return point, pose[..., :2, :2] @ np.array([end.dx, end.dy])
 
-    def _run(
-        self, values: Array, signs: Array, targets: Array, q: Array, status: Array, threads: int | None
-    ) -> None:
+    def _run(self, values: Array, signs: Array, targets: Array, q: Array, status: Array, threads: int | None) -> None:
         from kempe.kernels.compiled import dyads
 
         ints, floats = self.program
@@ -190,10 +189,7 @@ class Plan:
         over_chunks(work, len(values), CHUNK, threads, SERIAL_BELOW)
 
     def _values(self, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
-        try:
-            array = np.asarray(values, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"values are {type(values).__name__}; they must be an array of numbers") from None
+        array = reals(values, "values")
         if array.ndim == 0 or array.shape[-1] != len(self.known):
             got = "a single number" if array.ndim == 0 else f"shape {array.shape}"
             raise InputError(f"values have {got}; they must be (..., {len(self.known)}): {', '.join(self.known)}")
@@ -205,10 +201,7 @@ class Plan:
             return np.ones((1, self.signs)) if near is None else np.ascontiguousarray(self.branch_of(near))
         if isinstance(branch, str):
             branch = [{"+": 1.0, "-": -1.0}.get(c, math.nan) for c in branch]
-        try:
-            signs = np.asarray(branch, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"branch is {branch!r}; it must be signs, +1 or -1") from None
+        signs = reals(branch, "branch", "signs, +1 or -1")
         if signs.ndim == 0 or signs.shape[-1] != self.signs or not np.all(np.abs(signs) == 1.0):
             each = f"{self.signs} sign{'s' * (self.signs != 1)}, + or - (1 or -1), one for each dyad"
             raise InputError(f"branch is {branch!r}; it must be {each}; closed_form({self.known}).describe() tells")
@@ -248,10 +241,7 @@ def source_values(system: System, known: Mapping[str, Any]) -> dict[str, Any]:
             raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
         if follower is not None and follower.source is None:
             raise InputError(f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given")
-        try:
-            number = np.asarray(given, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"coordinate {name!r} is {given!r}; it must be a number") from None
+        number = reals(given, f"coordinate {name!r}", "a number")
         source = name if follower is None else str(follower.source)
         if source in out:
             raise InputError(f"known coordinates {name!r} and {source!r} move together: give one of them")

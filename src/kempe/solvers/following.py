@@ -14,6 +14,7 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.search_layout import BAD_INPUT
 from kempe.kinematics.task import refuse
 from kempe.kinematics.tasks import Pose, Position
+from kempe.reals import reals
 from kempe.solvers.chain import inside
 from kempe.solvers.solution import SOLVED
 from kempe.solvers.targets import parse_targets
@@ -305,7 +306,7 @@ def _all(system: System, targets: Any, frame: FrameLike | None, row: Problem, be
     if frame is None:
         return []
     try:
-        found = system.ik_all(np.asarray(targets, dtype=float)[begin], frame)
+        found = system.ik_all(reals(targets, "targets")[begin], frame)
     except UnsupportedError:
         return []
     answers = [row.run(q[None]) for q in found.q[found.inside]]

@@ -12,6 +12,7 @@ from kempe import spatial
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import refuse_bad
+from kempe.reals import reals
 from kempe.solvers.chain import chain_of, obstacle
 from kempe.solvers.least_squares import NEAR, damped, scaled
 from kempe.spatial import Array
@@ -167,7 +168,7 @@ def _part(had: Array, asked: Array) -> float:
 
 
 def _twist(wanted: Any, pose: Array, dt: float) -> Array:
-    x = np.asarray(wanted, dtype=float)
+    x = reals(wanted, "the wanted motion", "a twist (6,) or a pose (4, 4)")
     if x.shape == (4, 4):
         out = np.empty(6)
         out[:3] = x[:3, 3] - pose[:3, 3]
@@ -180,8 +181,10 @@ def _twist(wanted: Any, pose: Array, dt: float) -> Array:
 
 def _numbers(x: Any, n: int, what: str) -> Array:
     try:
-        out = np.broadcast_to(np.asarray(x, dtype=float), (n,))
-    except (TypeError, ValueError):
+        out = np.broadcast_to(reals(x, what, f"a number or ({n},) numbers"), (n,))
+    except InputError:
+        raise
+    except ValueError:
         out = np.full(1, np.nan)
     if not (out >= 0.0).all():
         raise InputError(f"{what} is {x!r}; it must be a number or ({n},) numbers, none negative")

@@ -9,6 +9,7 @@ import numpy as np
 
 from kempe.errors import InputError
 from kempe.kernels.search_layout import ROTATION_TOLERANCE
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -39,10 +40,7 @@ def task_of(task: object, is_position: bool, particle: bool) -> str:
 
 def axis_of(axis: object) -> tuple[float, float, float]:
     """The pointing axis as a unit vector of the tool. Errors: `InputError`."""
-    try:
-        v = np.asarray(axis, dtype=float)
-    except (TypeError, ValueError):
-        v = np.zeros(0)
+    v = reals(axis, "axis", "three numbers: a direction in the tool's frame")
     size = float(np.linalg.norm(v)) if v.shape == (3,) and np.all(np.abs(v) < 1e100) else 0.0
     if size == 0.0:
         raise InputError(f"axis is {axis!r}; it must be three numbers, not all zero: a direction in the tool's frame")
@@ -127,15 +125,7 @@ def points_along(task: str | None) -> bool:
 
 def numbers_of(target: Any) -> Array:
     """A target as an array of real numbers. Errors: `InputError`."""
-    if target.__class__ is np.ndarray and target.dtype == np.float64:
-        return target
-    try:
-        given = np.asarray(target)
-        if given.dtype.kind == "c":
-            raise TypeError
-        return np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"target is {type(target).__name__}; it must be an array of real numbers") from None
+    return reals(target, "target")
 
 
 def parse_targets(system: System, target: Any) -> tuple[Array, tuple[int, ...], bool]:

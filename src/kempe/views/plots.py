@@ -14,6 +14,7 @@ import numpy as np
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q, distance
 from kempe.kinematics.forward import fk
+from kempe.reals import reals
 from kempe.spatial import Array
 from kempe.views.drawing import page, planar, style
 from kempe.views.drawing.scene import Scene, look
@@ -67,7 +68,7 @@ def plot_path(
     system = getattr(path, "system", None) if system is None else system
     if system is None:
         raise InputError("the path does not say which system it belongs to; give it as `system`")
-    q, s = as_q(system, path.q), np.asarray(path.s, dtype=float)
+    q, s = as_q(system, path.q), reals(path.s, "the arc length of the path")
     if q.ndim != 2 or s.shape != q.shape[:1]:
         need = f"they must be (n, {system.nq}) and (n,)"
         raise InputError(f"path has q of shape {q.shape} and s of shape {s.shape}; {need}")

@@ -11,6 +11,7 @@ import numpy as np
 from kempe import spatial
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q, closed_from, from_home
+from kempe.reals import reals
 from kempe.views.facts import DEGREE, in_degrees, pose_rows, units
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, spatial.
 
 def _read_npy(path: Path, matrices: bool) -> tuple[None, spatial.Array]:
     try:
-        array = np.asarray(np.load(path, allow_pickle=False), dtype=float)
+        array = reals(np.load(path, allow_pickle=False), "the file")
     except (ValueError, EOFError):
         raise InputError(f"{path}: it is not a .npy file of numbers") from None
     if array.ndim == 2 or (matrices and array.ndim == 3 and array.shape[1:] == (4, 4)):

@@ -11,6 +11,7 @@ import numpy as np
 
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_start
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -58,10 +59,7 @@ def held(frame: str, names: tuple[str, ...], fixed: object, more: Mapping[str, A
     for name, value in {**(fixed or {}), **more}.items():
         if name not in names:
             raise UnknownNameError("joint", str(name), names, f"the chain of {frame!r}")
-        try:
-            out[name] = np.asarray(value, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"{name} is held at {value!r}; it must be a number, or one for each target") from None
+        out[name] = reals(value, f"the value of {name!r}, which is held,", "a number, or one for each target")
     return out
 
 
@@ -76,5 +74,3 @@ def near_of(system: System, near: Any, lead: tuple[int, ...] | None) -> Array | 
     if not np.all(np.abs(q) < FARTHEST):
         raise InputError(f"near has entries that are not finite, or beyond {FARTHEST:g}: turns cannot be counted there")
     return q.reshape(math.prod(q.shape[:-1]), system.nq)
-
-

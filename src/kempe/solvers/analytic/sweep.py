@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from kempe.errors import InputError
 from kempe.kernels.layout import SLIDE
+from kempe.reals import reals
 from kempe.solvers.analytic.intervals import Intervals, spelled, union
 from kempe.solvers.analytic.lines import Lines
 from kempe.spatial import Array
@@ -141,7 +142,7 @@ class Sweep:
 
         Errors: `InputError` for values that are not finite.
         """
-        x = np.asarray(value, dtype=float)
+        x = reals(value, "value", "a finite number, or an array (m,) of them")
         if x.ndim > 1 or not np.isfinite(x).all():
             raise InputError(f"value is {value!r}; it must be a finite number, or an array (m,) of them")
         return self.ask(x) if self.ask is not None else self._slice(x)
@@ -195,7 +196,7 @@ class Sweep:
         rows = np.flatnonzero((mask & fits)[:, 0])
         if not rows.size:
             return best
-        scores = np.asarray(score(q[rows, 0]), dtype=float)
+        scores = reals(score(q[rows, 0]), "the score")
         k = int(np.argmax(scores))
         if best is not None and scores[k] <= best.score:
             return best
