@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -215,47 +214,3 @@ def interpolate(system: System, q0: Any, q1: Any, t: ArrayLike) -> Array:
 def distance(system: System, q0: Any, q1: Any) -> Array:
     """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in metres."""
     return np.linalg.norm(_tangent(system, q0, q1), axis=-1)
-
-
-@dataclass(frozen=True)
-class ConfigurationSpace:
-    """The set that configurations of the tree range over.
-
-    `dim` is its dimension, `shape` its product form: a circle T for each turn, a line R for each slide, SO(3) for
-    each quaternion. `limited` coordinates are confined to an interval of their factor. With loop closures or
-    relations (`constraints` rows of them) the configurations of the system are a subset.
-    """
-
-    dim: int
-    shape: str
-    limited: int
-    constraints: int
-
-    def __str__(self) -> str:
-        text = f"{self.shape}, dimension {self.dim}"
-        if self.limited:
-            text += f", {self.limited} of them within limits"
-        if self.constraints:
-            text += f"; the system is the subset that satisfies {self.constraints} constraint equations"
-        return text
-
-
-def configuration_space(system: System) -> ConfigurationSpace:
-    """Dimension and shape of the configuration space of a system's joints."""
-    turning = system.coordinates.turning[system.layout.vector_v]
-    turns, slides = int(turning.sum()), int((~turning).sum())
-    balls = len(system.layout.quaternion_q)
-    factors = [("SO(3)", balls), ("T", turns), ("R", slides)]
-    if turns == 0 and slides and balls:
-        factors = [("R", slides), ("SO(3)", balls)]
-    parts = [name if n == 1 else f"{name}^{n}" for name, n in factors if n]
-    limited = int((np.isfinite(system.lower) | np.isfinite(system.upper)).sum())
-    rows = len(system.relations)
-    for constraint in system.mechanism.constraints.values():
-        rows += 2 if constraint.kind == "point_on_line" and system.dim == 3 else 1
-    for name in system.closures:
-        joint = system.joints[name]
-        particle = system.mechanism.bodies[joint.child].particle
-        # q holds the joint's own coordinates too: all freedoms of the child are tied to it
-        rows += joint.type.constraints(system.dim, particle) + joint.type.dof(system.dim, particle)
-    return ConfigurationSpace(system.nv, " x ".join(parts) or "a point", limited, rows)

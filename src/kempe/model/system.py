@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from kempe.analysis.mobility import Mobility
     from kempe.analysis.path import Path as Motion
     from kempe.analysis.transmission import LoopJacobian
-    from kempe.kinematics.configuration import ConfigurationSpace
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
+    from kempe.kinematics.space import ConfigurationSpace
     from kempe.kinematics.zoo import Constraint
     from kempe.solvers.analytic.describe import Recognised
     from kempe.solvers.analytic.solutions import Solutions
@@ -94,8 +94,8 @@ class System(Compiled):
 
     @property
     def configuration_space(self) -> ConfigurationSpace:
-        """What set `q` ranges over: its dimension and shape, such as T^2 x R."""
-        from kempe.kinematics.configuration import configuration_space
+        """The set that `q` ranges over: its true dimension and its shape, such as T^2 x R, and the space around it."""
+        from kempe.kinematics.space import configuration_space
 
         return configuration_space(self)
 

@@ -63,8 +63,8 @@ def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
         "nv": system.nv,
         "dof_of_tree": _dof_of_tree(system),
         "configuration_space": {
-            "shape": space.shape, "dim": space.dim, "limited": space.limited,
-            "constraints": space.constraints, "text": str(space),
+            "shape": space.shape, "ambient_dimension": space.ambient_dimension, "limited": space.limited,
+            "constraints": space.constraints, "text": space.within,
         },
         "bodies": _bodies(system),
         "joints": [_joint(system, j, j.name not in closures) for j in system.joints.values()],
