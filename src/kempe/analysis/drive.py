@@ -121,7 +121,7 @@ def drive(
     """The motion that follows prescribed inputs, as a `Drive`: continuous, on the branch of `start`.
 
     `inputs` gives for each driven coordinate its values (n,) in radians or metres, one number, or a function of time,
-    which needs `times` (n,). Samples may be coarse: in between the motion is continued in steps of at most `step`
+    which needs `times` (n,), growing. Samples may be coarse: in between the motion is continued in steps of at most `step`
     of arc length. `start` is as in `trace` (default: the posture "closed", or what the first inputs give). It goes
     straight on through change points. `toward` gives rates by coordinate name that choose the branch if the start is
     a change point; otherwise the branch that moves least. Where the inputs ask for what the mechanism cannot do, or
@@ -182,6 +182,11 @@ def _samples(
         raise InputError("there are no samples: times or inputs are empty")
     if clock.ndim != 1 or bad:
         raise InputError(f"times and inputs must be one number or {clock.shape} numbers; {', '.join(bad)} differ")
+    back = np.flatnonzero(~(np.diff(clock) > 0.0)) if np.isfinite(clock).all() else ()
+    if len(back):
+        k = int(back[0])
+        raise InputError(f"times must grow from sample to sample: {clock[k + 1]:g} at sample {k + 1} comes after "
+                         f"{clock[k]:g}")  # fmt: skip
     full = {n: np.broadcast_to(a, clock.shape) for n, a in arrays.items()}
     if not all(np.isfinite(a).all() for a in (clock, *full.values())):
         raise InputError("times or inputs hold a NaN or an infinity")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError
+from kempe.kinematics.task_input import refuse_rotations
 from kempe.reals import reals
 from kempe.spatial import Array
 
@@ -71,6 +72,8 @@ def place_of(system: System, frame: str, place: Any, whole: bool) -> Array:
     Errors: `InputError` for what are no numbers, no poses, or leaves the plane of a planar system.
     """
     x = reals(place, f"the place of frame {frame!r}", "numbers")
+    if not whole:
+        refuse_rotations(x, f"the place of frame {frame!r}")
     fine = np.isfinite(x).all(axis=(-1, -2) if whole else -1)
     tilt, height = np.zeros(1), np.zeros(1)
     if whole:

@@ -9,6 +9,7 @@ import numpy as np
 
 from kempe.errors import InputError
 from kempe.kernels.search_layout import ROTATION_TOLERANCE
+from kempe.kinematics.task_input import refuse_rotations
 from kempe.reals import reals
 from kempe.spatial import Array
 
@@ -75,7 +76,7 @@ def targets_of(
         out[..., :3, :3], out[..., 3, 3] = numbers_of(target), 1.0
         return parse_targets(system, out)
     if width is None or shape[-1:] != (width,) or shape[-2:] == (4, 4):
-        return parse_targets(system, target)
+        return parse_targets(system, target, task == "position")
     values = numbers_of(target)
     d = values[..., -3:]
     size = np.linalg.norm(d, axis=-1, keepdims=True)
@@ -128,8 +129,13 @@ def numbers_of(target: Any) -> Array:
     return reals(target, "target")
 
 
-def parse_targets(system: System, target: Any) -> tuple[Array, tuple[int, ...], bool]:
-    """Targets (N, 4, 4), their leading shape, and whether they are positions."""
+def parse_targets(
+    system: System, target: Any, positions: bool = False
+) -> tuple[Array, tuple[int, ...], bool]:  # fmt: skip
+    """Targets (N, 4, 4), their leading shape, and whether they are positions, as they must be with `positions`.
+
+    Errors: `InputError`, also for rotations (3, 3) that would pass for three positions.
+    """
     array = numbers_of(target)
     planar = system.dim == 2
     is_pose = array.ndim >= 2 and array.shape[-2:] == (4, 4)
@@ -150,6 +156,8 @@ def parse_targets(system: System, target: Any) -> tuple[Array, tuple[int, ...], 
         return np.require(out, requirements=["C", "A"]), lead, False
     if array.ndim and (array.shape[-1] == 3 or (planar and array.shape[-1] == 2)):
         lead = array.shape[:-1]
+        if not positions:
+            refuse_rotations(array, "target")
         out = np.zeros((math.prod(lead), 4, 4))
         out[:] = np.eye(4)
         out[:, : array.shape[-1], 3] = array.reshape(len(out), array.shape[-1])
