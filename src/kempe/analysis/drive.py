@@ -19,6 +19,7 @@ from kempe.analysis.course import Course, State, Stuck
 from kempe.analysis.events import Limits
 from kempe.analysis.motion import Progress, angle_or_slide, begin, longest_step, periods, start_of, wish_of
 from kempe.analysis.path import Configurations, Event
+from kempe.calls import explained, explained_methods
 from kempe.errors import InputError
 from kempe.spatial import Array
 
@@ -53,6 +54,7 @@ class Toggle:
         return f"{_samples_text(self.first, self.last)}: held at {at}: {self.reason}"
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Drive(Configurations):
     """The motion of a mechanism whose inputs were prescribed.
@@ -111,6 +113,7 @@ class Drive(Configurations):
         return "".join(f"<p>{escape(line)}</p>" for line in str(self).splitlines())
 
 
+@explained
 def drive(
     system: System, inputs: Mapping[str, ArrayLike | Callable[[float], float]], times: ArrayLike | None = None,
     start: ArrayLike | Mapping[str, float] | str | None = None, *, hold: Mapping[str, float] | None = None,

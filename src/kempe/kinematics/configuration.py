@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained, generator, numbers, together
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.coordinates import returning
 from kempe.model.topology import natural
@@ -42,6 +43,7 @@ def as_q(system: System, q: object) -> Array:
     return array
 
 
+@explained
 def q_from_dict(system: System, coordinates: Mapping[str, float], base: ArrayLike | None = None) -> Array:
     """Configuration (nq,) from values by coordinate name; the others are neutral, or as in `base` (..., nq)."""
     if not isinstance(coordinates, Mapping):
@@ -62,6 +64,20 @@ def q_from_dict(system: System, coordinates: Mapping[str, float], base: ArrayLik
     return q
 
 
+@explained
+def q_dict(system: System, q: Any) -> dict[str, float]:
+    """Values by coordinate name of one configuration (nq,)."""
+    return dict(zip(system.coordinate_names, one(system, q).tolist(), strict=True))
+
+
+def one(system: System, q: Any) -> Array:
+    """One configuration (nq,). Errors: `InputError`."""
+    array = as_q(system, q)
+    if array.ndim != 1:
+        raise InputError(f"q has shape {array.shape}; it must be one configuration ({system.nq},)")
+    return array
+
+
 def mid(system: System) -> Array:
     """A configuration (nq,) inside the limits: mid-range; zero, or the nearest allowed, where a limit is missing."""
     lower, upper = system.lower, system.upper
@@ -73,6 +89,7 @@ def mid(system: System) -> Array:
     return q
 
 
+@explained
 def random(system: System, rng: np.random.Generator | int | None, shape: int | tuple[int, ...] = ()) -> Array:
     """Configurations (*shape, nq), uniform inside the limits.
 
@@ -84,12 +101,12 @@ def random(system: System, rng: np.random.Generator | int | None, shape: int | t
     if not all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and n >= 0 for n in sizes):
         raise InputError(f"shape is {shape!r}; it must be a whole number or a tuple of them, not negative")
     shape = tuple(int(n) for n in sizes)
-    try:
-        rng = np.random.default_rng(rng)
-    except (TypeError, ValueError):
-        raise InputError(f"rng is {rng!r}; it must be a generator, a whole number >= 0 or None") from None
+    rng = generator(rng)
     layout, names = system.layout, system.velocity_names
-    q = np.broadcast_to(system.neutral, (*shape, system.nq)).copy()
+    try:
+        q = np.broadcast_to(system.neutral, (*shape, system.nq)).copy()
+    except (MemoryError, ValueError):
+        raise InputError(f"shape is {shape}; this memory does not hold so many configurations") from None
     low, high = sampling_box(system)
     order = sorted(range(len(layout.vector_v)), key=lambda i: natural(names[layout.vector_v[i]]))
     for i in order:
@@ -111,18 +128,17 @@ def sampling_box(system: System) -> tuple[Array, Array]:
     return low, high
 
 
+@explained
 def integrate(system: System, q: Any, v: ArrayLike) -> Array:
     """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of time."""
-    try:
-        v = np.asarray(v, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"v is {type(v).__name__}; it must be an array of numbers") from None
+    v = numbers(v, "v")
     if v.ndim == 0 or v.shape[-1] != system.nv:
         got = "a single number" if v.ndim == 0 else f"{v.shape[-1]} coordinates"
         raise InputError(f"v has {got}; {system.name} has {system.nv} velocity coordinates")
     return system.layout.integrate(as_q(system, q), v)
 
 
+@explained
 def difference(system: System, q0: Any, q1: Any) -> Array:
     """Tangent vector (..., nv) that `integrate` needs to go from `q0` to `q1`; rotations go the short way."""
     return system.layout.difference(as_q(system, q0), as_q(system, q1))
@@ -132,7 +148,8 @@ def _tangent(system: System, q0: Any, q1: Any) -> Array:
     """Shortest tangent vector from q0 to q1: unlimited joints turn by at most pi."""
     v = difference(system, q0, q1)
     circle = circles(system)
-    v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
+    with np.errstate(invalid="ignore"):
+        v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
     return v
 
 
@@ -141,15 +158,20 @@ def circles(system: System) -> np.ndarray:
     return returning(system.mechanism, system.coordinates)
 
 
+@explained
 def interpolate(system: System, q0: Any, q1: Any, t: ArrayLike) -> Array:
     """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go the short way."""
-    t = np.asarray(t, dtype=float)
-    return integrate(system, q0, t[..., None] * _tangent(system, q0, q1))
+    t, v = numbers(t, "t"), _tangent(system, q0, q1)
+    together({"t": t.shape, "q0 and q1": v.shape[:-1]})
+    with np.errstate(invalid="ignore", over="ignore"):
+        return integrate(system, q0, t[..., None] * v)
 
 
+@explained
 def distance(system: System, q0: Any, q1: Any) -> Array:
     """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in metres."""
-    return np.linalg.norm(_tangent(system, q0, q1), axis=-1)
+    with np.errstate(over="ignore"):
+        return np.linalg.norm(_tangent(system, q0, q1), axis=-1)
 
 
 @dataclass(frozen=True)
@@ -175,6 +197,7 @@ class ConfigurationSpace:
         return text
 
 
+@explained
 def configuration_space(system: System) -> ConfigurationSpace:
     """Dimension and shape of the configuration space of a system's joints."""
     turning = system.coordinates.turning[system.layout.vector_v]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained_methods
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels import analytic_layout as A
 from kempe.solvers.analytic.family_curves import Motion
@@ -38,6 +39,7 @@ EXACT = 1e-12
 """Largest error of the samples of a family that is exact [m, rad]; beyond, it holds within the tolerance only."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Family:
     """A connected set of infinitely many configurations that reach a target; limits are ignored.
@@ -85,7 +87,7 @@ class Family:
             raise InputError("values of joints must be finite")
         if self.dimension > 1:
             return self._full(self._hold({n: float(np.asarray(v)) for n, v in values.items()}))
-        (name, value), = values.items()
+        ((name, value),) = values.items()
         wanted = np.asarray(value, dtype=float)
         if wanted.ndim == 0:
             found = self._crossings(name, float(wanted))
@@ -184,8 +186,6 @@ class Family:
         apart = np.abs(motion.gap(nearest, theta) / motion.aim.lines.multiplier)
         away = np.abs(motion.gap(self._theta, theta) / motion.aim.lines.multiplier).max(axis=1).min()
         return float(min(apart.max(), away))
-
-
 
 
 def families_of(solutions: Solutions, index: int) -> tuple[list[Family], np.ndarray]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError
 from kempe.kernels.layout import SLIDE
 from kempe.solvers.analytic.intervals import Intervals, spelled, union
@@ -97,6 +98,7 @@ class Slice:
         return self.status
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep:
     """The solutions of a chain with one freedom to spare, over a `parameter`: a joint, or "arm_angle".
@@ -141,7 +143,7 @@ class Sweep:
 
         Errors: `InputError` for values that are not finite.
         """
-        x = np.asarray(value, dtype=float)
+        x = numbers(value, "value")
         if x.ndim > 1 or not np.isfinite(x).all():
             raise InputError(f"value is {value!r}; it must be a finite number, or an array (m,) of them")
         return self.ask(x) if self.ask is not None else self._slice(x)
