@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from kempe import errors, spatial
+from kempe.calls import explained
 from kempe.description.mechanism import Mechanism
 from kempe.errors import KempeError
 from kempe.model.system import System
@@ -23,6 +24,7 @@ __all__ = [
 ]  # fmt: skip
 
 
+@explained
 def load(
     source: str | Path | bytes, *, format: str | None = None, base: str | None = None, root: str | None = None,
     package_dirs: Iterable[str | Path] = (), xacro: bool = False,
@@ -43,7 +45,7 @@ def read(
     """As `load`, but the `Mechanism`: to change it before it is built, or to write it in another format."""
     from kempe.description.read import read as read_mechanism
 
-    return read_mechanism(source, format=format, base=base, root=root, package_dirs=tuple(package_dirs), xacro=xacro)
+    return read_mechanism(source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro)
 
 
 def __getattr__(name: str) -> Any:

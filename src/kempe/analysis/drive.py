@@ -19,6 +19,7 @@ from kempe.analysis.course import Course, State, Stuck
 from kempe.analysis.events import Limits
 from kempe.analysis.motion import Progress, angle_or_slide, begin, longest_step, periods, start_of, wish_of
 from kempe.analysis.path import Configurations, Event
+from kempe.calls import explained, explained_methods
 from kempe.errors import InputError
 from kempe.reals import reals
 from kempe.spatial import Array
@@ -54,6 +55,7 @@ class Toggle:
         return f"{_samples_text(self.first, self.last)}: held at {at}: {self.reason}"
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Drive(Configurations):
     """The motion of a mechanism whose inputs were prescribed.
@@ -112,6 +114,7 @@ class Drive(Configurations):
         return "".join(f"<p>{escape(line)}</p>" for line in str(self).splitlines())
 
 
+@explained
 def drive(
     system: System, inputs: Mapping[str, ArrayLike | Callable[[float], float]], times: ArrayLike | None = None,
     start: ArrayLike | Mapping[str, float] | str | None = None, *, hold: Mapping[str, float] | None = None,
@@ -121,8 +124,8 @@ def drive(
     """The motion that follows prescribed inputs, as a `Drive`: continuous, on the branch of `start`.
 
     `inputs` gives for each driven coordinate its values (n,) in radians or metres, one number, or a function of time,
-    which needs `times` (n,), growing. Samples may be coarse: in between the motion is continued in steps of at most `step`
-    of arc length. `start` is as in `trace` (default: the posture "closed", or what the first inputs give). It goes
+    which needs `times` (n,), growing. Samples may be coarse: in between the motion is continued in steps of at most
+    `step` of arc length. `start` is as in `trace` (default: the posture "closed", or what the first inputs give). It goes
     straight on through change points. `toward` gives rates by coordinate name that choose the branch if the start is
     a change point; otherwise the branch that moves least. Where the inputs ask for what the mechanism cannot do, or
     for what is beyond a limit, the last pose is held until they come back. `progress(sample, total)` is called

@@ -21,6 +21,7 @@ from kempe.analysis.continuation import RANK, Closure, Node, arc, close, node
 from kempe.analysis.crossings import branch_lines, locate
 from kempe.analysis.events import Limits, Stop, extremes, hidden_crossings, home, walk
 from kempe.analysis.path import Event, Path, Track
+from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import R
 from kempe.kinematics.configuration import as_q
@@ -52,6 +53,7 @@ class _Options:
     periods: Array
 
 
+@explained
 def trace(
     system: System, driver: str | None = None, start: ArrayLike | Mapping[str, float] | str | None = None, *,
     both: bool = True, step: float | None = None, limits: bool = True, max_points: int = 20_000,

@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.analysis.continuation import Closure, least_squares
-from kempe.errors import InputError, UnknownNameError
-from kempe.reals import reals
+from kempe.calls import explained_methods, numbers
+from kempe.errors import InputError, UnknownNameError, shown
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
+
+MOST = 10**7
+"""Points at most of a path that is resampled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +47,7 @@ class Event:
         return f"s = {self.s:.6g}: {self.kind}{where}, {self.nullity} first-order motions"
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Track:
     """The nodes that a path was computed at: configurations, arc lengths, unit tangents, and their equations."""
@@ -72,6 +76,7 @@ class Track:
         return x
 
 
+@explained_methods
 class Configurations:
     """Configurations `q` (n, nq) that a `system` takes one after the other. Base of motions."""
 
@@ -103,6 +108,7 @@ class Configurations:
         return names, np.hstack(columns)
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Path(Configurations):
     """A curve of closed configurations of a mechanism with one degree of freedom.
@@ -167,7 +173,7 @@ class Path(Configurations):
 
         Errors: `InputError` for arc lengths beyond the ends of a path that is not closed.
         """
-        s = reals(s, "s")
+        s = numbers(s, "s")
         if not np.isfinite(s).all():
             raise InputError("s holds a NaN or an infinity; arc lengths are finite numbers")
         length = self.length
@@ -180,12 +186,12 @@ class Path(Configurations):
         for k, value in enumerate(s.ravel()):
             rounds = np.floor(value / length) if self.closed and not 0.0 <= value <= length else 0.0
             out[k] = self.track.at(float(np.clip(value - rounds * length, 0.0, length))) + rounds * change
-        return out.reshape(*s.shape, -1)
+        return out.reshape(*s.shape, self.system.nq)
 
     def resample(self, n: int) -> Path:
         """The same path with `n` points at equal distances of arc length, its ends included."""
-        if not isinstance(n, (int, np.integer)) or n < 2:
-            raise InputError(f"n is {n!r}; it must be a whole number of at least 2")
+        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or not 2 <= n <= MOST:
+            raise InputError(f"n is {shown(n)}; it must be a whole number, at least 2 and at most {MOST}")
         s = np.linspace(0.0, self.length, int(n))
         return replace(self, q=np.array([self.track.at(float(x)) for x in s]), s=s)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained
 from kempe.description.mechanism import BodyLike, Mechanism
 from kempe.description.placement import Placement, place, placement_of_pose, steps_from_data
 from kempe.description.values import Value, value, values
@@ -68,6 +69,7 @@ class ScrewRow:
     actuated: bool | None = None
 
 
+@explained
 def from_dh(
     rows: Iterable[DHRow | Mapping[str, Any]],
     convention: str = "standard",
@@ -132,6 +134,7 @@ def add_dh(
     mechanism.frame("tool", here, at=_placement(tool, "tool"))
 
 
+@explained
 def from_screws(
     screws: Iterable[ScrewRow | Mapping[str, Any] | ArrayLike],
     home: object = None,

@@ -6,6 +6,7 @@ import copy
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
+from kempe.calls import explained, explained_methods, flag
 from kempe.description import checks
 from kempe.description.parts import Body, Constraint, Coupling, Frame, Joint
 from kempe.description.placement import Placement, place
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 BodyLike = Body | str
 
 
+@explained_methods
 class Mechanism:
     """A system under construction: bodies, joints between any two of them, frames, couplings, limits, parameters.
 
@@ -36,6 +38,7 @@ class Mechanism:
     0.9
     """
 
+    @explained
     def __init__(self, name: str = "mechanism", dim: int = 3, ground: str = "ground"):
         if dim not in (2, 3):
             raise InputError(f"dim is {dim!r}; a system lives in the plane (2) or in space (3)")
@@ -138,7 +141,9 @@ class Mechanism:
             name, type_, on.name, to.name, X_PF, X_CM,
             checks.limits(subject, limits, type_, self.dim, to.particle, where),
             checks.bounds(subject, "velocity", velocity, names, where),
-            checks.bounds(subject, "effort", effort, names, where), actuated, cut, where,
+            checks.bounds(subject, "effort", effort, names, where),
+            actuated if actuated is None else flag(actuated, f"actuated of {subject}"),
+            flag(cut, f"cut of {subject}"), where,
         )  # fmt: skip
         return self.joints[name]
 

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from kempe import spatial
+from kempe.calls import explained
+from kempe.calls import numbers as numbers_of
 from kempe.description.values import Expression, Value, evaluate, negate, value, values
 from kempe.errors import InputError
-from kempe.reals import reals
 
 Step = tuple[str, tuple[Value, ...]]
 
@@ -60,6 +61,7 @@ class Placement:
 _SCALAR = ("x", "y", "z", "rx", "ry", "rz")
 
 
+@explained
 def place(
     at: object = (0.0, 0.0, 0.0), rpy: object = None, angle: object = None, axis: object = None,
     quat_wxyz: object = None, matrix: object = None,
@@ -85,7 +87,7 @@ def place(
     if quat_wxyz is not None:
         steps.append(("quat_wxyz", values(quat_wxyz, 4, "quat_wxyz")))
     if matrix is not None:
-        steps.append(("matrix", values(_array(matrix, "matrix").reshape(-1), 9, "matrix")))
+        steps.append(("matrix", values(numbers_of(matrix, "matrix").reshape(-1), 9, "matrix")))
     for step in steps:
         check_step(*step)
     if axis is not None:
@@ -105,14 +107,10 @@ def axis_steps(axis: object) -> list[Step]:
 
 def placement_of_pose(X: object) -> Placement:
     """Placement of a pose given as a (4, 4) matrix. Errors: `InputError` where it is not a rigid motion."""
-    X = _array(X, "pose")
+    X = numbers_of(X, "pose")
     if X.shape != (4, 4) or not np.array_equal(X[3], [0.0, 0.0, 0.0, 1.0]):
         raise InputError(f"a pose must be a (4, 4) matrix with last row 0 0 0 1, not an array of shape {X.shape}")
     return place(X[:3, 3]) if np.array_equal(X[:3, :3], np.eye(3)) else place(X[:3, 3], matrix=X[:3, :3])
-
-
-def _array(x: object, what: str) -> np.ndarray:
-    return reals(x, what)
 
 
 def check_step(motion: str, numbers: tuple[Value, ...]) -> None:

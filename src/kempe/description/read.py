@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from kempe.calls import explained
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import SIZE_LIMIT, fail, shorten
 from kempe.description.toml import read_toml
@@ -33,6 +34,7 @@ class Check(NamedTuple):
     notes: tuple[str, ...]
 
 
+@explained
 def read(
     source: str | Path | bytes,
     *,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained, generator, numbers, together
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.coordinates import returning
 from kempe.model.topology import natural
@@ -89,6 +90,7 @@ def closed_from(system: System, coordinates: Mapping[str, Any], near: Any = None
                      f"coordinates must close them: {why} (an array of all {system.nq} is taken as it is)")  # fmt: skip
 
 
+@explained
 def q_from_dict(system: System, coordinates: Mapping[str, Any], base: ArrayLike | None = None) -> Array:
     """Configuration (..., nq) from values by coordinate name; the others are neutral, or as in `base` (..., nq)."""
     given = named(coordinates)
@@ -117,12 +119,18 @@ def q_from_dict(system: System, coordinates: Mapping[str, Any], base: ArrayLike 
     return q
 
 
-def q_to_dict(system: System, q: Any) -> dict[str, float]:
+@explained
+def q_dict(system: System, q: Any) -> dict[str, float]:
     """Values by coordinate name of one configuration (nq,)."""
-    q = as_q(system, q)
-    if q.ndim != 1:
-        raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
-    return dict(zip(system.coordinate_names, q.tolist(), strict=True))
+    return dict(zip(system.coordinate_names, one(system, q).tolist(), strict=True))
+
+
+def one(system: System, q: Any) -> Array:
+    """One configuration (nq,). Errors: `InputError`."""
+    array = as_q(system, q)
+    if array.ndim != 1:
+        raise InputError(f"q has shape {array.shape}; it must be one configuration ({system.nq},)")
+    return array
 
 
 def mid(system: System) -> Array:
@@ -140,6 +148,7 @@ def mid(system: System) -> Array:
     return q
 
 
+@explained
 def random(system: System, rng: np.random.Generator | int | None, shape: int | tuple[int, ...] = ()) -> Array:
     """Configurations (*shape, nq), uniform inside the limits.
 
@@ -151,12 +160,12 @@ def random(system: System, rng: np.random.Generator | int | None, shape: int | t
     if not all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and n >= 0 for n in sizes):
         raise InputError(f"shape is {shape!r}; it must be a whole number or a tuple of them, not negative")
     shape = tuple(int(n) for n in sizes)
-    try:
-        rng = np.random.default_rng(rng)
-    except (TypeError, ValueError):
-        raise InputError(f"rng is {rng!r}; it must be a generator, a whole number >= 0 or None") from None
+    rng = generator(rng)
     layout, names = system.layout, system.velocity_names
-    q = np.broadcast_to(system.neutral, (*shape, system.nq)).copy()
+    try:
+        q = np.broadcast_to(system.neutral, (*shape, system.nq)).copy()
+    except (MemoryError, ValueError):
+        raise InputError(f"shape is {shape}; this memory does not hold so many configurations") from None
     low, high = sampling_box(system)
     order = sorted(range(len(layout.vector_v)), key=lambda i: natural(names[layout.vector_v[i]]))
     for i in order:
@@ -178,15 +187,17 @@ def sampling_box(system: System) -> tuple[Array, Array]:
     return low, high
 
 
+@explained
 def integrate(system: System, q: Any, v: ArrayLike) -> Array:
     """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of time."""
-    v = reals(v, "v")
+    v = numbers(v, "v")
     if v.ndim == 0 or v.shape[-1] != system.nv:
         got = "a single number" if v.ndim == 0 else f"{v.shape[-1]} coordinates"
         raise InputError(f"v has {got}; {system.name} has {system.nv} velocity coordinates")
     return system.layout.integrate(as_q(system, q), v)
 
 
+@explained
 def difference(system: System, q0: Any, q1: Any) -> Array:
     """Tangent vector (..., nv) that `integrate` needs to go from `q0` to `q1`; rotations go the short way."""
     return system.layout.difference(as_q(system, q0), as_q(system, q1))
@@ -196,7 +207,8 @@ def _tangent(system: System, q0: Any, q1: Any) -> Array:
     """Shortest tangent vector from q0 to q1: unlimited joints turn by at most pi."""
     v = difference(system, q0, q1)
     circle = circles(system)
-    v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
+    with np.errstate(invalid="ignore"):
+        v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
     return v
 
 
@@ -205,12 +217,17 @@ def circles(system: System) -> np.ndarray:
     return returning(system.mechanism, system.coordinates)
 
 
+@explained
 def interpolate(system: System, q0: Any, q1: Any, t: ArrayLike) -> Array:
     """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go the short way."""
-    t = reals(t, "t", "a real number, or an array of them")
-    return integrate(system, q0, t[..., None] * _tangent(system, q0, q1))
+    t, v = numbers(t, "t"), _tangent(system, q0, q1)
+    together({"t": t.shape, "q0 and q1": v.shape[:-1]})
+    with np.errstate(invalid="ignore", over="ignore"):
+        return integrate(system, q0, t[..., None] * v)
 
 
+@explained
 def distance(system: System, q0: Any, q1: Any) -> Array:
     """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in metres."""
-    return np.linalg.norm(_tangent(system, q0, q1), axis=-1)
+    with np.errstate(over="ignore"):
+        return np.linalg.norm(_tangent(system, q0, q1), axis=-1)

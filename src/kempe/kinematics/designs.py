@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained, explained_methods
 from kempe.description.values import Expression
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kernels.compiled import sweep
@@ -19,6 +20,7 @@ from kempe.reals import reals
 from kempe.spatial import Array
 
 
+@explained
 def with_parameters(system: System, numbers: Mapping[str, Any]) -> System | Designs:
     """The system with other parameter values, or `Designs` where a value is an array (all of one broadcast shape)."""
     arrays: dict[str, np.ndarray] = {}
@@ -40,6 +42,7 @@ def with_parameters(system: System, numbers: Mapping[str, Any]) -> System | Desi
     return System(mechanism, system.topology)
 
 
+@explained_methods
 class Designs:
     """A batch of designs: a system whose parameters are arrays of one shape, `shape`."""
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from types import MethodType
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.compiled import bound, chain, maker, sweep
 from kempe.kernels.layout import BODY, WORLD, WORLD_ALIGNED, fuse
@@ -53,6 +55,7 @@ class Query(Protocol):
         ...
 
 
+@explained
 def query(system: System, frame: FrameLike) -> Query:
     """The bound forward model of a frame. Errors: `UnknownNameError`.
 
@@ -66,7 +69,7 @@ def query(system: System, frame: FrameLike) -> Query:
     table, table_in = tables[usual], tables.get
     pose_kernel, jacobian_kernel, both_kernel = bound.pose, bound.jacobian, bound.pose_jacobian
 
-    def pose(q: Any, out: Any = None, threads: int | None = None) -> Array:
+    def pose(chain_of: _Chain, q: Any, out: Any = None, threads: int | None = None) -> Array:
         try:
             if q.ndim == 1:
                 X = new_pose() if out is None else out
@@ -99,19 +102,31 @@ def query(system: System, frame: FrameLike) -> Query:
     function: Any = pose
     function.jacobian, function.pose_and_jacobian = jacobian, pose_and_jacobian
     function.system, function.frame = system, name
-    function.__name__ = function.__qualname__ = f"query({system.name!r}, {name!r})"
+    function.__name__, function.__qualname__ = "query", f"query({system.name!r}, {name!r})"
     function.__doc__ = Query.__call__.__doc__
-    return function
+    bound_to: Any = MethodType(function, chain_of)  # pickled as the attribute `query` of its object
+    return bound_to
 
 
 class _Chain:
     """The packed chain of one frame, and the general ways through it: conversions, batches, threads, errors."""
 
     def __init__(self, system: System, name: str):
-        self.system = system
+        self.system, self.name = system, name
         self.ints, self.floats = system.table.pack([name], system.table.path(name))
         self.tables = {key: fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
         self.regauged = regauge(self.ints, self.floats)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Chain, (self.system, self.name)
+
+    def __repr__(self) -> str:
+        return repr(self.system)
+
+    @property
+    def query(self) -> Query:
+        """The bound forward model of the frame."""
+        return _query(self.system, self.name)
 
     def pose(self, q: Any, out: Array | None, threads: int | None) -> Array:
         q = as_q(self.system, q)
@@ -160,6 +175,7 @@ def _query(system: System, frame: FrameLike) -> Query:
     return found
 
 
+@explained
 def fk(
     system: System, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
     threads: int | None = None,
@@ -200,6 +216,7 @@ def fk(
     return out
 
 
+@explained
 def jacobian(
     system: System, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None
 ) -> Array:

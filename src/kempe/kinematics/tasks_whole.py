@@ -170,8 +170,16 @@ class _Centred(Between):
         raise NotImplementedError
 
     def goal(self, system: System) -> Array:
-        """The target."""
-        return spatial.pose(p=points_of(self.target, system.dim, f"target of {self.label}"))
+        """The target: three numbers, or one for each axis that counts."""
+        what, axes = f"target of {self.label}", self._axes(system.dim)
+        p = numbers_of(self.target, what)
+        if p.shape[-1:] == (len(axes),):
+            p, given = np.zeros((*p.shape[:-1], 3)), p
+            p[..., axes] = given
+        elif p.shape[-1:] not in ((3,), (system.dim,)):
+            short = f", or (..., {len(axes)}) for axes={self.axes!r}" if len(axes) < system.dim else ""
+            raise InputError(f"{what} has shape {p.shape}; it must be (..., {system.dim}){short}")
+        return spatial.pose(p=points_of(p, system.dim, what))
 
     def centre(self, system: System, table: Table) -> Centre:
         """The masses on the rows of the table."""
@@ -205,6 +213,7 @@ class _Centred(Between):
 class CentreOfMass(_Centred):
     """The centre of mass at a position `target` (..., 3), along `axes` ("xyz", or "xy", ...), or `within` (m) of it.
 
+    Where fewer axes count, `target` may have a number for each of these only.
     `within` is one number, or (..., n) for the n axes, from target to target where it has leading axes.
     Masses and centres are those of the bodies, as files give them.
     """

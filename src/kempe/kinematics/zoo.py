@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import explained
 from kempe.description.checks import constraint_length
 from kempe.description.parts import Constraint as Declared
 from kempe.errors import InputError, UnknownNameError
@@ -321,6 +322,7 @@ def declared(system: System, constraint: Declared) -> Pair:
     return PointOnPlane(*names, **ends)
 
 
+@explained
 def of_system(system: System, own: bool = True) -> list[Constraint]:
     """The constraints of a system: its closures, the declared ones, the relations of several coordinates.
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from kempe.calls import known
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Fixed, Frame, Joint
 from kempe.errors import DescriptionError, Problem, UnknownNameError
@@ -246,9 +247,8 @@ class Compiled:
 
     def coordinates_of_joint(self, name: str) -> list[str]:
         """Coordinate names of a joint, those that follow others or are locked included."""
-        if name not in self._mechanism.joints:
-            raise UnknownNameError("joint", name, self.joint_names, self.name)
-        return coordinate_names(self._mechanism, self._mechanism.joints[name])
+        joint = self._mechanism.joints[known("joint", name, self._mechanism.joints, self.name)]
+        return coordinate_names(self._mechanism, joint)
 
 
 def _digest(content: tuple) -> str:

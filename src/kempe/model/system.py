@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import known
 from kempe.description.mechanism import BodyLike
-from kempe.errors import UnknownNameError
 from kempe.model.compiled import Compiled, FrameLike
 from kempe.spatial import Array
 
@@ -64,10 +64,9 @@ class System(Compiled):
 
     def posture(self, name: str) -> Array:
         """Configuration (nq,) of a named posture; coordinates that it does not name are neutral."""
-        if name not in self._mechanism.postures:
-            raise UnknownNameError("posture", name, self._mechanism.postures, self.name)
-        known = set(self.coordinate_names)
-        return self.q({k: v for k, v in self._mechanism.postures[name].items() if k in known})
+        posture = self._mechanism.postures[known("posture", name, self._mechanism.postures, self.name)]
+        names = set(self.coordinate_names)
+        return self.q({k: v for k, v in posture.items() if k in names})
 
     def random(self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()) -> Array:
         """Configurations (*shape, nq), uniform inside the limits; free angles in (-pi, pi], free lengths in (-1, 1)."""
@@ -86,9 +85,9 @@ class System(Compiled):
 
     def q_dict(self, q: ArrayLike) -> dict[str, float]:
         """Values by coordinate name of one configuration (nq,)."""
-        from kempe.kinematics.configuration import q_to_dict
+        from kempe.kinematics.configuration import q_dict
 
-        return q_to_dict(self, q)
+        return q_dict(self, q)
 
     # ---- the space of configurations
 
@@ -181,7 +180,7 @@ class System(Compiled):
     def ik_all(self, target: Any, frame: FrameLike, **options: Any) -> Solutions:
         """Every configuration in which the frame reaches the target; see `kempe.solvers.analytic.ik_all.ik_all`."""
         if not options and target.__class__ is np.ndarray and target.shape == (4, 4) and self.dim == 3:
-            bound = self._queries.get(("all", frame))
+            bound = self._queries.get(("all", frame)) if frame.__class__ is str else None
             answer = bound(target) if bound is not None else None
             if answer is not None:
                 return answer

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from kempe.calls import explained_methods, place_in
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
 
+@explained_methods
 class Answer:
     """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why. Base of answers."""
 
@@ -26,18 +28,21 @@ class Answer:
         """The system that was asked."""
         raise NotImplementedError
 
-    def sentence(self, index: tuple[int, ...]) -> str:
-        """The sentence for one configuration."""
+    def sentence(self, index: tuple[int, ...] | int = ()) -> str:
+        """The sentence for one configuration, by its place in a batch. Errors: `InputError`."""
+        return self._sentence(place_in(index, np.shape(self.success)))
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
         raise NotImplementedError
 
     @cached_property
     def status(self) -> Any:
         """The sentence for a single answer; an array of sentences for a batch. Made when asked for."""
         if np.ndim(self.success) == 0:
-            return self.sentence(())
+            return self._sentence(())
         out = np.empty(np.shape(self.success), dtype=object)
         for index in np.ndindex(out.shape):
-            out[index] = self.sentence(index)
+            out[index] = self._sentence(index)
         return out
 
     def __bool__(self) -> bool:

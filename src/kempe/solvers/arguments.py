@@ -51,7 +51,7 @@ def seed_number(rng: object) -> int:
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**62))
     if isinstance(rng, bool) or not isinstance(rng, (int, np.integer)) or not 0 <= rng < 2**62:
-        raise InputError(f"rng is {rng!r}; it must be a generator or a whole number, not negative")
+        raise InputError(f"rng is {rng!r}; it must be a generator or a whole number, from 0 and below 2**62")
     return int(rng)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import explained, explained_methods, listed
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kernels import loop_layout as L
 from kempe.kernels.compiled import assembly as kernel
@@ -44,6 +45,7 @@ RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero."""
 
 
+@explained_methods
 class Assembler:
     """Assembly with the names of what is known looked up and the loops packed, once.
 
@@ -168,8 +170,8 @@ class Assembler:
         turned = self._turned(given) if self.frames else ()
         pins = self._pins(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if nearest and self.freedoms != 0 else 0
-        number = rng if isinstance(rng, int) and rng >= 0 else seed_number(rng)
-        if constraints != ():
+        number = seed_number(rng)
+        if constraints.__class__ is not tuple or constraints:
             return self._custom(constraints, base, lead, limits, start_count(starts), int(number), tolerance)
         q, residual, info = self.run(
             base, pins, start_count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
@@ -310,15 +312,17 @@ def freedoms_left(system: System, q: Array, held: frozenset[str] = frozenset()) 
     return len(free) - int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
 
 
+@explained
 def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
     """The bound form of `assemble` for these known names, made once. Errors: `UnknownNameError`, `InputError`."""
-    key = ("assembler", tuple(known))
+    key = ("assembler", listed(known, "known"))
     found = system._queries.get(key)
     if found is None:
         found = system._queries[key] = Assembler(system, key[1])
     return found
 
 
+@explained
 def assemble(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, branch: str | None = None,
     nearest: bool = False, limits: bool = True, continuous: bool = False, starts: int = STARTS,

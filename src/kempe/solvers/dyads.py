@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained, explained_methods, listed
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q, as_start
 from kempe.kinematics.forward import fk
@@ -58,6 +59,7 @@ class Closed:
     undetermined: Any
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A mechanism in closed form for `known` coordinates: ring after ring of three rigid clusters.
@@ -199,9 +201,8 @@ class Plan:
     def _signs(self, branch: Any, near: Array | None, lead: tuple[int, ...]) -> Array:
         if branch is None:
             return np.ones((1, self.signs)) if near is None else np.ascontiguousarray(self.branch_of(near))
-        if isinstance(branch, str):
-            branch = [{"+": 1.0, "-": -1.0}.get(c, math.nan) for c in branch]
-        signs = reals(branch, "branch", "signs, +1 or -1")
+        given = [{"+": 1.0, "-": -1.0}.get(c, math.nan) for c in branch] if isinstance(branch, str) else branch
+        signs = reals(given, "branch", "signs, +1 or -1")
         if signs.ndim == 0 or signs.shape[-1] != self.signs or not np.all(np.abs(signs) == 1.0):
             each = f"{self.signs} sign{'s' * (self.signs != 1)}, + or - (1 or -1), one for each dyad"
             raise InputError(f"branch is {branch!r}; it must be {each}; closed_form({self.known}).describe() tells")
@@ -215,6 +216,7 @@ def _rows(x: Array, lead: tuple[int, ...], what: str) -> Array:
     return np.ascontiguousarray(x.reshape(math.prod(x.shape[:-1]), x.shape[-1]))
 
 
+@explained
 def closed_form(system: System, known: Sequence[str] | str) -> Plan | Incomplete:
     """The closed form of a planar system for these known coordinates, or `Incomplete`, which says what is left over.
 
@@ -222,7 +224,7 @@ def closed_form(system: System, known: Sequence[str] | str) -> Plan | Incomplete
     followers, and rings of three rigid clusters (dyads, or Assur groups of the second class). Errors:
     `UnknownNameError` for the names, `InputError` for one that is not in q.
     """
-    names = (known,) if isinstance(known, str) else tuple(known)
+    names = listed(known, "known")
     key = ("dyads", names)
     if key not in system._queries:
         system._queries[key] = _closed_form(system, names)

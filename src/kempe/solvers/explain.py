@@ -53,7 +53,7 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
     target = task.targets[at : at + 1]
     if code == BAD_INPUT:
-        return not_a_pose(target[0], " or seed")
+        return not_a_pose(target[0], "seed")
     near = f"the nearest configuration found misses it by {_errors(task, f'{position:.6g} m', angle)}"
     if code == OUT_OF_REACH:
         return f"{_beyond(task, target)}; {near}"

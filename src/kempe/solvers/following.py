@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
+from kempe.calls import brief, explained, explained_methods
 from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.search_layout import BAD_INPUT
 from kempe.kinematics.task import refuse
@@ -44,6 +45,7 @@ TRIED = 16
 """Seeds that are tried where another start or a way on is looked for."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class IkPath:
     """Configurations `q` (n, nq) that follow n targets, NaN where not `success` (n,).
@@ -52,6 +54,8 @@ class IkPath:
     path jumps or stops. It is true where all targets are reached without a jump. An interrupt (Ctrl-C) leaves what was
     done (`interrupted`).
     """
+
+    __repr__ = brief
 
     system: System
     q: Array
@@ -70,6 +74,7 @@ class IkPath:
         return self.status
 
 
+@explained
 def ik_path(
     system: System, targets: Any, frame: FrameLike | None = None, seed: Any = None, *, max_step: float = 0.5,
     restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] = TOLERANCE,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import brief, explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.solvers.clusters import INSIDE, SAME, Clusters, Metric
@@ -22,6 +23,7 @@ STARTS = 4096
 """Starts of a search, at most."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Modes:
     """Configurations `q` (k, nq) that close the mechanism for the `known` inputs, each once.
@@ -35,6 +37,8 @@ class Modes:
     share of random starts that lead to what was found (Good, Biometrika 40, 1953), which is never 1, and `expected`
     the estimated number of modes (Chao, Scand. J. Statist. 11, 1984); both are None where there is a proof.
     """
+
+    __repr__ = brief
 
     q: Array
     complete: bool
@@ -98,6 +102,7 @@ class Question:
     starts: int
 
 
+@explained
 def assembly_modes(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, limits: bool = True,
     frame: FrameLike | None = None, rng: np.random.Generator | int | None = 0, starts: int = STARTS,
@@ -121,12 +126,9 @@ def assembly_modes(
         raise InputError(f"near must be one configuration ({system.nq},) of finite numbers")
     if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or starts < 1:
         raise InputError(f"starts is {starts!r}; it must be a whole number, at least 1")
-    try:
-        generator = np.random.default_rng(rng)
-    except (TypeError, ValueError):
-        raise InputError(f"rng is {rng!r}; it must be a generator, a whole number >= 0 or None") from None
+    draw = generator(rng)
     name = None if frame is None else system.frame_name(frame)
-    question = Question(system, dict(given), base, bool(limits), name, generator, int(starts))
+    question = Question(system, dict(given), base, bool(limits), name, draw, int(starts))
     for solver in SOLVERS:
         modes = solver(question)
         if modes is not None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from kempe.calls import brief, explained, explained_methods
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.task import Task, numbers_of
@@ -36,6 +37,7 @@ LEAST_PART = 0.05
 """Part of the wished direction that the freedoms must still have for the way to go on."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class SelfMotion:
     """A family of configurations `q` (n, nq) in which tasks hold, in the order in which they are passed.
@@ -44,6 +46,8 @@ class SelfMotion:
     `freedoms` is 0 and `q` has the start alone. `start` is the row of the configuration it began with. `closed` says
     that the way comes back to it; else `ends` says for both ends why the way ends there.
     """
+
+    __repr__ = brief
 
     system: System
     q: Array
@@ -63,6 +67,7 @@ class SelfMotion:
         return f"{len(self.q)} configurations of a self-motion with {freedoms}: {how}"
 
 
+@explained
 def self_motion(
     system: System, q: Any, tasks: FrameLike | Task | Sequence[Task], *, task: str | None = None,
     axis: ArrayLike = (0.0, 0.0, 1.0), direction: Any = None, steps: int = 200, step: float = 0.05,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
+from kempe.calls import brief, explained, explained_methods
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import refuse_bad
@@ -25,6 +26,7 @@ BESIDE = 1e-12
 """How near to a bound a velocity is at it, where it is a sum of others."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class IkStep:
     """Velocities of one step: `q` (nq,) after it, `velocity` (nv,), and the `twist` (6,) that they give the frame.
@@ -33,6 +35,8 @@ class IkStep:
     `fraction` is the part of the wanted twist in that, 1 where it is had in full; `saturated` names the coordinates
     that are at a limit of position or velocity.
     """
+
+    __repr__ = brief
 
     q: Array
     velocity: Array
@@ -83,6 +87,7 @@ class Servo:
         return out
 
 
+@explained
 def ik_step(
     system: System, q: Any, wanted: Any, frame: FrameLike | None = None, dt: float = 0.0, *,
     velocity_limits: Any = None, damping: float = 0.05, keep_direction: bool = False, weights: Any = None,

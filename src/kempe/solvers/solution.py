@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import brief, explained_methods
 from kempe.errors import InputError
 from kempe.kernels.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
 from kempe.solvers.answer import Answer
@@ -30,6 +31,7 @@ _MEASURED: dict[str, tuple[int, Callable]] = {
 """Fields of an answer for a single target, where the kernels leave them, and as what they are read."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Solution(Answer):
     """Answer of the inverse model: one configuration for each target.
@@ -39,6 +41,8 @@ class Solution(Answer):
     position targets) are measured by a forward pass; `residual` is the norm of both. `iterations` and `starts` count
     the work. All have the leading shape of the targets; for a single target they are plain Python numbers.
     """
+
+    __repr__ = brief
 
     what = "targets reached"
 
@@ -159,7 +163,7 @@ class Solution(Answer):
 
         return derivative(self)
 
-    def sentence(self, index: tuple[int, ...]) -> str:
+    def _sentence(self, index: tuple[int, ...]) -> str:
         """The sentence for one configuration."""
         from kempe.solvers.explain import sentence
 

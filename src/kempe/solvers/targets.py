@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import numbers
 from kempe.errors import InputError
-from kempe.kernels.search_layout import ROTATION_TOLERANCE
+from kempe.kernels.search_layout import LARGEST, ROTATION_TOLERANCE
 from kempe.kinematics.task_input import refuse_rotations
 from kempe.reals import reals
 from kempe.spatial import Array
@@ -126,7 +127,7 @@ def points_along(task: str | None) -> bool:
 
 def numbers_of(target: Any) -> Array:
     """A target as an array of real numbers. Errors: `InputError`."""
-    return reals(target, "target")
+    return numbers(target, "target")
 
 
 def parse_targets(
@@ -150,7 +151,8 @@ def parse_targets(
         out = array.reshape(math.prod(lead), 4, 4)
         bad = np.any(out[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=-1)  # a transposed pose would pass for another one
         if bad.any():
-            out = np.where(bad[:, None, None], math.nan, out)
+            out = out.copy()
+            out[bad, :3] = math.nan
             if not lead and np.isfinite(array).all():
                 raise InputError(f"target is not a pose: its last row is {array[3].tolist()}; it must be 0 0 0 1")
         return np.require(out, requirements=["C", "A"]), lead, False
@@ -174,12 +176,18 @@ def check_particle(targets: Array, name: str) -> None:
         raise InputError(f"{name!r} is a particle, which has no orientation; give a position (..., 3) as target")
 
 
-def not_a_pose(target: Array, other: str = "") -> str:
-    """Why a target (4, 4) was refused: it has no rotation, or is not finite, which `other` may not be either."""
-    R = target[:3, :3]
-    if np.isfinite(target).all():
-        off = max(float(np.abs(R.T @ R - np.eye(3)).max()), 2.0 if np.linalg.det(R) < 0.0 else 0.0)
-        if off > ROTATION_TOLERANCE:
-            text = "target is not a pose: its rotation part must be orthonormal with determinant +1"
-            return f"{text}; R'R differs from 1 by {off:.1g}" if np.linalg.det(R) > 0.0 else text
-    return f"target{other} is not a finite pose"
+def not_a_pose(target: Array, other: str = "target") -> str:
+    """Why a target (4, 4) was refused; `other` is what was bad where that is fine."""
+    R, last = target[:3, :3], target[3].tolist()
+    if np.isfinite(last).all() and last != [0.0, 0.0, 0.0, 1.0]:
+        return f"target is not a pose: its last row is {last}; it must be 0 0 0 1"
+    if not np.isfinite(target).all():
+        return "target has entries that are not finite"
+    largest = np.abs(target).max()
+    if largest >= LARGEST:
+        return f"target has an entry of {largest:.3g}; allowed are numbers below {LARGEST:g}"
+    off = max(float(np.abs(R.T @ R - np.eye(3)).max()), 2.0 if np.linalg.det(R) < 0.0 else 0.0)
+    if off > ROTATION_TOLERANCE:
+        text = "target is not a pose: its rotation part must be orthonormal with determinant +1"
+        return f"{text}; R'R differs from 1 by {off:.1g}" if np.linalg.det(R) > 0.0 else text
+    return f"{other} has entries that are not finite or too large, or a quaternion that is zero"

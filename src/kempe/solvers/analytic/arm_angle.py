@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import spatial
+from kempe.calls import explained
 from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.layout import TURN
 from kempe.kinematics.configuration import as_q
@@ -145,6 +146,7 @@ def required_arm(system: System, frame: str, reference: ArrayLike | None = None)
     return arm
 
 
+@explained
 def arm_angle(system: System, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
     """Arm angle (...) of configurations q (..., nq), in (-pi, pi]; a float for one. See the module for what it is.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained_methods
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels import analytic_layout as A
 from kempe.reals import reals
@@ -39,6 +40,7 @@ EXACT = 1e-12
 """Largest error of the samples of a family that is exact [m, rad]; beyond, it holds within the tolerance only."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Family:
     """A connected set of infinitely many configurations that reach a target; limits are ignored.

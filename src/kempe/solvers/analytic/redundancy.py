@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.reals import reals
 from kempe.solvers.analytic.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, required_arm
@@ -35,6 +36,7 @@ SAMPLES = 256
 """Values of a joint at which all solutions are asked for, as starts of the curves between them."""
 
 
+@explained
 def ik_sweep(
     system: System, target: ArrayLike, frame: FrameLike, parameter: str | None = None, *, n: int | None = None,
     task: str | None = None, near: Any = None, axis: ArrayLike = Z_AXIS, reference: ArrayLike | None = None,

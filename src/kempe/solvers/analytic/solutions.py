@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import explained_methods
 from kempe.errors import InputError
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.layout import SLIDE
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from kempe.solvers.analytic.question import Question
 
 
+@explained_methods
 class Solutions:
     """All configurations that reach a target, or each of a batch of targets.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained_methods
 from kempe.errors import InputError
 from kempe.kernels.layout import SLIDE
 from kempe.reals import reals
@@ -98,6 +99,7 @@ class Slice:
         return self.status
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep:
     """The solutions of a chain with one freedom to spare, over a `parameter`: a joint, or "arm_angle".
