@@ -180,7 +180,7 @@ def test_order_of_the_file_is_kept():
 def test_all_problems_are_told_in_the_order_of_the_file():
     text = robot(
         joint("a", '<axis xyz="0 0 0"/><origin xyz="1 2"/>' + LIMIT),
-        joint("b", "", "spherical", "arm", "hand"),
+        joint("b", "", "ball", "arm", "hand"),
         joint("c", mimic("x")),
         links=LINKS.replace('base"/>', 'base"><inertial><mass value="x"/></inertial></link>'),
     )

@@ -15,6 +15,7 @@ import typer
 
 from kempe import __version__
 from kempe.errors import InputError, KernelsError
+from kempe.model.immovable import immovable
 from kempe.views.terminal import COMPLETE, Commands, print_json, refuse
 
 if TYPE_CHECKING:
@@ -45,6 +46,9 @@ Base = Annotated[str | None, option("--base", "'free': the root link moves freel
 Root = Annotated[str | None, option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)]
 Dirs = Annotated[list[Path] | None, option("--package-dir", "Folder for package://; can be repeated.", "FOLDER", _READ)]
 Xacro = Annotated[bool, option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)]
+Lenient = Annotated[
+    bool, option("--lenient-limits", "Limits without a range (no bounds, or swapped) are none (URDF).", None, _READ)
+]
 
 FrameOrAll = Annotated[str | None, option("--frame", "Body or frame; all bodies if not given.", "NAME")]
 Values = Annotated[
@@ -92,9 +96,12 @@ Hold = Annotated[
 # ---- what all commands share
 
 
-def reading(base: str | None, root: str | None, package_dir: list[Path] | None, xacro: bool) -> dict[str, Any]:
+def reading(
+    base: str | None, root: str | None, package_dir: list[Path] | None, xacro: bool, lenient_limits: bool
+) -> dict[str, Any]:  # fmt: skip
     """The reader's options, without those that were not given."""
     given = {"base": base, "root": root, "package_dirs": package_dir, "xacro": xacro}
+    given["lenient_limits"] = lenient_limits
     return {k: v for k, v in given.items() if v}
 
 
@@ -102,7 +109,10 @@ def load(file: str, *options: Any) -> System:
     """The system of a file, read with the reader's options."""
     import kempe
 
-    return kempe.load(file, **reading(*options))
+    system = kempe.load(file, **reading(*options))
+    if still := immovable(system, unstated=True):
+        remark(still)
+    return system
 
 
 @app.callback(invoke_without_command=True)

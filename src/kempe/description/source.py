@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import codecs
+import os
 import re
 from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from functools import cached_property
+from pathlib import Path
 
 from kempe.errors import (
     PROBLEM_LIMIT,
@@ -120,6 +122,22 @@ class Findings:
 def fail(message: str, where: Where, allowed: str = "", subject: str = "") -> DescriptionError:
     """The error for a problem after which reading cannot go on."""
     return DescriptionError(Problem(message, subject, where, allowed))
+
+
+def expanded(path: str | Path) -> Path:
+    """The path of a file, a leading ``~`` replaced by the home folder. Errors: `InputError` for a URL."""
+    text = os.fspath(path)
+    if isinstance(path, str) and (scheme := re.match(r"([A-Za-z][A-Za-z0-9+.-]*)://", text)):
+        shown = shorten(text, 200)
+        if scheme[1].lower() == "file":
+            raise InputError(f"{shown} is a URL; give the path alone, without {scheme[0]}")
+        if scheme[1].lower() == "package":
+            raise InputError(f"{shown} is a name of ROS; give the path of the file")
+        raise InputError(f"{shown} is a URL; Kempe reads files of this machine: download it first")
+    try:
+        return Path(text).expanduser()
+    except RuntimeError:  # no such user, or no home
+        return Path(text)
 
 
 def shorten(text: object, limit: int = 60) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kempe.description.mechanism import Mechanism
+from kempe.description.source import expanded
 from kempe.description.toml_writer import write_toml
 from kempe.description.urdf_writer import write_urdf
 from kempe.errors import InputError
@@ -18,7 +19,7 @@ def write(mechanism: Mechanism, path: str | Path) -> Path:
 
     Errors: `InputError` for another ending, `DescriptionError` listing what URDF cannot say; nothing is written then.
     """
-    path = Path(path)
+    path = expanded(path)
     if path.suffix.lower() not in WRITERS:
         raise InputError(f"{path}: the format is told by the ending; it must be .toml or .urdf")
     path.write_text(WRITERS[path.suffix.lower()](mechanism), encoding="utf-8")

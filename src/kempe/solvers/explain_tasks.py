@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.model.immovable import immovable
 from kempe.solvers.contradictions import contradictions
 from kempe.solvers.freedoms import Local, freedoms_text
 from kempe.solvers.lengths import beyond
@@ -57,6 +58,8 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     if code == OUT_OF_TIME:
         tried = f"{starts} of {counted(problem.starts, 'start')}"
         return f"not reached within {limit}, after {tried}: {what}; q is the nearest found{more}"
+    still = immovable(problem.system)
+    more = f"{more}; {still}" if still else more
     return f"not reached after {counted(starts, 'start')}: {what}; {_reason(problem, q)}; q is the nearest found{more}"
 
 

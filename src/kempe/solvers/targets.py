@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.description.placement import direction
 from kempe.errors import InputError
 from kempe.kernels.search_layout import ROTATION_TOLERANCE
 from kempe.spatial import Array
@@ -39,6 +40,7 @@ def task_of(task: object, is_position: bool, particle: bool) -> str:
 
 def axis_of(axis: object) -> tuple[float, float, float]:
     """The pointing axis as a unit vector of the tool. Errors: `InputError`."""
+    axis = direction(axis)
     try:
         v = np.asarray(axis, dtype=float)
     except (TypeError, ValueError):

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from kempe import spatial
+from kempe.description.placement import AXES
 from kempe.errors import InputError
 from kempe.views import facts, report, rows
 
@@ -31,7 +32,9 @@ BLOCK = 8
 
 
 def axis(text: str) -> spatial.Array:
-    """The tool's axis (3,) from 'x,y,z'. Errors: `InputError`."""
+    """The tool's axis (3,) from three numbers or a name such as '-z'. Errors: `InputError`."""
+    if text.strip().lower() in AXES:
+        return np.array(AXES[text.strip().lower()])
     values = rows.numbers(text, "axis")
     if len(values) != 3:
         raise InputError(f"the axis has {report.count(len(values), 'number')}; it must be x,y,z in the tool's frame")

@@ -12,6 +12,7 @@ from kempe.kernels import analytic_layout as A
 from kempe.kernels.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.search_layout import LARGEST
+from kempe.model.immovable import immovable
 from kempe.solvers.analytic.explain_held import (
     held_at,
     more_than_enough,
@@ -169,7 +170,10 @@ def _beyond(solutions: Solutions, index: int, alone: np.ndarray) -> str:
     row = over[int(np.argmin(over.max(axis=1)))]
     worst = int(np.argmax(row))
     unit = "m" if lines.kinds[worst] == SLIDE else "rad"
-    return f" (the nearest to them has {lines.names[worst]!r} {row[worst]:.6g} {unit} beyond its limit)"
+    names = solutions.system.velocity_names
+    still = immovable(solutions.system, [i for i, name in enumerate(names) if name in lines.names])
+    far = f"the nearest to them has {lines.names[worst]!r} {row[worst]:.6g} {unit} beyond its limit"
+    return f" ({far}{f'; {still}' if still else ''})"
 
 
 # ---- not reached
