@@ -56,7 +56,7 @@ def test_trees_of_what_urdf_has(seed: int):
     rng = np.random.default_rng(seed)
     m = Mechanism("tree")
     bodies = [m.ground]
-    for i, kind in enumerate(rng.choice(["revolute", "prismatic", "fixed", "planar", "free"], 8)):
+    for i, kind in enumerate(rng.choice(["revolute", "prismatic", "fixed", "planar", "free", "spherical"], 8)):
         bodies.append(m.body(f"b{i}"))
         X_PF = place(rng.normal(size=3), rpy=rng.normal(size=3))
         X_CM = place(rng.normal(size=3) * (rng.random() < 0.5), rpy=rng.normal(size=3) * (rng.random() < 0.5))

@@ -22,5 +22,9 @@ def write(mechanism: Mechanism, path: str | Path) -> Path:
     path = expanded(path)
     if path.suffix.lower() not in WRITERS:
         raise InputError(f"{path}: the format is told by the ending; it must be .toml or .urdf")
-    path.write_text(WRITERS[path.suffix.lower()](mechanism), encoding="utf-8")
+    text = WRITERS[path.suffix.lower()](mechanism)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: it cannot be written: {error.strerror or error}") from None
     return path

@@ -128,7 +128,7 @@ def expand_xacro(
         raise fail(f"xacro needs more than {MEMORY >> 30} GiB of memory", where, "it may call itself without end")
     if "RecursionError" in said:
         raise fail("xacro calls itself without end (RecursionError)", where, "look for a macro that calls itself")
-    missing = _PACKAGE.search(said)
+    missing = _PACKAGE.search(_last(said))
     if code != 0 and missing:
         looked = ", ".join(repr(str(d)) for d in package_dirs)
         raise fail(

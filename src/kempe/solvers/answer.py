@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from kempe.kinematics.tabular import Tabular
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
 
-class Answer:
+class Answer(Tabular):
     """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why. Base of answers."""
 
     q: Array
@@ -39,6 +40,10 @@ class Answer:
         for index in np.ndindex(out.shape):
             out[index] = self.sentence(index)
         return out
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the coordinates of each configuration, in radians and metres."""
+        return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
 
     def __bool__(self) -> bool:
         return bool(np.all(self.success))

@@ -14,6 +14,7 @@ from rich.text import Text
 from kempe import spatial
 from kempe.description.placement import AXES
 from kempe.errors import InputError
+from kempe.kinematics.tabular import write_table
 from kempe.views import facts, report, rows
 
 if TYPE_CHECKING:
@@ -214,7 +215,7 @@ def write(path: Path, answer: Solutions, degrees: bool = False) -> None:
     mask = answer.mask.reshape(-1, answer.mask.shape[-1])
     q = _in_units(system, answer.q.reshape(*mask.shape, system.nq), degrees)
     lines = np.column_stack([np.nonzero(mask)[0].astype(float), q[mask]])
-    rows.write(path, ("target", *system.coordinate_names), lines, q)
+    write_table(path, ("target", *system.coordinate_names), lines, q)
 
 
 # ---- how they are found
