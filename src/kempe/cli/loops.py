@@ -17,6 +17,7 @@ from kempe.cli.app import (
     Deg,
     Dirs,
     File,
+    InPlace,
     Json,
     Lenient,
     Out,
@@ -30,6 +31,7 @@ from kempe.cli.app import (
     results,
     told,
     writable,
+    written_to,
 )
 from kempe.errors import InputError
 from kempe.views.terminal import INCOMPLETE, guarded, print_json, show
@@ -207,15 +209,20 @@ def trace(
 @app.command(rich_help_panel=CLOSED)
 @guarded
 def plot(
-    file: File, out: Annotated[Path, typer.Argument(metavar="OUT", help="Picture to write: .png, .svg or .pdf.")],
-    q: At = None, posture: Posture = None, frame: Marks = None, deg: Deg = False, json: Json = False,
+    file: File,
+    out: Annotated[
+        Path | None, typer.Argument(metavar="OUT", help="Picture to write: .png, .svg or .pdf; or -o FILE.")
+    ] = None,
+    output: InPlace = None, q: At = None, posture: Posture = None, frame: Marks = None, deg: Deg = False,
+    json: Json = False,
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Draw a system at a configuration.
 
-    Example: kempe plot peaucellier peaucellier.png
+    Example: kempe plot peaucellier -o peaucellier.png
     """
+    out = written_to(out, output)
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import given
 

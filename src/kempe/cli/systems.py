@@ -15,6 +15,7 @@ from kempe.cli.app import (
     Dirs,
     File,
     FrameOrAll,
+    InPlace,
     Json,
     Lenient,
     Out,
@@ -28,8 +29,8 @@ from kempe.cli.app import (
     remark,
     results,
     told,
+    written_to,
 )
-from kempe.errors import InputError
 from kempe.views.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
 
 # ---- describe
@@ -93,7 +94,11 @@ def check(
 @app.command(rich_help_panel=DESCRIBE)
 @guarded
 def convert(
-    file: File, out: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .toml or .urdf.")],
+    file: File,
+    out: Annotated[
+        Path | None, typer.Argument(metavar="OUT", help="File to write: .toml or .urdf; or -o FILE.")
+    ] = None,
+    output: InPlace = None,
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
@@ -102,15 +107,12 @@ def convert(
     Example: kempe convert panda.urdf panda.toml
     """
     import kempe
-    from kempe.description.toml_writer import write_toml
-    from kempe.description.urdf_writer import write_urdf
+    from kempe.description.write import write
 
+    out = written_to(out, output)
     mechanism = kempe.read(file, **reading(base, root, package_dir, xacro, lenient_limits))
     mechanism.build()
-    writers = {".toml": write_toml, ".urdf": write_urdf}
-    if out.suffix.lower() not in writers:
-        raise InputError(f"{out}: the format is told by the ending; it must be .toml or .urdf")
-    out.write_text(writers[out.suffix.lower()](mechanism), encoding="utf-8")
+    write(mechanism, out)
     if json:
         print_json({"written": str(out), "name": mechanism.name, "notes": list(mechanism.notes)})
     else:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe import spatial
+from kempe.description.source import expanded
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.tabular import SUFFIXES, table_file, write_table
@@ -50,7 +51,7 @@ def configuration(system: System, text: str | None, posture: str | None = None, 
     if text is None:
         return base
     if is_file(text):
-        return _configurations(system, Path(text), degrees)
+        return _configurations(system, expanded(text), degrees)
     if "=" in text:
         return system.q(_named(system, text, degrees), base)
     return _radians(system, as_q(system, numbers(text, "q")), degrees)
@@ -112,7 +113,7 @@ def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Ar
     place of 'x,y,z'; or a file of such rows, where a .npy may also hold (n, 4, 4) matrices.
     """
     if is_file(text):
-        _, rows = read(Path(text), matrices=True)
+        _, rows = read(expanded(text), matrices=True)
     else:
         rows = np.array(numbers(text, "target"))
     if rows.ndim == 3:
