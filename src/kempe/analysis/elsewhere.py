@@ -16,7 +16,8 @@ def elsewhere(path: Path) -> tuple[str, Array]:
     """A coordinate, and other configurations (k, nq) with its value at the path's start that the path does not pass.
 
     They are looked for where they are in closed form, inside the limits, with one coordinate as the input: the driver,
-    else the first that does; `held` coordinates stay. Else there are none.
+    and the others until there are some, since a driver need not have the same range on another branch. `held`
+    coordinates stay.
     """
     from kempe.solvers.dyads import Incomplete, closed_form
 
@@ -25,10 +26,13 @@ def elsewhere(path: Path) -> tuple[str, Array]:
         return nothing
     start = system.q_dict(path.q[0])
     held = {name: start[name] for name in path.held}
-    for name in [path.driver] if path.driver is not None else [n for n in start if n not in held]:
-        if name in start and not isinstance(closed_form(system, (name, *held)), Incomplete):
+    first = [path.driver] if path.driver in start else []
+    for name in dict.fromkeys([*first, *start]):
+        if name not in held and not isinstance(closed_form(system, (name, *held)), Incomplete):
             modes = system.assembly_modes({name: start[name], **held})
-            return name, modes.q[[not any(_passes(p, q) for p in (path, *path.others)) for q in modes.q]]
+            others = [q for q in modes.q if not any(_passes(p, q) for p in (path, *path.others))]
+            if others:
+                return name, np.array(others)
     return nothing
 
 

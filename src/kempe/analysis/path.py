@@ -229,7 +229,7 @@ class Path(Configurations):
     def elsewhere(self) -> Array:
         """Other assembly modes (k, nq) at the start of the path that it does not pass, where they have a closed form.
 
-        They have the driver's value there, or that of the first coordinate with which they have a closed form.
+        They have the driver's value there, or that of the first coordinate with which there are some.
         """
         return self._elsewhere[1]
 

@@ -127,8 +127,8 @@ def _over_determined(task: Task, target: Array, position: float, angle: float) -
         return ""
     text = f"the task has {wanted} equations, but the chain moves this frame in {freedoms} freedoms only"
     if task.name in ("pose", "position_axis"):
-        position = replace(task, name="position", axis=Z_AXIS, chain=chain_of(system, task.frame))
-        other = "cannot" if _solved(position, target) is None else "can"
+        place = replace(task, name="position", axis=Z_AXIS, chain=chain_of(system, task.frame))
+        other = "cannot" if _solved(place, target) is None else "can"
         text += f" (its position alone {other} be reached)"
     if position <= ROUNDED * task.chain.span.largest and angle <= ROUNDED:
         given = ", ".join(f"{_above(error):g}" for error in (position, angle))
