@@ -40,7 +40,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "all solutions of a batch": lambda: kempe.load("ur5").ik_all(targets(kempe.load("ur5"), 3), "tool"),
     "tasks": lambda: redundant().ik([kempe.tasks.Position("tool", [0.5, 0.5, 0])]),
     "ik_path": lambda: redundant().ik_path(np.linspace([0.9, 0.1, 0], [0.6, 0.3, 0], 9), "tool"),
-    "self_motion": lambda: redundant().self_motion([0.3, 0.4, 0.5], [kempe.tasks.Position("tool", redundant().fk([0.3, 0.4, 0.5], "tool")[:3, 3])], steps=20),
+    "self_motion": lambda: redundant().self_motion([0.3, 0.4, 0.5], "tool", task="position", steps=20),
 }  # fmt: skip
 
 

@@ -32,7 +32,8 @@ STILL = '<limit lower="0.5" upper="0.5" effort="1" velocity="1"/>'
     ("limits", "said"),
     [
         ((WIDE, WIDE), ""),
-        ((EFFORT, WIDE), "'j0' cannot move (0..0 because the file gives no bounds; lenient_limits=True reads it as unlimited)"),
+        ((EFFORT, WIDE), "'j0' cannot move (0..0 because the file gives no bounds; lenient_limits=True reads it as "
+                         "unlimited)"),
         ((EFFORT, EFFORT), "'j0', 'j1' cannot move (0..0 because the file gives no bounds; lenient_limits=True reads "
                            "them as unlimited)"),
         ((STILL, EFFORT), "'j1' cannot move (0..0 because the file gives no bounds; lenient_limits=True reads it as "

@@ -130,10 +130,20 @@ def _over_determined(task: Task, target: Array, position: float, angle: float) -
         place = replace(task, name="position", axis=Z_AXIS, chain=chain_of(system, task.frame))
         other = "cannot" if _solved(place, target) is None else "can"
         text += f" (its position alone {other} be reached)"
-    if position <= ROUNDED * task.chain.span.largest and angle <= ROUNDED:
-        given = ", ".join(f"{_above(error):g}" for error in (position, angle))
-        text += f"; a target that was rounded needs a larger tolerance: tolerance=({given}) accepts it"
-    return text
+    return text + rounded(position, angle, task.chain.span.largest)
+
+
+def rounded(position: float, angle: float, length: float, one: bool = False) -> str:
+    """The tail of a sentence on a target with more equations than freedoms: the tolerance that accepts it.
+
+    `position` and `angle` are the errors of the nearest found. Empty where these are more than rounding of figures,
+    seen from a robot with links of this `length`. With `one` the tolerance is one number for both.
+    """
+    if position > ROUNDED * length or angle > ROUNDED:
+        return ""
+    metres, radians = _above(position), _above(angle)
+    said = f"tolerance={max(metres, radians):g}" if one else f"tolerance=({metres:g}, {radians:g})"
+    return f"; a target that was rounded needs a larger tolerance: {said} accepts it"
 
 
 def _above(error: float) -> float:

@@ -12,6 +12,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"\blenient_limits=True\b", "--lenient-limits"),
     (r"\bxacro=True\b", "--xacro"),
     (r"\btolerance=\(([\d.e+-]+), ([\d.e+-]+)\)", r"--tolerance \1,\2"),
+    (r"\btolerance=([\d.e+-]+)", r"--tolerance \1"),
     (r"\bbase and root are for URDF", "--base and --root are for URDF"),
     (r"\blenient_limits is for URDF", "--lenient-limits is for URDF"),
     (r"\bpackage_dirs\b", "--package-dir"),
@@ -20,7 +21,8 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"`ik`", "ik"),
     (r"`near`", "--seed"),
     (r": see nearest\(\)", ""),
-    (r"; closed_form\(\(.*?\)\)\.describe\(\) tells", "; --modes tells"),
+    (r"; closed_form\(.*?\)\.describe\(\) tells", "; --modes tells"),
+    (r"\baxis=\(x, y\)", "axis = [x, y]"),
 )
 """What the library says, as regular expressions, and what the command line says in its place."""
 

@@ -27,6 +27,7 @@ from kempe.solvers.analytic.plan import Plan, carried_lines, free_lines
 from kempe.solvers.analytic.plan import freedoms as rank_of
 from kempe.solvers.analytic.structure import Axes, Way
 from kempe.solvers.chain import chain_of
+from kempe.solvers.explain import rounded
 from kempe.solvers.rounds import Task, outside
 from kempe.solvers.targets import Z_AXIS, not_a_pose
 from kempe.solvers.words import in_words
@@ -37,6 +38,9 @@ if TYPE_CHECKING:
 
 BEYOND = 1e-8
 """How far (lengths of the chain, cosines) an equation must be from having a root, to be named as the reason."""
+
+CANNOT = "this target is not among those it can reach"
+"""End of the sentence on targets with more equations than freedoms."""
 
 REACHED = 2e-6
 """Error [m, rad] below which a search, which stops there, has found a solution."""
@@ -77,6 +81,8 @@ def status(solutions: Solutions, index: int) -> str:
         return f"{text.split(':')[0]} within {question.tolerance:.1g}, but {near}"
     missed = [] if question.task in ("orientation", "direction") else [f"{position:.6g} m"]
     missed += [] if question.task == "position" else [f"{angle:.2g} rad"]
+    if why.endswith(CANNOT):
+        text += rounded(position, angle, chain_of(solutions.system, question.frame).span.largest, one=True)
     limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""
     return f"{text}; the closest configuration found{limits} misses it by {', '.join(missed)}"
 
@@ -217,7 +223,7 @@ def _overdetermined(solutions: Solutions) -> str:
     able = rank - len(free.kinds)
     few = f", which give it {in_words(able, 'freedom')}" if able < len(unknown) else ""
     return (f"the chain has {len(unknown)} joint{'' if len(unknown) == 1 else 's'}{held}{few}, the task {equations} "
-            "equations: this target is not among those it can reach")  # fmt: skip
+            f"equations: {CANNOT}")  # fmt: skip
 
 
 def _without_root(solutions: Solutions, index: int) -> str:
