@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from kempe.analysis.motion import Progress, angle_or_slide, begin, longest_step,
 from kempe.analysis.path import Configurations, Event
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError
+from kempe.kinematics.tabular import write_table
 from kempe.reals import reals
 from kempe.spatial import Array
 
@@ -88,6 +90,10 @@ class Drive(Configurations):
         """Names and columns (n, k) for a file: time, all coordinates, whether held, x, y (and z) of frames."""
         names, columns = self._columns("time", self.times, frames)
         return [*names, "held"], np.column_stack([columns, self.held])
+
+    def save(self, path: str | FilePath, frames: Iterable[FrameLike] = ()) -> FilePath:
+        """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors: `InputError`."""
+        return write_table(path, *self.table(frames))
 
     @property
     def status(self) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import ArrayLike
 from kempe.analysis.continuation import Closure, least_squares
 from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError, shown
+from kempe.kinematics.tabular import Tabular, write_table
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -77,7 +80,7 @@ class Track:
 
 
 @explained_methods
-class Configurations:
+class Configurations(Tabular):
     """Configurations `q` (n, nq) that a `system` takes one after the other. Base of motions."""
 
     system: Any
@@ -199,6 +202,10 @@ class Path(Configurations):
         """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default: `self.frames`)."""
         return self._columns("s", self.s, self.frames if frames is None else frames)
 
+    def save(self, path: str | FilePath, frames: Iterable[FrameLike] | None = None) -> FilePath:
+        """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors: `InputError`."""
+        return write_table(path, *self.table(frames))
+
     @property
     def status(self) -> str:
         """The sentence that says what was found."""
@@ -216,7 +223,32 @@ class Path(Configurations):
         lines = [f"{self.system.name}: {self.status}"]
         lines += [f"  {event}" for event in (*self.turning_points, *self.singular_points)]
         lines += [f"  another branch: {path.status}" for path in self.others]
+        lines += [f"  {said}: trace(start=path.elsewhere[0])"] if (said := self.hint) else []
         return "\n".join(lines)
+
+    @cached_property
+    def _elsewhere(self) -> tuple[str, Array]:
+        from kempe.analysis.elsewhere import elsewhere
+
+        return elsewhere(self)
+
+    @property
+    def elsewhere(self) -> Array:
+        """Other assembly modes (k, nq) at the start of the path that it does not pass, where they have a closed form.
+
+        They have the driver's value there, or that of the first coordinate with which there are some.
+        """
+        return self._elsewhere[1]
+
+    @property
+    def hint(self) -> str:
+        """The sentence that says how many assembly modes are not on the path; empty where none are known."""
+        name, q = self._elsewhere
+        if not len(q):
+            return ""
+        value = self.q[0][self.system.coordinate_names.index(name)]
+        many = "1 other assembly mode" if len(q) == 1 else f"{len(q)} other assembly modes"
+        return f"{many} with {name!r} = {value:.6g} {'is' if len(q) == 1 else 'are'} not on this curve"
 
     def _repr_html_(self) -> str:
         from html import escape

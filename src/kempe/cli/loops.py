@@ -17,7 +17,9 @@ from kempe.cli.app import (
     Deg,
     Dirs,
     File,
+    InPlace,
     Json,
+    Lenient,
     Out,
     Posture,
     Root,
@@ -29,6 +31,7 @@ from kempe.cli.app import (
     results,
     told,
     writable,
+    written_to,
 )
 from kempe.errors import InputError
 from kempe.views.terminal import INCOMPLETE, guarded, print_json, show
@@ -68,12 +71,13 @@ def dof(
     fast: Annotated[bool, option("--fast", "Counting and rank only, not the true local dimension.")] = False,
     deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
     xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Count the degrees of freedom: by formula, by rank and truly.
 
     Example: kempe dof bennett
     """
-    system = load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import given, loop_report
 
     driven = None if actuated is None else [a.strip() for a in actuated.split(",") if a.strip()]
@@ -100,6 +104,7 @@ def assemble(
     continuous: Annotated[bool, option("--continuous", "Rows of a file: each starts where the last two lead.")] = False,
     no_limits: NoLimits = False, plot: Picture = None, out: Out = None, deg: Deg = False, json: Json = False,
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Close all loops: known coordinates in, all others out.
 
@@ -107,7 +112,7 @@ def assemble(
     """
     if modes and (branch is not None or nearest or continuous):
         raise InputError("--modes gives all branches: leave --branch, --nearest and --continuous out")
-    system = load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import given, loop_report
 
     results(out)
@@ -159,6 +164,7 @@ def trace(
     ] = None,
     no_limits: NoLimits = False, out: Out = None, plot: Picture = None, deg: Deg = False, json: Json = False,
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Follow a mechanism with one freedom through its whole motion.
 
@@ -169,7 +175,7 @@ def trace(
     """
     if points is not None and points < 2:
         raise InputError(f"--points is {points}; it must be at least 2")
-    system = load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import given, loop_report
 
     results(out)
@@ -203,15 +209,21 @@ def trace(
 @app.command(rich_help_panel=CLOSED)
 @guarded
 def plot(
-    file: File, out: Annotated[Path, typer.Argument(metavar="OUT", help="Picture to write: .png, .svg or .pdf.")],
-    q: At = None, posture: Posture = None, frame: Marks = None, deg: Deg = False, json: Json = False,
+    file: File,
+    out: Annotated[
+        Path | None, typer.Argument(metavar="OUT", help="Picture to write: .png, .svg or .pdf; or -o FILE.")
+    ] = None,
+    output: InPlace = None, q: At = None, posture: Posture = None, frame: Marks = None, deg: Deg = False,
+    json: Json = False,
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Draw a system at a configuration.
 
-    Example: kempe plot peaucellier peaucellier.png
+    Example: kempe plot peaucellier -o peaucellier.png
     """
-    system = load(file, base, root, package_dir, xacro)
+    out = written_to(out, output)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import given
 
     names = [system.frame_name(f) for f in frame or ()]

@@ -48,7 +48,8 @@ class Joint:
 
     `limits`, `velocity_limits` and `effort_limits` are by the joint's velocity coordinate names ('' where there is
     one). `actuated` says that a motor drives it (True), that it is passive (False), or nothing (None); `cut` asks
-    that, in a loop, this joint be left out of the spanning tree.
+    that, in a loop, this joint be left out of the spanning tree. `unstated` marks limits that a file does not give, and
+    that are zero by the rules of its format.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Joint:
     actuated: bool | None = None
     cut: bool = False
     where: Where | None = field(default=None, compare=False, repr=False)
+    unstated: bool = field(default=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("limits", "velocity_limits", "effort_limits"):

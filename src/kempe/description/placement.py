@@ -22,6 +22,12 @@ COUNTS = {"x": 1, "y": 1, "z": 1, "rx": 1, "ry": 1, "rz": 1, "align": 3, "unalig
 """Elementary motions and how many numbers each takes: slides and turns along and about x, y, z; `align` turns z to
 an axis by the smallest rotation and `unalign` undoes that; a unit quaternion; a rotation matrix by rows."""
 
+AXES = {
+    sign + name: tuple(float(f"{sign}1") * (name == other) + 0.0 for other in "xyz")
+    for sign in ("", "+", "-") for name in "xyz"
+}  # fmt: skip
+"""Directions by name: 'x', '-z'."""
+
 ROTATION_TOLERANCE = 1e-9
 """How far a matrix given by the user may be from a rotation before it is refused."""
 
@@ -68,12 +74,15 @@ def place(
 ) -> Placement:  # fmt: skip
     """Placement with the origin `at` (2 or 3 lengths) and an orientation given in at most one way.
 
-    `rpy` are fixed-axis angles x, y, z; `angle` turns about z (planar systems); `quat_wxyz` and `matrix` as named.
-    `axis` finally turns z to this direction, read in the axes that the rest describes; it need not have unit length.
+    `at` can also be a pose (4, 4) or a `Placement`, which are turned further by the rest. `rpy` are fixed-axis angles
+    x, y, z; `angle` turns about z (planar systems); `quat_wxyz` and `matrix` as named. `axis` finally turns z to this
+    direction, read in the axes that the rest describes; it need not have unit length, and can be a name: "x", "-z".
     Errors: `InputError` for wrong counts, numbers that are not finite, a zero axis, a matrix that does not rotate.
     """
     if isinstance(at, Placement):
         return at @ place(rpy=rpy, angle=angle, axis=axis, quat_wxyz=quat_wxyz, matrix=matrix)
+    if _is_pose(at):
+        return place(placement_of_pose(at), rpy, angle, axis, quat_wxyz, matrix)
     steps: list[Step] = [(n, (x,)) for n, x in zip("xyz", values(at, (2, 3), "at"), strict=False)]
     ways = {"rpy": rpy, "angle": angle, "quat_wxyz": quat_wxyz, "matrix": matrix}
     given = [n for n, x in ways.items() if x is not None]
@@ -87,7 +96,10 @@ def place(
     if quat_wxyz is not None:
         steps.append(("quat_wxyz", values(quat_wxyz, 4, "quat_wxyz")))
     if matrix is not None:
-        steps.append(("matrix", values(numbers_of(matrix, "matrix").reshape(-1), 9, "matrix")))
+        R = numbers_of(matrix, "matrix")
+        if R.shape == (4, 4):
+            raise InputError("matrix is a pose (4, 4); it must be a rotation (3, 3), and a pose is given as at")
+        steps.append(("matrix", values(R.reshape(-1), 9, "matrix")))
     for step in steps:
         check_step(*step)
     if axis is not None:
@@ -95,9 +107,26 @@ def place(
     return Placement(tuple(steps)).simplified()
 
 
+def _is_pose(at: object) -> bool:
+    """Whether `at` has four rows of numbers rather than 2 or 3 numbers."""
+    if isinstance(at, (list, tuple)):
+        return len(at) == 4 and all(isinstance(row, (list, tuple, np.ndarray)) for row in at)
+    return isinstance(at, np.ndarray) and at.shape == (4, 4)
+
+
+def direction(axis: object) -> object:
+    """`axis` as it is, or the three numbers that its name means: "x", "-z". Errors: `InputError` for other names."""
+    if not isinstance(axis, str):
+        return axis
+    name = axis.strip().lower()
+    if name not in AXES:
+        raise InputError(f"axis is {axis!r}; it must be numbers, or one of x, y, z, -x, -y, -z")
+    return AXES[name]
+
+
 def axis_steps(axis: object) -> list[Step]:
-    """The step that turns z to `axis` (2 or 3 numbers), or nothing where it is z already. Errors: `InputError`."""
-    numbers = values(axis, (2, 3), "axis")
+    """The step that turns z to `axis` (2 or 3 numbers, or a name), or nothing where it is z. Errors: `InputError`."""
+    numbers = values(direction(axis), (2, 3), "axis")
     if any(isinstance(x, Expression) for x in numbers):
         raise InputError(f"axis is {list(map(str, numbers))}; it must be plain numbers (turn the frame by rpy instead)")
     numbers = (*numbers, 0.0)[:3]

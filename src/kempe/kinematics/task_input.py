@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from kempe import spatial
+from kempe.description.placement import direction
 from kempe.errors import InputError
 from kempe.kinematics.task import LARGEST, RIGID, along, flat, numbers_of
 from kempe.spatial import Array
@@ -44,7 +45,7 @@ def refuse_rotations(x: Array, what: str) -> None:
 
 def directions_of(x: Any, dim: int, what: str) -> Array:
     """Unit vectors (..., 3) along those given. Errors: `InputError` for a zero one."""
-    p = _vectors(x, dim, what)
+    p = _vectors(direction(x), dim, what)
     if np.any(np.all(p == 0.0, axis=-1)):
         raise InputError(f"{what} is zero; it must have a direction")
     return _in_plane(spatial.unit(p), dim, what)

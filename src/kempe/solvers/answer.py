@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from kempe.calls import explained_methods, place_in
+from kempe.kinematics.tabular import Tabular
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @explained_methods
-class Answer:
+class Answer(Tabular):
     """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why. Base of answers."""
 
     q: Array
@@ -44,6 +45,10 @@ class Answer:
         for index in np.ndindex(out.shape):
             out[index] = self._sentence(index)
         return out
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the coordinates of each configuration, in radians and metres."""
+        return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
 
     def __bool__(self) -> bool:
         return bool(np.all(self.success))

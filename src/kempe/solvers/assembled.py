@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kempe.calls import brief, explained_methods
 from kempe.solvers.answer import Answer
 from kempe.spatial import Array
@@ -44,6 +46,11 @@ class Assembly(Answer):
     def system(self) -> System:
         """The system that was asked."""
         return self.assembler.system
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the coordinates of each configuration, NaN where it is not closed."""
+        names, q = super().table()
+        return names, np.where(np.reshape(self.success, (-1, 1)), q, np.nan)
 
     def _sentence(self, index: tuple[int, ...]) -> str:
         """The sentence for one configuration."""

@@ -13,6 +13,7 @@ from kempe import spatial
 from kempe.calls import brief, explained, explained_methods
 from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.search_layout import BAD_INPUT
+from kempe.kinematics.tabular import Tabular
 from kempe.kinematics.task import refuse
 from kempe.kinematics.tasks import Pose, Position
 from kempe.reals import reals
@@ -47,7 +48,7 @@ TRIED = 16
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class IkPath:
+class IkPath(Tabular):
     """Configurations `q` (n, nq) that follow n targets, NaN where not `success` (n,).
 
     `jumps` are the targets that are reached, but not continuously from the one before; `status` says where and why the
@@ -66,6 +67,10 @@ class IkPath:
 
     def __len__(self) -> int:
         return len(self.q)
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the coordinates at each target, NaN where it is not reached."""
+        return list(self.system.coordinate_names), self.q
 
     def __bool__(self) -> bool:
         return bool(np.all(self.success)) and not self.jumps

@@ -11,6 +11,7 @@ import numpy as np
 from kempe.calls import brief, explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_start, home_of
+from kempe.kinematics.tabular import Tabular
 from kempe.solvers.clusters import INSIDE, SAME, Clusters, Metric
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
 from kempe.solvers.words import counted
@@ -25,7 +26,7 @@ STARTS = 4096
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Modes:
+class Modes(Tabular):
     """Configurations `q` (k, nq) that close the mechanism for the `known` inputs, each once.
 
     `complete` says that there are no others, proven by structure. `branches` names them where the mechanism is made of
@@ -64,6 +65,10 @@ class Modes:
 
     def __getitem__(self, k: Any) -> Array:
         return self.q[k]
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (k, nq) for a file: the coordinates of each configuration, in radians and metres."""
+        return list(self.system.coordinate_names), self.q
 
     def _table(self) -> tuple[list[str], list[list[str]]]:
         """Heads and rows of what is shown: the coordinates that are not known."""

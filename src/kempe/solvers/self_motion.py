@@ -11,6 +11,7 @@ import numpy as np
 from kempe.calls import brief, explained, explained_methods
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
+from kempe.kinematics.tabular import Tabular
 from kempe.kinematics.task import Task, numbers_of
 from kempe.solvers.freedoms import Local, freedoms_text, null
 from kempe.solvers.inverse import tasks_of
@@ -39,7 +40,7 @@ LEAST_PART = 0.05
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class SelfMotion:
+class SelfMotion(Tabular):
     """A family of configurations `q` (n, nq) in which tasks hold, in the order in which they are passed.
 
     `freedoms` are those that the tasks leave at the start, over a distance: where there are only such to first order,
@@ -58,6 +59,10 @@ class SelfMotion:
 
     def __len__(self) -> int:
         return len(self.q)
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the coordinates of each configuration, in radians and metres."""
+        return list(self.system.coordinate_names), self.q
 
     def __str__(self) -> str:
         how = "it comes back to its start" if self.closed else f"from {self.ends[0]} to {self.ends[1]}"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.calls import numbers
+from kempe.description.placement import direction
 from kempe.errors import InputError
 from kempe.kernels.search_layout import LARGEST, ROTATION_TOLERANCE
 from kempe.kinematics.task_input import refuse_rotations
@@ -42,7 +43,7 @@ def task_of(task: object, is_position: bool, particle: bool) -> str:
 
 def axis_of(axis: object) -> tuple[float, float, float]:
     """The pointing axis as a unit vector of the tool. Errors: `InputError`."""
-    v = reals(axis, "axis", "three numbers: a direction in the tool's frame")
+    v = reals(direction(axis), "axis", "three numbers: a direction in the tool's frame")
     size = float(np.linalg.norm(v)) if v.shape == (3,) and np.all(np.abs(v) < 1e100) else 0.0
     if size == 0.0:
         raise InputError(f"axis is {axis!r}; it must be three numbers, not all zero: a direction in the tool's frame")

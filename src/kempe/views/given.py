@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
+from kempe.description.source import expanded
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import has_loops
 from kempe.views import facts, report, rows
@@ -31,7 +32,7 @@ def known(system: System, words: Iterable[str], degrees: bool = False, frames: b
     for word in words:
         name, sign, text = (part.strip() for part in word.partition("="))
         if not sign and rows.is_file(word):
-            found = _columns(system, Path(word), degrees)
+            found = _columns(system, expanded(word), degrees)
         elif not sign or not name:
             raise InputError(f"{word!r} is no known value: write name=value" + (", or frame=x,y,z" if frames else ""))
         else:

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe import spatial
+from kempe.description.source import expanded
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q, closed_from, from_home
+from kempe.kinematics.tabular import SUFFIXES, table_file, write_table
 from kempe.reals import reals
 from kempe.views.facts import DEGREE, in_degrees, pose_rows, units
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-SUFFIXES = (".csv", ".npy")
 POSE_COLUMNS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
@@ -54,7 +55,7 @@ def configuration(
     if text is None:
         return _posture(system, posture)
     if is_file(text):
-        return _configurations(system, Path(text), degrees, start)
+        return _configurations(system, expanded(text), degrees, start)
     if "=" in text:
         coordinates = _named(system, text, degrees)
         if start:
@@ -114,7 +115,7 @@ def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Ar
     place of 'x,y,z'; or a file of such rows, where a .npy may also hold (n, 4, 4) matrices.
     """
     if is_file(text):
-        _, rows = read(Path(text), matrices=True)
+        _, rows = read(expanded(text), matrices=True)
     else:
         rows = np.array(numbers(text, "target"))
     if rows.ndim == 3:
@@ -185,17 +186,7 @@ def _is_number(text: str) -> bool:
 
 def output(path: Path | None) -> Path | None:
     """The path of a file to write. Errors: `InputError` where its ending is neither .csv nor .npy."""
-    if path is not None and path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: results are written to {' or '.join(SUFFIXES)} files")
-    return path
-
-
-def write(path: Path, columns: Sequence[str], rows: spatial.Array, array: spatial.Array) -> None:
-    """Write `rows` (n, k) with their column names to a .csv, or `array` to a .npy file."""
-    if path.suffix.lower() == ".npy":
-        np.save(path, array)
-    else:
-        np.savetxt(path, rows, delimiter=",", fmt="%.17g", header=",".join(columns), comments="", encoding="utf-8")
+    return None if path is None else table_file(path)
 
 
 def not_finite(q: spatial.Array) -> list[int]:
@@ -225,11 +216,11 @@ def write_poses(path: Path, X: spatial.Array, bodies: bool, degrees: bool = Fals
             np.concatenate([index.astype(float), lines], axis=1),
             ("configuration", "body", *columns),
         )
-    write(path, columns, lines, X)
+    write_table(path, columns, lines, X)
 
 
 def write_configurations(path: Path, system: System, q: spatial.Array, degrees: bool = False) -> None:
     """Write configurations (nq,) or (n, nq), a column a coordinate; `configuration` reads them back."""
     names = system.coordinate_names
     shown = in_degrees(np.atleast_2d(q), names, units(system), degrees)
-    write(path, names, shown, shown)
+    write_table(path, names, shown)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from kempe.calls import explained_methods
 from kempe.errors import InputError
 from kempe.kernels.layout import SLIDE
+from kempe.kinematics.tabular import Tabular
 from kempe.reals import reals
 from kempe.solvers.analytic.intervals import Intervals, spelled, union
 from kempe.solvers.analytic.lines import Lines
@@ -101,7 +102,7 @@ class Slice:
 
 @explained_methods
 @dataclass(frozen=True, eq=False, repr=False)
-class Sweep:
+class Sweep(Tabular):
     """The solutions of a chain with one freedom to spare, over a `parameter`: a joint, or "arm_angle".
 
     `intervals` has, for each branch, the intervals (low, high) of the parameter in which its solution is inside the
@@ -133,6 +134,12 @@ class Sweep:
     curves: Curves
     near: Array
     ask: Callable[[Array], Any] | None
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns for a file: a row a sample and branch inside the limits, with the parameter's value."""
+        row, branch = np.nonzero(self.inside)
+        first = [np.asarray(self.values, dtype=float)[row], branch.astype(float)]
+        return ["value", "branch", *self.system.coordinate_names], np.column_stack([*first, self.q[row, branch]])
 
     @property
     def feasible(self) -> Intervals:
