@@ -84,7 +84,7 @@ def _labels(given: Any) -> list[Any] | None:
     if fields:
         return list(fields)
     for name in ("column_names", "columns"):
-        found = getattr(given, name, None)
+        found: Any = getattr(given, name, None)
         if found is not None and not callable(found):
             return list(found)
     keys = getattr(given, "keys", None)
@@ -122,7 +122,8 @@ def _trouble(x: Any) -> str:
         unit = next((u for u in (getattr(x, name, None) for name in ("unit", "units")) if u is not None), None)
         if unit is not None and not callable(unit):
             return f"has the unit {str(unit)!r}, which would be lost"
-        if getattr(x, "dims", None) and getattr(x, "coords", None) is not None and len(x.coords):
+        coords: Any = getattr(x, "coords", None)
+        if getattr(x, "dims", None) and coords is not None and len(coords):
             return f"is a {type(x).__name__} with labels, which have no meaning here"
     return ""
 

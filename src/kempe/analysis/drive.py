@@ -131,9 +131,9 @@ def drive(
 
     `inputs` gives for each driven coordinate its values (n,) in radians or metres, one number, or a function of time,
     which needs `times` (n,), growing. Samples may be coarse: in between the motion is continued in steps of at most
-    `step` of arc length. `start` is as in `trace` (default: the posture "closed", or what the first inputs give). It goes
-    straight on through change points. `toward` gives rates by coordinate name that choose the branch if the start is
-    a change point; otherwise the branch that moves least. Where the inputs ask for what the mechanism cannot do, or
+    `step` of arc length. `start` is as in `trace` (default: the posture "closed", or what the first inputs give). It
+    goes straight on through change points. `toward` gives rates by coordinate name that choose the branch if the start
+    is a change point; otherwise the branch that moves least. Where the inputs ask for what the mechanism cannot do, or
     for what is beyond a limit, the last pose is held until they come back. `progress(sample, total)` is called
     now and then.
 
@@ -191,8 +191,8 @@ def _samples(
         raise InputError("there are no samples: times or inputs are empty")
     if clock.ndim != 1 or bad:
         raise InputError(f"times and inputs must be one number or {clock.shape} numbers; {', '.join(bad)} differ")
-    back = np.flatnonzero(~(np.diff(clock) > 0.0)) if np.isfinite(clock).all() else ()
-    if len(back):
+    back = np.flatnonzero(~(np.diff(clock) > 0.0))
+    if np.isfinite(clock).all() and len(back):
         k = int(back[0])
         raise InputError(f"times must grow from sample to sample: {clock[k + 1]:g} at sample {k + 1} comes after "
                          f"{clock[k]:g}")  # fmt: skip

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 
-def as_q(system: System, q: object) -> Array:
+def as_q(system: System, q: Any) -> Array:
     """`q` as an aligned, C-contiguous float64 array (..., nq): the one place where configurations are read.
 
     An array is taken as it is. What is given by names (a dict, a pandas Series or DataFrame, a list of them) is read
@@ -31,12 +31,12 @@ def as_q(system: System, q: object) -> Array:
     return _read(system, q, closed_from)
 
 
-def as_start(system: System, q: object) -> Array:
+def as_start(system: System, q: Any) -> Array:
     """Where a search starts, read as by `as_q`; what is not named is as at home, and no loop is closed."""
     return _read(system, q, from_home)
 
 
-def _read(system: System, q: object, complete: Callable[[System, Mapping[str, Any]], Array]) -> Array:
+def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]], Array]) -> Array:
     if q.__class__ is not np.ndarray or q.dtype.names:
         coordinates = named(q)
         if coordinates is not None:
@@ -44,7 +44,7 @@ def _read(system: System, q: object, complete: Callable[[System, Mapping[str, An
         rows = rows_of(q)
         if rows is not None:
             return np.stack([_read(system, row, complete) for row in rows])
-    array = np.require(reals(q, "q", "an array of real numbers or a dict by coordinate name"), np.float64, "CA")
+    array = np.require(reals(q, "q", "an array of real numbers or a dict by coordinate name"), np.float64, ["C", "A"])
     if array.ndim == 0 or array.shape[-1] != system.nq:
         names = ", ".join(system.coordinate_names[:12]) + (", ..." if system.nq > 12 else "")
         got = "a single number" if array.ndim == 0 else f"{array.shape[-1]} coordinates"
