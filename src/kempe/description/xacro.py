@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from kempe.description.source import SIZE_LIMIT, fail
-from kempe.errors import MissingExtraError, UnsupportedError, Where
+from kempe.errors import DescriptionError, MissingExtraError, UnsupportedError, Where
 
 SECONDS = 20
 """Processor time, and twice that of waiting, that an expansion may take; large robots take about two."""
@@ -128,17 +128,22 @@ def expand_xacro(
         raise fail(f"xacro needs more than {MEMORY >> 30} GiB of memory", where, "it may call itself without end")
     if "RecursionError" in said:
         raise fail("xacro calls itself without end (RecursionError)", where, "look for a macro that calls itself")
-    missing = _PACKAGE.search(_last(said))
-    if code != 0 and missing:
-        looked = ", ".join(repr(str(d)) for d in package_dirs)
-        raise fail(
-            f"xacro finds no package {missing[1]!r}" + (f" in {looked}" if looked else ""),
-            where,
-            "name by package_dirs a folder that holds one of this name, with or without a package.xml",
-        )
     if code != 0:
-        raise fail(f"xacro failed: {_last(said)}", where, "correct the file, or name its folders by package_dirs")
+        raise _failed(_last(said), where, package_dirs)
     return text
+
+
+def _failed(said: str, where: Where, package_dirs: tuple[str | Path, ...]) -> DescriptionError:
+    """The error with what xacro says, or for a package that is not found where it was looked for."""
+    missing = _PACKAGE.search(said)
+    if missing is None:
+        return fail(f"xacro failed: {said}", where, "correct the file, or name its folders by package_dirs")
+    looked = ", ".join(repr(str(d)) for d in package_dirs)
+    return fail(
+        f"xacro finds no package {missing[1]!r}" + (f" in {looked}" if looked else ""),
+        where,
+        "name by package_dirs a folder that holds one of this name, with or without a package.xml",
+    )
 
 
 def _run(command: list[str], environment: dict[str, str], output, complaints, seconds: float) -> int | None:

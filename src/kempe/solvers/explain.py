@@ -142,8 +142,10 @@ def rounded(position: float, angle: float, length: float, one: bool = False) -> 
     if position > ROUNDED * length or angle > ROUNDED:
         return ""
     metres, radians = _above(position), _above(angle)
-    said = f"tolerance={max(metres, radians):g}" if one else f"tolerance=({metres:g}, {radians:g})"
-    return f"; a target that was rounded needs a larger tolerance: {said} accepts it"
+    said = "; a target that was rounded needs a larger tolerance"
+    if one:
+        return f"{said}: tolerance={max(metres, radians):g} accepts it"
+    return f"{said}: tolerance=({metres:g}, {radians:g}) accepts it"
 
 
 def _above(error: float) -> float:
