@@ -68,16 +68,17 @@ def test_what_comes_along_with_copies():
 TARGET = np.array([[0.0, -1, 0, 0.5], [1, 0, 0, 1.0], [0, 0, 1, 0], [0, 0, 0, 1]])
 
 
-@pytest.mark.parametrize("ask", ["pose", "position", "tasks", "ik_all", "assemble"])
+@pytest.mark.parametrize("ask", ["pose", "position", "tasks", "ik_all", "assemble", "trace"])
 def test_failures_name_joints_that_the_file_holds_still(ask: str):
     loop = '<joint name="loop" type="continuous"><parent link="l0"/><child link="tip"/><origin xyz="0.5 1 0"/></joint>'
-    s = kempe.load(chain(EFFORT, EFFORT, EFFORT, more=loop if ask == "assemble" else ""))
+    s = kempe.load(chain(EFFORT, EFFORT, EFFORT, more=loop if ask in ("assemble", "trace") else ""))
     answer = {
         "pose": lambda: s.ik(TARGET, "tip"),
         "position": lambda: s.ik(TARGET[:3, 3], "tip"),
         "tasks": lambda: s.ik([kempe.tasks.Position("tip", TARGET[:3, 3])]),
         "ik_all": lambda: s.ik_all(TARGET, "tip"),
         "assemble": lambda: s.assemble(),
+        "trace": lambda: s.trace(),
     }[ask]()
     assert not answer
     assert "'j0', 'j1', 'j2' cannot move (0..0 because the file gives no bounds; lenient_limits=True" in answer.status

@@ -15,6 +15,7 @@ from kempe.analysis.continuation import Closure, least_squares
 from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.kinematics.tabular import Tabular, write_table
+from kempe.model.immovable import immovable
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -210,7 +211,8 @@ class Path(Configurations):
     def status(self) -> str:
         """The sentence that says what was found."""
         if len(self) == 1 and not self.interrupted:
-            return self.ends[1]
+            still = immovable(self.system)
+            return self.ends[1] + (f"; {still}" if still else "")
         what = "closed curve" if self.closed else "curve"
         text = f"{what} of length {self.length:.6g} through {len(self)} points"
         turning = [f"{abs(k)} turn{'s' * (abs(k) != 1)} of {name!r}" for name, k in self.turns.items()]

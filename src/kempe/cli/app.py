@@ -88,7 +88,7 @@ Task = Annotated[
     str | None,
     option("--task", "What counts: pose, position, orientation, direction or position_axis.", "TASK"),
 ]
-Axis = Annotated[str | None, option("--axis", "Axis of the tool for the last two tasks (0,0,1).", "X,Y,Z")]
+Axis = Annotated[str | None, option("--axis", "Axis of the tool for the last two tasks: z, -x or x,y,z (z).", "AXIS")]
 Hold = Annotated[
     list[str] | None, option("--hold", "Hold a joint of a redundant chain; can be repeated.", "NAME=VALUE", _ALL)
 ]

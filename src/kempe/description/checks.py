@@ -90,25 +90,16 @@ def kind(dim: int, subject: str, type_: JointType, parent: Body, child: Body, wh
                    "in the plane a joint turns about z and slides along x and y, or slides along z only")  # fmt: skip
 
 
-def type_of(kind: str | JointType, options: Mapping[str, object], builder: Callable[..., Joint]) -> JointType:
-    """The joint type, or the errors of `joint_type`; an option that is none is compared with keywords of the builder.
+def slip(kind: str | JointType, options: Iterable[str], builder: Callable[..., Joint]) -> str:
+    """What to say of options that the joint type does not have, where one is a slip of a keyword of the builder."""
+    import inspect  # only here: most calls are right
 
-    Errors: `UnknownNameError`, `InputError`.
-    """
-    try:
-        return joint_type(kind, **options)
-    except InputError:
-        own = joint_type(kind)  # without the options
-        known = [field.name for field in fields(own)]
-        for key in options:
-            if key not in known:
-                import inspect  # only here: most calls are right
-
-                keywords = [k for k in inspect.signature(builder).parameters if k not in ("self", "options")]
-                said = hint(key, keywords)
-                if "did you mean" in said:
-                    raise InputError(f"joints have no keyword {key!r}{said}") from None
-        raise
+    own = {field.name for field in fields(joint_type(kind))}
+    keywords = [k for k in inspect.signature(builder).parameters if k not in ("self", "options")]
+    for key in options:
+        if key not in own and "did you mean" in (said := hint(key, keywords)):
+            return f"joints have no keyword {key!r}{said}"
+    return ""
 
 
 @lru_cache(maxsize=256)

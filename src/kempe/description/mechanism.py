@@ -12,7 +12,7 @@ from kempe.description.parts import Body, Constraint, Coupling, Frame, Joint
 from kempe.description.placement import Placement, place
 from kempe.description.values import Expression, Value, value
 from kempe.errors import InputError, UnknownNameError, Where
-from kempe.joints import JointType
+from kempe.joints import JointType, joint_type
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -127,9 +127,11 @@ class Mechanism:
         subject = f"joint {name!r}"
         self._free_joint_name(checks.name(name, "joint"), subject, where)
         try:
-            type_ = checks.type_of(kind, options, Mechanism.joint)
-        except (InputError, UnknownNameError) as error:
+            type_ = joint_type(kind, **options)
+        except UnknownNameError as error:
             checks.refuse(subject, str(error), where)
+        except InputError as error:
+            checks.refuse(subject, checks.slip(kind, options, Mechanism.joint) or str(error), where)
         on, to = self._body(parent, subject, where), self._body(child, subject, where)
         if on.name == to.name:
             checks.refuse(subject, f"it connects body {on.name!r} to itself", where, "it must connect two bodies")

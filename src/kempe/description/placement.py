@@ -81,7 +81,7 @@ def place(
     """
     if isinstance(at, Placement):
         return at @ place(rpy=rpy, angle=angle, axis=axis, quat_wxyz=quat_wxyz, matrix=matrix)
-    if _is_pose(at):
+    if (at.__class__ is not tuple or len(at) == 4) and _is_pose(at):  # type: ignore[arg-type]
         return place(placement_of_pose(at), rpy, angle, axis, quat_wxyz, matrix)
     steps: list[Step] = [(n, (x,)) for n, x in zip("xyz", values(at, (2, 3), "at"), strict=False)]
     ways = {"rpy": rpy, "angle": angle, "quat_wxyz": quat_wxyz, "matrix": matrix}
@@ -126,7 +126,7 @@ def direction(axis: object) -> object:
 
 def axis_steps(axis: object) -> list[Step]:
     """The step that turns z to `axis` (2 or 3 numbers, or a name), or nothing where it is z. Errors: `InputError`."""
-    numbers = values(direction(axis), (2, 3), "axis")
+    numbers = values(direction(axis) if isinstance(axis, str) else axis, (2, 3), "axis")
     if any(isinstance(x, Expression) for x in numbers):
         raise InputError(f"axis is {list(map(str, numbers))}; it must be plain numbers (turn the frame by rpy instead)")
     numbers = (*numbers, 0.0)[:3]

@@ -26,6 +26,9 @@ WORDS: tuple[tuple[str, str], ...] = (
 )
 """What the library says, as regular expressions, and what the command line says in its place."""
 
+PLAIN = ("toml", "name", "file", "system", "written")
+"""Keys of data under which there is no sentence."""
+
 _ANY = re.compile("[=`(]|root|lenient_limits|package_dirs")
 _WORDS = tuple((re.compile(pattern), words) for pattern, words in WORDS)
 
@@ -40,11 +43,11 @@ def in_options(text: str) -> str:
 
 
 def data_in_options(data: Any) -> Any:
-    """Data with its sentences as the command line says them; names that are keys, and numbers, stay."""
+    """Data with its sentences as the command line says them; numbers, keys, and what is under `PLAIN` ones stay."""
     if isinstance(data, str):
         return in_options(data)
     if isinstance(data, dict):
-        return {key: data_in_options(value) for key, value in data.items()}
+        return {key: value if key in PLAIN else data_in_options(value) for key, value in data.items()}
     if isinstance(data, list) and not (data and isinstance(data[0], (int, float, type(None)))):
         return [data_in_options(value) for value in data]
     return data
