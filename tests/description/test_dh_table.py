@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -14,6 +15,8 @@ from kempe.description.dh import DHRow, from_dh
 from kempe.description.dh_table import ORDER
 from kempe.description.toml import read_toml
 from kempe.errors import DescriptionError, InputError
+
+Row = namedtuple("Row", ("theta", "d", "a", "alpha"))
 
 
 class Frame:
@@ -41,6 +44,8 @@ FORMS: dict[str, Any] = {
     "columns in another order": dict(reversed(BY_NAME.items())),
     "structured array": np.array(TABLE, dtype=[(name, float) for name in ORDER]),
     "data frame": Frame(BY_NAME),
+    "named tuples": [Row(theta, d, a, alpha) for a, alpha, d, theta in TABLE],
+    "records": list(np.array(TABLE, dtype=[(name, float) for name in ORDER])),
     "generator": (row for row in TABLE),
     "with types": [(*row, "revolute") for row in TABLE],
 }
@@ -63,6 +68,14 @@ def test_pandas_and_polars():
         m = from_dh(module.DataFrame(table))
         assert [j.type.type_name for j in m.joints.values()] == ["revolute", "revolute", "prismatic"]
         assert list(m.joints) == ["A", "B", "C"]
+
+
+def test_rows_of_pandas():
+    table = pytest.importorskip("pandas").DataFrame(dict(reversed(BY_NAME.items())))
+    wanted = from_dh(TABLE)
+    assert from_dh(table.itertuples(index=False)) == from_dh([row for _, row in table.iterrows()]) == wanted
+    with pytest.raises(InputError, match="row 1 has an unknown entry 'Index'"):
+        from_dh(table.itertuples())
 
 
 def test_what_is_missing_in_a_table_is_left_out():
@@ -102,6 +115,7 @@ def test_columns_name_another_order():
         (lambda: from_dh({"a": [1], "r": [2]}), "unknown column 'r'"),
         (lambda: from_dh({"a": [1], "A": [2]}), "a name appears twice"),
         (lambda: from_dh({"a": [1]}, columns=("d",)), "the table names its own"),
+        (lambda: from_dh([{"a": 1}], columns=("d",)), "the rows name their entries; leave columns out"),
         (lambda: from_dh("abcd"), "they must be a list of rows"),
         (lambda: from_dh(5), "they must be a list of rows"),
         (lambda: from_dh(np.zeros(4)), "row 1 is .*plain numbers or a dict"),

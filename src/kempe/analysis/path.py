@@ -106,7 +106,7 @@ class Configurations(Tabular):
         """Names and columns (n, k): one of its own, all coordinates, x, y (and z) of frames."""
         names, columns = [first, *self.system.coordinate_names], [column[:, None], self.q]
         axes = "xyz"[: self.system.dim]
-        for frame in frames:
+        for frame in [frames] if isinstance(frames, str) else frames:
             names += [f"{self.system.frame_name(frame)}.{axis}" for axis in axes]
             columns.append(self.curve(frame)[:, : len(axes)])
         return names, np.hstack(columns)

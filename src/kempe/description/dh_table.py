@@ -48,10 +48,22 @@ def rows_of(rows: Any, columns: Sequence[str], known: tuple[str, ...]) -> tuple[
         raise InputError(f"rows are {rows!r}; they must be a list of rows, an array (n, 4) or a table by column name")
     plain, out = False, []
     for i, row in enumerate(rows, 1):
-        own = isinstance(row, (list, tuple, np.ndarray))
+        keys = _keys(row)
+        own = keys is None and isinstance(row, (list, tuple, np.ndarray))
         plain |= own
-        out.append(_plain(row, i, columns) if own else row)
+        out.append(_plain(row, i, columns) if own else row if keys is None else dict(zip(keys, row, strict=True)))
+    if columns != ORDER and not plain and out:
+        raise InputError("columns are given, but the rows name their entries; leave columns out")
     return out, f"plain rows of the table were read as {', '.join(columns)}" if plain else ""
+
+
+def _keys(row: Any) -> list[str] | None:
+    """Names of the entries of a row that is no dict but names them: a named tuple, a record or a series."""
+    if isinstance(row, np.void):
+        return list(row.dtype.names or ())
+    named = getattr(row, "_fields", None) if isinstance(row, tuple) else getattr(row, "index", None)
+    plain = named is None or isinstance(row, (list, np.ndarray)) or callable(named)
+    return None if plain else [str(name) for name in named]
 
 
 def _checked_columns(columns: Any, known: tuple[str, ...]) -> tuple[str, ...]:
