@@ -47,7 +47,7 @@ class Answer(Tabular):
         return out
 
     def table(self) -> tuple[list[str], Array]:
-        """Names and columns (n, nq) for a file: the coordinates of each configuration as in `q`, in radians and metres."""
+        """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and metres."""
         return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
 
     def __bool__(self) -> bool:
