@@ -328,3 +328,47 @@ def test_long_names_and_values_do_not_flood_the_message():
     with pytest.raises(DescriptionError) as caught:
         read_urdf(text)
     assert len(str(caught.value)) < 2000
+
+
+# ---- MuJoCo, which reads URDF by rules of its own
+
+
+INERTIAL = (
+    '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'  # it wants some
+)
+
+
+def for_mujoco(*lines: str) -> str:
+    """A URDF text of three links with masses."""
+    return robot(*lines, links=LINKS.replace("/>", f">{INERTIAL}</link>"))
+
+
+def test_lenient_limits_are_those_of_mujoco(hunt):
+    mujoco, rng = pytest.importorskip("mujoco"), hunt.rng()
+    for _ in range(hunt.cases(200)):
+        lower, upper = rng.choice([0.0, -1.0, 1.0, 0.5, -2.5], 2, replace=False).tolist()
+        given = {"lower": lower, "upper": upper} if rng.random() < 0.7 else {}  # of one bound it makes no limit
+        said = "".join(f' {k}="{x}"' for k, x in given.items())
+        text = for_mujoco(
+            joint("j", f'<limit effort="1" velocity="1"{said}/>'), joint("rest", "", "continuous", "arm", "hand")
+        )
+        model = mujoco.MjModel.from_xml_string(text)
+        wanted = tuple(model.jnt_range[0].tolist()) if model.jnt_limited[0] else None
+        assert read_urdf(text, lenient_limits=True).joints["j"].limits.get("") == wanted, given
+
+
+def test_balls_of_mujoco(hunt):
+    mujoco, rng = pytest.importorskip("mujoco"), hunt.rng()
+    text = for_mujoco(joint("b", ORIGIN + '<axis xyz="0 1 0"/>', "spherical"),
+                      joint("h", '<origin xyz="0.3 0 1"/>', "continuous", "arm", "hand"))  # fmt: skip
+    model, s = mujoco.MjModel.from_xml_string(text), read_urdf(text).build()
+    data = mujoco.MjData(model)
+    for _ in range(hunt.cases(50)):
+        q = s.random(rng)
+        named = s.q_dict(q)
+        data.qpos[:] = [*(named[f"b.{k}"] for k in ("qw", "qx", "qy", "qz")), named["h"]]
+        mujoco.mj_kinematics(model, data)
+        X = np.eye(4)
+        hand = model.body("hand").id
+        X[:3, :3], X[:3, 3] = data.xmat[hand].reshape(3, 3), data.xpos[hand]
+        np.testing.assert_allclose(s.fk(q, "hand"), X, rtol=0, atol=1e-14)

@@ -274,7 +274,7 @@ def _range(
         return {"limits": (0.0, 0.0), "unstated": True}
     if lower > upper or lower == math.inf or upper == -math.inf:
         missing = "" if len(given) == 2 else " (what is missing is 0 by the rules of URDF)"
-        meant = f"; for some simulators that means unlimited: {LENIENT} reads it so" if lower > upper else ""
+        meant = f"; for Bullet and MuJoCo that means unlimited: {LENIENT} reads it so" if lower > upper else ""
         findings.add(
             f"its limits are swapped: {both}{missing}",
             subject,
