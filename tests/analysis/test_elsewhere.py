@@ -63,3 +63,16 @@ def test_where_nothing_is_known_nothing_is_said(name: str):
     s = kempe.load(name)
     path = s.trace(hold={"q2": 0.3}) if name == "two_link" else s.trace()
     assert path.hint == "" and path.elsewhere.shape == (0, s.nq)
+
+
+def test_mechanisms_of_many_dyads_are_left_alone():
+    m = kempe.Mechanism("row", dim=2)
+    left = m.body("a0")
+    m.revolute("A0", m.ground, left)
+    for i in range(7):
+        bar, right = m.body(f"b{i}"), m.body(f"a{i + 1}")
+        m.revolute(f"B{i}", left, bar, at=(0.4, 0))
+        m.revolute(f"C{i}", bar, right, at=(1, 0), child_at=(0.45, 0))
+        m.revolute(f"A{i + 1}", m.ground, right, at=(i + 1, 0))
+        left = right
+    assert m.build().trace("A0", start={"A0": 1.2}, max_points=20).hint == ""

@@ -12,12 +12,16 @@ if TYPE_CHECKING:
     from kempe.analysis.path import Path
 
 
+MOST_SIGNS = 6
+"""Dyads of mechanisms whose assembly modes are looked at: 64 modes, in some hundredths of a second."""
+
+
 def elsewhere(path: Path) -> tuple[str, Array]:
     """A coordinate, and other configurations (k, nq) with its value at the path's start that the path does not pass.
 
     They are looked for where they are in closed form, inside the limits, with one coordinate as the input: the driver,
     and the others until there are some, since a driver need not have the same range on another branch. `held`
-    coordinates stay.
+    coordinates stay. Of mechanisms of many dyads there are none.
     """
     from kempe.solvers.dyads import Incomplete, closed_form
 
@@ -28,7 +32,8 @@ def elsewhere(path: Path) -> tuple[str, Array]:
     held = {name: start[name] for name in path.held}
     first = [path.driver] if path.driver in start else []
     for name in dict.fromkeys([*first, *start]):
-        if name not in held and not isinstance(closed_form(system, (name, *held)), Incomplete):
+        plan = None if name in held else closed_form(system, (name, *held))
+        if plan is not None and not isinstance(plan, Incomplete) and plan.signs <= MOST_SIGNS:
             modes = system.assembly_modes({name: start[name], **held})
             others = [q for q in modes.q if not any(_passes(p, q) for p in (path, *path.others))]
             if others:
