@@ -61,7 +61,7 @@ def _keys(row: Any) -> list[str] | None:
     """Names of the entries of a row that is no dict but names them: a named tuple, a record or a series."""
     if isinstance(row, np.void):
         return list(row.dtype.names or ())
-    named = getattr(row, "_fields", None) if isinstance(row, tuple) else getattr(row, "index", None)
+    named: Any = getattr(row, "_fields" if isinstance(row, tuple) else "index", None)
     plain = named is None or isinstance(row, (list, np.ndarray)) or callable(named)
     return None if plain else [str(name) for name in named]
 
