@@ -62,8 +62,9 @@ def _keys(row: Any) -> list[str] | None:
     if isinstance(row, np.void):
         return list(row.dtype.names or ())
     named: Any = getattr(row, "_fields" if isinstance(row, tuple) else "index", None)
-    plain = named is None or isinstance(row, (list, np.ndarray)) or callable(named)
-    return None if plain else [str(name) for name in named]
+    if named is None or isinstance(row, (list, np.ndarray)) or callable(named):
+        return None
+    return [str(name) for name in named]
 
 
 def _checked_columns(columns: Any, known: tuple[str, ...]) -> tuple[str, ...]:
