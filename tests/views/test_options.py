@@ -29,6 +29,7 @@ NOT_OF_COMMANDS = {
     "description/compose.py": "`at` cannot be given",
     "description/mechanism.py": "kempe.read first",
     "solvers/analytic/names.py": "`branch` has their numbers",
+    "solvers/analytic/question.py": "near=q sorts the solutions",
     "solvers/analytic/redundancy.py": "`ik_all`",
     "solvers/arguments.py": "kempe.kinematics.zoo",
     "solvers/assembly.py": "`constraints`",
