@@ -13,11 +13,14 @@ from kempe.calls import explained, generator, numbers, together
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.coordinates import returning
 from kempe.model.topology import natural
-from kempe.reals import named, reals, rows_of
+from kempe.reals import PLAIN, converted, is_plain, named, reals, rows_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+
+
+WANTED = "an array of real numbers or a dict by coordinate name"
 
 
 def as_q(system: System, q: Any) -> Array:
@@ -37,14 +40,17 @@ def as_start(system: System, q: Any) -> Array:
 
 
 def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]], Array]) -> Array:
-    if q.__class__ is not np.ndarray or q.dtype.names:
-        coordinates = named(q)
-        if coordinates is not None:
-            return complete(system, coordinates)
-        rows = rows_of(q)
-        if rows is not None:
-            return np.stack([_read(system, row, complete) for row in rows])
-    array = np.require(reals(q, "q", "an array of real numbers or a dict by coordinate name"), np.float64, ["C", "A"])
+    if is_plain(q):
+        array = converted(q, "q", WANTED)
+    else:
+        if q.__class__ is not np.ndarray or q.dtype.names:
+            coordinates = named(q)
+            if coordinates is not None:
+                return complete(system, coordinates)
+            rows = rows_of(q)
+            if rows is not None:
+                return np.stack([_read(system, row, complete) for row in rows])
+        array = np.require(reals(q, "q", WANTED), np.float64, ["C", "A"])
     if array.ndim == 0 or array.shape[-1] != system.nq:
         names = ", ".join(system.coordinate_names[:12]) + (", ..." if system.nq > 12 else "")
         got = "a single number" if array.ndim == 0 else f"{array.shape[-1]} coordinates"
@@ -97,7 +103,7 @@ def q_from_dict(system: System, coordinates: Mapping[str, Any], base: ArrayLike 
     if given is None:
         raise InputError(f"coordinates are {type(coordinates).__name__}; they must be a dict by coordinate name")
     index = {n: i for i, n in enumerate(system.coordinate_names)}
-    values = []
+    values, single = [], True
     for name, number in given.items():
         if name not in index:
             follower = system.couplings.get(name)
@@ -105,8 +111,16 @@ def q_from_dict(system: System, coordinates: Mapping[str, Any], base: ArrayLike 
                 follows = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"
                 raise InputError(f"coordinate {name!r} is not part of q: {follows}")
             raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
-        values.append(reals(number, f"coordinate {name!r}", "a number, or an array of them"))
+        plain = number.__class__ in PLAIN
+        values.append(number if plain else reals(number, f"coordinate {name!r}", "a number, or an array of them"))
+        single = single and plain
     start = system.neutral if base is None else as_q(system, base)
+    if single:
+        q = start.copy()
+        for name, x in zip(given, values, strict=True):
+            q[..., index[name]] = x
+        return q
+    values = [np.asarray(x) for x in values]
     try:
         lead = np.broadcast_shapes(start.shape[:-1], *(x.shape for x in values))
     except ValueError:
