@@ -60,7 +60,11 @@ def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]]
 
 def has_loops(system: System) -> bool:
     """Whether anything ties the coordinates: loops, declared constraints or relations of several coordinates."""
-    return bool(system.closures or system.relations or system._mechanism.constraints)
+    found = system._queries.get("has loops")  # looked up once
+    if found is None:
+        tied = system.closures or system.relations or system._mechanism.constraints
+        found = system._queries["has loops"] = bool(tied)
+    return found
 
 
 def home_of(system: System) -> Array:
@@ -82,8 +86,10 @@ def closed_from(system: System, coordinates: Mapping[str, Any], near: Any = None
     `InputError` where no closed configuration was found, with the reason.
     """
     q = q_from_dict(system, coordinates, near)  # refuses names and numbers
+    if not has_loops(system):
+        return q
     given = named(coordinates) or {}
-    if not has_loops(system) or len(given) == system.nq:
+    if len(given) == system.nq:
         return q
     answer = system.assemble(given, near)
     if np.all(answer.success):
@@ -102,7 +108,9 @@ def q_from_dict(system: System, coordinates: Mapping[str, Any], base: ArrayLike 
     given = named(coordinates)
     if given is None:
         raise InputError(f"coordinates are {type(coordinates).__name__}; they must be a dict by coordinate name")
-    index = {n: i for i, n in enumerate(system.coordinate_names)}
+    index = system._queries.get("places")  # made once
+    if index is None:
+        index = system._queries["places"] = {n: i for i, n in enumerate(system.coordinate_names)}
     values, single = [], True
     for name, number in given.items():
         if name not in index:
