@@ -549,3 +549,20 @@ def test_plot(engine, tmp_path):
     assert wrong.code == 1 and "not closed" in wrong.err and (tmp_path / "z.png").exists()
     refused = Result("plot", engine, tmp_path / "w.png", "--q", "A=nan")
     assert refused.code == 2 and not (tmp_path / "w.png").exists()
+
+
+def test_named_values_are_closed_and_numbers_are_not(tmp_path):
+    """`kempe fk` closes the loops around 'name=value', and around the named columns of a file; a row of q is taken."""
+    system = kempe.load("four_bar")
+    poses = [[tuple(np.round(x[:3, 3], 9)) for x in system.fk(system.assemble({"A": a}).q)] for a in (1.0, 1.2)]
+    one = Result("fk", "four_bar", "--q", "A=1.0", "--frame", "rocker", "--json")
+    assert one.code == 0 and "open" not in one.err
+    (tmp_path / "a.csv").write_text("A\n1.0\n1.2\n")
+    out = tmp_path / "poses.csv"
+    many = Result("fk", "four_bar", "--q", tmp_path / "a.csv", "--out", out)
+    assert many.code == 0 and "open" not in many.err
+    rows = np.loadtxt(out, delimiter=",", skiprows=1)
+    assert np.allclose(rows[:, 2:5].reshape(2, -1, 3), poses, atol=1e-8)
+    assert "loops are open" in Result("fk", "four_bar", "--q", "1,0,0,0").err
+    wrong = Result("fk", "slider_crank", "--q", "S=99")
+    assert wrong.code == 2 and "must close them" in re.sub(r"\s+", " ", wrong.err)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from numbers import Real
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from numpy.typing import ArrayLike
 from kempe import spatial
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.layout import BALL, SLIDE, TURN
-from kempe.reals import reals
+from kempe.reals import is_real, reals
 
 R, P, Q = TURN, SLIDE, BALL
 """Kinds of primitives in the table of the kernels: turn, slide, unit quaternion."""
@@ -257,7 +256,7 @@ def joint_type(name: str | JointType, **options: object) -> JointType:
         if isinstance(known[key], bool):
             if not isinstance(given, (bool, np.bool_)):
                 raise InputError(f"option {key!r} is {given!r}; it must be true or false")
-        elif isinstance(given, bool) or not isinstance(given, Real) or not np.isfinite(float(given)):
+        elif not is_real(given) or not np.isfinite(float(given)):
             raise InputError(f"option {key!r} is {given!r}; it must be a finite number")
     return kind(**{k: type(known[k])(v) for k, v in options.items()})  # type: ignore[arg-type, call-arg]
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from numbers import Real
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from kempe.errors import InputError
 
 PLAIN = frozenset({float, int, np.float64})
 """Numbers of which a sequence needs no closer look."""
+LISTS = frozenset({list, tuple})
 KINDS = {
     "U": "text", "S": "bytes", "O": "objects that are no numbers", "c": "complex numbers", "b": "truth values",
     "M": "dates", "m": "durations", "V": "records", "T": "text",
@@ -25,12 +27,20 @@ def reals(given: Any, what: str, wanted: str = "an array of real numbers") -> ND
     Errors: `InputError` for anything but real numbers: text, truth values, dates, complex numbers, None, ragged
     lists, masked arrays, numbers with units, and tables whose columns have names.
     """
-    if given.__class__ is np.ndarray and given.dtype == np.float64:
+    kind = given.__class__
+    if kind is np.ndarray and given.dtype == np.float64:
         return given
-    for part in _parts(given):
-        held = _trouble(part)
-        if held:
-            raise InputError(f"{what} {held}; it must be {wanted}")
+    if kind in PLAIN:
+        return np.asarray(given, dtype=np.float64)
+    if not is_plain(given):
+        for part in _parts(given):
+            if held := _trouble(part):
+                raise InputError(f"{what} {held}; it must be {wanted}")
+    return converted(given, what, wanted)
+
+
+def converted(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
+    """`given`, which has no names, masks or units, as an array of float64. Errors: `InputError`."""
     try:
         array = np.asarray(given)
     except (TypeError, ValueError, RuntimeError, OverflowError):
@@ -45,13 +55,32 @@ def reals(given: Any, what: str, wanted: str = "an array of real numbers") -> ND
         return array.astype(np.float64, copy=False)
 
 
+def is_real(x: object) -> TypeGuard[float]:
+    """Whether it is a single real number; truth values and durations are none, though numpy counts them as such."""
+    return x.__class__ in PLAIN or (isinstance(x, Real) and not isinstance(x, (bool, np.timedelta64)))
+
+
+def is_plain(given: Any) -> bool:
+    """Whether it is a list of numbers, or a list of such lists: told by the first of them, since all have one shape."""
+    if given.__class__ not in LISTS or not len(given):
+        return False
+    first = given[0]
+    if first.__class__ in PLAIN:
+        return True
+    return first.__class__ in LISTS and len(first) > 0 and first[0].__class__ in PLAIN and LISTS.issuperset(
+        map(type, given))  # fmt: skip
+
+
 def named(given: Any) -> Mapping[str, Any] | None:
     """What is labelled by names, as a mapping from these; None for what has no names.
 
     A mapping, a record or an array of them, a series with an index, a table with columns. Labels 0, 1, 2, ... are the
     places that the values have anyway. Errors: `InputError` for labels that are neither, or appear twice.
     """
-    if given.__class__ in PLAIN or given.__class__ is list or given.__class__ is str:
+    kind = given.__class__
+    if kind is dict:
+        return given
+    if kind in PLAIN or kind is list or kind is str:
         return None
     if isinstance(given, Mapping):
         return given
@@ -73,7 +102,7 @@ def named(given: Any) -> Mapping[str, Any] | None:
 
 def rows_of(given: Any) -> list[Any] | None:
     """The entries of a list or tuple some of which have names; None for all else."""
-    if given.__class__ not in (list, tuple):
+    if given.__class__ not in LISTS:
         return None
     return list(given) if any(named(x) is not None for x in given if x.__class__ not in PLAIN) else None
 
@@ -88,7 +117,10 @@ def _labels(given: Any) -> list[Any] | None:
         if found is not None and not callable(found):
             return list(found)
     keys = getattr(given, "keys", None)
-    return list(keys()) if callable(keys) and hasattr(given, "__getitem__") else None
+    if not callable(keys) or not hasattr(given, "__getitem__"):
+        return None
+    found: Any = keys()
+    return list(found)
 
 
 def _parts(given: Any) -> Iterator[Any]:
@@ -99,7 +131,7 @@ def _parts(given: Any) -> Iterator[Any]:
         for x in level:
             if x.__class__ in PLAIN or x.__class__ is np.ndarray and x.dtype.kind != "V":
                 continue
-            if x.__class__ is list or x.__class__ is tuple:
+            if x.__class__ in LISTS:
                 if len(x) and x[0].__class__ not in PLAIN:
                     inner += x
             else:

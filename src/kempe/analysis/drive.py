@@ -20,7 +20,7 @@ from kempe.analysis.course import Course, State, Stuck
 from kempe.analysis.events import Limits
 from kempe.analysis.motion import Progress, angle_or_slide, begin, longest_step, periods, start_of, wish_of
 from kempe.analysis.path import Configurations, Event
-from kempe.calls import explained, explained_methods
+from kempe.calls import explained, explained_methods, flag
 from kempe.errors import InputError
 from kempe.kinematics.tabular import write_table
 from kempe.reals import reals
@@ -152,6 +152,7 @@ def drive(
     """
     if not isinstance(inputs, Mapping):
         raise InputError(f"inputs is {type(inputs).__name__}; it must be a dict of values by coordinate name")
+    flag(limits, "limits")
     names = list(inputs)
     index = [angle_or_slide(system, n) for n in names]
     if hold and set(hold) & set(names):

@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,11 +20,12 @@ from kempe.analysis.continuation import RANK, Closure, Node, arc, close, node
 from kempe.analysis.crossings import branch_lines, locate
 from kempe.analysis.events import Limits, Stop, extremes, hidden_crossings, home, walk
 from kempe.analysis.path import Event, Path, Track
-from kempe.calls import explained
+from kempe.calls import explained, flag
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import R
 from kempe.kinematics.configuration import as_q
 from kempe.model.coordinates import coordinate_names
+from kempe.reals import is_real
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -114,6 +114,7 @@ def _options(
     system: System, driver: str | None, both: bool, step: float | None, limits: bool, max_points: int,
     frames: Iterable[FrameLike], progress: Progress | None,
 ) -> _Options:  # fmt: skip
+    flag(limits, "limits")
     if driver is not None:
         angle_or_slide(system, driver)
     longest = longest_step(step)
@@ -127,7 +128,7 @@ def longest_step(step: float | None) -> float:
     """The longest step of arc length. Errors: `InputError`."""
     if step is None:
         return LONGEST
-    if isinstance(step, bool) or not isinstance(step, Real) or not 1e-6 <= step <= 1.0:
+    if not is_real(step) or not 1e-6 <= step <= 1.0:
         raise InputError(f"step is {step!r}; it must be between 1e-6 and 1, in radians and characteristic lengths")
     return float(step)
 
@@ -137,7 +138,7 @@ def wish_of(system: System, toward: Mapping[str, float] | None) -> Array:
     wish = np.zeros(system.nv)
     for name, rate in (toward or {}).items():
         i = angle_or_slide(system, name)
-        if isinstance(rate, bool) or not isinstance(rate, Real) or not math.isfinite(rate):
+        if not is_real(rate) or not math.isfinite(rate):
             raise InputError(f"toward gives the rate {rate!r} to {name!r}; it must be a finite number")
         wish[i] = rate
     return wish

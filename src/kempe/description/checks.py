@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from functools import lru_cache
-from numbers import Real
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from kempe.description.placement import Placement
 from kempe.description.values import Expression, Value, evaluate, value
 from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, Where, hint
 from kempe.joints import JointType, P, Q, R, joint_type
+from kempe.reals import is_real
 
 SAME_DIRECTION = 1e-12
 """How far two unit vectors may be apart and still be one direction."""
@@ -240,10 +240,11 @@ def limits(
     names = tuple(v for v in type_.velocities(dim, particle) if v in coordinates)
     out: dict[str, Limits] = {}
     for key, pair in _by_name(subject, "limits", given, names, where):
-        numbers = tuple(pair) if isinstance(pair, (list, tuple, np.ndarray)) else ()
+        plain = pair.__class__ is np.ndarray and pair.ndim == 1 and pair.dtype != object  # type: ignore[attr-defined]
+        numbers: tuple[Any, ...] = tuple(pair) if plain or isinstance(pair, (list, tuple)) else ()  # type: ignore[arg-type]
         if len(numbers) == 2:
             numbers = tuple(end if x is None else x for x, end in zip(numbers, (-math.inf, math.inf), strict=True))
-        if len(numbers) != 2 or not all(_real(x) for x in numbers):
+        if len(numbers) != 2 or not all(is_real(x) for x in numbers):
             allowed = "they must be a pair (lower, upper), None where there is none"
             refuse(subject, f"limits are {pair!r}", where, allowed)
         lower, upper = float(numbers[0]), float(numbers[1])
@@ -260,14 +261,10 @@ def bounds(subject: str, what: str, given: object, names: tuple[str, ...], where
     """Largest speeds or efforts by velocity coordinate: numbers, not negative, infinity allowed."""
     out: dict[str, float] = {}
     for key, bound in _by_name(subject, what, given, names, where):
-        if not _real(bound) or not float(bound) >= 0:  # type: ignore[arg-type]
+        if not is_real(bound) or not float(bound) >= 0:  # type: ignore[arg-type]
             refuse(subject, f"{what} limit is {bound!r}", where, "it must be a number, not negative")
         out[key] = float(bound)  # type: ignore[arg-type]
     return out
-
-
-def _real(x: object) -> bool:
-    return isinstance(x, Real) and not isinstance(x, bool)  # numbers of numpy are Real too
 
 
 def _by_name(

@@ -66,10 +66,6 @@ class Joint:
     where: Where | None = field(default=None, compare=False, repr=False)
     unstated: bool = field(default=False, compare=False, repr=False)
 
-    def __post_init__(self) -> None:
-        for name in ("limits", "velocity_limits", "effort_limits"):
-            vars(self)[name] = Fixed(getattr(self, name))
-
     def __str__(self) -> str:
         return self.name
 
@@ -124,9 +120,6 @@ class Coupling:
     sources: dict[str, Value]
     offset: Value = 0.0
     where: Where | None = field(default=None, compare=False, repr=False)
-
-    def __post_init__(self) -> None:
-        vars(self)["sources"] = Fixed(self.sources)
 
     def __hash__(self) -> int:
         return hash(self.of)

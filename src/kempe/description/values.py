@@ -11,6 +11,7 @@ import numpy as np
 
 from kempe.calls import is_list
 from kempe.errors import InputError, UnknownNameError, shown
+from kempe.reals import is_real
 
 FUNCTIONS: dict[str, Callable] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
@@ -119,7 +120,7 @@ def value(x: object, what: str = "value") -> Value:
         return x
     if isinstance(x, str):
         return Expression(x)
-    if isinstance(x, bool) or not isinstance(x, (int, float, np.integer, np.floating)):
+    if not is_real(x):
         raise InputError(f"{what} is {x!r}; it must be a number or an expression in parameters")
     number = float(x)
     if not math.isfinite(number):

@@ -13,11 +13,14 @@ from kempe.calls import explained, generator, numbers, together
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.coordinates import returning
 from kempe.model.topology import natural
-from kempe.reals import named, reals, rows_of
+from kempe.reals import PLAIN, converted, is_plain, named, reals, rows_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+
+
+WANTED = "an array of real numbers or a dict by coordinate name"
 
 
 def as_q(system: System, q: Any) -> Array:
@@ -37,14 +40,17 @@ def as_start(system: System, q: Any) -> Array:
 
 
 def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]], Array]) -> Array:
-    if q.__class__ is not np.ndarray or q.dtype.names:
-        coordinates = named(q)
-        if coordinates is not None:
-            return complete(system, coordinates)
-        rows = rows_of(q)
-        if rows is not None:
-            return np.stack([_read(system, row, complete) for row in rows])
-    array = np.require(reals(q, "q", "an array of real numbers or a dict by coordinate name"), np.float64, ["C", "A"])
+    if is_plain(q):
+        array = converted(q, "q", WANTED)
+    else:
+        if q.__class__ is not np.ndarray or q.dtype.names:
+            coordinates = named(q)
+            if coordinates is not None:
+                return complete(system, coordinates)
+            rows = rows_of(q)
+            if rows is not None:
+                return np.stack([_read(system, row, complete) for row in rows])
+        array = np.require(reals(q, "q", WANTED), np.float64, ["C", "A"])
     if array.ndim == 0 or array.shape[-1] != system.nq:
         names = ", ".join(system.coordinate_names[:12]) + (", ..." if system.nq > 12 else "")
         got = "a single number" if array.ndim == 0 else f"{array.shape[-1]} coordinates"
@@ -54,7 +60,11 @@ def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]]
 
 def has_loops(system: System) -> bool:
     """Whether anything ties the coordinates: loops, declared constraints or relations of several coordinates."""
-    return bool(system.closures or system.relations or system._mechanism.constraints)
+    found = system._queries.get("has loops")  # looked up once
+    if found is None:
+        tied = system.closures or system.relations or system._mechanism.constraints
+        found = system._queries["has loops"] = bool(tied)
+    return found
 
 
 def home_of(system: System) -> Array:
@@ -76,8 +86,10 @@ def closed_from(system: System, coordinates: Mapping[str, Any], near: Any = None
     `InputError` where no closed configuration was found, with the reason.
     """
     q = q_from_dict(system, coordinates, near)  # refuses names and numbers
+    if not has_loops(system):
+        return q
     given = named(coordinates) or {}
-    if not has_loops(system) or len(given) == system.nq:
+    if len(given) == system.nq:
         return q
     answer = system.assemble(given, near)
     if np.all(answer.success):
@@ -96,8 +108,10 @@ def q_from_dict(system: System, coordinates: Mapping[str, Any], base: ArrayLike 
     given = named(coordinates)
     if given is None:
         raise InputError(f"coordinates are {type(coordinates).__name__}; they must be a dict by coordinate name")
-    index = {n: i for i, n in enumerate(system.coordinate_names)}
-    values = []
+    index = system._queries.get("places")  # made once
+    if index is None:
+        index = system._queries["places"] = {n: i for i, n in enumerate(system.coordinate_names)}
+    values, single = [], True
     for name, number in given.items():
         if name not in index:
             follower = system.couplings.get(name)
@@ -105,8 +119,16 @@ def q_from_dict(system: System, coordinates: Mapping[str, Any], base: ArrayLike 
                 follows = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"
                 raise InputError(f"coordinate {name!r} is not part of q: {follows}")
             raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
-        values.append(reals(number, f"coordinate {name!r}", "a number, or an array of them"))
+        plain = number.__class__ in PLAIN
+        values.append(number if plain else reals(number, f"coordinate {name!r}", "a number, or an array of them"))
+        single = single and plain
     start = system.neutral if base is None else as_q(system, base)
+    if single:
+        q = start.copy()
+        for name, x in zip(given, values, strict=True):
+            q[..., index[name]] = x
+        return q
+    values = [np.asarray(x) for x in values]
     try:
         lead = np.broadcast_shapes(start.shape[:-1], *(x.shape for x in values))
     except ValueError:

@@ -71,6 +71,7 @@ def maximal_residual(system: System, poses: ArrayLike, near: Any = None) -> Arra
     `near`; without it, those that fit best.
     """
     form, poses = form_of(system), _checked(system, poses)
+    near = None if near is None else as_start(system, near)
     values = [pair.rows(pose_in(system, pair, poses))[0] for pair in form.pairs]
     if form.relations:
         read = coordinates_of(system, poses, near)[0]
@@ -82,6 +83,7 @@ def maximal_residual(system: System, poses: ArrayLike, near: Any = None) -> Arra
 def maximal_jacobian(system: System, poses: ArrayLike, near: Any = None) -> Array:
     """Derivatives (..., m_c, n) of the residual by the twists of the bodies, axes of the ground; n = 6 n_b in space."""
     form, poses = form_of(system), _checked(system, poses)
+    near = None if near is None else as_start(system, near)
     rows = [pair.rows(pose_in(system, pair, poses))[1] @ motion_in(system, pair, poses) for pair in form.pairs]
     if form.relations:
         rates = coordinates_of(system, poses, near)[1]
@@ -93,7 +95,9 @@ def maximal_jacobian(system: System, poses: ArrayLike, near: Any = None) -> Arra
 
 def maximal_integrate(system: System, poses: ArrayLike, v: ArrayLike) -> Array:
     """Poses reached from `poses` by the twists `v` (..., n) in one unit of time: r + v and exp(w) R."""
-    poses, v = _checked(system, poses), reals(v, "v")
+    poses, v, n = _checked(system, poses), reals(v, "v"), len(maximal_velocity_names(system))
+    if v.shape[-1:] != (n,):
+        raise InputError(f"v has shape {v.shape}; {system.name} has {n} velocities of bodies: (..., {n})")
     out = np.array(np.broadcast_to(poses, (*np.broadcast_shapes(poses.shape[:-3], v.shape[:-1]), *poses.shape[-3:])))
     for i, selector in enumerate(form_of(system).selectors[1:]):
         twist = v @ selector.T

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -49,8 +50,13 @@ class Coordinates:
     upper: np.ndarray
     velocity: np.ndarray
     turning: np.ndarray
-    limits: np.ndarray
-    """`lower` and `upper` side by side (nv, 2)."""
+
+    @cached_property
+    def limits(self) -> np.ndarray:
+        """Lower and upper limits side by side (nv, 2)."""
+        out = np.stack([self.lower, self.upper], axis=-1)
+        out.setflags(write=False)
+        return out
 
 
 def coordinate_names(mechanism: Mechanism, joint: Joint) -> list[str]:
@@ -103,11 +109,10 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
     lower, upper, speed = _limits(mechanism, velocity_names, followers)
     turning = np.zeros(len(velocity_names), dtype=bool)
     turning[[iv for kind, _, iv in triples if kind == R]] = True
-    limits = np.stack([lower, upper], axis=-1)
-    for array in (lower, upper, speed, turning, limits):
+    for array in (lower, upper, speed, turning):
         array.setflags(write=False)
     return Coordinates(
-        tuple(names), tuple(velocity_names), first, followers, relations, layout, lower, upper, speed, turning, limits
+        tuple(names), tuple(velocity_names), first, followers, relations, layout, lower, upper, speed, turning
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.calls import explained, explained_methods, listed
+from kempe.calls import explained, explained_methods, flag, listed
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kernels import loop_layout as L
 from kempe.kernels.compiled import assembly as kernel
@@ -100,6 +100,7 @@ class Assembler:
                 limits[:, k] = system.coordinates.lower[velocity[i]], system.coordinates.upper[velocity[i]]
         slack = 1e-9 * (1.0 + np.abs(np.where(np.isfinite(limits), limits, 0.0)))
         self.low, self.high = limits[0] - slack[0], limits[1] + slack[1]
+        self.bounds = list(zip(self.low.tolist(), self.high.tolist(), strict=True))
         self.limited = bool(np.isfinite(limits).any())
 
     def _loops(self, turned: tuple[bool, ...], whole: bool = False) -> Loops:
@@ -164,6 +165,8 @@ class Assembler:
             raise InputError(f"values are given for {said}; needed are {self.known}")
         if not (isinstance(tolerance, (int, float)) and 0.0 < tolerance <= LOOSEST):
             raise InputError(f"tolerance is {tolerance!r}; it must be above 0 and at most {LOOSEST}")
+        if limits.__class__ is not bool:
+            flag(limits, "limits")
         base, lead = self._single(given, near), ()
         if base is None:
             base, lead = self._starts(given, near)
@@ -205,8 +208,10 @@ class Assembler:
             code = int(info[0, 0])
             if code == BAD_INPUT:
                 raise InputError("known values, places or near are not finite, or a quaternion is zero")
-            if self.limited and limits and self._outside(base)[0]:
-                code = OUTSIDE
+            if self.limited and limits:  # in Python: for a few numbers an array costs as much as the assembly
+                known = base[0, self.places].tolist()
+                if any(x < low or x > high for x, (low, high) in zip(known, self.bounds, strict=True)):
+                    code = OUTSIDE
             return Assembly(q[0], code == CLOSED, code, float(residual[0]), int(info[0, 1]), int(info[0, 2]), self)
         code = info[:, 0]
         if self.limited and limits:

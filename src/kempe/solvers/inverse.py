@@ -23,7 +23,7 @@ from kempe.solvers.rounds import FEW, ITERATIONS, MOST, TOLERANCE, Task, outside
 from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED, Solution
 from kempe.solvers.targets import (
     Z_AXIS,
-    axis_of,
+    axis_for,
     check_particle,
     in_plane,
     not_a_pose,
@@ -147,7 +147,7 @@ def _asked(
     """(task, axis), targets (N, 4, 4) and their leading shape."""
     if system.dim == 2 and points_along(task):
         target, task = in_plane(target, task, axis)
-    direction = axis_of(axis) if points_along(task) else Z_AXIS
+    direction = axis_for(axis, task)
     targets, lead, is_position = targets_of(system, target, task, direction)
     particle = bool(system.table.at[frame][2])
     name = task_of(task, is_position, particle)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.calls import brief, explained, explained_methods, generator
+from kempe.calls import brief, explained, explained_methods, flag, generator
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.tabular import Tabular
@@ -132,6 +132,7 @@ def assembly_modes(
     if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or starts < 1:
         raise InputError(f"starts is {starts!r}; it must be a whole number, at least 1")
     draw = generator(rng)
+    flag(limits, "limits")
     name = None if frame is None else system.frame_name(frame)
     question = Question(system, dict(given), base, bool(limits), name, draw, int(starts))
     for solver in SOLVERS:

@@ -51,6 +51,12 @@ def axis_of(axis: object) -> tuple[float, float, float]:
     return x, y, z
 
 
+def axis_for(axis: object, task: str | None) -> tuple[float, float, float]:
+    """The pointing axis of a task, which is checked where the task reads none, too. Errors: `InputError`."""
+    given = Z_AXIS if axis is Z_AXIS else axis_of(axis)
+    return given if points_along(task) else Z_AXIS
+
+
 def frame_of(z: Array) -> Array:
     """Rotations (..., 3, 3) whose third column is the unit vector z (..., 3)."""
     z = np.asarray(z, dtype=float)

@@ -16,7 +16,7 @@ from kempe.solvers.analytic.describe_axes import relations
 from kempe.solvers.analytic.describe_path import METHODS, most, path
 from kempe.solvers.analytic.ik_all import chain_lines, plan_for
 from kempe.solvers.analytic.question import held
-from kempe.solvers.targets import Z_AXIS, axis_of, points_along, task_of
+from kempe.solvers.targets import Z_AXIS, axis_for, task_of
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -99,7 +99,7 @@ def ik_plan(
     """
     name = system.frame_name(frame)
     what = task_of(task, False, bool(system.table.at[name][2]))
-    direction = axis_of(axis) if points_along(what) else Z_AXIS
+    direction = axis_for(axis, what)
     lines = chain_lines(system, name, direction)
     given = held(name, lines.names, fixed, fixed_by_name)
     plan = plan_for(system, name, lines, what, direction, tuple(given))

@@ -20,7 +20,7 @@ from kempe.solvers.analytic.lines import Lines, lines_of
 from kempe.solvers.analytic.plan import Plan, kernel_of, side_by_side_of
 from kempe.solvers.analytic.question import Question, held, near_of, within
 from kempe.solvers.analytic.solutions import Solutions
-from kempe.solvers.targets import Z_AXIS, axis_of, frame_of, in_plane, points_along, targets_of, task_of
+from kempe.solvers.targets import Z_AXIS, axis_for, frame_of, in_plane, points_along, targets_of, task_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def ik_all(
     name = system.frame_name(frame)
     if system.dim == 2 and points_along(task):
         target, task = in_plane(target, task, axis)
-    direction = axis_of(axis) if points_along(task) else Z_AXIS
+    direction = axis_for(axis, task)
     targets, lead, is_position = targets_of(system, target, task, direction)
     task = task_of(task, is_position, bool(system.table.at[name][2]))
     lines = chain_lines(system, name, direction)

@@ -21,7 +21,7 @@ from kempe.solvers.analytic.question import held, near_of
 from kempe.solvers.analytic.sweep import Sweep
 from kempe.solvers.analytic.sweep_curves import Arc, Motion
 from kempe.solvers.analytic.sweep_net import arcs_through
-from kempe.solvers.targets import Z_AXIS, axis_of, points_along, targets_of, task_of
+from kempe.solvers.targets import Z_AXIS, axis_for, targets_of, task_of
 from kempe.spatial import Array, log_so3
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def ik_sweep(
     [0.252, -0.341, -0.177, -1.3, 0.474, -0.535, -0.241]
     """
     name = system.frame_name(frame)
-    direction = axis_of(axis) if task is not None and points_along(task) else Z_AXIS
+    direction = axis_for(axis, task)
     targets, lead, is_position = targets_of(system, target, task, direction)
     if lead != () or not np.isfinite(targets).all():
         raise InputError("a sweep needs one target, of finite numbers")

@@ -1,0 +1,473 @@
+"""What public functions are given: one reading of configurations and of numbers, found by introspection."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import spatial, tasks
+from kempe.errors import InputError, KempeError
+
+API = (Path(__file__).parent.parent / "docs" / "api.md").read_text()
+
+
+def listed() -> dict[str, Callable[..., Any]]:
+    """Every function that the reference lists, and every method of a system, by name; each takes a system first."""
+    out: dict[str, Callable[..., Any]] = {}
+    for name in re.findall(r"autofunction:: (kempe\.[\w.]+)", API):
+        module, _, function = name.rpartition(".")
+        out[name] = getattr(importlib.import_module(module), function)
+    for module in re.findall(r"automodule:: (kempe\.[\w.]+)", API):
+        for name, function in vars(importlib.import_module(module)).items():
+            if inspect.isfunction(function) and function.__module__ == module and not name.startswith("_"):
+                out[f"{module}.{name}"] = function
+    for name, function in vars(kempe.System).items():
+        if inspect.isfunction(function) and not name.startswith("_"):
+            out[f"System.{name}"] = function
+    return out
+
+
+LISTED = listed()
+OF_SYSTEMS = {k: f for k, f in LISTED.items() if next(iter(inspect.signature(f).parameters), "") in ("self", "system")}
+OF_ARRAYS = {k: f for k, f in LISTED.items() if k.startswith("kempe.spatial.")}
+
+
+class Series:
+    """What numpy reads by position and a person by name, as a pandas Series is."""
+
+    ndim = 1
+
+    def __init__(self, values: Any, names: Any):
+        self.values, self.names = np.asarray(values), list(names)
+
+    def keys(self) -> list[Any]:
+        return self.names
+
+    def __getitem__(self, name: Any) -> Any:
+        return self.values[..., self.names.index(name)]
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        return np.array(self.values, dtype=dtype)
+
+
+class Frame(Series):
+    """As a pandas DataFrame is."""
+
+    ndim = 2
+
+    @property
+    def columns(self) -> list[Any]:
+        return self.names
+
+
+def tables(q: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]:
+    """A configuration (nq,), or several, labelled by name in another order, in the ways in which people have it."""
+    back = list(reversed(names))
+    one, many = q[0], q
+    record = np.dtype([(n, float) for n in back])
+    out = {
+        "dict": (one, {n: one[names.index(n)] for n in back}),
+        "series": (one, Series(one[::-1], back)),
+        "record": (one, np.array(tuple(one[::-1]), dtype=record)),
+        "dict of arrays": (many, {n: many[:, names.index(n)] for n in back}),
+        "frame": (many, Frame(many[:, ::-1], back)),
+        "list of dicts": (many, [{n: row[names.index(n)] for n in back} for row in many]),
+        "list of series": (many, [Series(row[::-1], back) for row in many]),
+        "series and array": (many, [Series(many[0, ::-1], back), *many[1:]]),
+        "records": (many, np.array([tuple(row[::-1]) for row in many], dtype=record)),
+        "labels 0, 1, 2": (one, Series(one, range(len(names)))),
+    }
+    try:
+        import pandas as pd
+    except ImportError:
+        return out
+    frame = pd.DataFrame(many[:, ::-1], columns=back)
+    return out | {
+        "pandas series": (one, frame.iloc[0]), "pandas frame": (many, frame),
+        "pandas default": (many, pd.DataFrame(many)), "pandas rows": (many, list(frame.itertuples(index=False))),
+        "pandas nullable": (many, frame.astype("Float64")), "pandas records": (many, frame.to_records(index=False)),
+        "list of pandas series": (many, [row for _, row in frame.iterrows()]),
+    }  # fmt: skip
+
+
+# ---- what a call needs, by the name of the parameter
+
+
+def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
+    """Values that a verb takes, by the name of its parameter, at a configuration that is closed."""
+    q = np.array(system.assemble({system.velocity_names[0]: 1.0}).q if system.closures else system.random(3))
+    name, tip = system.coordinate_names[0], system.frame_names[-1]
+    other, X = system.coordinate_names[-1], system.fk(q, tip)
+    rates = 3 * (system.dim - 1) * len(system.parent) if verb == "maximal_integrate" else system.nv
+    return {
+        "q": q, "q0": q, "q1": q, "v": np.full(rates, 0.1), "t": np.array(0.5), "frame": tip, "target": X,
+        "targets": np.stack([X, X]), "seed": q, "near": q, "start": q, "known": {name: q[0]}, "u": q[:1],
+        "coordinates": {name: 0.5}, "wanted": np.full(6, 0.01), "dt": 0.01, "tasks": tip,
+        "inputs": [name] if verb == "loop_jacobian" else {name: [1.0, 1.1]},
+        "poses": system.fk(q)[1:], "outputs": [other], "input": name, "output": other, "at": q,
+        "joint": system.coordinate_names[-2], "toward": {name: 1.0}, "direction": np.ones(3), "fixed": {name: q[0]},
+        "driver": name, "limits": {name: (-2.0, 2.0)}, "times": np.array([0.0, 1.0]), "base": q,
+        "hold": {name: q[0]},
+        "reference": np.array([0.0, 0.0, 1.0]), "axis": np.array([0.0, 0.0, 1.0]), "velocity": np.ones(system.nv),
+        "velocity_limits": np.ones(system.nv), "weights": np.ones(6),
+    }  # fmt: skip
+
+
+NO_ARRAYS = {"self", "system", "options", "numbers", "frame", "joint", "input", "output", "inputs", "outputs", "driver"}
+NOT_ASKED = {
+    "System.save", "System.subchain", "System.frame_name", "System.coordinates_of_joint",  # no numbers
+    "kempe.kinematics.curves.curve_of", "kempe.kinematics.zoo.user_constraint",  # functions
+    "kempe.analysis.transmission.pressure_angle",  # by bodies, see test_transmission.py
+}  # fmt: skip
+
+
+def call(function: Callable[..., Any], system: kempe.System, given: dict[str, Any]) -> Any:
+    """The answer of a verb: what it needs from `usual`, and these besides."""
+    parameters = list(inspect.signature(function).parameters.values())
+    values = usual(system, function.__name__) | given
+    more = ("dt",) if "tasks" not in given else ()
+    if function.__name__ in ("ik_step", "ik", "ik_path"):
+        more += ("frame",)
+    needed = [p for p in parameters[1:] if (p.default is p.empty or p.name in more)
+              and p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]  # fmt: skip
+    own = {p.name: values[p.name] for p in needed} | given
+    return function(system, **own)
+
+
+def takes(function: Callable[..., Any], name: str) -> bool:
+    return name in inspect.signature(function).parameters
+
+
+def numbers(x: Any) -> list[np.ndarray]:
+    """All arrays of numbers in an answer."""
+    if isinstance(x, np.ndarray) and x.dtype.kind in "fib":
+        return [x.astype(float)]
+    if isinstance(x, (int, float, np.number)):
+        return [np.array(float(x))]
+    if isinstance(x, (list, tuple)):
+        return [a for y in x for a in numbers(y)]
+    if isinstance(x, dict):
+        return [a for y in x.values() for a in numbers(y)]
+    if is_dataclass(x) and not isinstance(x, type):
+        return [a for f in fields(x) if f.name not in ("system", "task") for a in numbers(getattr(x, f.name))]
+    return []
+
+
+def drawn(axes: Any) -> list[np.ndarray]:
+    """What was drawn, as pixels."""
+    axes.figure.set_dpi(40)
+    axes.figure.canvas.draw()
+    return [np.asarray(axes.figure.canvas.buffer_rgba(), dtype=float)]
+
+
+def same(a: Any, b: Any) -> bool:
+    x, y = (drawn(z) if hasattr(z, "get_xlim") else numbers(z) for z in (a, b))
+    assert x, "the answer holds no numbers to compare"
+    return len(x) == len(y) and all(
+        p.shape == r.shape and np.allclose(p, r, rtol=0, atol=1e-9, equal_nan=True) for p, r in zip(x, y, strict=True)
+    )
+
+
+@pytest.fixture(scope="module")
+def robots() -> dict[str, kempe.System]:
+    return {name: kempe.load(name) for name in ("ur5", "four_bar", "iiwa14", "two_link", "slider_crank")}
+
+
+QS = ("q", "q0", "q1")
+PLACES = [(n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n not in NOT_ASKED]
+ARM_ONLY = {"self_motion", "arm_angle"}
+
+
+def test_the_reference_names_the_verbs():
+    """The tests below run over what they find: there is enough of it."""
+    assert len(PLACES) > 30 and len(OF_SYSTEMS) > 60 and len(OF_ARRAYS) > 20
+
+
+# ---- configurations by name
+
+
+@pytest.mark.parametrize(("name", "place"), PLACES, ids=[f"{n}-{p}" for n, p in PLACES])
+def test_named_coordinates_of_a_loop_are_closed(name, place, robots):
+    """Every verb reads them as the configuration that `assemble` finds from home."""
+    if name.rpartition(".")[2] in ARM_ONLY:
+        pytest.skip("it is for arms")
+    if name.rpartition(".")[2].startswith("plot"):
+        pytest.importorskip("matplotlib")
+    function, system = OF_SYSTEMS[name], robots["four_bar"]
+    closed = system.assemble({"A": 0.7}).q
+    assert np.abs(system.closure_error(closed)).max() < 1e-12
+    if name == "System.q_dict":
+        assert system.q_dict({"A": 0.7}) == system.q_dict(closed)
+        return
+    assert same(call(function, system, {place: {"A": 0.7}}), call(function, system, {place: closed}))
+    with pytest.raises(InputError, match="must close them|no configuration|cannot"):
+        call(function, robots["slider_crank"], {place: {"S": 1e3}})
+
+
+@pytest.mark.parametrize(("name", "place"), PLACES, ids=[f"{n}-{p}" for n, p in PLACES])
+def test_tables_are_read_by_name(name, place, robots):
+    function, short = OF_SYSTEMS[name], name.rpartition(".")[2]
+    if short.startswith("plot"):
+        pytest.importorskip("matplotlib")
+    if short in ("mechanical_advantage", "transmission_angle", "dead_points", "independent", "loop_jacobian"):
+        pytest.skip("it is for loops")
+    arms = {"arm_angle": "iiwa14", "self_motion": "iiwa14", "plot": "two_link"}
+    system = robots[arms.get(short, "ur5")]
+    q = np.array(system.random(5, 2))
+    for kind, (plain, table) in tables(q, system.coordinate_names).items():
+        if plain.ndim == 2 and short in ("plot", "mobility", "self_motion", "ik_step", "q_dict", "local_dimension"):
+            with pytest.raises(InputError):
+                call(function, system, {place: table})
+            continue
+        assert same(call(function, system, {place: table}), call(function, system, {place: plain})), kind
+
+
+def test_bound_forms_read_by_name_too(robots):
+    system = robots["ur5"]
+    q = np.array(system.random(5, 2))
+    f = system.query("tool")
+    for kind, (plain, table) in tables(q, system.coordinate_names).items():
+        assert same(f(table), f(plain)) and same(f.jacobian(table), f.jacobian(plain)), kind
+        assert same(f.pose_and_jacobian(table), f.pose_and_jacobian(plain)), kind
+
+
+@pytest.mark.parametrize("model", ["four_bar", "slider_crank", "five_bar", "stewart", "jansen", "three_rpr", "rssr"])
+def test_named_values_hunt(model, hunt):
+    """What is named is kept, what is not closes the loops, or the reason is told; the same each time."""
+    system, rng = kempe.load(model), hunt.rng()
+    names = [system.velocity_names[i] for i in system.layout.vector_v]
+    closed = 0
+    for _ in range(hunt.cases(20)):
+        some = [str(n) for n in rng.choice(names, size=min(len(names), int(rng.integers(1, 4))), replace=False)]
+        at = system.assemble(near=system.random(rng))
+        values = {n: float(system.q_dict(at.q)[n]) if at else float(rng.normal()) for n in some}
+        try:
+            X = system.fk(values)
+        except InputError as error:
+            assert all(n in str(error) for n in some)
+            continue
+        closed += 1
+        q = system.assemble(values).q
+        assert np.array_equal(X, system.fk(q)) and np.abs(system.closure_error(q)).max() < 1e-8
+        assert all(abs(system.q_dict(values)[n] - x) == 0.0 for n, x in values.items())
+    assert closed
+
+
+def test_all_named_is_an_array(robots):
+    system = robots["four_bar"]
+    q = np.array([0.1, 0.2, 0.3, 0.4])
+    assert np.array_equal(system.fk(system.q_dict(q)), system.fk(q))
+    assert np.array_equal(system.q({"A": 0.3}), [0.3, 0.0, 0.0, 0.0]), "numbers are only written down"
+
+
+def test_rows_that_cannot_be_closed_are_named(robots):
+    with pytest.raises(InputError, match="row 1 of q gives 'S' of a system with loops"):
+        robots["slider_crank"].fk({"S": [0.3, 99.0, 0.3]})
+
+
+@pytest.mark.parametrize("table", [
+    Series(np.zeros(6), "abcdef"), Series(np.zeros(6), [5, 4, 3, 2, 1, 0]), Series(np.zeros(6), ["elbow"] * 6),
+    Frame(np.zeros((2, 6)), [1, 2, 3, 4, 5, 6]), Series(np.zeros(6), [0.0, 1.5, 2, 3, 4, 5]),
+], ids=["other names", "other places", "twice", "from 1 on", "numbers"])  # fmt: skip
+def test_labels_that_say_something_else_are_refused(table, robots):
+    for ask in (lambda: robots["ur5"].fk(table, "tool"), lambda: robots["ur5"].fk([table], "tool")):
+        with pytest.raises(KempeError):
+            ask()
+
+
+# ---- numbers
+
+
+def wrong(good: Any) -> dict[str, Any]:
+    """The same shape filled with what is no real number, or would lose something."""
+    x = np.array(good, dtype=float)
+    some = x.astype(object)
+    some.flat[0] = None
+    dates = np.full(x.shape, np.datetime64("2026-01-01"))
+    out = {
+        "text": x.astype(str), "list of text": x.astype(str).tolist(), "bytes": x.astype("S"), "complex": x + 1j,
+        "complex without imaginary part": x + 0j, "masked": np.ma.array(x, mask=np.ones(x.shape)),
+        "masked nowhere": np.ma.array(x), "dates": dates, "durations": dates - dates, "None inside": some.tolist(),
+        "objects": x.astype(object), "truth values": x.astype(bool), "list of truth values": x.astype(bool).tolist(),
+    }  # fmt: skip
+    if x.ndim:
+        names = [f"n{i}" for i in range(x.shape[-1])]
+        out |= {"names": (Series if x.ndim == 1 else Frame)(x, names), "ragged": [*x.tolist(), [[[1.0]]]],
+                "list of masked": list(np.ma.array(x)) if x.ndim > 1 else ["a"]}  # fmt: skip
+    return out
+
+
+def numeric(name: str, function: Callable[..., Any], system: kempe.System) -> list[str]:
+    """Parameters of a verb that are arrays, or dicts of numbers."""
+    values = usual(system)
+    if name.rpartition(".")[2] != "with_limits":  # elsewhere it says whether they hold
+        values["limits"] = None
+    if name.rpartition(".")[2] in ("assembler", "closed_form"):  # names
+        values["known"] = None
+    own = set() if name.rpartition(".")[2] != "drive" else {"inputs"}
+    known = [p for p in inspect.signature(function).parameters if p in values and (p in own or p not in NO_ARRAYS)]
+    return [p for p in known if isinstance(values[p], np.ndarray) or (isinstance(values[p], dict) and values[p])]
+
+
+def answers(function: Callable[..., Any], system: kempe.System, given: dict[str, Any]) -> bool:
+    """Whether a verb answers when it is given these."""
+    try:
+        call(function, system, given)
+    except KempeError:
+        return False
+    return True
+
+
+NUMERIC = [n for n in OF_SYSTEMS if n not in NOT_ASKED]
+
+
+@pytest.mark.parametrize("name", NUMERIC)
+@pytest.mark.parametrize("model", ["ur5", "four_bar"])
+def test_what_is_no_number_is_refused(name, model, robots):
+    """By every parameter that takes numbers, in all verbs: an `InputError`, never an answer."""
+    function, short = OF_SYSTEMS[name], name.rpartition(".")[2]
+    if short.startswith("plot"):
+        pytest.importorskip("matplotlib")
+    system = robots["iiwa14"] if short in ("arm_angle", "ik_sweep") and model == "ur5" else robots[model]
+    for place in numeric(name, function, system):
+        good = usual(system, short)[place]
+        if not answers(function, system, {place: good}):
+            continue  # another answer is not to be expected of wrong numbers
+        cases = (
+            wrong(good)
+            if isinstance(good, np.ndarray)
+            else {kind: {key: bad for key in good} for kind, bad in wrong(np.array(next(iter(good.values())))).items()}
+        )
+        for kind, bad in cases.items():
+            if short == "with_limits" and kind == "None inside":
+                continue  # no limit
+            with pytest.raises(KempeError):
+                call(function, system, {place: bad})
+                pytest.fail(f"{name}({place}={kind}) gave an answer")
+
+
+def test_wrong_numbers_are_tried_where_right_ones_answer(robots):
+    """The test above looks at enough parameters to mean something."""
+    tried = [(n, p) for n in NUMERIC if "plot" not in n for m in ("ur5", "four_bar")
+             for p in numeric(n, OF_SYSTEMS[n], robots[m])
+             if answers(OF_SYSTEMS[n], robots[m], {p: usual(robots[m], OF_SYSTEMS[n].__name__)[p]})]  # fmt: skip
+    assert len(tried) > 120 and len({p for _, p in tried}) > 22, (len(tried), sorted({p for _, p in tried}))
+
+
+@pytest.mark.parametrize("name", sorted(OF_ARRAYS))
+def test_spatial_functions_refuse_what_is_no_number(name):
+    function = OF_ARRAYS[name]
+    parameters = list(inspect.signature(function).parameters)
+    shapes = {"X": (4, 4), "R": (3, 3), "twist": (6,), "values": (6,), "angle": ()}
+    shapes |= dict.fromkeys(("q", "quat_wxyz", "a", "b"), (4,))
+    good = {p: np.full(shapes.get(p, (3,)), 0.5) for p in parameters}
+    good |= {p: np.eye(n) for p, n in (("X", 4), ("R", 3)) if p in good}
+    function(**good)
+    for place in parameters:
+        for kind, bad in wrong(good[place]).items():
+            with pytest.raises(InputError, match=r"must be"):
+                function(**{**good, place: bad})
+                pytest.fail(f"{name}({place}={kind}) gave an answer")
+
+
+@pytest.mark.parametrize("kind", list(wrong(np.zeros(3))))
+def test_goals_of_tasks_are_numbers(kind, robots):
+    system = robots["ur5"]
+    bad = wrong(np.array([0.1, 0.2, 0.3]))[kind]
+    for task in (tasks.Position("tool", bad), tasks.Pointing("tool", bad), tasks.LookAt("tool", bad)):
+        with pytest.raises(KempeError):
+            system.ik(task)
+    with pytest.raises(KempeError):
+        system.ik(tasks.Posture(wrong(np.zeros(6))[kind]))
+
+
+class Angle(np.ndarray):
+    """Numbers with a unit, as libraries of units have them."""
+
+    unit = "deg"
+
+
+def test_units_are_not_dropped(robots):
+    with pytest.raises(InputError, match="has the unit 'deg'"):
+        robots["ur5"].fk(np.zeros(6).view(Angle), "tool")
+
+
+@pytest.mark.parametrize("good", [
+    [0, 1, 2, 3, 4, 5], (0.0,) * 6, np.arange(6), np.arange(6, dtype=np.float32), np.arange(6, dtype=np.uint8),
+    np.arange(6, dtype=">f8"), np.arange(12.0)[::2], range(6), [np.float32(1.0)] * 6,
+    [np.array(0.5)] * 6, [[0.1] * 6], [np.zeros(6), [0.0] * 6], np.arange(6, dtype=np.float16),
+])  # fmt: skip
+def test_other_numbers_are_taken(good, robots):
+    system = robots["ur5"]
+    assert np.array_equal(system.fk(good, "tool"), system.fk(np.array(good, dtype=np.float64), "tool"))
+
+
+def test_files_in_memory_are_taken(robots, tmp_path):
+    np.save(tmp_path / "q.npy", np.full((3, 6), 0.2))
+    q = np.load(tmp_path / "q.npy", mmap_mode="r")
+    system = robots["ur5"]
+    for plain, mapped in ((np.array(q), q), (np.array(q[0]), q[0])):
+        assert np.array_equal(system.fk(mapped, "tool"), system.fk(plain, "tool"))
+        assert np.array_equal(system.query("tool")(mapped), system.fk(plain, "tool"))
+
+
+# ---- rotations are no positions, times grow
+
+
+def rotations(rng: np.random.Generator, n: int) -> np.ndarray:
+    return spatial.exp_so3(rng.normal(size=(n, 3)) * rng.choice([0.1, 1.0, 3.0], (n, 1)))
+
+
+@pytest.mark.parametrize("ask", [
+    lambda s, R: s.ik(R, "tool"), lambda s, R: s.ik(R.astype(np.float32), "tool"),
+    lambda s, R: s.ik(R.tolist(), "tool"), lambda s, R: s.ik_all(R, "tool"),
+    lambda s, R: s.ik_path(R, "tool"), lambda s, R: s.ik(np.stack([R, R]), "tool"),
+    lambda s, R: s.ik_path(np.stack([R, R]), "tool"), lambda s, R: s.ik(tasks.Position("tool", R)),
+    lambda s, R: s.ik_path(tasks.Position("tool", np.stack([R, R]))), lambda s, R: s.ik_sweep(R, "tool"),
+], ids=range(10))  # fmt: skip
+def test_a_rotation_is_not_three_positions(ask, robots, hunt):
+    for R in rotations(hunt.rng(), hunt.cases(10)):
+        with pytest.raises(InputError):
+            ask(robots["ur5"], R)
+
+
+def test_the_way_to_an_orientation_is_told(robots):
+    system, R = robots["ur5"], spatial.rot_x(0.3)
+    with pytest.raises(InputError, match=r"not three positions: .*tasks.Orientation.*task='orientation'"):
+        system.ik(R, "tool")
+    assert system.ik(R, "tool", task="orientation") and system.ik(tasks.Orientation("tool", R))
+    flat = np.array([[0.8, -0.6, 0.3], [0.6, 0.8, 0.2], [0.0, 0.0, 1.0]])
+    with pytest.raises(InputError, match="a pose of the plane"):
+        system.ik(flat, "tool")
+    with pytest.raises(InputError, match="is a rotation"):
+        robots["four_bar"].assemble({"coupler_point": R})
+
+
+def test_three_positions_are_three_positions(robots, hunt):
+    system = robots["ur5"]
+    rng = hunt.rng()
+    for _ in range(hunt.cases(50)):
+        p = rng.uniform(-0.6, 0.6, (3, 3))
+        assert system.ik(p, "tool").q.shape == (3, 6)
+    assert system.ik(np.eye(3) * 0.5, "tool").q.shape == (3, 6)
+    assert system.ik(np.eye(3), "tool", task="position").q.shape == (3, 6)
+
+
+@pytest.mark.parametrize("times", [[0.0, 2.0, 1.0], [0.0, 0.0, 1.0], [2.0, 1.0, 0.0], [0.0, 1.0, 1.0]])
+def test_times_grow(times, robots):
+    for inputs in ({"A": [0.0, 0.1, 0.2]}, {"A": lambda t: 0.1 * t}):
+        with pytest.raises(InputError, match="times must grow from sample to sample"):
+            robots["four_bar"].drive(inputs, times)
+    assert robots["four_bar"].drive({"A": [0.0, 0.1, 0.2]}, [-1.0, 0.0, 5.0])
