@@ -137,8 +137,10 @@ class Closed:
             return self.after(q, np.minimum(np.maximum(0.0, low), high), dt, low, high)
         left = [s.missed(u) for s in stages]
         k = next((k for k, had in enumerate(asked) if left[k] > max(HALF * had, ENOUGH / dt)), None)
-        if k is None or (k and max(asked[:k]) > BUSY * size) or (
-            k and asked[k] ** 2 - left[k] ** 2 > 2.0 * BUSY * size * left[k]
+        if (
+            k is None
+            or (k and max(asked[:k]) > BUSY * size)
+            or (k and asked[k] ** 2 - left[k] ** 2 > 2.0 * BUSY * size * left[k])
         ):  # earlier ones move it, by more than it disturbs them; or curvature is little beside what is gained
             return self.after(q, u, dt, low, high)
         first, own, before = stages[:k], stages[: k + 1], asked[k]
