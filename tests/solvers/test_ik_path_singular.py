@@ -98,7 +98,7 @@ def followed_or_ended(robots, hunt, cases: int) -> None:
             assert p, (s.name, p.status)
             continue
         values = np.linalg.svd(s.jacobian(Q[: k + 1], frame), compute_uv=False)
-        if (values[:, -1] > 0.02 * values[:, 0]).all():  # else another motion may part from it
+        if (values[:, -1] > 0.06 * values[:, 0]).all():  # else another motion may part from it
             assert p.success.sum() == k and p.jumps in ((), (k,)), (s.name, k, p.status)
             ends += 1
     assert ends or cases < 20
