@@ -152,7 +152,7 @@ def test_limits_of_the_description_hold_and_what_is_outside_comes_back():
     fast = s.ik_step([0.0, 1.0], [0.0, 9.0, 0, 0, 0, 0], "tip", DT, weights=POSITION)
     assert fast.velocity[0] == 3.0 and fast.saturated == ("a",)
     back = s.ik_step([2.5, 1.0], np.zeros(6), "tip", DT)
-    assert back.velocity[0] == -3.0 and back.q[0] == pytest.approx(2.47) and back.saturated == ("a",)
+    assert back.velocity[0] == -3.0 and back.q[0] == pytest.approx(2.47) and "a" in back.saturated
     stays = s.ik_step([2.0, 1.0], [-5.0, -5.0, 0, 0, 0, 0], "tip", DT, weights=POSITION)
     assert stays.q[0] <= 2.0 and stays.q[1] <= 2.0
 

@@ -159,15 +159,16 @@ def test_levels_are_strict_and_those_of_pseudoinverses():
     """The velocities are those of successive null spaces (Siciliano and Slotine, 1991)."""
     panda, hand = kempe.load("panda"), "panda_link7"
     q = panda.mid + 0.2
-    p = panda.fk(q, hand)[:3, 3] + [0.002, -0.001, 0.001]
-    z = panda.fk(q, "panda_link4")[2, 3] + 0.001
+    p = panda.fk(q, hand)[:3, 3] + [2e-5, -1e-5, 1e-5]
+    z = panda.fk(q, "panda_link4")[2, 3] + 1e-5
     first, second = tasks.Position(hand, p), tasks.OnPlane("panda_link4", [0, 0, z], [0, 0, 1], priority=1)
-    third = tasks.Posture(panda.mid, priority=2)
-    got = panda.ik_step(q, [first, second, third], dt=DT)
+    rest = q + 3e-5 * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
+    third = tasks.Posture(rest, priority=2)
+    got = panda.ik_step(q, [first, second, third], dt=DT, velocity_limits=math.inf)
     v, N = np.zeros(7), np.eye(7)
     for J, rate in ((panda.jacobian(q, hand)[:3], (p - panda.fk(q, hand)[:3, 3]) / DT),
-                    (panda.jacobian(q, "panda_link4")[2:3], np.array([0.001 / DT])),
-                    (np.eye(7), (panda.mid - q) / DT)):  # fmt: skip
+                    (panda.jacobian(q, "panda_link4")[2:3], np.array([1e-5 / DT])),
+                    (np.eye(7), (rest - q) / DT)):  # fmt: skip
         v = v + np.linalg.pinv(J @ N, rcond=1e-9) @ (rate - J @ v)
         _, values, Vt = np.linalg.svd(J @ N)
         N = N @ Vt[int((values > 1e-9).sum()) :].T @ Vt[int((values > 1e-9).sum()) :]

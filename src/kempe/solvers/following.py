@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe import spatial
 from kempe.calls import brief, explained, explained_methods
 from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.search_layout import BAD_INPUT
@@ -17,31 +16,20 @@ from kempe.kinematics.tabular import Tabular
 from kempe.kinematics.task import refuse
 from kempe.kinematics.tasks import Pose, Position
 from kempe.reals import reals
-from kempe.solvers.chain import inside
+from kempe.solvers.apart import apart
 from kempe.solvers.solution import SOLVED
 from kempe.solvers.targets import parse_targets
 from kempe.solvers.tasks import STARTS, Problem, judge, pose_problem
+from kempe.solvers.way import DEPTH, SINGULAR, STAYS, TOLERANCE, WEAK, Way
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
-TOLERANCE = 1e-10
-"""Largest error of the targets along a path, in metres and radians."""
-DEPTH = 12
-"""How often the way between two targets is halved before it counts as a jump."""
-SMALL = 0.02
-"""Steps so small, in radians and characteristic lengths, need no explanation: with square roots, 1 / 2^(DEPTH/2)."""
-STRETCH = 2.0
-"""How many times longer than its first order a step may be."""
-ALIKE = 0.5
-"""How much a step may differ from the one before, as a part of it, to count as going on."""
-DAMPING = 1e-3
-"""Singular values below it do not make the first order longer (Wampler, 1986)."""
-SINGULAR = 0.05
-"""Ratio of singular values at the end of a path below which it ends at a singularity; it falls with a square root."""
 ROUNDING = 1e-12
 """How far outside its limits a coordinate may seem to be."""
+ROUNDED = 1e-3
+"""Largest tolerance that is named where targets seem to be rounded."""
 TRIED = 16
 """Seeds that are tried where another start or a way on is looked for."""
 
@@ -92,11 +80,14 @@ def ik_path(
     is reached from `seed` as `ik` does; from there on each step starts at its first order, the damped pseudoinverse
     times what is missing (Whitney, 1969). A step is taken where it is not much longer than that, nor than `max_step`
     in radians and characteristic lengths, or much like the one before; else the targets' way (linear, rotations by the
-    exponential map) is halved.
+    exponential map) is halved. Near a singularity it goes on as before where it can, and a turn of the joints that
+    leaves the targets' way alone is no jump. A `tolerance` above the usual 1e-10 m and rad is for rounded targets: what
+    a singularity cannot give is then left out within it.
     Where the smallest part of it cannot be gone, the path must jump: it stops, or, with `restart`, goes on from the
-    nearest configuration found at the next target that can be reached. With `branches`, paths from several start
-    configurations are tried, those of `ik_all` among them where it applies: the answer is the one that gets farthest,
-    then the one with fewest jumps, then the shortest. `progress` is told how many targets are done.
+    nearest configuration found at the next target that can be reached; joints that the targets do not ask for stay.
+    With `branches`, paths from several start configurations are tried, those of `ik_all` among them where it applies:
+    the answer is the one that gets farthest, then the one with fewest jumps, then the shortest. `progress` is told how
+    many targets are done.
     Errors: `InputError`, `UnknownNameError`.
     """
     if not 0.0 < max_step < math.inf:
@@ -110,7 +101,7 @@ def ik_path(
                          f"targets and one seed ({system.nq},)")  # fmt: skip
     for task, goals in zip(problem.tasks, problem.goals, strict=True):
         refuse(goals, task.label)
-    way = _Way(problem, max_step, progress)
+    way = _Path(problem, max_step, progress)
     q0, info = way.rows[0].run(first)
     begin, n = 0, problem.lead[0]
     while restart and info[0, 0] != SOLVED and begin + 1 < n:
@@ -121,7 +112,8 @@ def ik_path(
         return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status)
     if not branches:
         return way.path(q0[0], restart, begin)
-    begins = _distinct([q0[0], *way.elsewhere(begin, q0[0]), *_all(system, targets, frame, way.rows[begin], begin)])
+    further = _all(system, targets, frame, way.rows[begin], begin, q0[0])
+    begins = _distinct([q0[0], *way.elsewhere(begin, q0[0]), *further])
     paths = [way.path(q, restart, begin) for q in begins]
     return min(paths, key=lambda p: (-_farthest(p), -np.sum(p.success), len(p.jumps), _length(p)))
 
@@ -136,88 +128,8 @@ def _held(system: System, targets: Any, frame: FrameLike) -> Pose | Position:
     return Position(name, poses[..., :3, 3]) if is_position else Pose(name, poses)
 
 
-class _Way:
-    """The targets of a path, all that lies between them, and steps along it."""
-
-    def __init__(self, problem: Problem, max_step: float, progress: Callable[[int], None] | None = None):
-        tasks = tuple(replace(t, tolerance=None) for t in problem.tasks)
-        self.problem, self.max_step = replace(problem, tasks=tasks), max_step
-        self.system, self.scale, self.progress = problem.system, problem.packed.scale, progress
-        self.rows = [self.problem.of(i) for i in range(problem.lead[0])]
-        packed = problem.packed
-        equal = np.repeat([not t.bounds for t in packed.loops.ties], [len(t.rows) for t in packed.loops.ties])
-        hard = [i for i, t in enumerate(tasks) if t.weight is None]
-        own = packed.rows >= 0
-        self.counts = np.isin(packed.rows[own], hard) & equal[own]
-
-    def at(self, i: int, part: float) -> Problem:
-        """The problem at a part of the way from target i - 1 to target i."""
-        if part >= 1.0:
-            return self.rows[i]
-        a, b = self.rows[i - 1].goals, self.rows[i].goals
-        goals: Any = tuple(
-            [(_between(x, y, part), None if m is None or n is None else m + part * (n - m))
-             for (x, m), (y, n) in zip(g, h, strict=True)] for g, h in zip(a, b, strict=True))  # fmt: skip
-        return replace(self.rows[i], goals=goals, pins=self.problem.packed.pins(goals))
-
-    def first_order(self, problem: Problem, q: Array) -> tuple[Array, float, Array]:
-        """Scaled step (nv,) from q to what a problem asks, to first order and damped; also the ratio of the smallest
-        singular value to the largest, and the velocity (nv,) that belongs to it."""
-        packed = problem.packed
-        own, closed = packed.evaluate(q, problem.pins), packed.evaluate(q, problem.pins, closures=True)
-        e, J = (np.concatenate([x[self.counts], y]) for x, y in zip(own, closed, strict=True))
-        if not J.size:
-            return np.zeros(self.system.nv), 1.0, np.zeros(self.system.nv)
-        U, s, Vt = np.linalg.svd(J, full_matrices=False)
-        return -Vt.T @ (s / (s * s + DAMPING**2) * (U.T @ e)), float(s[-1] / max(s[0], 1e-300)), Vt[-1]
-
-    def step(self, problem: Problem, q: Array) -> Array | None:
-        """The configuration (nq,) that holds a problem and that one gets to from q; None where one does not.
-
-        Singular configurations are left by a small step to either side: there, what is missing gives no direction.
-        """
-        ahead, ratio, weak = self.first_order(problem, q)
-        if np.abs(ahead).max(initial=0.0) > self.max_step:
-            return None
-        for aside in (0.0, 0.5, -0.5) if ratio < SINGULAR else (0.0,):
-            found, moved = self.land(problem, q, ahead + aside * SMALL * weak)
-            most = np.abs(moved).max(initial=0.0)
-            explained = most <= self.max_step and np.linalg.norm(moved) <= STRETCH * np.linalg.norm(ahead) + SMALL
-            if found is not None and (explained or most <= SMALL):
-                return found
-        return None
-
-    def coast(self, problem: Problem, q: Array, before: Array) -> Array | None:
-        """The same by going on as before, by the scaled step (nv,): so targets that jump over a singularity are met."""
-        found, moved = self.land(problem, q, before)
-        smooth = np.linalg.norm(moved - before) <= ALIKE * np.linalg.norm(before)
-        return found if smooth and np.abs(moved).max(initial=0.0) <= self.max_step else None
-
-    def land(self, problem: Problem, q: Array, ahead: Array) -> tuple[Array | None, Array]:
-        """Where (nq,) the solver gets to from a scaled step (nv,) away from q, None without success, and the step."""
-        start = self.system.integrate(q, ahead * self.scale)[None]
-        found, info = replace(problem, starts=1).run(inside(self.system, start) if problem.limits else start)
-        moved = self.system.difference(q, found[0]) / self.scale
-        return found[0] if info[0, 0] == SOLVED else None, moved
-
-    def follow(self, i: int, q: Array, before: Array) -> tuple[Array, float]:
-        """Where one gets from q at target i - 1 towards target i, and which part of the way that is.
-
-        `before` (nv,) is the scaled step that led to q.
-        """
-        part, size = 0.0, 1.0
-        while part < 1.0:
-            found = self.step(self.at(i, part + size), q)
-            if found is None and size == 1.0:
-                found = self.coast(self.rows[i], q, before)
-            if found is None:
-                size *= 0.5
-                if size < 0.5**DEPTH:
-                    break
-            else:
-                q, part = found, part + size
-                size = min(2.0 * size, 1.0 - part)
-        return q, part
+class _Path(Way):
+    """The way of targets, and the path along it."""
 
     def reason(self, i: int, q: Array, part: float) -> str:
         """What ends the way at q: the limits that it would leave, or a singularity."""
@@ -225,15 +137,28 @@ class _Way:
         free = self.step(replace(ahead, limits=False), q)
         if free is not None and (names := _outside(self.system, free)):
             return f"the limit of {' and of '.join(map(repr, names))}"
-        ratio = self.first_order(ahead, q)[1]
+        ratio = self.first_order(ahead, q).ratio
         if ratio < SINGULAR:
             return f"a singularity (ratio of singular values {ratio:.1g})"
         return "a point from which it cannot be followed"
+
+    def hint(self, i: int, q: Array, before: Array) -> str:
+        """The tolerance with which a path would go on through a singularity as before, where there is a small one."""
+        if not before.any() or self.first_order(self.rows[i], q).ratio > WEAK:
+            return ""
+        x = self.truncated(self.rows[i], q, before)
+        if x is None:
+            return ""
+        missed = judge(self.rows[i], x[None], np.full((1, 3), SOLVED))
+        most = float(max(np.max(missed.position_error), np.max(missed.orientation_error)))
+        return f", where tolerance={1.5 * most:.1g} lets it go on" if most <= ROUNDED else ""
 
     def elsewhere(self, i: int, q: Array) -> list[Array]:
         """Configurations found that hold target i, from many starts, the nearest to q first."""
         row = self.rows[i]
         seeds = np.concatenate([q[None], self.system.random(row.rng, TRIED - 1)])
+        unasked = apart(row.packed, row.pins)
+        seeds[:, unasked] = q[unasked]
         found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run(seeds)
         good = found[info[:, 0] == SOLVED]
         return sorted(good, key=lambda x: float(np.linalg.norm(self.system.difference(q, x) / self.scale)))
@@ -250,6 +175,8 @@ class _Way:
         except KeyboardInterrupt:
             interrupted = True
             said.append("interrupted: this is the part that was done")
+        unasked = apart(self.problem.packed, self.problem.pins)
+        out[:, unasked] = q[unasked]  # to the last bit
         success = self._checked(out)
         status = f"{success.sum()} of {n} targets followed"
         jumped = f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
@@ -257,13 +184,14 @@ class _Way:
 
     def _go(self, out: Array, jumps: list[int], said: list[str], restart: bool, begin: int) -> None:
         """Write the path from its configuration at target `begin` on, and what there is to say."""
-        q, broken, before = out[begin], False, np.zeros(self.system.nv)
+        q, broken, before, last = out[begin], False, np.zeros(self.system.nv), 0.0
         for i in range(begin + 1, len(out)):
-            found, part = (q, 0.0) if broken else self.follow(i, q, before)
+            found, part, way = (q, 0.0, 0.0) if broken else self.follow(i, q, before, last)
             if part < 1.0:
                 why = ""
                 if not broken:
                     why = f"{part:.1%} of the way from target {i - 1} to {i}, at {self.reason(i, found, part)}"
+                    why += self.hint(i, q, before)
                 others = self.elsewhere(i, found)
                 broken = not others
                 said += [_sentence(self.system, i, why, found, others, restart)] if why or others else []
@@ -273,7 +201,10 @@ class _Way:
                 if broken:
                     continue
                 found, q = others[0], others[0]
-            before, q = self.system.difference(q, found) / self.scale, found
+            if way > STAYS:  # else the target stays, and one goes on as before it
+                moved = self.system.difference(q, found) / self.scale
+                before, last = moved if not before.any() else moved + self.calm * (before - moved), way
+            q = found
             out[i] = q
             if self.progress is not None:
                 self.progress(i + 1)
@@ -285,15 +216,6 @@ class _Way:
         good = np.asarray(judge(self.problem, q, info).success)
         q[~good] = np.nan
         return good
-
-
-def _between(a: Array | None, b: Array | None, part: float) -> Array | None:
-    """The pose at a part of the way between two: positions linear, rotations by the exponential map."""
-    if a is None or b is None:
-        return None
-    R, S = a[:3, :3], b[:3, :3]
-    turned = R @ spatial.exp_so3(part * spatial.log_so3(R.T @ S))
-    return spatial.pose(turned, a[:3, 3] + part * (b[:3, 3] - a[:3, 3]))
 
 
 def _outside(system: System, q: Array) -> list[str]:
@@ -311,16 +233,20 @@ def _sentence(system: System, i: int, why: str, q: Array, others: list[Array], r
     return f"{where}; target {i} is reached by a jump of {change[far]:.3g} in {system.velocity_names[far]!r}"
 
 
-def _all(system: System, targets: Any, frame: FrameLike | None, row: Problem, begin: int) -> list[Array]:
-    """What `ik_all` finds for target `begin`, inside the limits."""
+def _all(
+    system: System, targets: Any, frame: FrameLike | None, row: Problem, begin: int, q: Array
+) -> list[Array]:  # fmt: skip
+    """What `ik_all` finds for target `begin`, inside the limits; what the target does not ask for is as in q (nq,)."""
     if frame is None:
         return []
     try:
         found = system.ik_all(reals(targets, "targets")[begin], frame)
     except UnsupportedError:
         return []
-    answers = [row.run(q[None]) for q in found.q[found.inside]]
-    return [q[0] for q, info in answers if info[0, 0] == SOLVED]
+    starts, unasked = found.q[found.inside], apart(row.packed, row.pins)
+    starts[:, unasked] = q[unasked]
+    answers = [row.run(x[None]) for x in starts]
+    return [x[0] for x, info in answers if info[0, 0] == SOLVED]
 
 
 def _distinct(configurations: list[Array]) -> list[Array]:

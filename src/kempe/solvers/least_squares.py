@@ -17,6 +17,10 @@ LEAST = 1e-5
 """Weight of small velocities against what is wished, so that the best ones are unique."""
 SHRINK, LEAST_SCALED = 1e-4, 1e-8
 """Weights, against the direction of what is wished, of having it in full and of small velocities."""
+HAD = 1e-9
+"""Part of what is wished that may be missing where it counts as had in full."""
+NO_PART = 1e-6
+"""Part of what is wished up to which none of it is had: what the weights bend it by."""
 INWARD = 1e-14
 """Gradients below this fraction of what is asked release no bound: rounding."""
 SLACK = 1e-13
@@ -24,29 +28,45 @@ SLACK = 1e-13
 
 
 def damped(
-    A: Array, b: Array, low: Array, high: Array, damping: float, G: Array | None = None, near: float = NEAR
+    A: Array, b: Array, low: Array, high: Array, damping: float, G: Array | None = None, near: float | None = NEAR
 ) -> Array:
     """The x (n,) with low <= G x <= high that makes |A x - b| least, damped and small.
 
     Directions whose singular values are below `near` are damped, by at most `damping` (Maciejewski and Klein, 1988).
-    Without G the bounds are those of x; with it zero must be within them.
+    Without G the bounds are those of x; with it zero must be within them. Without `near` both are relative to the
+    largest singular value.
     """
-    n = A.shape[1]
-    U, s, Vt = np.linalg.svd(A, full_matrices=True)
-    seen = s > FLAT * s[:1].max(initial=0.0)
-    hard = np.where(seen & (s < near), damping * np.sqrt(np.maximum(1.0 - (s / near) ** 2, 0.0)), 0.0)
-    k = len(s)
-    part = np.where(seen, s / np.where(seen, s * s + hard * hard, 1.0), 0.0)
-    x = Vt[:k].T @ (part * (U[:, :k].T @ b))
+    x, hard, s, Vt = _unbounded(A, b, damping, near)
+    n, k, seen = A.shape[1], len(s), s > FLAT * s[:1].max(initial=0.0)
     value = x if G is None else G @ x
     if (value >= low).all() and (value <= high).all():
         return x
     rows = np.full(n, LEAST)
-    rows[:k][seen] = np.maximum(hard[seen], LEAST * (s[seen] < near))
+    rows[:k][seen] = np.maximum(hard[seen], LEAST * (s[seen] < (near or NEAR * s[0])))
     kept = rows > 0.0
     first = x if G is None else np.zeros(n)
     return bounded(np.concatenate([A, rows[kept, None] * Vt[kept]]), np.concatenate([b, np.zeros(kept.sum())]), low,
                    high, first, G)  # fmt: skip
+
+
+def wish(A: Array, b: Array, damping: float, near: float = NEAR) -> tuple[Array, Array]:
+    """The x (n,) of `damped` without bounds, and rows (k, n) whose squares are its damping."""
+    x, hard, _, Vt = _unbounded(A, b, damping, near)
+    some = hard > 0.0
+    return x, hard[some, None] * Vt[: len(hard)][some]
+
+
+def _unbounded(A: Array, b: Array, damping: float, near: float | None) -> tuple[Array, Array, Array, Array]:
+    """x (n,), the damping of each singular value, these, and the right singular vectors."""
+    U, s, Vt = np.linalg.svd(A, full_matrices=True)
+    most = float(s[0]) if len(s) else 0.0
+    seen = s > FLAT * most
+    if near is None:
+        near, damping = NEAR * (most or 1.0), damping * (most or 1.0)
+    hard = np.where(seen & (s < near), damping * np.sqrt(np.maximum(1.0 - (s / near) ** 2, 0.0)), 0.0)
+    k = len(s)
+    part = np.where(seen, s / np.where(seen, s * s + hard * hard, 1.0), 0.0)
+    return Vt[:k].T @ (part * (U[:, :k].T @ b)), hard, s, Vt
 
 
 def scaled(A: Array, b: Array, low: Array, high: Array, G: Array | None = None) -> Array:
@@ -55,6 +75,10 @@ def scaled(A: Array, b: Array, low: Array, high: Array, G: Array | None = None) 
     inside = np.minimum(np.maximum(0.0, low), high) if G is None else np.zeros(n)
     if not size:
         return inside
+    if G is None:
+        y: Array = np.asarray(np.linalg.lstsq(A, b, rcond=None)[0], dtype=float)
+        if (y >= low).all() and (y <= high).all() and np.abs(A @ y - b).max() <= HAD * size:
+            return y
     # the part of b is one more unknown, in [0, 1], wished to be 1 with little weight
     B = np.zeros((m + 1 + n, n + 1))
     B[:m, :n], B[:m, n], B[m, n] = A / size, -b / size, SHRINK
@@ -68,7 +92,7 @@ def scaled(A: Array, b: Array, low: Array, high: Array, G: Array | None = None) 
             G, x = np.pad(G, ((0, 1), (0, 1))), np.zeros(n + 1)
             G[-1, -1] = 1.0
         x = bounded(B, wish, np.append(low, 0.0), np.append(high, 1.0), x, G)
-    return x[:n]
+    return x[:n] if x[n] > NO_PART or inside.any() else inside
 
 
 def bounded(A: Array, b: Array, low: Array, high: Array, first: Array, G: Array | None = None) -> Array:

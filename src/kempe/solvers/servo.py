@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe import spatial
 from kempe.calls import brief, explained, explained_methods
 from kempe.errors import InputError
+from kempe.kernels.layout import BALL, TURN
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import refuse_bad
 from kempe.reals import reals
 from kempe.solvers.chain import chain_of, obstacle
 from kempe.solvers.least_squares import NEAR, damped, scaled
+from kempe.solvers.servo_pose import Approach, chain_length, error
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
+    from kempe.solvers.servo_closed import Closed, Stage
 
-NONE = np.zeros(0)
+NONE, EYE = np.zeros(0), np.eye(3)
+TURNING, SLIDING = math.pi, 1.0
+"""Largest speeds of joints that the description gives none, in rad/s and m/s."""
+SKEW = 1e-5
+"""Sum of what a rotation's product with its transpose may miss."""
 BESIDE = 1e-12
 """How near to a bound a velocity is at it, where it is a sum of others."""
 
@@ -62,7 +69,13 @@ class Servo:
         own = self.v[self.at_v]
         self.lower, self.upper, self.speed = system.lower[own], system.upper[own], system.velocity_limits[self.v]
         self.plain = len(limited) == len(self.v)
+        self.ahead, self.behind = np.arange(2 * len(self.v)).reshape(2, -1)
         self.names = [system.velocity_names[i] for i in self.v]
+        length, slides = chain_length(chain), ~system.coordinates.turning[self.v]
+        slides[~np.isin(self.v, system.layout.vector_v)] = False
+        self.metric = np.array([1.0 / length] * 3 + [1.0] * 3)
+        """What weighs the error of a pose as `ik` does."""
+        self.unit = np.where(slides, length, 1.0)
 
     def box(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
         """Least and largest velocities (n,) for which limits of position and speed hold after dt.
@@ -74,6 +87,24 @@ class Servo:
         low[self.at_v] = np.minimum(np.maximum(low[self.at_v], (self.lower - x) / dt), speed[self.at_v])
         high[self.at_v] = np.maximum(np.minimum(high[self.at_v], (self.upper - x) / dt), -speed[self.at_v])
         return low, high
+
+    def spread(self, velocity: Array) -> Array:
+        """Velocities (nv,) of the system, those of the chain (n,) given, the others zero."""
+        out = np.zeros(self.system.nv)
+        out[self.v] = velocity
+        return out
+
+    def beside(self, q: Array, step: Array) -> Array:
+        """Configurations (2 n, nq), each coordinate of the chain moved by its step (n,), then by minus that."""
+        n = len(self.v)
+        if self.plain:
+            out = np.broadcast_to(q, (2 * n, len(q))).copy()
+            out[self.ahead, self.at_q] += step
+            out[self.behind, self.at_q] -= step
+            return out
+        moves = np.zeros((2 * n, self.system.nv))
+        moves[range(n), self.v], moves[range(n, 2 * n), self.v] = step, -step
+        return self.system.integrate(q, moves)
 
     def after(self, q: Array, velocity: Array, dt: float) -> Array:
         """The configuration (nq,) after dt, limits kept to the last bit where q kept them."""
@@ -98,10 +129,17 @@ def ik_step(
     dt; without a frame, tasks of `kempe.tasks` to be reached in dt, hard or soft and in strict priorities. The
     velocities make the squared error of the twist least (`weights` (6,) of its rows, zero where a row does not
     count) and, among those that do, their own size; near singularities the directions that are hard to move in are
-    damped, by at most `damping` (Maciejewski and Klein, 1988). They stay in `velocity_limits` (a number or (nv,),
-    default: those of the system), and no coordinate leaves its limits within dt: bounds are met by an active set, so
+    damped, by at most `damping` (Maciejewski and Klein, 1988). They stay in `velocity_limits` (a number or (nv,);
+    default: those of the system, and where it has none pi rad/s and 1 m/s of all that a coordinate turns or slides;
+    `math.inf` lifts them), and no coordinate leaves its limits within dt: bounds are met by an active set, so
     that other joints take over (Stark and Parker, 1995). With `keep_direction` the twist is scaled instead of bent:
     what is had is the largest part of it that the limits allow, from 0 to 1, and that takes the place of damping.
+
+    A pose or tasks that cannot be had within dt, since they are far, out of reach or beyond limits, are approached:
+    where a step of first order does not halve the error, its second order counts (Newton), and a step must lower the
+    error as promised. So cycles that ask for the same come to rest, at a local minimum of the error, in radians and
+    characteristic lengths as in `ik`; with `keep_direction` where the straight way ends. Of a twist only the caller
+    knows where it leads.
 
     Loops and relations of several coordinates stay closed, those of the whole system for tasks and for a frame that
     they move: to first order by the velocities, and then in `q`, which is closed again (q may be open a little, as by
@@ -112,8 +150,7 @@ def ik_step(
     if q.ndim != 1 or not (0.0 < dt < math.inf and 0.0 <= damping < math.inf):
         raise InputError(f"q has shape {q.shape}, dt is {dt!r}, damping {damping!r}; needed are one configuration "
                          f"({system.nq},), a positive time and a number not negative")  # fmt: skip
-    speed = system.velocity_limits if velocity_limits is None else _numbers(velocity_limits, system.nv,
-                                                                           "velocity_limits")  # fmt: skip
+    speed = speeds(system) if velocity_limits is None else _numbers(velocity_limits, system.nv, "velocity_limits")
     w = _numbers(weights, 6, "weights") if weights is not None else None
     if frame is None:
         if keep_direction or w is not None:
@@ -127,12 +164,16 @@ def ik_step(
         servo = system._queries[("step", name)] = Servo(system, name)
     pose, J = servo.query.pose_and_jacobian(q)
     J = J[:, servo.v]
-    twist = _twist(wanted, pose, dt)
-    A, b = (J, twist) if w is None else (w[:, None] * J, w * twist)
+    x = _motion(wanted)
     low, high = servo.box(q, dt, speed[servo.v])
-    velocity = np.zeros(system.nv)
-    own = scaled(A, b, low, high) if keep_direction else damped(A, b, low, high, damping, near=servo.near)
-    velocity[servo.v] = own
+    approach = Approach(servo, q, x, pose, J, dt, w) if x.ndim == 2 else None
+    twist = x if approach is None else approach.e / dt
+    A, b = (J, twist) if w is None else (w[:, None] * J, w * twist)
+    if approach is not None:
+        own = approach.go(low, high, damping, w, keep_direction)
+    else:
+        own = scaled(A, b, low, high) if keep_direction else damped(A, b, low, high, damping, near=servo.near)
+    velocity = servo.spread(own)
     at = ((own <= low) | (own >= high)).nonzero()[0]
     return IkStep(servo.after(q, velocity, dt), velocity, J @ own, _part(A @ own, b), tuple(servo.names[i] for i in at))
 
@@ -142,21 +183,21 @@ def _held_step(
     weights: Array | None,
 ) -> IkStep:  # fmt: skip
     """A step for a frame, or for tasks, while the system's loops and relations stay closed."""
-    from kempe.solvers.servo_closed import Closed, posed, stages_of
+    from kempe.solvers.servo_closed import Closed
 
     if not np.isfinite(q).all():
         refuse_bad(system, q)
     closed = system._queries.get(("step", None))
     if closed is None:
         closed = system._queries[("step", None)] = Closed(system)
-    if frame is None:
-        stages = stages_of(posed(system, wanted, q), q, dt)
-    else:
-        pose, J = system.query(frame).pose_and_jacobian(q)
-        stages = [closed.twist(J, _twist(wanted, pose, dt), np.ones(6) if weights is None else weights)]
+    at, J = _asked(system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights)
     low, high = closed.box(q, dt, speed)
-    u = closed.velocity(q, stages, low, high, damping, direction)
-    after, u = closed.after(q, u, dt, low, high)
+    stages = at(q)
+    if frame is not None and np.ndim(wanted) == 1:
+        u = closed.velocity(closed.free(q), stages, low, high, damping, direction)
+        after, u = closed.after(q, u, dt, low, high)
+    else:
+        after, u = closed.towards(q, stages, low, high, damping, direction, dt, at)
     velocity = u * closed.scale
     near = BESIDE * np.maximum(1.0, np.abs(u))
     at = ((u <= low + near) | (u >= high - near)).nonzero()[0]
@@ -166,22 +207,59 @@ def _held_step(
     return IkStep(after, velocity, twist, _part(had, asked), tuple(system.velocity_names[i] for i in at))
 
 
+def _asked(
+    system: System, closed: Closed, q: Array, wanted: Any, frame: str | None, dt: float, weights: Array
+) -> tuple[Callable[[Array], list[Stage]], Array]:  # fmt: skip
+    """What is asked at a configuration (nq,), as a function of it, and the Jacobian (6, nv) of the frame, if any."""
+    from kempe.solvers.servo_closed import posed, stages_of
+
+    if frame is None:
+        problem = posed(system, wanted, q)
+        return lambda x: stages_of(problem, x, dt), NONE
+    goal, query = _motion(wanted), system.query(frame)
+
+    def at(x: Array) -> list[Stage]:
+        pose, J = query.pose_and_jacobian(x)
+        return [closed.twist(J, goal if goal.ndim == 1 else error(goal, pose) / dt, weights)]
+
+    return at, query.jacobian(q)
+
+
 def _part(had: Array, asked: Array) -> float:
     """Which part of what is asked is had."""
     square = float(asked @ asked)
     return float(asked @ had) / square if square else 1.0
 
 
-def _twist(wanted: Any, pose: Array, dt: float) -> Array:
+def _motion(wanted: Any) -> Array:
+    """The twist (6,) or pose (4, 4) that is wanted, checked."""
     x = reals(wanted, "the wanted motion", "a twist (6,) or a pose (4, 4)")
+    sound = x.shape == (6,) and math.isfinite(x.dot(x))
     if x.shape == (4, 4):
-        out = np.empty(6)
-        out[:3] = x[:3, 3] - pose[:3, 3]
-        out[3:] = spatial.log_so3(x[:3, :3] @ pose[:3, :3].T)
-        x = out / dt
-    if x.shape != (6,) or not math.isfinite(x.dot(x)):
-        raise InputError(f"the wanted motion has shape {x.shape}; it must be a twist (6,) or a pose (4, 4), finite")
+        R = x[:3, :3]
+        off = math.fsum(np.abs((R @ R.T - EYE).ravel())) + abs(float(x[3, 3]) - 1.0)
+        sound = off < SKEW and math.isfinite(x[:3, 3].sum()) and float(R[2] @ np.cross(R[0], R[1])) > 0.0
+    if not sound:
+        raise InputError(f"the wanted motion has shape {x.shape}; it must be a twist (6,) or a pose (4, 4), finite, "
+                         f"the rotation of a pose orthonormal with determinant +1")  # fmt: skip
     return x
+
+
+def speeds(system: System) -> Array:
+    """Largest speeds (nv,) that steps keep: those of the system, and where it has none `TURNING` and `SLIDING`.
+
+    What follows a coordinate counts, too: nothing that it turns or slides is faster than that.
+    """
+    found = system._queries.get(("step", "speeds"))
+    if found is None:
+        table, given = system.table, system.velocity_limits
+        usual = np.where(system.coordinates.turning, TURNING, SLIDING)
+        usual[system.layout.quaternion_v[:, None] + np.arange(3)] = TURNING
+        for kind, v, m in zip(table.kind.tolist(), table.iv.tolist(), table.multiplier.tolist(), strict=True):
+            if kind != BALL:
+                usual[v] = min(usual[v], (TURNING if kind == TURN else SLIDING) / abs(m))
+        found = system._queries[("step", "speeds")] = np.where(np.isfinite(given), given, usual)
+    return found
 
 
 def _numbers(x: Any, n: int, what: str) -> Array:

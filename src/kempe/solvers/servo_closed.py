@@ -8,6 +8,8 @@ of first order, so it opens the loops by the square of its size: they are closed
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -17,6 +19,7 @@ from kempe.kernels import loop_layout as L
 from kempe.kinematics.loops import evaluate, full
 from kempe.solvers.freedoms import null
 from kempe.solvers.least_squares import LEAST, NEAR, bounded, damped, scaled
+from kempe.solvers.servo_pose import BLIND, FLAT, STILL, TAKEN, TRIALS
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -30,6 +33,15 @@ CLOSED = 1e-12
 """By how much they may be open after the step."""
 CORRECTIONS, HALVINGS = 8, 12
 """Steps that close the loops again, and how often a step is halved after which that fails."""
+HALF, ENOUGH, BUSY = 0.5, 1e-13, 2.0
+"""Part of what is asked that a step of first order may leave; what may be left in any case; and what earlier stages
+miss, as a multiple of the square of the step, to count as not arrived."""
+DIFFERENCE = 1e-5
+"""Step of the differences of Jacobians, in radians and characteristic lengths."""
+ROUNDING = 1e-14
+"""Length of what is missed that rounding makes."""
+EPSILON = 1e-15
+"""Part of a coordinate by which it is at a limit."""
 BEYOND = 1e-12
 """By how much a bound may seem to be exceeded: rounding."""
 
@@ -43,6 +55,16 @@ class Stage(NamedTuple):
     low: Array
     high: Array
     hard: bool = True
+
+    def missed(self, u: Array | None = None) -> float:
+        """The length of what velocities u (nv,) leave of what is asked, or of all of it."""
+        left = self.b if u is None else self.b - self.A @ u
+        square = float(left @ left)
+        if len(self.low):
+            value = np.zeros(len(self.low)) if u is None else self.inequalities @ u
+            out = np.maximum(self.low - value, 0.0) + np.maximum(value - self.high, 0.0)
+            square += float(out @ out)
+        return math.sqrt(square)
 
 
 class Closed:
@@ -62,8 +84,11 @@ class Closed:
         What is outside its limits comes back as fast as it may.
         """
         x, low, high, at = q[self.at_q], -speed, speed.copy(), self.at_v
-        low[at] = np.minimum(np.maximum(low[at], (self.lower - x) / dt), speed[at])
-        high[at] = np.maximum(np.minimum(high[at], (self.upper - x) / dt), -speed[at])
+        below, above = self.lower - x, self.upper - x
+        near = EPSILON * np.maximum(1.0, np.abs(x))
+        below[np.abs(below) <= near], above[np.abs(above) <= near] = 0.0, 0.0
+        low[at] = np.minimum(np.maximum(low[at], below / dt), speed[at])
+        high[at] = np.maximum(np.minimum(high[at], above / dt), -speed[at])
         return low / self.scale, high / self.scale
 
     def twist(self, J: Array, twist: Array, weights: Array) -> Stage:
@@ -73,22 +98,97 @@ class Closed:
         nothing = np.zeros(0)
         return Stage(w[:, None] * J * self.scale, w * twist, np.zeros((0, self.system.nv)), nothing, nothing)
 
-    def velocity(
-        self, q: Array, stages: list[Stage], low: Array, high: Array, damping: float, direction: bool
-    ) -> Array:  # fmt: skip
-        """Scaled velocities (nv,) of the stages, in order, within the box. Errors: `InputError` for open loops."""
+    def free(self, q: Array) -> Array:
+        """An orthonormal basis (nv, k) of what loops and relations leave. Errors: `InputError` for open loops."""
         error, C = evaluate(self.system, q, True, True)
         worst = int(np.argmax(np.abs(error))) if len(error) else -1
         if len(error) and not abs(error[worst]) < OPEN:
             raise InputError(f"the loops are open at q: {self.names[worst][0]!r} by {abs(error[worst]):.2g} (radians, "
                              f"characteristic lengths); robot.assemble(near=q) closes them")  # fmt: skip
-        N = null(C)
-        own = np.isfinite(low) | np.isfinite(high)
-        some = _Descent(N)
-        some.take(Stage(C[:0], error[:0], np.eye(len(low))[own], low[own], high[own]), 0.0, False)
-        for stage in stages:
-            some.take(stage, damping, direction)
+        return null(C)
+
+    def velocity(
+        self, N: Array, stages: list[Stage], low: Array, high: Array, damping: float, direction: bool,
+        model: Array | None = None,
+    ) -> Array:  # fmt: skip
+        """Scaled velocities (nv,) of the stages, in order, within the box; N as from `free`.
+
+        `model` (k, k), where given, is the Hessian that counts for the last stage.
+        """
+        some, own = _Descent(N), np.isfinite(low) | np.isfinite(high)
+        some.take(Stage(N.T[:0], low[:0], np.eye(len(low))[own], low[own], high[own]), 0.0, False)
+        for k, stage in enumerate(stages):
+            some.take(stage, damping, direction, model if k + 1 == len(stages) else None)
         return np.minimum(np.maximum(N @ some.z, low), high)
+
+    def towards(
+        self, q: Array, stages: list[Stage], low: Array, high: Array, damping: float, direction: bool, dt: float,
+        at: Callable[[Array], list[Stage]],
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """The configuration (nq,) after dt, and the scaled velocities (nv,), towards goals.
+
+        The first stage that a step of first order does not halve takes one of second order, which must lower the
+        error as promised, else a shorter one; stages after it do not count. `at` gives the stages at a configuration.
+        """
+        N = self.free(q)
+        u = self.velocity(N, stages, low, high, damping, direction)
+        size, asked = dt * float(u @ u), [s.missed() for s in stages]
+        if size * dt <= ENOUGH**2:
+            return self.after(q, np.minimum(np.maximum(0.0, low), high), dt, low, high)
+        left = [s.missed(u) for s in stages]
+        k = next((k for k, had in enumerate(asked) if left[k] > max(HALF * had, ENOUGH / dt)), None)
+        if (
+            k is None
+            or (k and max(asked[:k]) > BUSY * size)
+            or (k and asked[k] ** 2 - left[k] ** 2 > 2.0 * BUSY * size * left[k])
+        ):  # earlier ones move it, by more than it disturbs them; or curvature is little beside what is gained
+            return self.after(q, u, dt, low, high)
+        first, own, before = stages[:k], stages[: k + 1], asked[k]
+        model = None if direction else self.curvature(q, N, own, u, low, high, dt, at)
+        more = 0.0
+        for _ in range(TRIALS):
+            if model is not None:
+                u = self.velocity(N, own, low, high, damping, False, model + more * np.eye(len(model)))
+            found = self.after(q, u, dt, low, high)
+            promise = before**2 - own[k].missed(found[1]) ** 2
+            if 0.0 <= promise <= STILL * before**2 + (ROUNDING / dt) ** 2:
+                break
+            if 0.0 < promise <= BLIND * before**2:
+                return found
+            if promise > 0.0 and at(found[0])[k].missed() ** 2 <= before**2 - TAKEN * promise:
+                return found
+            more = 4.0 * more if more else 1e-2 * float(np.abs(model).max()) if model is not None else 0.0
+            u = 0.5 * u
+        return self.after(q, self.velocity(N, first, low, high, damping, direction), dt, low, high)
+
+    def curvature(
+        self, q: Array, N: Array, stages: list[Stage], u: Array, low: Array, high: Array, dt: float,
+        at: Callable[[Array], list[Stage]],
+    ) -> Array:  # fmt: skip
+        """The Hessian (k, k), in the free velocities, of half the square of what the last stage misses, where loops and
+        earlier stages stay as they are: that of the Lagrangian, by differences."""
+
+        def push(x: Array, asked: list[Stage]) -> tuple[Array, Array]:
+            """What the last stage pulls at (nv,), and the rows (m, nv) that stay, at a configuration."""
+            C = evaluate(self.system, x, True, True)[1]
+            s = asked[-1]
+            out = np.maximum(s.low, 0.0) + np.minimum(s.high, 0.0)
+            return dt * (s.b @ s.A + out @ s.inequalities), np.concatenate([C, *(t.A for t in asked[:-1])])
+
+        pull, rows = push(q, stages)
+        at_bound = np.eye(len(u))[(u <= low) | (u >= high)]
+        held = np.concatenate([rows, at_bound])
+        forces = np.linalg.lstsq(held.T, pull, rcond=1e-9)[0][: len(rows)] if len(held) else np.zeros(0)
+        slopes = []
+        for way in N.T:
+            ends = []
+            for h in (DIFFERENCE, -DIFFERENCE):
+                x = self.system.integrate(q, h * way * self.scale)
+                pulled, kept = push(x, at(x)[: len(stages)])
+                ends.append(pulled - forces @ kept)
+            slopes.append((ends[1] - ends[0]) / (2.0 * DIFFERENCE))
+        H = np.array(slopes).reshape(N.shape[1], len(u)) @ N
+        return 0.5 * (H + H.T)
 
     def after(self, q: Array, u: Array, dt: float, low: Array, high: Array) -> tuple[Array, Array]:
         """The configuration (nq,) after dt, loops closed and limits held, and u, shortened where that has to be."""
@@ -132,8 +232,8 @@ class _Descent:
         self.N, self.z, self.free = N, np.zeros(N.shape[1]), np.eye(N.shape[1])
         self.G, self.low, self.high = np.zeros((0, N.shape[1])), np.zeros(0), np.zeros(0)
 
-    def take(self, stage: Stage, damping: float, direction: bool) -> None:
-        """Do for a stage what can be done."""
+    def take(self, stage: Stage, damping: float, direction: bool, model: Array | None = None) -> None:
+        """Do for a stage what can be done; `model` (k, k), where given, is the Hessian that counts for it."""
         A, b, G = stage.A @ self.N, stage.b, stage.inequalities @ self.N
         value = G @ self.z
         slack = BEYOND * np.maximum(1.0, np.abs(value))
@@ -149,8 +249,11 @@ class _Descent:
             if direction:
                 y = scaled(equations, wish, low, high, self.G @ free)
             else:
-                near = NEAR * (float(np.linalg.norm(equations, 2)) or 1.0)
-                y = damped(equations, wish, low, high, damping * near / NEAR, self.G @ free, near)
+                if model is not None:
+                    pull = free.T @ (A.T @ b + G[out].T @ np.clip(value, stage.low, stage.high)[out] - model @ self.z)
+                    equations, wish = convex(free.T @ model @ free, pull, equations, damping)
+                    damping = 0.0
+                y = damped(equations, wish, low, high, damping, self.G @ free, None)
             self.z = self.z + free @ y
         if stage.hard and out.any():
             value = G[out] @ self.z
@@ -160,6 +263,20 @@ class _Descent:
     def _bound(self, G: Array, low: Array, high: Array) -> None:
         self.G = np.concatenate([self.G, G])
         self.low, self.high = np.concatenate([self.low, low]), np.concatenate([self.high, high])
+
+
+def convex(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Array]:
+    """Rows and wish (n,) of the least squares that a Hessian, its curvatures made positive, and a pull stand for.
+
+    What damping the equations J would have is added.
+    """
+    _, s, Vt = np.linalg.svd(J, full_matrices=True)
+    s = np.concatenate([s, np.zeros(len(Vt) - len(s))]) / max(float(s.max(initial=0.0)), 1e-300)
+    weak = damping * np.sqrt(np.maximum(1.0 - (s / NEAR) ** 2, 0.0)) * float(np.linalg.norm(J, 2))
+    values, V = np.linalg.eigh(H + (Vt.T * weak**2) @ Vt)
+    size = np.abs(values)
+    size[size <= FLAT * size.max()] = max(float(size.max()), 1e-300)
+    return np.sqrt(size)[:, None] * V.T, (pull @ V) / np.sqrt(size)
 
 
 def stages_of(problem: Problem, q: Array, dt: float) -> list[Stage]:

@@ -19,9 +19,11 @@ from kempe.kinematics.parallel import over_chunks
 from kempe.kinematics.task import Goals, Packed, Task, lead_of, refuse
 from kempe.kinematics.tasks_whole import Callback
 from kempe.solvers import effort
+from kempe.solvers.apart import apart
 from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.solvers.assembly import TOLERANCE as CLOSED
 from kempe.solvers.assembly import limitless
+from kempe.solvers.chain import inside
 from kempe.solvers.clock import Clock
 from kempe.solvers.contradictions import contradictory
 from kempe.solvers.effort import most_starts
@@ -125,7 +127,18 @@ class Problem:
             if isinstance(callback, Callback) and callback.error is not None:
                 error, callback.error = callback.error, None
                 raise error
-        return self.packed.inside(q) if self.limits else q, info
+        return self._kept(self.packed.inside(q) if self.limits else q, starts), info
+
+    def _kept(self, q: Array, starts: Array) -> Array:
+        """The configurations (N, nq), what no task depends on as in the starts (N or 1, nq), in place."""
+        if self.mode != S.NOTHING:
+            return q
+        unasked = apart(self.packed, self.pins)
+        if unasked.size and not (q[:, unasked] == starts[:, unasked]).all():
+            own = inside(self.system, starts.copy()) if self.limits else starts
+            sound = ~np.isnan(q).any(axis=1)
+            q[np.ix_(sound, unasked)] = (own if len(own) == 1 else own[sound])[:, unasked]
+        return q
 
     @cached_property
     def proofs(self) -> np.ndarray:

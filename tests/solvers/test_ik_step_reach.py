@@ -1,0 +1,251 @@
+"""Steps towards what cannot be had: they settle, with bounded speed, where the error is least.
+
+Judged by `ik`'s nearest configuration, by scipy's minimiser of an error written here, and by the velocities themselves.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import kempe
+from kempe import Mechanism, System, spatial, tasks
+from kempe.solvers.chain import chain_of
+from kempe.solvers.servo import SLIDING, TURNING, speeds
+
+TIPS = {"panda": "panda_hand_tcp", "ur5": "tool", "iiwa14": "tool"}
+STARTS = {
+    "panda": [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785], "ur5": [0.3, -0.8, 1.2, -0.4, 1.0, 0.2],
+    "iiwa14": [0.3, 0.5, 0.2, -1.2, 0.3, 0.8, 0.1],
+}  # fmt: skip
+HUNTED = ("panda", "ur5", "iiwa14", "puma560", "stanford", "xarm6", "gen3", "irb6640", "jaco2", "so101", "cobra600",
+          "youbot", "two_link")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def robots() -> dict[str, System]:
+    return {name: kempe.load(name) for name in HUNTED}
+
+
+def tip(system: System) -> str:
+    """The frame that most joints move."""
+    names = system.frame_names
+    return max(names, key=lambda f: (len(chain_of(system, f).v_index), names.index(f)))
+
+
+def motion(system: System, q, wanted, frame=None, dt=0.01, time=5.0, **options) -> np.ndarray:
+    """Configurations (n + 1, nq) of a loop that asks for the same in every cycle."""
+    out = [np.array(q, dtype=float)]
+    for _ in range(round(time / dt)):
+        out.append(system.ik_step(out[-1], wanted, frame, dt, **options).q)
+    return np.array(out)
+
+
+def turns_back(Q: np.ndarray, dt: float) -> int:
+    """How often velocities change their sign in the last second."""
+    v = np.sign(np.diff(Q, axis=0)[-round(1.0 / dt) :])
+    return int((np.diff(v, axis=0) != 0.0).sum())
+
+
+def outside(system: System, q: np.ndarray, frame: str, by: float) -> np.ndarray:
+    """The pose of the frame at q, moved away from its base until it is out of reach, and then by some metres."""
+    X = system.fk(q, frame)
+    way = X[:3, 3] / np.linalg.norm(X[:3, 3])
+    far = np.linspace(0.0, 2.0, 81)
+    line = np.tile(X, (81, 1, 1))
+    line[:, :3, 3] += far[:, None] * way
+    X[:3, 3] += (far[np.flatnonzero(system.ik(line, frame).success)[-1]] + by) * way
+    return X
+
+
+@pytest.mark.parametrize("damping", [0.05, 0.0])
+@pytest.mark.parametrize("by", [pytest.param(x, marks=pytest.mark.slow) if x != 0.1 else x for x in (0.01, 0.1, 1.0)])
+@pytest.mark.parametrize("name", list(TIPS))
+def test_out_of_reach_it_settles_at_the_nearest_pose(name, by, damping):
+    s, frame, q = kempe.load(name), TIPS[name], np.array(STARTS[name])
+    X = outside(s, q, frame, by)
+    Q = motion(s, q, X, frame, damping=damping, time=3.0)
+    assert turns_back(Q, 0.01) == 0 and not np.diff(Q[-100:], axis=0).any()
+    assert np.abs(np.diff(Q, axis=0) / 0.01).max() <= TURNING * (1.0 + 1e-9)
+    # the wrist of a UR5 has minima on both sides, and a step does not leave the one that it comes to
+    nearest, rest = s.ik(X, frame, seed=Q[-1], starts=1 if name == "ur5" else 1000), s.fk(Q[-1], frame)
+    assert abs(np.linalg.norm(rest[:3, 3] - X[:3, 3]) - nearest.position_error) < 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, {"damping": 0.0}, {"velocity_limits": 1.0}, {"keep_direction": True}])
+@pytest.mark.parametrize("name", ["panda", "ur5"])
+def test_a_thousand_cycles_a_second_settle_too(name, options):
+    s, frame, q = kempe.load(name), TIPS[name], np.array(STARTS[name])
+    X = outside(s, q, frame, 0.3)
+    Q = motion(s, q, X, frame, 0.001, 5.0 if "velocity_limits" in options else 3.0, **options)
+    assert turns_back(Q, 0.001) == 0
+    assert np.abs(np.diff(Q, axis=0) / 0.001).max() <= options.get("velocity_limits", TURNING) * (1.0 + 1e-9)
+
+
+def settles_at_a_minimum(s: System, rng: np.random.Generator) -> None:
+    """One case of the hunt."""
+    frame, q = tip(s), s.random(rng)
+    if rng.random() < 0.3:
+        q = np.where(rng.random(s.nq) < 0.4, np.where(rng.random(s.nq) < 0.5, s.lower, s.upper), q)
+        q = np.where(np.isfinite(q), q, 0.0)
+    X, far = s.fk(s.random(rng), frame), 10.0 ** rng.uniform(-2.0, 0.0)
+    way = rng.normal(size=3) * ([1.0, 1.0, 0.0] if s.dim == 2 else 1.0)
+    reach = min((b.largest for b in chain_of(s, frame).bounds), default=1.0)
+    X[:3, 3] = way / np.linalg.norm(way) * (reach + far) if rng.random() < 0.7 else X[:3, 3] + far * way
+    kind = rng.choice(["pose", "pose", "position", "orientation"])
+    w = np.array({"pose": [1] * 6, "position": [1, 1, 1, 0, 0, 0], "orientation": [0, 0, 0, 1, 1, 1]}[kind])
+    damping = float(rng.choice([0.0, 0.05]))
+    Q = motion(s, q, X, frame, 0.01, 7.0, weights=None if kind == "pose" else w, damping=damping)
+    if np.abs(np.diff(Q[-101:], axis=0)).max() > 0.02:
+        return  # on its way: turns of joints with a wide range take longer
+    assert turns_back(Q, 0.01) == 0, (s.name, kind, damping)
+    from kempe.solvers.servo_pose import chain_length
+
+    scale = 1.0 / chain_length(chain_of(s, frame))
+
+    def missed(x):
+        Y = s.fk(x, frame)
+        e = w * np.concatenate([scale * (X[:3, 3] - Y[:3, 3]), spatial.log_so3(X[:3, :3] @ Y[:3, :3].T)])
+        return float(e @ e)
+
+    low, high = np.minimum(s.lower, Q[-1]), np.maximum(s.upper, Q[-1])
+    found = minimize(missed, Q[-1], method="L-BFGS-B", bounds=list(zip(low, high, strict=True)))
+    assert found.fun > missed(Q[-1]) * (1.0 - 1e-4) - 1e-6, (s.name, kind, damping)
+
+
+def test_it_settles_at_a_minimum_of_the_error(robots, hunt):
+    """Every resting place is a local minimum inside the limits, by scipy, and no velocity turns back there."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(5)):
+        settles_at_a_minimum(robots[str(rng.choice(HUNTED))], rng)
+
+
+@pytest.mark.slow
+def test_it_settles_at_a_minimum_of_the_error_often(robots, hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(80)):
+        settles_at_a_minimum(robots[str(rng.choice(HUNTED))], rng)
+
+
+def test_a_direction_that_is_kept_leads_to_the_border_and_no_farther():
+    s, frame, q = kempe.load("panda"), TIPS["panda"], np.array(STARTS["panda"])
+    X = s.fk(q, frame)
+    X[0, 3] += 1.0
+    Q = motion(s, q, X, frame, keep_direction=True)
+    assert not np.diff(Q[-100:], axis=0).any()
+    off = s.fk(Q[-1], frame)[1:3, 3] - X[1:3, 3]
+    assert np.abs(off).max() < 0.01  # beside the line by what steps of 10 ms bend it
+
+
+def arm() -> System:
+    m = Mechanism("arm", dim=2)
+    m.revolute("a", "ground", m.body("u"), at=(0, 0))
+    m.revolute("b", "u", m.body("v"), at=(1, 0))
+    m.frame("tip", "v", at=(1, 0))
+    return m.build()
+
+
+@pytest.mark.parametrize("target", [(1.0, 0.0), (-2.5, 0.0), (-1.0, 0.0)])
+def test_singular_starts_are_left(target):
+    """Stretched along the line to the target, no first-order step leads to it."""
+    s = arm()
+    X = spatial.pose(p=[*target, 0.0])
+    Q = motion(s, [0.0, 0.0], X, "tip", weights=[1, 1, 0, 0, 0, 0])
+    missed = np.linalg.norm(s.fk(Q[-1], "tip")[:2, 3] - target)
+    assert missed == pytest.approx(max(0.0, math.hypot(*target) - 2.0), abs=1e-6)
+    assert not np.diff(Q[-100:], axis=0).any()
+
+
+def test_a_target_that_goes_out_of_reach_and_comes_back_is_tracked():
+    s, frame, q = kempe.load("panda"), TIPS["panda"], np.array(STARTS["panda"])
+    X, worst, fastest = s.fk(q, frame), 0.0, 0.0
+    for k in range(1500):
+        goal, before = X.copy(), q
+        goal[0, 3] += 0.6 * math.sin(2.0 * math.pi * k / 1000.0) ** 2
+        q = s.ik_step(q, goal, frame, 0.01).q
+        fastest = max(fastest, float(np.abs(q - before).max()) / 0.01)
+        if k % 500 < 100 or k % 500 > 400:
+            worst = max(worst, float(np.linalg.norm(s.fk(q, frame)[:3, 3] - goal[:3, 3]))) if k > 20 else worst
+    assert fastest <= TURNING * (1.0 + 1e-9)
+    assert worst < 2e-3  # near the border it is led through by damping
+
+
+# ---- speeds
+
+
+def test_without_limits_of_speed_stated_ones_hold():
+    m = Mechanism("gantry")
+    m.prismatic("rail", "ground", m.body("cart"), axis=(1, 0, 0))
+    m.revolute("turn", "cart", m.body("arm"), axis=(0, 0, 1), velocity=9.0)
+    m.revolute("geared", "arm", m.body("wheel"), axis=(0, 0, 1), at=(1, 0, 0))
+    m.revolute("fast", "wheel", m.body("disc"), axis=(0, 0, 1), at=(1, 0, 0))
+    m.couple("fast", {"geared": 4.0})
+    m.frame("tip", "disc", at=(0.5, 0.0, 0.0))
+    s = m.build()
+    assert dict(zip(s.velocity_names, speeds(s), strict=True)) == {"rail": SLIDING, "turn": 9.0, "geared": TURNING / 4}
+    for wanted in (np.full(6, 1e4), spatial.pose(p=[50.0, 30.0, 0.0])):
+        assert (np.abs(s.ik_step(s.neutral + 0.1, wanted, "tip", 0.01, damping=0.0).velocity) <= speeds(s)).all()
+    free = s.ik_step(s.neutral + 0.1, np.full(6, 1e4), "tip", 0.01, damping=0.0, velocity_limits=math.inf)
+    assert np.abs(free.velocity).max() > 100.0
+
+
+# ---- loops and tasks
+
+
+@pytest.mark.parametrize(
+    ("name", "frame", "by", "weights"),
+    [
+        ("five_bar", "tip", [0.4, 0.3, 0.0], [1, 1, 0, 0, 0, 0]),
+        pytest.param("delta_uu", "platform", [0.4, 0.3, 0.0], [1, 1, 1, 0, 0, 0], marks=pytest.mark.slow),
+        pytest.param("stewart", "platform", [0.6, 0.0, 0.3], None, marks=pytest.mark.slow),
+    ],
+)
+def test_under_loops_it_settles_too(name, frame, by, weights):
+    s = kempe.load(name)
+    q = s.assemble().q
+    X = s.fk(q, frame)
+    X[:3, 3] += by
+    Q = motion(s, q, X, frame, 0.01, 3.0, weights=weights)
+    assert turns_back(Q, 0.01) == 0
+    assert np.abs(s.closure_error(Q[-1])).max() < 1e-11
+
+
+def asked_of(name: str, s: System, frame: str, q: np.ndarray) -> list[list]:
+    """Tasks that cannot all be held, or that leave a posture behind."""
+    X = s.fk(q, frame)
+    far, p = X.copy(), X[:3, 3]
+    far[0, 3] += 1.5
+    return [
+        [tasks.Pose(frame, far)],
+        [tasks.Position(frame, far[:3, 3]), tasks.Posture(s.mid, priority=1)],
+        [tasks.Position(frame, p + [0.05, 0.0, 0.0]), tasks.Posture(s.mid, priority=1)],
+        [tasks.Position(frame, p + [0.2, 0.0, 0.0]), tasks.Position(frame, p - [0.2, 0.1, 0.0])],
+        [tasks.Position(frame, far[:3, 3], weight=1.0), tasks.Posture(s.mid, weight=0.1)],
+        [tasks.HalfSpace(frame, p + [0.1, 0.0, 0.0], [-1.0, 0.0, 0.0]), tasks.Position(frame, far[:3, 3], weight=1.0,
+                                                                                       priority=1)],
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("k", range(6), ids=["pose", "posture far", "posture", "conflict", "soft", "wall"])
+@pytest.mark.parametrize("name", ["panda", pytest.param("iiwa14", marks=pytest.mark.slow)])
+def test_tasks_that_cannot_be_held_settle(name, k):
+    s, frame, q = kempe.load(name), TIPS[name], np.array(STARTS[name])
+    Q = motion(s, q, asked_of(name, s, frame, q)[k], None, 0.01, 2.0)
+    v = np.diff(Q, axis=0)[-100:] / 0.01
+    v[np.abs(v) < 1e-12] = 0.0  # rounding
+    assert not (np.diff(np.sign(v), axis=0) != 0.0).any(), np.abs(v).max()
+
+
+def test_one_task_settles_where_the_step_of_a_frame_does():
+    s, frame, q = kempe.load("panda"), TIPS["panda"], np.array(STARTS["panda"])
+    X = s.fk(q, frame)
+    X[0, 3] += 0.6
+    one = motion(s, q, X, frame, weights=[1, 1, 1, 0, 0, 0])
+    two = motion(s, q, tasks.Position(frame, X[:3, 3]), None)
+    missed = [np.linalg.norm(s.fk(Q[-1], frame)[:3, 3] - X[:3, 3]) for Q in (one, two)]
+    assert abs(missed[0] - missed[1]) < 1e-6
+    assert abs(missed[0] - s.ik(X, frame, seed=q, task="position").position_error) < 1e-4
