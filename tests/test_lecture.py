@@ -490,7 +490,7 @@ SAID = {
         "9 degrees of freedom, 3 of them useful", "rod3b spins", "says -3, the truth is 3 to order 8: 6 constraints",
         "isolated: the only velocity is obstructed at order 2", "2 freedoms to first order",
         "1 at other configurations",
-        "2 branches meet, of dimensions 1, 1", "shaky at every configuration", "cusp", "the truth is 2: branches of",
+        "2 branches meet, of dimensions 1, 1", "shaky at every configuration", "cusp", "the truth is 2: the largest of 13 branches found here",
         "13 branches were found", "certain: True", "parallel      2", "antiparallel  1",
         "to order 3: true local DoF 1 (to order 3, not proven)",
         "to order 8: true local DoF 0", "obstructed at order 4", "A controls 1 of 2 freedoms",

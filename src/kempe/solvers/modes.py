@@ -78,7 +78,7 @@ class Modes(Tabular):
         return ["", *names], rows
 
     def __str__(self) -> str:
-        count = f"{len(self)} configuration{'' if len(self) == 1 else 's'} of {self.system.name}"
+        count = f"{counted(len(self), 'configuration')} of {self.system.name}"
         lines = [f"{count}; {self.status}"]
         heads, rows = self._table()
         for row in rows:
@@ -209,7 +209,7 @@ def by_starts(question: Question) -> Modes:
     if found.odd:
         status += "; one is missing at least, since their number is even"
     if not closed:
-        status = f"none found: of {found.tried} starts none closed"
+        status = f"none found, which proves nothing: of {found.tried} starts none closed"
     if len(families):
         besides = f"besides {counted(len(isolated), 'isolated configuration')}, " if len(isolated) else ""
         left = "1 freedom" if free.max() == 1 else f"up to {free.max()} freedoms"
