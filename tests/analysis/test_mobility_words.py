@@ -93,7 +93,7 @@ def test_velocities_without_a_motion_are_no_redundant_constraints_of_the_sentenc
 
 @pytest.mark.parametrize("name", LIBRARY)
 def test_the_numbers_of_a_sentence_add_up(name):
-    """The count with the redundant constraints is the rank's; less what is there to first order only it is the truth."""
+    """The count and the redundant constraints are the rank's; less velocities without a motion they are the truth."""
     m = mobility(kempe.load(name))
     false = max(m.generic_rank_dof - m.dof, 0)
     assert m.gruebler + m.redundant == m.generic_rank_dof
