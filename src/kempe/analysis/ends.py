@@ -13,7 +13,7 @@ import numpy as np
 
 from kempe.analysis.graph import Structure
 from kempe.analysis.screws import Screws
-from kempe.analysis.series import Ring, rings
+from kempe.analysis.series import Ring, Star, rings, stars
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -34,12 +34,32 @@ class End(NamedTuple):
     hinge: bool
 
 
+class Hold(NamedTuple):
+    """An end, and the sense in which its ring is passed: +1 towards what it holds, -1 from there."""
+
+    ring: Ring
+    end: End
+    sign: float
+
+
 class Pair(NamedTuple):
     """Two ends of a ring between which something may spin."""
 
     ring: Ring
     left: End
     right: End
+
+    @property
+    def holds(self) -> tuple[Hold, ...]:
+        """Both ends."""
+        return Hold(self.ring, self.left, 1.0), Hold(self.ring, self.right, -1.0)
+
+
+class Held(NamedTuple):
+    """A star with its ends."""
+
+    star: Star
+    holds: tuple[Hold, ...]
 
 
 def pairs_of(system: System, s: Structure, at: Screws, driven: frozenset[int]) -> list[Pair]:
@@ -68,6 +88,23 @@ def _of_ring(s: Structure, at: Screws, ring: Ring) -> Iterator[Pair]:
             turning_inside(s, ring, p, q) or _one_of_many(s, at, ring, pair)
         ):
             yield pair
+
+
+def held(system: System, s: Structure, at: Screws, driven: frozenset[int]) -> list[Held]:
+    """Stars with their ends, which do not depend on the configuration either."""
+    key = ("analysis stars", driven)
+    found = system._queries.get(key)
+    if found is None:
+        found = system._queries[key] = []
+        for star in stars(system, driven):
+            holds = []
+            for ring in star.chains:
+                meets = [_meet(s, at, ring, k, k + 1) for k in range(len(ring.edges) - 1)]
+                holds.append(Hold(ring, _grow(ring, meets, 0, 1), -1.0))
+            simple = all(len(h.end.edges) == 1 for h in holds)
+            if simple or not any(h.end.hinge for h in holds):  # else it may be a spherical linkage
+                found.append(Held(star, tuple(holds)))
+    return found
 
 
 class _Meeting(NamedTuple):

@@ -110,7 +110,8 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         out.append(("closed", [f"given with residual {m.given_residual:.2g}; this is the nearest closed one"]))
     out.append(("rank", [rank_text(m)]))
     if m.dof is not None:
-        useful = f", {m.useful} of them useful" if m.idle else ""
+        useful = f", {m.useful or 'none'} of them useful" if m.idle else ""
+        useful = ", which is idle" if m.idle == m.dof == 1 else useful
         out.append(("truth", [f"{counted(m.dof, 'degree')} of freedom{useful}", how_known(m)]))
     if m.redundancy is not None and m.redundancy.number:
         out.append(("redundant", [*str(m.redundancy).split("\n")]))
