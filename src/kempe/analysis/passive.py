@@ -139,8 +139,9 @@ def _spins(system: System, s: Structure, at: Sequence[Screws], driven: frozenset
             rates = {}
             for hold in of.holds:
                 rates |= _rates(at[0], hold, *axis)
-            for i in of.star.loose if isinstance(of, Held) else ():
-                sign = 1.0 if s.edges[i].child in of.star.bodies else -1.0
+            star = of.star if isinstance(of, Held) else None
+            for i in star.loose if star else ():
+                sign = 1.0 if star and s.edges[i].child in star.bodies else -1.0
                 screw = sign * np.concatenate([np.cross(axis[0], axis[1]), axis[1]])
                 rates[i] = np.linalg.lstsq(at[0].twists[i], screw, rcond=ALONE)[0]
             yield _Spin(of, *axis, rates)
@@ -292,7 +293,7 @@ def _freedom(
     direction = direction * np.sign(direction[np.argmax(np.abs(direction) > ALONE)])
     numbers = [tuple((np.round(x, 12) + 0.0).tolist()) for x in (point, direction)]
     ends = (origins - point) / at.length
-    joined = max(off(e, direction) for e in ends) < ALONE < abs((ends[1] - ends[0]) @ direction)
+    joined = bool(max(off(e, direction) for e in ends) < ALONE < abs((ends[1] - ends[0]) @ direction))
     names = [tuple(system.body_names[b] for b in sorted(own)) for own in (group.bodies, group.links)]
     pair = (s.edges[edges[0]].name, s.edges[edges[1]].name)
     return IdleFreedom(names[0], pair, numbers[0], numbers[1], joined, velocity * rank.units, names[1])
