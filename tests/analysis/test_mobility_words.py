@@ -11,6 +11,7 @@ from known_truths import dead_centres
 from world_mechanisms import World
 
 import kempe
+from kempe.analysis import branches
 from kempe.analysis.mobility import mobility
 
 LIBRARY = sorted(p.stem for p in (Path(kempe.__file__).parent / "library").glob("*.toml"))
@@ -103,8 +104,9 @@ def test_the_numbers_of_a_sentence_add_up(name):
     assert ("probably" in m.sentence or "to order" in m.sentence) == (not m.certain)
 
 
-def test_a_proven_number_ends_in_no_doubt():
+def test_a_proven_number_ends_in_no_doubt(monkeypatch):
     """What is not known of branches is said of them."""
+    monkeypatch.setattr(branches, "MOST_STARTS", 32)
     m = mobility(kempe.load("wunderlich"))
     assert m.certain and m.data()["how"].endswith("dimensions") and not m.local.doubts
     assert m.local.more and m.kind.endswith("so there may be more branches")

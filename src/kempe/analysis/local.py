@@ -17,7 +17,7 @@ import numpy as np
 from kempe.analysis import branches as follow
 from kempe.analysis import reduction
 from kempe.analysis.branches import Branch
-from kempe.analysis.certify import Proof, proven
+from kempe.analysis.certify import Proof, Prover
 from kempe.analysis.equations import Equations
 from kempe.analysis.reduction import Split
 from kempe.errors import InputError
@@ -146,7 +146,8 @@ def _found(
     """The answer at a configuration whose coordinates are regular."""
     equations = _equations(system)
     at = reduction.split(equations, _closed(equations, q), tolerance)
-    proof = proven(system, equations, at.q, order)
+    prover = Prover(system, equations, at.q)
+    proof = prover.manifold()
     doubts, more = _doubts(at), []
     if at.corank == 0 or at.delta == 0 or (proof is not None and proof.dim == at.delta):
         why = "the equations are independent: a manifold by the implicit function theorem"
@@ -176,7 +177,7 @@ def _found(
         found, smooth = _branches(equations, at, order, rng, doubts, more), False
         why = f"some velocities are obstructed at order {k}; branches followed on spheres of radius {follow.RADII[0]:g}"
     if proof is None and k is not None:
-        proof = proven(system, equations, at.q, order, [b.tangent / equations.scale[:, None] for b in found])
+        proof = prover.dimension(order, [b.tangent / equations.scale[:, None] for b in found])
     sampled = None
     if sampling:
         sampled = sampled_dimension(equations, at, rng)

@@ -21,19 +21,18 @@ Nothing of this looks at the types of joints, but only at their velocities and w
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.analysis.ends import ALONE, Held, Hold, Pair, center_of, held, line_of, off, pairs_of, turning_inside
+from kempe.analysis.ends import ALONE, Held, Hold, Pair, centers_of, held, line_through, off, pairs_of, turning_inside
 from kempe.analysis.graph import Structure, structure
 from kempe.analysis.rank import Rank
 from kempe.analysis.screws import Screws
 from kempe.analysis.series import between, edges_at, ends_of, in_loop, parts, rigid
-from kempe.description.parts import Constraint
+from kempe.description.parts import Constraint, Frame
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -99,11 +98,13 @@ def idle_freedoms(
     `driven` are the velocities that are known to be driven, besides joints marked so; None where nothing is known.
     """
     s, known = structure(system), driven is not None or any(e.actuated for e in structure(system).edges)
-    found = []
+    found, frames = [], None
     for spin in _spins(system, s, [r.screws for r in ranks], frozenset(driven or ())):
         group = _group(system, s, spin, known) if isinstance(spin.of, Pair) else _of_star(system, s, ranks[0], spin)
-        if group is not None and not _moves_a_frame(system, ranks[0], spin, group):
-            found.append((spin, group))
+        if group is not None:
+            frames = [*system.mechanism.frames.values()] if frames is None else frames
+            if not _moves_a_frame(system, frames, ranks[0], spin, group):
+                found.append((spin, group))
     found.sort(key=lambda f: len(f[1].bodies))  # small groups of bodies first: larger ones may move as their sums
     basis, out = np.zeros((system.nv, 0)), []
     for spin, group in found:
@@ -149,31 +150,18 @@ def _spins(system: System, s: Structure, at: Sequence[Screws], driven: frozenset
 
 def _axis(at: Screws, of: Pair | Held) -> tuple[Array, Array] | None:
     """Point and direction of the line that the group can turn about at all ends."""
-    centers, hinges = _centers(at, of), [hold for hold in of.holds if hold.end.hinge]
-    a = next((c for c, hold in zip(centers, of.holds, strict=False) if not hold.end.hinge), centers[0])
-    if hinges:
-        direction = line_of(at, hinges[0].ring, hinges[0].end.edges[0])[1]
-        assert direction is not None
-    else:
-        away = max((c - a for c in centers), key=lambda d: float(d @ d))
-        size = math.sqrt(away @ away)
-        if size < ALONE:
-            return None
-        direction = away / size
-    if any(off(c - a, direction) > ALONE for c in centers):
+    line = line_through(at, of)
+    if line is None:
         return None
-    for ring, end, _ in of.holds:
-        W = np.concatenate([at.twists[ring.edges[k]][3:, list(ring.own(k))] for k in end.edges], axis=1)
-        if not _spans(W, direction):
-            return None
-    return a, direction
+    balls = (hold for hold in of.holds if not hold.end.hinge)
+    return line if all(_spans(_axes(at, hold), line[1]) for hold in balls) else None
 
 
-def _centers(at: Screws, of: Pair | Held) -> list[Array]:
-    """The points that hold a group, relative to the screws' centre, in their unit."""
-    points = of.star.points if isinstance(of, Held) else ()
-    places = [(at.M if child else at.F)[i, :3, 3] for i, child in points]
-    return [center_of(at, h.ring, h.end) for h in of.holds] + [(p - at.center) / at.length for p in places]
+def _axes(at: Screws, hold: Hold) -> Array:
+    """Axes (3, n) of an end, in the sense in which its ring is passed."""
+    ring, end, _ = hold
+    W = [ring.signs[k] * at.twists[ring.edges[k]][3:, list(ring.own(k))] for k in end.edges]
+    return W[0] if len(W) == 1 else np.concatenate(W, axis=1)
 
 
 def _spans(W: Array, direction: Array) -> bool:
@@ -193,19 +181,19 @@ def _volume(W: Array) -> float:
 
 def _rates(at: Screws, hold: Hold, point: Array, direction: Array) -> dict[int, Array]:
     """Rates of all columns of an end's edges that turn the group about the axis; edges that rest are left out."""
-    ring, end, sign = hold
-    W = [ring.signs[k] * at.twists[ring.edges[k]][3:, list(ring.own(k))] for k in end.edges]
-    A = np.concatenate(W, axis=1)
+    (ring, end, sign), A, out, first = hold, _axes(at, hold), {}, 0
     if A.shape[1] == 3 and abs(_volume(A)) > INDEPENDENT:
         z = np.linalg.solve(A, sign * direction)
     else:
         z = np.asarray(np.linalg.lstsq(A, sign * direction, rcond=ALONE)[0], dtype=float)
     z[np.abs(z) < ALONE * np.abs(z).max()] = 0.0
-    out = {}
-    for k, part in zip(end.edges, np.split(z, np.cumsum([w.shape[1] for w in W])[:-1]), strict=True):
-        if part.any():
-            out[ring.edges[k]] = rates = np.zeros(at.twists[ring.edges[k]].shape[1])
-            rates[list(ring.own(k))] = part
+    for k in end.edges:
+        own = ring.own(k)
+        rates = np.zeros(at.twists[ring.edges[k]].shape[1])
+        rates[list(own)] = z[first : first + len(own)]
+        first += len(own)
+        if rates.any():
+            out[ring.edges[k]] = rates
     return out
 
 
@@ -254,7 +242,7 @@ def _of_star(system: System, s: Structure, rank: Rank, spin: _Spin) -> _Group | 
         joints.append(i)
     if len(set(outside)) == 1:
         return None
-    places = np.array(_centers(at, spin.of)) @ spin.direction
+    places = np.array(centers_of(at, spin.of)) @ spin.direction
     first = min(range(len(joints)), key=lambda k: joints[k])
     second = int(np.argmax(np.abs(places - places[first])))
     if second == first:  # all hinges have one origin
@@ -262,11 +250,11 @@ def _of_star(system: System, s: Structure, rank: Rank, spin: _Spin) -> _Group | 
     return _Group(frozenset(bodies), frozenset(links), (joints[first], joints[second]))
 
 
-def _moves_a_frame(system: System, rank: Rank, spin: _Spin, group: _Group) -> bool:
+def _moves_a_frame(system: System, frames: Sequence[Frame], rank: Rank, spin: _Spin, group: _Group) -> bool:
     """Whether a frame that somebody named does not stay where it is."""
     names, at, poses, bodies = system.body_names, rank.screws, None, group.bodies
     moving = bodies | group.links
-    for frame in system.mechanism.frames.values():
+    for frame in frames:
         body = names.index(frame.body)
         if body not in moving:
             continue
@@ -276,7 +264,7 @@ def _moves_a_frame(system: System, rank: Rank, spin: _Spin, group: _Group) -> bo
         if body in bodies:
             away = away - (away @ spin.direction) * spin.direction
         else:
-            away = min((away + spin.point - center for center in _centers(at, spin.of)), key=np.linalg.norm)
+            away = min((away + spin.point - center for center in centers_of(at, spin.of)), key=np.linalg.norm)
         if np.linalg.norm(away) > ALONE:
             return True
     return False

@@ -132,6 +132,7 @@ class Star:
     """
 
     bodies: frozenset[int]
+    slides: bool
     chains: tuple[Ring, ...]
     points: tuple[tuple[int, bool], ...]
     loose: tuple[int, ...]
@@ -161,9 +162,9 @@ def _star(
 ) -> Star | None:  # fmt: skip
     chains, points, loose, looped = [], [], [], in_loop(system)
     bodies = frozenset(np.flatnonzero(inside).tolist())
-    for i in edges_at(system, bodies) - {*edges}:
-        if not looped[i] and not rigid(s.edges[i]):
-            return None
+    sliding = [i for i in edges_at(system, bodies) - {*edges} if not rigid(s.edges[i])]
+    if not all(looped[i] for i in sliding):
+        return None
     for i in edges:
         e = s.edges[i]
         child = bool(inside[e.child])
@@ -180,7 +181,7 @@ def _star(
         if chain is None or not looped[i]:
             return None
         chains.append(chain)
-    return Star(bodies, tuple(chains), tuple(points), tuple(loose))
+    return Star(bodies, bool(sliding), tuple(chains), tuple(points), tuple(loose))
 
 
 def _outwards(
