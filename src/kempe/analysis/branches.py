@@ -190,7 +190,8 @@ def _spots(equations: Equations, at: Split, directions: Array) -> list[Spot]:
     """Points on the largest sphere sought in directions (n, nv)."""
     ring = on_sphere(equations, at.q, directions, RADII[0])
     found = np.flatnonzero(ring.good)
-    return [Spot(ring.offsets[None, i], reduction.split_matrix(ring.q[i], ring.jacobian[i])) for i in found]
+    splits = reduction.split_all(ring.q[found], ring.jacobian[found])
+    return [Spot(ring.offsets[None, i], split) for i, split in zip(found, splits, strict=True)]
 
 
 def _sort_in(equations: Equations, at: Split, families: list[Family], spots: list[Spot], counted: bool = True) -> None:
@@ -216,7 +217,7 @@ def _turns(equations: Equations, at: Split, spot: Spot) -> bool:
     along -= x[:, None] * (x @ along)
     d = x + ALONG * along.T / np.maximum(np.linalg.norm(along, axis=0), 1e-3)[:, None]
     ring = on_sphere(equations, at.q, d / np.linalg.norm(d, axis=1, keepdims=True), RADII[0])
-    kernels = [reduction.split_matrix(at.q, J).kernel for J in ring.jacobian[ring.good]]
+    kernels = (x.kernel for x in reduction.split_all(ring.q[ring.good], ring.jacobian[ring.good]))
     return any(apart(K, k) > TURNED for k in kernels if k.shape == K.shape)
 
 
@@ -228,9 +229,10 @@ def _shrink(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
         d = np.array([s.offsets[-1] for s in spots]) / before
         ring = on_sphere(equations, at.q, d, radius)
         good = ring.good & (np.linalg.norm(ring.offsets / radius - d, axis=1) < 0.5)
+        splits = reduction.split_all(ring.q, ring.jacobian)
         for i, spot in enumerate(spots):
             spot.offsets = np.concatenate([spot.offsets, ring.offsets[None, i]])
-            spot.near = reduction.split_matrix(ring.q[i], ring.jacobian[i]).kernel if good[i] else None
+            spot.near = splits[i].kernel if good[i] else None
         spots = [s for s, ok in zip(spots, good, strict=True) if ok]
     return spots
 

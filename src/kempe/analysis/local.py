@@ -287,8 +287,7 @@ def sampled_dimension(equations: Equations, at: Split, rng: np.random.Generator)
     if not good.any():
         return 0
     places: list[Split] = []
-    for p, J in zip(found.q[good], found.jacobian[good], strict=True):
-        here = reduction.split_matrix(p, J)
+    for here in reduction.split_all(found.q[good], found.jacobian[good]):
         if all(follow.apart(here.kernel, other.kernel) > follow.SAME_PLANE for other in places):
             places.append(here)
     return max(_kicked(equations, p, rng) for p in places[:6])
