@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from mode_oracles import Framework, Rssr, k33, prism, six_sps
+from own_joints import registered
 
 import kempe
 from kempe import Mechanism, System
 from kempe.description.placement import placement_of_pose
+from kempe.joints import JointType, P, Primitive
 from kempe.solvers.many_starts import estimates, must_be_even, search
 from kempe.solvers.modes import assembly_modes
 from kempe.spatial import exp_se3
@@ -125,6 +129,24 @@ def test_where_the_number_is_even_by_theorem():
     system = kempe.load("three_rrr")
     assert must_be_even(found(system, {n: system.q_dict(system.posture("closed"))[n] for n in ("A1", "A2", "A3")}))
     assert must_be_even(found(kempe.load("rssr"), {"A": 0.4}))
+
+
+@dataclass(frozen=True)
+class Sledge(JointType):
+    """Slides along y, then along x: a particle's place by another name."""
+
+    type_name = "sledge"
+    planar = True
+
+    def layout(self, dim: int = 3, particle: bool = False):
+        """Two slides."""
+        return ("y", "x"), (Primitive(P, "y", 0), Primitive(P, "x", 1))
+
+
+def test_places_of_particles_are_known_by_what_their_joints_do():
+    framework = k33(np.random.default_rng(0))
+    with registered([Sledge]):
+        assert must_be_even(found(framework.system("sledge")))
 
 
 def test_where_it_need_not_be():

@@ -12,7 +12,7 @@ from kempe.calls import brief, explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.tabular import Tabular
-from kempe.solvers.clusters import INSIDE, SAME, Clusters, Metric
+from kempe.solvers.clusters import INSIDE, SAME, Clusters, metric_of
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
 from kempe.solvers.words import counted
 from kempe.spatial import Array
@@ -246,7 +246,7 @@ def _answer(
     inside = np.all((v >= low - INSIDE) & (v <= high + INSIDE), axis=-1)
     keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
     if question.near is not None:
-        keep = keep[np.argsort(Metric(system).distances(q[keep], question.near), kind="stable")]
+        keep = keep[np.argsort(metric_of(system).distances(q[keep], question.near), kind="stable")]
     outside = len(q) - int(inside.sum())
     if outside:
         status += f"; {outside} {'are' if outside > 1 else 'is'} outside the limits"
