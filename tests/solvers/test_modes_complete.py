@@ -114,6 +114,19 @@ def test_a_known_spin_is_none():
     assert "idle" not in modes.status and not modes.freedoms.any()
 
 
+def test_a_search_that_ends_early_has_all_mirror_images():
+    """Starts that are at an end are no reason to leave out what is known for nothing."""
+    rng, seen = np.random.default_rng(8), set()
+    for _ in range(20):
+        f = k33(rng)
+        system = f.system()
+        found = assembly_modes(system, starts=12)
+        places = f.places(system, found.q)
+        assert missing(places, places * [1.0, -1.0]) == 0 and len(found) % 2 == 0
+        seen.add(bool((found.multiplicity == 0).any()))
+    assert True in seen
+
+
 # ---- parity
 
 

@@ -112,11 +112,13 @@ class Search:
             self._look(0)
 
     def complete(self) -> bool:
-        """Look for modes where those found suggest some; whether there are new ones."""
-        before = len(self.free)
-        isolated = np.flatnonzero(self.free == 0)
-        if not len(isolated):
+        """Look for modes where those found suggest some, mirror images last; whether there are new ones."""
+        before, modes = len(self.free), self.clusters.q[self.free == 0]
+        if not len(modes):
             return False
+        if len(modes) > 1:
+            self.take(mixed(self.system, modes, min(MIXED, 4 * len(modes)), np.random.default_rng(len(modes))), False)
+        isolated = np.flatnonzero(self.free == 0)
         modes = self.clusters.q[isolated]
         images = mirrored(self.system, modes)
         if len(images) == len(modes):
@@ -125,8 +127,6 @@ class Search:
             exact = error[good] < SAME
             for i, k in zip(isolated[good][exact], where[exact], strict=True):
                 self.twin[self.twin == self.twin[max(i, k)]] = self.twin[min(i, k)]
-        if len(modes) > 1:
-            self.take(mixed(self.system, modes, min(MIXED, 4 * len(modes)), np.random.default_rng(len(modes))), False)
         return len(self.free) > before
 
     def settled(self) -> bool:
@@ -158,6 +158,8 @@ def search(
         hits = s.hits
         if s.tried >= MANY and len(hits) and share_found(hits) < HOPELESS:
             break
+    else:
+        s.complete()  # what those found suggest costs next to nothing
     s.odd = s.is_odd()
     return s
 
