@@ -185,6 +185,60 @@ def hinges(r: Rods, ground: str) -> None:
         r.world.turn(a, b, p, r.axis())
 
 
+def beam(r: Rods, ground: str) -> None:
+    """A bar on three balls or more in one line, held by several arms, perhaps telescopic; or bent: then none spins."""
+    p, d, n = r.point(), r.axis(), int(r.rng.integers(3, 6))
+    bent = r.rng.random() < 0.3
+    bar = [r.name("bar")]
+    if r.rng.random() < 0.3 and not bent:
+        bar.append(r.name("bar"))
+        r.world.slide(bar[0], bar[1], d, p)
+    arms = [r.arm(ground), *(ground if r.rng.random() < 0.3 else r.arm(ground) for _ in range(n - 1))]
+    where = 0.5 * np.arange(n) + r.rng.uniform(0, 0.2, n)
+    for k in range(n):
+        r.ball(arms[k], bar[min(k % 2, len(bar) - 1)], p + where[k] * d + (r.point(0.3) if bent and k < 2 else 0.0))
+    r.idle += [] if bent else [frozenset(bar)]
+
+
+def spindle(r: Rods, ground: str) -> None:
+    """A shaft in bearings on one axis, and a ball on it, held by different arms; perhaps driven, or with a wheel."""
+    p, d, shaft = r.point(), r.axis(), r.name("shaft")
+    kind, marked = int(r.rng.integers(3)), {}
+    if kind == 1:
+        marked = {"actuated": True}
+    r.world.turn(ground, shaft, p, d, **marked)
+    r.world.joint("cylindrical", r.arm(ground), shaft, p + 0.3 * d, d)
+    r.world.ball(r.arm(ground), shaft, p + 0.7 * d)
+    if kind == 2:
+        r.world.turn(shaft, r.name("wheel"), r.point(), r.axis())
+    r.idle += [frozenset({shaft})] if kind == 0 else []
+
+
+def floating(r: Rods, ground: str) -> None:
+    """A bar that is held by nothing but massless rods at points of a line; or a plate."""
+    bar, p, d = r.name("bar"), r.point(), r.axis()
+    plate = r.rng.random() < 0.3
+    r.world.joint("free", ground, bar, r.point(), r.axis(), **({"angles": True} if r.rng.random() < 0.5 else {}))
+    for k in range(int(r.rng.integers(3, 6))):
+        holder = ground if r.rng.random() < 0.5 else r.arm(ground)
+        r.world.rod(holder, bar, r.point(), p + k * 0.3 * d + (r.point(0.3) if plate else 0.0))
+    r.idle += [] if plate else [frozenset({bar})]
+
+
+def tethered(r: Rods, ground: str) -> None:
+    """A bar on a ball, whose other end a massless rod, a line or a plane holds; the line and the plane may be on it."""
+    arm, bar, p, q = r.arm(ground), r.name("bar"), r.point(), r.point()
+    r.ball(arm, bar, p)
+    kind = int(r.rng.integers(4))
+    if kind == 0:
+        r.world.rod(*((ground, bar, r.point(), q) if r.rng.random() < 0.5 else (bar, ground, q, r.point())))
+    elif kind == 1:
+        r.world.line(ground, bar, q, r.axis())
+    else:
+        r.world.plane(*((ground, bar) if kind == 2 else (bar, ground)), q, r.axis())
+    r.idle += [frozenset({bar})] if kind < 3 else []
+
+
 def door(r: Rods, ground: str) -> None:
     """A body between two balls of one part."""
     body = r.name("door")
@@ -193,7 +247,7 @@ def door(r: Rods, ground: str) -> None:
 
 
 UNITS: tuple[Callable[[Rods, str], None], ...] = (
-    rssr, rusr, leg, strut, carrier, motor, tied, engine, dome, hinges, door,
+    rssr, rusr, leg, strut, carrier, motor, tied, engine, dome, hinges, door, beam, spindle, floating, tethered,
 )  # fmt: skip
 
 

@@ -21,11 +21,11 @@ class Framework:
     def free(self) -> list[int]:
         return [i for i in range(len(self.points)) if i not in self.pinned]
 
-    def system(self) -> System:
+    def system(self, place: str = "translation") -> System:
         m = Mechanism("framework", dim=2)
         for i in self.free:
             m.particle(f"p{i}")
-            m.joint(f"at p{i}", "translation", m.ground, f"p{i}")
+            m.joint(f"at p{i}", place, m.ground, f"p{i}")
         for n, (i, k) in enumerate(self.edges):
             i, k = (k, i) if k in self.pinned else (i, k)
             length = float(np.linalg.norm(self.points[i] - self.points[k]))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from mode_oracles import Framework, Rssr, k33, prism, six_sps
+from own_joints import registered
 
 import kempe
 from kempe import Mechanism, System
 from kempe.description.placement import placement_of_pose
+from kempe.joints import JointType, P, Primitive
 from kempe.solvers.many_starts import estimates, must_be_even, search
 from kempe.solvers.modes import assembly_modes
 from kempe.spatial import exp_se3
@@ -110,6 +114,19 @@ def test_a_known_spin_is_none():
     assert "idle" not in modes.status and not modes.freedoms.any()
 
 
+def test_a_search_that_ends_early_has_all_mirror_images():
+    """Starts that are at an end are no reason to leave out what is known for nothing."""
+    rng, seen = np.random.default_rng(8), set()
+    for _ in range(20):
+        f = k33(rng)
+        system = f.system()
+        found = assembly_modes(system, starts=12)
+        places = f.places(system, found.q)
+        assert missing(places, places * [1.0, -1.0]) == 0 and len(found) % 2 == 0
+        seen.add(bool((found.multiplicity == 0).any()))
+    assert True in seen
+
+
 # ---- parity
 
 
@@ -125,6 +142,24 @@ def test_where_the_number_is_even_by_theorem():
     system = kempe.load("three_rrr")
     assert must_be_even(found(system, {n: system.q_dict(system.posture("closed"))[n] for n in ("A1", "A2", "A3")}))
     assert must_be_even(found(kempe.load("rssr"), {"A": 0.4}))
+
+
+@dataclass(frozen=True)
+class Sledge(JointType):
+    """Slides along y, then along x: a particle's place by another name."""
+
+    type_name = "sledge"
+    planar = True
+
+    def layout(self, dim: int = 3, particle: bool = False):
+        """Two slides."""
+        return ("y", "x"), (Primitive(P, "y", 0), Primitive(P, "x", 1))
+
+
+def test_places_of_particles_are_known_by_what_their_joints_do():
+    framework = k33(np.random.default_rng(0))
+    with registered([Sledge]):
+        assert must_be_even(found(framework.system("sledge")))
 
 
 def test_where_it_need_not_be():

@@ -81,6 +81,13 @@ class Family:
     spots: list[Spot]
     cone: bool = False
     hits: int = 1
+    opposite: Family | None = None
+    """The family on the other side of the configuration: what a curve through it is there."""
+
+    @property
+    def found(self) -> int:
+        """How many starts led to this side or to the other."""
+        return self.hits + (0 if self.opposite in (None, self) else self.opposite.hits)
 
     def holds(self, spot: Spot) -> bool:
         """Whether a point is of this family."""
@@ -91,9 +98,9 @@ class Family:
             return _same(first.offsets[0], spot.offsets[0])
         return apart(first.split.kernel, spot.split.kernel) < SAME_PLANE
 
-    def add(self, spot: Spot) -> None:
+    def add(self, spot: Spot, hits: int) -> None:
         """Count a point, and keep it if it is new and few are there."""
-        self.hits += 1
+        self.hits += hits
         if len(self.spots) < MOST_KEPT and not any(_same(s.offsets[0], spot.offsets[0]) for s in self.spots):
             self.spots.append(spot)
 
@@ -130,23 +137,36 @@ def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[lis
 
     The part of the branches, by how often random starts lead to them, that was never hit is about the number of
     families hit once over the number of starts (Good, 1953): so the search ends when there is none hit that rarely.
+    A curve is hit on either side, for the other side is looked for at once.
     """
     families: list[Family] = []
     starts = 0
     while starts < MOST_STARTS:
         d = reduction.unit_directions(rng, BATCH, at.delta) @ at.kernel.T
-        starts += len(d)
+        starts, known = starts + len(d), len(families)
         _sort_in(equations, at, families, _spots(equations, at, d))
-        if starts >= 2 * BATCH and all(f.hits > ENOUGH for f in families):
+        _look_across(equations, at, families, families[known:])
+        if starts >= 2 * BATCH and all(f.found > ENOUGH for f in families):
             break
-    across = [-s.offsets[0] / RADII[0] for f in families for s in f.spots]
-    if across:
-        _sort_in(equations, at, families, _spots(equations, at, np.array(across)))
     followed = {id(s) for s in _shrink(equations, at, [s for f in families for s in f.spots])}
     for family in families:
         family.spots = [s for s in family.spots if id(s) in followed]
     families = _joined([f for f in families if f.spots])
-    return families, all(f.hits > 1 for f in families)
+    return families, all(f.found > 1 for f in families)
+
+
+def _look_across(equations: Equations, at: Split, families: list[Family], new: list[Family]) -> None:
+    """Add what is on the other side of the first points of new families."""
+    if not new:
+        return
+    ring = on_sphere(equations, at.q, np.array([-f.spots[0].offsets[0] / RADII[0] for f in new]), RADII[0])
+    for i in np.flatnonzero(ring.good):
+        spot = Spot(ring.offsets[None, i], reduction.split_matrix(ring.q[i], ring.jacobian[i]))
+        _sort_in(equations, at, families, [spot], False)
+        other = next((f for f in families if any(s is spot for s in f.spots)), None)
+        other = other or next((f for f in families if not f.cone and f.holds(spot)), None)
+        if other is not None:
+            new[i].opposite, other.opposite = other, new[i] if other.opposite is None else other.opposite
 
 
 def _joined(families: list[Family]) -> list[Family]:
@@ -170,22 +190,24 @@ def _spots(equations: Equations, at: Split, directions: Array) -> list[Spot]:
     """Points on the largest sphere sought in directions (n, nv)."""
     ring = on_sphere(equations, at.q, directions, RADII[0])
     found = np.flatnonzero(ring.good)
-    return [Spot(ring.offsets[None, i], reduction.split_matrix(ring.q[i], ring.jacobian[i])) for i in found]
+    splits = reduction.split_all(ring.q[found], ring.jacobian[found])
+    return [Spot(ring.offsets[None, i], split) for i, split in zip(found, splits, strict=True)]
 
 
-def _sort_in(equations: Equations, at: Split, families: list[Family], spots: list[Spot]) -> None:
+def _sort_in(equations: Equations, at: Split, families: list[Family], spots: list[Spot], counted: bool = True) -> None:
     """Add points to the family that holds them, or make one; all points of cones of one dimension are a family."""
+    hit = int(counted)
     for spot in spots:
         held = next((f for f in families if not f.cone and f.holds(spot)), None)
         if held is None and spot.split.delta > 1 and _turns(equations, at, spot):
             held = next((f for f in families if f.cone and f.spots[0].split.delta == spot.split.delta), None)
             if held is None:
-                families.append(Family([spot], cone=True))
+                families.append(Family([spot], cone=True, hits=hit))
                 continue
         if held is None:
-            families.append(Family([spot]))
+            families.append(Family([spot], hits=hit))
         else:
-            held.add(spot)
+            held.add(spot, hit)
 
 
 def _turns(equations: Equations, at: Split, spot: Spot) -> bool:
@@ -195,7 +217,7 @@ def _turns(equations: Equations, at: Split, spot: Spot) -> bool:
     along -= x[:, None] * (x @ along)
     d = x + ALONG * along.T / np.maximum(np.linalg.norm(along, axis=0), 1e-3)[:, None]
     ring = on_sphere(equations, at.q, d / np.linalg.norm(d, axis=1, keepdims=True), RADII[0])
-    kernels = [reduction.split_matrix(at.q, J).kernel for J in ring.jacobian[ring.good]]
+    kernels = (x.kernel for x in reduction.split_all(ring.q[ring.good], ring.jacobian[ring.good]))
     return any(apart(K, k) > TURNED for k in kernels if k.shape == K.shape)
 
 
@@ -207,9 +229,10 @@ def _shrink(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
         d = np.array([s.offsets[-1] for s in spots]) / before
         ring = on_sphere(equations, at.q, d, radius)
         good = ring.good & (np.linalg.norm(ring.offsets / radius - d, axis=1) < 0.5)
+        splits = reduction.split_all(ring.q, ring.jacobian)
         for i, spot in enumerate(spots):
             spot.offsets = np.concatenate([spot.offsets, ring.offsets[None, i]])
-            spot.near = reduction.split_matrix(ring.q[i], ring.jacobian[i]).kernel if good[i] else None
+            spot.near = splits[i].kernel if good[i] else None
         spots = [s for s, ok in zip(spots, good, strict=True) if ok]
     return spots
 

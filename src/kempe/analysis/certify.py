@@ -110,23 +110,53 @@ def _bend(size: LoopSizes, at: Screws, D: float) -> float:
 # ---- one proof for all clusters
 
 
-def proven(
-    system: System, equations: Equations, q: Array, order: int, tangents: Sequence[Array] | None = None
-) -> Proof | None:  # fmt: skip
-    """The dimension of the closed configurations at q (nq,), if it can be proven; else None.
+class Prover:
+    """Proofs of dimensions at one closed configuration q (nq,)."""
 
-    `tangents` (nv, k), in scaled coordinates, span motions that were found: where to look. Without them forms are not
-    looked at: only manifolds of as many dimensions as the kernel has are proven.
-    """
-    rng = np.random.default_rng(0)  # what is proven depends on no seed
-    value, jacobian = (x[0] for x in equations.linearise(q))
-    s, at = structure(system), screws(system, q)
-    found = [Proof(system.nv - sum(len(c.velocities) for c in s.clusters), 1, "")]
-    for part in _parts(system, s, at, equations, jacobian):
-        proof = _prove(s, at, equations, q, part, value, jacobian, order, rng, tangents)
-        if proof is None:
-            return None
-        found.append(proof)
+    def __init__(self, system: System, equations: Equations, q: Array):
+        self.system, self.equations, self.q = system, equations, q
+        self.structure, self.at = structure(system), screws(system, q)
+        self.value, self.jacobian = (x[0] for x in equations.linearise(q))
+        self.parts = _parts(system, self.structure, self.at, equations, self.jacobian)
+        self.manifolds: dict[int, Proof | _Open | None] = {}
+
+    def manifold(self) -> Proof | None:
+        """The dimension, if it is proven to be a manifold of as many dimensions as the kernel has; else None."""
+        found = []
+        for k in range(len(self.parts)):
+            proof = self._manifold(k)
+            if not isinstance(proof, Proof):
+                return None
+            found.append(proof)
+        return self._sum(found)
+
+    def dimension(self, order: int, tangents: Sequence[Array]) -> Proof | None:
+        """The dimension, if it can be proven, by forms too; `tangents` (nv, k), in scaled coordinates, span motions
+        that were found: where to look."""  # fmt: skip
+        found, rng = [], np.random.default_rng(0)  # what is proven depends on no seed
+        for k, part in enumerate(self.parts):
+            proof = self._manifold(k)
+            if isinstance(proof, _Open):
+                proof = _by_forms(self.equations, self.q, part, proof, order, rng, tangents)
+            if proof is None:
+                return None
+            found.append(proof)
+        return self._sum(found)
+
+    def _manifold(self, k: int) -> Proof | _Open | None:
+        """The proof for one cluster, what it leaves open, or None where nothing can be proven; found once."""
+        if k not in self.manifolds:
+            self.manifolds[k] = _prove(
+                self.structure, self.at, self.equations, self.q, self.parts[k], self.value, self.jacobian
+            )
+        return self.manifolds[k]
+
+    def _sum(self, found: Sequence[Proof]) -> Proof:
+        return _sum([Proof(self.system.nv - sum(len(p.columns) for p in self.parts), 1, ""), *found])
+
+
+def _sum(found: Sequence[Proof]) -> Proof:
+    """Dimensions add up, and numbers of branches multiply."""
     total = sum(p.dim for p in found)
     counts = [1 if p.branches == 0 else p.branches for p in found]  # what rests multiplies none
     count = None if None in counts else int(np.prod([n for n in counts if n is not None])) if total else 0
@@ -180,11 +210,17 @@ def _group(
     return U if np.abs(J - U @ (U.T @ J)).max(initial=0.0) < 1e-10 else np.eye(rows)
 
 
+class _Open(NamedTuple):
+    """A cluster that is not proven to be a manifold, with a dimension that is proven from below."""
+
+    here: forms.Here
+    lower: int
+
+
 def _prove(
-    s: Structure, at: Screws, equations: Equations, q: Array, part: Part, value: Array, J: Array, order: int,
-    rng: np.random.Generator, tangents: Sequence[Array] | None,
-) -> Proof | None:  # fmt: skip
-    """The dimension of one cluster."""
+    s: Structure, at: Screws, equations: Equations, q: Array, part: Part, value: Array, J: Array
+) -> Proof | _Open | None:  # fmt: skip
+    """The dimension of one cluster, if it is a manifold; None where nothing can be proven."""
     here = forms.split_of(q, J, np.hstack(part.rows), part.columns)
     A, delta, corank = here.matrix, here.split.delta, here.split.corank
     own = here.basis.T @ value
@@ -197,15 +233,21 @@ def _prove(
         return None
     if here.exact and _two_groups(s, at, part.cluster):
         return Proof(delta, 1, "both chains of the loop fill a group of motions")
-    spans = [here.split.kernel, *(_within(t, part.columns) for t in tangents or ())]
-    lower = families.dimension(equations, q, spans)
+    lower = families.dimension(equations, q, [here.split.kernel])
     if lower == delta:
         return Proof(delta, 1, "angles in fixed ratios keep all loops closed")
     if delta == 1 and _half_angles(s, at, equations, q, part.cluster, here.split.kernel[:, 0]):
         return Proof(1, 1, "tangents of half angles in fixed ratios keep the loop closed")
-    if tangents is None:
-        return None
-    found = forms.decide(equations, here, part.rows, part.uses, lower, order, rng, tangents)
+    return _Open(here, lower)
+
+
+def _by_forms(
+    equations: Equations, q: Array, part: Part, known: _Open, order: int, rng: np.random.Generator,
+    tangents: Sequence[Array],
+) -> Proof | None:  # fmt: skip
+    """The dimension of one cluster, if leading forms decide."""
+    lower = max(known.lower, families.dimension(equations, q, [_within(t, part.columns) for t in tangents]))
+    found = forms.decide(equations, known.here, part.rows, part.uses, lower, order, rng, tangents)
     return None if found is None else Proof(*found)
 
 
@@ -238,17 +280,28 @@ def _two_groups(s: Structure, at: Screws, c: Cluster) -> bool:
         return False
     n, twists = len(path), np.concatenate([at.twists[i] for i in path], axis=1)
     first = np.cumsum([0, *(at.twists[i].shape[1] for i in path)]).tolist()
-    columns = list(range(first[-1])) * 2
-    parallel, meeting = _side_by_side(twists)
+    first += [first[-1] + x for x in first[1:]]
+    columns = list(range(first[n])) * 2
+    alike = [mask.tolist() for mask in _side_by_side(twists)]
+    # from column i on, how many are alike in pairs
+    runs = [max(_run(mask, columns, i) for mask in alike) for i in range(len(columns))]
+
+    def may(i: int, k: int) -> bool:
+        return first[k] - first[i] > 5 or runs[first[i]] >= first[k] - first[i]
 
     def fills(i: int, k: int) -> bool:
-        end = first[k] if k <= n else first[-1] + first[k - n]
-        own = columns[first[i] : end]
-        among = np.ix_(own, own)
-        possible = len(own) > 5 or parallel[among].all() or meeting[among].all()
-        return bool(possible) and fills_group(twists[:, own], SAME, forms.CLEAR)
+        return fills_group(twists[:, columns[first[i] : first[k]]], SAME, forms.CLEAR)
 
-    return any(fills(i, k) and fills(k, i + n) for i in range(n) for k in range(i + 1, n))
+    pairs = [(i, k) for i in range(n) for k in range(i + 1, n) if may(i, k) and may(k, i + n)]
+    return any(fills(i, k) and fills(k, i + n) for i, k in pairs)
+
+
+def _run(alike: list[list[bool]], columns: list[int], first: int) -> int:
+    """How many columns from the first on are alike, each with itself and all others; more than five do not matter."""
+    for k in range(first, min(first + 6, len(columns))):
+        if not all(alike[columns[k]][columns[i]] for i in range(first, k + 1)):
+            return k - first
+    return min(6, len(columns) - first)
 
 
 def _side_by_side(twists: Array) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ import numpy as np
 from kempe.analysis.graph import structure
 from kempe.analysis.rank import NOTHING, Rank
 from kempe.errors import InputError, UnknownNameError
+from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -48,13 +49,13 @@ class Control:
 
     def __str__(self) -> str:
         who = " and ".join(self.actuated) if len(self.actuated) < 3 else ", ".join(self.actuated)
-        one = len(self.actuated) == 1
+        one, useful = len(self.actuated) == 1, counted(self.useful, "freedom")
         if not self.actuated:
-            return "no joint is actuated" + (f": {_freedoms(self.useful)} not controlled" if self.useful else "")
+            return "no joint is actuated" + (f": {useful} not controlled" if self.useful else "")
         if self.complete:
-            text = f"{who} control{'s' if one else ''} the mechanism ({_freedoms(self.useful)})"
+            text = f"{who} control{'s' if one else ''} the mechanism ({useful})"
         else:
-            text = f"{who} control{'s' if one else ''} {self.controlled} of {_freedoms(self.useful)}"
+            text = f"{who} control{'s' if one else ''} {self.controlled} of {useful}"
         if self.excess:
             text += f"; {self.excess} of the {len(self.actuated)} actuated coordinates depend{'s' * (self.excess == 1)}"
             text += " on the others (redundant actuation)"
@@ -153,7 +154,3 @@ def motion_text(motion: dict[str, float]) -> str:
     ordered = sorted(motion.items(), key=lambda kv: (-abs(round(kv[1], 9)), kv[0]))
     more = ", ..." if len(ordered) > 8 else ""
     return ", ".join(f"{n} {x:.3g}" for n, x in ordered[:8]) + more
-
-
-def _freedoms(n: int) -> str:
-    return f"{n} freedom{'' if n == 1 else 's'}"

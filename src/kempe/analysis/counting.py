@@ -17,6 +17,7 @@ import numpy as np
 
 from kempe.analysis.graph import Edge, Structure, rows_of, structure
 from kempe.description.parts import Constraint
+from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -131,13 +132,9 @@ def _taken_text(
     takes: Sequence[tuple[int, str, Edge]], held: Sequence[tuple[int, str]], taken: int, free: int, gruebler: int
 ) -> str:
     groups = Counter((what, n) for n, what, _ in takes)
-    parts = [f"{_several(k, what)} x {n}" for (what, n), k in groups.items()]
-    parts += [f"{_several(n, what)} x 1" for n, what in held]
+    parts = [f"{counted(k, what)} x {n}" for (what, n), k in groups.items()]
+    parts += [f"{counted(n, what)} x 1" for n, what in held]
     return f"Taken away are {' + '.join(parts)} = {taken}, which leaves {free} - {taken} = {gruebler}." if parts else ""
-
-
-def _several(n: int, what: str) -> str:
-    return f"{n} {what}{'s' if n > 1 else ''}"
 
 
 def _lecture_text(
@@ -165,7 +162,7 @@ def _lecture_text(
         who = "Each body is held by one joint"
     if held:
         how = "take away one each" if more > 1 else "takes away one"
-        who += f", and {' and '.join(_several(n, what) for n, what in held)} {how}"
+        who += f", and {' and '.join(counted(n, what) for n, what in held)} {how}"
     return f"{who}: {text} = {gruebler}."
 
 

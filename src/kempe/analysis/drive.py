@@ -24,6 +24,7 @@ from kempe.calls import explained, explained_methods, flag
 from kempe.errors import InputError
 from kempe.kinematics.tabular import write_table
 from kempe.reals import reals
+from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -103,7 +104,7 @@ class Drive(Configurations):
         text = f"{len(self)} samples, {len(self.singular_points)} change points passed"
         if self.toggles:
             count = int(self.held.sum())
-            text += f"; at {count} sample{'s' * (count > 1)} the inputs cannot be reached and the last pose is held"
+            text += f"; at {counted(count, 'sample')} the inputs cannot be reached and the last pose is held"
         if self.jumps:
             text += f"; it jumps at samples {', '.join(str(k) for k, _ in self.jumps)}"
         return text + (" (interrupted: this is the part that was done)" if self.interrupted else "")

@@ -13,7 +13,7 @@ import numpy as np
 
 from kempe.analysis.graph import Structure
 from kempe.analysis.screws import Screws
-from kempe.analysis.series import Ring, rings
+from kempe.analysis.series import Ring, Star, rings, stars
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -34,12 +34,32 @@ class End(NamedTuple):
     hinge: bool
 
 
+class Hold(NamedTuple):
+    """An end, and the sense in which its ring is passed: +1 towards what it holds, -1 from there."""
+
+    ring: Ring
+    end: End
+    sign: float
+
+
 class Pair(NamedTuple):
     """Two ends of a ring between which something may spin."""
 
     ring: Ring
     left: End
     right: End
+
+    @property
+    def holds(self) -> tuple[Hold, ...]:
+        """Both ends."""
+        return Hold(self.ring, self.left, 1.0), Hold(self.ring, self.right, -1.0)
+
+
+class Held(NamedTuple):
+    """A star with its ends."""
+
+    star: Star
+    holds: tuple[Hold, ...]
 
 
 def pairs_of(system: System, s: Structure, at: Screws, driven: frozenset[int]) -> list[Pair]:
@@ -68,6 +88,25 @@ def _of_ring(s: Structure, at: Screws, ring: Ring) -> Iterator[Pair]:
             turning_inside(s, ring, p, q) or _one_of_many(s, at, ring, pair)
         ):
             yield pair
+
+
+def held(system: System, s: Structure, at: Screws, driven: frozenset[int]) -> list[Held]:
+    """Stars with their ends, which do not depend on the configuration either; nor does, without slides, their line."""
+    key = ("analysis stars", driven)
+    found = system._queries.get(key)
+    if found is None:
+        found = system._queries[key] = []
+        for star in stars(system, driven):
+            holds = []
+            for ring in star.chains:
+                meets = [_meet(s, at, ring, k, k + 1) for k in range(len(ring.edges) - 1)]
+                holds.append(Hold(ring, _grow(ring, meets, 0, 1), -1.0))
+            simple = all(len(h.end.edges) == 1 for h in holds)
+            if not simple and any(h.end.hinge for h in holds):  # it may be a spherical linkage
+                continue
+            if star.slides or line_through(at, Held(star, tuple(holds))) is not None:
+                found.append(Held(star, tuple(holds)))
+    return found
 
 
 class _Meeting(NamedTuple):
@@ -164,5 +203,34 @@ def _one_of_many(s: Structure, at: Screws, ring: Ring, pair: Pair) -> bool:
 
 def center_of(at: Screws, ring: Ring, end: End) -> Array:
     """The point that all axes of an end go through, relative to the screws' centre, in their unit."""
-    point, axis = line_of(at, ring, end.edges[0])
-    return (point - at.center) / at.length + (0.0 if axis is None else end.along * axis)
+    k = end.edges[0]
+    point = (at.M[ring.edges[k], :3, 3] - at.center) / at.length
+    axis = line_of(at, ring, k)[1] if len(ring.own(k)) == 1 else None
+    return point if axis is None else point + end.along * axis
+
+
+def centers_of(at: Screws, of: Pair | Held) -> list[Array]:
+    """The points that hold a group, relative to the screws' centre, in their unit."""
+    points = of.star.points if isinstance(of, Held) else ()
+    places = [(at.M if child else at.F)[i, :3, 3] for i, child in points]
+    return [center_of(at, h.ring, h.end) for h in of.holds] + [(p - at.center) / at.length for p in places]
+
+
+def line_through(at: Screws, of: Pair | Held) -> tuple[Array, Array] | None:
+    """A point and the direction of the line through all points that hold a group, and along all hinges that do."""
+    centers = centers_of(at, of)
+    a, direction = next((c for c, hold in zip(centers, of.holds, strict=False) if not hold.end.hinge), centers[0]), None
+    for ring, end, _ in of.holds:
+        along = line_of(at, ring, end.edges[0])[1] if end.hinge else None
+        direction = along if direction is None else direction
+        if along is not None and direction is not None and off(along, direction) > ALONE:
+            return None
+    if direction is None:
+        away = centers[1] - a if len(centers) == 2 else max((c - a for c in centers), key=lambda d: float(d @ d))
+        size = math.sqrt(away @ away)
+        if size < ALONE:
+            return None
+        direction = away / size
+        if len(centers) == 2:
+            return a, direction
+    return None if any(off(c - a, direction) > ALONE for c in centers) else (a, direction)

@@ -41,7 +41,7 @@ def dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
             continue
         s = np.random.default_rng(0).uniform(-np.pi, np.pi, size=(POINTS, k)) * PARTS
         value = evaluate(e.system, e.move(q, s @ K.T), False, True)[0]
-        if np.abs(value).max(initial=0.0) < ZERO * (1.0 + np.abs(K).sum() * PARTS):
+        if np.abs(value).max(initial=0.0) < ZERO:
             best = k
     return best
 

@@ -104,7 +104,7 @@ def decide(
         return 0, 0, "second-order terms of one sign obstruct all velocities"
     t = at.delta - lower
     if _no_zero(B, t, rng) or _holding(equations, here, rows, uses, lower, order, rng):
-        return lower, 0 if lower == 0 else None, "leading forms of the reduced equations have no more zeros"
+        return lower, 0 if lower == 0 else None, "the zeros of the leading forms have no more dimensions"
     return None
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from kempe.analysis import branches as follow
 from kempe.analysis import reduction
 from kempe.analysis.branches import Branch
-from kempe.analysis.certify import Proof, proven
+from kempe.analysis.certify import Proof, Prover
 from kempe.analysis.equations import Equations
 from kempe.analysis.reduction import Split
 from kempe.errors import InputError
@@ -39,8 +39,9 @@ WALK, FAINT = tuple(0.1 * k for k in range(1, 11)), 1e-6
 a high order has none to be seen before, while a motion that turns back leaves a large one beyond."""
 STAYS = 0.3
 """Part of the kick that remains, where it was along a motion; the rest has collapsed."""
-CLEAR_GAP = 1e3
-"""Ratio of singular values, on both sides of the rank tolerance, from which the rank is beyond doubt."""
+CLEAR_GAP, ROUNDING = 1e3, 1e-14
+"""Ratio of singular values, on both sides of the rank tolerance, from which the rank is beyond doubt; and the part of
+the largest up to which those that count as zero are rounding, with certainty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +56,8 @@ class LocalDimension:
 
     `certain` says that `dim` is proven, for the mechanism in which what is zero to rounding is zero; `proof` names the
     theorem. Otherwise `dim` is what Taylor coefficients to `order` and the second method say. `counted` says that the
-    number of branches is proven, too; otherwise these were found. `doubts` names disagreements of the methods, and
-    numbers too near their tolerance.
+    number of branches is proven, too; otherwise these were found, and `more` says why there may be others. `doubts`
+    names disagreements of the methods, and numbers too near their tolerance: none where `dim` is proven.
     """
 
     dim: int
@@ -72,6 +73,7 @@ class LocalDimension:
     sampled: int | None
     certain: bool
     doubts: tuple[str, ...] = ()
+    more: tuple[str, ...] = ()
     proof: str = ""
     counted: bool = False
     q: Array = field(default_factory=lambda: np.zeros(0), repr=False)
@@ -90,7 +92,7 @@ class LocalDimension:
         head = f"true local DoF {self.dim}" + ("" if self.certain else f" (to order {self.order}, not proven)")
         text = [f"{head}; rank DoF {self.rank_dim}", self.method]
         if len(self.branches) > 1 or any(b.dim != self.rank_dim or b.cusp or b.cone for b in self.branches):
-            text.append("branches: " + ", ".join(_describe(b) for b in self.branches))
+            text.append("; ".join(["branches: " + ", ".join(_describe(b) for b in self.branches), *self.more]))
         return "; ".join([*text, *([f"proven: {self.proof}"] if self.proof else []), *self.doubts])
 
 
@@ -144,22 +146,25 @@ def _found(
     """The answer at a configuration whose coordinates are regular."""
     equations = _equations(system)
     at = reduction.split(equations, _closed(equations, q), tolerance)
-    proof = proven(system, equations, at.q, order)
-    doubts = [] if at.gap >= CLEAR_GAP else [f"singular values differ by a factor {at.gap:.1g} only across the rank"]
+    prover = Prover(system, equations, at.q)
+    proof = prover.manifold()
+    doubts, more = _doubts(at), []
     if at.corank == 0 or at.delta == 0 or (proof is not None and proof.dim == at.delta):
         why = "the equations are independent: a manifold by the implicit function theorem"
         if at.corank and at.delta:
             why = "a manifold, though some equations depend on others"
         if at.delta == 0:
             why = "the Jacobian has no kernel: rigid, to first order"
-        return _answer(equations, at, order, tolerance, [_whole(equations, at)], True, None, why, doubts, None, proof)
+        whole = [_whole(equations, at)]
+        return _answer(equations, at, order, tolerance, whole, True, None, why, (doubts, more), None, proof)
     found = reduction.obstruction(equations, at, order, rng)
     k = found.order
     if found.doubt:
         doubts.append(f"a Taylor coefficient {found.doubt:.1g} is neither zero nor clearly not")
     if k is None:
         found, smooth = [_whole(equations, at)], True
-        why = f"no obstruction to order {order} (below {reduction.ZERO:g}): a manifold, to that order"
+        why = f"no velocity is obstructed to order {order} (coefficients below {reduction.ZERO:g})"
+        why += ": a manifold, to that order"
         reached, faded = _walked(equations, at, rng) if sampling else (0.0, False)
         if faded:
             doubts.append(f"the motion fades at a distance of {reached:.1g}: it may be shaky of an order above {order}")
@@ -169,17 +174,27 @@ def _found(
         found, smooth = [], False
         why = f"isolated: the only velocity is obstructed at order {k} (shaky of order {k - 1})"
     else:
-        found, smooth = _branches(equations, at, order, rng, doubts), False
-        why = f"obstruction of order {k}; branches followed on spheres of radius {follow.RADII[0]:g}"
+        found, smooth = _branches(equations, at, order, rng, doubts, more), False
+        why = f"some velocities are obstructed at order {k}; branches followed on spheres of radius {follow.RADII[0]:g}"
     if proof is None and k is not None:
-        proof = proven(system, equations, at.q, order, [b.tangent / equations.scale[:, None] for b in found])
+        proof = prover.dimension(order, [b.tangent / equations.scale[:, None] for b in found])
     sampled = None
     if sampling:
         sampled = sampled_dimension(equations, at, rng)
         truth = max((b.dim for b in found), default=0)
         if sampled != truth:
             doubts.append(f"sampling finds dimension {sampled}, following branches {truth}")
-    return _answer(equations, at, order, tolerance, found, smooth, k, why, doubts, sampled, proof)
+    return _answer(equations, at, order, tolerance, found, smooth, k, why, (doubts, more), sampled, proof)
+
+
+def _doubts(at: Split) -> list[str]:
+    """What speaks against the rank."""
+    if at.gap < CLEAR_GAP:
+        return [f"singular values differ by a factor {at.gap:.1g} only across the rank"]
+    rest = float(at.sigma[at.rank]) / max(float(at.sigma[0]), reduction.LEAST) if at.rank < len(at.sigma) else 0.0
+    if rest > ROUNDING:
+        return [f"a singular value of {rest:.1g} of the largest is taken as zero, but may be more than rounding"]
+    return []
 
 
 def _equations(system: System) -> Equations:
@@ -212,34 +227,36 @@ def _whole(equations: Equations, at: Split) -> Branch:
 
 
 def _branches(
-    equations: Equations, at: Split, order: int, rng: np.random.Generator, doubts: list[str]
+    equations: Equations, at: Split, order: int, rng: np.random.Generator, doubts: list[str], more: list[str]
 ) -> list[Branch]:  # fmt: skip
     families, complete = follow.find(equations, at, rng)
     if not complete:
-        doubts.append(f"some branches were hit once only in {follow.MOST_STARTS} starts: there may be more")
+        more.append(f"some were hit once only in {follow.MOST_STARTS} starts, so there may be more branches")
     if not follow.dimensions(equations, families, order, rng):
         doubts.append("points of one branch differ in dimension")
     if not follow.stays_multiple(equations, at, families):
-        doubts.append("a branch is shaky near the configuration only: several may nearly coincide")
+        more.append("a branch is shaky near the configuration only, so several may nearly coincide")
     worst = max((s.obstructed or 0 for f in families for s in f.spots), default=0)
     if worst > 2:
         doubts.append(f"a branch is shaky of order {worst - 1} all along: its points are found to a few digits only")
     found, paired = follow.collect(equations, families)
     if not paired:
-        doubts.append("a half-branch without its other half: some were missed")
+        more.append("a half-branch was found without its other half, so some branches were missed")
     return found
 
 
 def _answer(
     equations: Equations, at: Split, order: int, tolerance: float, found: list[Branch], smooth: bool,
-    k: int | None, why: str, doubts: list[str], sampled: int | None, proof: Proof | None,
+    k: int | None, why: str, doubts: tuple[list[str], list[str]], sampled: int | None, proof: Proof | None,
 ) -> LocalDimension:  # fmt: skip
+    """The answer; `doubts` about its number, and about that of its branches."""
     found = [b for b in found if b.dim and (proof is None or b.dim <= proof.dim)]
     dim = max((b.dim for b in found), default=0) if proof is None else proof.dim
     counted = proof is not None and proof.branches == len(found)
     return LocalDimension(
         dim, at.delta, at.corank, tuple(found), smooth, k, why, order, tolerance, at.gap, sampled, proof is not None,
-        tuple(doubts), "" if proof is None else proof.why, counted, at.q,
+        () if proof else tuple(doubts[0]), () if counted else tuple(doubts[1]), proof.why if proof else "", counted,
+        at.q,
     )  # fmt: skip
 
 
@@ -270,8 +287,7 @@ def sampled_dimension(equations: Equations, at: Split, rng: np.random.Generator)
     if not good.any():
         return 0
     places: list[Split] = []
-    for p, J in zip(found.q[good], found.jacobian[good], strict=True):
-        here = reduction.split_matrix(p, J)
+    for here in reduction.split_all(found.q[good], found.jacobian[good]):
         if all(follow.apart(here.kernel, other.kernel) > follow.SAME_PLANE for other in places):
             places.append(here)
     return max(_kicked(equations, p, rng) for p in places[:6])

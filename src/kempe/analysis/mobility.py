@@ -24,6 +24,7 @@ from kempe.kinematics.configuration import as_q
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.analysis.branches import Branch
     from kempe.analysis.local import LocalDimension
     from kempe.model.system import System
 
@@ -262,12 +263,18 @@ def _kind(rank: Rank, best: Rank, truth: LocalDimension | None) -> tuple[bool, s
     dims = dimensions(truth.branch_dims)
     if len(truth.branches) > 1:
         found = "meet" if truth.counted else "were found"
-        return True, f"bifurcation: {len(truth.branches)} branches {found}, of dimensions {dims}"
-    branch = truth.branches[0]
+        kind = f"bifurcation: {len(truth.branches)} branches {found}, of dimensions {dims}"
+    else:
+        kind = _kind_of(truth.branches[0])
+    return True, "; ".join([kind, *truth.more])
+
+
+def _kind_of(branch: Branch) -> str:
+    """What the only branch does here."""
     if branch.multiple:
-        return True, "shaky at every configuration of the branch: it can move more to first order than it truly does"
+        return "shaky at every configuration of the branch: it can move more to first order than it truly does"
     if branch.cusp:
-        return True, "cusp: the motion comes to rest here and goes back beside the way it came"
+        return "cusp: the motion comes to rest here and goes back beside the way it came"
     if branch.ends == 1:
-        return True, "end of the motion: one half of a branch only leads here"
-    return True, "the rank is lower here, but only one branch passes through"
+        return "end of the motion: one half of a branch only leads here"
+    return "the rank is lower here, but only one branch passes through"

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+from kempe.solvers.words import counted
+
 if TYPE_CHECKING:
     from kempe.analysis.mobility import Mobility
 
@@ -24,22 +26,30 @@ def sentence(m: Mobility) -> str:
             "so nothing is said about rank and true freedoms"
         )
     if m.dof is None:
-        return f"Gruebler says {m.gruebler}, the rank {m.rank_dof}: the truth is that or less (not tested further)"
-    why = []
-    if m.redundant:
-        why.append(f"{_count(m.redundant, 'constraint')} {'is' if m.redundant == 1 else 'are'} redundant")
-    false = (m.generic_rank_dof or 0) - m.dof
-    if false > 0:
-        seen = "exists" if false == 1 else "exist"
-        why.append(f"{_count(false, 'freedom')} that the rank sees {seen} to first order only")
+        most = f"the rank {m.rank_dof}; the truth is {m.rank_dof} or less (not tested further)"
+        return f"Gruebler says {m.gruebler}, {most}"
+    why, false = [], max((m.generic_rank_dof or 0) - m.dof, 0)
+    if (m.redundant or 0) > false:
+        some = f", {false} of them to first order only" if false else ""
+        why.append(f"{counted(m.redundant or 0, 'constraint')} {'is' if m.redundant == 1 else 'are'} redundant{some}")
     if m.local is not None and len({b.dim for b in m.local.branches}) > 1:
-        meet = "meet" if m.local.counted else "were found"
-        why.append(f"branches of dimensions {dimensions(m.local.branch_dims)} {meet} here")
-    doubtful = m.local is None or m.local.doubts or (m.rank is not None and m.rank.doubtful)
+        meet = "that meet here" if m.local.counted else "found here"
+        why.append(f"the largest of {len(m.local.branches)} branches {meet} has {counted(m.dof, 'dimension')}")
+    doubtful = m.local is None or m.local.doubts or m.local.more or (m.rank is not None and m.rank.doubtful)
     sure = "probably " if not m.certain and doubtful else ""
     order = "" if m.certain or m.local is None else f" to order {m.local.order}"
     said = f"the truth is {sure}{m.dof}{order}" if m.gruebler != m.dof else f"which is {sure}the truth{order}"
-    return f"Gruebler says {m.gruebler}, {said}" + (": " + ", ".join(why) if why else "")
+    rank = _without_motion(m.generic_rank_dof or 0, false, m.generic_rank_dof != m.rank_dof) if false else ""
+    return f"Gruebler says {m.gruebler}, {said}" + (": " + ", ".join(why) if why else "") + rank
+
+
+def _without_motion(rank: int, false: int, nearby: bool) -> str:
+    """What the rank says too much."""
+    where = " at configurations nearby" if nearby else ""
+    if rank == false == 1:
+        return f"; the rank says 1{where}, a velocity that leads to no motion"
+    verb = "is a velocity that leads" if false == 1 else "are velocities that lead"
+    return f"; the rank says {rank}{where}, but {'all' if false == rank else false} of these {verb} to no motion"
 
 
 def how_known(m: Mobility) -> str:
@@ -47,7 +57,8 @@ def how_known(m: Mobility) -> str:
     if m.rank is None or m.dof is None:
         return ""
     if m.local is not None:
-        sure = f"; proven: {m.local.proof}" if m.local.certain else f"; true to order {m.local.order}, not proven"
+        order = f"; known to order {m.local.order} of the Taylor series, not proven"
+        sure = f"; proven: {m.local.proof}" if m.local.certain else order
         sure += "".join(f"; {doubt}" for doubt in m.local.doubts)
         sampled = "" if m.local.sampled is None else f"; sampling agrees: {m.local.sampled}"
         if m.local.sampled is not None and m.local.sampled != m.local.dim:
@@ -69,8 +80,8 @@ def rank_text(m: Mobility) -> str:
         return ""
     equations = sum(len(c.jacobian) for c in r.clusters)
     if not equations:
-        return f"{len(r.units)} coordinates, no equations: {r.nullity}"
-    text = f"{len(r.units)} coordinates - rank {r.rank} of {equations} equations = {_count(r.nullity, 'freedom')}"
+        return f"{counted(len(r.units), 'coordinate')}, no equations: {counted(r.nullity, 'freedom')}"
+    text = f"{len(r.units)} coordinates - rank {r.rank} of {equations} equations = {counted(r.nullity, 'freedom')}"
     text += " to first order"
     gap = "" if r.gap == float("inf") else f" (singular values fall by a factor of {r.gap:.1g} there)"
     if r.doubtful:
@@ -99,12 +110,13 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         out.append(("closed", [f"given with residual {m.given_residual:.2g}; this is the nearest closed one"]))
     out.append(("rank", [rank_text(m)]))
     if m.dof is not None:
-        useful = f", {m.useful} of them useful" if m.idle else ""
-        out.append(("truth", [f"{_count(m.dof, 'degree')} of freedom{useful}", how_known(m)]))
+        useful = f", {m.useful or 'none'} of them useful" if m.idle else ""
+        useful = ", which is idle" if m.idle == m.dof == 1 else useful
+        out.append(("truth", [f"{counted(m.dof, 'degree')} of freedom{useful}", how_known(m)]))
     if m.redundancy is not None and m.redundancy.number:
         out.append(("redundant", [*str(m.redundancy).split("\n")]))
         if m.dof is not None and (m.generic_rank_dof or 0) > m.dof:
-            out[-1][1].append("to first order only: such a release would set something free")
+            out[-1][1].append("redundant to first order only: such a release would set something free")
     if m.idle:
         out.append((f"idle: {m.idle}", _cut([str(f) for f in m.idle_freedoms])))
     if m.singular:
@@ -181,7 +193,3 @@ def dimensions(dims: Sequence[int]) -> str:
 
 def _are(n: int) -> str:
     return f"there is {n}" if n == 1 else f"there are {n}"
-
-
-def _count(n: int, one: str) -> str:
-    return f"{n} {one}{'' if n == 1 else 's'}"

@@ -1,37 +1,38 @@
-"""Idle freedoms: bodies that can spin about the line through two points, while everything else rests.
+"""Idle freedoms: bodies that can spin about the line through the points that hold them, while everything else rests.
 
 An *idle freedom* is a motion at which
 
 1. a group of bodies turns, as one, about a fixed line, and all other bodies rest, except the small links of balls that
    are made of several joints;
-2. the line goes through two points about which joints let the group turn, one at either end: the centre of a ball (a
-   spherical or universal joint, or consecutive hinges whose axes meet in one point), or any point of a hinge's axis
-   that is fixed in the group, up to slides in it. Two hinges of one body must have one axis, as a roller's or a bush's;
+2. the line goes through all points, two at least, about which joints let the group turn, its ends: the centre of a
+   ball (a spherical or universal joint, or consecutive hinges whose axes meet in one point), any point of a hinge's
+   axis that is fixed in the group, up to slides in it, or a point of the group that a constraint holds. Two hinges of
+   one body must have one axis, as a roller's or a bush's;
 3. it is there at the configurations around as well;
 4. no joint that is driven moves;
-5. the two ends are held by different parts. A group that one part alone holds is a door, a shaft or a leg: to move
-   is what it is for;
+5. the ends are held by different parts, of which a rod that is a constraint is one. A group that one part alone holds
+   is a door, a shaft or a leg: to move is what it is for;
 6. the group carries nothing: no frame whose origin moves, no body on a joint of its own, no motor but those of slides
-   along it, and its joints, which all rest, are slides. Joints that turn may be among them between two balls that are
-   one joint each, or made of hinges that are known not to be driven, since it is known which joints are.
+   along it, and its joints, which all rest, are slides. With two ends joints that turn may be among them between balls
+   that are one joint each, or made of hinges that are known not to be driven, since it is known which joints are.
 
 Nothing of this looks at the types of joints, but only at their velocities and where the axes of these are.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.analysis.ends import ALONE, End, Pair, center_of, line_of, off, pairs_of, turning_inside
+from kempe.analysis.ends import ALONE, Held, Hold, Pair, centers_of, held, line_through, off, pairs_of, turning_inside
 from kempe.analysis.graph import Structure, structure
 from kempe.analysis.rank import Rank
 from kempe.analysis.screws import Screws
-from kempe.analysis.series import Ring, between, edges_at, ends_of, in_loop, parts, rigid
+from kempe.analysis.series import between, edges_at, ends_of, in_loop, parts, rigid
+from kempe.description.parts import Constraint, Frame
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -70,15 +71,23 @@ class IdleFreedom:
 
 
 class _Spin(NamedTuple):
-    """A motion of what is between two ends of a ring: its axis at the first configuration, and rates by edge.
+    """A motion of what ends hold: its axis at the first configuration, and rates (all columns) by edge.
 
     The point is relative to the screws' centre, in their unit.
     """
 
-    pair: Pair
+    of: Pair | Held
     point: Array
     direction: Array
     rates: dict[int, Array]
+
+
+class _Group(NamedTuple):
+    """The bodies that turn as one, links of balls that move with them, and two joints next to the group."""
+
+    bodies: frozenset[int]
+    links: frozenset[int]
+    joints: tuple[int, int]
 
 
 def idle_freedoms(
@@ -89,22 +98,24 @@ def idle_freedoms(
     `driven` are the velocities that are known to be driven, besides joints marked so; None where nothing is known.
     """
     s, known = structure(system), driven is not None or any(e.actuated for e in structure(system).edges)
-    found = []
+    found, frames = [], None
     for spin in _spins(system, s, [r.screws for r in ranks], frozenset(driven or ())):
-        bodies = _group(system, s, ranks[0], spin, known)
-        if bodies is not None:
-            found.append((spin, *bodies))
-    found.sort(key=lambda f: len(f[1]))  # small groups of bodies first: larger ones may move as their sums
+        group = _group(system, s, spin, known) if isinstance(spin.of, Pair) else _of_star(system, s, ranks[0], spin)
+        if group is not None:
+            frames = [*system.mechanism.frames.values()] if frames is None else frames
+            if not _moves_a_frame(system, frames, ranks[0], spin, group):
+                found.append((spin, group))
+    found.sort(key=lambda f: len(f[1].bodies))  # small groups of bodies first: larger ones may move as their sums
     basis, out = np.zeros((system.nv, 0)), []
-    for spin, bodies, links in found:
+    for spin, group in found:
         velocity = np.zeros(system.nv)
-        for k, rates in spin.rates.items():
-            columns = s.edges[spin.pair.ring.edges[k]].columns
-            velocity[[columns[c].index for c in spin.pair.ring.own(k)]] = rates
+        for i, rates in spin.rates.items():
+            own = np.flatnonzero(rates)
+            velocity[[s.edges[i].columns[c].index for c in own]] = rates[own]
         rest = velocity - basis @ (basis.T @ velocity)
         if np.linalg.norm(rest) > ALONE * np.linalg.norm(velocity):
             basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
-            out.append(_freedom(system, s, ranks[0], spin, bodies, links, velocity))
+            out.append(_freedom(system, s, ranks[0], spin, group, velocity))
     return tuple(out)
 
 
@@ -118,37 +129,39 @@ def may_idle(system: System, rank: Rank, driven: Iterable[int] | None = None) ->
 
 def _spins(system: System, s: Structure, at: Sequence[Screws], driven: frozenset[int]) -> Iterator[_Spin]:
     """Spins that exist at all configurations; the last to be looked at is whether anything else moves with them."""
-    for pair in pairs_of(system, s, at[0], driven):
+    candidates: list[Pair | Held] = [*pairs_of(system, s, at[0], driven), *held(system, s, at[0], driven)]
+    for of in candidates:
         axis = None
         for screws in reversed(at):
-            axis = _axis(s, screws, pair)
+            axis = _axis(screws, of)
             if axis is None:
                 break
         if axis is not None:
-            rates = [_rates(s, at[0], pair.ring, end, *axis, sign) for end, sign in ((pair.left, 1), (pair.right, -1))]
-            yield _Spin(pair, *axis, rates[0] | rates[1])
+            rates = {}
+            for hold in of.holds:
+                rates |= _rates(at[0], hold, *axis)
+            star = of.star if isinstance(of, Held) else None
+            for i in star.loose if star else ():
+                sign = 1.0 if star and s.edges[i].child in star.bodies else -1.0
+                screw = sign * np.concatenate([np.cross(axis[0], axis[1]), axis[1]])
+                rates[i] = np.linalg.lstsq(at[0].twists[i], screw, rcond=ALONE)[0]
+            yield _Spin(of, *axis, rates)
 
 
-def _axis(s: Structure, at: Screws, pair: Pair) -> tuple[Array, Array] | None:
-    """Point and direction of the line that both ends can turn about."""
-    a, b = center_of(at, pair.ring, pair.left), center_of(at, pair.ring, pair.right)
-    if pair.left.hinge or pair.right.hinge:
-        hinge = pair.left if pair.left.hinge else pair.right
-        direction = line_of(at, pair.ring, hinge.edges[0])[1]
-        assert direction is not None
-        if off(b - a, direction) > ALONE:
-            return None
-    else:
-        size = math.sqrt((b - a) @ (b - a))
-        if size < ALONE:
-            return None
-        direction = (b - a) / size
-    point = b if pair.left.hinge else a
-    for end in (pair.left, pair.right):
-        W = np.concatenate([at.twists[pair.ring.edges[k]][3:, list(pair.ring.own(k))] for k in end.edges], axis=1)
-        if not end.hinge and not _spans(W, direction):
-            return None
-    return point, direction
+def _axis(at: Screws, of: Pair | Held) -> tuple[Array, Array] | None:
+    """Point and direction of the line that the group can turn about at all ends."""
+    line = line_through(at, of)
+    if line is None:
+        return None
+    balls = (hold for hold in of.holds if not hold.end.hinge)
+    return line if all(_spans(_axes(at, hold), line[1]) for hold in balls) else None
+
+
+def _axes(at: Screws, hold: Hold) -> Array:
+    """Axes (3, n) of an end, in the sense in which its ring is passed."""
+    ring, end, _ = hold
+    W = [ring.signs[k] * at.twists[ring.edges[k]][3:, list(ring.own(k))] for k in end.edges]
+    return W[0] if len(W) == 1 else np.concatenate(W, axis=1)
 
 
 def _spans(W: Array, direction: Array) -> bool:
@@ -166,35 +179,36 @@ def _volume(W: Array) -> float:
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-def _rates(
-    s: Structure, at: Screws, ring: Ring, end: End, point: Array, direction: Array, sign: float
-) -> dict[int, Array]:  # fmt: skip
-    """Rates of the own columns of an end's edges, by place in the ring, that turn the group about the axis."""
-    W = [ring.signs[k] * at.twists[ring.edges[k]][3:, list(ring.own(k))] for k in end.edges]
-    A = np.concatenate(W, axis=1)
+def _rates(at: Screws, hold: Hold, point: Array, direction: Array) -> dict[int, Array]:
+    """Rates of all columns of an end's edges that turn the group about the axis; edges that rest are left out."""
+    (ring, end, sign), A, out, first = hold, _axes(at, hold), {}, 0
     if A.shape[1] == 3 and abs(_volume(A)) > INDEPENDENT:
         z = np.linalg.solve(A, sign * direction)
     else:
         z = np.asarray(np.linalg.lstsq(A, sign * direction, rcond=ALONE)[0], dtype=float)
     z[np.abs(z) < ALONE * np.abs(z).max()] = 0.0
-    cuts = np.cumsum([w.shape[1] for w in W])[:-1]
-    parted = [np.asarray(part, dtype=float) for part in np.split(z, cuts)]
-    return {k: part for k, part in zip(end.edges, parted, strict=True) if part.any()}
+    for k in end.edges:
+        own = ring.own(k)
+        rates = np.zeros(at.twists[ring.edges[k]].shape[1])
+        rates[list(own)] = z[first : first + len(own)]
+        first += len(own)
+        if rates.any():
+            out[ring.edges[k]] = rates
+    return out
 
 
 # ---- whether it is idle
 
 
-def _group(
-    system: System, s: Structure, rank: Rank, spin: _Spin, known: bool
-) -> tuple[frozenset[int], frozenset[int]] | None:  # fmt: skip
-    """The bodies that turn as one and the links of balls that move with them; None where they are not idle."""
-    ring, left, right = spin.pair
-    places = sorted(spin.rates)
+def _group(system: System, s: Structure, spin: _Spin, known: bool) -> _Group | None:
+    """What is between the ends of a pair; None where it is not idle."""
+    assert isinstance(spin.of, Pair)
+    ring, left, right = spin.of
+    places = [k for k, i in enumerate(ring.edges) if i in spin.rates]
     low, high, part = places[0], places[-1], parts(system)
     if part[ends_of(s, ring, low)[0]] == part[ends_of(s, ring, high)[1]]:
         return None
-    p, q = _inner(spin)
+    p, q = max(k for k in left.edges if k in places), min(k for k in right.edges if k in places)
     moving = between(system, ring.edges[low], ring.edges[high])
     bodies = moving if (p, q) == (low, high) else between(system, ring.edges[p], ring.edges[q])
     turning = turning_inside(s, ring, p, q)
@@ -206,23 +220,41 @@ def _group(
     simple = (p, q) == (low, high) and not (left.hinge or right.hinge)
     if turning and not (simple or (known and not (left.hinge or right.hinge))):
         return None
-    if _moves_a_frame(system, rank, spin, bodies, moving):
+    return _Group(bodies, moving - bodies, (ring.edges[p], ring.edges[q]))
+
+
+def _of_star(system: System, s: Structure, rank: Rank, spin: _Spin) -> _Group | None:
+    """The bodies of a star, with links of balls that turn with them; None where they are not idle."""
+    assert isinstance(spin.of, Held)
+    star, part, at = spin.of.star, parts(system), rank.screws
+    bodies, links, outside, joints = set(star.bodies), set(), [], []
+    for ring, end, _ in spin.of.holds:
+        places = [k for k in end.edges if ring.edges[k] in spin.rates]
+        beyond = [np.flatnonzero(part == part[ends_of(s, ring, k)[1]]).tolist() for k in end.edges[: places[-1]]]
+        bodies |= {b for own in beyond[: places[0]] for b in own}
+        links |= {b for own in beyond[places[0] :] for b in own}
+        outside.append(int(part[ends_of(s, ring, places[-1])[1]]))
+        joints.append(ring.edges[places[0]])
+    for i, child in star.points:
+        e = s.edges[i]
+        rod = isinstance(e.of, Constraint) and e.of.kind == "distance"
+        outside.append(-1 - i if rod else int(part[e.parent if child else e.child]))
+        joints.append(i)
+    if len(set(outside)) == 1:
         return None
-    return bodies, moving - bodies
+    places = np.array(centers_of(at, spin.of)) @ spin.direction
+    first = min(range(len(joints)), key=lambda k: joints[k])
+    second = int(np.argmax(np.abs(places - places[first])))
+    if second == first:  # all hinges have one origin
+        second = next(k for k in range(len(joints)) if k != first)
+    return _Group(frozenset(bodies), frozenset(links), (joints[first], joints[second]))
 
 
-def _inner(spin: _Spin) -> tuple[int, int]:
-    """Places in the ring of the joints next to the group."""
-    _, left, right = spin.pair
-    return max(k for k in left.edges if k in spin.rates), min(k for k in right.edges if k in spin.rates)
-
-
-def _moves_a_frame(
-    system: System, rank: Rank, spin: _Spin, bodies: frozenset[int], moving: frozenset[int]
-) -> bool:  # fmt: skip
+def _moves_a_frame(system: System, frames: Sequence[Frame], rank: Rank, spin: _Spin, group: _Group) -> bool:
     """Whether a frame that somebody named does not stay where it is."""
-    names, at, poses = system.body_names, rank.screws, None
-    for frame in system.mechanism.frames.values():
+    names, at, poses, bodies = system.body_names, rank.screws, None, group.bodies
+    moving = bodies | group.links
+    for frame in frames:
         body = names.index(frame.body)
         if body not in moving:
             continue
@@ -232,27 +264,24 @@ def _moves_a_frame(
         if body in bodies:
             away = away - (away @ spin.direction) * spin.direction
         else:
-            centers = (center_of(at, spin.pair.ring, end) for end in (spin.pair.left, spin.pair.right))
-            away = min((away + spin.point - center for center in centers), key=np.linalg.norm)
+            away = min((away + spin.point - center for center in centers_of(at, spin.of)), key=np.linalg.norm)
         if np.linalg.norm(away) > ALONE:
             return True
     return False
 
 
 def _freedom(
-    system: System, s: Structure, rank: Rank, spin: _Spin, bodies: frozenset[int], links: frozenset[int],
-    velocity: Array,
+    system: System, s: Structure, rank: Rank, spin: _Spin, group: _Group, velocity: Array
 ) -> IdleFreedom:  # fmt: skip
-    at, ring = rank.screws, spin.pair.ring
-    p, q = _inner(spin)
-    edges = sorted((ring.edges[p], ring.edges[q]))
-    direction = spin.direction
+    at, edges, direction = rank.screws, sorted(group.joints), spin.direction
+    places = dict(spin.of.star.points) if isinstance(spin.of, Held) else {}
+    origins = np.array([(at.M if places.get(i, True) else at.F)[i, :3, 3] for i in edges])
     point = at.center + at.length * spin.point
-    point = point + direction * (direction @ (at.M[edges[0], :3, 3] - point))
+    point = point + direction * (direction @ (origins[0] - point))
     direction = direction * np.sign(direction[np.argmax(np.abs(direction) > ALONE)])
     numbers = [tuple((np.round(x, 12) + 0.0).tolist()) for x in (point, direction)]
-    ends = (at.M[edges, :3, 3] - point) / at.length
-    joined = max(off(e, direction) for e in ends) < ALONE < abs((ends[1] - ends[0]) @ direction)
-    names = [tuple(system.body_names[b] for b in sorted(group)) for group in (bodies, links)]
+    ends = (origins - point) / at.length
+    joined = bool(max(off(e, direction) for e in ends) < ALONE < abs((ends[1] - ends[0]) @ direction))
+    names = [tuple(system.body_names[b] for b in sorted(own)) for own in (group.bodies, group.links)]
     pair = (s.edges[edges[0]].name, s.edges[edges[1]].name)
     return IdleFreedom(names[0], pair, numbers[0], numbers[1], joined, velocity * rank.units, names[1])

@@ -16,6 +16,7 @@ from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.kinematics.tabular import Tabular, write_table
 from kempe.model.immovable import immovable
+from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -215,7 +216,7 @@ class Path(Configurations):
             return self.ends[1] + (f"; {still}" if still else "")
         what = "closed curve" if self.closed else "curve"
         text = f"{what} of length {self.length:.6g} through {len(self)} points"
-        turning = [f"{abs(k)} turn{'s' * (abs(k) != 1)} of {name!r}" for name, k in self.turns.items()]
+        turning = [f"{counted(abs(k), 'turn')} of {name!r}" for name, k in self.turns.items()]
         text += f", {', '.join(turning[:4])}{', ...' * (len(turning) > 4)}" if turning else ""
         if not self.closed:
             text += f"; it ends at {self.ends[0]} and at {self.ends[1]}"

@@ -72,12 +72,20 @@ def split(equations: Equations, q: Array, tolerance: float = RANK) -> Split:
 
 def split_matrix(q: Array, J: Array, tolerance: float = RANK) -> Split:
     """The `Split` for a Jacobian (m, nv); singular values below `tolerance` times the largest count as zero."""
-    if J.shape[0] == 0:
-        return Split(q, np.zeros(0), np.eye(J.shape[1]), np.zeros((0, 0)), np.zeros((J.shape[1], 0)))
-    U, sigma, Vt = np.linalg.svd(J)
-    rank = int(np.sum(sigma > tolerance * max(float(sigma[0]), LEAST))) if sigma.size else 0
-    inverse = (Vt[:rank].T / sigma[:rank]) @ U[:, :rank].T
-    return Split(q, sigma, Vt[rank:].T, U[:, rank:], inverse)
+    return split_all(q[None], J[None], tolerance)[0]
+
+
+def split_all(q: Array, J: Array, tolerance: float = RANK) -> list[Split]:
+    """The same for many configurations (N, nq) and Jacobians (N, m, nv)."""
+    m, nv = J.shape[1:]
+    if m == 0:
+        return [Split(p, np.zeros(0), np.eye(nv), np.zeros((0, 0)), np.zeros((nv, 0))) for p in q]
+    out = []
+    for p, U, sigma, Vt in zip(q, *np.linalg.svd(J), strict=True):
+        rank = int(np.sum(sigma > tolerance * max(float(sigma[0]), LEAST))) if sigma.size else 0
+        inverse = (Vt[:rank].T / sigma[:rank]) @ U[:, :rank].T
+        out.append(Split(p, sigma, Vt[rank:].T, U[:, rank:], inverse))
+    return out
 
 
 def unit_directions(rng: np.random.Generator, n: int, dim: int) -> Array:

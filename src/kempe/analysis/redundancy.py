@@ -21,6 +21,7 @@ from kempe.analysis.screws import Screws
 from kempe.description.parts import Constraint, Joint
 from kempe.model.reduced import Reduced, reduced, screw, slides_along_z
 from kempe.model.topology import natural
+from kempe.solvers.words import counted, in_words
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ class Redundancy:
     def __str__(self) -> str:
         if not self.number:
             return "no constraint is redundant"
-        lines = [f"{self.number} redundant constraint{'s' if self.number > 1 else ''}; released by"]
+        lines = [f"{counted(self.number, 'redundant constraint')}; released by"]
         return "\n".join(lines + [f"  {r}" for r in self.releases])
 
 
@@ -315,11 +316,8 @@ def motions(free: set[str]) -> str:
     return " and ".join(p for p in parts if p)
 
 
-_NUMBERS = ("no", "one", "two", "three")
-
-
 def count_words(reactions: Sequence[str]) -> str:
     """'two moments and one force' for ('Mx', 'My', 'Fz')."""
     moments = sum(r.startswith("M") for r in reactions)
     parts = [(moments, "moment"), (len(reactions) - moments, "force")]
-    return " and ".join(f"{_NUMBERS[n]} {what}{'s' if n > 1 else ''}" for n, what in parts if n)
+    return " and ".join(in_words(n, what) for n, what in parts if n)

@@ -1,4 +1,5 @@
-"""Joints in series: rings of joints any two of which part the mechanism, and what is between two of them.
+"""Joints in series: rings of joints any two of which part the mechanism, and what is between two of them; and stars,
+groups of bodies that are held at more than two places.
 
 Two joints of a loop are in series if cutting both parts the bodies. All that are in series with each other stand in one
 order around every loop through them: a ring, of which the part with the ground is one piece.
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.analysis.graph import Edge, Structure, structure
+from kempe.description.parts import Constraint
 from kempe.joints import P, Primitive, Q
 
 if TYPE_CHECKING:
@@ -70,11 +72,16 @@ def rings(system: System, driven: frozenset[int]) -> tuple[Ring, ...]:
     return found
 
 
-def _rings(system: System, s: Structure, driven: frozenset[int]) -> tuple[Ring, ...]:
+def _uses(system: System, s: Structure) -> np.ndarray:
+    """For each velocity by how many columns and relations it is used."""
     uses = np.bincount([c.index for e in s.edges for c in e.columns if c.index >= 0], minlength=system.nv)
     for r in system.relations:
         uses[[system.velocity_names.index(n) for n in (r.of, *r.sources)]] += 1
-    out, part = [], parts(system)
+    return uses
+
+
+def _rings(system: System, s: Structure, driven: frozenset[int]) -> tuple[Ring, ...]:
+    out, part, uses = [], parts(system), _uses(system, s)
     for c in s.clusters:
         alike: dict[bytes, list[int]] = {}
         for n, i in enumerate(c.edges):
@@ -114,6 +121,90 @@ def _turns(edge: Edge, uses: np.ndarray, driven: frozenset[int]) -> Turns | None
         return None
     whole = len(own) == len(edge.columns)
     return Turns(own, whole, axis if whole and len(own) == 1 else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Star:
+    """Bodies that only slides connect, and all that they are held by: at three places at least, or by a constraint.
+
+    `chains` are edges in series, outwards; `points` constraints that hold a point of these bodies, and whether it is
+    the origin of frame M; `loose` joints that hold nothing, since they can make every motion.
+    """
+
+    bodies: frozenset[int]
+    slides: bool
+    chains: tuple[Ring, ...]
+    points: tuple[tuple[int, bool], ...]
+    loose: tuple[int, ...]
+
+
+def stars(system: System, driven: frozenset[int]) -> tuple[Star, ...]:
+    """All stars in which every joint can turn, or hold a point; `driven` are velocities that a motor holds."""
+    s, part, uses = structure(system), parts(system), _uses(system, structure(system))
+    group = part.copy()
+    for e in s.edges:
+        if e.joint and all(c.index < 0 or c.slides for c in e.columns):
+            group[group == group[e.child]] = group[e.parent]
+    outside: dict[int, list[int]] = {}
+    for i, e in enumerate(s.edges):
+        for g in {int(group[e.parent]), int(group[e.child])} if group[e.parent] != group[e.child] else ():
+            outside.setdefault(g, []).append(i)
+    found = []
+    for g, edges in outside.items():
+        joints = sum(s.edges[i].joint for i in edges)
+        if g != group[0] and len(edges) > 1 and (joints > 2 or joints < len(edges)):
+            found.append(_star(system, s, group == g, edges, uses, driven))
+    return tuple(x for x in found if x is not None)
+
+
+def _star(
+    system: System, s: Structure, inside: np.ndarray, edges: list[int], uses: np.ndarray, driven: frozenset[int]
+) -> Star | None:  # fmt: skip
+    chains, points, loose, looped = [], [], [], in_loop(system)
+    bodies = frozenset(np.flatnonzero(inside).tolist())
+    sliding = [i for i in edges_at(system, bodies) - {*edges} if not rigid(s.edges[i])]
+    if not all(looped[i] for i in sliding):
+        return None
+    for i in edges:
+        e = s.edges[i]
+        child = bool(inside[e.child])
+        if isinstance(e.of, Constraint):
+            if e.of.kind != "distance" and not child:
+                return None
+            points.append((i, child))
+            continue
+        own = len(e.columns) == (6 if system.dim == 3 else 3) and not (e.actuated or e.particle)
+        if own and all(c.index >= 0 and uses[c.index] == 1 and c.index not in driven for c in e.columns):
+            loose.append(i)
+            continue
+        chain = _outwards(system, s, inside, i, uses, driven)
+        if chain is None or not looped[i]:
+            return None
+        chains.append(chain)
+    return Star(bodies, bool(sliding), tuple(chains), tuple(points), tuple(loose))
+
+
+def _outwards(
+    system: System, s: Structure, inside: np.ndarray, i: int, uses: np.ndarray, driven: frozenset[int]
+) -> Ring | None:  # fmt: skip
+    """The edges from a group outwards, through links that have two joints; None where the first cannot turn."""
+    part, path, turns = parts(system), [], []
+    here = s.edges[i].child if inside[s.edges[i].parent] else s.edges[i].parent
+    sign, own = 1.0 if inside[s.edges[i].parent] else -1.0, _turns(s.edges[i], uses, driven)
+    while own is not None and len(path) < 3:
+        path.append((i, sign))
+        turns.append(own)
+        link = frozenset(np.flatnonzero(part == part[here]).tolist())
+        others = [k for k in edges_at(system, link) if k != i and not rigid(s.edges[k])]
+        if 0 in link or inside[here] or len(others) != 1:
+            break
+        i = others[0]
+        e = s.edges[i]
+        sign, here = (1.0, e.child) if e.parent in link else (-1.0, e.parent)
+        own = _turns(e, uses, driven)
+    if not path or inside[here]:
+        return None
+    return Ring(tuple(k for k, _ in path), tuple(x for _, x in path), tuple(turns), (True,) * (len(path) - 1))
 
 
 def rigid(edge: Edge) -> bool:

@@ -22,6 +22,7 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import P, R
 from kempe.kinematics.configuration import as_q
 from kempe.reals import reals
+from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ class LoopJacobian:
         return out
 
     def _sentence(self, code: int, rank: int, nullity: int) -> str:
-        names, motions = " and ".join(map(repr, self.inputs)), f"{nullity} first-order motion{'s' * (nullity != 1)}"
+        names, motions = " and ".join(map(repr, self.inputs)), counted(nullity, "first-order motion")
         if code == EXACT:
             return f"{names} determine{'s' * (len(self.inputs) == 1)} the outputs ({motions})"
         if code == DEAD:

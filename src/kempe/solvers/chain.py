@@ -93,6 +93,15 @@ def _chain(system: System, name: str) -> Chain:
                  span_of(ints, floats))  # fmt: skip
 
 
+def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+    """Which velocities (n,) of the chain turn something, and which slide something (masks); those of screws do both."""
+    n = int(chain.ints[N_ROWS])
+    rows = chain.ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
+    each = np.arange(len(chain.v_index))
+    turns, slides = (np.isin(each, rows[rows[:, KIND] == kind, V_INDEX]) for kind in (TURN, SLIDE))
+    return turns, slides
+
+
 def obstacle(system: System, name: str) -> str | None:
     """Why no chain of its own leads to a frame: a loop or a relation that moves it; None if one does. Found once."""
     key = ("obstacle", name)

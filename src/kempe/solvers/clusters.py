@@ -12,7 +12,7 @@ from kempe.joints import R
 from kempe.kinematics.forward import fk
 from kempe.model.coordinates import coordinate_names
 from kempe.model.loops import characteristic_length
-from kempe.spatial import Array
+from kempe.spatial import Array, unit
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -39,6 +39,22 @@ class Metric:
         self.scale = np.where(system.coordinates.turning, 1.0, self.length)
         self.scale[(system.layout.quaternion_v[:, None] + np.arange(3)).ravel()] = 1.0
         self.period = _periods(system)
+        self._weights = np.random.default_rng(0).uniform(0.5, 1.0, size=(system.nq + 4, 4))
+        self.steepest = float(np.pi * system.nq + np.sum(2.0 * np.pi / self.period[self.period > 0.0]) + system.nq)
+        """What keys of configurations that are 1 apart differ by at most."""
+
+    def keys(self, q: Array) -> Array:
+        """Numbers (n,) that are nearly equal for configurations (n, nq) that are nearly one: what differs, differs."""
+        layout, w = self.system.layout, self._weights
+        x, period = q[:, layout.vector_q], self.period[layout.vector_v]
+        back, weight = period > 0.0, w[: len(period), 0]
+        turned = np.cos(2.0 * np.pi * x[:, back] / period[back] + w[: len(period), 1][back])
+        out = turned @ weight[back] + (x[:, ~back] / self.scale[layout.vector_v][~back]) @ weight[~back]
+        for k, i in enumerate(layout.quaternion_q):
+            p = unit(q[:, i : i + 4])
+            A = w[k : k + 4]
+            out += np.sum((p @ (A + A.T)) * p, axis=1) / 8.0
+        return out
 
     def distances(self, q: Array, to: Array) -> Array:
         """Largest difference (...) in any coordinate, in radians and characteristic lengths."""
@@ -62,6 +78,14 @@ class Metric:
             up = np.where(down < low[iv], down + turn * np.ceil((low[iv] - down) / turn), down)
             q[:, iq] = np.where(up > high[iv] + INSIDE, x, up)
         return q
+
+
+def metric_of(system: System) -> Metric:
+    """The metric of a system, made once."""
+    found = system._queries.get("metric")
+    if found is None:
+        found = system._queries["metric"] = Metric(system)
+    return found
 
 
 def _periods(system: System) -> Array:
@@ -95,9 +119,10 @@ class Clusters:
     """
 
     def __init__(self, system: System, frames: tuple[str, ...] = ()):
-        self.system, self.frames, self.metric = system, frames, Metric(system)
+        self.system, self.frames, self.metric = system, frames, metric_of(system)
         self.q = np.empty((0, system.nq))
         self.poses = np.empty((0, len(frames), 3, 4))
+        self.keys = np.empty(0)
         self.tolerance = np.empty(0)
         self.members: list[list[int]] = []
         self.count = 0
@@ -114,34 +139,72 @@ class Clusters:
         become members.
         """
         X = self._placed(q)
-        out = self._nearest(q, X, tolerance, 0)
-        while (out < 0).any():
-            k = int(np.argmax(out < 0))
-            self.members.append([])
-            self.q = np.concatenate([self.q, q[k : k + 1]])
-            self.poses = np.concatenate([self.poses, X[k : k + 1]])
-            self.tolerance = np.append(self.tolerance, tolerance[k])
-            rest = np.flatnonzero(out < 0)
-            out[rest] = self._nearest(q[rest], X[rest], tolerance[rest], len(self.members) - 1)
-            out[k] = len(self.members) - 1
+        keys = self._keys(q, X)
+        out = self._nearest(q, X, keys, tolerance)
+        rest = np.flatnonzero(out < 0)
+        first, place = np.unique(self._first(q[rest], X[rest], keys[rest], tolerance[rest]), return_inverse=True)
+        out[rest] = len(self.members) + place
+        new = rest[first]
+        self.members += [[] for _ in new]
+        self.q, self.poses = np.concatenate([self.q, q[new]]), np.concatenate([self.poses, X[new]])
+        self.keys, self.tolerance = np.append(self.keys, keys[new]), np.append(self.tolerance, tolerance[new])
         if counted:
             for k in out.tolist():
                 self.members[k].append(self.count)
                 self.count += 1
         return out
 
-    def _nearest(self, q: Array, X: Array, tolerance: Array, first: int) -> np.ndarray:
-        """Numbers (n,) of the nearest clusters, from the first on, that configurations are the same as; -1: none."""
+    def _keys(self, q: Array, X: Array) -> Array:
+        """Numbers (n,) that differ by no more than `steepest` times the distance of configurations."""
+        if not self.frames:
+            return self.metric.keys(q)
+        X = X.copy()
+        X[..., 3] /= self.metric.length
+        return X.reshape(len(q), -1).mean(axis=1) * np.sqrt(12.0)
+
+    def _nearest(self, q: Array, X: Array, keys: Array, tolerance: Array) -> np.ndarray:
+        """Numbers (n,) of the nearest clusters that configurations are the same as; -1: none."""
         out = np.full(len(q), -1)
-        if first == len(self.members):
+        if not len(self.members) or not len(q):
             return out
-        step = max(1, MOST_AT_ONCE // max(1, (len(self.members) - first) * max(q.shape[1], 12 * len(self.frames))))
-        for i in range(0, len(q), step):
-            part = slice(i, i + step)
-            apart = self._apart(q[part, None], X[part, None], self.q[None, first:], self.poses[None, first:])
-            apart = np.where(apart <= np.maximum(self.tolerance[first:], tolerance[part, None]), apart, np.inf)
-            out[part] = np.where(np.isfinite(apart).any(axis=1), first + np.argmin(apart, axis=1), -1)
+        order = np.argsort(self.keys, kind="stable")
+        reach = self._reach(max(float(tolerance.max()), float(self.tolerance.max())))
+        low = np.searchsorted(self.keys[order], keys - reach, "left")
+        high = np.searchsorted(self.keys[order], keys + reach, "right")
+        count = high - low
+        start = np.cumsum(count) - count
+        who = np.repeat(np.arange(len(q)), count)
+        with_ = order[np.arange(len(who)) - start[who] + low[who]]
+        apart, step = np.empty(len(who)), max(1, MOST_AT_ONCE // max(q.shape[1], 12 * len(self.frames)))
+        for i in range(0, len(who), step):
+            a, b = who[i : i + step], with_[i : i + step]
+            apart[i : i + step] = self._apart(q[a], X[a], self.q[b], self.poses[b])
+        same = apart <= np.maximum(self.tolerance[with_], tolerance[who])
+        who, with_, apart = who[same], with_[same], apart[same]
+        best = np.lexsort((with_, apart, who))[::-1]  # the nearest of each is written last
+        out[who[best]] = with_[best]
         return out
+
+    def _first(self, q: Array, X: Array, keys: Array, tolerance: Array) -> np.ndarray:
+        """For each configuration (n,) the number of the first that it is the same as, itself where there is none."""
+        out = np.arange(len(q))
+        if len(q) < 2:
+            return out
+        order = np.argsort(keys, kind="stable")
+        ends = np.flatnonzero(np.diff(keys[order]) > self._reach(float(tolerance.max()))) + 1
+        for group in np.split(order, ends):
+            left = np.sort(group)
+            while len(left) > 1:
+                k, left = left[0], left[1:]
+                apart = self._apart(q[left], X[left], q[k : k + 1], X[k : k + 1])
+                same = apart <= np.maximum(tolerance[left], tolerance[k])
+                out[left[same]] = k
+                left = left[~same]
+        return out
+
+    def _reach(self, tolerance: float) -> float:
+        """How far keys may be apart of configurations that are this far apart, with a margin for rounding."""
+        return 1e-12 + 1.01 * tolerance * (np.sqrt(12.0) if self.frames else self.metric.steepest)
 
     def distances(self, q: Array, to: Array) -> Array:
         """How far configurations (n, nq) are from others, in radians and characteristic lengths."""

@@ -19,6 +19,7 @@ from kempe.kinematics.parallel import over_chunks
 from kempe.reals import reals
 from kempe.solvers.decompose import Dyad, End, parts_of
 from kempe.solvers.rings import Decomposition
+from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ class Plan:
 
     def describe(self) -> str:
         """What each dyad is, and what its branch sign means, as text; one line each."""
-        count = f"{len(self.dyads)} dyad{'s' * (len(self.dyads) != 1)}"
+        count = counted(len(self.dyads), "dyad")
         lines = [f"{self.system.name} from {', '.join(self.known) or 'nothing'}: {count}"]
         for d in self.dyads:
             lines.append(f"  {'sign ' + str(d.sign + 1) if d.sign is not None else 'no sign'}: {d}")
@@ -204,7 +205,7 @@ class Plan:
         given = [{"+": 1.0, "-": -1.0}.get(c, math.nan) for c in branch] if isinstance(branch, str) else branch
         signs = reals(given, "branch", "signs, +1 or -1")
         if signs.ndim == 0 or signs.shape[-1] != self.signs or not np.all(np.abs(signs) == 1.0):
-            each = f"{self.signs} sign{'s' * (self.signs != 1)}, + or - (1 or -1), one for each dyad"
+            each = f"{counted(self.signs, 'sign')}, + or - (1 or -1), one for each dyad"
             raise InputError(f"branch is {branch!r}; it must be {each}; closed_form({self.known}).describe() tells")
         return _rows(signs, lead, "branch")
 

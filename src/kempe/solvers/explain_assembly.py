@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.kinematics import loops
+from kempe.kinematics.configuration import random
 from kempe.model.immovable import immovable
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
 from kempe.solvers.assembly import Assembler, assembler, freedoms_left
@@ -54,17 +55,19 @@ def _left(bound: Assembler, q: Array) -> str:
     left = freedoms_left(system, q, bound.held)
     if not left:
         return ""
-    count = system.nv - len(bound.held) - len(loops.row_names(system))
-    folded = _coinciding(system, q) if 0 <= count < left else []
+    said = f"; {counted(left, 'freedom')} left open"
+    count, who = system.nv - len(bound.held) - len(loops.row_names(system)), "by the count"
+    is_folded = count >= 0 or 0 <= bound.freedoms < left
+    if count < 0:  # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey their group
+        count, who = freedoms_left(system, random(system, np.random.default_rng(0)), bound.held), "in general"
+    folded = _coinciding(system, q) if count < left else []
     if folded:
-        who = ", ".join(f"{a} and {b}" for a, b in folded[:3]) + (", ..." if len(folded) > 3 else "")
-        return (
-            f"; {counted(left, 'freedom')} left open, {count} by the count: the mechanism is folded or singular here, "
-            f"where {who} coincide"
-        )
+        pins = ", ".join(f"{a} and {b}" for a, b in folded[:3]) + (", ..." if len(folded) > 3 else "")
+        why = "the mechanism is folded or singular here, where" if is_folded else "it may be folded, for"
+        return f"{said}, {count} {who}: {why} {pins} coincide"
     if 0 <= bound.freedoms < left:
-        return f"; {counted(left, 'freedom')} left open, {bound.freedoms} at home: singular here, or on another branch"
-    return f"; {counted(left, 'freedom')} left open"
+        return f"{said}, {bound.freedoms} at home: singular here, or on another branch"
+    return said
 
 
 def _coinciding(system: System, q: Array) -> list[tuple[str, str]]:

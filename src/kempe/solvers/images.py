@@ -81,15 +81,18 @@ def _points(system: System) -> list[Array]:
 
 
 def _plane(system: System) -> tuple[Array, Array] | None:
-    """A point and the normal of the plane, in a planar system of the line, that the ground's points lie in."""
-    points, dim = _points(system)[0], system.dim
-    if not len(points):
-        return None
-    center = points.mean(axis=0)
-    _, sizes, V = np.linalg.svd((points - center)[:, :dim])
-    if len(sizes) == dim and sizes[-1] > FLAT * characteristic_length(system):
-        return None
-    return center, np.append(V[-1], np.zeros(3 - dim))
+    """A point and the normal of the plane, in a planar system of the line, that the ground's points lie in; kept."""
+    found = system._queries.get("plane of the ground", ())
+    if found != ():
+        return found
+    points, dim, found = _points(system)[0], system.dim, None
+    if len(points):
+        center = points.mean(axis=0)
+        _, sizes, V = np.linalg.svd((points - center)[:, :dim])
+        if len(sizes) < dim or sizes[-1] <= FLAT * characteristic_length(system):
+            found = center, np.append(V[-1], np.zeros(3 - dim))
+    system._queries["plane of the ground"] = found
+    return found
 
 
 def _fitted(system: System, body: int, points: Array, image: Array, poses: Array) -> Array:

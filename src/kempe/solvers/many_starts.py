@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError
+from kempe.joints import P
 from kempe.kinematics.configuration import home_of, random
 from kempe.kinematics.loops import evaluate
 from kempe.solvers.assembly import RANK_TOLERANCE, Assembler, assembler
@@ -111,11 +112,13 @@ class Search:
             self._look(0)
 
     def complete(self) -> bool:
-        """Look for modes where those found suggest some; whether there are new ones."""
-        before = len(self.free)
-        isolated = np.flatnonzero(self.free == 0)
-        if not len(isolated):
+        """Look for modes where those found suggest some, mirror images last; whether there are new ones."""
+        before, modes = len(self.free), self.clusters.q[self.free == 0]
+        if not len(modes):
             return False
+        if len(modes) > 1:
+            self.take(mixed(self.system, modes, min(MIXED, 4 * len(modes)), np.random.default_rng(len(modes))), False)
+        isolated = np.flatnonzero(self.free == 0)
         modes = self.clusters.q[isolated]
         images = mirrored(self.system, modes)
         if len(images) == len(modes):
@@ -124,8 +127,6 @@ class Search:
             exact = error[good] < SAME
             for i, k in zip(isolated[good][exact], where[exact], strict=True):
                 self.twin[self.twin == self.twin[max(i, k)]] = self.twin[min(i, k)]
-        if len(modes) > 1:
-            self.take(mixed(self.system, modes, min(MIXED, 4 * len(modes)), np.random.default_rng(len(modes))), False)
         return len(self.free) > before
 
     def settled(self) -> bool:
@@ -157,6 +158,8 @@ def search(
         hits = s.hits
         if s.tried >= MANY and len(hits) and share_found(hits) < HOPELESS:
             break
+    else:
+        s.complete()  # what those found suggest costs next to nothing
     s.odd = s.is_odd()
     return s
 
@@ -196,17 +199,19 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
     """
     free = [i for i, n in enumerate(system.velocity_names) if n not in bound.held]
     out = np.zeros(len(q), dtype=np.int64)
+    if not len(q):
+        return out
     J = evaluate(system, q, True, True)[1][..., free]
     values = np.linalg.svd(J, compute_uv=False)
     ranks = (values > RANK_TOLERANCE * np.maximum(1.0, values.max(axis=-1, initial=0.0))[:, None]).sum(axis=-1)
     owner, kicks, sizes = [], [], []
-    for k in range(len(q)):
-        kernel, size = np.eye(0), np.ones(0)
+    loose = np.arange(len(q)) if bound.frames else np.flatnonzero(ranks < len(free))
+    spaces = np.linalg.svd(J[loose])[2] if len(loose) and not bound.frames else J[loose]
+    for k, space in zip(loose.tolist(), spaces, strict=True):
         if bound.frames:
-            kernel = np.random.default_rng(0).normal(size=(2, len(free)))
-            size = np.ones(2)
-        elif ranks[k] < len(free):
-            kernel, size = _moving(system, clusters, q[k], free, np.linalg.svd(J[k])[2][ranks[k] :])
+            kernel, size = np.random.default_rng(0).normal(size=(2, len(free))), np.ones(2)
+        else:
+            kernel, size = _moving(system, clusters, q[k], free, space[ranks[k] :])
         owner += [k] * (2 * len(kernel))
         kicks += [*kernel, *-kernel]
         sizes += [*size, *size]
@@ -217,8 +222,8 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
     answer = bound(known, system.integrate(q[owner], v * clusters.metric.scale), limits=False, starts=1)
     moved = clusters.distances(np.asarray(answer.q), q[owner]) > STAYED * KICK * np.array(sizes)
     moved &= np.asarray(answer.success)
-    for k in set(np.array(owner)[moved].tolist()):
-        out[k] = 1 if bound.frames else owner.count(k) // 2
+    found = np.unique(np.array(owner)[moved])
+    out[found] = 1 if bound.frames else np.bincount(owner, minlength=len(q))[found] // 2
     return out
 
 
@@ -276,7 +281,9 @@ def _tied(system: System, i: int) -> bool:
     joint = mechanism.joints.get(system.velocity_names[i].rpartition(".")[0])
     if joint is None or kinds != {"distance"} or system.relations or not mechanism.bodies[joint.child].particle:
         return False
-    return joint.type.type_name == "translation" and len(joint.type.velocities(system.dim, True)) == system.dim
+    names, primitives = joint.type.layout(system.dim, True)
+    slides = sorted((p.kind, p.axis) for p in primitives)
+    return len(names) == len(primitives) and slides == [(P, axis) for axis in "xyz"[: system.dim]]
 
 
 def share_found(hits: np.ndarray) -> float:

@@ -12,7 +12,7 @@ from kempe.calls import brief, explained, explained_methods, flag, generator
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.tabular import Tabular
-from kempe.solvers.clusters import INSIDE, SAME, Clusters, Metric
+from kempe.solvers.clusters import INSIDE, SAME, Clusters, metric_of
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
 from kempe.solvers.words import counted
 from kempe.spatial import Array
@@ -78,7 +78,7 @@ class Modes(Tabular):
         return ["", *names], rows
 
     def __str__(self) -> str:
-        count = f"{len(self)} configuration{'' if len(self) == 1 else 's'} of {self.system.name}"
+        count = f"{counted(len(self), 'configuration')} of {self.system.name}"
         lines = [f"{count}; {self.status}"]
         heads, rows = self._table()
         for row in rows:
@@ -210,7 +210,7 @@ def by_starts(question: Question) -> Modes:
     if found.odd:
         status += "; one is missing at least, since their number is even"
     if not closed:
-        status = f"none found: of {found.tried} starts none closed"
+        status = f"none found, which proves nothing: of {found.tried} starts none closed"
     if len(families):
         besides = f"besides {counted(len(isolated), 'isolated configuration')}, " if len(isolated) else ""
         left = "1 freedom" if free.max() == 1 else f"up to {free.max()} freedoms"
@@ -247,7 +247,7 @@ def _answer(
     inside = np.all((v >= low - INSIDE) & (v <= high + INSIDE), axis=-1)
     keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
     if question.near is not None:
-        keep = keep[np.argsort(Metric(system).distances(q[keep], question.near), kind="stable")]
+        keep = keep[np.argsort(metric_of(system).distances(q[keep], question.near), kind="stable")]
     outside = len(q) - int(inside.sum())
     if outside:
         status += f"; {outside} {'are' if outside > 1 else 'is'} outside the limits"

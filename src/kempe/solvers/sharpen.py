@@ -12,8 +12,9 @@ import numpy as np
 
 from kempe import spatial
 from kempe.kernels.compiled import search
-from kempe.kernels.layout import HEADER, KIND, N_ROWS, Q_INDEX, ROW_FLOATS, ROW_INTS, TURN
+from kempe.kernels.layout import N_ROWS, ROW_FLOATS
 from kempe.kernels.search_layout import ANSWER, LINEAR, STATUS
+from kempe.solvers.chain import moved_by
 from kempe.solvers.rounds import Task, misses
 from kempe.solvers.solution import NOT_FOUND, SOLVED
 from kempe.solvers.targets import frame_of, points_along
@@ -79,7 +80,7 @@ def sharpen(task: Task, targets: Array, q: Array, limits: Array) -> tuple[Array,
     best, least = q.copy(), misses(task, targets, q)
     score = np.max(least / task.tolerance, axis=1)
     left, x = np.flatnonzero(np.isfinite(score)), q[np.isfinite(score)]
-    turns = _turns(task)
+    turns = moved_by(task.chain)[0]
     for _ in range(STEPS):
         if not len(left):
             break
@@ -94,15 +95,6 @@ def sharpen(task: Task, targets: Array, q: Array, limits: Array) -> tuple[Array,
         go_on = (score[left] > DONE) & np.isfinite(value)
         left, x = left[go_on], x[go_on]
     return best, least
-
-
-def _turns(task: Task) -> np.ndarray:
-    """1 for each coordinate (n,) of the chain that is an angle."""
-    ints, n = task.chain.ints, int(task.chain.ints[N_ROWS])
-    rows = ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
-    out = np.zeros(len(task.chain.q_index))
-    out[rows[rows[:, KIND] == TURN, Q_INDEX]] = 1.0
-    return out
 
 
 def _step(task: Task, targets: Array, q: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe.errors import UnsupportedError
 from kempe.kernels.layout import HEADER, KIND, MULTIPLIER, N_ROWS, ROW_FLOATS, ROW_INTS, SLIDE, V_INDEX
-from kempe.solvers.chain import Chain
+from kempe.solvers.chain import Chain, moved_by
 from kempe.solvers.rounds import Task
 from kempe.spatial import Array
 
@@ -53,7 +53,8 @@ def _all_outside(task: Task, target: Array) -> str:
 
 def _beyond(chain: Chain, q: Array) -> float:
     """How far the coordinate that is farthest outside its limits is outside, whatever whole turns are added."""
-    (low, high), turns = chain.limits, 2.0 * np.pi * _turning(chain)
+    turning, sliding = moved_by(chain)
+    (low, high), turns = chain.limits, 2.0 * np.pi * (turning & ~sliding)
     above, below = np.maximum(q - high, 0.0), np.maximum(low - q, 0.0)
     off = above + below
     for v in np.flatnonzero((turns > 0.0) & (off > 0.0)):  # the nearest turns on both sides of the range
@@ -61,16 +62,6 @@ def _beyond(chain: Chain, q: Array) -> float:
         room = high[v] - low[v]
         off[v] = max(min(x, turns[v] - x - room), 0.0)
     return float(off.max(initial=0.0))
-
-
-def _turning(chain: Chain) -> np.ndarray:
-    """1 for each coordinate that turns joints, which whole turns leave where they are, else 0."""
-    out = np.ones(len(chain.v_index))
-    for row in range(int(chain.ints[N_ROWS])):
-        at = HEADER + ROW_INTS * row
-        if chain.ints[at + KIND] == SLIDE:
-            out[chain.ints[at + V_INDEX]] = 0.0
-    return out
 
 
 def _slides_end(task: Task, target: Array) -> str:
