@@ -88,15 +88,29 @@ def ik(
 
         plan = hand_over.plan_of(question, method)
     if plan is None:
-        q, residual, info = run(question, seeds, threads)
+        q, residual, info = run(question, seeds, threads, postpone=bool(lead) and time_limit is None)
     else:
         q, residual, info = hand_over.answer(question, plan, base, seeds, threads)
+    if (info[:, 0] == OUT_OF_REACH).any():
+        given = (question, base, seeds, threads, q, residual, info, lead)
+        return Solution.postponed(info[:, 0].reshape(lead).copy(), question, (_nearest, given))
     solution = _judged(question, base, q, residual, info, lead)
     if not lead:
         _bind(question, _task_name(task, position_only), np.shape(target))
     if throw and not solution:
         raise NoSolutionError(solution)
     return solution
+
+
+def _nearest(
+    question: Task, base: Array, seeds: Array, threads: int | None, q: Array, residual: Array, info: np.ndarray,
+    lead: tuple[int, ...],
+) -> Solution:  # fmt: skip
+    """The answer of a batch as of `run`, with what is nearest to the targets that are out of reach."""
+    far = np.flatnonzero(info[:, 0] == OUT_OF_REACH)
+    some = seeds[far] if len(seeds) > 1 else seeds
+    q[far], residual[far], info[far] = run(question, some, threads, targets=question.targets[far])
+    return _judged(question, base, q, residual, info, lead)
 
 
 def _judged(
@@ -156,9 +170,13 @@ def _asked(
 
 
 def run(
-    task: Task, seeds: Array, threads: int | None = 1, limits: Array | None = None, targets: Array | None = None
-) -> tuple[Array, Array, np.ndarray]:
-    """Chain configurations, residuals (N, 2) and (status, steps, starts) of all targets, in fixed chunks."""
+    task: Task, seeds: Array, threads: int | None = 1, limits: Array | None = None, targets: Array | None = None,
+    postpone: bool = False,
+) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
+    """Chain configurations, residuals (N, 2) and (status, steps, starts) of all targets, in fixed chunks.
+
+    `postpone` is as in `rounds.answered`.
+    """
     chain = task.chain
     goals = task.targets if targets is None else targets
     n, nq = len(goals), len(chain.q_index)
@@ -167,7 +185,7 @@ def run(
 
     def work(i: int, j: int) -> int:
         first = seeds[i:j] if len(seeds) > 1 else seeds
-        return rounds.answered(task, goals[i:j], first, bounds, out[i:j])
+        return rounds.answered(task, goals[i:j], first, bounds, out[i:j], postpone)
 
     if task.time_limit is None:
         over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
