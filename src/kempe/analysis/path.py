@@ -201,7 +201,7 @@ class Path(Configurations):
     ) -> Path:  # fmt: skip
         """The same path with `n` points at equal distances of arc length, its ends included.
 
-        `progress(points, length)` is called now and then; an interrupt from the keyboard, or the `time_limit` [s] (60;
+        `progress(points, length)` is called now and then; an interrupt from the keyboard, or the `time_limit` [s] (120;
         None: none), leaves those points that were done, see `late` and `remark`. Errors: `InputError`.
         """
         if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 2:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kempe.description.mechanism import Mechanism
-from kempe.description.source import SIZE_LIMIT, fail, shorten
+from kempe.description.source import SIZE_LIMIT, collecting_later, fail, shorten
 from kempe.description.toml import read_toml
 from kempe.description.urdf import read_urdf
 from kempe.description.xacro import XACRO_ADVICE, expand_xacro
@@ -170,8 +170,10 @@ def _read_text(
     if format == "toml":
         if base is not None or root is not None:
             raise InputError("base and root are for URDF; a TOML file names its ground itself")
-        return read_toml(text, name, package_dirs=package_dirs)
-    return read_urdf(text, name, base=base, root=root, package_dirs=package_dirs, beside=beside)
+        with collecting_later(len(text) >> 8):
+            return read_toml(text, name, package_dirs=package_dirs)
+    with collecting_later(len(text) >> 8):
+        return read_urdf(text, name, base=base, root=root, package_dirs=package_dirs, beside=beside)
 
 
 def _format_of(text: str | bytes, name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import gc
 import re
 from bisect import bisect_right
 from collections.abc import Collection, Iterator
@@ -33,8 +34,26 @@ _BYTE_ORDER_MARKS = (
 _LINE_END = re.compile(r"\r\n|\n|\r")
 
 
+MANY_BODIES = 1000
+"""Bodies from which on it matters how long it takes to make one."""
 MANY_PROBLEMS = 1000
 """Problems after which a reader gives up at once, so that a hostile file costs bounded time."""
+
+
+@contextmanager
+def collecting_later(count: int) -> Iterator[None]:
+    """Nothing; where so many bodies are made, cyclic garbage is looked for afterwards only.
+
+    They last, and each look goes through all there are: that takes a third of the time.
+    """
+    if count < MANY_BODIES or not gc.isenabled():
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
 
 
 class Source:

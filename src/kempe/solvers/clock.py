@@ -9,7 +9,7 @@ from typing import Any
 
 from kempe.solvers.arguments import deadline
 
-TIME_LIMIT = 60.0
+TIME_LIMIT = 120.0
 """Seconds that a call may take whose work nobody can tell beforehand, unless the caller says otherwise."""
 LONG = 600.0
 """The same where samples or targets say how much work there is."""
