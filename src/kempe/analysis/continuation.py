@@ -46,7 +46,7 @@ class Closure:
     """The closure equations of a system, some of its coordinates held at the values of a configuration.
 
     `unit` (nv,) are the velocity coordinates of one unit of the numbers used here. `held` are indices of velocity
-    coordinates that belong to angles and slides. Whatever is done with them ends by `TimeUp` when the `budget` is spent.
+    coordinates that belong to angles and slides. Work with them ends by `TimeUp` when the `budget` is spent.
     """
 
     def __init__(self, system: System, held: Sequence[int] = (), at: Array | None = None):
@@ -308,8 +308,10 @@ def flipped(a: Node, b: Node) -> bool | None:
 
 
 def inside(equations: Closure, a: Node, b: Node, distance: float, whole: bool = True) -> Node | None:
-    """The node between two neighbours at `distance` along the tangent of the first, perhaps without what is not `whole`:
-    singular values and matrices."""
+    """The node between two neighbours at `distance` along the tangent of the first.
+
+    One that is not `whole` may lack singular values and matrices, where these cost much.
+    """
     y = equations.between(a.x, b.x)
     h = float(a.t @ y)
     f = distance / h

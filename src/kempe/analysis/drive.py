@@ -272,6 +272,7 @@ def _run(
     return Drive(
         course.closure.system, np.array(poses[:n]).reshape(n, course.closure.system.nq), clock[:n],
         {name: values[:, j] for j, name in enumerate(names)}, np.array(held[:n], dtype=bool), tuple(toggles),
-        tuple(j for j in jumps if j[0] < n), tuple(course.singular), not (broken or any(held) or jumps), isinstance(broken, KeyboardInterrupt),
+        tuple(j for j in jumps if j[0] < n), tuple(course.singular), not (broken or any(held) or jumps),
+        isinstance(broken, KeyboardInterrupt),
         late=isinstance(broken, TimeUp),
     )  # fmt: skip

@@ -102,7 +102,8 @@ class Endless:
         """Look ahead in longer and longer steps; what runs away, empty where anything turns back or ends."""
         equations, h, gone = self.equations, 1.0, 0.0
         rest = [i for i in self.away if abs(b.t[i]) > 1e-3]
-        if not rest or (self.limits is not None and any(i in rest and s * b.t[i] > 0 for i, _, _, s in self.limits.all)):
+        ended = () if self.limits is None else [i for i, _, _, sign in self.limits.all if sign * b.t[i] > 0.0]
+        if not rest or not set(rest).isdisjoint(ended):
             return ""
         a = b
         while gone < AHEAD:

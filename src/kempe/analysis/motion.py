@@ -68,7 +68,7 @@ def trace(
     ends where it closes on itself, at a limit (unless `limits=False`), where it is found to have no end (a slide that
     runs away, gears whose ratio lets it never close), or after `max_points` points. `switch=True` also traces the
     branches met at bifurcations: see `Path.others`. `progress(points, length)` is called now and then. An interrupt
-    from the keyboard, or the `time_limit` [s] of the whole call (120; None: none), returns what was done, which says so:
+    from the keyboard or the `time_limit` [s] of the whole call (120; None: none) returns what was done, and says so by
     `Path.interrupted`, `Path.late`. `frames` are those that tables of the path show.
 
     Errors: `UnsupportedError` where more than one freedom remains, naming it; `UnknownNameError`; `InputError`.

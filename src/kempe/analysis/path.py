@@ -151,7 +151,7 @@ class Path(Configurations):
     @property
     def length(self) -> float:
         """Length of the whole curve."""
-        return float(self.s[-1])
+        return float(self.s[-1]) if len(self.s) else 0.0
 
     @property
     def unit_length(self) -> float:
@@ -226,7 +226,9 @@ class Path(Configurations):
             return replace(self, q=q, s=s)
         more = "; ".join(filter(None, [self.remark, f"{len(q)} of {n} points at equal distances"]))
         late, interrupted = isinstance(broken, TimeUp), isinstance(broken, KeyboardInterrupt)
-        return replace(self, q=q, s=s, success=False, late=late, interrupted=interrupted, remark=more)
+        ends = (self.ends[0], budget.reason(broken))
+        return replace(self, q=q, s=s, closed=False, ends=ends, success=False, late=late, interrupted=interrupted,
+                       remark=more)  # fmt: skip
 
     def table(self, frames: Iterable[FrameLike] | None = None) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default: `self.frames`)."""

@@ -27,6 +27,7 @@ from kempe.cli.app import (
     remark,
     results,
     told,
+    writable,
 )
 from kempe.errors import InputError
 from kempe.views.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
@@ -106,6 +107,7 @@ def convert(
     writers = {".toml": write_toml, ".urdf": write_urdf}
     if out.suffix.lower() not in writers:
         raise InputError(f"{out}: the format is told by the ending; it must be .toml or .urdf")
+    writable(out)
     out.write_text(writers[out.suffix.lower()](mechanism), encoding="utf-8")
     if json:
         print_json({"written": str(out), "name": mechanism.name, "notes": list(mechanism.notes)})

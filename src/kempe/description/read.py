@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kempe.description.mechanism import Mechanism
-from kempe.description.source import SIZE_LIMIT, collecting_later, fail, shorten
+from kempe.description.source import SIZE_LIMIT, collecting_later, fail, no_file, shorten
 from kempe.description.toml import read_toml
 from kempe.description.urdf import read_urdf
 from kempe.description.xacro import XACRO_ADVICE, expand_xacro
@@ -119,6 +119,8 @@ def _bytes_of(path: Path) -> bytes:
         inside = _models_in(path)
         shown = f"give one of its files: {', '.join(inside[:8])}" if inside else "give the path of a file"
         raise fail("this is a folder", where, shown)
+    if what := no_file(path):
+        raise fail(f"this is {what}", where, "give the path of a plain file")
     try:
         with open(path, "rb") as file:
             return file.read(SIZE_LIMIT + 1)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import codecs
 import gc
+import os
 import re
+import stat
 from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from functools import cached_property
+from pathlib import Path
 
 from kempe.errors import (
     PROBLEM_LIMIT,
@@ -38,6 +41,24 @@ MANY_BODIES = 1000
 """Bodies from which on it matters how long it takes to make one."""
 MANY_PROBLEMS = 1000
 """Problems after which a reader gives up at once, so that a hostile file costs bounded time."""
+
+
+_KINDS = (
+    (stat.S_ISFIFO, "a FIFO, from which reading may never end"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISDIR, "a folder"),
+)
+
+
+def no_file(path: str | Path) -> str:
+    """What a path is in place of a plain file, empty for one, and where there is nothing at all."""
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return ""
+    return next((what for is_, what in _KINDS if is_(mode)), "")
 
 
 @contextmanager

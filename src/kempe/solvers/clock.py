@@ -30,7 +30,7 @@ class Budget:
 
     def check(self) -> None:
         """Raise `TimeUp` where it is time to come to an end."""
-        if time.monotonic() >= self.soon:
+        if self.limit is not None and time.monotonic() >= self.soon:
             raise TimeUp
 
     def put_in_order(self) -> None:

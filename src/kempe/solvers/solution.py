@@ -39,7 +39,7 @@ class Solution(Answer):
     position targets) are measured by a forward pass; `residual` is the norm of both. `iterations` and `starts` count
     the work. All have the leading shape of the targets; for a single target they are plain Python numbers.
 
-    In a batch, what is nearest to targets that lengths prove to be out of reach is searched for when one of `q`, errors,
+    In a batch, what is nearest to targets that lengths prove to be out of reach is searched for when `q`, an error,
     `iterations`, `starts` or `status` is first asked for: `success`, `code` and `proven` need no search.
     """
 
