@@ -173,6 +173,12 @@ def test_a_limit_that_does_not_bite_changes_nothing(looks):
     assert path and not path.late and path.status == whole.status
 
 
+def test_a_path_can_be_asked_when_its_time_is_over(looks):
+    path = kempe.load("four_bar").trace(time_limit=5.0)
+    looks(0)
+    assert np.isfinite(path.at([0.1, 0.2])).all() and len(path.resample(50, time_limit=None)) == 50
+
+
 def test_other_branches_that_were_not_followed_are_told(looks):
     s = kempe.load("parallelogram")
     whole = s.trace(switch=True)

@@ -87,16 +87,25 @@ def trace(
     options = _options(system, driver, both, step, limits, max_points, frames, progress, Budget(time_limit))
     held = dict(hold or {})
     equations, q = begin(system, start, held)
-    equations.budget = options.budget
     if q is None:
         return _failed(equations, options, "the loops do not close near the start", start_of(system, start, held))
     if limits and (name := Limits(equations).outside(q)):
         return _failed(equations, options, f"{name!r} is outside its limits at the start", q)
+    equations.budget = options.budget
     try:
-        first = first_node(equations, q, driver, toward)
+        return _followed(equations, q, options, toward, switch)
     except TimeUp as error:
         said = f"it was not followed: {options.budget.reason(error)} came before the directions at its start were known"
         return replace(_failed(equations, options, said, q), late=True)
+    finally:
+        equations.budget = Budget(None)  # the path keeps them
+
+
+def _followed(
+    equations: Closure, q: Array, options: _Options, toward: Mapping[str, float] | None, switch: bool
+) -> Path:  # fmt: skip
+    """The path from a closed configuration on."""
+    first = first_node(equations, q, options.driver, toward)
     if first is None:
         return _failed(equations, options, "it cannot move: no degree of freedom is left", q, True)
     path = _trace(equations, first, options)
