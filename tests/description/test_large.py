@@ -152,8 +152,8 @@ def random_text(rng: np.random.Generator) -> str:
         blank = rng.choice(["", "", "", " ", "\t"])
         comment = rng.choice(["", "", "", " # said", "#[[x]]"])
         if what < 0.35:
-            head = rng.choice([f"[[{word}]]", f"[[{word}]]", f"[{word}]", f"[{word}.c]", f"[[{word}.c]]", f"[[ {word} ]]",
-                               f'["{word}"]', f"[[{word}]"])  # fmt: skip
+            head = rng.choice(["[[{}]]", "[[{}]]", "[{}]", "[{}.c]", "[[{}.c]]", "[[ {} ]]", '["{}"]', "[[{}]"])
+            head = head.format(word)
             lines.append(f"{blank}{head}{comment}")
         elif what < 0.95:
             value = rng.choice(VALUES[:1] if rng.random() < 0.5 else VALUES)
