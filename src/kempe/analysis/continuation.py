@@ -230,7 +230,7 @@ def least_squares_of_many(A: Array, b: Array) -> Array:
     with contextlib.suppress(np.linalg.LinAlgError):
         found = np.linalg.solve(G, right)
         bad = ~(np.linalg.norm(found[..., 1], axis=-1) * scale < WELL)
-        y = found[..., 0]
+        y[:] = found[..., 0]
     for k in np.flatnonzero(bad):
         y[k] = _least_squares(A[k], b[k], BLUNT)
     return y

@@ -211,7 +211,7 @@ class Path(Configurations):
         try:
             for i in range(0, int(n), SLICE):
                 budget.check()
-                s = np.arange(i, min(i + SLICE, n)) * (self.length / (n - 1))
+                s: Array = np.arange(float(i), min(i + SLICE, int(n))) * (self.length / (int(n) - 1))
                 s[s > self.length] = self.length
                 if i + SLICE >= n:
                     s[-1] = self.length

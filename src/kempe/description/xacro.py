@@ -131,12 +131,12 @@ def _run(command: list[str], environment: dict[str, str], output, complaints, se
     ) as process:
         try:
             return process.wait(timeout=seconds)
-        except BaseException as error:  # an interrupt, too, ends it: it is in a session of its own
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            if isinstance(error, subprocess.TimeoutExpired):
-                return None
-            raise
+        except subprocess.TimeoutExpired:
+            return None
+        finally:
+            if process.poll() is None:  # an interrupt, too, ends it: it is in a session of its own
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
 
 
 def _last(said: str) -> str:

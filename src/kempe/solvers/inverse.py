@@ -91,10 +91,7 @@ def ik(
         q, residual, info = run(question, seeds, threads, postpone=bool(lead) and time_limit is None)
     else:
         q, residual, info = hand_over.answer(question, plan, base, seeds, threads)
-    if (info[:, 0] == OUT_OF_REACH).any():
-        given = (question, base, seeds, threads, q, residual, info, lead)
-        return Solution.postponed(info[:, 0].reshape(lead).copy(), question, (_nearest, given))
-    solution = _judged(question, base, q, residual, info, lead)
+    solution = _judged(question, base, q, residual, info, lead, seeds, threads)
     if not lead:
         _bind(question, _task_name(task, position_only), np.shape(target))
     if throw and not solution:
@@ -110,14 +107,21 @@ def _nearest(
     far = np.flatnonzero(info[:, 0] == OUT_OF_REACH)
     some = seeds[far] if len(seeds) > 1 else seeds
     q[far], residual[far], info[far] = run(question, some, threads, targets=question.targets[far])
-    return _judged(question, base, q, residual, info, lead)
+    return _judged(question, base, q, residual, info, lead, seeds, threads)
 
 
 def _judged(
-    question: Task, base: Array, q: Array, residual: Array, info: np.ndarray, lead: tuple[int, ...]
+    question: Task, base: Array, q: Array, residual: Array, info: np.ndarray, lead: tuple[int, ...], seeds: Array,
+    threads: int | None,
 ) -> Solution:  # fmt: skip
-    """The answer, from the chain's configurations (N, n), residuals (N, 2) and status, steps and starts (N, 3)."""
+    """The answer, from the chain's configurations (N, n), residuals (N, 2) and status, steps and starts (N, 3).
+
+    Where `run` has postponed targets, their part of it is found when it is asked for.
+    """
     system, targets, code = question.system, question.targets, info[:, 0]
+    if (code == OUT_OF_REACH).any():
+        given = (question, base, seeds, threads, q, residual, info, lead)
+        return Solution.postponed(code.reshape(lead).copy(), question, (_nearest, given))
     full = np.empty((len(targets), system.nq))
     full[:] = base
     full[:, question.chain.q_index] = q

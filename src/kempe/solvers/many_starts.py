@@ -153,7 +153,7 @@ class Search:
 
 def search(
     system: System, known: dict[str, Any], near: Array | None, frame: str | None, rng: np.random.Generator, starts: int,
-    budget: Budget, progress: Callable[[int, int], Any] | None = None,
+    budget: Budget | None = None, progress: Callable[[int, int], Any] | None = None,
 ) -> Search:  # fmt: skip
     """Assembly modes from at most so many random starts, the first of them `near` or home.
 
@@ -164,7 +164,8 @@ def search(
     while s.tried < starts:
         before = s.copy()
         try:
-            budget.check()
+            if budget is not None:
+                budget.check()
             done = _one_round(s, starts)
         except BROKEN_OFF as error:
             s, s.broken = before, error

@@ -100,8 +100,8 @@ class Question:
     frame: str | None
     rng: np.random.Generator
     starts: int
-    budget: Budget
-    progress: Callable[[int, int], Any] | None
+    budget: Budget = field(default_factory=lambda: Budget(None))
+    progress: Callable[[int, int], Any] | None = None
 
 
 def assembly_modes(
