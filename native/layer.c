@@ -92,7 +92,7 @@ static PyObject *wrong_length(const Called *called, int which, int axis, npy_int
                         called->names[which], (Py_ssize_t)is, (Py_ssize_t)expected, or_);
 }
 static inline int fits(PyObject *o, int type, int axes, int written, Given *to) {
-    if (!PyArray_Check(o)) return 0;
+    if (written ? !PyArray_Check(o) : !PyArray_CheckExact(o)) return 0; /* a mask or a unit would be lost */
     PyArrayObject *v = (PyArrayObject *)o;
     int need = NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_ALIGNED | (written ? NPY_ARRAY_WRITEABLE : 0);
     if (PyArray_NDIM(v) != axes || (PyArray_FLAGS(v) & need) != need) return 0;

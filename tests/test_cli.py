@@ -455,7 +455,7 @@ def test_convert_refuses(arm, four_bar, tmp_path):
     assert ending.code == loop.code == 2 and ".toml or .urdf" in ending.err and "loop" in loop.err
     assert not (tmp_path / "x.urdf").exists()
     folder = Result("convert", arm, tmp_path / "no" / "arm.toml")
-    assert folder.code == 2 and "there is no folder" in folder.err and folder.err.count("\n") == 1
+    assert folder.code == 2 and "No such file" in folder.err and folder.err.count("\n") == 1
 
 
 def test_library():

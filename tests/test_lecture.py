@@ -83,7 +83,7 @@ def test_dof_is_the_dimension_of_the_configuration_space(name):
     q = system.posture("closed") if system.closures else system.random(0)
     assert dimension_here(system, q) == dof_by_counting(system)
     if not system.closures:
-        assert system.configuration_space.dim == system.nv
+        assert system.configuration_space.dimension == system.nv
 
 
 def test_the_loop_through_j6():
@@ -146,7 +146,7 @@ def test_two_ways_to_give_a_configuration():
     pairs = m.build()
     assert pairs.closures == system.joint_names
     space = pairs.configuration_space  # the joints' own coordinates are part of it, as of every configuration
-    assert space.dim - 7 == 7 * 6 and space.constraints == 7 * 6 and space.dim - space.constraints == 7
+    assert space.ambient_dimension - 7 == 7 * 6 == space.constraints and space.dimension == 7
     values = system.q_dict(q)
     for body, X in zip(system.body_names[1:], system.fk(q)[1:], strict=True):
         numbers = [*X[:3, 3], *spatial.matrix_to_quat_wxyz(X[:3, :3])]
@@ -442,7 +442,8 @@ def test_each_holonomic_constraint_removes_one_dof():
     free = m.build().configuration_space
     m.couple("q3", {"q1": 1.0, "q2": 1.0})
     space = m.build().configuration_space
-    assert free.dim - free.constraints == 3 and space.dim - space.constraints == 2
+    assert free.dimension == free.ambient_dimension == 3
+    assert space.dimension == space.ambient_dimension - space.constraints == 2
 
 
 def test_a_car_has_three_dof():

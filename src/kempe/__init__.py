@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from kempe import errors, spatial
+from kempe.calls import explained
 from kempe.description.mechanism import Mechanism
 from kempe.errors import KempeError
 from kempe.model.system import System
@@ -23,27 +24,35 @@ __all__ = [
 ]  # fmt: skip
 
 
+@explained
 def load(
     source: str | Path | bytes, *, format: str | None = None, base: str | None = None, root: str | None = None,
-    package_dirs: Iterable[str | Path] = (), xacro: bool = False,
+    package_dirs: Iterable[str | Path] = (), xacro: bool = False, lenient_limits: bool = False,
 ) -> System:  # fmt: skip
     """The `System` of a file (path), of a text (URDF or TOML), or of a shipped model (bare name such as "puma560").
 
     `base="free"` lets the root link of a URDF move freely; `root` names the ground where a file has no root link;
-    `package_dirs` are the only folders in which meshes may be looked up; `xacro=True` expands xacro first. Errors:
+    `package_dirs` are the only folders in which meshes may be looked up; `xacro=True` expands xacro first;
+    `lenient_limits=True` reads limits of a URDF that hold no range (no bounds, or lower above upper) as none. Errors:
     `DescriptionError` with file, line and what is allowed.
     """
-    return read(source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro).build()
+    return read(
+        source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro,
+        lenient_limits=lenient_limits,
+    ).build()  # fmt: skip
 
 
 def read(
     source: str | Path | bytes, *, format: str | None = None, base: str | None = None, root: str | None = None,
-    package_dirs: Iterable[str | Path] = (), xacro: bool = False,
+    package_dirs: Iterable[str | Path] = (), xacro: bool = False, lenient_limits: bool = False,
 ) -> Mechanism:  # fmt: skip
     """As `load`, but the `Mechanism`: to change it before it is built, or to write it in another format."""
     from kempe.description.read import read as read_mechanism
 
-    return read_mechanism(source, format=format, base=base, root=root, package_dirs=tuple(package_dirs), xacro=xacro)
+    return read_mechanism(
+        source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro,
+        lenient_limits=lenient_limits,
+    )  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 PROBLEM_LIMIT = 20
 """Problems of one file that are collected before giving up."""
+
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 100
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,18 @@ class InputError(KempeError, ValueError):
     """An argument that cannot be used: wrong shape, wrong count, NaN where a number is needed."""
 
 
+class CallError(KempeError, TypeError):
+    """A call with an argument that the function does not have (`name`; `allowed` are kept), or without one it needs."""
+
+    def __init__(self, function: str, name: str, allowed: Iterable[str] = ()):
+        self.function, self.name, self.allowed = function, name, tuple(allowed)
+        wrong = f" has no option {name!r}{hint(name, self.allowed)}" if self.allowed else f": {name}"
+        super().__init__(function + wrong)
+
+    def __reduce__(self):
+        return (type(self), (self.function, self.name, self.allowed))
+
+
 class UnsupportedError(KempeError, NotImplementedError):
     """A question that this version cannot answer for this system; the text says what it can."""
 
@@ -108,6 +124,15 @@ class MissingExtraError(KempeError, ImportError):
 
     def __reduce__(self):
         return (type(self), (self.package, self.extra))
+
+
+def shown(x: object) -> str:
+    """What was given, as short text of one line."""
+    try:
+        text = " ".join(_SHORT.repr(x).split())
+    except ValueError:  # a whole number of thousands of digits
+        text = ""
+    return text if 0 < len(text) <= 80 else f"{text[:60]}... ({type(x).__name__})"
 
 
 def hint(name: object, allowed: Iterable[str]) -> str:

@@ -8,6 +8,7 @@ joints are combinations of revolute and prismatic ones; the classes say which.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from numbers import Real
 from typing import ClassVar, NamedTuple
 
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike
 from kempe import spatial
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.layout import BALL, SLIDE, TURN
+from kempe.reals import reals
 
 R, P, Q = TURN, SLIDE, BALL
 """Kinds of primitives in the table of the kernels: turn, slide, unit quaternion."""
@@ -285,11 +287,12 @@ class Layout:
     quaternion_q: np.ndarray
     quaternion_v: np.ndarray
 
-    @property
+    @cached_property
     def neutral(self) -> spatial.Array:
-        """Zero coordinates and identity quaternions (nq,)."""
+        """Zero coordinates and identity quaternions (nq,); read-only."""
         q = np.zeros(self.nq)
         q[self.quaternion_q] = 1.0
+        q.setflags(write=False)
         return q
 
     def _quaternions(self, q: spatial.Array) -> spatial.Array:
@@ -297,7 +300,7 @@ class Layout:
 
     def integrate(self, q: ArrayLike, v: ArrayLike) -> spatial.Array:
         """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of time."""
-        q, v = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
+        q, v = reals(q, "q"), reals(v, "v")
         out = np.array(np.broadcast_to(q, (*np.broadcast_shapes(q.shape[:-1], v.shape[:-1]), self.nq)))
         out[..., self.vector_q] += v[..., self.vector_v]
         if self.quaternion_q.size:
@@ -308,7 +311,7 @@ class Layout:
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> spatial.Array:
         """Tangent vector (..., nv) that `integrate` needs to go from `q0` to `q1`; rotations go the short way."""
-        q0, q1 = np.asarray(q0, dtype=float), np.asarray(q1, dtype=float)
+        q0, q1 = reals(q0, "q0"), reals(q1, "q1")
         out = np.zeros((*np.broadcast_shapes(q0.shape[:-1], q1.shape[:-1]), self.nv))
         out[..., self.vector_v] = q1[..., self.vector_q] - q0[..., self.vector_q]
         if self.quaternion_q.size:

@@ -9,6 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from kempe.calls import numbers, together
+from kempe.errors import InputError
+
 Array = NDArray[np.float64]
 
 SMALL_ANGLE = 1e-4
@@ -17,15 +20,17 @@ SMALL_ANGLE = 1e-4
 
 def unit(v: ArrayLike) -> Array:
     """Vectors (..., n) scaled to length one, however large or small; NaN for a vector that is zero or not finite."""
-    v = np.asarray(v, dtype=float)
+    v = numbers(v, "v")
+    if v.ndim == 0:
+        raise InputError("v is a single number; it must be a vector (..., n)")
     with np.errstate(invalid="ignore", divide="ignore"):
-        scaled = v / np.max(np.abs(v), axis=-1, keepdims=True)  # or squares would overflow or vanish
+        scaled = v / np.max(np.abs(v), axis=-1, keepdims=True, initial=0.0)  # or squares would overflow or vanish
         return scaled / np.sqrt(np.sum(scaled * scaled, axis=-1, keepdims=True))
 
 
 def skew(v: ArrayLike) -> Array:
     """Matrix (..., 3, 3) of the cross product with `v` (..., 3)."""
-    v = np.asarray(v, dtype=float)
+    v = numbers(v, "v", 3)
     out = np.zeros((*v.shape, 3))
     out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
     out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
@@ -35,9 +40,9 @@ def skew(v: ArrayLike) -> Array:
 
 def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
     """Pose (..., 4, 4) of a rotation (..., 3, 3) and a position (..., 3); what is not given is zero motion."""
-    R = np.eye(3) if R is None else np.asarray(R, dtype=float)
-    p = np.zeros(3) if p is None else np.asarray(p, dtype=float)
-    shape = np.broadcast_shapes(R.shape[:-2], p.shape[:-1])
+    R = np.eye(3) if R is None else numbers(R, "R", 3, 3)
+    p = np.zeros(3) if p is None else numbers(p, "p", 3)
+    shape = together({"R": R.shape[:-2], "p": p.shape[:-1]})
     out = np.zeros((*shape, 4, 4))
     out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = R, p, 1.0
     return out
@@ -45,7 +50,7 @@ def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
 
 def inverse(X: ArrayLike) -> Array:
     """Inverse (..., 4, 4) of poses, by transposing the rotation."""
-    X = np.asarray(X, dtype=float)
+    X = numbers(X, "X", 4, 4)
     R = np.swapaxes(X[..., :3, :3], -1, -2)
     return pose(R, -np.einsum("...ij,...j->...i", R, X[..., :3, 3]))
 
@@ -66,8 +71,9 @@ def rot_z(angle: ArrayLike) -> Array:
 
 
 def _rot(angle: ArrayLike, axis: int) -> Array:
-    angle = np.asarray(angle, dtype=float)
-    c, s = np.cos(angle), np.sin(angle)
+    angle = numbers(angle, "angle")
+    with np.errstate(invalid="ignore"):
+        c, s = np.cos(angle), np.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     out = np.zeros((*angle.shape, 3, 3))
     out[..., axis, axis] = 1.0
@@ -81,7 +87,7 @@ def align_z(axis: ArrayLike) -> Array:
 
     Axes along x, y or z give exact permutations. A zero axis gives NaN.
     """
-    a = unit(axis)
+    a = unit(numbers(axis, "axis", 3))
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
     across = np.hypot(x, y)
     upright = across < 1e-200  # the quotients would be inexact, and any do
@@ -97,26 +103,24 @@ def align_z(axis: ArrayLike) -> Array:
 
 def rpy_to_matrix(rpy: ArrayLike) -> Array:
     """Rotation Rz(yaw) Ry(pitch) Rx(roll) of fixed-axis angles `rpy` (..., 3), as URDF writes them."""
-    r, p, y = np.moveaxis(np.asarray(rpy, dtype=float), -1, 0)
+    r, p, y = np.moveaxis(numbers(rpy, "rpy", 3), -1, 0)
     return rot_z(y) @ rot_y(p) @ rot_x(r)
 
 
 def matrix_to_rpy(R: ArrayLike) -> Array:
     """Fixed-axis angles (..., 3) roll, pitch, yaw of rotations; at pitch = +-90 degrees roll is chosen zero."""
-    R = np.asarray(R, dtype=float)
+    R = numbers(R, "R", 3, 3)
     cos_pitch = np.hypot(R[..., 0, 0], R[..., 1, 0])
     pitch = np.arctan2(-R[..., 2, 0], cos_pitch)
     regular = cos_pitch > 1e-12
     roll = np.where(regular, np.arctan2(R[..., 2, 1], R[..., 2, 2]), 0.0 * pitch)  # or NaN
-    yaw = np.where(
-        regular, np.arctan2(R[..., 1, 0], R[..., 0, 0]), np.arctan2(-R[..., 0, 1], R[..., 1, 1])
-    )
+    yaw = np.where(regular, np.arctan2(R[..., 1, 0], R[..., 0, 0]), np.arctan2(-R[..., 0, 1], R[..., 1, 1]))
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
 def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
     """Rotation (..., 3, 3) of quaternions (..., 4), normalised first; a zero quaternion gives NaN."""
-    q = unit(quat_wxyz)
+    q = unit(numbers(quat_wxyz, "quat_wxyz", 4))
     w, v = q[..., 0, None, None], q[..., 1:]
     K = skew(v)
     return np.eye(3) + 2.0 * (w * K + K @ K)
@@ -124,7 +128,7 @@ def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
 
 def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
     """Unit quaternion (..., 4) with w >= 0 of rotations (..., 3, 3), by the largest component (Shepperd, 1978)."""
-    R = np.asarray(R, dtype=float)
+    R = numbers(R, "R", 3, 3)
     d = np.stack([R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]], axis=-1)
     trace = d.sum(axis=-1)
     # squares of (w, x, y, z), times 4
@@ -145,7 +149,8 @@ def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
 
 def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """Product (..., 4) of quaternions (w, x, y, z)."""
-    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    a, b = numbers(a, "a", 4), numbers(b, "b", 4)
+    together({"a": a.shape, "b": b.shape})
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
     return np.stack([
@@ -156,19 +161,19 @@ def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
 
 def quat_wxyz_conjugate(q: ArrayLike) -> Array:
     """Conjugate (..., 4): the inverse rotation of a unit quaternion."""
-    return np.asarray(q, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0])
+    return numbers(q, "q", 4) * np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def quat_wxyz_exp(w: ArrayLike) -> Array:
     """Unit quaternion (..., 4) of the rotation vector `w` (..., 3)."""
-    w = np.asarray(w, dtype=float)
+    w = numbers(w, "w", 3)
     half = 0.5 * np.linalg.norm(w, axis=-1, keepdims=True)
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * w], axis=-1)
 
 
 def quat_wxyz_log(q: ArrayLike) -> Array:
     """Rotation vector (..., 3), at most pi long, of unit quaternions (..., 4); q and -q give the same."""
-    q = np.asarray(q, dtype=float)
+    q = numbers(q, "q", 4)
     q = np.where(q[..., :1] < 0.0, -q, q)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, q[..., :1])
@@ -190,7 +195,7 @@ def log_so3(R: ArrayLike) -> Array:
 
 def exp_se3(twist: ArrayLike) -> Array:
     """Pose (..., 4, 4) of the screw motion `twist` = [v; w] (..., 6) (Murray, Li, Sastry, 1994, eq. 2.36)."""
-    twist = np.asarray(twist, dtype=float)
+    twist = numbers(twist, "twist", 6)
     v, w = twist[..., :3], twist[..., 3:]
     K = skew(w)
     _, b, c = _series(np.linalg.norm(w, axis=-1))
@@ -200,7 +205,7 @@ def exp_se3(twist: ArrayLike) -> Array:
 
 def log_se3(X: ArrayLike) -> Array:
     """Twist [v; w] (..., 6) whose exponential is the pose; the rotation is at most a half turn."""
-    X = np.asarray(X, dtype=float)
+    X = numbers(X, "X", 4, 4)
     w = log_so3(X[..., :3, :3])
     K = skew(w)
     a, b, _ = _series(np.linalg.norm(w, axis=-1))
@@ -213,9 +218,9 @@ def log_se3(X: ArrayLike) -> Array:
 
 def _series(angle: Array) -> tuple[Array, Array, Array]:
     """sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3, by series for small t."""
-    t2 = angle * angle
     small = angle < 1e-2
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        t2 = angle * angle
         a = np.sinc(angle / np.pi)
         b = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
         c = np.where(small, 1.0 / 6.0 - t2 / 120.0 + t2 * t2 / 5040.0, (1.0 - a) / t2)
@@ -224,7 +229,7 @@ def _series(angle: Array) -> tuple[Array, Array, Array]:
 
 def adjoint(X: ArrayLike) -> Array:
     """Matrix (..., 6, 6) that takes twists [v; w] seen from B to twists seen from A, for X = X_AB."""
-    X = np.asarray(X, dtype=float)
+    X = numbers(X, "X", 4, 4)
     R, p = X[..., :3, :3], X[..., :3, 3]
     out = np.zeros((*X.shape[:-2], 6, 6))
     out[..., :3, :3], out[..., 3:, 3:] = R, R
@@ -234,11 +239,11 @@ def adjoint(X: ArrayLike) -> Array:
 
 def pose_from_xyz_rpy(values: ArrayLike) -> Array:
     """Pose (..., 4, 4) of x, y, z, roll, pitch, yaw (..., 6): fixed axes x, y, z, as in URDF."""
-    values = np.asarray(values, dtype=float)
+    values = numbers(values, "values", 6)
     return pose(rpy_to_matrix(values[..., 3:]), values[..., :3])
 
 
 def xyz_rpy_from_pose(X: ArrayLike) -> Array:
     """x, y, z, roll, pitch, yaw (..., 6) of poses."""
-    X = np.asarray(X, dtype=float)
+    X = numbers(X, "X", 4, 4)
     return np.concatenate([X[..., :3, 3], matrix_to_rpy(X[..., :3, :3])], axis=-1)

@@ -33,7 +33,7 @@ pin = pytest.importorskip("pinocchio")
 FOLDER = os.environ.get("KEMPE_URDF_FOLDER", "")
 
 TYPES = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed",
-         "floating": "free", "planar": "planar"}  # fmt: skip
+         "floating": "free", "planar": "planar", "spherical": "spherical"}  # fmt: skip
 
 DIRT = {
     "swapped limits": "its limits are swapped",
@@ -143,6 +143,8 @@ def motion(joint: Joint, x: np.ndarray) -> np.ndarray:
         M[:3, 3] = joint.axis * x[0]
     elif joint.kind == "floating":
         M[:3, 3], M[:3, :3] = x[:3], quat_wxyz_to_matrix(x[3:])
+    elif joint.kind == "spherical":
+        M[:3, :3] = quat_wxyz_to_matrix(x)
     return M
 
 

@@ -121,7 +121,7 @@ def test_types_of_screws():
         (lambda: from_dh([{"A": 1}]), "row 1 has an unknown entry 'A'; did you mean 'a'"),
         (lambda: from_dh([{"type": "ball"}]), "row 1: type is 'ball'; it must be revolute, prismatic, fixed"),
         (lambda: from_dh([{"a": float("nan")}]), "row 1: a is nan; it must be finite"),
-        (lambda: from_dh([(1, 2, 3, 4)]), "it must be a dict"),
+        (lambda: from_dh([3.0]), "it must be plain numbers or a dict"),
         (lambda: from_dh([{}], tool={"xyz": 1}), "tool has an unknown entry 'xyz'"),
         (lambda: from_dh([{}], tool="gripper"), "pose"),
         (lambda: from_screws([]), "empty"),

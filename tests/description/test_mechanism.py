@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import pickle
 
 import numpy as np
@@ -10,9 +11,11 @@ import pytest
 import reference
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from kempe import Mechanism, System
 from kempe.description.placement import Placement, place
+from kempe.description.toml import read_toml
 from kempe.errors import DescriptionError, InputError, KempeError, Problem, UnknownNameError, Where
 
 
@@ -822,8 +825,9 @@ def test_a_built_system_does_not_see_later_changes():
     for name in ("nq", "name", "parent", "lower", "neutral"):
         with pytest.raises(AttributeError):
             setattr(s, name, 0)
-    s.lower[0] = 99.0
-    s.neutral[0] = 99.0
+    for array in (s.lower, s.upper, s.limits, s.velocity_limits, s.neutral, s.mid):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 99.0
     assert s.lower[0] == -2.0 and s.neutral[0] == 0.0
     for array in (s.coordinates.lower, s.layout.vector_q, s.table.placement, s.coordinates.turning):
         with pytest.raises(ValueError, match="read-only"):
@@ -895,3 +899,109 @@ def test_a_loop_through_a_particle_is_cut_at_the_particle():
     error = s.closure_error(s.q({"PA": 0.25, "PB": 0.75, "B.qw": np.cos(0.1), "B.qz": np.sin(0.1)}))[0]
     assert np.all(error[3:] == 0)
     np.testing.assert_allclose(np.linalg.norm(error[:3]), 2 * 0.75 * np.sin(0.1), atol=1e-15)
+
+
+# ---- placements in all the ways in which they are given
+
+
+def turned(rng: np.random.Generator) -> tuple[Rotation, dict[str, object]]:
+    """A rotation, and keywords that say it."""
+    R = Rotation.random(random_state=int(rng.integers(2**31)))
+    how = int(rng.integers(5))
+    if how == 0:
+        return R, {"matrix": R.as_matrix() if rng.random() < 0.5 else R.as_matrix().tolist()}
+    if how == 1:
+        return R, {"quat_wxyz": (R.as_quat()[[3, 0, 1, 2]] * rng.uniform(0.5, 2.0)).tolist()}
+    if how == 2:
+        return R, {"rpy": R.as_euler("xyz").tolist()}
+    if how == 3:
+        angle = float(rng.uniform(-3, 3))
+        return Rotation.from_rotvec([0, 0, angle]), {"angle": angle}
+    return Rotation.identity(), {}
+
+
+AXES = {"x": (1, 0, 0), "+y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
+
+
+def placed(rng: np.random.Generator) -> tuple[np.ndarray, dict[str, object]]:
+    """A pose (4, 4), and keywords that say it, the axis left out."""
+    R, keywords = turned(rng)
+    X = np.eye(4)
+    X[:3, :3], X[:3, 3] = R.as_matrix(), rng.uniform(-1, 1, 3)
+    if rng.random() < 0.3:
+        return X, {"at": X if rng.random() < 0.5 else X.tolist()}
+    return X, {"at": X[:3, 3].tolist(), **keywords}
+
+
+def hunted(rng: np.random.Generator, count: int) -> None:
+    """Joints placed in all ways, by the builder and by TOML: both frames where the keywords say, by scipy."""
+    for _ in range(count):
+        (A, on_parent), (B, on_child) = placed(rng), placed(rng)
+        axis = str(rng.choice(list(AXES)))
+        kind, q = (
+            ("revolute", float(rng.uniform(-3, 3))) if rng.random() < 0.5 else ("prismatic", float(rng.uniform(-1, 1)))
+        )
+        limits = ((None, 4.0), (-4.0, None), (None, None), (-4, 4))[rng.integers(4)]
+        m = Mechanism("m")
+        child = {f"child_{k}": v for k, v in on_child.items()}
+        j = m.joint("j", kind, m.ground, m.body("b"), axis=axis, limits=limits, **on_parent, **child)
+        motion = np.eye(4)
+        if kind == "revolute":
+            motion[:3, :3] = Rotation.from_rotvec(q * np.array(AXES[axis])).as_matrix()
+        else:
+            motion[:3, 3] = q * np.array(AXES[axis])
+        np.testing.assert_allclose(m.build().fk([q], "b"), A @ motion @ np.linalg.inv(B), rtol=0, atol=1e-12)
+        ends = tuple(float(s * np.inf) if x is None else float(x) for x, s in zip(limits, (-1, 1), strict=True))
+        assert j.limits == {"": ends}
+        text = 'format = 1\nname = "m"\n[[body]]\nname = "b"\n[[joint]]\nname = "j"\nparent = "ground"\nchild = "b"\n'
+        keys = {"type": kind, "axis": axis, "limits": list(ends), **on_parent, **child}
+        text += "".join(f"{k} = {json.dumps(np.asarray(v).tolist())}\n" for k, v in keys.items()).replace(
+            "Infinity", "inf"
+        )
+        assert read_toml(text) == m
+
+
+def test_joints_are_where_their_keywords_say(hunt):
+    hunted(hunt.rng(), hunt.cases(100))
+
+
+@pytest.mark.slow
+def test_many_joints_are_where_their_keywords_say(hunt):
+    hunted(hunt.rng(), hunt.cases(1000))
+
+
+def test_constraints_and_frames_take_all_placements():
+    m, X = Mechanism("m"), np.eye(4)
+    X[:3, :3], X[:3, 3] = Rotation.from_euler("x", 0.3).as_matrix(), (1, 2, 3)
+    m.free("f", m.ground, m.body("b"))
+    a = m.point_on_line("a", m.ground, "b", at=(1, 2, 3), quat_wxyz=(np.cos(0.15), np.sin(0.15), 0, 0))
+    b = m.point_on_plane("b", m.ground, "b", at=X, axis="-y")
+    c = m.point_on_line("c", m.ground, "b", at=(1, 2, 3), matrix=X[:3, :3])
+    f = m.frame("tip", "b", at=X)
+    for placement in (a.X_PF, c.X_PF, f.X_BF):
+        np.testing.assert_allclose(placement.evaluate({}), X, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(b.X_PF.evaluate({})[:3, 2], -X[:3, 1], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "words"),
+    [
+        ({"quat_xyzw": (0, 0, 0, 1)}, "joints have no keyword 'quat_xyzw'; did you mean 'quat_wxyz'"),
+        ({"matrx": np.eye(3)}, "joints have no keyword 'matrx'; did you mean 'matrix'"),
+        ({"axis": "w"}, "axis is 'w'; it must be numbers, or one of x, y, z, -x, -y, -z"),
+        (
+            {"matrix": np.eye(4)},
+            r"matrix is a pose \(4, 4\); it must be a rotation \(3, 3\), and a pose is given as at",
+        ),
+        ({"at": np.ones((4, 4))}, "a pose must be a .* last row 0 0 0 1"),
+        ({"at": np.diag([2.0, 1, 1, 1])}, "matrix is not a rotation"),
+        ({"matrix": np.eye(3), "rpy": (0, 0, 0)}, "orientation given twice, by rpy and matrix"),
+        ({"limits": (None, 1, 2)}, r"they must be a pair \(lower, upper\), None where there is none"),
+        ({"limits": ("", 1)}, "they must be a pair"),
+        ({"color": 1}, "no option 'color'; it takes no options"),
+    ],
+)
+def test_keywords_that_are_none(keywords, words):
+    m = Mechanism("m")
+    with pytest.raises((DescriptionError, InputError), match=words):
+        m.revolute("j", m.ground, m.body("b"), **keywords)

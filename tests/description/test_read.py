@@ -177,6 +177,43 @@ def test_meshes_without_roots():
         resolve_mesh("a.stl", [])
 
 
+def test_files_of_the_home_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "m.urdf").write_text(URDF)
+    (tmp_path / "models").mkdir()
+    for source in ("~/m.urdf", Path("~/m.urdf")):
+        m = read(source, package_dirs=["~/models"])
+        assert m == read(tmp_path / "m.urdf") and m.roots == (str(tmp_path), str(tmp_path / "models"))
+    assert check("~/m.urdf").problems == ()
+    with pytest.raises(DescriptionError, match=f"{tmp_path}/no.urdf: there is no such file"):
+        read("~/no.urdf")
+    with pytest.raises(DescriptionError, match="there is no"):
+        read("~nobody-of-this-name/m.urdf")
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("https://example.org/a/ur5.urdf", "'https://example.org/a/ur5.urdf' is a URL; .* download it first"),
+        (Path("https://example.org/a.urdf"), "'https://example.org/a.urdf' is a URL; .* download it first"),
+        ("git+ssh://x/y.urdf", "'git.ssh://x/y.urdf' is a URL"),
+        ("file:///tmp/a.urdf", "is a URL; give the path alone, without file://"),
+        ("package://ur/ur5.urdf", "is a URL; give the path of the file"),
+    ],
+)
+def test_a_url_is_called_one(source, words: str):
+    with pytest.raises(InputError, match=words):
+        read(source)
+    assert "is a URL" in str(check(source).problems[0])
+    with pytest.raises(InputError, match="is a URL"):
+        read("m.urdf", package_dirs=[source])
+
+
+def test_lenient_limits_are_for_urdf():
+    with pytest.raises(InputError, match="lenient_limits is for URDF"):
+        read(TOML, lenient_limits=True)
+
+
 # ---- xacro
 
 XACRO = '<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro">\n{}\n</robot>\n'
@@ -207,6 +244,46 @@ def test_xacro_is_expanded_on_request(tmp_path):
     assert m.joints["j"].where is not None and m.joints["j"].where.file.endswith("m.urdf.xacro (expanded)")
     with pytest.raises(InputError, match="from a file, not from text"):
         read(path.read_text(), xacro=True)
+
+
+LEG = '<xacro:macro name="leg" params="n"><link name="leg${n}"/></xacro:macro>'
+USE = '<xacro:include filename="$(find my_legs)/urdf/part.xacro"/><xacro:leg n="1"/>'
+
+
+@pytest.mark.parametrize("dirs", [["packages"], ["packages/my_legs"], ["other", "packages"]])
+def test_a_folder_of_the_packages_name_is_taken_for_it(dirs, tmp_path):
+    folder = tmp_path / "packages" / "my_legs" / "urdf"
+    folder.mkdir(parents=True)
+    (folder / "part.xacro").write_text(XACRO.format(LEG))
+    assert '<link name="leg1"/>' in expanded(tmp_path, USE, package_dirs=[tmp_path / d for d in dirs])
+
+
+def test_a_folder_above_the_file_is_taken_for_its_package(tmp_path):
+    folder = tmp_path / "my_legs" / "urdf"
+    folder.mkdir(parents=True)
+    (folder / "part.xacro").write_text(XACRO.format(LEG))
+    assert '<link name="leg1"/>' in expanded(folder, USE)
+
+
+def test_a_package_that_names_itself_comes_first(tmp_path):
+    for name, leg in (("my_legs", "wrong"), ("renamed", "right")):
+        folder = tmp_path / "packages" / name / "urdf"
+        folder.mkdir(parents=True)
+        (folder / "part.xacro").write_text(XACRO.format(LEG.replace("leg$", f"{leg}$")))
+    (tmp_path / "packages" / "renamed" / "package.xml").write_text(
+        '<package format="2"><name>my_legs</name><version>1.0.0</version><description>d</description>'
+        '<maintainer email="a@b.c">m</maintainer><license>l</license></package>'
+    )
+    assert '<link name="right1"/>' in expanded(tmp_path, USE, package_dirs=[tmp_path / "packages"])
+
+
+@pytest.mark.parametrize("dirs", [[], ["empty"]])
+def test_a_package_that_is_not_found_is_named(dirs, tmp_path):
+    (tmp_path / "empty").mkdir()
+    where = f" in '{tmp_path}/empty'" if dirs else ""
+    words = f"m.urdf.xacro: xacro finds no package 'my_legs'{where}; name by package_dirs a folder that holds one"
+    with pytest.raises(DescriptionError, match=words):
+        expanded(tmp_path, USE, package_dirs=[tmp_path / d for d in dirs])
 
 
 def test_xacro_arguments(tmp_path):

@@ -97,6 +97,114 @@ def test_limits(limit: str, limits, bounds):
     assert (j.velocity_limits.get(""), j.effort_limits.get("")) == bounds
 
 
+SWAPPED = '<limit lower="1" upper="-1" effort="2" velocity="3"/>'
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_limits_without_bounds_are_zero_and_say_so(kind: str):
+    text = robot(joint("j", '<limit effort="1" velocity="2"/>', kind), REST)
+    m = read_urdf(text)
+    assert m.joints["j"].limits == {"": (0.0, 0.0)} and m.joints["j"].unstated
+    assert m.notes == ["<text>:5: joint 'j': its <limit> has no lower and upper; by the rules of URDF both are 0 and "
+                       "the joint cannot move (lenient_limits=True reads it as unlimited)"]  # fmt: skip
+    free = read_urdf(text, lenient_limits=True)
+    assert free.joints["j"].limits == {} and not free.joints["j"].unstated
+    assert (free.joints["j"].velocity_limits, free.joints["j"].effort_limits) == ({"": 2.0}, {"": 1.0})
+    assert "it is read as unlimited, as asked for" in free.notes[0]
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_swapped_limits_are_refused_or_none(kind: str):
+    text = robot(joint("j", SWAPPED, kind), REST)
+    with pytest.raises(DescriptionError, match="limits are swapped.*unlimited: lenient_limits=True reads it so"):
+        read_urdf(text)
+    m = read_urdf(text, lenient_limits=True)
+    assert m.joints["j"].limits == {} and m.joints["j"].velocity_limits == {"": 3.0}
+    assert m.notes == ["<text>:5: joint 'j': its limits are swapped (lower='1' upper='-1'); "
+                       "it is read as unlimited, as asked for"]  # fmt: skip
+
+
+def by_the_rules(given: dict[str, float], lenient: bool) -> tuple[float, float] | None:
+    """Limits by the rules of URDF, or of Bullet where `lenient`; None where the file is to be refused."""
+    lower, upper = given.get("lower", 0.0), given.get("upper", 0.0)
+    if lenient and (not given or lower > upper):
+        return -math.inf, math.inf
+    if lower > upper or lower == math.inf or upper == -math.inf:
+        return None
+    return (lower, upper) if abs(lower) < math.inf or abs(upper) < math.inf else (-math.inf, math.inf)
+
+
+def test_limits_of_all_kinds_are_read_by_the_rules(hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(1000)):
+        values = [float(x) for x in rng.choice([0.0, -1.0, 1.0, 0.5, -2.5, math.inf, -math.inf], 2)]
+        given = {k: x for k, x in zip(("lower", "upper"), values, strict=True) if rng.random() < 0.7}
+        said, lenient = "".join(f' {k}="{x}"' for k, x in given.items()), bool(rng.random() < 0.5)
+        text = robot(
+            joint("j", f'<limit effort="1" velocity="1"{said}/>', str(rng.choice(["revolute", "prismatic"]))), REST
+        )
+        wanted = by_the_rules(given, lenient)
+        try:
+            found = read_urdf(text, lenient_limits=lenient).joints["j"]
+        except DescriptionError as error:
+            assert wanted is None, (given, lenient, str(error))
+            continue
+        assert found.limits.get("", (-math.inf, math.inf)) == wanted, (given, lenient)
+        assert found.unstated == (not given and not lenient)
+
+
+def test_limits_that_hold_a_range_are_the_same_either_way():
+    text = robot(
+        joint("j", '<limit upper="2"/>'), joint("k", '<limit lower="0" upper="0"/>', "revolute", "arm", "hand")
+    )
+    strict, lenient = read_urdf(text), read_urdf(text, lenient_limits=True)
+    assert strict == lenient and not any(j.unstated for j in strict.joints.values())
+
+
+def test_the_link_world_need_not_be_in_the_file():
+    text = robot(joint("weld", "", "fixed", "world", "base"), joint("j"), REST)
+    m = read_urdf(text)
+    assert m.ground.name == "world" and list(m.bodies) == ["world", "base", "arm", "hand"]
+    said = "its parent link 'world' is not in the file; it is taken for the ground, as Drake takes it"
+    assert m.notes == [f"<text>:5: joint 'weld': {said}"]
+    written = read_urdf(text.replace("</robot>", '<link name="world"/></robot>'))
+    assert written.notes == [] and written.build().fk([0.3], "hand").tolist() == m.build().fk([0.3], "hand").tolist()
+    assert read_urdf(text, base="free").ground.name == "world_2"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (robot(joint("w", parent="arm", child="world"), joint(), REST), "child link 'world' does not exist"),
+        (robot(joint("w", parent="wrld"), REST), "parent link 'wrld' does not exist"),
+        (
+            robot(joint("w", parent="world"), REST, links=LINKS + '<link name="World"/>'),
+            "'world' does not exist; did you",
+        ),
+        (robot(joint("w", "", "fixed", "world", "arm"), REST), "2 links are nobody's child: 'base' .*, 'world'"),
+    ],
+)
+def test_the_implicit_world_hides_no_slip(text: str, words: str):
+    with pytest.raises(DescriptionError, match=words):
+        read_urdf(text)
+
+
+def test_spherical_joints_of_other_programs():
+    limit = '<limit effort="1000.0" lower="0.2" upper=".8" twist=".3"/>'
+    m = read_urdf(robot(joint("neck", f'{ORIGIN}<axis xyz="0 1 0"/>{limit}', "spherical"), REST))
+    assert m.joints["neck"].type.type_name == "spherical" and m.joints["neck"].limits == {}
+    s = m.build()
+    q = {"neck.qw": math.cos(0.2), "neck.qy": math.sin(0.2)}
+    np.testing.assert_allclose(s.fk(q, "arm"), X0 @ about((0, 1, 0), 0.4), rtol=0, atol=1e-14)
+    notes = "\n".join(m.notes)
+    for piece in (
+        "'spherical' is a type of MuJoCo and Bullet; ROS refuses it",
+        "the limit attribute 'twist' is not read",
+        "the <limit> of a spherical joint has no defined meaning",
+    ):
+        assert piece in notes
+
+
 def test_limits_of_continuous_joints_are_not_used():
     m = read_urdf(robot(joint("j", LIMIT, "continuous"), REST))
     assert m.joints["j"].limits == {} and m.joints["j"].velocity_limits == {"": 2.0}
@@ -122,7 +230,7 @@ def test_mimic_chains_multiply():
     np.testing.assert_allclose(s.fk([q], "tip"), about((1, 0, 0), total), rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("kind", ["fixed", "planar", "floating"])
+@pytest.mark.parametrize("kind", ["fixed", "planar", "floating", "spherical"])
 def test_mimic_needs_one_coordinate(kind: str):
     text = robot(joint("a", "", kind), joint("b", mimic("a"), parent="arm", child="hand"))
     with pytest.raises(DescriptionError, match=f"'a' is {kind} and has"):
@@ -180,7 +288,7 @@ def test_order_of_the_file_is_kept():
 def test_all_problems_are_told_in_the_order_of_the_file():
     text = robot(
         joint("a", '<axis xyz="0 0 0"/><origin xyz="1 2"/>' + LIMIT),
-        joint("b", "", "spherical", "arm", "hand"),
+        joint("b", "", "ball", "arm", "hand"),
         joint("c", mimic("x")),
         links=LINKS.replace('base"/>', 'base"><inertial><mass value="x"/></inertial></link>'),
     )

@@ -63,12 +63,14 @@ def test_attributes_of_other_programs_are_noted(name):
     assert note.endswith(f"the limit attribute '{name}' is not read")
 
 
-@pytest.mark.parametrize("given", ["1.0", "1.1", "1.2", " 1.1 "])
+@pytest.mark.parametrize("given", ["1.0", "1.1", "1.2", " 1.1 ", "1.00", "01.2", "1.01"])
 def test_versions_of_urdf(given):
     assert not read_urdf(robot(joint(), REST).replace("<robot", f'<robot version="{given}"')).notes
 
 
-@pytest.mark.parametrize("given", ["2.0", "foo", "-1.0", "1.3", "1", "", "1.0.0", "1.10"])
+@pytest.mark.parametrize(
+    "given", ["2.0", "foo", "-1.0", "1.3", "1", "", "1.0.0", "1.10", "1.", ".1", "1.0a", "１.0", "1.-0", "1.+0", "1.3"]
+)
 def test_other_versions_are_refused(given):
     with pytest.raises(DescriptionError, match=f"robot: the version is '{given}'; it is the version of URDF"):
         read_urdf(robot(joint(), REST).replace("<robot", f'<robot version="{given}"'))
@@ -114,6 +116,36 @@ def test_what_ties_links_is_refused_and_what_ties_none_is_noted(tag):
         read_urdf(robot(joint(), REST, tied))
     (note,) = read_urdf(robot(joint(), REST, f'<{tag} of="nobody"/>')).notes
     assert f"the element '{tag}' is not read (of='nobody')" in note
+
+
+def test_a_version_with_more_digits_decides_on_quaternions():
+    text = robot(joint(inside='<origin quat_xyzw="0 0 0 1"/>' + LIMIT), REST)
+    with pytest.raises(DescriptionError, match="this file is of version 1.0"):
+        read_urdf(text.replace("<robot", '<robot version="1.00"'))
+    assert read_urdf(text.replace("<robot", '<robot version="1.01"')).joints
+
+
+@pytest.mark.parametrize(
+    ("inside", "said"),
+    [
+        ('<equality><connect body1="base" body2="hand" anchor="0 0 1"/></equality>', "'base' and 'hand'"),
+        ('<equality><joint joint1="elbow" joint2="rest" polycoef="0 1 0 0 0"/></equality>', "'elbow' and 'rest'"),
+        ('<extension><equality><weld body1="arm"/></equality></extension>', "'arm'"),
+        ('<tendon><fixed name="t"><joint joint="elbow" coef="1"/></fixed></tendon>', "'elbow'"),
+    ],
+)
+@pytest.mark.parametrize("block", ["mujoco", "drake"])
+def test_what_ties_links_for_one_simulator_is_noted(block, inside, said):
+    notes = read_urdf(robot(joint(), REST, f"<{block}>{inside}</{block}>")).notes
+    (note,) = [n for n in notes if "there it ties" in n]
+    assert f"in a <{block}> block is not read" in note and note.endswith(f"there it ties {said}")
+
+
+@pytest.mark.parametrize(
+    "inside", ['<compiler discardvisual="true"/>', '<contact><exclude body1="base" body2="arm"/></contact>', ""]
+)
+def test_what_ties_nothing_for_a_simulator_is_passed_over(inside):
+    assert not read_urdf(robot(joint(), REST, f"<mujoco>{inside}</mujoco>")).notes
 
 
 def test_blocks_of_simulators_are_noted():

@@ -56,13 +56,20 @@ def test_trees_of_what_urdf_has(seed: int):
     rng = np.random.default_rng(seed)
     m = Mechanism("tree")
     bodies = [m.ground]
-    for i, kind in enumerate(rng.choice(["revolute", "prismatic", "fixed", "planar", "free"], 8)):
+    for i, kind in enumerate(rng.choice(["revolute", "prismatic", "fixed", "planar", "free", "spherical"], 8)):
         bodies.append(m.body(f"b{i}"))
         X_PF = place(rng.normal(size=3), rpy=rng.normal(size=3))
         X_CM = place(rng.normal(size=3) * (rng.random() < 0.5), rpy=rng.normal(size=3) * (rng.random() < 0.5))
         m.joint(f"j{i}", kind, bodies[rng.integers(len(bodies) - 1)], bodies[-1], at=X_PF, child_at=X_CM)
     m.frame("tip", bodies[-1], at=(0.1, 0.2, 0.3), quat_wxyz=(1, 2, 3, 4))
     same_poses(m, seed)
+
+
+def test_spherical_joints_are_written_with_a_remark():
+    m = Mechanism("m")
+    m.spherical("s", m.ground, m.body("a"), at=(1, 2, 3), child_at=(0, 0, 1))
+    assert "<!-- spherical: a type of MuJoCo and Bullet, which ROS refuses -->" in write_urdf(m)
+    same_poses(m)
 
 
 def test_dh_chains_get_links_for_their_axes():
@@ -128,7 +135,7 @@ def test_all_that_urdf_cannot_say_is_listed():
     m.revolute("ra", m.ground, a)
     m.helical("hb", a, b, pitch=0.1)
     m.universal("uc", b, c)
-    m.spherical("sd", c, d)
+    m.spherical("sd", c, d, angles=True)
     m.revolute("re", d, e)
     m.revolute("loop", e, c)
     m.revolute("back", f, m.ground)
@@ -145,7 +152,7 @@ def test_all_that_urdf_cannot_say_is_listed():
         "ground 'ground': joint 'back' leads to it",
         "joint 'hb': a helical joint does not exist in URDF",
         "joint 'uc': a universal joint",
-        "joint 'sd': a spherical joint",
+        "joint 'sd': a spherical joint by angles",
         "body 'p': it is a particle",
         "joint 'pg': limits of a planar joint",
         "joint 'pg': only pg.y of its coordinates are locked",

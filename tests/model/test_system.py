@@ -46,7 +46,7 @@ def test_the_public_face():
     assert s.couplings["right"].source == "left" and s.relations == () and s.notes == () and s.parameters == {}
     assert s.coordinates_of_joint("quill") == ["quill.rz", "quill.z"] and s.coordinates_of_joint("right") == ["right"]
     assert repr(s) == "System('scara', bodies=6, joints=7, nq=13, loops=1)"
-    assert s.configuration_space.shape == "SO(3)^2 x T^3 x R^2"
+    assert s.configuration_space.ambient.shape == "SO(3)^2 x T^3 x R^2"
     home = s.posture("home")
     assert home[0] == 0.5 and home[3] == -0.1 and home[4] == 0.0
     with pytest.raises(UnknownNameError, match="scara has no joint 'quil'; did you mean 'quill'"):

@@ -267,7 +267,7 @@ def test_wrong_questions_are_refused():
         s.assemble({"coupler_point": [1.0]})
     with pytest.raises(InputError, match="needs 4"):
         s.assemble(near=[0.0])
-    with pytest.raises(InputError, match="numbers"):
+    with pytest.raises(InputError, match="must be a number"):
         s.assemble({"A": "x"})
 
 

@@ -198,6 +198,7 @@ def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     many = len(kernel) - (not drivers)
     return (
         f"to first order {system.name} has {count} freedoms here, more than are driven; {what}; "
-        f"hold {'one' if many == 1 else str(many)} of them (hold={{name: value}}) or lock it; "
+        f"hold {'one' if many == 1 else str(many)} of them (hold={{name: value}}), or lock "
+        f"{'it' if many == 1 else 'them'}; "
         "a singular point where branches of several freedoms meet is no place to start"
     )

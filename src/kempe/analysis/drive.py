@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +21,10 @@ from kempe.analysis.course import Course, State, Stuck
 from kempe.analysis.events import Limits
 from kempe.analysis.motion import Progress
 from kempe.analysis.path import Configurations, Event
+from kempe.calls import explained, explained_methods
 from kempe.errors import InputError
+from kempe.kinematics.tabular import write_table
+from kempe.reals import reals
 from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, TimeUp, partial
 from kempe.spatial import Array
 
@@ -55,6 +59,7 @@ class Toggle:
         return f"{_samples_text(self.first, self.last)}: held at {at}: {self.reason}"
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Drive(Configurations):
     """The motion of a mechanism whose inputs were prescribed.
@@ -90,6 +95,10 @@ class Drive(Configurations):
         names, columns = self._columns("time", self.times, frames)
         return [*names, "held"], np.column_stack([columns, self.held])
 
+    def save(self, path: str | FilePath, frames: Iterable[FrameLike] = ()) -> FilePath:
+        """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors: `InputError`."""
+        return write_table(path, *self.table(frames))
+
     @property
     def status(self) -> str:
         """The sentence that says how it went."""
@@ -115,6 +124,7 @@ class Drive(Configurations):
         return "".join(f"<p>{escape(line)}</p>" for line in str(self).splitlines())
 
 
+@explained
 def drive(
     system: System, inputs: Mapping[str, ArrayLike | Callable[[float], float]], times: ArrayLike | None = None,
     start: ArrayLike | Mapping[str, float] | str | None = None, *, hold: Mapping[str, float] | None = None,
@@ -124,10 +134,10 @@ def drive(
     """The motion that follows prescribed inputs, as a `Drive`: continuous, on the branch of `start`.
 
     `inputs` gives for each driven coordinate its values (n,) in radians or metres, one number, or a function of time,
-    which needs `times` (n,). Samples may be coarse: in between the motion is continued in steps of at most `step`
-    of arc length. `start` is as in `trace` (default: the posture "closed", or what the first inputs give). It goes
-    straight on through change points. `toward` gives rates by coordinate name that choose the branch if the start is
-    a change point; otherwise the branch that moves least. Where the inputs ask for what the mechanism cannot do, or
+    which needs `times` (n,), growing. Samples may be coarse: in between the motion is continued in steps of at most
+    `step` of arc length. `start` is as in `trace` (default: the posture "closed", or what the first inputs give). It
+    goes straight on through change points. `toward` gives rates by coordinate name that choose the branch if the start
+    is a change point; otherwise the branch that moves least. Where the inputs ask for what the mechanism cannot do, or
     for what is beyond a limit, the last pose is held until they come back. `progress(sample, total)` is called
     now and then; an interrupt from the keyboard, or the `time_limit` [s] of the whole call (600; None: none), leaves
     the samples that were done.
@@ -188,6 +198,11 @@ def _samples(
         raise InputError("there are no samples: times or inputs are empty")
     if clock.ndim != 1 or bad:
         raise InputError(f"times and inputs must be one number or {clock.shape} numbers; {', '.join(bad)} differ")
+    back = np.flatnonzero(~(np.diff(clock) > 0.0))
+    if np.isfinite(clock).all() and len(back):
+        k = int(back[0])
+        raise InputError(f"times must grow from sample to sample: {clock[k + 1]:g} at sample {k + 1} comes after "
+                         f"{clock[k]:g}")  # fmt: skip
     full = {n: np.broadcast_to(a, clock.shape) for n, a in arrays.items()}
     if not all(np.isfinite(a).all() for a in (clock, *full.values())):
         raise InputError("times or inputs hold a NaN or an infinity")
@@ -210,10 +225,7 @@ def _samples(
 
 
 def _numbers(values: Any, subject: str) -> Array:
-    try:
-        return np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{subject} is {values!r}; it must be numbers") from None
+    return reals(values, subject, "numbers")
 
 
 def _begin(

@@ -17,6 +17,7 @@ from kempe.analysis.mobility_text import dimensions
 from kempe.analysis.passive import IdleFreedom, idle_freedoms, may_idle
 from kempe.analysis.rank import Rank, rank_at
 from kempe.analysis.redundancy import Redundancy, redundancy
+from kempe.calls import explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.ball_angles import regular_chart
 from kempe.kinematics.configuration import as_q
@@ -41,6 +42,7 @@ class ClusterMobility:
     redundant: int | None
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Mobility:
     """Degrees of freedom of a mechanism at a configuration, with the reasoning; ``print`` it.
@@ -144,6 +146,7 @@ class Mobility:
         return html(self)
 
 
+@explained
 def mobility(
     system: System, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
     rng: np.random.Generator | int = 0,
@@ -160,7 +163,7 @@ def mobility(
     s = structure(system)
     driven(system, actuated)  # a wrong name is refused before any work
     at = close(system, _given(system, q)) if q is not None else find_closed(system)
-    rng = np.random.default_rng(rng)
+    rng = generator(rng)
     if not at.closed:
         return _open(system, s, at)
     other, q, turned = regular_chart(system, at.q)

@@ -19,6 +19,7 @@ from kempe.analysis.continuation import Closure, Node, arc, node
 from kempe.analysis.endless import NO_RETURN, Endless
 from kempe.analysis.events import Limits, Stop, extreme, hidden_crossings, home, turns, walk
 from kempe.analysis.path import Event, Path, Track
+from kempe.calls import explained
 from kempe.errors import InputError
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, TimeUp
 from kempe.spatial import Array
@@ -51,6 +52,7 @@ class _Options:
     budget: Budget
 
 
+@explained
 def trace(
     system: System, driver: str | None = None, start: ArrayLike | Mapping[str, float] | str | None = None, *,
     both: bool = True, step: float | None = None, limits: bool = True, max_points: int = MOST_POINTS,

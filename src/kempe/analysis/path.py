@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.analysis.continuation import Closure, least_squares_of_many
-from kempe.errors import InputError, UnknownNameError
+from kempe.calls import explained_methods, numbers
+from kempe.errors import InputError, UnknownNameError, shown
+from kempe.kinematics.tabular import Tabular, write_table
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, TimeUp, partial
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
+
+MOST = 10**7
+"""Points at most of a path that is resampled."""
 
 
 SLICE = 1024
@@ -48,6 +55,7 @@ class Event:
         return f"s = {self.s:.6g}: {self.kind}{where}, {self.nullity} first-order motions"
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Track:
     """The nodes that a path was computed at: configurations, arc lengths, unit tangents, and their equations."""
@@ -83,7 +91,8 @@ class Track:
         return x
 
 
-class Configurations:
+@explained_methods
+class Configurations(Tabular):
     """Configurations `q` (n, nq) that a `system` takes one after the other. Base of motions."""
 
     system: Any
@@ -114,6 +123,7 @@ class Configurations:
         return names, np.hstack(columns)
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Path(Configurations):
     """A curve of closed configurations of a mechanism with one degree of freedom.
@@ -181,7 +191,7 @@ class Path(Configurations):
 
         Errors: `InputError` for arc lengths beyond the ends of a path that is not closed.
         """
-        s = np.asarray(s, dtype=float)
+        s = numbers(s, "s")
         if not np.isfinite(s).all():
             raise InputError("s holds a NaN or an infinity; arc lengths are finite numbers")
         length = self.length
@@ -194,7 +204,7 @@ class Path(Configurations):
         change = self.track.q[-1] - self.track.q[0]
         change[self.system.layout.quaternion_q[:, None] + np.arange(4)] = 0.0
         out = self.track.at(np.clip(flat - rounds * length, 0.0, length)) + rounds[:, None] * change
-        return out.reshape(*s.shape, -1)
+        return out.reshape(*s.shape, self.system.nq)
 
     def resample(
         self, n: int, *, time_limit: float | None = TIME_LIMIT, progress: Callable[[int, float], Any] | None = None
@@ -204,8 +214,8 @@ class Path(Configurations):
         `progress(points, length)` is called now and then; an interrupt from the keyboard, or the `time_limit` [s] (120;
         None: none), leaves those points that were done, see `late` and `remark`. Errors: `InputError`.
         """
-        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 2:
-            raise InputError(f"n is {n!r}; it must be a whole number of at least 2")
+        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or not 2 <= n <= MOST:
+            raise InputError(f"n is {shown(n)}; it must be a whole number, at least 2 and at most {MOST}")
         budget, done, broken = Budget(time_limit), [], None
         budget.put_in_order()  # there is nothing to do afterwards
         try:
@@ -234,6 +244,10 @@ class Path(Configurations):
         """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default: `self.frames`)."""
         return self._columns("s", self.s, self.frames if frames is None else frames)
 
+    def save(self, path: str | FilePath, frames: Iterable[FrameLike] | None = None) -> FilePath:
+        """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors: `InputError`."""
+        return write_table(path, *self.table(frames))
+
     @property
     def status(self) -> str:
         """The sentence that says what was found."""
@@ -251,7 +265,32 @@ class Path(Configurations):
         lines = [f"{self.system.name}: {self.status}"]
         lines += [f"  {event}" for event in (*self.turning_points, *self.singular_points)]
         lines += [f"  another branch: {path.status}" for path in self.others]
+        lines += [f"  {said}: trace(start=path.elsewhere[0])"] if (said := self.hint) else []
         return "\n".join(lines)
+
+    @cached_property
+    def _elsewhere(self) -> tuple[str, Array]:
+        from kempe.analysis.elsewhere import elsewhere
+
+        return elsewhere(self)
+
+    @property
+    def elsewhere(self) -> Array:
+        """Other assembly modes (k, nq) at the start of the path that it does not pass, where they have a closed form.
+
+        They have the driver's value there, or that of the first coordinate with which there are some.
+        """
+        return self._elsewhere[1]
+
+    @property
+    def hint(self) -> str:
+        """The sentence that says how many assembly modes are not on the path; empty where none are known."""
+        name, q = self._elsewhere
+        if not len(q):
+            return ""
+        value = self.q[0][self.system.coordinate_names.index(name)]
+        many = "1 other assembly mode" if len(q) == 1 else f"{len(q)} other assembly modes"
+        return f"{many} with {name!r} = {value:.6g} {'is' if len(q) == 1 else 'are'} not on this curve"
 
     def _repr_html_(self) -> str:
         from html import escape

@@ -17,9 +17,11 @@ from numpy.typing import ArrayLike
 from kempe.analysis.beginning import angle_or_slide
 from kempe.analysis.continuation import RANK, Closure
 from kempe.analysis.path import Event, Path
+from kempe.calls import brief, explained, explained_methods, listed
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import P, R
 from kempe.kinematics.configuration import as_q
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -33,6 +35,7 @@ EXACT, DEAD, LOOSE = 0, 1, 2
 """Codes of `LoopJacobian.code`; `status` has the sentences."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class LoopJacobian:
     """Velocities of outputs by those of inputs, through closed loops.
@@ -42,6 +45,8 @@ class LoopJacobian:
     `margin` (...) is the smallest singular value of the inputs on the kernel: 0 at a dead point. `code` (...) is one
     of `EXACT`, `DEAD`, `LOOSE`.
     """
+
+    __repr__ = brief
 
     matrix: Array
     inputs: tuple[str, ...]
@@ -94,6 +99,7 @@ class LoopJacobian:
         return f"<pre>{escape(str(self))}</pre>"
 
 
+@explained
 def loop_jacobian(
     system: System, q: ArrayLike, inputs: Sequence[str], outputs: Sequence[str], in_frame: str = "world_aligned"
 ) -> LoopJacobian:  # fmt: skip
@@ -140,7 +146,7 @@ def loop_jacobian(
 
 
 def _listed(names: Sequence[str]) -> list[str]:
-    out = [names] if isinstance(names, str) else list(names)
+    out = list(listed(names, "inputs or outputs"))
     if not out:
         raise InputError("inputs and outputs must each name at least one coordinate or frame")
     return out
@@ -169,6 +175,7 @@ def _kernel(closure: Closure, q: Array) -> Array:
     return Vt[int(np.sum(s > RANK * max(s[0], 1e-300))) :].T
 
 
+@explained
 def mechanical_advantage(
     system: System, q: ArrayLike, input: str, output: str, direction: ArrayLike | None = None, still: Sequence[str] = ()
 ) -> Any:
@@ -180,11 +187,11 @@ def mechanical_advantage(
     inputs that do not move. Errors: as `loop_jacobian`.
     """
     q, closure = as_q(system, q), Closure(system)
-    i, others = angle_or_slide(system, input), [angle_or_slide(system, n) for n in still]
+    i, others = angle_or_slide(system, input), [angle_or_slide(system, n) for n in listed(still, "still")]
     kind, name = _output(system, output)
     if (kind == "frame") != (direction is not None):
         raise InputError(f"output {name!r} is a {kind}; a frame needs a direction, a coordinate none")
-    push = np.zeros(3) if direction is None else np.asarray(direction, dtype=float)
+    push = np.zeros(3) if direction is None else reals(direction, "direction")
     if kind == "frame" and (push.shape != (3,) or not np.linalg.norm(push) > 0.0):
         raise InputError(f"direction is {direction!r}; it must be three numbers, not all zero")
     out = np.full(q.shape[:-1], np.nan)
@@ -235,6 +242,7 @@ def pressure_angle(
     return float(angle) if angle.ndim == 0 else angle
 
 
+@explained
 def transmission_angle(
     system: System, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
 ) -> Any:

@@ -17,7 +17,8 @@ import typer
 from kempe import __version__
 from kempe.description.source import no_file
 from kempe.errors import InputError, KernelsError
-from kempe.views.terminal import COMPLETE, Commands, print_json, refuse
+from kempe.model.immovable import immovable
+from kempe.views.terminal import COMPLETE, Commands, UsageError, print_json, refuse
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -47,10 +48,14 @@ File = Annotated[str, typer.Argument(metavar="FILE", help="URDF or TOML file, or
 Json = Annotated[bool, option("--json", "Print JSON.")]
 Deg = Annotated[bool, option("--deg", "Angles are degrees, read and printed; lengths stay metres.")]
 Out = Annotated[Path | None, option("-o,--out", "Write the results to a .csv or .npy file.", "FILE")]
+InPlace = Annotated[Path | None, option("-o,--out", "The file to write, in place of OUT.", "FILE")]
 Base = Annotated[str | None, option("--base", "'free': the root link moves freely (URDF).", "free", _READ)]
 Root = Annotated[str | None, option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)]
 Dirs = Annotated[list[Path] | None, option("--package-dir", "Folder for package://; can be repeated.", "FOLDER", _READ)]
 Xacro = Annotated[bool, option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)]
+Lenient = Annotated[
+    bool, option("--lenient-limits", "Limits without a range (no bounds, or swapped) are none (URDF).", None, _READ)
+]
 
 FrameOrAll = Annotated[str | None, option("--frame", "Body or frame; all bodies if not given.", "NAME")]
 Values = Annotated[
@@ -98,9 +103,12 @@ Hold = Annotated[
 # ---- what all commands share
 
 
-def reading(base: str | None, root: str | None, package_dir: list[Path] | None, xacro: bool) -> dict[str, Any]:
+def reading(
+    base: str | None, root: str | None, package_dir: list[Path] | None, xacro: bool, lenient_limits: bool
+) -> dict[str, Any]:  # fmt: skip
     """The reader's options, without those that were not given."""
     given = {"base": base, "root": root, "package_dirs": package_dir, "xacro": xacro}
+    given["lenient_limits"] = lenient_limits
     return {k: v for k, v in given.items() if v}
 
 
@@ -108,7 +116,10 @@ def load(file: str, *options: Any) -> System:
     """The system of a file, read with the reader's options."""
     import kempe
 
-    return kempe.load(file, **reading(*options))
+    system = kempe.load(file, **reading(*options))
+    if still := immovable(system, unstated=True):
+        remark(still)
+    return system
 
 
 @app.callback(invoke_without_command=True)
@@ -160,7 +171,16 @@ def progress(text: str) -> None:
 
 def remark(text: str) -> None:
     """Say something beside the answer, on standard error."""
-    print(f"kempe: {text}", file=sys.stderr, flush=True)
+    from kempe.views.options import in_options
+
+    print(f"kempe: {in_options(text)}", file=sys.stderr, flush=True)
+
+
+def written_to(out: Path | None, option: Path | None) -> Path:
+    """The file to write, given as an argument or as the option -o. Errors: `InputError`."""
+    if (out is None) == (option is None):
+        raise UsageError("Missing argument 'OUT'." if out is None else "OUT is given twice: leave -o out.")
+    return out or option  # type: ignore[return-value]
 
 
 def limited(seconds: float | None) -> dict[str, float]:

@@ -20,6 +20,7 @@ from kempe.cli.app import (
     FrameOrTasks,
     Hold,
     Json,
+    Lenient,
     Out,
     PathTargets,
     PathTolerance,
@@ -60,6 +61,7 @@ def ik(
     rng: Rng = None, tolerance: Tolerance = None, all: All = False, task: Task = None, axis: Axis = None,
     hold: Hold = None, prefer: Prefer = None, deg: Deg = False, out: Out = None, json: Json = False,
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Find a configuration that brings a frame to a pose, or all of them, or one that holds several tasks.
 
@@ -75,13 +77,13 @@ def ik(
     _one_way(tasks, single, {"--task": task, "--axis": axis, "--position-only": position_only, "--all": all})
     if prefer is not None and tasks is None:
         raise InputError("--prefer is for --tasks: it says what is made least in what they leave free")
-    system = load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import rows
 
     results(out)
     if frame is None or target is None:
         asked = _read_tasks(system, tasks, deg)
-        start = None if seed is None else rows.configuration(system, seed, None, deg)
+        start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
         options = {"rng": rng or 0, **({} if prefer is None else {"prefer": prefer})}
         _answer(system, asked.count, TASK_SLICE, lambda i, j: system.ik(
             asked.tasks(i, j), seed=_part(start, i, j), tolerance=rows.tolerance(tolerance or "1e-6"), **options
@@ -89,7 +91,7 @@ def ik(
         return
     system.frame_name(frame)  # a wrong name is told before kernels are compiled
     X, position = rows.target(system, target, deg)
-    start = None if seed is None else rows.configuration(system, seed, None, deg)
+    start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
     position = position or position_only
     task = _task(task, position)
     if all:
@@ -159,6 +161,7 @@ def path(
     branches: Annotated[bool, option("--branches", "Try several starts; the best path is the answer.")] = False,
     rng: Rng = None, tolerance: PathTolerance = None, time_limit: TimeLimit = None, deg: Deg = False, out: Out = None,
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Follow a sequence of targets without a jump, or say where and why that cannot be.
 
@@ -167,11 +170,11 @@ def path(
     Example: kempe path panda.urdf --frame panda_hand_tcp --targets weld.csv -o q.csv
     """
     _one_way(tasks, {"--frame": frame, "--targets": target}, {"--position-only": position_only})
-    system = load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import follow_report, rows, slices
 
     results(out)
-    start = None if seed is None else rows.configuration(system, seed, None, deg)
+    start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
     wanted: Any
     if frame is None or target is None:
         asked = _read_tasks(system, tasks, deg)
@@ -258,12 +261,13 @@ def plan(
         list[str] | None, option("--hold", "Joint that is held, as for ik --all; can be repeated.", "NAME[=VALUE]")
     ] = None,
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Say what a chain's axes have in common, and how all its configurations are found.
 
     Example: kempe plan panda.urdf --frame panda_hand_tcp
     """
-    system = load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.solvers.analytic.describe import ik_plan
     from kempe.views import ik_report
 

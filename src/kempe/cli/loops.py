@@ -18,7 +18,9 @@ from kempe.cli.app import (
     Deg,
     Dirs,
     File,
+    InPlace,
     Json,
+    Lenient,
     Out,
     Posture,
     Root,
@@ -32,6 +34,7 @@ from kempe.cli.app import (
     results,
     told,
     writable,
+    written_to,
 )
 from kempe.errors import InputError
 from kempe.views.terminal import INCOMPLETE, guarded, leave, print_json, show
@@ -71,12 +74,13 @@ def dof(
     fast: Annotated[bool, option("--fast", "Counting and rank only, not the true local dimension.")] = False,
     deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
     xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Count the degrees of freedom: by formula, by rank and truly.
 
     Example: kempe dof bennett
     """
-    system = load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import given, loop_report
 
     driven = None if actuated is None else [a.strip() for a in actuated.split(",") if a.strip()]
@@ -103,7 +107,7 @@ def assemble(
     continuous: Annotated[bool, option("--continuous", "Rows of a file: each starts where the last two lead.")] = False,
     no_limits: NoLimits = False, time_limit: TimeLimit = None, plot: Picture = None, out: Out = None,
     deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
-    xacro: Xacro = False,
+    xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Close all loops: known coordinates in, all others out.
 
@@ -113,7 +117,7 @@ def assemble(
         raise InputError("--modes gives all branches: leave --branch, --nearest and --continuous out")
     if time_limit is not None and not modes:
         raise InputError("--time-limit is for --modes: one assembly takes milliseconds")
-    system = load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import given, loop_report
 
     results(out)
@@ -166,7 +170,7 @@ def trace(
     ] = None,
     no_limits: NoLimits = False, time_limit: TimeLimit = None, out: Out = None, plot: Picture = None,
     deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
-    xacro: Xacro = False,
+    xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Follow a mechanism with one freedom through its whole motion.
 
@@ -177,7 +181,7 @@ def trace(
     """
     if points is not None and points < 2:
         raise InputError(f"--points is {points}; it must be at least 2")
-    system = load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import given, loop_report, slices
 
     results(out)
@@ -214,15 +218,21 @@ def trace(
 @app.command(rich_help_panel=CLOSED)
 @guarded
 def plot(
-    file: File, out: Annotated[Path, typer.Argument(metavar="OUT", help="Picture to write: .png, .svg or .pdf.")],
-    q: At = None, posture: Posture = None, frame: Marks = None, deg: Deg = False, json: Json = False,
+    file: File,
+    out: Annotated[
+        Path | None, typer.Argument(metavar="OUT", help="Picture to write: .png, .svg or .pdf; or -o FILE.")
+    ] = None,
+    output: InPlace = None, q: At = None, posture: Posture = None, frame: Marks = None, deg: Deg = False,
+    json: Json = False,
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Draw a system at a configuration.
 
-    Example: kempe plot peaucellier peaucellier.png
+    Example: kempe plot peaucellier -o peaucellier.png
     """
-    system = load(file, base, root, package_dir, xacro)
+    out = written_to(out, output)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import given
 
     names = [system.frame_name(f) for f in frame or ()]

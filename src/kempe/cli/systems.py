@@ -15,7 +15,9 @@ from kempe.cli.app import (
     Dirs,
     File,
     FrameOrAll,
+    InPlace,
     Json,
+    Lenient,
     Out,
     Posture,
     Root,
@@ -27,9 +29,8 @@ from kempe.cli.app import (
     remark,
     results,
     told,
-    writable,
+    written_to,
 )
-from kempe.errors import InputError
 from kempe.views.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
 
 # ---- describe
@@ -40,12 +41,13 @@ from kempe.views.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
 def info(
     file: File, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
     package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Say what a system is: bodies, joints, loops, limits, frames.
 
     Example: kempe info panda.urdf
     """
-    system = load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import facts, report
 
     if json:
@@ -59,6 +61,7 @@ def info(
 def check(
     files: Annotated[list[str], typer.Argument(metavar="FILE...", help="URDF or TOML files.")],
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """List all problems of files, each with its line.
 
@@ -69,7 +72,7 @@ def check(
 
     found: list[dict[str, Any]] = []
     for file in files:
-        problems, notes = check_(file, **reading(base, root, package_dir, xacro))
+        problems, notes = check_(file, **reading(base, root, package_dir, xacro, lenient_limits))
         found.append(
             {
                 "file": file,
@@ -91,24 +94,25 @@ def check(
 @app.command(rich_help_panel=DESCRIBE)
 @guarded
 def convert(
-    file: File, out: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .toml or .urdf.")],
+    file: File,
+    out: Annotated[
+        Path | None, typer.Argument(metavar="OUT", help="File to write: .toml or .urdf; or -o FILE.")
+    ] = None,
+    output: InPlace = None,
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Write a system in another format: .toml (everything) or .urdf (trees).
 
     Example: kempe convert panda.urdf panda.toml
     """
     import kempe
-    from kempe.description.toml_writer import write_toml
-    from kempe.description.urdf_writer import write_urdf
+    from kempe.description.write import write
 
-    mechanism = kempe.read(file, **reading(base, root, package_dir, xacro))
+    out = written_to(out, output)
+    mechanism = kempe.read(file, **reading(base, root, package_dir, xacro, lenient_limits))
     mechanism.build()
-    writers = {".toml": write_toml, ".urdf": write_urdf}
-    if out.suffix.lower() not in writers:
-        raise InputError(f"{out}: the format is told by the ending; it must be .toml or .urdf")
-    writable(out)
-    out.write_text(writers[out.suffix.lower()](mechanism), encoding="utf-8")
+    write(mechanism, out)
     if json:
         print_json({"written": str(out), "name": mechanism.name, "notes": list(mechanism.notes)})
     else:
@@ -124,12 +128,13 @@ def fk(
     file: File,
     frame: FrameOrAll = None, q: Values = None, posture: Posture = None, deg: Deg = False, out: Out = None,
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Say where a frame is, or all bodies are (forward model).
 
     Example: kempe fk panda.urdf --frame panda_hand_tcp --q 0,-45,0,-135,0,90,45,0.04 --deg
     """
-    system = load(file, base, root, package_dir, xacro)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import facts, report, rows
 
     if frame is not None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields
 from functools import lru_cache
 from numbers import Real
 from typing import NoReturn
@@ -11,11 +12,11 @@ from typing import NoReturn
 import numpy as np
 
 from kempe import spatial
-from kempe.description.parts import CONSTRAINT_KINDS, Body, Constraint, Limits
+from kempe.description.parts import CONSTRAINT_KINDS, Body, Constraint, Joint, Limits
 from kempe.description.placement import Placement
 from kempe.description.values import Expression, Value, evaluate, value
-from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, Where
-from kempe.joints import JointType, P, Q, R
+from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, Where, hint
+from kempe.joints import JointType, P, Q, R, joint_type
 
 SAME_DIRECTION = 1e-12
 """How far two unit vectors may be apart and still be one direction."""
@@ -87,6 +88,27 @@ def kind(dim: int, subject: str, type_: JointType, parent: Body, child: Body, wh
         if not flat and any(p.kind != P or p.axis != "z" for p in primitives):
             refuse(subject, f"a {type_.type_name} joint leaves the plane", where,
                    "in the plane a joint turns about z and slides along x and y, or slides along z only")  # fmt: skip
+
+
+def type_of(kind: str | JointType, options: Mapping[str, object], builder: Callable[..., Joint]) -> JointType:
+    """The joint type, or the errors of `joint_type`; an option that is none is compared with keywords of the builder.
+
+    Errors: `UnknownNameError`, `InputError`.
+    """
+    try:
+        return joint_type(kind, **options)
+    except InputError:
+        own = joint_type(kind)  # without the options
+        known = [field.name for field in fields(own)]
+        for key in options:
+            if key not in known:
+                import inspect  # only here: most calls are right
+
+                keywords = [k for k in inspect.signature(builder).parameters if k not in ("self", "options")]
+                said = hint(key, keywords)
+                if "did you mean" in said:
+                    raise InputError(f"joints have no keyword {key!r}{said}") from None
+        raise
 
 
 @lru_cache(maxsize=256)
@@ -219,17 +241,20 @@ def flat(subject: str, X: Placement, where: Where | None) -> None:
 def limits(
     subject: str, given: object, type_: JointType, dim: int, particle: bool, where: Where | None
 ) -> dict[str, Limits]:
-    """Limits by coordinate: (lower, upper), or a dict of such pairs for a joint with several coordinates.
+    """Limits by coordinate: (lower, upper) with None where there is none, or a dict of such pairs by coordinate.
 
-    A quaternion has no limits by coordinate.
+    None is no limit on that side. A quaternion has no limits by coordinate.
     """
     coordinates = type_.coordinates(dim, particle)
     names = tuple(v for v in type_.velocities(dim, particle) if v in coordinates)
     out: dict[str, Limits] = {}
     for key, pair in _by_name(subject, "limits", given, names, where):
         numbers = tuple(pair) if isinstance(pair, (list, tuple, np.ndarray)) else ()
+        if len(numbers) == 2:
+            numbers = tuple(end if x is None else x for x, end in zip(numbers, (-math.inf, math.inf), strict=True))
         if len(numbers) != 2 or not all(_real(x) for x in numbers):
-            refuse(subject, f"limits are {pair!r}", where, "they must be a pair (lower, upper)")
+            allowed = "they must be a pair (lower, upper), None where there is none"
+            refuse(subject, f"limits are {pair!r}", where, allowed)
         lower, upper = float(numbers[0]), float(numbers[1])
         if math.isnan(lower) or math.isnan(upper) or lower == math.inf or upper == -math.inf:
             refuse(subject, f"limits are ({lower}, {upper})", where, "they must be numbers")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,16 +10,17 @@ from dataclasses import replace
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Coupling, Frame, Joint
 from kempe.description.values import evaluate
-from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError
+from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, shown
 from kempe.joints import Fixed
 
 
-def attach(
-    host: Mechanism, guest: Mechanism, to: Body | Frame | str | None, prefix: str, placement: Mapping
-) -> None:
+def attach(host: Mechanism, guest: Mechanism, to: Body | Frame | str | None, prefix: str, placement: Mapping) -> None:
     """Copy `guest` into `host`, its ground fixed to the body or frame `to` (the ground where None)."""
     if guest.dim != host.dim:
         raise InputError(f"{guest.name!r} has dim {guest.dim}, {host.name!r} has dim {host.dim}; they must be equal")
+    if not isinstance(prefix, str):
+        raise InputError(f"prefix is {shown(prefix)}; it must be text")
+    _refuse_clashes(host, guest, prefix)
     trial = host.copy()
     name = str(to) if to is not None else host.ground.name
     if name in host.frames:
@@ -36,26 +38,20 @@ def attach(
         trial._add_body(replace(body, name=prefix + body.name))
     trial.joint(f"{prefix}{guest.ground.name}_mount", Fixed(), on, prefix + guest.ground.name, **placement)
     for joint in guest.joints.values():
-        _new_key(trial.joints, "joint", prefix + joint.name)
-        _new_key(trial.constraints, "joint", prefix + joint.name)
         trial.joints[prefix + joint.name] = replace(
             joint, name=prefix + joint.name, parent=prefix + joint.parent, child=prefix + joint.child
         )
     for frame in guest.frames.values():
-        trial._free_name(prefix + frame.name, "frame", None)
         trial.frames[prefix + frame.name] = replace(frame, name=prefix + frame.name, body=prefix + frame.body)
     for coupling in guest.couplings.values():
         sources = {prefix + k: v for k, v in coupling.sources.items()}
         trial.couplings[prefix + coupling.of] = replace(coupling, of=prefix + coupling.of, sources=sources)
     for constraint in guest.constraints.values():
-        _new_key(trial.joints, "constraint", prefix + constraint.name)
-        _new_key(trial.constraints, "constraint", prefix + constraint.name)
         trial.constraints[prefix + constraint.name] = replace(
             constraint, name=prefix + constraint.name, parent=prefix + constraint.parent,
             child=prefix + constraint.child,
         )  # fmt: skip
     for key, posture in guest.postures.items():
-        _new_key(trial.postures, "posture", prefix + key)
         trial.postures[prefix + key] = {prefix + k: v for k, v in posture.items()}
     trial.locks |= {prefix + k: v for k, v in guest.locks.items()}
     trial.notes += guest.notes
@@ -63,9 +59,24 @@ def attach(
     host.__dict__.update(trial.__dict__)
 
 
-def _new_key(table: Mapping, kind: str, name: str) -> None:
-    if name in table:
-        raise DescriptionError(Problem("the name is taken; use a prefix", f"{kind} {name!r}"))
+def _refuse_clashes(host: Mechanism, guest: Mechanism, prefix: str) -> None:
+    """Refuse names of the guest that the host has, too; bodies and frames share names, joints and constraints do."""
+    taken = []
+    for one, other in (("bodies", "frames"), ("joints", "constraints"), ("postures", "postures")):
+        here = {**getattr(host, one), **getattr(host, other)}
+        mount = [f"{guest.ground.name}_mount"] if one == "joints" else []
+        there = dict.fromkeys([*getattr(guest, one), *getattr(guest, other), *mount])
+        names = [prefix + name for name in there if prefix + name in here]
+        if names:
+            what = one if one == other else f"{one} and {other}"
+            more = f", ... ({len(names)} in all)" if len(names) > 4 else ""
+            taken.append(f"{what} {', '.join(map(repr, names[:4]))}{more}")
+    if taken:
+        better = f"{prefix}2_" if prefix else re.sub(r"\W", "_", guest.name) + "_"
+        allowed = f"give its names a prefix: attach(..., prefix={better!r})"
+        raise DescriptionError(
+            Problem(f"both have {'; '.join(taken)}", f"attach {guest.name!r} to {host.name!r}", None, allowed)
+        )
 
 
 def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:

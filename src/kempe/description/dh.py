@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained
+from kempe.description import dh_table
 from kempe.description.mechanism import BodyLike, Mechanism
-from kempe.description.placement import Placement, place, placement_of_pose, steps_from_data
+from kempe.description.placement import Placement, direction, place, placement_of_pose, steps_from_data
 from kempe.description.values import Value, value, values
 from kempe.errors import InputError, hint
 
 CONVENTIONS = ("standard", "modified")
+NUMBERS = ("a", "alpha", "d", "theta", "offset")
 JOINT_TYPES = ("revolute", "prismatic", "fixed")
 
 UNIT_TOLERANCE = 1e-3
@@ -30,8 +33,9 @@ class DHRow:
     """One row of a Denavit-Hartenberg table: lengths `a` and `d` [m], angles `alpha` and `theta` [rad].
 
     In the modified convention `a` and `alpha` are those that stand before the joint, a(i-1) and alpha(i-1).
-    `type` is revolute (theta is the angle at q = 0), prismatic (d is the length at q = 0) or fixed. Each
-    number can be an expression in parameters. `name` is the joint's, `body` that of the body it moves.
+    `type` is revolute (theta is the angle at q = 0), prismatic (d is the length at q = 0) or fixed. `offset` is added
+    to theta or d, and with `flip` the joint counts the other way: theta + offset - q. Each number can be an
+    expression in parameters. `name` is the joint's, `body` that of the body it moves.
     """
 
     a: Value | str = 0.0
@@ -45,6 +49,8 @@ class DHRow:
     velocity: float | None = None
     effort: float | None = None
     actuated: bool | None = None
+    offset: Value | str = 0.0
+    flip: bool = False
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,7 @@ class ScrewRow:
     """
 
     twist: Iterable[float] | None = None
-    axis: Iterable[float] | None = None
+    axis: Iterable[float] | str | None = None
     point: Iterable[Value | str] = (0.0, 0.0, 0.0)
     pitch: float = 0.0
     name: str | None = None
@@ -68,41 +74,52 @@ class ScrewRow:
     actuated: bool | None = None
 
 
+@explained
 def from_dh(
-    rows: Iterable[DHRow | Mapping[str, Any]],
+    rows: Any,
     convention: str = "standard",
     name: str = "arm",
     base: object = None,
     tool: object = None,
     parameters: Mapping[str, float] | None = None,
+    *,
+    deg: bool = False,
+    columns: Sequence[str] = dh_table.ORDER,
 ) -> Mechanism:
     """Chain of a Denavit-Hartenberg table; the pose of body i is A1 A2 ... Ai, its frame is DH frame i.
 
     With `convention` "standard", Ai = Rz(theta) Tz(d) Tx(a) Rx(alpha) (Denavit and Hartenberg, 1955); with
-    "modified", Ai = Rx(alpha) Tx(a) Rz(theta) Tz(d) (Craig, 1986). `rows` are `DHRow` or dicts with their
-    fields. Bodies are 'link1', ... and joints 'q1', ... unless named. `base` is the pose of DH frame 0 on the
+    "modified", Ai = Rx(alpha) Tx(a) Rz(theta) Tz(d) (Craig, 1986). `rows` are `DHRow`, dicts with their fields, a table
+    with named columns (a DataFrame, a dict of lists), or plain rows of numbers: a list of tuples, an array (n, 4). Of
+    these `columns` names the order, which differs from book to book. With `deg` angles are
+    degrees: alpha, theta, and offsets, limits and velocities of turning joints. Bodies are 'link1', ... and joints
+    'q1', ... unless named. `base` is the pose of DH frame 0 on the
     ground, `tool` that of the frame 'tool' on the last body: pose matrices (4, 4), `Placement` or dicts of
-    the keywords of `place`.
+    the keywords of `place`. Errors: `InputError`, also where an angle is not one in the unit said: 90 without `deg`.
 
     >>> arm = from_dh([{"a": 0.5}, {"a": "l2"}], parameters={"l2": 0.4})
     >>> float(arm.joints["q2"].X_CM.evaluate(arm.parameters)[0, 3])
     -0.4
+    >>> from_dh([(0, 90, 0.4, 0), (0.5, 0, 0, 30)], deg=True)
+    Mechanism('arm', dim=3, bodies=2, joints=2)
     """
     out = Mechanism(name)
     for key, number in (parameters or {}).items():
         out.parameter(key, number)
-    add_dh(out, rows, convention, base=base, tool=tool)
+    add_dh(out, rows, convention, base=base, tool=tool, deg=deg, columns=columns)
     return out
 
 
 def add_dh(
     mechanism: Mechanism,
-    rows: Iterable[DHRow | Mapping[str, Any]],
+    rows: Any,
     convention: str = "standard",
     on: BodyLike | None = None,
     base: object = None,
     tool: object = None,
     wheres: Iterable[Any] = (),
+    deg: bool = False,
+    columns: Sequence[str] = dh_table.ORDER,
 ) -> None:
     """Add the chain of a Denavit-Hartenberg table to `mechanism`, on the body `on` (the ground where None).
 
@@ -113,25 +130,34 @@ def add_dh(
         raise InputError(f"convention is {convention!r}; it must be {' or '.join(map(repr, CONVENTIONS))}")
     before = _placement(base, "base")
     here = on if on is not None else mechanism.ground
-    checked = [_row(DHRow, row, i) for i, row in enumerate(rows, 1)]
+    table, note = dh_table.rows_of(rows, columns, tuple(f.name for f in fields(DHRow)))
+    checked = [_row(DHRow, row, i) for i, row in enumerate(table, 1)]
     if not checked:
         raise InputError("the table has no rows; it must have one for each joint")
     places = list(wheres) or [None] * len(checked)
     for i, (row, where) in enumerate(zip(checked, places, strict=True), 1):
         if row.type not in JOINT_TYPES:
             raise InputError(f"row {i}: type is {row.type!r}; it must be {', '.join(JOINT_TYPES)}")
-        a, alpha, d, theta = (value(getattr(row, k), f"row {i}: {k}") for k in ("a", "alpha", "d", "theta"))
+        row = dh_table.in_radians(row, i, deg)
+        a, alpha, d, theta, offset = (value(getattr(row, k), f"row {i}: {k}") for k in NUMBERS)
+        if offset != 0.0:
+            theta, d = (theta + offset, d) if row.type == "revolute" else (theta, d + offset)
         along_x = Placement((("rx", (alpha,)), ("x", (a,)))).simplified()
         along_z = Placement((("rz", (theta,)), ("z", (d,)))).simplified()
         if convention == "standard":
             X_PF, X_CM = before @ along_z, along_x.inverse()
         else:
             X_PF, X_CM = before @ along_x @ along_z, Placement()
+        if row.flip:  # frames F and M both turned over: the motion of z is that of -z
+            over = place(axis="-z")
+            X_PF, X_CM = X_PF @ over, X_CM @ over
         here = _add(mechanism, row, i, row.type, here, X_PF, X_CM, where, {})
         before = Placement()
     mechanism.frame("tool", here, at=_placement(tool, "tool"))
+    mechanism.notes += [note] if note else []
 
 
+@explained
 def from_screws(
     screws: Iterable[ScrewRow | Mapping[str, Any] | ArrayLike],
     home: object = None,
@@ -214,7 +240,8 @@ def _screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str, Any]]:
             raise InputError(f"{label}: pitch is {row.pitch!r}; it must be a number, infinite for a slide")
         pitch = float(row.pitch)
         kind = "prismatic" if math.isinf(pitch) else "helical" if pitch else "revolute"
-        X = place(values(row.point, 3, f"{label}: point"), axis=values(row.axis, 3, f"{label}: axis"))
+        axis = values(direction(row.axis), 3, f"{label}: axis")
+        X = place(values(row.point, 3, f"{label}: point"), axis=axis)
         return kind, X, {"pitch": pitch} if kind == "helical" else {}
     twist = values(row.twist, 6, f"{label}: twist")  # type: ignore[arg-type]
     if not all(isinstance(x, float) for x in twist):
@@ -240,8 +267,9 @@ def _row(kind: Any, row: Any, number: int) -> Any:
     if isinstance(row, kind):
         return row
     known = [f.name for f in fields(kind)]
+    plain = "plain numbers or " if kind is DHRow else ""
     if not isinstance(row, Mapping):
-        raise InputError(f"row {number} is {row!r}; it must be a dict with some of {', '.join(known)}")
+        raise InputError(f"row {number} is {row!r}; it must be {plain}a dict with some of {', '.join(known)}")
     for key in row:
         if key not in known:
             raise InputError(f"row {number} has an unknown entry {key!r}{hint(key, known)}")

@@ -28,7 +28,7 @@ def choose_root(
     if not roots:
         cycle = find_cycle(links, ends)
         shown = " -> ".join(map(repr, cycle))
-        allowed = f"name the link that does not move, with root={cycle[0]!r} (command line: --root)"
+        allowed = f"name the link that does not move, with root={cycle[0]!r}"
         message = f"no link is the root, since each is the child of a joint: {shown}"
         findings.add(message, "robot", links[cycle[0]].where, allowed)
         return None

@@ -6,13 +6,14 @@ import copy
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
+from kempe.calls import explained, explained_methods, flag
 from kempe.description import checks
 from kempe.description.parts import Body, Constraint, Coupling, Frame, Joint
 from kempe.description.placement import Placement, place
 from kempe.description.source import collecting_later
 from kempe.description.values import Expression, Value, value
 from kempe.errors import InputError, UnknownNameError, Where
-from kempe.joints import JointType, joint_type
+from kempe.joints import JointType
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 BodyLike = Body | str
 
 
+@explained_methods
 class Mechanism:
     """A system under construction: bodies, joints between any two of them, frames, couplings, limits, parameters.
 
@@ -37,6 +39,7 @@ class Mechanism:
     0.9
     """
 
+    @explained
     def __init__(self, name: str = "mechanism", dim: int = 3, ground: str = "ground"):
         if dim not in (2, 3):
             raise InputError(f"dim is {dim!r}; a system lives in the plane (2) or in space (3)")
@@ -109,37 +112,43 @@ class Mechanism:
         self, name: str, kind: str | JointType, parent: BodyLike, child: BodyLike, at: object = (0.0, 0.0, 0.0),
         child_at: object = (0.0, 0.0, 0.0), rpy: object = None, angle: object = None, axis: object = None,
         child_rpy: object = None, child_angle: object = None, child_axis: object = None,
+        quat_wxyz: object = None, matrix: object = None, child_quat_wxyz: object = None, child_matrix: object = None,
         limits: object = None, velocity: object = None, effort: object = None, actuated: bool | None = None,
         cut: bool = False, where: Where | None = None, **options,
     ) -> Joint:  # fmt: skip
         """A new joint of type `kind` between any two bodies.
 
-        Frame F sits on the parent at `at`, turned by `rpy` (or `angle` about z), and then so that its z is `axis`;
-        frame M sits on the child at `child_at` likewise, with `child_axis` = `axis` unless given. `at` can be the
-        name of a frame on the body, or a `Placement`. `limits` is (lower, upper) in radians or metres, or a dict of
-        such pairs by coordinate ('rz', 'x', ...) for joints with several. Other keywords are the type's options
-        (`pitch`, `angles`). Errors: `DescriptionError` with what is wrong and what is allowed.
+        Frame F sits on the parent at `at`, turned by `rpy` (or `angle` about z, `quat_wxyz`, `matrix`), and then so
+        that its z is `axis`; frame M sits on the child at `child_at` likewise, with `child_axis` = `axis` unless
+        given. `at` can be the name of a frame on the body, a pose (4, 4) or a `Placement`; `axis` numbers or a name
+        ("x", "-z"). `limits` is (lower, upper) in radians or metres, None where there is none, or a dict of such
+        pairs by coordinate ('rz', 'x', ...) for joints with several. Other keywords are the type's options (`pitch`,
+        `angles`). Errors: `DescriptionError` with what is wrong and what is allowed.
         """
         subject = f"joint {name!r}"
         self._free_joint_name(checks.name(name, "joint"), subject, where)
         try:
-            type_ = joint_type(kind, **options)
+            type_ = checks.type_of(kind, options, Mechanism.joint)
         except (InputError, UnknownNameError) as error:
             checks.refuse(subject, str(error), where)
         on, to = self._body(parent, subject, where), self._body(child, subject, where)
         if on.name == to.name:
             checks.refuse(subject, f"it connects body {on.name!r} to itself", where, "it must connect two bodies")
         checks.kind(self.dim, subject, type_, on, to, where)
-        X_PF = self._place(at, {"rpy": rpy, "angle": angle, "axis": axis}, subject, where, on)
-        same = child_axis if child_axis is not None else axis
-        X_CM = self._place(child_at, {"rpy": child_rpy, "angle": child_angle, "axis": same}, subject, where, to)
+        turn = {"rpy": rpy, "angle": angle, "axis": axis, "quat_wxyz": quat_wxyz, "matrix": matrix}
+        X_PF = self._place(at, turn, subject, where, on)
+        turn = {"rpy": child_rpy, "angle": child_angle, "axis": axis if child_axis is None else child_axis,
+                "quat_wxyz": child_quat_wxyz, "matrix": child_matrix}  # fmt: skip
+        X_CM = self._place(child_at, turn, subject, where, to)
         checks.ends(self.dim, subject, type_, X_PF, X_CM, to, where)
         names = type_.velocities(self.dim, to.particle)
         self.joints[name] = Joint(
             name, type_, on.name, to.name, X_PF, X_CM,
             checks.limits(subject, limits, type_, self.dim, to.particle, where),
             checks.bounds(subject, "velocity", velocity, names, where),
-            checks.bounds(subject, "effort", effort, names, where), actuated, cut, where,
+            checks.bounds(subject, "effort", effort, names, where),
+            actuated if actuated is None else flag(actuated, f"actuated of {subject}"),
+            flag(cut, f"cut of {subject}"), where,
         )  # fmt: skip
         return self.joints[name]
 
@@ -208,17 +217,19 @@ class Mechanism:
         self, name: str, kind: str, parent: BodyLike | Frame, child: BodyLike | Frame,
         at: object = (0.0, 0.0, 0.0), child_at: object = (0.0, 0.0, 0.0), rpy: object = None, angle: object = None,
         axis: object = None, length: Value | str | None = None, where: Where | None = None,
+        quat_wxyz: object = None, matrix: object = None,
     ) -> Constraint:  # fmt: skip
         """A condition on two bodies that is not a joint: "distance", "point_on_line" or "point_on_plane".
 
-        `parent` and `child` are bodies or frames. Frame A sits on the parent at `at`, turned by `rpy` (or `angle`)
-        and then so that its z is `axis`; point B sits on the child at `child_at`. `length` is for distances.
-        Errors: `DescriptionError` with what is wrong and what is allowed.
+        `parent` and `child` are bodies or frames. Frame A sits on the parent at `at`, turned by `rpy` (or `angle`,
+        `quat_wxyz`, `matrix`) and then so that its z is `axis`; point B sits on the child at `child_at`. `length` is
+        for distances. Errors: `DescriptionError` with what is wrong and what is allowed.
         """
         subject = f"constraint {name!r}"
         self._free_joint_name(checks.name(name, "constraint"), subject, where)
         kind = checks.constraint_kind(subject, kind, where)
-        on, X_PF = self._end(parent, at, {"rpy": rpy, "angle": angle, "axis": axis}, subject, where)
+        turn = {"rpy": rpy, "angle": angle, "axis": axis, "quat_wxyz": quat_wxyz, "matrix": matrix}
+        on, X_PF = self._end(parent, at, turn, subject, where)
         to, X_CM = self._end(child, child_at, {}, subject, where)
         if length is not None:
             length = checks.constraint_value(subject, length, self.parameters, where)

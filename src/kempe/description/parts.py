@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any, NoReturn
 
 from kempe.description.placement import Placement
 from kempe.description.values import Value
@@ -11,6 +12,19 @@ from kempe.joints import JointType
 
 Limits = tuple[float, float]
 """Lower and upper bound of one velocity coordinate; an infinity where there is none."""
+
+
+class Fixed(dict):
+    """A dict that can only be read: what it says is part of something that does not change."""
+
+    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+        raise TypeError("this dict is read-only: nothing would change; change a Mechanism, or make another System "
+                        "by with_limits, with_parameters or lock")  # fmt: skip
+
+    __setitem__ = __delitem__ = __ior__ = update = setdefault = pop = popitem = clear = _refuse  # type: ignore[assignment]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Fixed, (dict(self),)
 
 
 @dataclass(frozen=True)
@@ -34,7 +48,8 @@ class Joint:
 
     `limits`, `velocity_limits` and `effort_limits` are by the joint's velocity coordinate names ('' where there is
     one). `actuated` says that a motor drives it (True), that it is passive (False), or nothing (None); `cut` asks
-    that, in a loop, this joint be left out of the spanning tree.
+    that, in a loop, this joint be left out of the spanning tree. `unstated` marks limits that a file does not give, and
+    that are zero by the rules of its format.
     """
 
     name: str
@@ -49,6 +64,11 @@ class Joint:
     actuated: bool | None = None
     cut: bool = False
     where: Where | None = field(default=None, compare=False, repr=False)
+    unstated: bool = field(default=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("limits", "velocity_limits", "effort_limits"):
+            vars(self)[name] = Fixed(getattr(self, name))
 
     def __str__(self) -> str:
         return self.name
@@ -104,6 +124,9 @@ class Coupling:
     sources: dict[str, Value]
     offset: Value = 0.0
     where: Where | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        vars(self)["sources"] = Fixed(self.sources)
 
     def __hash__(self) -> int:
         return hash(self.of)

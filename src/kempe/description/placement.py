@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from kempe import spatial
+from kempe.calls import explained
+from kempe.calls import numbers as numbers_of
 from kempe.description.values import Expression, Value, evaluate, negate, value, values
 from kempe.errors import InputError
 
@@ -19,6 +21,12 @@ Step = tuple[str, tuple[Value, ...]]
 COUNTS = {"x": 1, "y": 1, "z": 1, "rx": 1, "ry": 1, "rz": 1, "align": 3, "unalign": 3, "quat_wxyz": 4, "matrix": 9}
 """Elementary motions and how many numbers each takes: slides and turns along and about x, y, z; `align` turns z to
 an axis by the smallest rotation and `unalign` undoes that; a unit quaternion; a rotation matrix by rows."""
+
+AXES = {
+    sign + name: tuple(float(f"{sign}1") * (name == other) + 0.0 for other in "xyz")
+    for sign in ("", "+", "-") for name in "xyz"
+}  # fmt: skip
+"""Directions by name: 'x', '-z'."""
 
 ROTATION_TOLERANCE = 1e-9
 """How far a matrix given by the user may be from a rotation before it is refused."""
@@ -59,20 +67,24 @@ class Placement:
 _SCALAR = ("x", "y", "z", "rx", "ry", "rz")
 
 
+@explained
 def place(
     at: object = (0.0, 0.0, 0.0), rpy: object = None, angle: object = None, axis: object = None,
     quat_wxyz: object = None, matrix: object = None,
 ) -> Placement:  # fmt: skip
     """Placement with the origin `at` (2 or 3 lengths) and an orientation given in at most one way.
 
-    `rpy` are fixed-axis angles x, y, z; `angle` turns about z (planar systems); `quat_wxyz` and `matrix` as named.
-    `axis` finally turns z to this direction, read in the axes that the rest describes; it need not have unit length.
+    `at` can also be a pose (4, 4) or a `Placement`, which are turned further by the rest. `rpy` are fixed-axis angles
+    x, y, z; `angle` turns about z (planar systems); `quat_wxyz` and `matrix` as named. `axis` finally turns z to this
+    direction, read in the axes that the rest describes; it need not have unit length, and can be a name: "x", "-z".
     Errors: `InputError` for wrong counts, numbers that are not finite, a zero axis, a matrix that does not rotate.
     """
     if isinstance(at, Placement):
         return at @ place(rpy=rpy, angle=angle, axis=axis, quat_wxyz=quat_wxyz, matrix=matrix)
     if angle is None and quat_wxyz is None and matrix is None and _floats(at) and _floats(rpy) and _floats(axis):
         return _plain(*(None if x is None else tuple(x) for x in (at, rpy, axis)))  # type: ignore[arg-type]
+    if _is_pose(at):
+        return place(placement_of_pose(at), rpy, angle, axis, quat_wxyz, matrix)
     steps: list[Step] = [(n, (x,)) for n, x in zip("xyz", values(at, (2, 3), "at"), strict=False)]
     ways = {"rpy": rpy, "angle": angle, "quat_wxyz": quat_wxyz, "matrix": matrix}
     given = [n for n, x in ways.items() if x is not None]
@@ -86,7 +98,10 @@ def place(
     if quat_wxyz is not None:
         steps.append(("quat_wxyz", values(quat_wxyz, 4, "quat_wxyz")))
     if matrix is not None:
-        steps.append(("matrix", values(_array(matrix, "matrix").reshape(-1), 9, "matrix")))
+        R = numbers_of(matrix, "matrix")
+        if R.shape == (4, 4):
+            raise InputError("matrix is a pose (4, 4); it must be a rotation (3, 3), and a pose is given as at")
+        steps.append(("matrix", values(R.reshape(-1), 9, "matrix")))
     for step in steps:
         check_step(*step)
     if axis is not None:
@@ -111,9 +126,26 @@ def _plain(at: tuple[float, ...] | None, rpy: tuple[float, ...] | None, axis: tu
     return Placement(tuple(steps))
 
 
+def _is_pose(at: object) -> bool:
+    """Whether `at` has four rows of numbers rather than 2 or 3 numbers."""
+    if isinstance(at, (list, tuple)):
+        return len(at) == 4 and all(isinstance(row, (list, tuple, np.ndarray)) for row in at)
+    return isinstance(at, np.ndarray) and at.shape == (4, 4)
+
+
+def direction(axis: object) -> object:
+    """`axis` as it is, or the three numbers that its name means: "x", "-z". Errors: `InputError` for other names."""
+    if not isinstance(axis, str):
+        return axis
+    name = axis.strip().lower()
+    if name not in AXES:
+        raise InputError(f"axis is {axis!r}; it must be numbers, or one of x, y, z, -x, -y, -z")
+    return AXES[name]
+
+
 def axis_steps(axis: object) -> list[Step]:
-    """The step that turns z to `axis` (2 or 3 numbers), or nothing where it is z already. Errors: `InputError`."""
-    numbers = values(axis, (2, 3), "axis")
+    """The step that turns z to `axis` (2 or 3 numbers, or a name), or nothing where it is z. Errors: `InputError`."""
+    numbers = values(direction(axis), (2, 3), "axis")
     if any(isinstance(x, Expression) for x in numbers):
         raise InputError(f"axis is {list(map(str, numbers))}; it must be plain numbers (turn the frame by rpy instead)")
     numbers = (*numbers, 0.0)[:3]
@@ -123,17 +155,10 @@ def axis_steps(axis: object) -> list[Step]:
 
 def placement_of_pose(X: object) -> Placement:
     """Placement of a pose given as a (4, 4) matrix. Errors: `InputError` where it is not a rigid motion."""
-    X = _array(X, "pose")
+    X = numbers_of(X, "pose")
     if X.shape != (4, 4) or not np.array_equal(X[3], [0.0, 0.0, 0.0, 1.0]):
         raise InputError(f"a pose must be a (4, 4) matrix with last row 0 0 0 1, not an array of shape {X.shape}")
     return place(X[:3, 3]) if np.array_equal(X[:3, :3], np.eye(3)) else place(X[:3, 3], matrix=X[:3, :3])
-
-
-def _array(x: object, what: str) -> np.ndarray:
-    try:
-        return np.asarray(x, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} is {x!r}; it must be an array of numbers") from None
 
 
 def check_step(motion: str, numbers: tuple[Value, ...]) -> None:

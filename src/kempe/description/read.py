@@ -9,8 +9,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from kempe.calls import explained
 from kempe.description.mechanism import Mechanism
-from kempe.description.source import SIZE_LIMIT, collecting_later, fail, no_file, shorten
+from kempe.description.source import SIZE_LIMIT, collecting_later, expanded, fail, no_file, shorten
 from kempe.description.toml import read_toml
 from kempe.description.urdf import read_urdf
 from kempe.description.xacro import XACRO_ADVICE, expand_xacro
@@ -26,6 +27,17 @@ _ROOT_TAG = re.compile(r"<([A-Za-z_][\w.:-]*)")
 _LATER = {"sdf": "SDF", "mujoco": "MJCF (MuJoCo)", "mjcf": "MJCF (MuJoCo)"}
 
 
+class _How(NamedTuple):
+    """How a description is read: the options of `read`, with the folders for meshes and the names of files beside."""
+
+    format: str | None
+    base: str | None
+    root: str | None
+    package_dirs: tuple[str | Path, ...]
+    lenient_limits: bool
+    beside: tuple[str, ...] = ()
+
+
 class Check(NamedTuple):
     """What `check` found: `problems`, which keep a description from being used, and `notes`, which do not."""
 
@@ -33,6 +45,7 @@ class Check(NamedTuple):
     notes: tuple[str, ...]
 
 
+@explained
 def read(
     source: str | Path | bytes,
     *,
@@ -41,28 +54,28 @@ def read(
     root: str | None = None,
     package_dirs: Iterable[str | Path] = (),
     xacro: bool = False,
+    lenient_limits: bool = False,
 ) -> Mechanism:
     """Mechanism from a file (its path), from text (URDF or TOML), or from a model of the library (its name).
 
-    `format` is "urdf" or "toml", found out where None. ``base="free"`` and `root` are for URDF, see
-    `read_urdf`. Meshes may lie in the file's folder and in `package_dirs`. ``xacro=True`` expands a xacro
-    file first, which is a program and must be trusted. Errors: `DescriptionError` with file, line, what is
-    wrong and what is allowed.
+    `format` is "urdf" or "toml", found out where None. ``base="free"``, `root` and `lenient_limits` are for URDF, see
+    `read_urdf`. A path may begin with ``~``, the home folder. Meshes may lie in the file's folder and in
+    `package_dirs`. ``xacro=True`` expands a xacro file first, which is a program and must be trusted. Errors:
+    `DescriptionError` with file, line, what is wrong and what is allowed.
     """
     if format is not None and format not in FORMATS:
         raise InputError(f"format is {format!r}; it must be {' or '.join(map(repr, FORMATS))}")
-    package_dirs = tuple(package_dirs)
+    how = _How(format, base, root, tuple(expanded(d) for d in package_dirs), bool(lenient_limits))
     if isinstance(source, bytes) or (isinstance(source, str) and _is_text(source)):
         if xacro:
             raise InputError("xacro is expanded from a file, not from text; give its path")
-        return _read_text(source, "<text>", format, base, root, package_dirs, ())
+        return _read_text(source, "<text>", how)
     if not isinstance(source, (str, Path)):
         raise InputError(f"source is a {type(source).__name__}; it must be a path, text or bytes")
-    path = Path(source)
+    path = expanded(source)
     if isinstance(source, str) and not os.path.exists(path) and source in library_models():
-        data = library_path(source).read_bytes()
-        return _read_text(data, f"{source}.toml", "toml", base, root, package_dirs, ())
-    return _read_file(path, format, base, root, package_dirs, xacro)
+        return _read_text(library_path(source).read_bytes(), f"{source}.toml", how._replace(format="toml"))
+    return _read_file(path, how, xacro)
 
 
 def check(
@@ -73,10 +86,14 @@ def check(
     root: str | None = None,
     package_dirs: Iterable[str | Path] = (),
     xacro: bool = False,
+    lenient_limits: bool = False,
 ) -> Check:
     """All problems and notes of a description, which is read and compiled; arguments as in `read`."""
     try:
-        mechanism = read(source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro)
+        mechanism = read(
+            source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro,
+            lenient_limits=lenient_limits,
+        )  # fmt: skip
         mechanism.build()
     except DescriptionError as error:
         return Check(error.problems, ())
@@ -92,24 +109,18 @@ def _is_text(source: str) -> bool:
     return "\n" in source or not start or start.startswith("<") or re.match(r"format\s*=", start) is not None
 
 
-def _read_file(
-    path: Path,
-    format: str | None,
-    base: str | None,
-    root: str | None,
-    package_dirs: tuple[str | Path, ...],
-    xacro: bool,
-) -> Mechanism:
+def _read_file(path: Path, how: _How, xacro: bool) -> Mechanism:
     data = _bytes_of(path)
-    roots = (path.parent, *package_dirs)
     if path.suffix == ".xacro" and not xacro:
         raise fail("this is a xacro file, a program that writes URDF", Where(str(path)), XACRO_ADVICE)
     if xacro:
-        text = expand_xacro(path, package_dirs=package_dirs)
-        return _read_text(text, f"{path} (expanded)", "urdf", base, root, roots, ())
-    format = format or _BY_SUFFIX.get(path.suffix.lower())
-    beside = [n for n in _models_in(path.parent) if n.endswith(".urdf") and n != path.name]
-    return _read_text(data, str(path), format, base, root, roots, beside)
+        text = expand_xacro(path, package_dirs=how.package_dirs)
+        how = how._replace(format="urdf", package_dirs=(path.parent, *how.package_dirs))
+        return _read_text(text, f"{path} (expanded)", how)
+    format = how.format or _BY_SUFFIX.get(path.suffix.lower())
+    beside = tuple(n for n in _models_in(path.parent) if n.endswith(".urdf") and n != path.name)
+    how = how._replace(format=format, package_dirs=(path.parent, *how.package_dirs), beside=beside)
+    return _read_text(data, str(path), how)
 
 
 def _bytes_of(path: Path) -> bytes:
@@ -155,27 +166,24 @@ def _near(path: Path) -> str:
     )
 
 
-def _read_text(
-    text: str | bytes,
-    name: str,
-    format: str | None,
-    base: str | None,
-    root: str | None,
-    package_dirs: Iterable[str | Path],
-    beside: Iterable[str],
-) -> Mechanism:
-    found = _format_of(text, name)
+def _read_text(text: str | bytes, name: str, how: _How) -> Mechanism:
+    format, found = how.format, _format_of(text, name)
     if found in _LATER or (found == "toml" and format in _LATER):
         kind = _LATER.get(found, "") or _LATER[str(format)]
         raise UnsupportedError(f"{name}: {kind} files are not read yet; Kempe reads URDF and TOML")
     format = "urdf" if found == "urdf" and format != "toml" else format or found
     if format == "toml":
-        if base is not None or root is not None:
+        if how.base is not None or how.root is not None:
             raise InputError("base and root are for URDF; a TOML file names its ground itself")
+        if how.lenient_limits:
+            raise InputError("lenient_limits is for URDF; a TOML file without limits has none")
         with collecting_later(len(text) >> 8):
-            return read_toml(text, name, package_dirs=package_dirs)
+            return read_toml(text, name, package_dirs=how.package_dirs)
     with collecting_later(len(text) >> 8):
-        return read_urdf(text, name, base=base, root=root, package_dirs=package_dirs, beside=beside)
+        return read_urdf(
+            text, name, base=how.base, root=how.root, package_dirs=how.package_dirs, beside=how.beside,
+            lenient_limits=how.lenient_limits,
+        )  # fmt: skip
 
 
 def _format_of(text: str | bytes, name: str) -> str:

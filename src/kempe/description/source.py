@@ -34,6 +34,8 @@ _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16-be", ""),
 )
 
+_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://|(?:https?|ftp|file|package|s3|ssh):/")
+
 _LINE_END = re.compile(r"\r\n|\n|\r")
 
 
@@ -160,6 +162,21 @@ class Findings:
 def fail(message: str, where: Where, allowed: str = "", subject: str = "") -> DescriptionError:
     """The error for a problem after which reading cannot go on."""
     return DescriptionError(Problem(message, subject, where, allowed))
+
+
+def expanded(path: str | Path) -> Path:
+    """The path of a file, a leading ``~`` replaced by the home folder. Errors: `InputError` for a URL."""
+    text = os.fspath(path)
+    scheme = _SCHEME.match(text)
+    if scheme:
+        shown = shorten(text if "://" in text else text.replace(":/", "://", 1), 200)  # a Path keeps one slash
+        advice = {"file": "give the path alone, without file://", "package": "give the path of the file"}
+        said = advice.get(text.partition(":")[0].lower(), "Kempe reads files of this machine: download it first")
+        raise InputError(f"{shown} is a URL; {said}")
+    try:
+        return Path(text).expanduser()
+    except RuntimeError:  # no such user, or no home
+        return Path(text)
 
 
 def shorten(text: object, limit: int = 60) -> str:

@@ -36,7 +36,7 @@ def read_toml(text: str | bytes, source: str = "<text>", *, package_dirs: Iterab
         raise fail(str(error), document.where("dim" if "dim" in str(error) else "ground")) from None
     _Reader(document, mechanism).read()
     document.findings.finish()
-    mechanism.notes = head["notes"]
+    mechanism.notes = [*head["notes"], *mechanism.notes]
     mechanism.roots = tuple(str(d) for d in package_dirs)
     return mechanism
 
@@ -256,8 +256,9 @@ class _Reader:
                 if item not in names:
                     raise UnknownNameError("frame", item, names, f"body {body!r}")
                 settings[key] = self.mechanism.frames[item].X_BF
-            elif key != "angle" and not isinstance(item, list):
-                raise InputError(f"{prefix}{key} is {shorten(item)}; it must be a list, such as [0, 0, 1]")
+            elif key != "angle" and not isinstance(item, list) and not (key == "axis" and isinstance(item, str)):
+                or_name = " or a name, such as 'z'" if key == "axis" else ""
+                raise InputError(f"{prefix}{key} is {shorten(item)}; it must be a list, such as [0, 0, 1]{or_name}")
             elif key == "matrix":
                 flat = [x for row in item for x in row] if all(isinstance(r, list) for r in item) else item
                 if len(flat) != 9 or not all(type(x) in (int, float) for x in flat):

@@ -55,7 +55,7 @@ KEYS = {
     "frame": ("name", "body", *PLACE),
     "constraint": ("name", "type", "parent", "child", "length", *PLACE, *(f"child_{k}" for k in PLACE)),
     "coupling": ("of", "sources", "offset"),
-    "dh": ("convention", "rows", "on", "base", "tool"),
+    "dh": ("convention", "rows", "on", "base", "tool", "deg", "columns"),
     "screws": ("rows", "home"),
 }
 """Keys that each table knows; joints besides those of `joint_options`."""
@@ -84,6 +84,8 @@ _VALUES: dict[str, tuple[type, str]] = {
     "visuals": (list, "a list of texts"),
     "center": (list, "[x, y] or [x, y, z]"),
     "rows": (list, "a list of tables"),
+    "deg": (bool, "true or false"),
+    "columns": (list, "a list of texts"),
 }
 _AT_LINE = re.compile(r" \(at line (\d+), column (\d+)\)$")
 

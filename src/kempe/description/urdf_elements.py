@@ -15,8 +15,14 @@ from kempe.description.xml import Element
 UNLIMITED = 1e308
 """A limit of this size or more stands for none: URDF has no other way to say so for a prismatic joint."""
 
+LENIENT = "lenient_limits=True"
+"""The option of readers for limits that hold no range, as messages name it."""
+
 AXIS_TOLERANCE = 1e-5
 """An axis whose length differs from 1 by more than rounding in the file is worth a note."""
+
+WITHOUT_AXIS = ("fixed", "floating", "spherical")
+"""Types whose <axis> says nothing."""
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _PLAIN = re.compile(r"[-+.0-9eE \t\r\n]+")
@@ -160,17 +166,18 @@ def read_link(name: str, element: Element, findings: Findings) -> Body:
 
 
 def read_joint(
-    kind: str, name: str, element: Element, findings: Findings, quaternions: bool = True
+    kind: str, name: str, element: Element, findings: Findings, quaternions: bool = True, lenient: bool = False
 ) -> dict[str, Any] | None:
     """Keywords for `Mechanism.joint` of a <joint> of type `kind`, or None after recording what is wrong.
 
-    `quaternions` says whether the file's version has `quat_xyzw`, which readers pass over in older ones.
+    `quaternions` says whether the file's version has `quat_xyzw`, which readers pass over in older ones. Limits that
+    hold no range are none where `lenient`; else the keyword `unstated` tells those that the file does not give.
     """
     subject, before = f"joint {name!r}", len(findings.problems)
     _check_joint(element, findings, subject)
     out = _origin(element, findings, subject, quaternions)
     out["axis"] = _axis(kind, element, findings, subject)
-    out |= _limit(kind, element, findings, subject)
+    out |= _limit(kind, element, findings, subject, lenient)
     return out if len(findings.problems) == before else None
 
 
@@ -209,8 +216,8 @@ def _axis(kind: str, joint: Element, findings: Findings, subject: str) -> tuple[
         return None
     if axis is not None:
         found = numbers(axis, "xyz", 3, findings, subject)
-    if kind in ("fixed", "floating") or found is None or axis is None:
-        return None if kind in ("fixed", "floating") else found
+    if kind in WITHOUT_AXIS or found is None or axis is None:
+        return None if kind in WITHOUT_AXIS else found
     length = math.hypot(*found)
     if length < 1e-150:
         findings.add(
@@ -226,8 +233,8 @@ def _axis(kind: str, joint: Element, findings: Findings, subject: str) -> tuple[
     return found
 
 
-def _limit(kind: str, joint: Element, findings: Findings, subject: str) -> dict[str, Any]:
-    """Keywords `limits`, `velocity` and `effort`."""
+def _limit(kind: str, joint: Element, findings: Findings, subject: str, lenient: bool) -> dict[str, Any]:
+    """Keywords `limits`, `velocity`, `effort` and `unstated`."""
     limit = (joint.of("limit") or [None])[0]
     if limit is None:
         if kind in ("revolute", "prismatic"):
@@ -238,9 +245,9 @@ def _limit(kind: str, joint: Element, findings: Findings, subject: str) -> dict[
             )
         return {}
     bounds = {key: _bound(limit, key, findings, subject) for key in ("lower", "upper", "velocity", "effort")}
-    if kind in ("planar", "floating"):
+    if kind in ("planar", "floating", "spherical"):
         findings.note(f"the <limit> of a {kind} joint has no defined meaning and is not used", subject, limit.where)
-    if kind in ("fixed", "planar", "floating"):
+    if kind in ("fixed", "planar", "floating", "spherical"):
         return {}
     out: dict[str, Any] = {}
     for key in ("velocity", "effort"):
@@ -257,27 +264,32 @@ def _limit(kind: str, joint: Element, findings: Findings, subject: str) -> dict[
                 limit.where,
             )
         return out
-    return out | _range(limit, bounds, findings, subject)
+    return out | _range(limit, bounds, findings, subject, lenient)
 
 
-def _range(limit: Element, bounds: dict[str, float | None], findings: Findings, subject: str) -> dict[str, Any]:
-    """Keyword `limits` of a revolute or prismatic joint: what is missing is 0 by the rules of URDF."""
+def _range(
+    limit: Element, bounds: dict[str, float | None], findings: Findings, subject: str, lenient: bool
+) -> dict[str, Any]:
+    """Keywords `limits` and `unstated` of a revolute or prismatic joint: what is missing is 0 by the rules of URDF."""
     given = [key for key in ("lower", "upper") if key in limit.attributes]
     lower, upper = bounds["lower"] or 0.0, bounds["upper"] or 0.0
+    both = " ".join(f"{key}={shorten(limit.attributes[key])}" for key in given)
+    if lenient and (not given or lower > upper):
+        said = f"its limits are swapped ({both})" if given else "its <limit> has no lower and upper"
+        findings.note(f"{said}; it is read as unlimited, as asked for", subject, limit.where)
+        return {}
     if not given:
-        findings.note(
-            "its <limit> has no lower and upper; by the rules of URDF both are 0 and the joint cannot move",
-            subject,
-            limit.where,
-        )
+        said = "its <limit> has no lower and upper; by the rules of URDF both are 0 and the joint cannot move"
+        findings.note(f"{said} ({LENIENT} reads it as unlimited)", subject, limit.where)
+        return {"limits": (0.0, 0.0), "unstated": True}
     if lower > upper or lower == math.inf or upper == -math.inf:
-        both = " ".join(f"{key}={shorten(limit.attributes[key])}" for key in given)
         missing = "" if len(given) == 2 else " (what is missing is 0 by the rules of URDF)"
+        meant = f"; for some simulators that means unlimited: {LENIENT} reads it so" if lower > upper else ""
         findings.add(
             f"its limits are swapped: {both}{missing}",
             subject,
             limit.where_of(given[0]),
-            "lower must not be above upper",
+            f"lower must not be above upper{meant}",
         )
         return {}
     return {} if (lower, upper) == (-math.inf, math.inf) else {"limits": (lower, upper)}

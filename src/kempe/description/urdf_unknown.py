@@ -2,7 +2,7 @@
 
 An element that has no part in the motion is passed over where it is known, else noted. What would be part of the
 mechanism for another reader, by its name or by what it ties together, is refused: without it the file describes
-another mechanism. The parts of <gazebo> blocks are for that simulator alone, and are noted.
+another mechanism. The parts of blocks for one simulator, <gazebo> and <mujoco>, are for it alone, and are noted.
 """
 
 from __future__ import annotations
@@ -54,6 +54,9 @@ TOP = (
     "verbose",
 )
 """Elements of a robot that are read or change no motion; others are noted."""
+
+SIMULATORS = ("mujoco", "drake")
+"""Blocks of simulators, like <gazebo>: what they tie is not part of the robot for other readers."""
 
 _OWN = re.compile(r"https?://(www\.|wiki\.)?ros\.org/?((wiki/)?urdf\b.*)?")
 _TIES = re.compile(r"constraint|loop|closure|closing|coupl|equality|gear|belt|tendon|(?<!dis)connect|weld")
@@ -107,7 +110,7 @@ def strip_namespaces(robot: Element) -> None:
 def check_version(robot: Element, findings: Findings) -> None:
     """Refuse versions of URDF that are not known, as ROS does; without one, a file is of version 1.0."""
     given = robot.attributes.get("version")
-    if given is not None and given.strip() not in VERSIONS:
+    if given is not None and _version(robot) not in VERSIONS:
         findings.add(
             f"the version is {shorten(given)}",
             "robot",
@@ -118,7 +121,14 @@ def check_version(robot: Element, findings: Findings) -> None:
 
 def has_quaternions(robot: Element) -> bool:
     """Whether the file is of a version that has `quat_xyzw`."""
-    return robot.attributes.get("version", "1.0").strip() != "1.0"
+    return _version(robot) != "1.0"
+
+
+def _version(robot: Element) -> str:
+    """The version as two numbers: '1.00' is 1.0, as ROS reads it."""
+    given = robot.attributes.get("version", "1.0").strip()
+    found = re.fullmatch(r"0*(\d{1,9})\.0*(\d{1,9})", given, re.ASCII)
+    return f"{found[1]}.{found[2]}" if found else given
 
 
 # ---- names that are not known
@@ -204,6 +214,8 @@ def check_top(robot: Element, links: Collection[str], joints: Mapping[str, Eleme
         _check_inside(element, findings)
         if element.tag == "gazebo":
             _note_followers(element, joints, findings)
+        elif element.tag in SIMULATORS:
+            _note_ties(element, names, findings)
 
 
 def _note_followers(block: Element, joints: Mapping[str, Element], findings: Findings) -> None:
@@ -214,6 +226,21 @@ def _note_followers(block: Element, joints: Mapping[str, Element], findings: Fin
             if not told or any(not joints[n].of("mimic") for n in told):
                 said = f"<{element.tag}> in a <gazebo> block is not read{f': {told[0]!r}' if told else ''}"
                 findings.note(f"{said}; there joints follow each other", "", element.where)
+
+
+def _note_ties(block: Element, names: Collection[str], findings: Findings) -> None:
+    """Note what ties links or joints for a simulator alone, such as MuJoCo's <equality>: each tie once."""
+    seen: set[int] = set()
+    for element in block.walk():
+        local = element.tag.rpartition(":")[2]
+        if id(element) in seen or element is block or not _TIES.search(local.lower()):
+            continue
+        seen |= {id(part) for part in element.walk()}
+        tied = [n for n in _named(element) if n in names]
+        if tied:
+            shown = " and ".join(map(repr, dict.fromkeys(tied[:4])))
+            said = f"<{element.tag}> in a <{block.tag}> block is not read{_speaks_of(element)}; there it ties {shown}"
+            findings.note(said, "", element.where)
 
 
 def _check_inside(outer: Element, findings: Findings) -> None:

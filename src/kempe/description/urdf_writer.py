@@ -16,7 +16,7 @@ from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Joint
 from kempe.description.placement import Placement
 from kempe.description.source import Findings
-from kempe.description.urdf_elements import UNLIMITED
+from kempe.description.urdf_elements import UNLIMITED, WITHOUT_AXIS
 from kempe.description.values import evaluate
 from kempe.description.xml import parse_xml
 from kempe.errors import DescriptionError
@@ -255,6 +255,7 @@ class _Writer:
             "prismatic": "prismatic",
             "planar": "planar",
             "free": "floating",
+            "spherical": "spherical",
         }
         if name not in kinds or joint.type.options:
             angles = " by angles" if joint.type.options.get("angles") else ""
@@ -262,17 +263,17 @@ class _Writer:
                 f"a {name} joint{angles} does not exist in URDF",
                 subject,
                 joint.where,
-                "URDF has revolute, prismatic, fixed, planar and free (by quaternion)",
+                "URDF has revolute, prismatic, fixed, planar, and free and spherical by quaternion",
             )
             return None
         bounded = {*joint.limits, *joint.velocity_limits, *joint.effort_limits}
-        if name in ("planar", "free") and bounded:
+        if name in ("planar", "free", "spherical") and bounded:
             self.findings.add(f"limits of a {name} joint do not exist in URDF", subject, joint.where, "remove them")
         return kinds[name]
 
     def limit(self, joint: Joint, kind: str) -> list[str]:
         given = {"velocity": joint.velocity_limits.get(""), "effort": joint.effort_limits.get("")}
-        if kind in ("planar", "floating") or (kind == "continuous" and set(given.values()) == {None}):
+        if kind in ("planar", "floating", "spherical") or (kind == "continuous" and set(given.values()) == {None}):
             return []
         lower, upper = joint.limits.get("", (-math.inf, math.inf))
         bounds = {} if kind == "continuous" else {"lower": lower, "upper": upper}
@@ -286,7 +287,7 @@ class _Writer:
         before = joint.X_PF.steps[: len(joint.X_PF.steps) - len(on_child)]
         if joint.X_PF.steps == before + on_child and len(on_child) <= 1:
             motion, numbers = on_child[0] if on_child else ("align", (0.0, 0.0, 1.0))
-            if motion == "align" and kind != "floating":
+            if motion == "align" and kind not in WITHOUT_AXIS:
                 return self.origin(Placement(before)), [float(x) for x in numbers]  # type: ignore[arg-type]
         X_CM = joint.X_CM.evaluate(self.m.parameters)
         a, p = X_CM[:3, 2], X_CM[:3, 3]
@@ -295,6 +296,7 @@ class _Writer:
             "prismatic": True,
             "planar": np.allclose(X_CM, spatial.pose(spatial.align_z(a)), rtol=0.0, atol=ON_AXIS),
             "floating": np.allclose(X_CM, np.eye(4), rtol=0.0, atol=ON_AXIS),
+            "spherical": np.allclose(X_CM, np.eye(4), rtol=0.0, atol=ON_AXIS),
         }
         if not fits["revolute" if kind == "continuous" else kind]:
             return None
@@ -327,10 +329,12 @@ class _Writer:
         axis: Sequence[float] | None,
         inside: list[str],
     ) -> None:
+        if kind == "spherical":
+            self.lines.append("  <!-- spherical: a type of MuJoCo and Bullet, which ROS refuses -->")
         self.lines.append(f'  <joint name={self.quoted(name)} type="{kind}">')
         self.lines.append(f"    <parent link={self.quoted(parent)}/><child link={self.quoted(child)}/>")
         self.lines.append(f'    <origin xyz="{_numbers(origin.xyz)}" rpy="{_numbers(origin.rpy)}"/>')
-        if axis is not None and kind != "floating":
+        if axis is not None and kind not in WITHOUT_AXIS:
             self.lines.append(f'    <axis xyz="{_numbers(axis)}"/>')
         self.lines += [f"    {line}" for line in inside]
         self.lines.append("  </joint>")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from kempe.errors import InputError, UnknownNameError
+from kempe.calls import is_list
+from kempe.errors import InputError, UnknownNameError, shown
 
 FUNCTIONS: dict[str, Callable] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
@@ -133,9 +134,9 @@ def values(xs: object, count: int | tuple[int, ...], what: str) -> tuple[Value, 
         kinds = set(map(type, xs))
         if len(kinds) == 1 and float in kinds and len(xs) in counts and math.isfinite(sum(xs)):
             return tuple(xs)
-    if isinstance(xs, (str, bytes)) or not isinstance(xs, Iterable):
-        raise InputError(f"{what} is {xs!r}; it must have {' or '.join(map(str, counts))} numbers")
-    items = tuple(xs)
+    if not is_list(xs):
+        raise InputError(f"{what} is {shown(xs)}; it must have {' or '.join(map(str, counts))} numbers")
+    items = tuple(xs)  # type: ignore[arg-type]
     if len(items) not in counts:
         s = "s" if len(items) != 1 else ""
         raise InputError(f"{what} has {len(items)} number{s}; it must have {' or '.join(map(str, counts))}")

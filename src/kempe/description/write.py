@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kempe.description.mechanism import Mechanism
-from kempe.description.source import no_file
+from kempe.description.source import expanded, no_file
 from kempe.description.toml_writer import write_toml
 from kempe.description.urdf_writer import write_urdf
 from kempe.errors import InputError
@@ -19,10 +19,14 @@ def write(mechanism: Mechanism, path: str | Path) -> Path:
 
     Errors: `InputError` for another ending, `DescriptionError` listing what URDF cannot say; nothing is written then.
     """
-    path = Path(path)
+    path = expanded(path)
     if path.suffix.lower() not in WRITERS:
         raise InputError(f"{path}: the format is told by the ending; it must be .toml or .urdf")
     if what := no_file(path):
         raise InputError(f"{path}: this is {what}; name a plain file")
-    path.write_text(WRITERS[path.suffix.lower()](mechanism), encoding="utf-8")
+    text = WRITERS[path.suffix.lower()](mechanism)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: it cannot be written: {error.strerror or error}") from None
     return path

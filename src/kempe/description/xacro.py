@@ -24,7 +24,7 @@ MEMORY = 2 * 2**30
 """Bytes of memory that an expansion may use."""
 
 XACRO_ADVICE = (
-    "load it with xacro=True (command line: --xacro; needs the extra kempe[xacro]), only if you trust it:"
+    "load it with xacro=True (it needs the extra kempe[xacro]), only if you trust it:"
     " xacro can read any file"
 )
 """What to do with a xacro file that was given in place of URDF."""
@@ -43,6 +43,7 @@ _KEPT = (
     "TMPDIR",
 )
 
+_PACKAGE = re.compile(r"PackageNotFoundError\W+(?:Package not found: )?([\w.-]+)")
 _EXCEPTION = re.compile(r"[\w.]+(Error|Exception)\b")
 
 # The limits stand before the imports, so that nothing of xacro runs without them.
@@ -58,6 +59,19 @@ import xacrodoc
 os.chdir(os.path.dirname(s["path"]))
 if s["package_dirs"]:
     xacrodoc.packages.look_in(s["package_dirs"])
+xacrodoc.packages.walk_up_from(s["path"])
+folders = [os.path.join(d, name) for d in s["package_dirs"] if os.path.isdir(d) for name in sorted(os.listdir(d))]
+folder = os.path.dirname(s["path"])
+while folder not in ("", os.path.dirname(folder)):
+    folders.append(folder)
+    folder = os.path.dirname(folder)
+for folder in [*folders, *s["package_dirs"]]:  # folders that are called like a package, where no package.xml is
+    name = os.path.basename(folder)
+    if name and os.path.isdir(folder):
+        try:
+            xacrodoc.packages.get_path(name)
+        except xacrodoc.packages.PackageNotFoundError:
+            xacrodoc.packages.update_package_cache({name: folder})
 document = xacrodoc.XacroDoc.from_file(s["path"], subargs=s["arguments"], resolve_packages=False)
 sys.stdout.buffer.write(document.dom.toprettyxml(indent="  ").encode("utf-8"))
 """
@@ -73,14 +87,15 @@ def expand_xacro(
     """URDF text that a xacro file expands to, with `arguments` for its ``<xacro:arg>``.
 
     Only for files that you trust: xacro reads any file that it is told to. It runs in a process with little
-    environment, bounded in time, memory and output. `package_dirs` are searched by ``$(find package)``.
+    environment, bounded in time, memory and output. `package_dirs` are searched by ``$(find package)``: for a
+    package.xml with that name at any depth, then for a folder of that name in them or above the file.
     Errors: `MissingExtraError` without the extra [xacro], `DescriptionError` with xacro's own message.
     """
     if importlib.util.find_spec("xacrodoc") is None:
         raise MissingExtraError("xacrodoc", "xacro")
     if importlib.util.find_spec("resource") is None:
         raise UnsupportedError("xacro is expanded on Linux and macOS only, where a process can be limited")
-    where, path = Where(str(path)), Path(path).resolve()
+    where, path, package_dirs = Where(str(path)), Path(path).resolve(), tuple(package_dirs)
     settings = {
         "path": str(path),
         "arguments": {str(k): str(v) for k, v in (arguments or {}).items()},
@@ -95,13 +110,8 @@ def expand_xacro(
     }
     environment = {k: v for k, v in os.environ.items() if k in _KEPT}
     with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as complaints:
-        code = _run(
-            [sys.executable, "-c", _WORKER, json.dumps(settings)],
-            environment,
-            output,
-            complaints,
-            seconds,
-        )
+        command = [sys.executable, "-c", _WORKER, json.dumps(settings)]
+        code = _run(command, environment, output, complaints, seconds)
         output.seek(0)
         complaints.seek(0)
         text = output.read(SIZE_LIMIT + 1).decode("utf-8", "replace")
@@ -114,6 +124,14 @@ def expand_xacro(
         raise fail(f"xacro needs more than {MEMORY >> 30} GiB of memory", where, "it may call itself without end")
     if "RecursionError" in said:
         raise fail("xacro calls itself without end (RecursionError)", where, "look for a macro that calls itself")
+    missing = _PACKAGE.search(_last(said))
+    if code != 0 and missing:
+        looked = ", ".join(repr(str(d)) for d in package_dirs)
+        raise fail(
+            f"xacro finds no package {missing[1]!r}" + (f" in {looked}" if looked else ""),
+            where,
+            "name by package_dirs a folder that holds one of this name, with or without a package.xml",
+        )
     if code != 0:
         raise fail(f"xacro failed: {_last(said)}", where, "correct the file, or name its folders by package_dirs")
     return text

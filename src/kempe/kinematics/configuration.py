@@ -3,38 +3,48 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained, generator, numbers, together
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.coordinates import returning
 from kempe.model.topology import natural
+from kempe.reals import named, reals, rows_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
 
-def as_q(system: System, q: object) -> Array:
-    """`q` as an aligned, C-contiguous float64 array (..., nq); a dict by name is completed with neutral values.
+def as_q(system: System, q: Any) -> Array:
+    """`q` as an aligned, C-contiguous float64 array (..., nq): the one place where configurations are read.
 
-    Errors: `InputError` for a wrong length or type, `UnknownNameError` for names.
+    An array is taken as it is. What is given by names (a dict, a pandas Series or DataFrame, a list of them) is read
+    by name; what is not named is neutral, and in a system with closed loops or relations follows from what is: the
+    configuration that `assemble` finds from home.
+    Errors: `InputError` for a wrong length or type, and for named values that close no loop; `UnknownNameError`.
     """
-    if isinstance(q, Mapping):
-        return q_from_dict(system, q)
-    what = type(q).__name__
-    try:
-        given = np.asarray(q)
-        if given.dtype.kind not in "fiub":
-            what = "complex" if given.dtype.kind == "c" else what
-            raise TypeError
-        array = np.require(given, np.float64, "CA")
-    except (TypeError, ValueError):
-        raise InputError(f"q is {what}; it must be an array of real numbers or a dict by coordinate name") from None
+    return _read(system, q, closed_from)
+
+
+def as_start(system: System, q: Any) -> Array:
+    """Where a search starts, read as by `as_q`; what is not named is as at home, and no loop is closed."""
+    return _read(system, q, from_home)
+
+
+def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]], Array]) -> Array:
+    if q.__class__ is not np.ndarray or q.dtype.names:
+        coordinates = named(q)
+        if coordinates is not None:
+            return complete(system, coordinates)
+        rows = rows_of(q)
+        if rows is not None:
+            return np.stack([_read(system, row, complete) for row in rows])
+    array = np.require(reals(q, "q", "an array of real numbers or a dict by coordinate name"), np.float64, ["C", "A"])
     if array.ndim == 0 or array.shape[-1] != system.nq:
         names = ", ".join(system.coordinate_names[:12]) + (", ..." if system.nq > 12 else "")
         got = "a single number" if array.ndim == 0 else f"{array.shape[-1]} coordinates"
@@ -42,37 +52,103 @@ def as_q(system: System, q: object) -> Array:
     return array
 
 
-def q_from_dict(system: System, coordinates: Mapping[str, float], base: ArrayLike | None = None) -> Array:
-    """Configuration (nq,) from values by coordinate name; the others are neutral, or as in `base` (..., nq)."""
-    if not isinstance(coordinates, Mapping):
+def has_loops(system: System) -> bool:
+    """Whether anything ties the coordinates: loops, declared constraints or relations of several coordinates."""
+    return bool(system.closures or system.relations or system._mechanism.constraints)
+
+
+def home_of(system: System) -> Array:
+    """Where a search starts that is told nothing: the posture 'closed' if there is one, else within the limits."""
+    if "closed" in system.posture_names:
+        return system.posture("closed")
+    return system.mid.copy()
+
+
+def from_home(system: System, coordinates: Mapping[str, Any]) -> Array:
+    """Named values as a configuration (..., nq) that need not be closed; the others are neutral, with loops at home."""
+    return q_from_dict(system, coordinates, home_of(system) if has_loops(system) else None)
+
+
+def closed_from(system: System, coordinates: Mapping[str, Any], near: Any = None) -> Array:
+    """The configuration (..., nq) that named values make: of a system with loops, the one that closes these.
+
+    The search starts `near`, else at home. Where all coordinates are named nothing is searched for. Errors:
+    `InputError` where no closed configuration was found, with the reason.
+    """
+    q = q_from_dict(system, coordinates, near)  # refuses names and numbers
+    given = named(coordinates) or {}
+    if not has_loops(system) or len(given) == system.nq:
+        return q
+    answer = system.assemble(given, near)
+    if np.all(answer.success):
+        return answer.q
+    why, where = answer.status, ""
+    if q.ndim > 1:
+        first = int(np.flatnonzero(~np.ravel(answer.success))[0])
+        why, where = np.ravel(np.asarray(why, dtype=object))[first], f"row {first} of "
+    raise InputError(f"{where}q gives {', '.join(map(repr, given)) or 'nothing'} of a system with loops, and the other "
+                     f"coordinates must close them: {why} (an array of all {system.nq} is taken as it is)")  # fmt: skip
+
+
+@explained
+def q_from_dict(system: System, coordinates: Mapping[str, Any], base: ArrayLike | None = None) -> Array:
+    """Configuration (..., nq) from values by coordinate name; the others are neutral, or as in `base` (..., nq)."""
+    given = named(coordinates)
+    if given is None:
         raise InputError(f"coordinates are {type(coordinates).__name__}; they must be a dict by coordinate name")
-    q = system.neutral if base is None else np.array(as_q(system, base))
     index = {n: i for i, n in enumerate(system.coordinate_names)}
-    for name, number in coordinates.items():
+    values = []
+    for name, number in given.items():
         if name not in index:
             follower = system.couplings.get(name)
             if follower is not None:
                 follows = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"
                 raise InputError(f"coordinate {name!r} is not part of q: {follows}")
             raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
-        try:
-            q[..., index[name]] = float(number)
-        except (TypeError, ValueError):
-            raise InputError(f"coordinate {name!r} is {number!r}; it must be a number") from None
+        values.append(reals(number, f"coordinate {name!r}", "a number, or an array of them"))
+    start = system.neutral if base is None else as_q(system, base)
+    try:
+        lead = np.broadcast_shapes(start.shape[:-1], *(x.shape for x in values))
+    except ValueError:
+        shapes = ", ".join(f"{n!r} {x.shape}" for n, x in zip(given, values, strict=True))
+        raise InputError(f"the values of the coordinates have shapes that do not fit together: {shapes}") from None
+    q = np.empty((*lead, system.nq))
+    q[:] = start
+    for name, x in zip(given, values, strict=True):
+        q[..., index[name]] = x
     return q
 
 
+@explained
+def q_dict(system: System, q: Any) -> dict[str, float]:
+    """Values by coordinate name of one configuration (nq,)."""
+    return dict(zip(system.coordinate_names, one(system, q).tolist(), strict=True))
+
+
+def one(system: System, q: Any) -> Array:
+    """One configuration (nq,). Errors: `InputError`."""
+    array = as_q(system, q)
+    if array.ndim != 1:
+        raise InputError(f"q has shape {array.shape}; it must be one configuration ({system.nq},)")
+    return array
+
+
 def mid(system: System) -> Array:
-    """A configuration (nq,) inside the limits: mid-range; zero, or the nearest allowed, where a limit is missing."""
+    """A configuration (nq,) inside the limits: mid-range; zero, or the nearest allowed, where a limit is missing.
+
+    It is read-only: `copy` gives one to change.
+    """
     lower, upper = system.lower, system.upper
     both = np.isfinite(lower) & np.isfinite(upper)
     with np.errstate(invalid="ignore"):
         v = np.where(both, 0.5 * lower + 0.5 * upper, np.clip(0.0, lower, upper))
-    q = system.neutral
+    q = system.neutral.copy()
     q[system.layout.vector_q] = v[system.layout.vector_v]
+    q.setflags(write=False)
     return q
 
 
+@explained
 def random(system: System, rng: np.random.Generator | int | None, shape: int | tuple[int, ...] = ()) -> Array:
     """Configurations (*shape, nq), uniform inside the limits.
 
@@ -84,12 +160,12 @@ def random(system: System, rng: np.random.Generator | int | None, shape: int | t
     if not all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and n >= 0 for n in sizes):
         raise InputError(f"shape is {shape!r}; it must be a whole number or a tuple of them, not negative")
     shape = tuple(int(n) for n in sizes)
-    try:
-        rng = np.random.default_rng(rng)
-    except (TypeError, ValueError):
-        raise InputError(f"rng is {rng!r}; it must be a generator, a whole number >= 0 or None") from None
+    rng = generator(rng)
     layout, names = system.layout, system.velocity_names
-    q = np.broadcast_to(system.neutral, (*shape, system.nq)).copy()
+    try:
+        q = np.broadcast_to(system.neutral, (*shape, system.nq)).copy()
+    except (MemoryError, ValueError):
+        raise InputError(f"shape is {shape}; this memory does not hold so many configurations") from None
     low, high = sampling_box(system)
     order = sorted(range(len(layout.vector_v)), key=lambda i: natural(names[layout.vector_v[i]]))
     for i in order:
@@ -111,18 +187,17 @@ def sampling_box(system: System) -> tuple[Array, Array]:
     return low, high
 
 
+@explained
 def integrate(system: System, q: Any, v: ArrayLike) -> Array:
     """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of time."""
-    try:
-        v = np.asarray(v, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"v is {type(v).__name__}; it must be an array of numbers") from None
+    v = numbers(v, "v")
     if v.ndim == 0 or v.shape[-1] != system.nv:
         got = "a single number" if v.ndim == 0 else f"{v.shape[-1]} coordinates"
         raise InputError(f"v has {got}; {system.name} has {system.nv} velocity coordinates")
     return system.layout.integrate(as_q(system, q), v)
 
 
+@explained
 def difference(system: System, q0: Any, q1: Any) -> Array:
     """Tangent vector (..., nv) that `integrate` needs to go from `q0` to `q1`; rotations go the short way."""
     return system.layout.difference(as_q(system, q0), as_q(system, q1))
@@ -132,7 +207,8 @@ def _tangent(system: System, q0: Any, q1: Any) -> Array:
     """Shortest tangent vector from q0 to q1: unlimited joints turn by at most pi."""
     v = difference(system, q0, q1)
     circle = circles(system)
-    v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
+    with np.errstate(invalid="ignore"):
+        v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
     return v
 
 
@@ -141,56 +217,17 @@ def circles(system: System) -> np.ndarray:
     return returning(system.mechanism, system.coordinates)
 
 
+@explained
 def interpolate(system: System, q0: Any, q1: Any, t: ArrayLike) -> Array:
     """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go the short way."""
-    t = np.asarray(t, dtype=float)
-    return integrate(system, q0, t[..., None] * _tangent(system, q0, q1))
+    t, v = numbers(t, "t"), _tangent(system, q0, q1)
+    together({"t": t.shape, "q0 and q1": v.shape[:-1]})
+    with np.errstate(invalid="ignore", over="ignore"):
+        return integrate(system, q0, t[..., None] * v)
 
 
+@explained
 def distance(system: System, q0: Any, q1: Any) -> Array:
     """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in metres."""
-    return np.linalg.norm(_tangent(system, q0, q1), axis=-1)
-
-
-@dataclass(frozen=True)
-class ConfigurationSpace:
-    """The set that configurations of the tree range over.
-
-    `dim` is its dimension, `shape` its product form: a circle T for each turn, a line R for each slide, SO(3) for
-    each quaternion. `limited` coordinates are confined to an interval of their factor. With loop closures or
-    relations (`constraints` rows of them) the configurations of the system are a subset.
-    """
-
-    dim: int
-    shape: str
-    limited: int
-    constraints: int
-
-    def __str__(self) -> str:
-        text = f"{self.shape}, dimension {self.dim}"
-        if self.limited:
-            text += f", {self.limited} of them within limits"
-        if self.constraints:
-            text += f"; the system is the subset that satisfies {self.constraints} constraint equations"
-        return text
-
-
-def configuration_space(system: System) -> ConfigurationSpace:
-    """Dimension and shape of the configuration space of a system's joints."""
-    turning = system.coordinates.turning[system.layout.vector_v]
-    turns, slides = int(turning.sum()), int((~turning).sum())
-    balls = len(system.layout.quaternion_q)
-    factors = [("SO(3)", balls), ("T", turns), ("R", slides)]
-    if turns == 0 and slides and balls:
-        factors = [("R", slides), ("SO(3)", balls)]
-    parts = [name if n == 1 else f"{name}^{n}" for name, n in factors if n]
-    limited = int((np.isfinite(system.lower) | np.isfinite(system.upper)).sum())
-    rows = len(system.relations)
-    for constraint in system.mechanism.constraints.values():
-        rows += 2 if constraint.kind == "point_on_line" and system.dim == 3 else 1
-    for name in system.closures:
-        joint = system.joints[name]
-        particle = system.mechanism.bodies[joint.child].particle
-        # q holds the joint's own coordinates too: all freedoms of the child are tied to it
-        rows += joint.type.constraints(system.dim, particle) + joint.type.dof(system.dim, particle)
-    return ConfigurationSpace(system.nv, " x ".join(parts) or "a point", limited, rows)
+    with np.errstate(over="ignore"):
+        return np.linalg.norm(_tangent(system, q0, q1), axis=-1)

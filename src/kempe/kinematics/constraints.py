@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
+from kempe.calls import explained
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
 from kempe.joints import JointType
@@ -39,6 +40,7 @@ def coordinate_row(system: System, name: str) -> spatial.Array:
     return row
 
 
+@explained
 def closure_error(system: System, q: Any) -> spatial.Array:
     """How far each loop is open (..., len(closures), 6).
 

@@ -13,6 +13,7 @@ from kempe.errors import InputError
 from kempe.joints import layout_of
 from kempe.kernels.layout import SLIDE
 from kempe.kinematics.derivatives import COMPLEX, IMAGINARY_STEP, REAL_STEP, SUPPLIED, way_of
+from kempe.reals import reals
 from kempe.spatial import Array
 
 SAMPLES = 256
@@ -119,7 +120,7 @@ def curve_through(points: ArrayLike, closed: bool = False) -> Curve:
     """
     from scipy.interpolate import CubicSpline
 
-    given = np.asarray(points, dtype=float)
+    given = reals(points, "points")
     if given.ndim != 2 or given.shape[1] not in (2, 3) or not np.isfinite(given).all():
         raise InputError(f"points have shape {given.shape}; they must be (n, 2) or (n, 3), and finite")
     same = SAME_POINT * np.max(np.ptp(given, axis=0), initial=0.0) if len(given) else 0.0

@@ -11,6 +11,7 @@ import numpy as np
 
 from kempe.errors import InputError
 from kempe.joints import Layout
+from kempe.reals import reals
 from kempe.spatial import Array
 
 SUPPLIED, COMPLEX, DIFFERENCES = "supplied", "complex step", "central differences"
@@ -55,7 +56,7 @@ def jacobian_of(
 ) -> Array:
     """Derivatives (m, nv) of a function of q in the way that `how` says."""
     if derivative is not None:
-        return np.asarray(derivative(q), dtype=float)
+        return reals(derivative(q), "the Jacobian of a constraint")
     return complex_steps(function, layout, q) if how == COMPLEX else differences(function, layout, q)
 
 
@@ -75,8 +76,8 @@ def checked_value(name: str, function: Callable[[Array], Any], q: Array) -> Arra
     """What the function of a constraint gives at q, () or (m,). Errors: `InputError` for anything else."""
     found = function(q)
     try:
-        value = np.asarray(found, dtype=float)
-    except (TypeError, ValueError):
+        value = reals(found, "the value")
+    except InputError:
         value = np.full((), np.nan)
     if value.ndim > 1 or not np.isfinite(value).all():
         raise InputError(f"constraint {name!r} gives {found!r}; it must give a number or an array (m,), finite")
@@ -89,7 +90,7 @@ def check_supplied(
 ) -> None:  # fmt: skip
     """Refuse a supplied Jacobian that differs from central differences at q, with its worst entry."""
     real = np.atleast_2d(differences(function, layout, q))
-    given = np.asarray(derivative(q), dtype=float)
+    given = reals(derivative(q), f"constraint {name!r}: its Jacobian")
     if given.shape != real.shape:
         raise InputError(f"constraint {name!r}: its Jacobian has shape {given.shape}; it must have {real.shape}")
     if not _agree(given, real):

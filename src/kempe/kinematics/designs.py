@@ -9,25 +9,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained, explained_methods
 from kempe.description.values import Expression
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kernels.compiled import sweep
 from kempe.kinematics.configuration import as_q
 from kempe.model.system import FrameLike, System
 from kempe.model.table import lower
+from kempe.reals import reals
 from kempe.spatial import Array
 
 
+@explained
 def with_parameters(system: System, numbers: Mapping[str, Any]) -> System | Designs:
     """The system with other parameter values, or `Designs` where a value is an array (all of one broadcast shape)."""
     arrays: dict[str, np.ndarray] = {}
     for name, x in numbers.items():
         if name not in system.parameters:
             raise UnknownNameError("parameter", name, system.parameters, system.name)
-        try:
-            arrays[name] = np.asarray(x, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"parameter {name!r} is {x!r}; it must be a number or an array of numbers") from None
+        arrays[name] = reals(x, f"parameter {name!r}", "a number or an array of numbers")
         if not np.all(np.isfinite(arrays[name])):
             raise InputError(f"parameter {name!r} is not finite")
     try:
@@ -42,6 +42,7 @@ def with_parameters(system: System, numbers: Mapping[str, Any]) -> System | Desi
     return System(mechanism, system.topology)
 
 
+@explained_methods
 class Designs:
     """A batch of designs: a system whose parameters are arrays of one shape, `shape`."""
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from types import MethodType
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.compiled import bound, chain, maker, sweep
 from kempe.kernels.layout import BODY, WORLD, WORLD_ALIGNED, fuse
@@ -53,6 +55,7 @@ class Query(Protocol):
         ...
 
 
+@explained
 def query(system: System, frame: FrameLike) -> Query:
     """The bound forward model of a frame. Errors: `UnknownNameError`.
 
@@ -66,24 +69,22 @@ def query(system: System, frame: FrameLike) -> Query:
     table, table_in = tables[usual], tables.get
     pose_kernel, jacobian_kernel, both_kernel = bound.pose, bound.jacobian, bound.pose_jacobian
 
-    def pose(q: Any, out: Any = None, threads: int | None = None) -> Array:
+    def pose(chain_of: _Chain, q: Any, out: Any = None, threads: int | None = None) -> Array:
         try:
             if q.ndim == 1:
-                if out is None:
-                    out = new_pose()
-                if not pose_kernel(table, q, out):
-                    return out
+                X = new_pose() if out is None else out
+                if not pose_kernel(table, q, X):
+                    return X
         except (TypeError, AttributeError):
-            pass  # not float64, not contiguous, not an array
+            pass  # not float64, not contiguous, not a plain array
         return chain_of.pose(q, out, threads)
 
     def jacobian(q: Any, in_frame: str = "world_aligned", out: Any = None, threads: int | None = None) -> Array:
         try:
             if q.ndim == 1:
-                if out is None:
-                    out = new_columns()
-                if not jacobian_kernel(table if in_frame is usual else table_in(in_frame), q, out):
-                    return out
+                J = new_columns() if out is None else out
+                if not jacobian_kernel(table if in_frame is usual else table_in(in_frame), q, J):
+                    return J
         except (TypeError, AttributeError):
             pass
         return chain_of.jacobian(q, in_frame, out, threads)[1]
@@ -101,19 +102,31 @@ def query(system: System, frame: FrameLike) -> Query:
     function: Any = pose
     function.jacobian, function.pose_and_jacobian = jacobian, pose_and_jacobian
     function.system, function.frame = system, name
-    function.__name__ = function.__qualname__ = f"query({system.name!r}, {name!r})"
+    function.__name__, function.__qualname__ = "query", f"query({system.name!r}, {name!r})"
     function.__doc__ = Query.__call__.__doc__
-    return function
+    bound_to: Any = MethodType(function, chain_of)  # pickled as the attribute `query` of its object
+    return bound_to
 
 
 class _Chain:
     """The packed chain of one frame, and the general ways through it: conversions, batches, threads, errors."""
 
     def __init__(self, system: System, name: str):
-        self.system = system
+        self.system, self.name = system, name
         self.ints, self.floats = system.table.pack([name], system.table.path(name))
         self.tables = {key: fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
         self.regauged = regauge(self.ints, self.floats)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Chain, (self.system, self.name)
+
+    def __repr__(self) -> str:
+        return repr(self.system)
+
+    @property
+    def query(self) -> Query:
+        """The bound forward model of the frame."""
+        return _query(self.system, self.name)
 
     def pose(self, q: Any, out: Array | None, threads: int | None) -> Array:
         q = as_q(self.system, q)
@@ -162,6 +175,7 @@ def _query(system: System, frame: FrameLike) -> Query:
     return found
 
 
+@explained
 def fk(
     system: System, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
     threads: int | None = None,
@@ -176,8 +190,6 @@ def fk(
     A NaN, an infinity or a zero quaternion that a pose depends on is an `InputError`; in a batch the first three rows
     of such a pose are NaN and all others are right. Errors: `UnknownNameError` for names, `InputError` for shapes.
     """
-    if isinstance(q, dict):
-        q = system.q(q)
     if frame is not None and not isinstance(frame, (list, tuple)):
         return _query(system, frame)(q, out, threads)
     key = None if frame is None else tuple(system.frame_name(f) for f in frame)
@@ -204,6 +216,7 @@ def fk(
     return out
 
 
+@explained
 def jacobian(
     system: System, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None
 ) -> Array:
@@ -214,8 +227,6 @@ def jacobian(
     frame's origin, axes of the frame). Velocity coordinates are time derivatives of `q`, and for a quaternion the
     angular velocity in the turned axes. Source: Featherstone, 2008, section 2.8. Errors: as `fk`.
     """
-    if isinstance(q, dict):
-        q = system.q(q)
     return _query(system, frame).jacobian(q, in_frame, threads=threads)
 
 

@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import spatial
+from kempe.calls import explained, numbers, together
 from kempe.errors import InputError
 from kempe.kinematics import pairs
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_start
 from kempe.kinematics.forward import fk
 from kempe.kinematics.maximal_form import (
     coordinates_of,
@@ -34,6 +35,7 @@ from kempe.kinematics.maximal_form import (
     off_by,
     pose_in,
 )
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -49,6 +51,7 @@ STEP_LIMIT = 0.5
 """Largest part of a step: radians, or typical links."""
 
 
+@explained
 def to_maximal(system: System, q: Any) -> Array:
     """Poses (..., n_b, 4, 4) of all bodies but the ground; those of the tree, where loops are open."""
     return np.ascontiguousarray(fk(system, q)[..., 1:, :, :])
@@ -90,7 +93,7 @@ def maximal_jacobian(system: System, poses: ArrayLike, near: Any = None) -> Arra
 
 def maximal_integrate(system: System, poses: ArrayLike, v: ArrayLike) -> Array:
     """Poses reached from `poses` by the twists `v` (..., n) in one unit of time: r + v and exp(w) R."""
-    poses, v = _checked(system, poses), np.asarray(v, dtype=float)
+    poses, v = _checked(system, poses), reals(v, "v")
     out = np.array(np.broadcast_to(poses, (*np.broadcast_shapes(poses.shape[:-3], v.shape[:-1]), *poses.shape[-3:])))
     for i, selector in enumerate(form_of(system).selectors[1:]):
         twist = v @ selector.T
@@ -99,6 +102,7 @@ def maximal_integrate(system: System, poses: ArrayLike, v: ArrayLike) -> Array:
     return out
 
 
+@explained
 def from_maximal(system: System, poses: ArrayLike, near: Any = None, tolerance: float = TOLERANCE) -> Array:
     """Configuration (..., nq) of the poses (..., n_b, 4, 4), each coordinate read off where its joint's bodies are.
 
@@ -108,6 +112,7 @@ def from_maximal(system: System, poses: ArrayLike, near: Any = None, tolerance: 
     or radians), naming it and by how much, and for matrices that are no poses.
     """
     form, poses = form_of(system), _checked(system, poses)
+    near = None if near is None else as_start(system, near)
     _refuse_no_poses(system, poses, tolerance)
     for pair in form.pairs:
         _refuse_far(form.said[pair.name], pair.rows(pose_in(system, pair, poses))[0], pair.names, tolerance)
@@ -120,7 +125,8 @@ def from_maximal(system: System, poses: ArrayLike, near: Any = None, tolerance: 
         unit = ("rx",) if r.turns else ("x",)
         off = off_by(r, values, False)[..., None]
         _refuse_far(f"coordinate {r.name!r}, which is tied to others or held,", off, unit, tolerance)
-    q = np.empty((*poses.shape[:-3], system.nq))
+    lead = together({"poses": poses.shape[:-3], "near": () if near is None else near.shape[:-1]})
+    q = np.empty((*lead, system.nq))
     for i, name in enumerate(system.coordinate_names):
         q[..., i] = values[name]
     return q
@@ -145,7 +151,7 @@ def project_maximal(
     flat = _rigid(system, given).reshape(count, *given.shape[-3:])
     length = characteristic_length(system)
     scale = np.array([length if n.rpartition(".")[2][0] == "v" else 1.0 for n in maximal_velocity_names(system)])
-    start = None if near is None else np.broadcast_to(as_q(system, near), (*given.shape[:-3], system.nq))
+    start = None if near is None else np.broadcast_to(as_start(system, near), (*given.shape[:-3], system.nq))
     converged = np.zeros(count, dtype=bool)
     for k in np.flatnonzero(np.isfinite(flat).all(axis=(1, 2, 3))):
         at = None if start is None else start.reshape(count, system.nq)[k]
@@ -195,7 +201,7 @@ def _rigid(system: System, poses: Array) -> Array:
 
 
 def _checked(system: System, poses: ArrayLike) -> Array:
-    array = np.asarray(poses, dtype=float)
+    array = numbers(poses, "poses")
     n = len(system.body_names) - 1
     if array.ndim < 3 or array.shape[-3:] != (n, 4, 4):
         raise InputError(

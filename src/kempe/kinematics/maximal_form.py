@@ -13,7 +13,7 @@ from kempe.description.parts import Joint
 from kempe.joints import Q
 from kempe.kinematics import pairs
 from kempe.kinematics.carried import Carried
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_start
 from kempe.kinematics.constraint_base import Pair
 from kempe.kinematics.constraints import coordinate_value
 from kempe.kinematics.zoo import Closure, closure_of, declared
@@ -135,7 +135,7 @@ def coordinates_of(system: System, poses: Array, near: Any) -> tuple[dict[str, A
     """Values of all coordinates by name, those nearest to a configuration, and for what is no quaternion its
     derivatives (..., n) by the twists.
     """  # fmt: skip
-    near = system.mid if near is None else as_q(system, near)
+    near = system.mid if near is None else as_start(system, near)
     values, rates = {}, {}
     for joint in form_of(system).joints:
         X, motion = pose_in(system, joint, poses), motion_in(system, joint, poses)

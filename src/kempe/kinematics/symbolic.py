@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
+from kempe.calls import explained
 from kempe.description.parts import Joint
 from kempe.description.placement import Placement
 from kempe.description.values import Expression, Value
@@ -40,6 +41,7 @@ _FUNCTIONS: dict[str, Callable] = {
 }  # fmt: skip
 
 
+@explained
 def symbolic_fk(
     system: System, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
 ) -> sympy.Matrix:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from kempe import spatial
-from kempe.errors import InputError
+from kempe.calls import explained_methods, numbers
+from kempe.errors import CallError, InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import fk
@@ -54,6 +55,7 @@ class Hold(NamedTuple):
     """Whether it has a number, such as a distance."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Task(ABC):
     """Something asked of a configuration; see `kempe.kinematics.tasks`.
@@ -75,6 +77,13 @@ class Task(ABC):
     """Whether its error has a part in radians."""
     lasting: ClassVar[bool] = True
     """Whether its ties can be kept for the next task of the same structure."""
+
+    def __new__(cls, *args: Any, **options: Any):
+        """A new task. Errors: `CallError` for options that it does not have."""
+        for name in options:
+            if name not in cls.__dataclass_fields__:
+                raise CallError(cls.__name__, name, [f.name for f in fields(cls) if f.init])
+        return super().__new__(cls)
 
     @property
     @abstractmethod
@@ -230,15 +239,7 @@ def refuse(goals: Goals, what: str) -> None:
 
 def numbers_of(x: Any, what: str) -> Array:
     """Real numbers as an array. Errors: `InputError`."""
-    try:
-        given = np.asarray(x)
-        if given.dtype == float:
-            return given
-        if given.dtype.kind not in "fiu":
-            raise TypeError
-        return np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} is {x!r}; it must be an array of real numbers") from None
+    return numbers(x, what)
 
 
 def along(z: Array, dim: int) -> Array:

@@ -7,22 +7,45 @@ from typing import Any
 import numpy as np
 
 from kempe import spatial
+from kempe.description.placement import direction
 from kempe.errors import InputError
 from kempe.kinematics.task import LARGEST, RIGID, along, flat, numbers_of
 from kempe.spatial import Array
 
+ROTATES = 1e-4
+"""How far R'R of a (3, 3) array may be from 1 for it to be a rotation, and not three positions."""
 MEETS = 1e-12
 """Distance in metres below which there is no direction from one point to another."""
 
 
 def points_of(x: Any, dim: int, what: str) -> Array:
     """Points (..., 3) as given, in the plane also (..., 2). Errors: `InputError`."""
-    return _in_plane(_vectors(x, dim, what), dim, what)
+    p = _vectors(x, dim, what)
+    refuse_rotations(p, what)
+    return _in_plane(p, dim, what)
+
+
+def refuse_rotations(x: Array, what: str) -> None:
+    """Refuse, with an `InputError`, rotations or poses of the plane (..., 3, 3) where positions (..., 3) are meant."""
+    if x.ndim < 2 or x.shape[-2:] != (3, 3):
+        return
+    R = x[np.isfinite(x).all(axis=(-1, -2))]
+    if not len(R) or np.abs(R).max() > 1e6:
+        return
+    turned = (np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max() < ROTATES) and np.all(np.linalg.det(R) > 0.0)
+    flat_ = np.all(R[:, 2] == [0.0, 0.0, 1.0]) and (
+        np.abs(R[:, :2, :2] @ np.swapaxes(R[:, :2, :2], -1, -2) - np.eye(2)).max() < ROTATES)  # fmt: skip
+    if turned or flat_:
+        is_ = "a rotation" if turned else "a pose of the plane"
+        raise InputError(
+            f"{what} is {is_} (3, 3), not three positions: an orientation is tasks.Orientation(frame, R), or "
+            "task='orientation' of ik, a pose is (4, 4); task='position' says that positions are meant"
+        )
 
 
 def directions_of(x: Any, dim: int, what: str) -> Array:
     """Unit vectors (..., 3) along those given. Errors: `InputError` for a zero one."""
-    p = _vectors(x, dim, what)
+    p = _vectors(direction(x), dim, what)
     if np.any(np.all(p == 0.0, axis=-1)):
         raise InputError(f"{what} is zero; it must have a direction")
     return _in_plane(spatial.unit(p), dim, what)

@@ -20,6 +20,7 @@ from kempe.kinematics.task_input import ends_of, fixed, points_of
 from kempe.kinematics.zoo import UserConstraint, user_constraint
 from kempe.model.loops import Centre, Tie
 from kempe.model.table import Table
+from kempe.reals import named, reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -42,8 +43,9 @@ class Posture(Task):
     @property
     def about(self) -> str:
         """What coordinates."""
-        if isinstance(self.q, Mapping):
-            return ", ".join(map(repr, self.q))
+        given = named(self.q)
+        if given is not None:
+            return ", ".join(map(repr, given))
         return "all coordinates"
 
     def _values(self, system: System) -> tuple[Array, list[tuple[str, int, int, bool]]]:
@@ -54,21 +56,23 @@ class Posture(Task):
         items += [(system.coordinate_names[i], int(i), int(v), True)
                   for i, v in zip(layout.quaternion_q, layout.quaternion_v, strict=True)]  # fmt: skip
         items.sort(key=lambda item: item[1])
-        if not isinstance(self.q, Mapping):
+        given = named(self.q)
+        if given is None:
             return as_q(system, self.q), items
-        system.q(dict.fromkeys(self.q, 0.0))  # refuses names that are none, or follow others
-        named, index = set(self.q), {n: i for i, n in enumerate(system.coordinate_names)}
-        values = [numbers_of(x, f"{k!r} of {self.label}") for k, x in self.q.items()]
+        system.q(dict.fromkeys(given, 0.0))  # refuses names that are none, or follow others
+        index = {n: i for i, n in enumerate(system.coordinate_names)}
+        values = [numbers_of(x, f"{k!r} of {self.label}") for k, x in given.items()]
         out = np.empty((*np.broadcast_shapes(*(x.shape for x in values)), system.nq))
         out[:] = system.neutral
-        for name, x in zip(self.q, values, strict=True):
+        for name, x in zip(given, values, strict=True):
             out[..., index[name]] = x
-        whole = [(n, i, v, ball) for n, i, v, ball in items if ball and {*system.coordinate_names[i : i + 4]} & named]
+        balls = [item for item in items if item[3]]
+        whole = [item for item in balls if {*system.coordinate_names[item[1] : item[1] + 4]} & given.keys()]
         for _, i, _, _ in whole:
-            missing = [n for n in system.coordinate_names[i : i + 4] if n not in named]
+            missing = [n for n in system.coordinate_names[i : i + 4] if n not in given]
             if missing:
                 raise InputError(f"a quaternion is given as a whole; missing are {', '.join(missing)}")
-        return out, [item for item in items if (item in whole if item[3] else item[0] in named)]
+        return out, [item for item in items if (item in whole if item[3] else item[0] in given)]
 
     def structure(self, system: System) -> Hashable:
         """The coordinates."""
@@ -166,8 +170,16 @@ class _Centred(Between):
         raise NotImplementedError
 
     def goal(self, system: System) -> Array:
-        """The target."""
-        return spatial.pose(p=points_of(self.target, system.dim, f"target of {self.label}"))
+        """The target: three numbers, or one for each axis that counts."""
+        what, axes = f"target of {self.label}", self._axes(system.dim)
+        p = numbers_of(self.target, what)
+        if p.shape[-1:] == (len(axes),):
+            p, given = np.zeros((*p.shape[:-1], 3)), p
+            p[..., axes] = given
+        elif p.shape[-1:] not in ((3,), (system.dim,)):
+            short = f", or (..., {len(axes)}) for axes={self.axes!r}" if len(axes) < system.dim else ""
+            raise InputError(f"{what} has shape {p.shape}; it must be (..., {system.dim}){short}")
+        return spatial.pose(p=points_of(p, system.dim, what))
 
     def centre(self, system: System, table: Table) -> Centre:
         """The masses on the rows of the table."""
@@ -201,6 +213,7 @@ class _Centred(Between):
 class CentreOfMass(_Centred):
     """The centre of mass at a position `target` (..., 3), along `axes` ("xyz", or "xy", ...), or `within` (m) of it.
 
+    Where fewer axes count, `target` may have a number for each of these only.
     `within` is one number, or (..., n) for the n axes, from target to target where it has leading axes.
     Masses and centres are those of the bodies, as files give them.
     """
@@ -340,6 +353,6 @@ class Function(Task):
         lead = q.shape[:-1]
         out = np.zeros(lead)
         for index in np.ndindex(lead):
-            value = np.atleast_1d(np.asarray(self.function(q[index].copy()), dtype=float))
+            value = np.atleast_1d(reals(self.function(q[index].copy()), f"the value of {self.label}"))
             out[index] = np.linalg.norm(value - np.clip(value, self.low, self.high))
         return np.zeros(lead), out

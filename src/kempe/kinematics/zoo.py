@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import explained
 from kempe.description.checks import constraint_length
 from kempe.description.parts import Constraint as Declared
 from kempe.errors import InputError, UnknownNameError
@@ -25,6 +26,7 @@ from kempe.kinematics.curves import Curve
 from kempe.kinematics.derivatives import SUPPLIED, check_supplied, checked_value, jacobian_of, way_of
 from kempe.kinematics.joint_motion import motion_of
 from kempe.model.reduced import slides_along_z
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -239,7 +241,9 @@ class UserConstraint(Constraint):
     def residual(self, system: System, q: Any) -> Array:
         """Values (..., size) of the function; it is called with one configuration (nq,) at a time."""
         shape = (self.count,)
-        return _each(lambda x: np.asarray(self.function(x), dtype=float).reshape(shape), as_q(system, q), shape)
+        return _each(
+            lambda x: reals(self.function(x), f"constraint {self.name!r}").reshape(shape), as_q(system, q), shape
+        )
 
     def jacobian(self, system: System, q: Any) -> Array:
         """Derivatives (..., size, nv)."""
@@ -318,6 +322,7 @@ def declared(system: System, constraint: Declared) -> Pair:
     return PointOnPlane(*names, **ends)
 
 
+@explained
 def of_system(system: System, own: bool = True) -> list[Constraint]:
     """The constraints of a system: its closures, the declared ones, the relations of several coordinates.
 

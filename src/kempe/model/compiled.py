@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from kempe.calls import known
 from kempe.description.mechanism import Mechanism
-from kempe.description.parts import Body, Frame, Joint
+from kempe.description.parts import Body, Fixed, Frame, Joint
 from kempe.errors import DescriptionError, Problem, UnknownNameError
 from kempe.joints import Layout
 from kempe.model.coordinates import Coordinates, Relation, coordinate_names, coordinates_of
@@ -17,7 +18,6 @@ from kempe.model.topology import Topology, spanning_tree
 from kempe.spatial import Array
 
 FrameLike = Body | Frame | str
-
 
 
 class Compiled:
@@ -29,12 +29,14 @@ class Compiled:
     _table: Table
     _queries: dict[object, Any]
 
-    def __init__(self, mechanism: Mechanism, topology: Topology | None = None):
+    def __init__(self, mechanism: Mechanism, topology: Topology | None = None, table: Table | None = None):
         own = vars(self)  # attributes cannot be set: the system is frozen
         own["_mechanism"] = mechanism = mechanism.copy()
         own["_topology"] = spanning_tree(mechanism) if topology is None else topology
         own["_coordinates"] = coordinates_of(mechanism)
-        own["_table"] = lower(mechanism, self._topology, self._coordinates, mechanism.parameters)
+        own["_table"] = (
+            lower(mechanism, self._topology, self._coordinates, mechanism.parameters) if table is None else table
+        )
         own["_queries"] = {}
         self._check()
 
@@ -85,12 +87,12 @@ class Compiled:
     @property
     def frames(self) -> dict[str, Frame]:
         """The named frames."""
-        return dict(self._mechanism.frames)
+        return Fixed(self._mechanism.frames)
 
     @property
     def joints(self) -> dict[str, Joint]:
         """All joints, fixed ones and loop closures included, in the order of the description."""
-        return dict(self._mechanism.joints)
+        return Fixed(self._mechanism.joints)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
@@ -130,12 +132,12 @@ class Compiled:
     @property
     def couplings(self) -> dict[str, Any]:
         """Coordinates that follow one other (mimic joints, gears) or are held: they are not in `q`."""
-        return dict(self._coordinates.followers)
+        return Fixed(self._coordinates.followers)
 
     @property
     def parameters(self) -> dict[str, float]:
         """Named parameters and their values."""
-        return dict(self._mechanism.parameters)
+        return Fixed(self._mechanism.parameters)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -161,27 +163,27 @@ class Compiled:
 
     @property
     def lower(self) -> Array:
-        """Lower limits (nv,) of the velocity coordinates, -inf where there is none."""
-        return self._coordinates.lower.copy()
+        """Lower limits (nv,) of the velocity coordinates, -inf where there is none; read-only: see `with_limits`."""
+        return self._coordinates.lower
 
     @property
     def upper(self) -> Array:
-        """Upper limits (nv,) of the velocity coordinates, inf where there is none."""
-        return self._coordinates.upper.copy()
+        """Upper limits (nv,) of the velocity coordinates, inf where there is none; read-only: see `with_limits`."""
+        return self._coordinates.upper
 
     @property
     def limits(self) -> Array:
-        """Lower and upper limits (nv, 2) of the velocity coordinates."""
-        return np.stack([self._coordinates.lower, self._coordinates.upper], axis=-1)
+        """Lower and upper limits (nv, 2) of the velocity coordinates; read-only: see `with_limits`."""
+        return self._coordinates.limits
 
     @property
     def velocity_limits(self) -> Array:
-        """Largest speeds (nv,) of the velocity coordinates, inf where there is none."""
-        return self._coordinates.velocity.copy()
+        """Largest speeds (nv,) of the velocity coordinates, inf where there is none; read-only: see `with_limits`."""
+        return self._coordinates.velocity
 
     @property
     def neutral(self) -> Array:
-        """Zero angles and lengths, identity quaternions (nq,), even where that is outside the limits."""
+        """Zero angles and lengths, identity quaternions (nq,), even where that is outside the limits; read-only."""
         return self.layout.neutral
 
     @property
@@ -245,9 +247,8 @@ class Compiled:
 
     def coordinates_of_joint(self, name: str) -> list[str]:
         """Coordinate names of a joint, those that follow others or are locked included."""
-        if name not in self._mechanism.joints:
-            raise UnknownNameError("joint", name, self.joint_names, self.name)
-        return coordinate_names(self._mechanism, self._mechanism.joints[name])
+        joint = self._mechanism.joints[known("joint", name, self._mechanism.joints, self.name)]
+        return coordinate_names(self._mechanism, joint)
 
 
 def _digest(content: tuple) -> str:

@@ -49,6 +49,8 @@ class Coordinates:
     upper: np.ndarray
     velocity: np.ndarray
     turning: np.ndarray
+    limits: np.ndarray
+    """`lower` and `upper` side by side (nv, 2)."""
 
 
 def coordinate_names(mechanism: Mechanism, joint: Joint) -> list[str]:
@@ -101,10 +103,11 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
     lower, upper, speed = _limits(mechanism, velocity_names, followers)
     turning = np.zeros(len(velocity_names), dtype=bool)
     turning[[iv for kind, _, iv in triples if kind == R]] = True
-    for array in (lower, upper, speed, turning):
+    limits = np.stack([lower, upper], axis=-1)
+    for array in (lower, upper, speed, turning, limits):
         array.setflags(write=False)
     return Coordinates(
-        tuple(names), tuple(velocity_names), first, followers, relations, layout, lower, upper, speed, turning
+        tuple(names), tuple(velocity_names), first, followers, relations, layout, lower, upper, speed, turning, limits
     )  # fmt: skip
 
 

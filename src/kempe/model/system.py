@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import known
 from kempe.description.mechanism import BodyLike
-from kempe.errors import InputError, UnknownNameError
 from kempe.model.compiled import Compiled, FrameLike
 from kempe.spatial import Array
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from kempe.analysis.mobility import Mobility
     from kempe.analysis.path import Path as Motion
     from kempe.analysis.transmission import LoopJacobian
-    from kempe.kinematics.configuration import ConfigurationSpace
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
+    from kempe.kinematics.space import ConfigurationSpace
     from kempe.kinematics.zoo import Constraint
     from kempe.solvers.analytic.describe import Recognised
     from kempe.solvers.analytic.solutions import Solutions
@@ -45,25 +45,28 @@ class System(Compiled):
     """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates, primitive table.
 
     Frozen, hashable by content, picklable, safe to share between threads. A configuration `q` is an array (..., nq) in
-    the order of `coordinate_names`, in radians and metres; a dict by coordinate name is accepted in its place. Poses
-    are relative to body 0, the ground. What the methods take is explained at the functions that they name.
+    the order of `coordinate_names`, in radians and metres; a dict by coordinate name is accepted in its place, of a
+    system with loops as what `assemble` closes. Poses are relative to body 0, the ground. What the methods take is
+    explained at the functions that they name.
     """
 
     # ---- configurations
 
     @property
     def mid(self) -> Array:
-        """A configuration (nq,) inside the limits: mid-range, or as near to neutral as a one-sided limit allows."""
+        """A configuration (nq,) inside the limits: mid-range, or as near to neutral as a one-sided limit allows.
+
+        It is read-only: `mid.copy()` is one to change.
+        """
         from kempe.kinematics.configuration import mid
 
         return mid(self)
 
     def posture(self, name: str) -> Array:
         """Configuration (nq,) of a named posture; coordinates that it does not name are neutral."""
-        if name not in self._mechanism.postures:
-            raise UnknownNameError("posture", name, self._mechanism.postures, self.name)
-        known = set(self.coordinate_names)
-        return self.q({k: v for k, v in self._mechanism.postures[name].items() if k in known})
+        posture = self._mechanism.postures[known("posture", name, self._mechanism.postures, self.name)]
+        names = set(self.coordinate_names)
+        return self.q({k: v for k, v in posture.items() if k in names})
 
     def random(self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()) -> Array:
         """Configurations (*shape, nq), uniform inside the limits; free angles in (-pi, pi], free lengths in (-1, 1)."""
@@ -72,24 +75,26 @@ class System(Compiled):
         return random(self, rng, shape)
 
     def q(self, coordinates: Mapping[str, float], base: ArrayLike | None = None) -> Array:
-        """Configuration (nq,) from values by coordinate name; the others are neutral, or as in `base` (..., nq)."""
+        """Configuration (..., nq) from values by coordinate name; the others are neutral, or as in `base` (..., nq).
+
+        Numbers are only written down: no loop is closed (`assemble` closes them).
+        """
         from kempe.kinematics.configuration import q_from_dict
 
         return q_from_dict(self, coordinates, base)
 
     def q_dict(self, q: ArrayLike) -> dict[str, float]:
         """Values by coordinate name of one configuration (nq,)."""
-        q = np.asarray(q, dtype=float)
-        if q.shape != (self.nq,):
-            raise InputError(f"q has shape {q.shape}; {self.name} needs ({self.nq},)")
-        return dict(zip(self.coordinate_names, q.tolist(), strict=True))
+        from kempe.kinematics.configuration import q_dict
+
+        return q_dict(self, q)
 
     # ---- the space of configurations
 
     @property
     def configuration_space(self) -> ConfigurationSpace:
-        """What set `q` ranges over: its dimension and shape, such as T^2 x R."""
-        from kempe.kinematics.configuration import configuration_space
+        """The set that `q` ranges over: its true dimension and its shape, such as T^2 x R, and the space around it."""
+        from kempe.kinematics.space import configuration_space
 
         return configuration_space(self)
 
@@ -175,7 +180,7 @@ class System(Compiled):
     def ik_all(self, target: Any, frame: FrameLike, **options: Any) -> Solutions:
         """Every configuration in which the frame reaches the target; see `kempe.solvers.analytic.ik_all.ik_all`."""
         if not options and target.__class__ is np.ndarray and target.shape == (4, 4) and self.dim == 3:
-            bound = self._queries.get(("all", frame))
+            bound = self._queries.get(("all", frame)) if frame.__class__ is str else None
             answer = bound(target) if bound is not None else None
             if answer is not None:
                 return answer
@@ -322,6 +327,12 @@ class System(Compiled):
         from kempe.kinematics.designs import with_parameters
 
         return with_parameters(self, numbers)
+
+    def with_limits(self, limits: Any = None, velocity: Any = None) -> System:
+        """The same system with other limits, by coordinate name; see `kempe.kinematics.limits.with_limits`."""
+        from kempe.kinematics.limits import with_limits
+
+        return with_limits(self, limits, velocity)
 
     def lock(self, coordinates: Mapping[str, float]) -> System:
         """The same system with some coordinates held at values: they leave `q`."""

@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from kempe.calls import explained_methods, place_in
+from kempe.kinematics.tabular import Tabular
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
 
-class Answer:
+@explained_methods
+class Answer(Tabular):
     """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why. Base of answers."""
 
     q: Array
@@ -26,19 +29,26 @@ class Answer:
         """The system that was asked."""
         raise NotImplementedError
 
-    def sentence(self, index: tuple[int, ...]) -> str:
-        """The sentence for one configuration."""
+    def sentence(self, index: tuple[int, ...] | int = ()) -> str:
+        """The sentence for one configuration, by its place in a batch. Errors: `InputError`."""
+        return self._sentence(place_in(index, np.shape(self.success)))
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
         raise NotImplementedError
 
     @cached_property
     def status(self) -> Any:
         """The sentence for a single answer; an array of sentences for a batch. Made when asked for."""
         if np.ndim(self.success) == 0:
-            return self.sentence(())
+            return self._sentence(())
         out = np.empty(np.shape(self.success), dtype=object)
         for index in np.ndindex(out.shape):
-            out[index] = self.sentence(index)
+            out[index] = self._sentence(index)
         return out
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the coordinates of each configuration, in radians and metres."""
+        return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
 
     def __bool__(self) -> bool:
         return bool(np.all(self.success))

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError
+from kempe.kinematics.task_input import refuse_rotations
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -49,7 +51,7 @@ def seed_number(rng: object) -> int:
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**62))
     if isinstance(rng, bool) or not isinstance(rng, (int, np.integer)) or not 0 <= rng < 2**62:
-        raise InputError(f"rng is {rng!r}; it must be a generator or a whole number, not negative")
+        raise InputError(f"rng is {rng!r}; it must be a generator or a whole number, from 0 and below 2**62")
     return int(rng)
 
 
@@ -69,10 +71,9 @@ def place_of(system: System, frame: str, place: Any, whole: bool) -> Array:
 
     Errors: `InputError` for what are no numbers, no poses, or leaves the plane of a planar system.
     """
-    try:
-        x = np.asarray(place, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"the place of frame {frame!r} must be numbers") from None
+    x = reals(place, f"the place of frame {frame!r}", "numbers")
+    if not whole:
+        refuse_rotations(x, f"the place of frame {frame!r}")
     fine = np.isfinite(x).all(axis=(-1, -2) if whole else -1)
     tilt, height = np.zeros(1), np.zeros(1)
     if whole:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from kempe.calls import brief, explained_methods
 from kempe.solvers.answer import Answer
 from kempe.spatial import Array
 
@@ -17,6 +20,7 @@ CLOSED, NOT_CLOSED, BAD_INPUT, OUTSIDE, OTHER_BRANCH = 0, 1, 2, 3, 4
 cannot be closed, `q` is on another one."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Assembly(Answer):
     """Answer of `assemble`: one configuration for each set of known values.
@@ -25,6 +29,8 @@ class Assembly(Answer):
     `residual` is the norm of the closure equations, in radians and characteristic lengths; `iterations` and `starts`
     count the work. All have the leading shape of the known values; for a single set they are plain Python numbers.
     """
+
+    __repr__ = brief
 
     what = "configurations closed"
 
@@ -41,7 +47,12 @@ class Assembly(Answer):
         """The system that was asked."""
         return self.assembler.system
 
-    def sentence(self, index: tuple[int, ...]) -> str:
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the coordinates of each configuration, NaN where it is not closed."""
+        names, q = super().table()
+        return names, np.where(np.reshape(self.success, (-1, 1)), q, np.nan)
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
         """The sentence for one configuration."""
         from kempe.solvers.explain_assembly import sentence
 

@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import explained, explained_methods, listed
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kernels import loop_layout as L
 from kempe.kernels.compiled import assembly as kernel
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.loops import Loops, loops_of, must_carry
+from kempe.reals import reals
 from kempe.solvers.arguments import check_constraints, place_of, seed_number, start_count
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
-from kempe.solvers.home import home_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero."""
 
 
+@explained_methods
 class Assembler:
     """Assembly with the names of what is known looked up and the loops packed, once.
 
@@ -168,8 +170,8 @@ class Assembler:
         turned = self._turned(given) if self.frames else ()
         pins = self._pins(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if nearest and self.freedoms != 0 else 0
-        number = rng if isinstance(rng, int) and rng >= 0 else seed_number(rng)
-        if constraints != ():
+        number = seed_number(rng)
+        if constraints.__class__ is not tuple or constraints:
             return self._custom(constraints, base, lead, limits, start_count(starts), int(number), tolerance)
         q, residual, info = self.run(
             base, pins, start_count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
@@ -217,10 +219,7 @@ class Assembler:
     def _by_name(self, values: Any) -> dict[str, Any]:
         if self.frames:
             raise InputError("give the places of frames by name: a dict")
-        try:
-            array = np.asarray(values, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError("known values must be numbers or arrays of numbers") from None
+        array = reals(values, "values")
         if array.ndim == 1 and len(array) == len(self.known):
             return dict(zip(self.known, array.tolist(), strict=True))
         if array.ndim == 0 or array.shape[-1] != len(self.known):
@@ -242,11 +241,8 @@ class Assembler:
     def _starts(self, given: Mapping[str, Any], near: Any) -> tuple[Array, tuple[int, ...]]:
         """Starts (N, nq) with the known values written in, and the leading shape of the answer."""
         system = self.system
-        base = home_of(system) if near is None else as_q(system, near)
-        try:
-            columns = [np.asarray(given[k], dtype=float) for k in self.coordinates]
-        except (TypeError, ValueError):
-            raise InputError("known values must be numbers or arrays of numbers") from None
+        base = home_of(system) if near is None else as_start(system, near)
+        columns = [reals(given[k], f"the known value of {k!r}", "a number, or an array") for k in self.coordinates]
         shapes = [c.shape for c in columns] + [base.shape[:-1]]
         shapes += [np.shape(given[f])[: -2 if t else -1] for f, t in zip(self.frames, self._turned(given), strict=True)]
         try:
@@ -316,15 +312,17 @@ def freedoms_left(system: System, q: Array, held: frozenset[str] = frozenset()) 
     return len(free) - int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
 
 
+@explained
 def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
     """The bound form of `assemble` for these known names, made once. Errors: `UnknownNameError`, `InputError`."""
-    key = ("assembler", tuple(known))
+    key = ("assembler", listed(known, "known"))
     found = system._queries.get(key)
     if found is None:
         found = system._queries[key] = Assembler(system, key[1])
     return found
 
 
+@explained
 def assemble(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, branch: str | None = None,
     nearest: bool = False, limits: bool = True, continuous: bool = False, starts: int = STARTS,

@@ -88,7 +88,7 @@ def _chain(system: System, name: str) -> Chain:
         rows = table.multiplier[table.iv == iv]
         circular[iv] = wide[iv] and len(rows) == 1 and abs(rows[0]) == 1.0 and table.kind[table.iv == iv][0] == TURN
     bounds = tuple(b for arrays in (packed, (ints, floats)) for b in reach_bounds(*arrays, limits))
-    base, no_seed = inside(system, system.neutral[None]), np.empty((1, 0, len(q_index)))
+    base, no_seed = inside(system, system.neutral[None].copy()), np.empty((1, 0, len(q_index)))
     return Chain(ints, floats, q_index, v_index, limits, circular, base, no_seed, bounds,
                  span_of(ints, floats))  # fmt: skip
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import explained, explained_methods, listed, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.loops import evaluate
@@ -28,6 +29,7 @@ WORST = 0.02
 """Conditioning below which a chart is given up, for up to four coordinates a freedom; with more, less is usual."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Chart:
     """Independent coordinates of a system about a closed configuration.
@@ -57,7 +59,7 @@ class Chart:
 
         Default for `near`: the origin. From far away it may be on another branch: lead it in steps.
         """
-        u = np.asarray(u, dtype=float)
+        u = numbers(u, "u")
         if u.ndim == 0 and self.dim == 1:
             u = u[None]
         if u.ndim == 0 or u.shape[-1] != self.dim:
@@ -91,6 +93,7 @@ class Chart:
         )
 
 
+@explained
 def independent(system: System, q: Any = None, prefer: Iterable[str] = ()) -> Chart:
     """A chart at a closed configuration q (nq,): which p coordinates can be set, so that the others follow.
 
@@ -107,7 +110,7 @@ def independent(system: System, q: Any = None, prefer: Iterable[str] = ()) -> Ch
     q = as_q(system, q)
     N, _ = tangent_space(system, q)
     names, p = system.velocity_names, N.shape[1]
-    wish = tuple(prefer)
+    wish = listed(prefer, "prefer")
     usable = {names[v] for v in system.layout.vector_v}
     for name in wish:
         if name not in usable:
@@ -123,7 +126,7 @@ def independent(system: System, q: Any = None, prefer: Iterable[str] = ()) -> Ch
         )
     rows = _extend(N, rows, [v for v in range(system.nv) if names[v] in usable])
     quality = _quality(N, rows)
-    if p and quality < least:
+    if len(rows) < p or (p and quality < least):
         raise InputError(
             "no choice of angles and lengths is independent here: quaternions would be needed; "
             "joints with angles=True have angles in their place"
@@ -166,7 +169,7 @@ def _extend(N: Array, rows: list[int], usable: list[int]) -> list[int]:
     rest = N.copy()
     for row in rows:
         rest = _without(rest, rest[row])
-    while len(rows) < p:
+    while len(rows) < p and usable:
         size = np.linalg.norm(rest[usable], axis=1)
         row = usable[int(np.argmax(np.round(size, 9)))]  # rounding does not decide between equals: the first is taken
         rows.append(row)
@@ -180,4 +183,3 @@ def _without(N: Array, direction: Array) -> Array:
         return N
     u = direction / size
     return N - np.outer(N @ u, u)
-

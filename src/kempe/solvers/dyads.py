@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained, explained_methods, listed
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_q, as_start
 from kempe.kinematics.forward import fk
 from kempe.kinematics.parallel import over_chunks
+from kempe.reals import reals
 from kempe.solvers.decompose import Dyad, End, parts_of
 from kempe.solvers.rings import Decomposition
 from kempe.spatial import Array
@@ -57,6 +59,7 @@ class Closed:
     undetermined: Any
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A mechanism in closed form for `known` coordinates: ring after ring of three rigid clusters.
@@ -110,7 +113,7 @@ class Plan:
         if near is None:
             targets = np.zeros((1, nq))
         else:
-            targets = _rows(as_q(self.system, near), lead, "near")
+            targets = _rows(as_start(self.system, near), lead, "near")
             if not np.isfinite(targets).all():
                 raise InputError("near has entries that are not finite")
         signs = self._signs(branch, targets if branch is None and near is not None else None, lead)
@@ -130,7 +133,7 @@ class Plan:
         given, lead = self._values(values)
         signs = self.branches()
         k, nq = len(signs), self.system.nq
-        targets = np.zeros((1, nq)) if near is None else _rows(as_q(self.system, near), (), "near")
+        targets = np.zeros((1, nq)) if near is None else _rows(as_start(self.system, near), (), "near")
         q, status = np.empty((len(given) * k, nq)), np.empty((len(given) * k, 2))
         many = np.repeat(given, k, axis=0)
         self._run(many, np.tile(signs, (len(given), 1)), targets, q, status, None)
@@ -176,9 +179,7 @@ class Plan:
         point = pose[..., :2, 3] + pose[..., :2, :2] @ np.array([end.x, end.y])
         return point, pose[..., :2, :2] @ np.array([end.dx, end.dy])
 
-    def _run(
-        self, values: Array, signs: Array, targets: Array, q: Array, status: Array, threads: int | None
-    ) -> None:
+    def _run(self, values: Array, signs: Array, targets: Array, q: Array, status: Array, threads: int | None) -> None:
         from kempe.kernels.compiled import dyads
 
         ints, floats = self.program
@@ -190,10 +191,7 @@ class Plan:
         over_chunks(work, len(values), CHUNK, threads, SERIAL_BELOW)
 
     def _values(self, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
-        try:
-            array = np.asarray(values, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"values are {type(values).__name__}; they must be an array of numbers") from None
+        array = reals(values, "values")
         if array.ndim == 0 or array.shape[-1] != len(self.known):
             got = "a single number" if array.ndim == 0 else f"shape {array.shape}"
             raise InputError(f"values have {got}; they must be (..., {len(self.known)}): {', '.join(self.known)}")
@@ -203,12 +201,8 @@ class Plan:
     def _signs(self, branch: Any, near: Array | None, lead: tuple[int, ...]) -> Array:
         if branch is None:
             return np.ones((1, self.signs)) if near is None else np.ascontiguousarray(self.branch_of(near))
-        if isinstance(branch, str):
-            branch = [{"+": 1.0, "-": -1.0}.get(c, math.nan) for c in branch]
-        try:
-            signs = np.asarray(branch, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"branch is {branch!r}; it must be signs, +1 or -1") from None
+        given = [{"+": 1.0, "-": -1.0}.get(c, math.nan) for c in branch] if isinstance(branch, str) else branch
+        signs = reals(given, "branch", "signs, +1 or -1")
         if signs.ndim == 0 or signs.shape[-1] != self.signs or not np.all(np.abs(signs) == 1.0):
             each = f"{self.signs} sign{'s' * (self.signs != 1)}, + or - (1 or -1), one for each dyad"
             raise InputError(f"branch is {branch!r}; it must be {each}; closed_form({self.known}).describe() tells")
@@ -222,6 +216,7 @@ def _rows(x: Array, lead: tuple[int, ...], what: str) -> Array:
     return np.ascontiguousarray(x.reshape(math.prod(x.shape[:-1]), x.shape[-1]))
 
 
+@explained
 def closed_form(system: System, known: Sequence[str] | str) -> Plan | Incomplete:
     """The closed form of a planar system for these known coordinates, or `Incomplete`, which says what is left over.
 
@@ -229,7 +224,7 @@ def closed_form(system: System, known: Sequence[str] | str) -> Plan | Incomplete
     followers, and rings of three rigid clusters (dyads, or Assur groups of the second class). Errors:
     `UnknownNameError` for the names, `InputError` for one that is not in q.
     """
-    names = (known,) if isinstance(known, str) else tuple(known)
+    names = listed(known, "known")
     key = ("dyads", names)
     if key not in system._queries:
         system._queries[key] = _closed_form(system, names)
@@ -248,10 +243,7 @@ def source_values(system: System, known: Mapping[str, Any]) -> dict[str, Any]:
             raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
         if follower is not None and follower.source is None:
             raise InputError(f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given")
-        try:
-            number = np.asarray(given, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"coordinate {name!r} is {given!r}; it must be a number") from None
+        number = reals(given, f"coordinate {name!r}", "a number")
         source = name if follower is None else str(follower.source)
         if source in out:
             raise InputError(f"known coordinates {name!r} and {source!r} move together: give one of them")

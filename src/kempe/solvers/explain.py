@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from kempe.model.immovable import immovable
 from kempe.solvers.chain import Chain, chain_of
 from kempe.solvers.inverse import run
-from kempe.solvers.rounds import ITERATIONS, MOST, Task, outside
+from kempe.solvers.rounds import ITERATIONS, MOST, TOLERANCE, Task, outside
 from kempe.solvers.shut_out import shut_out
 from kempe.solvers.solution import BAD_INPUT, OUT_OF_REACH, OUT_OF_TIME, SOLVED, Solution
 from kempe.solvers.targets import Z_AXIS, frame_of, not_a_pose
@@ -27,6 +28,8 @@ AT_LIMIT = 1e-9
 NEAR_MISS, NEAR_TURN, SMALL = 1e-6, 1e-2, 1e-2
 """Errors [m, rad] of a near miss, of which it is not said that the target may be outside; length of links [m] that are
 small for tolerances in metres."""
+ROUNDED = 2e-3
+"""Errors, in radians and parts of the chain's longest link, that rounding of published figures may have made."""
 FEW_LIMITS = 12
 """Limits up to which each is lifted in turn; of more, only those that a configuration touches."""
 STARTS = 250
@@ -53,7 +56,7 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
     target = task.targets[at : at + 1]
     if code == BAD_INPUT:
-        return not_a_pose(target[0], " or seed")
+        return not_a_pose(target[0], "seed")
     near = f"the nearest configuration found misses it by {_errors(task, f'{position:.6g} m', angle)}"
     if code == OUT_OF_REACH:
         return f"{_beyond(task, target)}; {near}"
@@ -69,9 +72,10 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
         return f"the tolerance is finer than rounding: {near}"
     span = task.chain.span
     reason = span.sentence() if span.wide else _again(task, target, q)
-    reason = reason or _limits(task, target, q) or _over_determined(task, target)
+    reason = reason or _limits(task, target, q) or _over_determined(task, target, position, angle)
     reason = reason or _close(task, position, angle) or _why(task)
-    return f"not reached after {counted(starts, 'start')}: {reason}; {near}"
+    still = immovable(task.system, task.chain.v_index)
+    return f"not reached after {counted(starts, 'start')}: {reason}; {near}{f'; {still}' if still else ''}"
 
 
 def _beyond(task: Task, target: Array) -> str:
@@ -109,8 +113,11 @@ def _rows(task: Task, q: Array, tolerance: float) -> int:
     return int((values > tolerance * values[:, :1]).sum(axis=1).max())
 
 
-def _over_determined(task: Task, target: Array) -> str:
-    """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random configurations."""
+def _over_determined(task: Task, target: Array, position: float, angle: float) -> str:
+    """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random configurations.
+
+    `position` and `angle` are the errors of the nearest found: small ones are those of a target that was rounded.
+    """
     rows, system = [i for i, used in enumerate(task.mask) if used], task.system
     freedoms = _rows(task, system.random(0, 16), RANK_TOLERANCE)
     if freedoms == 0:
@@ -120,10 +127,31 @@ def _over_determined(task: Task, target: Array) -> str:
         return ""
     text = f"the task has {wanted} equations, but the chain moves this frame in {freedoms} freedoms only"
     if task.name in ("pose", "position_axis"):
-        position = replace(task, name="position", axis=Z_AXIS, chain=chain_of(system, task.frame))
-        other = "cannot" if _solved(position, target) is None else "can"
+        place = replace(task, name="position", axis=Z_AXIS, chain=chain_of(system, task.frame))
+        other = "cannot" if _solved(place, target) is None else "can"
         text += f" (its position alone {other} be reached)"
-    return text
+    return text + rounded(position, angle, task.chain.span.largest)
+
+
+def rounded(position: float, angle: float, length: float, one: bool = False) -> str:
+    """The tail of a sentence on a target with more equations than freedoms: the tolerance that accepts it.
+
+    `position` and `angle` are the errors of the nearest found. Empty where these are more than rounding of figures,
+    seen from a robot with links of this `length`. With `one` the tolerance is one number for both.
+    """
+    if position > ROUNDED * length or angle > ROUNDED:
+        return ""
+    metres, radians = _above(position), _above(angle)
+    said = f"tolerance={max(metres, radians):g}" if one else f"tolerance=({metres:g}, {radians:g})"
+    return f"; a target that was rounded needs a larger tolerance: {said} accepts it"
+
+
+def _above(error: float) -> float:
+    """A round number above an error: one digit, and at least the usual tolerance."""
+    if error <= TOLERANCE[0]:
+        return TOLERANCE[0]
+    unit = 10.0 ** math.floor(math.log10(error))
+    return float(f"{math.ceil(error / unit * 1.001) * unit:.0e}")
 
 
 def _many(task: Task) -> Task:

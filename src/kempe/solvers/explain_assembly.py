@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.kinematics import loops
+from kempe.model.immovable import immovable
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
 from kempe.solvers.assembly import Assembler, assembler, freedoms_left
 from kempe.solvers.words import counted
@@ -40,6 +41,8 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
         return "the branch asked for cannot be closed with these values; q is closed on another one"
     reason = _limits(bound, q) or _too_many(bound) or "with these values no closed configuration was found"
     what = _open(bound, q, residual)
+    still = immovable(bound.system)
+    reason += f"; {still}" if still else ""
     return f"not closed after {counted(starts, 'start')}: {what}; {reason}; q is the nearest to closing"
 
 

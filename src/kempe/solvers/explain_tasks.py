@@ -11,7 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.kinematics.loops import characteristic_length
+from kempe.model.immovable import immovable
 from kempe.solvers.contradictions import contradictions
+from kempe.solvers.explain import rounded
 from kempe.solvers.freedoms import Local, freedoms_text
 from kempe.solvers.lengths import beyond
 from kempe.solvers.reached import Reached, analyse
@@ -57,7 +60,12 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     if code == OUT_OF_TIME:
         tried = f"{starts} of {counted(problem.starts, 'start')}"
         return f"not reached within {limit}, after {tried}: {what}; q is the nearest found{more}"
-    return f"not reached after {counted(starts, 'start')}: {what}; {_reason(problem, q)}; q is the nearest found{more}"
+    worst = np.max([misses[t.label] for t in failing], axis=0) if failing else np.full(2, np.inf)
+    if (reason := _reason(problem, q)).endswith(" freedoms)") or reason.endswith(" freedom)"):
+        reason += rounded(float(worst[0]), float(worst[1]), characteristic_length(problem.system))
+    still = immovable(problem.system)
+    more = f"{more}; {still}" if still else more
+    return f"not reached after {counted(starts, 'start')}: {what}; {reason}; q is the nearest found{more}"
 
 
 def _amount(task: Task, error: Array) -> str:

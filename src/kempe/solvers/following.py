@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
+from kempe.calls import brief, explained, explained_methods
 from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.search_layout import BAD_INPUT
+from kempe.kinematics.tabular import Tabular
 from kempe.kinematics.task import refuse
 from kempe.kinematics.tasks import Pose, Position
+from kempe.reals import reals
 from kempe.solvers.chain import inside
 from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, partial
 from kempe.solvers.solution import SOLVED
@@ -44,14 +47,17 @@ TRIED = 16
 """Seeds that are tried where another start or a way on is looked for."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
-class IkPath:
+class IkPath(Tabular):
     """Configurations `q` (n, nq) that follow n targets, NaN where not `success` (n,).
 
     `jumps` are the targets that are reached, but not continuously from the one before; `status` says where and why the
     path jumps or stops. It is true where all targets are reached without a jump. Ctrl-C or the time limit
     leaves what was done (`interrupted`, `late`).
     """
+
+    __repr__ = brief
 
     system: System
     q: Array
@@ -64,6 +70,10 @@ class IkPath:
     def __len__(self) -> int:
         return len(self.q)
 
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the coordinates at each target, NaN where it is not reached."""
+        return list(self.system.coordinate_names), self.q
+
     def __bool__(self) -> bool:
         return bool(np.all(self.success)) and not self.jumps
 
@@ -71,6 +81,7 @@ class IkPath:
         return self.status
 
 
+@explained
 def ik_path(
     system: System, targets: Any, frame: FrameLike | None = None, seed: Any = None, *, max_step: float = 0.5,
     restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] = TOLERANCE,
@@ -316,7 +327,7 @@ def _all(system: System, targets: Any, frame: FrameLike | None, row: Problem, be
     if frame is None:
         return []
     try:
-        found = system.ik_all(np.asarray(targets, dtype=float)[begin], frame)
+        found = system.ik_all(reals(targets, "targets")[begin], frame)
     except UnsupportedError:
         return []
     answers = [row.run(q[None]) for q in found.q[found.inside]]

@@ -21,13 +21,6 @@ FAR = 10.0
 """Characteristic lengths from a frame to its target from which on a base is moved before the first start."""
 
 
-def home_of(system: System) -> Array:
-    """Where an assembly starts that is told nothing: the posture 'closed' if there is one, else within the limits."""
-    if "closed" in system.posture_names:
-        return system.posture("closed")
-    return system.mid
-
-
 def beside(problem: Problem, home: Array) -> Array:
     """Homes (N or 1, nq) moved by a base that slides without limits to where the first hard task holds a frame.
 

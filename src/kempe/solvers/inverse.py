@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained
 from kempe.errors import InputError, NoSolutionError
 from kempe.kernels.compiled import maker, search
 from kempe.kernels.layout import HAS_QUATERNION
-from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, ROTATION_TOLERANCE, STATUS
-from kempe.kinematics.configuration import as_q
+from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, STATUS
+from kempe.kinematics.configuration import as_start
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers import rounds
 from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
@@ -25,6 +26,7 @@ from kempe.solvers.targets import (
     axis_of,
     check_particle,
     in_plane,
+    not_a_pose,
     points_along,
     targets_of,
     task_of,
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
 CHUNK, SERIAL_BELOW = 256, 1024
 
 
+@explained
 def ik(
     system: System, target: ArrayLike, frame: FrameLike, seed: Any = None, *, task: str | None = None,
     axis: ArrayLike = Z_AXIS, position_only: bool = False, tolerance: float | tuple[float, float] = TOLERANCE,
@@ -129,7 +132,7 @@ def _judged(
         _look_closer(question, code)
         full[code == BAD_INPUT] = math.nan
     if not lead and code[0] == BAD_INPUT:
-        _refuse_target(targets[0], base[0])
+        raise InputError(not_a_pose(targets[0], "seed"))
     return _answer(question, full, code, residual, info, lead)
 
 
@@ -291,29 +294,15 @@ def _seeds(system: System, chain: Chain, seed: Any, lead: tuple[int, ...]) -> tu
     """Configurations (1 or N, nq) to start from, and the chain's part of them as (1 or N, K, nq) for the kernel."""
     if seed is None:
         return chain.base, chain.no_seed
-    base = as_q(system, seed)
+    base = as_start(system, seed)
     if base.ndim > 1 and base.shape[:-1] != lead:
         each = f" or {(*lead, system.nq)}" if lead else ""
         raise InputError(f"seed has shape {base.shape}; it must be ({system.nq},){each}")
     base = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq))
-    if not lead and not np.isfinite(base).all():
-        raise InputError("seed has entries that are not finite")
+    if not lead and not np.all(np.abs(base) < LARGEST):
+        raise InputError(not_a_pose(np.eye(4), "seed"))
     seeds = np.ascontiguousarray(base[:, None, chain.q_index])  # the kernel brings them inside, circles by turns
     return inside(system, base), seeds
-
-
-def _refuse_target(target: Array, seed: Array) -> None:
-    if not np.isfinite(target).all():
-        raise InputError("target has entries that are not finite")
-    if not np.isfinite(seed).all():
-        raise InputError("seed has entries that are not finite")
-    R = target[:3, :3]
-    if np.abs(R.T @ R - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0.0:
-        raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
-    for what, x in (("target", target), ("seed", seed)):
-        if np.abs(x).max(initial=0.0) >= LARGEST:
-            raise InputError(f"{what} has an entry of {np.abs(x).max():.3g}; allowed are numbers below {LARGEST:g}")
-    raise InputError("seed has a quaternion that is zero")
 
 
 def _answer(

@@ -19,12 +19,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError
-from kempe.kinematics.configuration import random
+from kempe.kinematics.configuration import home_of, random
 from kempe.kinematics.loops import evaluate
 from kempe.solvers.assembly import RANK_TOLERANCE, Assembler, assembler
 from kempe.solvers.clock import BROKEN_OFF, Budget
 from kempe.solvers.clusters import SAME, Clusters
-from kempe.solvers.home import home_of
 from kempe.solvers.images import mirrored, mixed
 from kempe.spatial import Array
 

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import brief, explained, explained_methods, generator
 from kempe.errors import InputError
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_start, home_of
+from kempe.kinematics.tabular import Tabular
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, partial
 from kempe.solvers.clusters import INSIDE, SAME, Clusters, Metric
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
@@ -23,8 +25,9 @@ STARTS = 4096
 """Starts of a search, at most."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
-class Modes:
+class Modes(Tabular):
     """Configurations `q` (k, nq) that close the mechanism for the `known` inputs, each once.
 
     `complete` says that there are no others, proven by structure. `branches` names them where the mechanism is made of
@@ -37,6 +40,8 @@ class Modes:
     the estimated number of modes (Chao, Scand. J. Statist. 11, 1984); both are None where there is a proof.
     A search that was `interrupted` from the keyboard, or that the time limit ended (`late`), says so.
     """
+
+    __repr__ = brief
 
     q: Array
     complete: bool
@@ -64,6 +69,10 @@ class Modes:
 
     def __getitem__(self, k: Any) -> Array:
         return self.q[k]
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (k, nq) for a file: the coordinates of each configuration, in radians and metres."""
+        return list(self.system.coordinate_names), self.q
 
     def _table(self) -> tuple[list[str], list[list[str]]]:
         """Heads and rows of what is shown: the coordinates that are not known."""
@@ -104,6 +113,7 @@ class Question:
     progress: Callable[[int, int], Any] | None = None
 
 
+@explained
 def assembly_modes(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, limits: bool = True,
     frame: FrameLike | None = None, rng: np.random.Generator | int | None = 0, starts: int = STARTS,
@@ -124,17 +134,14 @@ def assembly_modes(
     given = {} if known is None else known
     if not isinstance(given, Mapping):
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
-    base = None if near is None else as_q(system, near)
+    base = None if near is None else as_start(system, near)
     if base is not None and (base.ndim != 1 or not np.isfinite(base).all()):
         raise InputError(f"near must be one configuration ({system.nq},) of finite numbers")
     if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or starts < 1:
         raise InputError(f"starts is {starts!r}; it must be a whole number, at least 1")
-    try:
-        generator = np.random.default_rng(rng)
-    except (TypeError, ValueError):
-        raise InputError(f"rng is {rng!r}; it must be a generator, a whole number >= 0 or None") from None
+    draw = generator(rng)
     name = None if frame is None else system.frame_name(frame)
-    question = Question(system, dict(given), base, bool(limits), name, generator, int(starts), Budget(time_limit),
+    question = Question(system, dict(given), base, bool(limits), name, draw, int(starts), Budget(time_limit),
                         progress)  # fmt: skip
     for solver in SOLVERS:
         modes = solver(question)
@@ -192,7 +199,6 @@ def _merged(names: list[str]) -> str:
 
 def by_starts(question: Question) -> Modes:
     """The answer of many starts: never proven complete."""
-    from kempe.solvers.home import home_of
     from kempe.solvers.many_starts import estimates, search  # its kernels are not needed before
 
     system = question.system

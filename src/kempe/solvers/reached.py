@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from kempe.calls import brief, explained_methods
 from kempe.solvers.freedoms import Local
 from kempe.solvers.solution import Solution
 from kempe.spatial import Array
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from kempe.solvers.tasks import Problem
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Reached(Solution):
     """Answer of `System.ik` for tasks.
@@ -22,6 +24,8 @@ class Reached(Solution):
     each task, by its label, how far it is missed (..., 2) in metres and radians. `late` (...) says where the time limit
     ended the search, or the lowering of soft tasks and preferences.
     """
+
+    __repr__ = brief
 
     what = "problems solved"
 
@@ -41,7 +45,7 @@ class Reached(Solution):
 
         return derivative(self)
 
-    def sentence(self, index: tuple[int, ...]) -> str:
+    def _sentence(self, index: tuple[int, ...]) -> str:
         """The sentence for one problem."""
         from kempe.solvers.explain_tasks import sentence
 

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from kempe.calls import brief, explained, explained_methods
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
+from kempe.kinematics.tabular import Tabular
 from kempe.kinematics.task import Task, numbers_of
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, partial
 from kempe.solvers.freedoms import Local, freedoms_text, null
@@ -37,8 +39,9 @@ LEAST_PART = 0.05
 """Part of the wished direction that the freedoms must still have for the way to go on."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
-class SelfMotion:
+class SelfMotion(Tabular):
     """A family of configurations `q` (n, nq) in which tasks hold, in the order in which they are passed.
 
     `freedoms` are those that the tasks leave at the start, over a distance: where there are only such to first order,
@@ -46,6 +49,8 @@ class SelfMotion:
     that the way comes back to it; else `ends` says for both ends why the way ends there. Where an interrupt from the
     keyboard (`interrupted`) or the time limit (`late`) ended the work, these are the configurations found by then.
     """
+
+    __repr__ = brief
 
     system: System
     q: Array
@@ -59,6 +64,10 @@ class SelfMotion:
     def __len__(self) -> int:
         return len(self.q)
 
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the coordinates of each configuration, in radians and metres."""
+        return list(self.system.coordinate_names), self.q
+
     def __str__(self) -> str:
         how = "it comes back to its start" if self.closed else f"from {self.ends[0]} to {self.ends[1]}"
         freedoms = "1 freedom" if self.freedoms == 1 else f"{self.freedoms} freedoms"
@@ -68,6 +77,7 @@ class SelfMotion:
         return f"{len(self.q)} configurations of a self-motion with {freedoms}: {how}"
 
 
+@explained
 def self_motion(
     system: System, q: Any, tasks: FrameLike | Task | Sequence[Task], *, task: str | None = None,
     axis: ArrayLike = (0.0, 0.0, 1.0), direction: Any = None, steps: int = 200, step: float = 0.05,

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
+from kempe.calls import brief, explained, explained_methods
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import refuse_bad
+from kempe.reals import reals
 from kempe.solvers.chain import chain_of, obstacle
 from kempe.solvers.least_squares import NEAR, damped, scaled
 from kempe.spatial import Array
@@ -24,6 +26,7 @@ BESIDE = 1e-12
 """How near to a bound a velocity is at it, where it is a sum of others."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class IkStep:
     """Velocities of one step: `q` (nq,) after it, `velocity` (nv,), and the `twist` (6,) that they give the frame.
@@ -32,6 +35,8 @@ class IkStep:
     `fraction` is the part of the wanted twist in that, 1 where it is had in full; `saturated` names the coordinates
     that are at a limit of position or velocity.
     """
+
+    __repr__ = brief
 
     q: Array
     velocity: Array
@@ -82,6 +87,7 @@ class Servo:
         return out
 
 
+@explained
 def ik_step(
     system: System, q: Any, wanted: Any, frame: FrameLike | None = None, dt: float = 0.0, *,
     velocity_limits: Any = None, damping: float = 0.05, keep_direction: bool = False, weights: Any = None,
@@ -167,7 +173,7 @@ def _part(had: Array, asked: Array) -> float:
 
 
 def _twist(wanted: Any, pose: Array, dt: float) -> Array:
-    x = np.asarray(wanted, dtype=float)
+    x = reals(wanted, "the wanted motion", "a twist (6,) or a pose (4, 4)")
     if x.shape == (4, 4):
         out = np.empty(6)
         out[:3] = x[:3, 3] - pose[:3, 3]
@@ -180,8 +186,10 @@ def _twist(wanted: Any, pose: Array, dt: float) -> Array:
 
 def _numbers(x: Any, n: int, what: str) -> Array:
     try:
-        out = np.broadcast_to(np.asarray(x, dtype=float), (n,))
-    except (TypeError, ValueError):
+        out = np.broadcast_to(reals(x, what, f"a number or ({n},) numbers"), (n,))
+    except InputError:
+        raise
+    except ValueError:
         out = np.full(1, np.nan)
     if not (out >= 0.0).all():
         raise InputError(f"{what} is {x!r}; it must be a number or ({n},) numbers, none negative")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import brief, explained_methods
 from kempe.errors import InputError
 from kempe.kernels.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
 from kempe.solvers.answer import Answer
@@ -30,6 +31,7 @@ _MEASURED: dict[str, tuple[int, Callable]] = {
 """Fields of an answer for a single target, where the kernels leave them, and as what they are read."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Solution(Answer):
     """Answer of the inverse model: one configuration for each target.
@@ -42,6 +44,8 @@ class Solution(Answer):
     In a batch, what is nearest to targets that lengths prove to be out of reach is searched for when `q`, an error,
     `iterations`, `starts` or `status` is first asked for: `success`, `code` and `proven` need no search.
     """
+
+    __repr__ = brief
 
     what = "targets reached"
 
@@ -174,7 +178,7 @@ class Solution(Answer):
 
         return derivative(self)
 
-    def sentence(self, index: tuple[int, ...]) -> str:
+    def _sentence(self, index: tuple[int, ...]) -> str:
         """The sentence for one configuration."""
         from kempe.solvers.explain import sentence
 

@@ -7,8 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import numbers
+from kempe.description.placement import direction
 from kempe.errors import InputError
-from kempe.kernels.search_layout import ROTATION_TOLERANCE
+from kempe.kernels.search_layout import LARGEST, ROTATION_TOLERANCE
+from kempe.kinematics.task_input import refuse_rotations
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -39,10 +43,7 @@ def task_of(task: object, is_position: bool, particle: bool) -> str:
 
 def axis_of(axis: object) -> tuple[float, float, float]:
     """The pointing axis as a unit vector of the tool. Errors: `InputError`."""
-    try:
-        v = np.asarray(axis, dtype=float)
-    except (TypeError, ValueError):
-        v = np.zeros(0)
+    v = reals(direction(axis), "axis", "three numbers: a direction in the tool's frame")
     size = float(np.linalg.norm(v)) if v.shape == (3,) and np.all(np.abs(v) < 1e100) else 0.0
     if size == 0.0:
         raise InputError(f"axis is {axis!r}; it must be three numbers, not all zero: a direction in the tool's frame")
@@ -77,7 +78,7 @@ def targets_of(
         out[..., :3, :3], out[..., 3, 3] = numbers_of(target), 1.0
         return parse_targets(system, out)
     if width is None or shape[-1:] != (width,) or shape[-2:] == (4, 4):
-        return parse_targets(system, target)
+        return parse_targets(system, target, task == "position")
     values = numbers_of(target)
     d = values[..., -3:]
     size = np.linalg.norm(d, axis=-1, keepdims=True)
@@ -127,19 +128,16 @@ def points_along(task: str | None) -> bool:
 
 def numbers_of(target: Any) -> Array:
     """A target as an array of real numbers. Errors: `InputError`."""
-    if target.__class__ is np.ndarray and target.dtype == np.float64:
-        return target
-    try:
-        given = np.asarray(target)
-        if given.dtype.kind == "c":
-            raise TypeError
-        return np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"target is {type(target).__name__}; it must be an array of real numbers") from None
+    return numbers(target, "target")
 
 
-def parse_targets(system: System, target: Any) -> tuple[Array, tuple[int, ...], bool]:
-    """Targets (N, 4, 4), their leading shape, and whether they are positions."""
+def parse_targets(
+    system: System, target: Any, positions: bool = False
+) -> tuple[Array, tuple[int, ...], bool]:  # fmt: skip
+    """Targets (N, 4, 4), their leading shape, and whether they are positions, as they must be with `positions`.
+
+    Errors: `InputError`, also for rotations (3, 3) that would pass for three positions.
+    """
     array = numbers_of(target)
     planar = system.dim == 2
     is_pose = array.ndim >= 2 and array.shape[-2:] == (4, 4)
@@ -154,12 +152,15 @@ def parse_targets(system: System, target: Any) -> tuple[Array, tuple[int, ...], 
         out = array.reshape(math.prod(lead), 4, 4)
         bad = np.any(out[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=-1)  # a transposed pose would pass for another one
         if bad.any():
-            out = np.where(bad[:, None, None], math.nan, out)
+            out = out.copy()
+            out[bad, :3] = math.nan
             if not lead and np.isfinite(array).all():
                 raise InputError(f"target is not a pose: its last row is {array[3].tolist()}; it must be 0 0 0 1")
         return np.require(out, requirements=["C", "A"]), lead, False
     if array.ndim and (array.shape[-1] == 3 or (planar and array.shape[-1] == 2)):
         lead = array.shape[:-1]
+        if not positions:
+            refuse_rotations(array, "target")
         out = np.zeros((math.prod(lead), 4, 4))
         out[:] = np.eye(4)
         out[:, : array.shape[-1], 3] = array.reshape(len(out), array.shape[-1])
@@ -176,12 +177,18 @@ def check_particle(targets: Array, name: str) -> None:
         raise InputError(f"{name!r} is a particle, which has no orientation; give a position (..., 3) as target")
 
 
-def not_a_pose(target: Array, other: str = "") -> str:
-    """Why a target (4, 4) was refused: it has no rotation, or is not finite, which `other` may not be either."""
-    R = target[:3, :3]
-    if np.isfinite(target).all():
-        off = max(float(np.abs(R.T @ R - np.eye(3)).max()), 2.0 if np.linalg.det(R) < 0.0 else 0.0)
-        if off > ROTATION_TOLERANCE:
-            text = "target is not a pose: its rotation part must be orthonormal with determinant +1"
-            return f"{text}; R'R differs from 1 by {off:.1g}" if np.linalg.det(R) > 0.0 else text
-    return f"target{other} is not a finite pose"
+def not_a_pose(target: Array, other: str = "target") -> str:
+    """Why a target (4, 4) was refused; `other` is what was bad where that is fine."""
+    R, last = target[:3, :3], target[3].tolist()
+    if np.isfinite(last).all() and last != [0.0, 0.0, 0.0, 1.0]:
+        return f"target is not a pose: its last row is {last}; it must be 0 0 0 1"
+    if not np.isfinite(target).all():
+        return "target has entries that are not finite"
+    largest = np.abs(target).max()
+    if largest >= LARGEST:
+        return f"target has an entry of {largest:.3g}; allowed are numbers below {LARGEST:g}"
+    off = max(float(np.abs(R.T @ R - np.eye(3)).max()), 2.0 if np.linalg.det(R) < 0.0 else 0.0)
+    if off > ROTATION_TOLERANCE:
+        text = "target is not a pose: its rotation part must be orthonormal with determinant +1"
+        return f"{text}; R'R differs from 1 by {off:.1g}" if np.linalg.det(R) > 0.0 else text
+    return f"{other} has entries that are not finite or too large, or a quaternion that is zero"

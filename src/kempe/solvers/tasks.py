@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.errors import InputError, NoSolutionError
+from kempe.calls import explained
+from kempe.errors import InputError, NoSolutionError, shown
 from kempe.kernels import search_layout as S
 from kempe.kernels.compiled import reach as kernel
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.parallel import over_chunks
 from kempe.kinematics.task import Goals, Packed, Task, lead_of, refuse
 from kempe.kinematics.tasks_whole import Callback
@@ -24,7 +25,7 @@ from kempe.solvers.assembly import limitless
 from kempe.solvers.clock import Clock
 from kempe.solvers.contradictions import contradictory
 from kempe.solvers.effort import most_starts
-from kempe.solvers.home import beside, home_of
+from kempe.solvers.home import beside
 from kempe.solvers.lengths import unreachable
 from kempe.solvers.levels import keep, keep_levels, level_of, packed_for
 from kempe.solvers.reached import Reached
@@ -161,6 +162,7 @@ class Problem:
         return stages.ravel(), strengths
 
 
+@explained
 def reach(
     system: System, wanted: Task | Sequence[Task], seed: Any = None, *,
     task: None = None,
@@ -229,7 +231,7 @@ def pose_problem(
     """
     tasks = _distinct(wanted)
     goals = tuple(t.goals(system) for t in tasks)
-    base = _home(system) if seed is None else as_q(system, seed)
+    base = _home(system) if seed is None else as_start(system, seed)
     lead = own = lead_of(goals)
     if base.ndim > 1:
         try:
@@ -245,7 +247,7 @@ def pose_problem(
         system, tasks, packed, goals, pins, lead, tolerances(tolerance), most, seed_number(rng), use,
         loose=seed is None,
     )  # fmt: skip
-    starts_at = beside(problem, base) if seed is None else base.reshape(-1, system.nq)
+    starts_at = beside(problem, base) if seed is None else base.reshape(math.prod(base.shape[:-1]), system.nq)
     return problem, np.ascontiguousarray(starts_at)
 
 
@@ -261,9 +263,8 @@ def _distinct(wanted: Any) -> tuple[Task, ...]:
     """The tasks, checked, with labels that differ."""
     tasks = (wanted,) if isinstance(wanted, Task) else tuple(wanted) if isinstance(wanted, (list, tuple)) else ()
     if not tasks or not all(isinstance(t, Task) for t in tasks):
-        raise InputError(
-            f"without a frame the target must be a task of kempe.tasks or a list of them; it is {type(wanted).__name__}"
-        )
+        what = "an empty list" if isinstance(wanted, (list, tuple)) and not wanted else shown(wanted)
+        raise InputError(f"without a frame the target must be a task of kempe.tasks or a list of them; it is {what}")
     out: dict[str, Task] = {}
     for task in tasks:
         if isinstance(task.priority, bool) or not isinstance(task.priority, (int, np.integer)):

@@ -15,6 +15,7 @@ from kempe.description.checks import constraint_length
 from kempe.description.parts import Constraint, Joint
 from kempe.errors import DescriptionError, KempeError, Problem
 from kempe.joints import P, R
+from kempe.kinematics.configuration import has_loops
 from kempe.model.coordinates import Follower, relation_text
 
 if TYPE_CHECKING:
@@ -62,8 +63,8 @@ def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
         "nv": system.nv,
         "dof_of_tree": _dof_of_tree(system),
         "configuration_space": {
-            "shape": space.shape, "dim": space.dim, "limited": space.limited,
-            "constraints": space.constraints, "text": str(space),
+            "shape": space.shape, "ambient_dimension": space.ambient_dimension, "limited": space.limited,
+            "constraints": space.constraints, "text": space.within,
         },
         "bodies": _bodies(system),
         "joints": [_joint(system, j, j.name not in closures) for j in system.joints.values()],
@@ -129,11 +130,6 @@ def _constraint(system: System, c: Constraint) -> dict[str, Any]:
     return {
         "name": c.name, "type": c.kind, "parent": c.parent, "child": c.child, "length": length, "equations": equations,
     }  # fmt: skip
-
-
-def has_loops(system: System) -> bool:
-    """Whether anything ties the coordinates: loops, declared constraints or relations of several coordinates."""
-    return bool(system.closures or system.relations or system.mechanism.constraints)
 
 
 def largest_gap(system: System, q: Any) -> str:

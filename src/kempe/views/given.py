@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
+from kempe.description.source import expanded
 from kempe.errors import InputError, UnknownNameError
+from kempe.kinematics.configuration import has_loops
 from kempe.views import facts, report, rows
 
 if TYPE_CHECKING:
@@ -30,7 +32,7 @@ def known(system: System, words: Iterable[str], degrees: bool = False, frames: b
     for word in words:
         name, sign, text = (part.strip() for part in word.partition("="))
         if not sign and rows.is_file(word):
-            found = _columns(system, Path(word), degrees)
+            found = _columns(system, expanded(word), degrees)
         elif not sign or not name:
             raise InputError(f"{word!r} is no known value: write name=value" + (", or frame=x,y,z" if frames else ""))
         else:
@@ -99,8 +101,7 @@ def _columns(system: System, path: Path, degrees: bool) -> dict[str, Any]:
 def start(system: System, text: str | None, degrees: bool = False) -> spatial.Array | None:
     """A start (nq,) given as the name of a posture, or as values; None where nothing is given.
 
-    What 'name=value' leaves open is as in the posture 'closed', where there is one. Errors: `InputError`,
-    `UnknownNameError`.
+    What 'name=value' leaves open is as at home. Errors: `InputError`, `UnknownNameError`.
     """
     if text is None:
         return None
@@ -117,8 +118,7 @@ def _start(system: System, text: str, degrees: bool) -> spatial.Array:
         return rows.configuration(system, None, text, degrees)
     if not any(c in text for c in ",=.") and not text.strip().lstrip("+-").isdigit():
         raise UnknownNameError("posture", text, (*system.posture_names, *SPECIAL), system.name)
-    base = "closed" if "=" in text and "closed" in system.posture_names else None
-    return rows.configuration(system, text, base, degrees)
+    return rows.configuration(system, text, None, degrees, start=True)
 
 
 def first(
@@ -147,7 +147,7 @@ def configuration(
     """
     if text is None and posture is None:
         return None, None
-    if text is not None and "=" in text and not rows.is_file(text) and facts.has_loops(system):
+    if text is not None and "=" in text and not rows.is_file(text) and has_loops(system):
         near = None if posture is None else rows.configuration(system, None, posture, degrees)
         answer = system.assemble(known(system, text.split(","), degrees, frames=False), near)
         return answer.q, answer

@@ -12,7 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from kempe import spatial
+from kempe.description.placement import AXES
 from kempe.errors import InputError
+from kempe.kinematics.tabular import write_table
 from kempe.views import facts, report, rows
 
 if TYPE_CHECKING:
@@ -31,7 +33,9 @@ BLOCK = 8
 
 
 def axis(text: str) -> spatial.Array:
-    """The tool's axis (3,) from 'x,y,z'. Errors: `InputError`."""
+    """The tool's axis (3,) from three numbers or a name such as '-z'. Errors: `InputError`."""
+    if text.strip().lower() in AXES:
+        return np.array(AXES[text.strip().lower()])
     values = rows.numbers(text, "axis")
     if len(values) != 3:
         raise InputError(f"the axis has {report.count(len(values), 'number')}; it must be x,y,z in the tool's frame")
@@ -211,7 +215,7 @@ def write(path: Path, answer: Solutions, degrees: bool = False) -> None:
     mask = answer.mask.reshape(-1, answer.mask.shape[-1])
     q = _in_units(system, answer.q.reshape(*mask.shape, system.nq), degrees)
     lines = np.column_stack([np.nonzero(mask)[0].astype(float), q[mask]])
-    rows.write(path, ("target", *system.coordinate_names), lines, q)
+    write_table(path, ("target", *system.coordinate_names), lines, q)
 
 
 # ---- how they are found

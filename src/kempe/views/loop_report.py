@@ -13,7 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 from kempe import spatial
-from kempe.views import facts, report, rows
+from kempe.kinematics.tabular import write_table
+from kempe.views import facts, report
 
 if TYPE_CHECKING:
     from kempe.analysis.mobility import Mobility
@@ -163,6 +164,9 @@ def path(answer: Path, degrees: bool = False) -> RenderableType:
     system = answer.system
     shown: list[RenderableType] = [Text(report.clean(answer.status), style=_style(answer))]
     shown += [Text(f"  another branch: {report.clean(other.status)}") for other in answer.others]
+    if answer.hint:
+        start = ",".join(f"{x:.9g}" for x in _shown(system, answer.elsewhere[0], degrees).tolist())
+        shown.append(Text(report.clean(f"  {answer.hint}: --start {start}")))
     unit = facts.units(system)
     events = [*answer.turning_points[:EVENT_LIMIT], *answer.singular_points]
     if events:
@@ -241,7 +245,7 @@ def write_path(file: FilePath, answer: Path, degrees: bool = False, branches: bo
         tables = [columns, *(path_table(other, degrees)[1] for other in answer.others)]
         columns = np.vstack([np.insert(table, 0, k, axis=1) for k, table in enumerate(tables)])
         names = ["branch", *names]
-    rows.write(file, names, columns, columns)
+    write_table(file, names, columns)
 
 
 # ---- what all need

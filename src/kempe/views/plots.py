@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q, distance
 from kempe.kinematics.forward import fk
+from kempe.reals import reals
 from kempe.spatial import Array
 from kempe.views.drawing import page, planar, style
 from kempe.views.drawing.scene import Scene, look
@@ -25,23 +27,24 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 
+@explained
 def plot(
-    system: System, q: Any = None, *, path: Any = None, frames: Iterable[Any] = (), labels: bool = True,
+    system: System, q: Any = None, *, path: Any = None, frames: Iterable[Any] | None = (), labels: bool = True,
     ax: Axes | None = None, ghosts: int = 0,
 ) -> Axes:  # fmt: skip
     """Axes with a drawing of the system at a configuration; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
 
     `q` (nq,) or dict: the configuration; without it, the posture 'closed' if there is one, else `mid`, and with a
-    `path` the configuration of the path nearest to that. `frames`: names of frames or bodies whose axes are drawn:
-    x red, y green, z blue. `path`: configurations (n, nq), or an answer that has them as `.q`; in place of the axes,
-    the curves of the named `frames` are drawn over it (without names: those of the path's `.frames`, else all named
-    frames of moving bodies), and `ghosts` earlier positions, evenly spread. Driven joints (`actuated`, or the
-    path's `.driver`) are marked, and loops that are not closed are shown in red.
+    `path` the configuration of the path nearest to that. `frames`: names of frames or bodies whose axes are drawn, None
+    for all of them: x red, y green, z blue. `path`: configurations (n, nq), or an answer that has them as `.q`; in
+    place of the axes, the curves of the named `frames` are drawn over it (without names: those of the path's `.frames`,
+    else all named frames of moving bodies), and `ghosts` earlier positions, evenly spread. Driven joints (`actuated`,
+    or the path's `.driver`) are marked, and loops that are not closed are shown in red.
     Errors: `InputError` for shapes, `UnknownNameError` for frames.
     """
     configurations, drivers = _path(system, path)
     q = _configuration(system, q, configurations)
-    names = [system.frame_name(f) for f in ([frames] if isinstance(frames, str) else frames)]
+    names = names_of(system, frames)
     scene = look(system, q, drivers)
     if configurations is not None and not names:
         names = list(getattr(path, "frames", ()) or (f for link in scene.links[1:] for f in link.frames))
@@ -53,6 +56,13 @@ def plot(
 
         return space.picture(scene, configurations, curves, here, before, labels, ax)
     return _picture(scene, configurations, curves, here, before, labels, ax)
+
+
+def names_of(system: System, frames: Any) -> list[str]:
+    """Names of the frames that are given: a list, one, or None for all bodies and frames."""
+    if frames is None:
+        return list(system.frame_names)
+    return [system.frame_name(f) for f in (frames if isinstance(frames, (list, tuple)) else [frames])]
 
 
 def plot_path(
@@ -67,7 +77,7 @@ def plot_path(
     system = getattr(path, "system", None) if system is None else system
     if system is None:
         raise InputError("the path does not say which system it belongs to; give it as `system`")
-    q, s = as_q(system, path.q), np.asarray(path.s, dtype=float)
+    q, s = as_q(system, path.q), reals(path.s, "the arc length of the path")
     if q.ndim != 2 or s.shape != q.shape[:1]:
         need = f"they must be (n, {system.nq}) and (n,)"
         raise InputError(f"path has q of shape {q.shape} and s of shape {s.shape}; {need}")

@@ -18,6 +18,7 @@ from rich.text import Text
 from kempe import spatial
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, Problem
 from kempe.views import facts
+from kempe.views.options import in_options
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -82,8 +83,8 @@ def _needed(renderable: RenderableType) -> int:
 
 
 def clean(text: object) -> str:
-    """`text` with control characters made visible."""
-    return str(text).translate(_CONTROL)
+    """`text` with control characters made visible, and in words of the command line."""
+    return in_options(str(text)).translate(_CONTROL)
 
 
 def table(columns: Sequence[str], lines: Iterable[Sequence[object]], title: str = "") -> Table:

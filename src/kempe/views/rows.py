@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe import spatial
-from kempe.description.source import no_file
+from kempe.description.source import expanded, no_file
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_q, closed_from, from_home
+from kempe.kinematics.tabular import SUFFIXES, table_file, write_table
+from kempe.reals import reals
 from kempe.views.facts import DEGREE, in_degrees, pose_rows, units
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-SUFFIXES = (".csv", ".npy")
 POSE_COLUMNS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
@@ -40,27 +41,33 @@ def _numbers(parts: Sequence[str], what: str) -> list[float]:
         raise InputError(f"{what}: {bad!r} is not a number; {advice}") from None
 
 
-def configuration(system: System, text: str | None, posture: str | None = None, degrees: bool = False) -> spatial.Array:
+def configuration(
+    system: System, text: str | None, posture: str | None = None, degrees: bool = False, start: bool = False
+) -> spatial.Array:
     """Configurations from the command line: (nq,), or (n, nq) where `text` names a file.
 
-    `text` is 'a,b,c' (all of q in order), 'name=value,...' (the rest neutral, or as in the posture), or a
-    .csv or .npy file. `posture` names a posture of the system, or is 'neutral' or 'mid'.
+    `text` is 'a,b,c' (all of q in order), 'name=value,...' (the rest neutral, or as in the posture; in a system with
+    loops, what closes these), or a .csv or .npy file. `posture` names a posture of the system, or is 'neutral' or
+    'mid'. Of a `start` no loop is closed.
     Errors: `InputError`, `UnknownNameError`.
     """
-    base = _posture(system, posture)
+    base = None if posture is None else _posture(system, posture)
     if text is None:
-        return base
+        return _posture(system, posture)
     if is_file(text):
-        return _configurations(system, Path(text), degrees)
+        return _configurations(system, expanded(text), degrees, start)
     if "=" in text:
-        return system.q(_named(system, text, degrees), base)
+        coordinates = _named(system, text, degrees)
+        if start:
+            return from_home(system, coordinates) if base is None else system.q(coordinates, base)
+        return closed_from(system, coordinates, base)
     return _radians(system, as_q(system, numbers(text, "q")), degrees)
 
 
 def _posture(system: System, name: str | None) -> spatial.Array:
-    special = {"neutral": system.neutral, "mid": system.mid}
+    special = {"neutral": system.neutral.copy(), "mid": system.mid.copy()}
     if name is None:
-        return system.neutral
+        return system.neutral.copy()
     if name not in system.posture_names and name in special:
         return special[name]
     if name not in system.posture_names:
@@ -88,22 +95,17 @@ def _radians(system: System, q: spatial.Array, degrees: bool) -> spatial.Array:
     return q / in_degrees(np.ones(system.nq), system.coordinate_names, units(system), degrees)
 
 
-def _configurations(system: System, path: Path, degrees: bool) -> spatial.Array:
-    """Configurations (n, nq) of a file; a .csv may name its columns, the missing ones are neutral."""
+def _configurations(system: System, path: Path, degrees: bool, start: bool) -> spatial.Array:
+    """Configurations (n, nq) of a file; a .csv may name its columns, the missing ones are as where values are named."""
     names, rows = read(path)
     if names is None:
         return _radians(system, as_q(system, rows), degrees)
-    q = np.tile(system.neutral, (len(rows), 1))
-    order = []
-    for name in names:
-        system.q({name: 0.0})  # refuses unknown names, and says why where the coordinate follows another
-        order.append(system.coordinate_names.index(name))
-    if len(set(order)) < len(order):
+    if len(set(names)) < len(names):
         raise InputError(f"{path}: a column appears twice")
-    q[:, order] = rows
-    given = np.isin(np.arange(system.nq), order)
-    q[:, given] = _radians(system, q, degrees)[:, given]
-    return q
+    unit = units(system)
+    factors = [DEGREE if degrees and unit.get(name) == "rad" else 1.0 for name in names]
+    coordinates = {name: column * factor for name, column, factor in zip(names, rows.T, factors, strict=True)}
+    return (from_home if start else closed_from)(system, coordinates)
 
 
 def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Array, bool]:
@@ -113,7 +115,7 @@ def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Ar
     place of 'x,y,z'; or a file of such rows, where a .npy may also hold (n, 4, 4) matrices.
     """
     if is_file(text):
-        _, rows = read(Path(text), matrices=True)
+        _, rows = read(expanded(text), matrices=True)
     else:
         rows = np.array(numbers(text, "target"))
     if rows.ndim == 3:
@@ -146,7 +148,7 @@ def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, spatial.
 
 def _read_npy(path: Path, matrices: bool) -> tuple[None, spatial.Array]:
     try:
-        array = np.asarray(np.load(path, allow_pickle=False), dtype=float)
+        array = reals(np.load(path, allow_pickle=False), "the file")
     except (ValueError, EOFError):
         raise InputError(f"{path}: it is not a .npy file of numbers") from None
     if array.ndim == 2 or (matrices and array.ndim == 3 and array.shape[1:] == (4, 4)):
@@ -186,17 +188,7 @@ def _is_number(text: str) -> bool:
 
 def output(path: Path | None) -> Path | None:
     """The path of a file to write. Errors: `InputError` where its ending is neither .csv nor .npy."""
-    if path is not None and path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: results are written to {' or '.join(SUFFIXES)} files")
-    return path
-
-
-def write(path: Path, columns: Sequence[str], rows: spatial.Array, array: spatial.Array) -> None:
-    """Write `rows` (n, k) with their column names to a .csv, or `array` to a .npy file."""
-    if path.suffix.lower() == ".npy":
-        np.save(path, array)
-    else:
-        np.savetxt(path, rows, delimiter=",", fmt="%.17g", header=",".join(columns), comments="", encoding="utf-8")
+    return None if path is None else table_file(path)
 
 
 def not_finite(q: spatial.Array) -> list[int]:
@@ -226,11 +218,11 @@ def write_poses(path: Path, X: spatial.Array, bodies: bool, degrees: bool = Fals
             np.concatenate([index.astype(float), lines], axis=1),
             ("configuration", "body", *columns),
         )
-    write(path, columns, lines, X)
+    write_table(path, columns, lines, X)
 
 
 def write_configurations(path: Path, system: System, q: spatial.Array, degrees: bool = False) -> None:
     """Write configurations (nq,) or (n, nq), a column a coordinate; `configuration` reads them back."""
     names = system.coordinate_names
     shown = in_degrees(np.atleast_2d(q), names, units(system), degrees)
-    write(path, names, shown, shown)
+    write_table(path, names, shown)

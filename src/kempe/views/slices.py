@@ -43,8 +43,7 @@ class Slices(Answer):
         """The system that was asked."""
         return self._system
 
-    def sentence(self, index: tuple[int, ...]) -> str:
-        """The sentence for one target."""
+    def _sentence(self, index: tuple[int, ...]) -> str:
         k = int(np.searchsorted(self.first, index[0], side="right")) - 1
         return self.answers[k].sentence((index[0] - int(self.first[k]),))
 

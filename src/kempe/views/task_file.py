@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
-from kempe.description.source import Source, decode, no_file, shorten
+from kempe.description.source import Source, decode, expanded, no_file, shorten
 from kempe.description.toml_document import Document
 from kempe.errors import InputError, UnknownNameError, hint
 from kempe.kinematics import tasks
@@ -60,6 +60,7 @@ def read(system: System, path: Path, degrees: bool = False) -> Asked:
     A value that names a .csv or .npy file, seen from the folder of this one, has an entry in each of its rows: these
     make a batch. Errors: `DescriptionError` with all problems, each with its line.
     """
+    path = expanded(path)
     if what := no_file(path):
         raise InputError(f"{path}: this is {what}; give the path of a plain file")
     if not path.is_file():

@@ -24,7 +24,9 @@ class Commands(TyperGroup):
 
     def main(self, args: Any = None, *rest: Any, standalone_mode: bool = True, **extra: Any) -> Any:
         """Run the command line `args`; ends the process with an exit code unless `standalone_mode` is off."""
-        args = list(sys.argv[1:] if args is None else args)
+        from kempe.views.options import at_home
+
+        args = [at_home(arg) for arg in (sys.argv[1:] if args is None else args)]
         try:
             code = super().main(args, *rest, standalone_mode=False, **extra)
         except UsageError as error:
@@ -87,9 +89,10 @@ def say_error(error: BaseException | str, json: bool = False) -> None:
 def print_json(data: Any) -> None:
     """Print data as JSON; letters beyond ASCII are escaped where the output cannot show them."""
     from kempe.views.facts import json_text
+    from kempe.views.options import data_in_options
 
     encoding = getattr(sys.stdout, "encoding", None) or "ascii"
-    print(json_text(data, ascii_only=encoding.lower().replace("-", "") != "utf8"))
+    print(json_text(data_in_options(data), ascii_only=encoding.lower().replace("-", "") != "utf8"))
 
 
 def show(renderable: Any) -> None:

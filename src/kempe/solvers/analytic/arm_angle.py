@@ -29,9 +29,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import spatial
+from kempe.calls import explained
 from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.layout import TURN
 from kempe.kinematics.configuration import as_q
+from kempe.reals import reals
 from kempe.solvers.analytic.ik_all import chain_lines
 from kempe.solvers.analytic.intervals import arcs, joined
 from kempe.solvers.analytic.lines import Lines
@@ -118,7 +120,7 @@ def arm_of(lines: Lines, reference: ArrayLike | None = None) -> Arm | str:
 def _reference(lines: Lines, given: ArrayLike | None) -> Array:
     if given is None:
         return lines.h[0]
-    z = np.asarray(given, dtype=float)
+    z = reals(given, "reference")
     size = float(np.linalg.norm(z)) if z.shape == (3,) else math.nan
     if not (math.isfinite(size) and size > 0.0):
         raise InputError(f"reference is {given!r}; it must be a direction, three numbers that are not all zero")
@@ -144,6 +146,7 @@ def required_arm(system: System, frame: str, reference: ArrayLike | None = None)
     return arm
 
 
+@explained
 def arm_angle(system: System, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
     """Arm angle (...) of configurations q (..., nq), in (-pi, pi]; a float for one. See the module for what it is.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained
 from kempe.kernels.layout import SLIDE
 from kempe.solvers.analytic.describe_axes import relations
 from kempe.solvers.analytic.describe_path import METHODS, most, path
@@ -80,6 +81,7 @@ class Recognised:
         return f"<p><b>{head}</b></p><table>{rows}</table>"
 
 
+@explained
 def ik_plan(
     system: System, frame: FrameLike, task: str | None = None, axis: ArrayLike = Z_AXIS,
     fixed: Mapping[str, Any] | None = None, **fixed_by_name: Any,

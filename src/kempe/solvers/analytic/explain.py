@@ -12,6 +12,7 @@ from kempe.kernels import analytic_layout as A
 from kempe.kernels.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.search_layout import LARGEST
+from kempe.model.immovable import immovable
 from kempe.solvers.analytic.explain_held import (
     held_at,
     more_than_enough,
@@ -26,6 +27,7 @@ from kempe.solvers.analytic.plan import Plan, carried_lines, free_lines
 from kempe.solvers.analytic.plan import freedoms as rank_of
 from kempe.solvers.analytic.structure import Axes, Way
 from kempe.solvers.chain import chain_of
+from kempe.solvers.explain import rounded
 from kempe.solvers.rounds import Task, outside
 from kempe.solvers.targets import Z_AXIS, not_a_pose
 from kempe.solvers.words import in_words
@@ -36,6 +38,9 @@ if TYPE_CHECKING:
 
 BEYOND = 1e-8
 """How far (lengths of the chain, cosines) an equation must be from having a root, to be named as the reason."""
+
+CANNOT = "this target is not among those it can reach"
+"""End of the sentence on targets with more equations than freedoms."""
 
 REACHED = 2e-6
 """Error [m, rad] below which a search, which stops there, has found a solution."""
@@ -76,6 +81,8 @@ def status(solutions: Solutions, index: int) -> str:
         return f"{text.split(':')[0]} within {question.tolerance:.1g}, but {near}"
     missed = [] if question.task in ("orientation", "direction") else [f"{position:.6g} m"]
     missed += [] if question.task == "position" else [f"{angle:.2g} rad"]
+    if why.endswith(CANNOT):
+        text += rounded(position, angle, chain_of(solutions.system, question.frame).span.largest, one=True)
     limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""
     return f"{text}; the closest configuration found{limits} misses it by {', '.join(missed)}"
 
@@ -169,7 +176,10 @@ def _beyond(solutions: Solutions, index: int, alone: np.ndarray) -> str:
     row = over[int(np.argmin(over.max(axis=1)))]
     worst = int(np.argmax(row))
     unit = "m" if lines.kinds[worst] == SLIDE else "rad"
-    return f" (the nearest to them has {lines.names[worst]!r} {row[worst]:.6g} {unit} beyond its limit)"
+    names = solutions.system.velocity_names
+    still = immovable(solutions.system, [i for i, name in enumerate(names) if name in lines.names])
+    far = f"the nearest to them has {lines.names[worst]!r} {row[worst]:.6g} {unit} beyond its limit"
+    return f" ({far}{f'; {still}' if still else ''})"
 
 
 # ---- not reached
@@ -213,7 +223,7 @@ def _overdetermined(solutions: Solutions) -> str:
     able = rank - len(free.kinds)
     few = f", which give it {in_words(able, 'freedom')}" if able < len(unknown) else ""
     return (f"the chain has {len(unknown)} joint{'' if len(unknown) == 1 else 's'}{held}{few}, the task {equations} "
-            "equations: this target is not among those it can reach")  # fmt: skip
+            f"equations: {CANNOT}")  # fmt: skip
 
 
 def _without_root(solutions: Solutions, index: int) -> str:

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained_methods
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels import analytic_layout as A
+from kempe.reals import reals
 from kempe.solvers.analytic.family_curves import Motion
 from kempe.solvers.analytic.family_points import SINGULAR
 from kempe.solvers.analytic.nearest import Aim, aim_of, held_coordinates
@@ -38,6 +40,7 @@ EXACT = 1e-12
 """Largest error of the samples of a family that is exact [m, rad]; beyond, it holds within the tolerance only."""
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
 class Family:
     """A connected set of infinitely many configurations that reach a target; limits are ignored.
@@ -81,12 +84,13 @@ class Family:
         for name in values:
             if name not in names:
                 raise UnknownNameError("joint", name, names, "the chain")
-        if not all(np.isfinite(np.asarray(v, dtype=float)).all() for v in values.values()):
+        values = {name: reals(v, f"joint {name!r}") for name, v in values.items()}
+        if not all(np.isfinite(v).all() for v in values.values()):
             raise InputError("values of joints must be finite")
         if self.dimension > 1:
             return self._full(self._hold({n: float(np.asarray(v)) for n, v in values.items()}))
-        (name, value), = values.items()
-        wanted = np.asarray(value, dtype=float)
+        ((name, value),) = values.items()
+        wanted = reals(value, f"joint {name!r}")
         if wanted.ndim == 0:
             found = self._crossings(name, float(wanted))
             return found[0] if len(found) == 1 else found
@@ -101,7 +105,7 @@ class Family:
         Angles count modulo turns. Of a family with more freedoms than one, the distance to the next configuration that
         reaches the target.
         """
-        q = np.asarray(q, dtype=float)
+        q = reals(q, "q")
         lines = self._motion.aim.lines
         theta = lines.theta(q[..., lines.q_index])
         flat = np.array([self._apart(x) for x in theta.reshape(-1, len(lines))])
@@ -184,8 +188,6 @@ class Family:
         apart = np.abs(motion.gap(nearest, theta) / motion.aim.lines.multiplier)
         away = np.abs(motion.gap(self._theta, theta) / motion.aim.lines.multiplier).max(axis=1).min()
         return float(min(apart.max(), away))
-
-
 
 
 def families_of(solutions: Solutions, index: int) -> tuple[list[Family], np.ndarray]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained
 from kempe.errors import InputError, NoSolutionError
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.compiled import maker
@@ -34,6 +35,7 @@ NONE = np.zeros(0, dtype=np.int64)
 """No targets."""
 
 
+@explained
 def ik_all(
     system: System, target: ArrayLike, frame: FrameLike, *, task: str | None = None, near: Any = None,
     axis: ArrayLike = Z_AXIS, inside_only: bool = False, expand_turns: bool = False,

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kempe.calls import listed
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.layout import TURN
 from kempe.solvers.analytic.lines import Lines
@@ -91,7 +92,7 @@ def named(kind: Kind | None, names: np.ndarray, words: str | Iterable[str]) -> n
     """Which of the names hold all these words, hyphens and spaces alike. Errors: `InputError`, `UnknownNameError`."""
     if kind is None:
         raise InputError("the branches of this chain have no names; `branch` has their numbers where there are any")
-    wanted = words.split(",") if isinstance(words, str) else words
+    wanted = words.split(",") if isinstance(words, str) else listed(words, "words")
     wanted = [word.strip() for word in wanted]
     known = [word for choice in kind.words for word in choice] + list(NEITHER) * (len(kind.words) > 1)
     spelled = {_plain(word): word for word in known}

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.configuration import as_q
+from kempe.errors import CallError, InputError, UnknownNameError
+from kempe.kinematics.configuration import as_start
+from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -21,6 +22,18 @@ FARTHEST = 1e5
 
 ANGULAR = 1e-6
 """Largest tolerance of angles that rounding of positions makes."""
+
+
+NEAR = "near=q sorts the solutions by nearness to a configuration q"
+ELSEWHERE = {
+    "seed": NEAR, "start": NEAR, "q": NEAR, "prefer": NEAR,
+    "hold": "joints are held by fixed={'name': value}, or by name, as in ik_all(X, frame, q1=0.3)",
+    "starts": "all solutions are computed, not searched for",
+}  # fmt: skip
+"""What options of `ik` and of the command line are here; keywords are names of joints that are held."""
+
+OPTIONS = ("task", "near", "axis", "inside_only", "expand_turns", "fixed", "tolerance", "threads", "throw")
+"""Options of `ik_all`: keywords that are not names of joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +69,12 @@ def held(frame: str, names: tuple[str, ...], fixed: object, more: Mapping[str, A
         raise InputError(f"fixed is {type(fixed).__name__}; it must be a dict of values by joint name")
     out = {}
     for name, value in {**(fixed or {}), **more}.items():
+        if name not in names and name in more and name in ELSEWHERE:
+            raise CallError("ik_all", f"there is no option {name!r}, and no joint of this name; {ELSEWHERE[name]}")
         if name not in names:
-            raise UnknownNameError("joint", str(name), names, f"the chain of {frame!r}")
-        try:
-            out[name] = np.asarray(value, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"{name} is held at {value!r}; it must be a number, or one for each target") from None
+            kind, allowed = ("joint or option", (*names, *OPTIONS)) if name in more else ("joint", names)
+            raise UnknownNameError(kind, str(name), allowed, f"the chain of {frame!r}")
+        out[name] = reals(value, f"the value of {name!r}, which is held,", "a number, or one for each target")
     return out
 
 
@@ -69,12 +82,10 @@ def near_of(system: System, near: Any, lead: tuple[int, ...] | None) -> Array | 
     """Configurations (1 or N, nq) near which angles are given; None for none. Errors: `InputError`."""
     if near is None:
         return None
-    q = as_q(system, near)
+    q = as_start(system, near)
     if q.ndim > 1 and q.shape[:-1] != (lead or ()):
         each = f" or {(*lead, system.nq)}" if lead else ""
         raise InputError(f"near has shape {q.shape}; it must be ({system.nq},){each}")
     if not np.all(np.abs(q) < FARTHEST):
         raise InputError(f"near has entries that are not finite, or beyond {FARTHEST:g}: turns cannot be counted there")
     return q.reshape(math.prod(q.shape[:-1]), system.nq)
-
-

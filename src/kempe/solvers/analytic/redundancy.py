@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.reals import reals
 from kempe.solvers.analytic.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, required_arm
 from kempe.solvers.analytic.choice import domains
 from kempe.solvers.analytic.ik_all import chain_lines, ik_all, plan_for
@@ -34,6 +36,7 @@ SAMPLES = 256
 """Values of a joint at which all solutions are asked for, as starts of the curves between them."""
 
 
+@explained
 def ik_sweep(
     system: System, target: ArrayLike, frame: FrameLike, parameter: str | None = None, *, n: int | None = None,
     task: str | None = None, near: Any = None, axis: ArrayLike = Z_AXIS, reference: ArrayLike | None = None,
@@ -80,7 +83,7 @@ def ik_sweep(
             joints = ", ".join(lines.names)
             raise UnsupportedError(f"the arm angle is for poses, with no joint held; name a joint: {joints}")
         required_arm(system, name, reference)
-    question = Asked(system, name, lines, task, direction, targets[0], np.asarray(target, dtype=float), base, given,
+    question = Asked(system, name, lines, task, direction, targets[0], reals(target, "target"), base, given,
                      given_near is None)  # fmt: skip
     curves = ArmCurves(question, arm) if isinstance(arm, Arm) else _joint_curves(question, parameter, _count(samples))
     return _sweep(question, curves, None if n is None else _count(n))

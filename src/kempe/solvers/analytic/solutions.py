@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import explained_methods
 from kempe.errors import InputError
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.layout import SLIDE
+from kempe.kinematics.tabular import Tabular
 from kempe.solvers.analytic.names import Kind, branch_names, kind_of, named
 from kempe.solvers.analytic.plan import TASKS
 from kempe.solvers.targets import Z_AXIS, frame_of
@@ -24,7 +26,8 @@ if TYPE_CHECKING:
     from kempe.solvers.analytic.question import Question
 
 
-class Solutions:
+@explained_methods
+class Solutions(Tabular):
     """All configurations that reach a target, or each of a batch of targets.
 
     For one target: `q` (k, nq), those inside the limits first, each group sorted by nearness to `near`. For a batch:
@@ -125,6 +128,15 @@ class Solutions:
         """Number of the branch of each, (k,) or (..., K), -1 where there is none."""
         unit = int(A.SLOT_UNIT)
         return self._pick(self._code % int(A.MULTIPLICITY_UNIT) // unit - 1)
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns for a file: a row a solution, of a batch with the number of its target before it."""
+        names, mask = list(self.system.coordinate_names), self.mask
+        if self.single:
+            return names, self.q
+        mask = mask.reshape(-1, mask.shape[-1])
+        q = self.q.reshape(*mask.shape, self.system.nq)[mask]
+        return ["target", *names], np.column_stack([np.nonzero(mask)[0].astype(float), q])
 
     # ---- joints that are held
 

@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.calls import explained_methods
 from kempe.errors import InputError
 from kempe.kernels.layout import SLIDE
+from kempe.kinematics.tabular import Tabular
+from kempe.reals import reals
 from kempe.solvers.analytic.intervals import Intervals, spelled, union
 from kempe.solvers.analytic.lines import Lines
 from kempe.spatial import Array
@@ -97,8 +100,9 @@ class Slice:
         return self.status
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False, repr=False)
-class Sweep:
+class Sweep(Tabular):
     """The solutions of a chain with one freedom to spare, over a `parameter`: a joint, or "arm_angle".
 
     `intervals` has, for each branch, the intervals (low, high) of the parameter in which its solution is inside the
@@ -131,6 +135,12 @@ class Sweep:
     near: Array
     ask: Callable[[Array], Any] | None
 
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns for a file: a row a sample and branch inside the limits, with the parameter's value."""
+        row, branch = np.nonzero(self.inside)
+        first = [np.asarray(self.values, dtype=float)[row], branch.astype(float)]
+        return ["value", "branch", *self.system.coordinate_names], np.column_stack([*first, self.q[row, branch]])
+
     @property
     def feasible(self) -> Intervals:
         """The intervals in which there is any solution inside the limits."""
@@ -141,7 +151,7 @@ class Sweep:
 
         Errors: `InputError` for values that are not finite.
         """
-        x = np.asarray(value, dtype=float)
+        x = reals(value, "value", "a finite number, or an array (m,) of them")
         if x.ndim > 1 or not np.isfinite(x).all():
             raise InputError(f"value is {value!r}; it must be a finite number, or an array (m,) of them")
         return self.ask(x) if self.ask is not None else self._slice(x)
@@ -195,7 +205,7 @@ class Sweep:
         rows = np.flatnonzero((mask & fits)[:, 0])
         if not rows.size:
             return best
-        scores = np.asarray(score(q[rows, 0]), dtype=float)
+        scores = reals(score(q[rows, 0]), "the score")
         k = int(np.argmax(scores))
         if best is not None and scores[k] <= best.score:
             return best

@@ -1,0 +1,246 @@
+"""Calls from outside: names, numbers and switches as they are given, and what was wrong with a call that failed."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields
+from pathlib import Path
+from types import FunctionType
+from typing import Any, TypeVar
+
+import numpy as np
+
+from kempe.errors import CallError, InputError, KempeError, UnknownNameError, shown
+from kempe.reals import reals
+
+Function = TypeVar("Function", bound=Callable)
+Class = TypeVar("Class", bound=type)
+
+FOREIGN = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError)
+"""What Python and numpy raise for an argument of which nothing can be made."""
+
+CONFIGURATIONS = {"q", "q0", "q1", "near", "seed", "start"}
+"""Names of arguments that are configurations."""
+
+FEW = 16
+"""Entries of an array, or of a tuple, that are shown."""
+
+
+def explained(function: Function) -> Function:
+    """The function, in which an error that is not Kempe's own names the argument that is to blame.
+
+    It costs nothing but a call: arguments are looked at after something failed. What fails with arguments that are
+    what the annotations say is raised as it is. Errors: `CallError` (a TypeError) for arguments that the function does
+    not have, or lacks; `InputError` for those of a wrong kind.
+    """
+
+    @functools.wraps(function)
+    def call(*args: Any, **options: Any) -> Any:
+        try:
+            return function(*args, **options)
+        except KempeError:
+            raise
+        except FOREIGN as error:
+            blame(function, args, options, error)
+            raise
+
+    return call  # type: ignore[return-value]
+
+
+def explained_methods(cls: Class) -> Class:
+    """The class with its public methods and its calls `explained`."""
+    for name, value in list(vars(cls).items()):
+        if isinstance(value, FunctionType) and (name[0] != "_" or name == "__call__"):
+            setattr(cls, name, explained(value))
+    return cls
+
+
+def blame(function: Callable, args: tuple[Any, ...], options: Mapping[str, Any], error: Exception) -> None:
+    """Raise what is wrong with the arguments of a call that failed; nothing where they are of the right kinds."""
+    from inspect import Parameter, signature  # only here: most calls succeed
+
+    parameters = signature(function).parameters
+    if Parameter.VAR_KEYWORD not in {p.kind for p in parameters.values()}:
+        allowed = [p.name for p in list(parameters.values())[1:] if p.kind is not Parameter.POSITIONAL_ONLY]
+        for name in options:
+            if name not in parameters:
+                raise CallError(function.__name__, name, allowed) from None
+    try:
+        bound = signature(function).bind(*args, **options)
+    except TypeError as wrong:
+        raise CallError(function.__name__, str(wrong)) from None
+    for name, value in bound.arguments.items():
+        p = parameters[name]
+        if p.kind in (Parameter.VAR_KEYWORD, Parameter.VAR_POSITIONAL) or value is p.default:
+            continue
+        said = wrong_kind(name, p.annotation, value)
+        if said:
+            raise InputError(f"{name} is {shown(value)}; it must be {said}") from error
+
+
+def wrong_kind(name: str, annotation: object, value: object) -> str:
+    """What an argument must be, by its annotation or its name, where its value is none of that; else nothing."""
+    if name in CONFIGURATIONS:
+        annotation = "Mapping[str, Any] | ArrayLike | None" + (" | str" if name == "start" else "")
+    said = []
+    for part in re.split(r" \| (?![^\[]*\])", str(annotation)):  # not within brackets
+        kind = KINDS.get(part) or KINDS.get(part.partition("[")[0])
+        if kind is None or kind[0](value):
+            return ""
+        said.append(kind[1])
+    return " or ".join(said)
+
+
+def is_numbers(x: object) -> bool:
+    """Whether it is an array of real numbers, or becomes one."""
+    try:
+        return reals(x, "").dtype == np.float64
+    except InputError:
+        return False
+
+
+def _is_whole(x: object) -> bool:
+    return isinstance(x, (int, np.integer)) and not isinstance(x, bool) and abs(int(x)) < 2**62
+
+
+def _is_number(x: object) -> bool:
+    return isinstance(x, (int, float, np.number)) and not isinstance(x, (bool, np.complexfloating)) and is_numbers(x)
+
+
+def is_list(x: object) -> bool:
+    """Whether it can be gone through, and is no text."""
+    try:
+        return iter(x) is not None and not isinstance(x, (str, bytes))  # type: ignore[call-overload]
+    except TypeError:
+        return False
+
+
+def _is_list_of_text(x: Any) -> bool:
+    return is_list(x) and (iter(x) is x or all(isinstance(name, str) for name in x))
+
+
+def _is_a(name: str, x: object) -> bool:
+    return name in [c.__name__ for c in type(x).__mro__]
+
+
+def _is_place(x: object) -> bool:
+    return isinstance(x, str) or isinstance(getattr(x, "name", None), str)
+
+
+KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "bool": (lambda x: isinstance(x, (bool, np.bool_)), "True or False"),
+    "int": (_is_whole, "a whole number"),
+    "float": (_is_number, "a number"),
+    "str": (lambda x: isinstance(x, str), "text"),
+    "None": (lambda x: x is None, "None"),
+    "Path": (lambda x: isinstance(x, Path), "a path"),
+    "bytes": (lambda x: isinstance(x, bytes), "bytes"),
+    "tuple": (lambda x: isinstance(x, tuple), "a tuple"),
+    "list": (lambda x: isinstance(x, list), "a list"),
+    "Callable": (callable, "a function"),
+    "Progress": (callable, "a function"),
+    "Mapping": (lambda x: isinstance(x, Mapping), "a dict by name"),
+    "ArrayLike": (is_numbers, "an array of real numbers"),
+    "Array": (lambda x: isinstance(x, np.ndarray) and is_numbers(x), "an array of real numbers"),
+    "FrameLike": (_is_place, "the name of a body or frame"),
+    "BodyLike": (_is_place, "the name of a body"),
+    "Frame": (_is_place, "the name of a frame"),
+    "Iterable[str]": (_is_list_of_text, "a list of names"),
+    "Sequence[str]": (_is_list_of_text, "a list of names"),
+    "Iterable": (is_list, "a list"),
+    "Sequence": (is_list, "a list"),
+    "System": (lambda x: _is_a("System", x), "a System"),
+    "Mechanism": (lambda x: _is_a("Mechanism", x), "a Mechanism"),
+    "np.random.Generator": (lambda x: isinstance(x, np.random.Generator), "a generator"),
+}
+"""What the parts of annotations stand for: whether a value is of the kind, and the words for it."""
+
+
+# ---- names
+
+
+def known(kind: str, name: object, names: Iterable[str], owner: str = "") -> str:
+    """The name, if it is one of the names. Errors: `UnknownNameError`, which says what there is."""
+    if isinstance(name, str) and name in names:
+        return name
+    raise UnknownNameError(kind, name, names, owner)
+
+
+def listed(names: object, what: str) -> tuple[str, ...]:
+    """Names given as a list, or a single name. Errors: `InputError`."""
+    if isinstance(names, str):
+        return (names,)
+    try:
+        out = tuple(names)  # type: ignore[arg-type]
+    except TypeError:
+        out = (None,)
+    if not all(isinstance(name, str) for name in out):
+        raise InputError(f"{what} is {shown(names)}; it must be a list of names")
+    return out  # type: ignore[return-value]
+
+
+# ---- numbers
+
+
+def numbers(x: Any, what: str, *core: int) -> np.ndarray:
+    """Real numbers (..., *core) as an array. Errors: `InputError` for what is none, and for other last axes."""
+    array = reals(x, what)
+    if core and array.shape[-len(core) :] != core:
+        raise InputError(f"{what} has shape {array.shape}; it must be (..., {', '.join(map(str, core))})")
+    return array
+
+
+def together(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, ...]:
+    """The shape to which leading shapes, by what they are of, broadcast. Errors: `InputError` where they do not fit."""
+    try:
+        return np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        said = ", ".join(f"{shape} of {name}" for name, shape in shapes.items())
+        raise InputError(f"leading shapes do not fit together: {said}") from None
+
+
+def generator(rng: Any) -> np.random.Generator:
+    """Random numbers of a generator, of a whole number, or, for None, new ones. Errors: `InputError`."""
+    if rng is None or isinstance(rng, np.random.Generator) or (_is_whole(rng) and rng >= 0):
+        return np.random.default_rng(rng)
+    raise InputError(f"rng is {shown(rng)}; it must be a generator, a whole number, from 0 and below 2**62, or None")
+
+
+# ---- switches and places
+
+
+def flag(x: object, what: str) -> bool:
+    """A switch. Errors: `InputError` for anything but True and False."""
+    if isinstance(x, (bool, np.bool_)):
+        return bool(x)
+    raise InputError(f"{what} is {shown(x)}; it must be True or False")
+
+
+def place_in(index: Any, shape: tuple[int, ...]) -> tuple[int, ...]:
+    """The place of one answer in a batch of this shape, by whole numbers from 0. Errors: `InputError`."""
+    at = index if isinstance(index, tuple) else (index,)
+    if len(at) == len(shape) and all(_is_whole(i) and 0 <= i < n for i, n in zip(at, shape, strict=True)):
+        return tuple(int(i) for i in at)
+    needed = f"{len(shape)} whole numbers, from 0 and below {shape}" if shape else "(), for there is one answer"
+    raise InputError(f"index is {shown(index)}; it must be {needed}")
+
+
+# ---- answers, shown
+
+
+def brief(self: Any) -> str:
+    """The fields of an answer on one line, of large arrays only the shape."""
+    shows = [f for f in fields(self) if f.repr]
+    return f"{type(self).__name__}({', '.join(f'{f.name}={_brief(getattr(self, f.name))}' for f in shows)})"
+
+
+def _brief(x: Any) -> str:
+    if isinstance(x, np.ndarray):
+        return f"array {x.shape}" if x.size > FEW else " ".join(repr(x).split())
+    if isinstance(x, dict):
+        return f"{{{', '.join(f'{k!r}: {_brief(v)}' for k, v in x.items())}}}"
+    if isinstance(x, tuple) and len(x) > FEW:
+        return f"({', '.join(map(_brief, x[:2]))}, ... {len(x)} in all)"
+    return repr(x)

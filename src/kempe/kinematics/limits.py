@@ -1,0 +1,125 @@
+"""Other limits: the same system with other ranges and speeds of its coordinates."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from kempe.description import checks
+from kempe.description.parts import Joint
+from kempe.errors import InputError, UnknownNameError
+from kempe.model.coordinates import HELD_TOLERANCE
+from kempe.model.system import System
+from kempe.reals import named, reals
+
+UNLIMITED = (-math.inf, math.inf)
+
+
+def with_limits(system: System, limits: Any = None, velocity: Any = None) -> System:
+    """The system with other limits; tree, coordinates, parameters and postures are the same.
+
+    `limits` are pairs (lower, upper) in radians and metres by coordinate name, None for no limit (of a pair, or of one
+    of its ends); or, as in `System.limits`, an array (nv, 2) of all. `velocity` are largest speeds by coordinate name,
+    None for no limit; or one number for all, or an array (nv,). What is not named keeps its limits. A coordinate that
+    follows another can be named, too. Errors: `UnknownNameError`; `InputError` for values, and where a coordinate that
+    moves with a named one would not let it have the limits that are given.
+    """
+    pairs = _by_name(system, limits, "limits", 2)
+    speeds = _by_name(system, velocity, "velocity", 1)
+    mechanism = system.mechanism
+    for name in (*pairs, *speeds):
+        joint, local = _owner(system, name)
+        now = mechanism.joints[joint.name]
+        particle = mechanism.bodies[joint.child].particle
+        if name in pairs:
+            pair = UNLIMITED if pairs[name] is None else pairs[name]
+            subject, names = f"limits of {name!r}", {local: pair}
+            found = checks.limits(subject, names, joint.type, system.dim, particle, None)
+            now = replace(now, limits={**now.limits, **found})
+        if name in speeds:
+            speed = math.inf if speeds[name] is None else speeds[name]
+            found = checks.bounds(f"velocity of {name!r}", "velocity", {local: speed},
+                                  joint.type.velocities(system.dim, particle), None)  # fmt: skip
+            now = replace(now, velocity_limits={**now.velocity_limits, **found})
+        mechanism.joints[joint.name] = now
+    made = System(mechanism, system.topology, system.table)
+    for name in pairs:
+        _check(made, name, mechanism.joints[_owner(system, name)[0].name])
+    for name in speeds:
+        _check_speed(made, name, mechanism.joints[_owner(system, name)[0].name])
+    return made
+
+
+def _by_name(system: System, given: Any, what: str, width: int) -> dict[str, Any]:
+    """Limits by coordinate name, of a dict or of an array of all. Errors: `InputError`."""
+    if given is None:
+        return {}
+    found = named(given)
+    if found is not None:
+        return dict(found)
+    array, shape = reals(given, what, "a dict by coordinate name, or an array"), (system.nv, 2)[:width]
+    if width == 1 and not array.ndim:
+        array = np.broadcast_to(array, shape)
+    if array.shape != shape:
+        raise InputError(f"{what} have shape {array.shape}; they must be a dict by coordinate name, or {shape}")
+    before = system.limits if width == 2 else system.velocity_limits
+    changed = (array != before).reshape(system.nv, -1).any(axis=1)  # NaN, too
+    return {system.velocity_names[i]: tuple(array[i].tolist()) if width == 2 else array[i].item()
+            for i in np.flatnonzero(changed)}  # fmt: skip
+
+
+def _owner(system: System, name: str) -> tuple[Joint, str]:
+    """The joint that a velocity coordinate belongs to, and its name within the joint. Errors: `UnknownNameError`."""
+    bodies = system.mechanism.bodies
+    for joint in system.joints.values():
+        for local in joint.type.velocities(system.dim, bodies[joint.child].particle):
+            if name == (f"{joint.name}.{local}" if local else joint.name):
+                follower = system.couplings.get(name)
+                if follower is not None and follower.source is None:
+                    raise InputError(f"coordinate {name!r} is held at {follower.offset:g}: it has no limits")
+                return joint, local
+    raise UnknownNameError("coordinate", name, system.velocity_names, system.name)
+
+
+def _led(system: System, name: str) -> tuple[int, float, float]:
+    """Which velocity coordinate moves this one, with multiplier and offset."""
+    follower = system.couplings.get(name)
+    if follower is None:
+        return system.velocity_names.index(name), 1.0, 0.0
+    return system.velocity_names.index(follower.source), follower.multiplier, follower.offset
+
+
+def _check(made: System, name: str, joint: Joint) -> None:
+    """Refuse limits that a coordinate cannot have, because another one moves with it."""
+    i, m, offset = _led(made, name)
+    has = sorted((m * made.limits[i] + offset).tolist())
+    asked = joint.limits[_local(joint, name)]
+    if not all(a == b or abs(a - b) <= HELD_TOLERANCE * (1.0 + abs(b)) for a, b in zip(has, asked, strict=True)):
+        raise InputError(f"{name!r} cannot have the limits [{asked[0]:g}, {asked[1]:g}]: what moves with it leaves "
+                         f"[{has[0]:g}, {has[1]:g}]; give limits of {_others(made, name)}, too")  # fmt: skip
+
+
+def _check_speed(made: System, name: str, joint: Joint) -> None:
+    """Refuse a speed that a coordinate cannot have, because another one moves with it."""
+    i, m, _ = _led(made, name)
+    has, asked = abs(m) * float(made.velocity_limits[i]), joint.velocity_limits[_local(joint, name)]
+    if not (has == asked or abs(has - asked) <= HELD_TOLERANCE * (1.0 + asked)):
+        raise InputError(f"{name!r} cannot have the speed {asked:g}: what moves with it leaves {has:g}; give that of "
+                         f"{_others(made, name)}, too")  # fmt: skip
+
+
+def _local(joint: Joint, name: str) -> str:
+    return name[len(joint.name) + 1 :]
+
+
+def _others(system: System, name: str) -> str:
+    """The coordinates that move with one, by name."""
+    i = _led(system, name)[0]
+    moved = [
+        system.velocity_names[i],
+        *(n for n, f in system.couplings.items() if f.source == system.velocity_names[i]),
+    ]
+    return ", ".join(repr(n) for n in moved if n != name)

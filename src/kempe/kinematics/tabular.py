@@ -1,0 +1,58 @@
+"""Answers that are tables of numbers: their columns by name, and files of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from kempe.description.source import expanded, no_file
+from kempe.errors import InputError
+from kempe.spatial import Array
+
+SUFFIXES = (".csv", ".npy")
+"""Endings of files of numbers."""
+
+
+class Tabular:
+    """An answer with a `table`, which `save` writes. Base of answers that are configurations."""
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, k) for a file, in radians and metres."""
+        raise NotImplementedError
+
+    def save(self, path: str | Path) -> Path:
+        """Write the `table` to a .csv file, with the names in its first line, or to a .npy file; returns the path.
+
+        Numbers are written in full: what is read again is equal. Errors: `InputError` for other endings, and where
+        the file cannot be written.
+        """
+        return write_table(path, *self.table())
+
+
+def write_table(path: str | Path, names: Sequence[str], rows: Array, array: Array | None = None) -> Path:
+    """The path written: `rows` (n, k) with their column names to a .csv, or `array` (the rows) to a .npy file.
+
+    Errors: `InputError`.
+    """
+    path = table_file(path)
+    if what := no_file(path):
+        raise InputError(f"{path}: this is {what}; name a plain file")
+    try:
+        if path.suffix.lower() == ".npy":
+            np.save(path, rows if array is None else array)
+        else:
+            header = ",".join(names)
+            np.savetxt(path, rows, delimiter=",", fmt="%.17g", header=header, comments="", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: it cannot be written: {error.strerror or error}") from None
+    return path
+
+
+def table_file(path: str | Path) -> Path:
+    """The path of a file of numbers. Errors: `InputError` where its ending is neither .csv nor .npy."""
+    path = expanded(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: results are written to {' or '.join(SUFFIXES)} files")
+    return path

@@ -1,0 +1,43 @@
+"""Coordinates that limits hold still, in a sentence: many files mean no limits where they give none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+SHOWN = 6
+"""Names that are listed."""
+
+
+def immovable(system: System, coordinates: Iterable[int] | None = None, unstated: bool = False) -> str:
+    """The sentence that names velocity coordinates whose limits hold them still, and why; empty where there are none.
+
+    `coordinates` are their numbers, all where None; `unstated` leaves out limits that were given.
+    """
+    low, high = system.limits.T
+    still = np.flatnonzero(low == high).tolist()
+    if not still:
+        return ""
+    asked = set(still) if coordinates is None else {int(i) for i in coordinates}
+    names = [system.velocity_names[i] for i in still if i in asked]
+    ours = {name for name, joint in system.joints.items() if joint.unstated}
+    ours |= {f.source for of, f in system.couplings.items() if of in ours and f.source is not None}
+    told, given = [n for n in names if n in ours], [n for n in names if n not in ours and not unstated]
+    parts = []
+    for group, why in (
+        (told, f"0..0 because the file gives no bounds; lenient_limits=True reads {_them(told)} as unlimited"),
+        (given, f"lower and upper limit of {_them(given)} are the same"),
+    ):
+        if group:
+            shown = ", ".join(map(repr, group[:SHOWN])) + (f", ... ({len(group)} in all)" if group[SHOWN:] else "")
+            parts.append(f"{shown} cannot move ({why})")
+    return "; ".join(parts)
+
+
+def _them(names: list[str]) -> str:
+    return "it" if len(names) == 1 else "them"

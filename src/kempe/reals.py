@@ -1,0 +1,134 @@
+"""Real numbers as callers give them: read by one rule, refused with the reason where they are none, or have names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kempe.errors import InputError
+
+PLAIN = frozenset({float, int, np.float64})
+"""Numbers of which a sequence needs no closer look."""
+KINDS = {
+    "U": "text", "S": "bytes", "O": "objects that are no numbers", "c": "complex numbers", "b": "truth values",
+    "M": "dates", "m": "durations", "V": "records", "T": "text",
+}  # fmt: skip
+"""What arrays of these kinds hold that are no real numbers."""
+
+
+def reals(given: Any, what: str, wanted: str = "an array of real numbers") -> NDArray[np.float64]:
+    """`given` as an array of float64, the same one where it is one.
+
+    Errors: `InputError` for anything but real numbers: text, truth values, dates, complex numbers, None, ragged
+    lists, masked arrays, numbers with units, and tables whose columns have names.
+    """
+    if given.__class__ is np.ndarray and given.dtype == np.float64:
+        return given
+    for part in _parts(given):
+        held = _trouble(part)
+        if held:
+            raise InputError(f"{what} {held}; it must be {wanted}")
+    try:
+        array = np.asarray(given)
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        held = "ragged" if isinstance(given, (list, tuple)) else _short(given)
+        raise InputError(f"{what} is {held}; it must be {wanted}") from None
+    if array.dtype.kind not in "fiu":
+        held = KINDS.get(array.dtype.kind, str(array.dtype))
+        if given is None or not array.ndim:
+            raise InputError(f"{what} is {_short(given)}; it must be {wanted}")
+        raise InputError(f"{what} holds {held}; it must be {wanted}")
+    with np.errstate(over="ignore"):
+        return array.astype(np.float64, copy=False)
+
+
+def named(given: Any) -> Mapping[str, Any] | None:
+    """What is labelled by names, as a mapping from these; None for what has no names.
+
+    A mapping, a record or an array of them, a series with an index, a table with columns. Labels 0, 1, 2, ... are the
+    places that the values have anyway. Errors: `InputError` for labels that are neither, or appear twice.
+    """
+    if given.__class__ in PLAIN or given.__class__ is list or given.__class__ is str:
+        return None
+    if isinstance(given, Mapping):
+        return given
+    if isinstance(given, tuple):
+        names = getattr(given, "_fields", None)
+        return None if names is None else dict(zip(names, given, strict=True))
+    names = _labels(given)
+    if names is None or names == list(range(len(names))):
+        return None
+    kind = type(given).__name__
+    if not all(isinstance(name, str) for name in names):
+        raise InputError(f"the labels of the {kind} are {_short(names)}; they must be names, or 0, 1, 2, ...")
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"the {kind} has {twice!r} twice")
+    table = getattr(given, "ndim", 1) != 1 or isinstance(given, np.ndarray) or hasattr(given, "columns")
+    return {name: np.asarray(given[name]) if table else given[name] for name in names}
+
+
+def rows_of(given: Any) -> list[Any] | None:
+    """The entries of a list or tuple some of which have names; None for all else."""
+    if given.__class__ not in (list, tuple):
+        return None
+    return list(given) if any(named(x) is not None for x in given if x.__class__ not in PLAIN) else None
+
+
+def _labels(given: Any) -> list[Any] | None:
+    """The labels along the last axis of an array-like, where it has some."""
+    fields = getattr(getattr(given, "dtype", None), "names", None)
+    if fields:
+        return list(fields)
+    for name in ("column_names", "columns"):
+        found: Any = getattr(given, name, None)
+        if found is not None and not callable(found):
+            return list(found)
+    keys = getattr(given, "keys", None)
+    return list(keys()) if callable(keys) and hasattr(given, "__getitem__") else None
+
+
+def _parts(given: Any) -> Iterator[Any]:
+    """What is no plain number and no list: itself, or all that lists of lists hold; lists of numbers are passed by."""
+    level = [given]
+    while level:
+        inner: list[Any] = []
+        for x in level:
+            if x.__class__ in PLAIN or x.__class__ is np.ndarray and x.dtype.kind != "V":
+                continue
+            if x.__class__ is list or x.__class__ is tuple:
+                if len(x) and x[0].__class__ not in PLAIN:
+                    inner += x
+            else:
+                yield x
+        level = inner
+
+
+def _trouble(x: Any) -> str:
+    """Why something that numpy may turn into numbers is not read as such; '' where it is."""
+    if isinstance(x, np.ma.MaskedArray):
+        return "is a masked array, whose mask would be lost"
+    if isinstance(x, Mapping):
+        return f"is {type(x).__name__}"
+    labels = _labels(x) if not isinstance(x, tuple) else list(getattr(x, "_fields", ()))
+    if labels and any(isinstance(label, str) for label in labels):
+        return f"is a {type(x).__name__} with names, which have no meaning here"
+    if labels and hasattr(x, "columns") and labels != list(range(len(labels))):
+        return f"is a {type(x).__name__} whose columns are {_short(labels)}, which have no meaning here"
+    if not isinstance(x, (np.generic, str, bytes)):
+        unit = next((u for u in (getattr(x, name, None) for name in ("unit", "units")) if u is not None), None)
+        if unit is not None and not callable(unit):
+            return f"has the unit {str(unit)!r}, which would be lost"
+        coords: Any = getattr(x, "coords", None)
+        if getattr(x, "dims", None) and coords is not None and len(coords):
+            return f"is a {type(x).__name__} with labels, which have no meaning here"
+    return ""
+
+
+def _short(x: Any) -> str:
+    """What something prints as, or its type where that is long."""
+    text = repr(x)
+    return text if len(text) <= 60 and "\n" not in text else type(x).__name__

@@ -1,0 +1,56 @@
+"""Sentences of the library in words of the command line: options in place of keyword arguments."""
+
+from __future__ import annotations
+
+import os
+import re
+from typing import Any
+
+WORDS: tuple[tuple[str, str], ...] = (
+    (r"hold=\{name: value\}", "--hold NAME=VALUE"),
+    (r"\broot=(['\"])(.*?)\1", r"--root \2"),
+    (r"\blenient_limits=True\b", "--lenient-limits"),
+    (r"\bxacro=True\b", "--xacro"),
+    (r"\btolerance=\(([\d.e+-]+), ([\d.e+-]+)\)", r"--tolerance \1,\2"),
+    (r"\btolerance=([\d.e+-]+)", r"--tolerance \1"),
+    (r"\bbase and root are for URDF", "--base and --root are for URDF"),
+    (r"\blenient_limits is for URDF", "--lenient-limits is for URDF"),
+    (r"\bpackage_dirs\b", "--package-dir"),
+    (r"\b(angles|deg)=True\b", r"\1 = true"),
+    (r"`ik_all`", "ik --all"),
+    (r"`ik`", "ik"),
+    (r"`near`", "--seed"),
+    (r": see nearest\(\)", ""),
+    (r"; closed_form\(.*?\)\.describe\(\) tells", "; --modes tells"),
+    (r"\baxis=\(x, y\)", "axis = [x, y]"),
+)
+"""What the library says, as regular expressions, and what the command line says in its place."""
+
+_ANY = re.compile("[=`(]|root|lenient_limits|package_dirs")
+_WORDS = tuple((re.compile(pattern), words) for pattern, words in WORDS)
+
+
+def in_options(text: str) -> str:
+    """The sentence as the command line says it."""
+    if not _ANY.search(text):
+        return text
+    for pattern, words in _WORDS:
+        text = pattern.sub(words, text)
+    return text
+
+
+def data_in_options(data: Any) -> Any:
+    """Data with its sentences as the command line says them; names that are keys, and numbers, stay."""
+    if isinstance(data, str):
+        return in_options(data)
+    if isinstance(data, dict):
+        return {key: data_in_options(value) for key, value in data.items()}
+    if isinstance(data, list) and not (data and isinstance(data[0], (int, float, type(None)))):
+        return [data_in_options(value) for value in data]
+    return data
+
+
+def at_home(argument: str) -> str:
+    """An argument whose file begins with ``~``, which a shell leaves alone after ``=`` and in quotes, expanded."""
+    option, sign, file = argument.partition("=") if argument.startswith("--") else ("", "", argument)
+    return option + sign + os.path.expanduser(file) if re.match(r"~[\w.-]*(/|$)", file) else argument

@@ -1,0 +1,119 @@
+"""Answers that are saved as tables: what is in the files, and that the command line writes the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command import Result
+
+import kempe
+from kempe.errors import InputError
+from kempe.kinematics.tabular import Tabular
+from kempe.model.system import System
+
+
+def bar() -> System:
+    return kempe.load("four_bar")
+
+
+def redundant() -> System:
+    return kempe.from_dh([(0.5, 0, 0, 0), (0.4, 0, 0, 0), (0.3, 0, 0, 0)]).build()
+
+
+def targets(s: System, n: int, frame: str = "tool") -> np.ndarray:
+    return s.fk(s.random(0, n), frame)
+
+
+MAKERS: dict[str, Callable[[], Any]] = {
+    "path": lambda: bar().trace("A", frames=["P"] if "P" in bar().frame_names else ()),
+    "drive": lambda: bar().drive({"A": np.linspace(1.5, 2.5, 7)}),
+    "assembly": lambda: bar().assemble({"A": 0.3}),
+    "assemblies": lambda: bar().assemble({"A": [0.3, 0.4]}),
+    "modes": lambda: bar().assembly_modes({"A": 0.3}),
+    "solution": lambda: kempe.load("ur5").ik(targets(kempe.load("ur5"), 1)[0], "tool"),
+    "solutions of a batch": lambda: kempe.load("ur5").ik(targets(kempe.load("ur5"), 3), "tool"),
+    "all solutions": lambda: kempe.load("ur5").ik_all(targets(kempe.load("ur5"), 1)[0], "tool"),
+    "all solutions of a batch": lambda: kempe.load("ur5").ik_all(targets(kempe.load("ur5"), 3), "tool"),
+    "tasks": lambda: redundant().ik([kempe.tasks.Position("tool", [0.5, 0.5, 0])]),
+    "ik_path": lambda: redundant().ik_path(np.linspace([0.9, 0.1, 0], [0.6, 0.3, 0], 9), "tool"),
+    "self_motion": lambda: redundant().self_motion([0.3, 0.4, 0.5], "tool", task="position", steps=20),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", list(MAKERS))
+@pytest.mark.parametrize("ending", [".csv", ".npy"])
+def test_what_is_saved_is_the_table(what: str, ending: str, tmp_path: Path):
+    answer = MAKERS[what]()
+    assert isinstance(answer, Tabular)
+    path = answer.save(tmp_path / f"x{ending}")
+    names, columns = answer.table()
+    assert path == tmp_path / f"x{ending}" and columns.shape == (len(columns), len(names))
+    if ending == ".npy":
+        np.testing.assert_array_equal(np.load(path), columns)
+        return
+    head, *lines = path.read_text().splitlines()
+    assert head.split(",") == names
+    np.testing.assert_array_equal(np.array([[float(x) for x in line.split(",")] for line in lines]), columns)
+    assert set(answer.system.coordinate_names) <= set(names)
+
+
+@pytest.mark.parametrize(
+    ("what", "command"),
+    [
+        ("path", ["trace", "four_bar", "--driver", "A", "-o"]),
+        ("assembly", ["assemble", "four_bar", "A=0.3", "-o"]),
+        ("modes", ["assemble", "four_bar", "A=0.3", "--modes", "-o"]),
+    ],
+)
+def test_the_command_line_writes_the_same(what: str, command: list[str], tmp_path: Path):
+    assert Result(*command, tmp_path / "cli.csv").code == 0
+    answer = MAKERS[what]() if what != "path" else bar().trace("A")
+    assert answer.save(tmp_path / "own.csv").read_text() == (tmp_path / "cli.csv").read_text()
+
+
+@pytest.mark.parametrize("what", ["ik", "ik --all"])
+def test_the_command_line_writes_the_same_of_batches(what: str, tmp_path: Path):
+    s = kempe.load("ur5")
+    X = targets(s, 3)
+    np.save(tmp_path / "X.npy", X)
+    answer = s.ik(X, "tool") if what == "ik" else s.ik_all(X, "tool")
+    words = [*what.split()[:1], "ur5", "--frame", "tool", "--target", tmp_path / "X.npy", *what.split()[1:]]
+    assert Result(*words, "-o", tmp_path / "cli.csv").code == 0
+    assert answer.save(tmp_path / "own.csv").read_text() == (tmp_path / "cli.csv").read_text()
+
+
+def test_frames_of_a_motion_are_chosen_when_it_is_saved(tmp_path: Path):
+    path = kempe.load("jansen").trace("O")
+    head = path.save(tmp_path / "x.csv", frames=["foot"]).read_text().splitlines()[0]
+    assert head.endswith(",foot.x,foot.y")
+
+
+def test_configurations_that_are_not_closed_are_not_saved_as_if_they_were(tmp_path: Path):
+    answer = bar().assemble({"A": [0.3, np.nan]})
+    assert np.isnan(np.load(answer.save(tmp_path / "x.npy"))[1]).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("x.txt", "results are written to .csv or .npy files"),
+        ("nowhere/x.csv", "it cannot be written: No such file or directory"),
+        ("nowhere/x.npy", "it cannot be written: No such file or directory"),
+        (".", "results are written to"),
+        ("https://example.org/x.csv", "is a URL"),
+    ],
+)
+def test_files_that_cannot_be_written(name: str, words: str, tmp_path: Path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=words):
+        bar().assemble({"A": 0.3}).save(name)
+
+
+def test_files_of_the_home_folder(tmp_path: Path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert bar().assemble({"A": 0.3}).save("~/x.csv") == tmp_path / "x.csv"
+    assert bar().save("~/m.toml") == tmp_path / "m.toml" and kempe.load("~/m.toml") == bar()

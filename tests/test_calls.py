@@ -1,0 +1,252 @@
+"""Wrong calls are answered with an error of Kempe's own, which names what is wrong and what is allowed."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import pickle
+import traceback
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+import wrong_calls
+from hunts import Hunt
+
+import kempe
+from kempe import calls, tasks
+from kempe.errors import CallError, DescriptionError, InputError, KempeError, UnknownNameError
+from kempe.solvers.analytic import question
+
+PUMA, FOUR_BAR = kempe.load("puma560"), kempe.load("four_bar")
+X = PUMA.fk(PUMA.mid, "tool")
+
+
+# ---- any wrong call
+
+
+def kept(x: Any) -> Any:
+    """A copy of an argument that a call could change; nothing for all else."""
+    return copy.deepcopy(x) if isinstance(x, np.ndarray) or type(x) in (dict, list) else None
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether an argument is what it was."""
+    if isinstance(a, np.ndarray):
+        return a.dtype == b.dtype and a.shape == b.shape and repr(a) == repr(b)
+    return b is None or len(a) == len(b)
+
+
+def is_pythons_own(error: TypeError) -> bool:
+    """Whether it is Python that refused the call, before anything of Kempe ran."""
+    files = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
+    return not any("/kempe/" in file for file in files)
+
+
+def answered(call: wrong_calls.Call) -> None:
+    """Make a wrong call: it may have an answer, or be refused with an error of Kempe's own."""
+    given = (*call.args, *call.options.values())
+    before = [kept(x) for x in given]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)  # numbers that are lost on the way, complex ones too
+            call.function(*call.args, **call.options)
+    except KempeError as error:
+        assert str(error), call
+    except TypeError as error:
+        assert is_pythons_own(error), f"{call}: {error!r}"
+    except Exception as error:
+        raise AssertionError(f"{call}: {error!r}") from error
+    assert all(same(a, b) for a, b in zip(given, before, strict=True)), f"{call} has changed what it was given"
+
+
+def hunted(hunt: Hunt, count: int) -> None:
+    rng, everything = hunt.rng(), wrong_calls.functions()
+    for _ in range(hunt.cases(count)):
+        answered(wrong_calls.call_of(*everything[rng.integers(len(everything))], rng))
+
+
+def test_some_wrong_calls(hunt):
+    hunted(hunt, 150)
+
+
+@pytest.mark.slow
+def test_wrong_calls(hunt):
+    """Of everything that is public, with arguments of any kind but the right one."""
+    hunted(hunt, 2000)
+
+
+# ---- options
+
+
+VERBS = [
+    ("ik", (X, "tool"), "starts"), ("ik", ([tasks.Pose("tool", X)],), "prefer"),
+    ("ik_sweep", (X, "tool"), "axis"), ("ik_path", (X[None], "tool"), "max_step"), ("assemble", ({},), "branch"),
+    ("ik_step", (PUMA.mid, np.zeros(6), "tool", 0.01), "damping"), ("self_motion", (PUMA.mid, "tool"), "step"),
+    ("assembly_modes", ({},), "starts"), ("from_maximal", (PUMA.fk(PUMA.mid)[1:],), "tolerance"),
+    ("mobility", (), "local"), ("trace", (), "max_points"), ("drive", ({"q1": [0.0, 0.1]},), "times"),
+    ("loop_jacobian", (PUMA.mid, ["q1"], ["tool"]), "in_frame"), ("plot", (), "labels"),
+    ("mechanical_advantage", (PUMA.mid, "q1", "q2"), "direction"), ("transmission_angle", (PUMA.mid, "q2"), "joint"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("verb", "args", "option"), VERBS, ids=[f"{v}-{o}" for v, _, o in VERBS])
+def test_an_unknown_option_names_the_nearest(verb, args, option):
+    """As an error of Kempe's own that is a TypeError, too, as Python users expect."""
+    with pytest.raises(CallError, match=f"has no option '{option}_'; did you mean .*'{option}'") as caught:
+        getattr(PUMA, verb)(*args, **{f"{option}_": 1})
+    assert isinstance(caught.value, TypeError) and option in caught.value.allowed
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert str(again) == str(caught.value) and again.allowed == caught.value.allowed
+
+
+def test_an_unknown_option_of_a_task():
+    with pytest.raises(CallError, match="Position has no option 'weigth'; did you mean 'weight'"):
+        tasks.Position("tool", [0, 0, 0], weigth=1.0)
+
+
+def test_what_is_missing_is_named():
+    with pytest.raises(CallError, match="ik_all: missing a required argument: 'frame'|ik_all"):
+        kempe.solvers.analytic.ik_all.ik_all(PUMA, X)
+    with pytest.raises(CallError, match="revolute: too many positional arguments"):
+        PUMA.mechanism.revolute("q7", "link6", "hand", (0, 0, 1))
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [("seed", "near=q"), ("start", "near=q"), ("hold", "fixed={'name': value}"), ("starts", "not searched for")],
+)
+def test_options_of_ik_that_ik_all_has_by_another_name(option, said):
+    with pytest.raises(CallError) as caught:
+        PUMA.ik_all(X, "tool", **{option: PUMA.mid})
+    assert said in str(caught.value)
+    with pytest.raises(UnknownNameError, match="no joint or option 'toleranse'; did you mean 'tolerance'"):
+        PUMA.ik_all(X, "tool", toleranse=0.1)
+    with pytest.raises(UnknownNameError, match="no joint 'q9'"):
+        PUMA.ik_all(X, "tool", fixed={"q9": 0.1})
+    options = inspect.signature(kempe.solvers.analytic.ik_all.ik_all).parameters.values()
+    assert {p.name for p in options if p.kind is p.KEYWORD_ONLY} == set(question.OPTIONS)
+
+
+def test_errors_within_functions_of_the_caller_are_left_alone():
+    def wrong(x: np.ndarray) -> float:
+        return x + "text"  # type: ignore[operator]
+
+    with pytest.raises(TypeError) as caught:
+        PUMA.ik([tasks.Function(wrong)])
+    assert not isinstance(caught.value, KempeError)
+
+
+def test_what_fails_with_right_arguments_is_raised_as_it_is():
+    @calls.explained
+    def broken(system: str, starts: int = 3) -> int:
+        return [][starts]
+
+    with pytest.raises(IndexError):
+        broken("a")
+    with pytest.raises(InputError, match="starts is 'x'; it must be a whole number") as caught:
+        broken("a", "x")
+    assert isinstance(caught.value.__cause__, TypeError)
+
+
+# ---- single cases
+
+
+CASES = {
+    "posture of numbers": (lambda: PUMA.posture([0] * 6), UnknownNameError, "no posture .*; there are: 'qz'"),
+    "list of one frame": (lambda: PUMA.ik_all(X, ["tool"]), UnknownNameError, "no frame"),
+    "list of one driver": (lambda: FOUR_BAR.trace(["A"]), InputError, "driver is .'A'.; it must be text or None"),
+    "text as q": (lambda: PUMA.q_dict("abc"), InputError, "q is"),
+    "nearest to q": (lambda: PUMA.ik_all(X, "tool").nearest(PUMA.mid), InputError, "index .* must be a whole number"),
+    "no tasks": (lambda: PUMA.ik([]), InputError, "it is an empty list"),
+    "letter for a branch": (lambda: FOUR_BAR.assemble({"A": 1.0}, branch="x"), InputError, "branch is 'x'"),
+    "seed too large": (lambda: PUMA.ik(X, "tool", np.full(6, 1e101)), InputError, "seed has entries .* too large"),
+    "rng too large": (lambda: FOUR_BAR.assemble(rng=2**63), InputError, r"rng is .* below 2\*\*62"),
+    "names of numbers": (lambda: PUMA.assembler([1]), InputError, "known is .1.; it must be a list of names"),
+    "more than memory": (lambda: PUMA.random(0, 2**60), InputError, "this memory does not hold"),
+    "row of a batch": (lambda: PUMA.ik(np.stack([X, X]), "tool").sentence((2,)), InputError, "index is .2,."),
+    "text as a vector": (lambda: kempe.spatial.exp_so3("x"), InputError, "w is 'x'"),
+    "vector of two": (lambda: kempe.spatial.exp_so3([1.0, 2.0]), InputError, r"w has shape \(2,\)"),
+    "endless points": (lambda: FOUR_BAR.trace("A").resample(2**40), InputError, "at most 10000000"),
+    "only quaternions": (lambda: kempe.load("joint_spherical").independent(), InputError, "quaternions"),
+    "a switch that is none": (
+        lambda: PUMA.mechanism.joint("j", "fixed", "link6", "link1", cut="no"), InputError, "cut of joint 'j'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_wrong_arguments_are_named(case):
+    call, kind, said = CASES[case]
+    with pytest.raises(kind, match=said):
+        call()
+
+
+def test_a_bad_last_row_in_a_batch_is_named():
+    bad = np.stack([X, X])
+    bad[1, 3] = [0.0, 0.0, 1.0, 1.0]
+    for answer in (PUMA.ik(bad, "tool"), PUMA.ik_all(bad, "tool")):
+        assert "its last row is [0.0, 0.0, 1.0, 1.0]" in answer.status[1]
+    bad[1] = np.nan
+    assert "target has entries that are not finite" in PUMA.ik(bad, "tool").status[1]
+    seeds = np.stack([PUMA.mid, np.full(6, 1e101)])
+    assert "seed has entries" in PUMA.ik(np.stack([X, X]), "tool", seeds).status[1]
+
+
+def test_attaching_names_the_prefix():
+    rail = kempe.Mechanism("rail")
+    rail.prismatic("x", rail.ground, rail.body("carriage"), axis=(1, 0, 0))
+    before = rail.content()
+    with pytest.raises(DescriptionError, match=r"both have bodies and frames 'ground'; .*attach\(..., prefix='ur5_'\)"):
+        rail.attach(kempe.load("ur5"), to="carriage")
+    assert rail.content() == before
+    assert rail.attach(kempe.load("ur5"), to="carriage", prefix="ur5_").build().nq == 7
+    with pytest.raises(DescriptionError, match="joints and constraints .*7 in all.*prefix='ur5_2_'"):
+        rail.attach(kempe.load("ur5"), to="carriage", prefix="ur5_")
+
+
+def test_the_centre_of_mass_needs_no_number_that_does_not_count():
+    arm = kempe.Mechanism("arm")
+    arm.revolute("a", arm.ground, arm.body("u", mass=1.0, center=(0.2, 0, 0)))
+    arm.revolute("b", "u", arm.body("v", mass=1.0, center=(0.2, 0, 0)), at=(0.5, 0, 0), axis=(0, 1, 0))
+    arm = arm.build()
+    goal = tasks.CentreOfMass([0.0, 0.0, 0.0]).place(arm, arm.q({"a": 0.3, "b": 0.4}))[:3, 3]
+    short, whole = (arm.ik([tasks.CentreOfMass(p, axes="xy")]) for p in (goal[:2], [*goal[:2], 7.0]))
+    assert short and np.array_equal(short.q, whole.q)
+    with pytest.raises(InputError, match=r"\(2,\); it must be \(..., 3\), or \(..., 1\) for axes='z'"):
+        arm.ik([tasks.CentreOfMass(goal[:2], axes="z")])
+
+
+def test_a_query_is_pickled():
+    for frame in ("tool", "link3"):
+        again = pickle.loads(pickle.dumps(PUMA.query(frame)))
+        assert (again.system, again.frame) == (PUMA, frame)
+        assert np.array_equal(again(PUMA.mid), PUMA.fk(PUMA.mid, frame))
+        assert np.array_equal(again.jacobian(PUMA.mid), PUMA.jacobian(PUMA.mid, frame))
+    again = copy.deepcopy(PUMA.query("tool"))
+    assert np.array_equal(again(PUMA.mid), X)
+
+
+def test_drawings_of_all_frames():
+    pytest.importorskip("matplotlib")
+    assert FOUR_BAR.plot(frames=None).figure is not None
+
+
+@pytest.mark.parametrize("name", ["puma560", "panda", "four_bar", "joint_spherical"])
+def test_answers_print_little(name):
+    """Whatever the size of a batch: of large arrays their shape."""
+    system = kempe.load(name)
+    q = system.random(0, 1000)
+    frame = system.frame_names[-1]
+    large = (
+        []
+        if system.closures
+        else [system.ik(system.fk(q, frame), frame), system.ik([tasks.Pose(frame, system.fk(q, frame))])]
+    )
+    if name == "four_bar":
+        large = [
+            system.assemble({"A": q[:, 0]}),
+            system.loop_jacobian(system.assemble({"A": np.linspace(0, 1, 1000)}).q, ["A"], ["D"]),
+        ]
+    for answer in (*large, *(a for _, a in wrong_calls.answers(system))):
+        assert len(repr(answer)) < 1500 and len(str(answer)) < 5000
