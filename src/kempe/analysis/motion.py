@@ -171,7 +171,7 @@ def _one_way(
                 return [*nodes, back], "the start", True, None
             if hit is not None:
                 return nodes if hit[0] is a else [*nodes, hit[0]], hit[1], False, None
-            nodes.append(replace(b, matrix=NONE, image=NONE))  # the walk keeps those of its last node
+            nodes.append(Node(b.x, b.t, b.sigma, b.nullity, NONE, NONE, b.lines))  # the walk keeps its last one whole
             length += arc(equations, a, b)
             if reason := endless.reason(b, length):
                 return nodes, reason, False, None
