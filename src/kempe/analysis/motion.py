@@ -198,7 +198,7 @@ def _path(
     system, found, remark = equations.system, [], ""
     options.budget.put_in_order()
     indices = [int(i) for i in system.layout.vector_v if i not in equations.held]
-    s, k = _lengths(equations, nodes), 0
+    s, k = None, 0
     try:
         nodes = hidden_crossings(equations, nodes)
         s = _lengths(equations, nodes)
@@ -210,6 +210,7 @@ def _path(
                 found.append(Event(n.x, at, kind, name, float(n.x[equations.place[i]])))
     except BROKEN_OFF as error:
         broken = broken or error
+        s = _lengths(equations, nodes) if s is None else s
         remark = f"where it turns back was looked for up to s = {s[k]:.6g} only"
     found.sort(key=lambda e: e.s)
     track = Track(equations, np.array([n.x for n in nodes]), s, np.array([n.t for n in nodes]))
