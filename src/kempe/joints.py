@@ -62,6 +62,8 @@ class JointType:
         """Names of the velocity coordinates: as the coordinates, with wx, wy, wz (axes of M) for a quaternion."""
         names, primitives = self.layout(dim, particle)
         quaternions = {p.coordinate for p in primitives if p.kind == Q}
+        if not quaternions:
+            return tuple(names)
         out: list[str] = []
         for i, name in enumerate(names):
             if i in quaternions:

@@ -7,6 +7,7 @@ Source: Allgower, Georg, *Numerical Continuation Methods*, 1990, chapters 2, 6 a
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ import numpy as np
 
 from kempe.kinematics import loops
 from kempe.model.lengths import origin_of
+from kempe.solvers.clock import Budget
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -32,6 +34,10 @@ ACROSS = 0.25
 """Largest correction, relative to the step, that is still taken for the same curve."""
 BLUNT = 1e-7
 """Relative singular values below which a correction is only rounding noise, blown up."""
+LARGE = 60
+"""Equations from which on normal equations are solved in place of singular value decompositions, where both will do."""
+WELL = 1e7
+"""Size of a solution of normal equations with a right-hand side of size 1 below which they are far from singular."""
 ANGLES = ("rx", "ry", "rz", "x.y")
 """Names of equations that are angles."""
 
@@ -40,7 +46,7 @@ class Closure:
     """The closure equations of a system, some of its coordinates held at the values of a configuration.
 
     `unit` (nv,) are the velocity coordinates of one unit of the numbers used here. `held` are indices of velocity
-    coordinates that belong to angles and slides.
+    coordinates that belong to angles and slides. Work with them ends by `TimeUp` when the `budget` is spent.
     """
 
     def __init__(self, system: System, held: Sequence[int] = (), at: Array | None = None):
@@ -59,6 +65,7 @@ class Closure:
         self.weight = np.array([self._weight(name, row, length) for name, row in rows])
         self.targets = np.zeros(0) if at is None else at[self.place[self._held]]
         self.rows = max(len(rows) + len(self.held), self.n)
+        self.budget = Budget(None)
 
     def _weight(self, name: str, row: str, length: float) -> float:
         if row in ANGLES:
@@ -77,6 +84,7 @@ class Closure:
 
     def both(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
         """`values` and `matrix` in one pass; the latter is all zero unless asked for."""
+        self.budget.check()
         F, J, m = np.zeros(self.rows), np.zeros((self.rows, self.n)), len(self.weight)
         if m:
             values, columns = loops.evaluate(self.system, x, with_matrix)
@@ -86,6 +94,19 @@ class Closure:
         if self.held:
             F[m : m + len(self.held)] = (x[self.place[self._held]] - self.targets) / self.unit[self._held]
             J[m + np.arange(len(self.held)), self._held] = 1.0
+        return F, J
+
+    def many(self, x: Array) -> tuple[Array, Array]:
+        """`both` of many points (k, nq): (k, rows) and (k, rows, n)."""
+        self.budget.check()
+        k, m = len(x), len(self.weight)
+        F, J = np.zeros((k, self.rows)), np.zeros((k, self.rows, self.n))
+        if m:
+            values, columns = loops.evaluate(self.system, x)
+            F[:, :m], J[:, :m] = self.weight * values, self.weight[:, None] * columns * self.unit
+        if self.held:
+            F[:, m : m + len(self.held)] = (x[:, self.place[self._held]] - self.targets) / self.unit[self._held]
+            J[:, m + np.arange(len(self.held)), self._held] = 1.0
         return F, J
 
     def tolerance(self, x: Array) -> float:
@@ -168,7 +189,7 @@ class Node:
 def node(equations: Closure, x: Array, toward: Array | None = None) -> Node:
     """The `Node` at a point of the curve; its tangent is the kernel vector nearest to `toward` (n,)."""
     J = equations.matrix(x)
-    U, s, Vt = np.linalg.svd(J)
+    U, s, Vt = np.linalg.svd(J, full_matrices=False)
     n = equations.n
     scale = s[0] if s[0] > 0.0 else 1.0
     nullity = int(np.sum(s <= RANK * scale))
@@ -185,7 +206,34 @@ def node(equations: Closure, x: Array, toward: Array | None = None) -> Node:
 
 def least_squares(A: Array, b: Array, smallest: float = BLUNT) -> Array:
     """The least x (n,) with least |A x - b|; singular values below `smallest` of the largest count as zero."""
+    if len(b) > LARGE and smallest == BLUNT:
+        return least_squares_of_many(A[None], b[None])[0]
+    return _least_squares(A, b, smallest)
+
+
+def _least_squares(A: Array, b: Array, smallest: float) -> Array:
     return np.asarray(np.linalg.lstsq(A, b, rcond=smallest)[0], dtype=float)
+
+
+def least_squares_of_many(A: Array, b: Array) -> Array:
+    """`least_squares` of many A (k, m, n) and b (k, m): the normal equations, where these are far from singular.
+
+    A second right-hand side, in no special direction, tells how near to singular they are.
+    """
+    G, n = np.swapaxes(A, -1, -2) @ A, A.shape[-1]
+    right = np.empty((len(A), n, 2))
+    right[..., 0] = np.einsum("kmn,km->kn", A, b)
+    right[..., 1] = np.cos(np.arange(n))
+    scale = np.einsum("kii->k", G)
+    bad = np.ones(len(A), dtype=bool)
+    y = np.zeros((len(A), n))
+    with contextlib.suppress(np.linalg.LinAlgError):
+        found = np.linalg.solve(G, right)
+        bad = ~(np.linalg.norm(found[..., 1], axis=-1) * scale < WELL)
+        y[:] = found[..., 0]
+    for k in np.flatnonzero(bad):
+        y[k] = _least_squares(A[k], b[k], BLUNT)
+    return y
 
 
 def correct(equations: Closure, x: Array, across: Array, tries: int = 12) -> Array | None:
@@ -259,14 +307,27 @@ def flipped(a: Node, b: Node) -> bool | None:
     return bool(sign * own < 0.0)
 
 
-def inside(equations: Closure, a: Node, b: Node, distance: float) -> Node | None:
-    """The node between two neighbours at `distance` along the tangent of the first."""
+def inside(equations: Closure, a: Node, b: Node, distance: float, whole: bool = True) -> Node | None:
+    """The node between two neighbours at `distance` along the tangent of the first.
+
+    One that is not `whole` may lack singular values and matrices, where these cost much.
+    """
     y = equations.between(a.x, b.x)
     h = float(a.t @ y)
     f = distance / h
     guess = equations.move(a.x, distance * a.t + f * f * (y - h * a.t))
     x = correct(equations, guess, a.t)
-    return None if x is None else node(equations, x, (1.0 - f) * a.t + f * b.t)
+    if x is None:
+        return None
+    along = (1.0 - f) * a.t + f * b.t
+    if whole or equations.rows <= LARGE:
+        return node(equations, x, along)
+    A = np.vstack([equations.matrix(x), along])
+    t = least_squares(A, np.append(np.zeros(equations.rows), 1.0))
+    return Node(x, t / np.linalg.norm(t), np.nan, 1, NONE, NONE)
+
+
+NONE = np.zeros((0, 0))
 
 
 def arc(equations: Closure, a: Node, b: Node) -> float:

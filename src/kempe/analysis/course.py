@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from kempe.analysis.beginning import too_free
 from kempe.analysis.continuation import (
     ACROSS,
     BEND,
@@ -23,7 +24,6 @@ from kempe.analysis.continuation import (
 )
 from kempe.analysis.crossings import branch_lines, locate, singular_node
 from kempe.analysis.events import AWKWARD, LEAST_STEP, Limits, checked, next_step, root
-from kempe.analysis.motion import too_free
 from kempe.analysis.path import Event
 from kempe.errors import UnsupportedError
 from kempe.spatial import Array

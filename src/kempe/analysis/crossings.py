@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from kempe.analysis.continuation import RANK, Closure, Node, correct, least_squares, node
+from kempe.solvers.clock import Budget
 from kempe.spatial import Array
 
 DIFFERENCE = 1e-5
@@ -87,7 +88,7 @@ def cone(equations: Closure, x: Array) -> Array:
     size = np.abs(forms).max()
     if size < 1e-9:
         return np.zeros((0, n))
-    found = _two(forms / size) if d == 2 else _many(forms / size)
+    found = _two(forms / size) if d == 2 else _many(forms / size, equations.budget)
     return found @ kernel.T
 
 
@@ -106,12 +107,14 @@ def _two(forms: Array) -> Array:
     return lines[np.abs(other).max(axis=1) < 1e-6]
 
 
-def _many(forms: Array) -> Array:
+def _many(forms: Array, budget: Budget) -> Array:
     """Common real zeros (k, d) of quadratic forms (m, d, d), by Newton's method from many starts on the sphere."""
     d = forms.shape[1]
     rng = np.random.default_rng(0)
     found: list[Array] = []
-    for u in rng.normal(size=(40 * 2**d, d)):
+    for _ in range(40 * 2**d):
+        budget.check()
+        u = rng.normal(size=d)
         u = u / np.linalg.norm(u)
         for _ in range(40):
             g = np.einsum("i,mij,j->m", u, forms, u)

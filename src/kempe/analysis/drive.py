@@ -15,15 +15,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.analysis.beginning import angle_or_slide, begin, longest_step, periods, start_of, wish_of
 from kempe.analysis.continuation import Closure
 from kempe.analysis.course import Course, State, Stuck
 from kempe.analysis.events import Limits
-from kempe.analysis.motion import Progress, angle_or_slide, begin, longest_step, periods, start_of, wish_of
+from kempe.analysis.motion import Progress
 from kempe.analysis.path import Configurations, Event
 from kempe.calls import explained, explained_methods, flag
 from kempe.errors import InputError
 from kempe.kinematics.tabular import write_table
 from kempe.reals import reals
+from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, TimeUp, partial
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
@@ -66,7 +68,8 @@ class Drive(Configurations):
     `q` (n, nq) are closed configurations, one for each sample of `times` (n,); `inputs` the values asked for. Where
     `held` (n,) the inputs cannot be reached and the last pose stays: see `toggles`. `jumps` are (index, distance) of
     samples at which the motion is not continuous: it went on from elsewhere than it was held.
-    `singular_points` are the change points passed, straight on.
+    `singular_points` are the change points passed, straight on. Where the work was `interrupted`, or the time limit
+    came (`late`), these are the samples that were done.
     """
 
     system: System
@@ -80,6 +83,7 @@ class Drive(Configurations):
     success: bool
     interrupted: bool
     reason: str = field(default="", repr=False)
+    late: bool = False
 
     def __repr__(self) -> str:
         return f"Drive({self.system.name!r}, {len(self.q)} samples, held={int(self.held.sum())})"
@@ -107,7 +111,7 @@ class Drive(Configurations):
             text += f"; at {counted(count, 'sample')} the inputs cannot be reached and the last pose is held"
         if self.jumps:
             text += f"; it jumps at samples {', '.join(str(k) for k, _ in self.jumps)}"
-        return text + (" (interrupted: this is the part that was done)" if self.interrupted else "")
+        return text + partial(self.interrupted, self.late)
 
     def __str__(self) -> str:
         lines = [f"{self.system.name}: {self.status}"]
@@ -126,7 +130,7 @@ def drive(
     system: System, inputs: Mapping[str, ArrayLike | Callable[[float], float]], times: ArrayLike | None = None,
     start: ArrayLike | Mapping[str, float] | str | None = None, *, hold: Mapping[str, float] | None = None,
     toward: Mapping[str, float] | None = None, limits: bool = True, step: float | None = None,
-    progress: Progress | None = None,
+    time_limit: float | None = LONG, progress: Progress | None = None,
 ) -> Drive:  # fmt: skip
     """The motion that follows prescribed inputs, as a `Drive`: continuous, on the branch of `start`.
 
@@ -136,7 +140,8 @@ def drive(
     goes straight on through change points. `toward` gives rates by coordinate name that choose the branch if the start
     is a change point; otherwise the branch that moves least. Where the inputs ask for what the mechanism cannot do, or
     for what is beyond a limit, the last pose is held until they come back. `progress(sample, total)` is called
-    now and then.
+    now and then; an interrupt from the keyboard, or the `time_limit` [s] of the whole call (600; None: none), leaves
+    the samples that were done.
 
     Errors: `UnsupportedError` where the inputs leave freedoms or fight each other; `UnknownNameError`; `InputError`.
 
@@ -159,7 +164,8 @@ def drive(
     if hold and set(hold) & set(names):
         raise InputError(f"{sorted(set(hold) & set(names))} are both driven and held; a coordinate is one of them")
     clock, samples = _samples(inputs, times)
-    longest = longest_step(step)
+    longest, budget = longest_step(step), Budget(time_limit)
+    budget.put_in_order()  # there is nothing to do afterwards
     first = dict(zip(names, samples(0, 1)[-1].tolist(), strict=True))
     closure, q = _begin(system, start, dict(hold or {}), first, index)
     if q is None:
@@ -168,6 +174,7 @@ def drive(
         none = np.ones(1, dtype=bool)
         said = "the loops do not close near the start"
         return Drive(system, near[None], clock[:1], asked, none, (), (), (), False, False, said)
+    closure.budget = budget
     wish = wish_of(system, toward)
     course = Course(closure, index, longest, Limits(closure) if limits else None, wish / closure.unit)
     return _run(course, q, names, clock, samples, progress)
@@ -250,7 +257,7 @@ def _run(
     toggles: list[Toggle] = []
     jumps: list[tuple[int, float]] = []
     stuck: Stuck | None = None
-    last, interrupted = state.u, False
+    last, broken = state.u, None
     try:
         for k in range(len(clock)):
             end = samples(k, 1)[-1]
@@ -272,12 +279,14 @@ def _run(
                     toggles.append(Toggle(k, k, stuck.q, at, stuck.reason))
             if progress is not None and k % 16 == 0:
                 progress(k + 1, len(clock))
-    except KeyboardInterrupt:
-        interrupted = True
-    n = len(poses)
+    except BROKEN_OFF as error:
+        broken = error
+    n = len(held)
     values = np.array(asked[:n]).reshape(n, len(names))
     return Drive(
-        course.closure.system, np.array(poses).reshape(n, -1), clock[:n],
-        {name: values[:, j] for j, name in enumerate(names)}, np.array(held, dtype=bool), tuple(toggles),
-        tuple(jumps), tuple(course.singular), not (interrupted or any(held) or jumps), interrupted,
+        course.closure.system, np.array(poses[:n]).reshape(n, course.closure.system.nq), clock[:n],
+        {name: values[:, j] for j, name in enumerate(names)}, np.array(held[:n], dtype=bool), tuple(toggles),
+        tuple(j for j in jumps if j[0] < n), tuple(course.singular), not (broken or any(held) or jumps),
+        isinstance(broken, KeyboardInterrupt),
+        late=isinstance(broken, TimeUp),
     )  # fmt: skip

@@ -10,11 +10,13 @@ import numpy as np
 from kempe.analysis.continuation import (
     BEND,
     IDEAL_BEND,
+    LARGE,
     Closure,
     Node,
     bend,
     flipped,
     inside,
+    node,
     step,
 )
 from kempe.analysis.crossings import AHEAD, crossing, locate, singular_node
@@ -29,6 +31,8 @@ TOUCH = 1e-12
 """Radians or metres beyond a limit that are rounding."""
 RESTING = 1e-9
 """Rates below this count as zero."""
+NOISE = 1e-12
+"""Rates below this count as zero where each look at one costs milliseconds; places then are known to as many digits."""
 HOME = 1e-7
 """Distance from the start at which a curve has returned to it, if it also arrives in the same direction."""
 HOME_CROSSING = 1e-4
@@ -85,18 +89,22 @@ def root(
     """The node between two neighbours where `function` of it, of different signs at both ends, is zero."""
     end = float(a.t @ equations.between(a.x, b.x)) if high is None else high
     found: dict[float, Node] = {}
+    large = equations.rows > LARGE
 
     def at(distance: float) -> float:
-        here = inside(equations, a, b, distance)
+        here = inside(equations, a, b, distance, False)
         if here is None:
             return 0.0  # rounding only: a point between two neighbours always exists
         found[distance] = here
-        return function(here)
+        value = function(here)
+        return 0.0 if large and abs(value) < NOISE else value
 
     distance = sign_change(at, low, end)
     if distance is None:
-        return min(found.values(), key=lambda n: abs(function(n)), default=None)
-    return found.get(distance) or inside(equations, a, b, distance)
+        here = min(found.values(), key=lambda n: abs(function(n)), default=None)
+    else:
+        here = found.get(distance) or inside(equations, a, b, distance)
+    return here if here is None or here.matrix.size else node(equations, here.x, here.t)
 
 
 class Limits:
@@ -183,30 +191,29 @@ def _ratio(x: Array, periods: Array) -> Array:
     return np.divide(x, periods, out=np.zeros_like(x), where=periods > 0.0)
 
 
-def extremes(equations: Closure, nodes: list[Node], closed: bool, indices: list[int]) -> list[tuple[int, Node, int]]:
-    """Where velocities of coordinates change their sign: (position in `nodes` after which, the node, coordinate)."""
+def turns(nodes: list[Node], closed: bool, indices: list[int]) -> list[tuple[int, int, int]]:
+    """Where velocities of coordinates change their sign: (node before, node after, coordinate), along the curve."""
     out = []
     rates = np.array([n.t for n in nodes])
     count = len(nodes)
     for i in indices:
         if np.abs(rates[:, i]).max() < 1e-7:
             continue  # it rests
-        moving = [k for k in range(count) if abs(rates[k, i]) > RESTING]
+        moving = np.flatnonzero(np.abs(rates[:, i]) > RESTING).tolist()
         pairs = list(zip(moving, moving[1:], strict=False))
         if closed and moving[0] > 0 and moving[-1] == count - 1 - moving[0]:
             pairs.append((moving[-1], moving[0]))
-        for k, m in pairs:
-            if rates[k, i] * rates[m, i] > 0.0:
-                continue
-            if m == k + 1:
-                turn = root(equations, nodes[k], nodes[m], lambda n, i=i: float(n.t[i]))
-            elif m == k + 2 or m < k:
-                turn = nodes[(k + 1) % count]  # it rests exactly at a node
-            else:
-                continue  # it rests for a while
-            if turn is not None:
-                out.append((k, turn, i))
-    return out
+        out += [(k, m, i) for k, m in pairs if rates[k, i] * rates[m, i] <= 0.0]
+    return sorted(out)
+
+
+def extreme(equations: Closure, nodes: list[Node], k: int, m: int, i: int) -> Node | None:
+    """The node at which coordinate i turns back between the nodes k and m, one of `turns`, or None where it rests."""
+    if m == k + 1:
+        return root(equations, nodes[k], nodes[m], lambda n: float(n.t[i]))
+    if m == k + 2 or m < k:
+        return nodes[(k + 1) % len(nodes)]  # it rests exactly at a node
+    return None  # it rests for a while
 
 
 def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:

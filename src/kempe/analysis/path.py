@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.analysis.continuation import Closure, least_squares
+from kempe.analysis.continuation import Closure, least_squares_of_many
 from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.kinematics.tabular import Tabular, write_table
 from kempe.model.immovable import immovable
+from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, TimeUp, partial
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
@@ -24,6 +25,10 @@ if TYPE_CHECKING:
 
 MOST = 10**7
 """Points at most of a path that is resampled."""
+
+
+SLICE = 1024
+"""Points that are closed at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,22 +67,29 @@ class Track:
     s: Array
     t: Array
 
-    def at(self, s: float) -> Array:
-        """The configuration (nq,) at arc length `s` inside the track: cubic between nodes, then closed exactly."""
+    def at(self, s: Array) -> Array:
+        """Configurations (k, nq) at arc lengths (k,) inside the track: cubic between nodes, then closed exactly."""
+        out = np.empty((len(s), self.q.shape[1]))
+        for i in range(0, len(s), SLICE):
+            out[i : i + SLICE] = self._slice(s[i : i + SLICE])
+        return out
+
+    def _slice(self, s: Array) -> Array:
         if len(self.s) == 1:
-            return self.q[0].copy()
-        k = int(np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2))
-        size = self.s[k + 1] - self.s[k]
-        u = (s - self.s[k]) / size
-        if u <= 0.0 or u >= 1.0:
-            return self.q[k + (u >= 1.0)].copy()
-        e = self.equations
-        y, a, b = e.between(self.q[k], self.q[k + 1]), size * self.t[k], size * self.t[k + 1]
+            return np.repeat(self.q, len(s), axis=0)
+        k = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2)
+        size = (self.s[k + 1] - self.s[k])[:, None]
+        u = (s - self.s[k])[:, None] / size
+        e, t = self.equations, self.t
+        y, a, b = e.between(self.q[k], self.q[k + 1]), size * t[k], size * t[k + 1]
         x = e.move(self.q[k], u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * y - u * u * (1 - u) * b)
-        across = (1 - u) * self.t[k] + u * self.t[k + 1]
+        across = (1 - u) * t[k] + u * t[k + 1]
         for _ in range(3):
-            F, J = e.both(x)
-            x = e.move(x, least_squares(np.vstack([J, across]), np.append(-F, 0.0)))
+            F, J = e.many(x)
+            A = np.concatenate([J, across[:, None]], axis=1)
+            x = e.move(x, least_squares_of_many(A, np.append(-F, np.zeros((len(F), 1)), axis=1)))
+        ends = np.flatnonzero((u[:, 0] <= 0.0) | (u[:, 0] >= 1.0))
+        x[ends] = self.q[k[ends] + (u[ends, 0] >= 1.0)]
         return x
 
 
@@ -121,8 +133,9 @@ class Path(Configurations):
     `q` (n, nq) are configurations in their order, in radians and metres; angles are not wrapped. `s` (n,) is the arc
     length: angles in radians, slides in characteristic lengths (`unit_length`, metres). `closed` tells whether the
     last point is the first one again (angles without limits up to whole turns), `ends` why it stops at its first and
-    last point. `success` is false where no configuration closes the loops or the work was interrupted. `others` are
-    the branches that `trace(..., switch=True)` found at bifurcations.
+    last point. `success` is false where no configuration closes the loops or the work was broken off, because it was
+    `interrupted` from the keyboard or the time limit came (`late`): then the path is the part that was done, and
+    `remark` says what else is missing. `others` are the branches that `trace(..., switch=True)` found at bifurcations.
     """
 
     q: Array
@@ -139,6 +152,8 @@ class Path(Configurations):
     interrupted: bool
     track: Track = field(repr=False)
     others: tuple[Path, ...] = ()
+    late: bool = False
+    remark: str = ""
 
     @property
     def system(self) -> System:
@@ -148,7 +163,7 @@ class Path(Configurations):
     @property
     def length(self) -> float:
         """Length of the whole curve."""
-        return float(self.s[-1])
+        return float(self.s[-1]) if len(self.s) else 0.0
 
     @property
     def unit_length(self) -> float:
@@ -185,20 +200,47 @@ class Path(Configurations):
         slack = 1e-9 * (1.0 + length)
         if not self.closed and (s.min(initial=0.0) < -slack or s.max(initial=0.0) > length + slack):
             raise InputError(f"s is outside the path, which runs from 0 to {length:.9g}")
-        out = np.empty((s.size, self.system.nq))
+        flat = s.ravel()
+        around = self.closed & ((flat < 0.0) | (flat > length))
+        rounds = np.where(around, np.floor(flat / max(length, 1e-300)), 0.0)
         change = self.track.q[-1] - self.track.q[0]
         change[self.system.layout.quaternion_q[:, None] + np.arange(4)] = 0.0
-        for k, value in enumerate(s.ravel()):
-            rounds = np.floor(value / length) if self.closed and not 0.0 <= value <= length else 0.0
-            out[k] = self.track.at(float(np.clip(value - rounds * length, 0.0, length))) + rounds * change
+        out = self.track.at(np.clip(flat - rounds * length, 0.0, length)) + rounds[:, None] * change
         return out.reshape(*s.shape, self.system.nq)
 
-    def resample(self, n: int) -> Path:
-        """The same path with `n` points at equal distances of arc length, its ends included."""
+    def resample(
+        self, n: int, *, time_limit: float | None = TIME_LIMIT, progress: Callable[[int, float], Any] | None = None
+    ) -> Path:  # fmt: skip
+        """The same path with `n` points at equal distances of arc length, its ends included.
+
+        `progress(points, length)` is called now and then; an interrupt from the keyboard, or the `time_limit` [s] (120;
+        None: none), leaves those points that were done, see `late` and `remark`. Errors: `InputError`.
+        """
         if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or not 2 <= n <= MOST:
             raise InputError(f"n is {shown(n)}; it must be a whole number, at least 2 and at most {MOST}")
-        s = np.linspace(0.0, self.length, int(n))
-        return replace(self, q=np.array([self.track.at(float(x)) for x in s]), s=s)
+        budget, done, broken = Budget(time_limit), [], None
+        budget.put_in_order()  # there is nothing to do afterwards
+        try:
+            for i in range(0, int(n), SLICE):
+                budget.check()
+                s: Array = np.arange(float(i), min(i + SLICE, int(n))) * (self.length / (int(n) - 1))
+                s[s > self.length] = self.length
+                if i + SLICE >= n:
+                    s[-1] = self.length
+                done.append((s, self.track.at(s)))
+                if progress is not None:
+                    progress(i + len(s), float(s[-1]))
+        except BROKEN_OFF as error:
+            broken = error
+        s = np.concatenate([[], *(part[0] for part in done)])
+        q = np.concatenate([np.empty((0, self.system.nq)), *(part[1] for part in done)])
+        if broken is None:
+            return replace(self, q=q, s=s)
+        more = "; ".join(filter(None, [self.remark, f"{len(q)} of {n} points at equal distances"]))
+        late, interrupted = isinstance(broken, TimeUp), isinstance(broken, KeyboardInterrupt)
+        ends = (self.ends[0], budget.reason(broken))
+        return replace(self, q=q, s=s, closed=False, ends=ends, success=False, late=late, interrupted=interrupted,
+                       remark=more)  # fmt: skip
 
     def table(self, frames: Iterable[FrameLike] | None = None) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default: `self.frames`)."""
@@ -211,7 +253,7 @@ class Path(Configurations):
     @property
     def status(self) -> str:
         """The sentence that says what was found."""
-        if len(self) == 1 and not self.interrupted:
+        if len(self) == 1 and (self.ends[0] == self.ends[1] or not (self.interrupted or self.late)):
             still = immovable(self.system)
             return self.ends[1] + (f"; {still}" if still else "")
         what = "closed curve" if self.closed else "curve"
@@ -220,7 +262,7 @@ class Path(Configurations):
         text += f", {', '.join(turning[:4])}{', ...' * (len(turning) > 4)}" if turning else ""
         if not self.closed:
             text += f"; it ends at {self.ends[0]} and at {self.ends[1]}"
-        return text + (" (interrupted: this is the part that was done)" if self.interrupted else "")
+        return text + partial(self.interrupted, self.late) + (f"; {self.remark}" if self.remark else "")
 
     def __str__(self) -> str:
         lines = [f"{self.system.name}: {self.status}"]

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.analysis.beginning import angle_or_slide
 from kempe.analysis.continuation import RANK, Closure
-from kempe.analysis.motion import angle_or_slide
 from kempe.analysis.path import Event, Path
 from kempe.calls import brief, explained, explained_methods, listed
 from kempe.errors import InputError, UnknownNameError, UnsupportedError

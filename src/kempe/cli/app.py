@@ -1,7 +1,8 @@
 """What all commands share: the application, their options, how files are read.
 
 Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that are no
-numbers); 2 the question could not be asked (wrong usage, unknown name, a file that cannot be read).
+numbers, a time limit); 2 the question could not be asked (wrong usage, unknown name, a file that cannot be read);
+130 Ctrl-C, where files that were asked for hold what was done.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kempe import __version__
+from kempe.description.source import no_file
 from kempe.errors import InputError, KernelsError
 from kempe.model.immovable import immovable
 from kempe.views.terminal import COMPLETE, Commands, UsageError, print_json, refuse
@@ -25,7 +27,7 @@ app = typer.Typer(
     cls=Commands, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="FILE is a URDF or TOML file, or the name of a shipped model. "
-    "Exit codes: 0 complete, 1 no solution or problems found, 2 wrong usage or unreadable file.",
+    "Exit codes: 0 complete, 1 no solution, problems or a time limit, 2 wrong usage or unreadable file, 130 Ctrl-C.",
 )  # fmt: skip
 
 
@@ -36,6 +38,10 @@ def option(flags: str, help: str, metavar: str | None = None, panel: str | None 
 
 DESCRIBE, OPEN, CLOSED, REST = "Describe and convert", "Positions", "Closed loops", "Models and this machine"
 """Titles over the commands in the help."""
+
+TimeLimit = Annotated[
+    float | None, option("--time-limit", "Seconds after which it ends with what was done.", "SECONDS")
+]
 
 _READ = "How FILE is read"
 File = Annotated[str, typer.Argument(metavar="FILE", help="URDF or TOML file, or a shipped model's name.")]
@@ -142,6 +148,8 @@ def writable(path: Path | None) -> None:
         return
     if path.is_dir():
         raise InputError(f"{path}: this is a folder; name a file in it")
+    if what := no_file(path):
+        raise InputError(f"{path}: this is {what}; name a plain file")
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {str(path.parent)!r}")
     if not os.access(path if path.exists() else path.parent, os.W_OK):
@@ -173,6 +181,11 @@ def written_to(out: Path | None, option: Path | None) -> Path:
     if (out is None) == (option is None):
         raise UsageError("Missing argument 'OUT'." if out is None else "OUT is given twice: leave -o out.")
     return out or option  # type: ignore[return-value]
+
+
+def limited(seconds: float | None) -> dict[str, float]:
+    """The time limit as an argument, where one is given."""
+    return {} if seconds is None else {"time_limit": seconds}
 
 
 def told(out: Path, json: bool) -> None:

@@ -32,16 +32,18 @@ from kempe.cli.app import (
     TargetOrTasks,
     Task,
     Tasks,
+    TimeLimit,
     Tolerance,
     Xacro,
     app,
+    limited,
     load,
     option,
     results,
     told,
 )
 from kempe.errors import InputError
-from kempe.views.terminal import INCOMPLETE, UsageError, guarded, print_json, show
+from kempe.views.terminal import INCOMPLETE, UsageError, guarded, leave, print_json, show
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -144,8 +146,7 @@ def _answer(
         show(report.solution(system, answer, deg) if out is None else report.outcome(answer))
         if out is not None:
             told(out, json)
-    if not answer:
-        raise typer.Exit(INCOMPLETE)
+    leave(answer)
 
 
 @app.command(rich_help_panel=OPEN)
@@ -158,13 +159,13 @@ def path(
     ] = None,
     restart: Annotated[bool, option("--restart", "Where it must jump, go on instead of stopping.")] = False,
     branches: Annotated[bool, option("--branches", "Try several starts; the best path is the answer.")] = False,
-    rng: Rng = None, tolerance: PathTolerance = None, deg: Deg = False, out: Out = None, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    rng: Rng = None, tolerance: PathTolerance = None, time_limit: TimeLimit = None, deg: Deg = False, out: Out = None,
+    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Follow a sequence of targets without a jump, or say where and why that cannot be.
 
-    Ctrl-C ends the work with what was done.
+    Ctrl-C ends the work with what was done, as a time limit does (600 s, unless another is given).
 
     Example: kempe path panda.urdf --frame panda_hand_tcp --targets weld.csv -o q.csv
     """
@@ -185,7 +186,7 @@ def path(
         wanted = wanted[..., :3, 3] if position or position_only else wanted
     if count is None:
         raise InputError("a path needs a .csv or .npy file of targets, one a row")
-    options: dict[str, Any] = {"restart": restart, "branches": branches, "rng": rng or 0}
+    options: dict[str, Any] = {"restart": restart, "branches": branches, "rng": rng or 0, **limited(time_limit)}
     options |= {} if max_step is None else {"max_step": max_step}
     options |= {} if tolerance is None else {"tolerance": rows.tolerance(tolerance)}
     with slices.progress(sys.stderr, count) as said:
@@ -198,8 +199,7 @@ def path(
         show(follow_report.path(answer, deg))
         if out is not None:
             told(out, json)
-    if not answer or answer.interrupted:
-        raise typer.Exit(INCOMPLETE)
+    leave(answer)
 
 
 def _task(task: str | None, position: bool) -> str | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,8 +24,10 @@ from kempe.cli.app import (
     Out,
     Posture,
     Root,
+    TimeLimit,
     Xacro,
     app,
+    limited,
     load,
     option,
     remark,
@@ -34,7 +37,7 @@ from kempe.cli.app import (
     written_to,
 )
 from kempe.errors import InputError
-from kempe.views.terminal import INCOMPLETE, guarded, print_json, show
+from kempe.views.terminal import INCOMPLETE, guarded, leave, print_json, show
 
 if TYPE_CHECKING:
     from kempe.analysis.path import Path as Motion
@@ -102,9 +105,9 @@ def assemble(
     modes: Annotated[bool, option("--modes", "All assembly modes, not only the one near the start.")] = False,
     nearest: Annotated[bool, option("--nearest", "Where freedoms are left: the nearest to the start.")] = False,
     continuous: Annotated[bool, option("--continuous", "Rows of a file: each starts where the last two lead.")] = False,
-    no_limits: NoLimits = False, plot: Picture = None, out: Out = None, deg: Deg = False, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
-    lenient_limits: Lenient = False,
+    no_limits: NoLimits = False, time_limit: TimeLimit = None, plot: Picture = None, out: Out = None,
+    deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
+    xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Close all loops: known coordinates in, all others out.
 
@@ -112,6 +115,8 @@ def assemble(
     """
     if modes and (branch is not None or nearest or continuous):
         raise InputError("--modes gives all branches: leave --branch, --nearest and --continuous out")
+    if time_limit is not None and not modes:
+        raise InputError("--time-limit is for --modes: one assembly takes milliseconds")
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import given, loop_report
 
@@ -121,7 +126,7 @@ def assemble(
     start = given.start(system, near, deg)
     answer: Any
     if modes:
-        answer = system.assembly_modes(values, start, limits=not no_limits)
+        answer = system.assembly_modes(values, start, limits=not no_limits, **limited(time_limit))
     else:
         answer = system.assemble(
             values, start, branch=given.branch(system, values, branch), nearest=nearest, continuous=continuous,
@@ -144,8 +149,9 @@ def assemble(
     else:
         _say(None, loop_report.modes(answer, deg) if modes else loop_report.assembly(answer, deg, values), written)
     _not_written(out, written)
-    if not answer:
+    if modes and answer.late:
         raise typer.Exit(INCOMPLETE)
+    leave(answer)
 
 
 @app.command(rich_help_panel=CLOSED)
@@ -162,21 +168,21 @@ def trace(
     points: Annotated[
         int | None, option("--points", "Write this many points, at equal distances of arc length.", "N")
     ] = None,
-    no_limits: NoLimits = False, out: Out = None, plot: Picture = None, deg: Deg = False, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
-    lenient_limits: Lenient = False,
+    no_limits: NoLimits = False, time_limit: TimeLimit = None, out: Out = None, plot: Picture = None,
+    deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
+    xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Follow a mechanism with one freedom through its whole motion.
 
-    Files get arc length, all coordinates, and x, y (and z) of the frames. Ctrl-C while the
-    motion is followed ends it with the part that was done.
+    Files get arc length, all coordinates, and x, y (and z) of the frames. Ctrl-C ends
+    the work with the part that was done, as a time limit does (120 s, unless another is given).
 
     Example: kempe trace jansen --driver O --frame foot -o foot.csv --plot foot.png
     """
     if points is not None and points < 2:
         raise InputError(f"--points is {points}; it must be at least 2")
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    from kempe.views import given, loop_report
+    from kempe.views import given, loop_report, slices
 
     results(out)
     _picture(plot)
@@ -185,13 +191,17 @@ def trace(
     begin, closing = given.first(system, start, held, deg)
     if closing is not None and not closing:
         _open(closing, deg, json)
-    with loop_report.progress(sys.stderr) as said:
+    more = limited(time_limit)
+    with slices.progress(sys.stderr, None, "points traced") as said:
         path = system.trace(
-            driver, begin, frames=names, hold=held, switch=branches, limits=not no_limits, progress=said
+            driver, begin, frames=names, hold=held, switch=branches, limits=not no_limits, progress=said, **more
         )  # fmt: skip
-    shown = path if points is None else _resampled(path, points)
+    shown = path
+    if points is not None:
+        with slices.progress(sys.stderr, points, "points") as said:
+            shown = _resampled(path, points, more, said)
     written = []
-    if out is not None and (path or path.interrupted):
+    if out is not None and (path or path.interrupted or path.late):
         loop_report.write_path(out, shown, deg, branches)
         written.append(out)
     if plot is not None:
@@ -200,10 +210,9 @@ def trace(
     if json:
         _say(loop_report.path_facts(shown, deg), None, written)
     else:
-        _say(None, loop_report.path(path, deg), written)
+        _say(None, loop_report.path(path if shown else shown, deg), written)
     _not_written(out, written)
-    if not path or path.interrupted:
-        raise typer.Exit(INCOMPLETE)
+    leave(shown if path else path)
 
 
 @app.command(rich_help_panel=CLOSED)
@@ -261,11 +270,14 @@ def _save(axes: Any, path: Path) -> None:
     axes.figure.savefig(path, dpi=200, bbox_inches="tight")
 
 
-def _resampled(path: Motion, points: int) -> Motion:
+def _resampled(path: Motion, points: int, limit: dict[str, float], said: Callable[..., None] | None) -> Motion:
     """The path and its other branches, with points at equal distances."""
     if len(path) < 2:
         return path
-    return replace(path.resample(points), others=tuple(_resampled(other, points) for other in path.others))
+    found = path.resample(points, progress=said, **limit)
+    if not found and path:  # broken off
+        return found
+    return replace(found, others=tuple(_resampled(other, points, limit, said) for other in path.others))
 
 
 def _drawing(system: System, path: Motion, names: list[str]) -> Any:

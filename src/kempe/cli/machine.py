@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from kempe.cli.app import REST, Json, app, option, progress
+from kempe.cli.app import REST, Json, app, option, progress, writable
 from kempe.views.terminal import guarded, print_json, show
 
 
@@ -53,6 +53,7 @@ def bench(
     """
     from kempe.views import benchmark, report
 
+    writable(out)
     tables: list[benchmark.Table] = []
     for table in benchmark.benchmark(only, peer, progress, targets):
         tables.append(table)

@@ -6,11 +6,11 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 
 from kempe.description.source import Findings
-from kempe.errors import Where
+from kempe.description.xml import Element
 
 
 def choose_root(
-    links: Mapping[str, Where],
+    links: Mapping[str, Element],
     ends: Mapping[str, tuple[str, str]],
     findings: Findings,
     root: str | None,
@@ -30,7 +30,7 @@ def choose_root(
         shown = " -> ".join(map(repr, cycle))
         allowed = f"name the link that does not move, with root={cycle[0]!r}"
         message = f"no link is the root, since each is the child of a joint: {shown}"
-        findings.add(message, "robot", links[cycle[0]], allowed)
+        findings.add(message, "robot", links[cycle[0]].where, allowed)
         return None
     if len(roots) > 1:
         listed = _listed(roots, links)
@@ -41,20 +41,20 @@ def choose_root(
         findings.add(
             f"{len(roots)} links are nobody's child: {listed}",
             "robot",
-            links[roots[1]],
+            links[roots[1]].where,
             f"one link must be the root; {cure}",
         )
         return None
     detached = [n for n in links if parts[n] != parts[roots[0]]]
     if detached:
         message = f"no joints lead from the root {roots[0]!r} to {_listed(detached, links)}"
-        findings.add(message, "robot", links[detached[0]], "join them by joints, or remove them")
+        findings.add(message, "robot", links[detached[0]].where, "join them by joints, or remove them")
         return None
     return roots[0]
 
 
-def _listed(names: list[str], links: Mapping[str, Where]) -> str:
-    shown = ", ".join(f"{n!r} (line {links[n].line})" for n in names[:8])
+def _listed(names: list[str], links: Mapping[str, Element]) -> str:
+    shown = ", ".join(f"{n!r} (line {links[n].where.line})" for n in names[:8])
     return shown + (f", ... ({len(names)} in all)" if len(names) > 8 else "")
 
 

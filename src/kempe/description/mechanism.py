@@ -10,6 +10,7 @@ from kempe.calls import explained, explained_methods, flag
 from kempe.description import checks
 from kempe.description.parts import Body, Constraint, Coupling, Frame, Joint
 from kempe.description.placement import Placement, place
+from kempe.description.source import collecting_later
 from kempe.description.values import Expression, Value, value
 from kempe.errors import InputError, UnknownNameError, Where
 from kempe.joints import JointType, joint_type
@@ -310,7 +311,8 @@ class Mechanism:
         """The `System` to compute with. Errors: `DescriptionError` naming what does not fit together."""
         from kempe.model.system import System
 
-        return System(self)
+        with collecting_later(len(self.bodies)):
+            return System(self)
 
     def save(self, path: str | Path) -> Path:
         """Write it to a file: .toml holds everything, .urdf what URDF can express; returns the path."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -47,10 +47,10 @@ class Placement:
             out = out @ _step_pose(motion, [evaluate(x, parameters) for x in numbers])
         return out
 
-    @property
-    def names(self) -> set[str]:
+    @cached_property
+    def names(self) -> frozenset[str]:
         """Names of the parameters that it uses."""
-        return {n for _, xs in self.steps for x in xs if isinstance(x, Expression) for n in x.names}
+        return frozenset(n for _, xs in self.steps for x in xs if isinstance(x, Expression) for n in x.names)
 
     def inverse(self) -> Placement:
         """The inverse placement, step by step, so that expressions stay expressions."""
@@ -81,6 +81,8 @@ def place(
     """
     if isinstance(at, Placement):
         return at @ place(rpy=rpy, angle=angle, axis=axis, quat_wxyz=quat_wxyz, matrix=matrix)
+    if angle is None and quat_wxyz is None and matrix is None and _floats(at) and _floats(rpy) and _floats(axis):
+        return _plain(*(None if x is None else tuple(x) for x in (at, rpy, axis)))  # type: ignore[arg-type]
     if (at.__class__ is not tuple or len(at) == 4) and _is_pose(at):  # type: ignore[arg-type]
         return place(placement_of_pose(at), rpy, angle, axis, quat_wxyz, matrix)
     steps: list[Step] = [(n, (x,)) for n, x in zip("xyz", values(at, (2, 3), "at"), strict=False)]
@@ -105,6 +107,23 @@ def place(
     if axis is not None:
         steps += axis_steps(axis)
     return Placement(tuple(steps)).simplified()
+
+
+def _floats(x: object) -> bool:
+    """Whether there are plain numbers, in a tuple or a list, or nothing."""
+    return x is None or ((type(x) is tuple or type(x) is list) and {float}.issuperset(map(type, x)))
+
+
+@lru_cache(4096)
+def _plain(at: tuple[float, ...] | None, rpy: tuple[float, ...] | None, axis: tuple[float, ...] | None) -> Placement:
+    """`place` of plain numbers; many joints have the same ones."""
+    steps: list[Step] = [(n, (x,)) for n, x in zip("xyz", values(at, (2, 3), "at"), strict=False) if x != 0.0]
+    if rpy is not None:
+        roll, pitch, yaw = values(rpy, 3, "rpy")
+        steps += [(n, (x,)) for n, x in (("rz", yaw), ("ry", pitch), ("rx", roll)) if x != 0.0]
+    if axis is not None:
+        steps += axis_steps(axis)
+    return Placement(tuple(steps))
 
 
 def _is_pose(at: object) -> bool:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from kempe.calls import explained
 from kempe.description.mechanism import Mechanism
-from kempe.description.source import SIZE_LIMIT, expanded, fail, shorten
+from kempe.description.source import SIZE_LIMIT, collecting_later, expanded, fail, no_file, shorten
 from kempe.description.toml import read_toml
 from kempe.description.urdf import read_urdf
 from kempe.description.xacro import XACRO_ADVICE, expand_xacro
@@ -130,6 +130,8 @@ def _bytes_of(path: Path) -> bytes:
         inside = _models_in(path)
         shown = f"give one of its files: {', '.join(inside[:8])}" if inside else "give the path of a file"
         raise fail("this is a folder", where, shown)
+    if what := no_file(path):
+        raise fail(f"this is {what}", where, "give the path of a plain file")
     try:
         with open(path, "rb") as file:
             return file.read(SIZE_LIMIT + 1)
@@ -175,11 +177,13 @@ def _read_text(text: str | bytes, name: str, how: _How) -> Mechanism:
             raise InputError("base and root are for URDF; a TOML file names its ground itself")
         if how.lenient_limits:
             raise InputError("lenient_limits is for URDF; a TOML file without limits has none")
-        return read_toml(text, name, package_dirs=how.package_dirs)
-    return read_urdf(
-        text, name, base=how.base, root=how.root, package_dirs=how.package_dirs, beside=how.beside,
-        lenient_limits=how.lenient_limits,
-    )  # fmt: skip
+        with collecting_later(len(text) >> 8):
+            return read_toml(text, name, package_dirs=how.package_dirs)
+    with collecting_later(len(text) >> 8):
+        return read_urdf(
+            text, name, base=how.base, root=how.root, package_dirs=how.package_dirs, beside=how.beside,
+            lenient_limits=how.lenient_limits,
+        )  # fmt: skip
 
 
 def _format_of(text: str | bytes, name: str) -> str:

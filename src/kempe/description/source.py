@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import codecs
+import gc
 import os
 import re
+import stat
 from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -37,8 +39,44 @@ _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://|(?:https?|ftp|file|package|s
 _LINE_END = re.compile(r"\r\n|\n|\r")
 
 
+MANY_BODIES = 1000
+"""Bodies from which on it matters how long it takes to make one."""
 MANY_PROBLEMS = 1000
 """Problems after which a reader gives up at once, so that a hostile file costs bounded time."""
+
+
+_KINDS = (
+    (stat.S_ISFIFO, "a FIFO, from which reading may never end"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISDIR, "a folder"),
+)
+
+
+def no_file(path: str | Path) -> str:
+    """What a path is in place of a plain file, empty for one, and where there is nothing at all."""
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return ""
+    return next((what for is_, what in _KINDS if is_(mode)), "")
+
+
+@contextmanager
+def collecting_later(count: int) -> Iterator[None]:
+    """Nothing; where so many bodies are made, cyclic garbage is looked for afterwards only.
+
+    They last, and each look goes through all there are: that takes a third of the time.
+    """
+    if count < MANY_BODIES or not gc.isenabled():
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
 
 
 class Source:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import fields
 from functools import lru_cache
 from typing import Any
 
 from kempe.description.source import Findings, Source, fail, shorten
+from kempe.description.toml_fast import loads
 from kempe.description.toml_places import Path, Places
 from kempe.errors import Where, hint
 from kempe.joints import TYPES, JointType
@@ -100,13 +100,28 @@ def _options(types: tuple[type[JointType], ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(f.name for type_ in types for f in fields(type_)))
 
 
+def _plain(data: Any) -> bool:
+    """Whether there is nothing in it but tables, lists, text and numbers of at most 64 bits."""
+    stack = [data]
+    while stack:
+        item = stack.pop()
+        kind = type(item)
+        if kind is dict:
+            stack += item.values()
+        elif kind is list:
+            stack += item
+        elif kind not in (str, float, bool) and not (kind is int and abs(item) < 2**63):
+            return False
+    return True
+
+
 class Document:
     """The data of a TOML text, with its places and the findings of those who read it."""
 
     def __init__(self, source: Source):
         self.source = source
-        self.data = _parse(source)
-        self.places = Places(source)
+        self.data, tables = _parse(source)
+        self.places = Places(source, tables)
         self.findings = Findings()
 
     def where(self, *path: str | int) -> Where:
@@ -120,6 +135,13 @@ class Document:
             raise fail("the file has no line 'format = 1'", self.where(), "every mechanism file starts with it")
         if type(given) is not int or given != FORMAT:
             raise fail(f"format is {given!r}", self.where("format"), f"this version of Kempe reads format {FORMAT}")
+        if not _plain(self.data):
+            self._refuse_others()
+        self.findings.finish()
+        self.check("", self.data, ())
+
+    def _refuse_others(self) -> None:
+        """Record what is neither text, number, list nor table."""
         stack: list[tuple[Path, Any]] = [((), self.data)]
         while stack:
             path, item = stack.pop()
@@ -132,23 +154,21 @@ class Document:
             elif not isinstance(item, (int, float, str)):
                 message = f"{shorten(item)} is a date or a time"
                 self.findings.add(message, "", self.where(*path), "write text in quotes")
-        self.findings.finish()
-        self.check("", self.data, ())
 
     def check(self, kind: str, table: Mapping[str, Any], path: Path, subject: str = "") -> bool:
         """Whether a table has all keys that it must have and no others, with the right types."""
         before = len(self.findings.problems)
         known = KEYS[kind] + (joint_options() if kind == "joint" else ())
         for key, item in table.items():
-            where = self.where(*path, key)
-            if key not in known:
-                self.findings.add(f"unknown key {shorten(key)}{hint(key[:60], known)}", subject, where)
-                continue
             wanted, said = _VALUES.get(key, (object, ""))
-            if not isinstance(item, wanted) or (wanted is int and isinstance(item, bool)):
-                self.findings.add(f"{key} is {shorten(item)}", subject, where, f"it must be {said}")
+            if key not in known:
+                place = self.where(*path, key)
+                self.findings.add(f"unknown key {shorten(key)}{hint(key[:60], known)}", subject, place)
+            elif not isinstance(item, wanted) or (wanted is int and isinstance(item, bool)):
+                self.findings.add(f"{key} is {shorten(item)}", subject, self.where(*path, key), f"it must be {said}")
             elif said == "a list of texts" and not all(isinstance(x, str) for x in item):
-                self.findings.add(f"{key} holds something else than text", subject, where, f"it must be {said}")
+                place = self.where(*path, key)
+                self.findings.add(f"{key} holds something else than text", subject, place, f"it must be {said}")
         for key in REQUIRED.get(kind, ()):
             if key not in table:
                 allowed = f"it needs {', '.join(REQUIRED[kind])}"
@@ -191,9 +211,9 @@ class Document:
         return out
 
 
-def _parse(source: Source) -> dict[str, Any]:
+def _parse(source: Source) -> tuple[dict[str, Any], dict[Path, int] | None]:
     try:
-        return tomllib.loads(source.text)
+        return loads(source.text)
     except RecursionError:
         raise fail("arrays or tables are nested too deep", source.where(1), "this is no mechanism") from None
     except ValueError as error:  # TOMLDecodeError, and integers of too many digits

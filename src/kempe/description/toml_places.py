@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterator
+from functools import cached_property
 from typing import NamedTuple
 
 from kempe.description.source import Source
@@ -29,12 +30,18 @@ class _Token(NamedTuple):
 class Places:
     """Answers where the value at a path stands; for an unknown path, where what encloses it stands."""
 
-    def __init__(self, source: Source):
+    def __init__(self, source: Source, tables: dict[Path, int] | None = None):
         self.source = source
-        self._offsets = _scan(source.text)
+        self._tables = tables or {}
+
+    @cached_property
+    def _offsets(self) -> dict[Path, int]:
+        return _scan(self.source.text)
 
     def where(self, *path: str | int) -> Where:
         """The place of the value at `path`."""
+        if path in self._tables:  # known without looking at what is in them
+            return self.source.where_offset(self._tables[path])
         while path and path not in self._offsets:
             path = path[:-1]
         return self.source.where_offset(self._offsets.get(path, 0))

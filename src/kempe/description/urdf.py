@@ -83,8 +83,7 @@ def read_urdf(
     _scan_joints(urdf)
     # where a joint's ends are wrong, links that look detached may not be
     sound = len(urdf.ends) == len(robot.of("joint"))
-    places = {name: element.where for name, element in urdf.links.items()}
-    ground = choose_root(places, urdf.ends, urdf.findings if sound else Findings(), root)
+    ground = choose_root(urdf.links, urdf.ends, urdf.findings if sound else Findings(), root)
     mechanism = _assemble(urdf, ground, base)
     _note_unused(urdf)
     urdf.findings.finish()

@@ -25,6 +25,8 @@ WITHOUT_AXIS = ("fixed", "floating", "spherical")
 """Types whose <axis> says nothing."""
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_PLAIN = re.compile(r"[-+.0-9eE \t\r\n]+")
+"""Text in which `float` reads what `_NUMBER` matches, and nothing else."""
 _BLANKS = re.compile(r"[ \t\r\n]+")
 
 _IN_LINK = (
@@ -76,6 +78,13 @@ ATTRIBUTES = {
 def numbers(element: Element, attribute: str, count: int, findings: Findings, subject: str) -> tuple[float, ...] | None:
     """The finite numbers of an attribute, or None after recording what is wrong with it."""
     text = element.attributes[attribute]
+    if _PLAIN.fullmatch(text):
+        try:
+            found = tuple(map(float, text.split()))
+        except ValueError:
+            found = ()
+        if len(found) == count and math.isfinite(sum(found)):
+            return found
     pieces = [p for p in _BLANKS.split(text) if p]
     wrong = None
     for piece in pieces:
@@ -116,7 +125,8 @@ def _bound(element: Element, attribute: str, findings: Findings, subject: str) -
     """A limit: a number, where infinity or a huge one stands for none; None where it is missing or wrong."""
     if attribute not in element.attributes:
         return None
-    special = _special(element.attributes[attribute].strip())
+    text = element.attributes[attribute]
+    special = None if _PLAIN.fullmatch(text) else _special(text.strip())
     if special is not None and not math.isnan(special):
         return special
     found = numbers(element, attribute, 1, findings, subject)
@@ -290,11 +300,14 @@ def _range(
 
 def _check_joint(joint: Element, findings: Findings, subject: str) -> None:
     for part in (joint, *joint.children):
-        if part is not joint:
+        if part is not joint and part.tag not in _IN_JOINT:
             check_known("element", part.tag, _IN_JOINT, findings, subject, part)
-        for key in part.attributes if part.tag in ATTRIBUTES else ():
-            check_known(f"{part.tag} attribute", key, ATTRIBUTES[part.tag], findings, subject, part)
-    for tag in _ONCE:
+        known = ATTRIBUTES.get(part.tag)
+        for key in part.attributes if known else ():
+            if key not in known:  # type: ignore[operator]
+                check_known(f"{part.tag} attribute", key, known, findings, subject, part)  # type: ignore[arg-type]
+    tags = [child.tag for child in joint.children]
+    for tag in _ONCE if len(set(tags)) < len(tags) else ():
         found = joint.of(tag)
         for other in found[1:2]:
             message = f"it has two <{tag}> elements, on line {found[0].where.line} and here"

@@ -131,6 +131,10 @@ def value(x: object, what: str = "value") -> Value:
 def values(xs: object, count: int | tuple[int, ...], what: str) -> tuple[Value, ...]:
     """A tuple of `Value` with one of the allowed lengths. Errors: `InputError`."""
     counts = (count,) if isinstance(count, int) else count
+    if type(xs) is tuple or type(xs) is list:
+        kinds = set(map(type, xs))
+        if len(kinds) == 1 and float in kinds and len(xs) in counts and math.isfinite(sum(xs)):
+            return tuple(xs)
     if not is_list(xs):
         raise InputError(f"{what} is {shown(xs)}; it must have {' or '.join(map(str, counts))} numbers")
     items = tuple(xs)  # type: ignore[arg-type]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kempe.description.mechanism import Mechanism
-from kempe.description.source import expanded
+from kempe.description.source import expanded, no_file
 from kempe.description.toml_writer import write_toml
 from kempe.description.urdf_writer import write_urdf
 from kempe.errors import InputError
@@ -22,6 +22,8 @@ def write(mechanism: Mechanism, path: str | Path) -> Path:
     path = expanded(path)
     if path.suffix.lower() not in WRITERS:
         raise InputError(f"{path}: the format is told by the ending; it must be .toml or .urdf")
+    if what := no_file(path):
+        raise InputError(f"{path}: this is {what}; name a plain file")
     text = WRITERS[path.suffix.lower()](mechanism)
     try:
         path.write_text(text, encoding="utf-8")

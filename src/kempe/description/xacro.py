@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 import os
 import re
 import signal
@@ -17,7 +18,7 @@ from kempe.description.source import SIZE_LIMIT, fail
 from kempe.errors import DescriptionError, MissingExtraError, UnsupportedError, Where
 
 SECONDS = 20
-"""Processor time, and twice that of waiting, that an expansion may take; large robots take about two."""
+"""Seconds that an expansion may take, of waiting and so of processor time, too; large robots take about two."""
 
 MEMORY = 2 * 2**30
 """Bytes of memory that an expansion may use."""
@@ -81,7 +82,7 @@ def expand_xacro(
     *,
     arguments: Mapping[str, str] | None = None,
     package_dirs: Iterable[str | Path] = (),
-    seconds: int = SECONDS,
+    seconds: float = SECONDS,
 ) -> str:
     """URDF text that a xacro file expands to, with `arguments` for its ``<xacro:arg>``.
 
@@ -100,7 +101,7 @@ def expand_xacro(
         "arguments": {str(k): str(v) for k, v in (arguments or {}).items()},
         "package_dirs": [str(Path(d).resolve()) for d in package_dirs],
         "limits": {
-            "RLIMIT_CPU": seconds,
+            "RLIMIT_CPU": math.ceil(seconds),
             "RLIMIT_AS": MEMORY,
             "RLIMIT_FSIZE": SIZE_LIMIT,
             "RLIMIT_CORE": 0,
@@ -109,19 +110,14 @@ def expand_xacro(
     }
     environment = {k: v for k, v in os.environ.items() if k in _KEPT}
     with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as complaints:
-        code = _run(
-            [sys.executable, "-c", _WORKER, json.dumps(settings)],
-            environment,
-            output,
-            complaints,
-            2 * seconds,
-        )
+        command = [sys.executable, "-c", _WORKER, json.dumps(settings)]
+        code = _run(command, environment, output, complaints, seconds)
         output.seek(0)
         complaints.seek(0)
         text = output.read(SIZE_LIMIT + 1).decode("utf-8", "replace")
         said = complaints.read(SIZE_LIMIT).decode("utf-8", "replace").strip()
     if code in (None, -signal.SIGXCPU, -signal.SIGKILL):
-        raise fail(f"xacro did not finish in {seconds} s", where, "it may call itself without end")
+        raise fail(f"xacro did not finish in {seconds:g} s", where, "it may call itself without end")
     if code == -signal.SIGXFSZ or "File too large" in said:
         raise fail(f"xacro wrote more than {SIZE_LIMIT >> 20} MiB", where, "it may call itself without end")
     if "MemoryError" in said:
@@ -159,9 +155,11 @@ def _run(command: list[str], environment: dict[str, str], output, complaints, se
         try:
             return process.wait(timeout=seconds)
         except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
             return None
+        finally:
+            if process.poll() is None:  # an interrupt, too, ends it: it is in a session of its own
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
 
 
 def _last(said: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kempe.description.source import expanded
+from kempe.description.source import expanded, no_file
 from kempe.errors import InputError
 from kempe.spatial import Array
 
@@ -37,6 +37,8 @@ def write_table(path: str | Path, names: Sequence[str], rows: Array, array: Arra
     Errors: `InputError`.
     """
     path = table_file(path)
+    if what := no_file(path):
+        raise InputError(f"{path}: this is {what}; name a plain file")
     try:
         if path.suffix.lower() == ".npy":
             np.save(path, rows if array is None else array)

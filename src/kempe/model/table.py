@@ -171,6 +171,7 @@ def lower(
     """
     rows = _Rows(coordinates)
     where: dict[str, tuple[int, np.ndarray]] = {topology.bodies[0]: (-1, _EYE)}
+    inverses: dict[Any, np.ndarray] = {}
     tree = zip(topology.bodies[1:], topology.parent, topology.parent_joints, topology.reversed_, strict=True)
     for body, parent, joint_name, backwards in tree:
         joint = mechanism.joints[joint_name]
@@ -178,7 +179,10 @@ def lower(
         first, last = (X_CM, X_PF) if backwards else (X_PF, X_CM)
         row, X = where[topology.bodies[parent]]
         row, X = rows.joint(mechanism, joint, (row, X @ first), backwards)
-        where[body] = (row, X @ spatial.inverse(last))
+        steps = (joint.X_PF if backwards else joint.X_CM).steps
+        if steps not in inverses:  # many joints have the same one
+            inverses[steps] = spatial.inverse(last)
+        where[body] = (row, X @ inverses[steps])
     ends = _ends(mechanism, rows, where, parameters, carried or {})
     return _finish(mechanism, rows, where, parameters, coordinates, ends)
 

@@ -17,6 +17,7 @@ from kempe.kinematics.task import refuse
 from kempe.kinematics.tasks import Pose, Position
 from kempe.reals import reals
 from kempe.solvers.apart import apart
+from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, partial
 from kempe.solvers.solution import SOLVED
 from kempe.solvers.targets import parse_targets
 from kempe.solvers.tasks import STARTS, Problem, judge, pose_problem
@@ -40,8 +41,8 @@ class IkPath(Tabular):
     """Configurations `q` (n, nq) that follow n targets, NaN where not `success` (n,).
 
     `jumps` are the targets that are reached, but not continuously from the one before; `status` says where and why the
-    path jumps or stops. It is true where all targets are reached without a jump. An interrupt (Ctrl-C) leaves what was
-    done (`interrupted`).
+    path jumps or stops. It is true where all targets are reached without a jump. Ctrl-C or the time limit
+    leaves what was done (`interrupted`, `late`).
     """
 
     __repr__ = brief
@@ -52,6 +53,7 @@ class IkPath(Tabular):
     jumps: tuple[int, ...]
     status: str
     interrupted: bool = False
+    late: bool = False
 
     def __len__(self) -> int:
         return len(self.q)
@@ -71,7 +73,8 @@ class IkPath(Tabular):
 def ik_path(
     system: System, targets: Any, frame: FrameLike | None = None, seed: Any = None, *, max_step: float = 0.5,
     restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] = TOLERANCE,
-    starts: int = STARTS, rng: int | np.random.Generator = 0, progress: Callable[[int], None] | None = None,
+    starts: int = STARTS, rng: int | np.random.Generator = 0, time_limit: float | None = LONG,
+    progress: Callable[[int], None] | None = None,
 ) -> IkPath:  # fmt: skip
     """Configurations in which a frame follows targets, each reached continuously from the one before.
 
@@ -88,6 +91,7 @@ def ik_path(
     With `branches`, paths from several start configurations are tried, those of `ik_all` among them where it applies:
     the answer is the one that gets farthest, then the one with fewest jumps, then the shortest. `progress` is told how
     many targets are done.
+    The `time_limit` [s] (600; None: none) is for the whole call; what was done by then is the answer.
     Errors: `InputError`, `UnknownNameError`.
     """
     if not 0.0 < max_step < math.inf:
@@ -101,7 +105,9 @@ def ik_path(
                          f"targets and one seed ({system.nq},)")  # fmt: skip
     for task, goals in zip(problem.tasks, problem.goals, strict=True):
         refuse(goals, task.label)
-    way = _Path(problem, max_step, progress)
+    budget = Budget(time_limit)
+    budget.put_in_order()  # there is nothing to do afterwards
+    way = _Path(problem, max_step, budget, progress)
     q0, info = way.rows[0].run(first)
     begin, n = 0, problem.lead[0]
     while restart and info[0, 0] != SOLVED and begin + 1 < n:
@@ -114,7 +120,11 @@ def ik_path(
         return way.path(q0[0], restart, begin)
     further = _all(system, targets, frame, way.rows[begin], begin, q0[0])
     begins = _distinct([q0[0], *way.elsewhere(begin, q0[0]), *further])
-    paths = [way.path(q, restart, begin) for q in begins]
+    paths = []
+    for q in begins:
+        paths.append(way.path(q, restart, begin))
+        if paths[-1].interrupted or paths[-1].late:
+            break
     return min(paths, key=lambda p: (-_farthest(p), -np.sum(p.success), len(p.jumps), _length(p)))
 
 
@@ -167,20 +177,20 @@ class _Path(Way):
         """The path from q, which holds target `begin`; those before cannot be reached."""
         n = len(self.rows)
         out, jumps, said = np.full((n, self.system.nq), np.nan), [], []
-        out[begin], interrupted = q, False
+        out[begin], interrupted, late = q, False, False
         if begin:
             said.append(f"no answer was found for {'targets 0 to ' if begin > 1 else 'target '}{begin - 1}")
         try:
             self._go(out, jumps, said, restart, begin)
-        except KeyboardInterrupt:
-            interrupted = True
-            said.append("interrupted: this is the part that was done")
+        except BROKEN_OFF as error:
+            interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
+            said.append(partial(interrupted, late).strip(" ()"))
         unasked = apart(self.problem.packed, self.problem.pins)
         out[:, unasked] = q[unasked]  # to the last bit
         success = self._checked(out)
         status = f"{success.sum()} of {n} targets followed"
         jumped = f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
-        return IkPath(self.system, out, success, tuple(jumps), "; ".join([status + jumped, *said]), interrupted)
+        return IkPath(self.system, out, success, tuple(jumps), "; ".join([status + jumped, *said]), interrupted, late)
 
     def _go(self, out: Array, jumps: list[int], said: list[str], restart: bool, begin: int) -> None:
         """Write the path from its configuration at target `begin` on, and what there is to say."""

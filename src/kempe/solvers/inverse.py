@@ -91,10 +91,10 @@ def ik(
 
         plan = hand_over.plan_of(question, method)
     if plan is None:
-        q, residual, info = run(question, seeds, threads)
+        q, residual, info = run(question, seeds, threads, postpone=bool(lead) and time_limit is None)
     else:
         q, residual, info = hand_over.answer(question, plan, base, seeds, threads)
-    solution = _judged(question, base, q, residual, info, lead)
+    solution = _judged(question, base, q, residual, info, lead, seeds, threads)
     if not lead:
         _bind(question, _task_name(task, position_only), np.shape(target))
     if throw and not solution:
@@ -102,11 +102,29 @@ def ik(
     return solution
 
 
-def _judged(
-    question: Task, base: Array, q: Array, residual: Array, info: np.ndarray, lead: tuple[int, ...]
+def _nearest(
+    question: Task, base: Array, seeds: Array, threads: int | None, q: Array, residual: Array, info: np.ndarray,
+    lead: tuple[int, ...],
 ) -> Solution:  # fmt: skip
-    """The answer, from the chain's configurations (N, n), residuals (N, 2) and status, steps and starts (N, 3)."""
+    """The answer of a batch as of `run`, with what is nearest to the targets that are out of reach."""
+    far = np.flatnonzero(info[:, 0] == OUT_OF_REACH)
+    some = seeds[far] if len(seeds) > 1 else seeds
+    q[far], residual[far], info[far] = run(question, some, threads, targets=question.targets[far])
+    return _judged(question, base, q, residual, info, lead, seeds, threads)
+
+
+def _judged(
+    question: Task, base: Array, q: Array, residual: Array, info: np.ndarray, lead: tuple[int, ...], seeds: Array,
+    threads: int | None,
+) -> Solution:  # fmt: skip
+    """The answer, from the chain's configurations (N, n), residuals (N, 2) and status, steps and starts (N, 3).
+
+    Where `run` has postponed targets, their part of it is found when it is asked for.
+    """
     system, targets, code = question.system, question.targets, info[:, 0]
+    if (code == OUT_OF_REACH).any():
+        given = (question, base, seeds, threads, q, residual, info, lead)
+        return Solution.postponed(code.reshape(lead).copy(), question, (_nearest, given))
     full = np.empty((len(targets), system.nq))
     full[:] = base
     full[:, question.chain.q_index] = q
@@ -159,9 +177,13 @@ def _asked(
 
 
 def run(
-    task: Task, seeds: Array, threads: int | None = 1, limits: Array | None = None, targets: Array | None = None
-) -> tuple[Array, Array, np.ndarray]:
-    """Chain configurations, residuals (N, 2) and (status, steps, starts) of all targets, in fixed chunks."""
+    task: Task, seeds: Array, threads: int | None = 1, limits: Array | None = None, targets: Array | None = None,
+    postpone: bool = False,
+) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
+    """Chain configurations, residuals (N, 2) and (status, steps, starts) of all targets, in fixed chunks.
+
+    `postpone` is as in `rounds.answered`.
+    """
     chain = task.chain
     goals = task.targets if targets is None else targets
     n, nq = len(goals), len(chain.q_index)
@@ -170,7 +192,7 @@ def run(
 
     def work(i: int, j: int) -> int:
         first = seeds[i:j] if len(seeds) > 1 else seeds
-        return rounds.answered(task, goals[i:j], first, bounds, out[i:j])
+        return rounds.answered(task, goals[i:j], first, bounds, out[i:j], postpone)
 
     if task.time_limit is None:
         over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)

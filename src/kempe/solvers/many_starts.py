@@ -10,8 +10,10 @@ differentiable viewpoint, 1965).
 
 from __future__ import annotations
 
+import copy
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +23,7 @@ from kempe.joints import P
 from kempe.kinematics.configuration import home_of, random
 from kempe.kinematics.loops import evaluate
 from kempe.solvers.assembly import RANK_TOLERANCE, Assembler, assembler
+from kempe.solvers.clock import BROKEN_OFF, Budget
 from kempe.solvers.clusters import SAME, Clusters
 from kempe.solvers.images import mirrored, mixed
 from kempe.spatial import Array
@@ -52,7 +55,8 @@ class Search:
     """Modes found: `clusters`, `free` (k,) freedoms left at each, `twin` (k,) the first of those that are its images.
 
     With a `frame`, modes are one that put it at the same pose. `spins` are the idle freedoms that do not count (`asked`
-    whether they were looked for), `odd` says that the number found must be even, and is not.
+    whether they were looked for), `odd` says that the number found must be even, and is not, `broken` what ended the
+    search early.
     """
 
     system: System
@@ -68,6 +72,7 @@ class Search:
     asked: bool = False
     tried: int = 0
     odd: bool = False
+    broken: BaseException | None = None
 
     @property
     def hits(self) -> np.ndarray:
@@ -76,6 +81,12 @@ class Search:
         return np.bincount(self.twin[isolated], weights=self.clusters.hits[isolated]).astype(np.int64)[
             np.unique(self.twin[isolated])
         ]
+
+    def copy(self) -> Search:
+        """What was found so far, which later rounds leave as it is."""
+        clusters = copy.copy(self.clusters)
+        clusters.members = [list(m) for m in clusters.members]
+        return replace(self, clusters=clusters, twin=self.twin.copy())
 
     def take(self, q: Array, counted: bool) -> tuple[np.ndarray, np.ndarray]:
         """Close configurations (n, nq) and sort them in; which of them closed (n,), and their clusters."""
@@ -141,27 +152,47 @@ class Search:
 
 
 def search(
-    system: System, known: dict[str, Any], near: Array | None, frame: str | None, rng: np.random.Generator, starts: int
-) -> Search:
-    """Assembly modes from at most so many random starts, the first of them `near` or home."""
+    system: System, known: dict[str, Any], near: Array | None, frame: str | None, rng: np.random.Generator, starts: int,
+    budget: Budget | None = None, progress: Callable[[int, int], Any] | None = None,
+) -> Search:  # fmt: skip
+    """Assembly modes from at most so many random starts, the first of them `near` or home.
+
+    An interrupt, or the end of the time, which is looked for after each round, leaves what the rounds before found.
+    """
     bound = assembler(system, known)
     s = Search(system, known, near, rng, bound, Clusters(system, _places(system, frame)), frame)
     while s.tried < starts:
-        n = min(ROUND, starts - s.tried)
-        start = _scattered(s, n)
-        if s.tried == 0:
-            start[0] = home_of(system) if near is None else near
-        s.tried += n
-        s.take(start, True)
-        if s.settled():
+        before = s.copy()
+        try:
+            if budget is not None:
+                budget.check()
+            done = _one_round(s, starts)
+        except BROKEN_OFF as error:
+            s, s.broken = before, error
             break
-        hits = s.hits
-        if s.tried >= MANY and len(hits) and share_found(hits) < HOPELESS:
+        if progress is not None:
+            progress(s.tried, len(s.free))
+        if done:
             break
     else:
         s.complete()  # what those found suggest costs next to nothing
     s.odd = s.is_odd()
     return s
+
+
+def _one_round(s: Search, starts: int) -> bool:
+    """Whether the search may end after one more round of starts."""
+    system, near = s.system, s.near
+    n = min(ROUND, starts - s.tried)
+    start = _scattered(s, n)
+    if s.tried == 0:
+        start[0] = home_of(system) if near is None else near
+    s.tried += n
+    s.take(start, True)
+    if s.settled():
+        return True
+    hits = s.hits
+    return bool(s.tried >= MANY and len(hits) and share_found(hits) < HOPELESS)
 
 
 def _places(system: System, frame: str | None) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from kempe.calls import brief, explained, explained_methods, flag, generator
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.tabular import Tabular
+from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, partial
 from kempe.solvers.clusters import INSIDE, SAME, Clusters, metric_of
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
 from kempe.solvers.words import counted
@@ -37,6 +38,7 @@ class Modes(Tabular):
     counts what was dropped because it does not. Of a search, `coverage` is a lower bound, with 95 % confidence, of the
     share of random starts that lead to what was found (Good, Biometrika 40, 1953), which is never 1, and `expected`
     the estimated number of modes (Chao, Scand. J. Statist. 11, 1984); both are None where there is a proof.
+    A search that was `interrupted` from the keyboard, or that the time limit ended (`late`), says so.
     """
 
     __repr__ = brief
@@ -53,6 +55,8 @@ class Modes(Tabular):
     known: dict[str, Any] = field(repr=False)
     coverage: float | None = None
     expected: float | None = None
+    interrupted: bool = False
+    late: bool = False
 
     def __len__(self) -> int:
         return len(self.q)
@@ -105,12 +109,15 @@ class Question:
     frame: str | None
     rng: np.random.Generator
     starts: int
+    budget: Budget = field(default_factory=lambda: Budget(None))
+    progress: Callable[[int, int], Any] | None = None
 
 
 @explained
 def assembly_modes(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, limits: bool = True,
     frame: FrameLike | None = None, rng: np.random.Generator | int | None = 0, starts: int = STARTS,
+    time_limit: float | None = TIME_LIMIT, progress: Callable[[int, int], Any] | None = None,
 ) -> Modes:  # fmt: skip
     """All configurations found that close the mechanism with the `known` coordinates (or frames) held.
 
@@ -120,7 +127,8 @@ def assembly_modes(
     the nearest first, and chooses the representatives of angles (else they are near zero). With `limits` what is
     outside the joint limits is dropped, else it is flagged by `inside`. With `frame`, configurations that put this
     frame at one pose count as one: legs that can be turned over would multiply the modes of a platform. Without it,
-    those that differ only by idle spins (see `mobility`) are one.
+    those that differ only by idle spins (see `mobility`) are one. `progress(starts, modes)` is called after each round
+    of starts; an interrupt from the keyboard, or the `time_limit` [s] (120; None: none), leaves what was found by then.
     Errors: `UnknownNameError`, `InputError` for values that are not single numbers.
     """
     given = {} if known is None else known
@@ -134,7 +142,8 @@ def assembly_modes(
     draw = generator(rng)
     flag(limits, "limits")
     name = None if frame is None else system.frame_name(frame)
-    question = Question(system, dict(given), base, bool(limits), name, draw, int(starts))
+    question = Question(system, dict(given), base, bool(limits), name, draw, int(starts), Budget(time_limit),
+                        progress)  # fmt: skip
     for solver in SOLVERS:
         modes = solver(question)
         if modes is not None:
@@ -194,7 +203,8 @@ def by_starts(question: Question) -> Modes:
     from kempe.solvers.many_starts import estimates, search  # its kernels are not needed before
 
     system = question.system
-    found = search(system, question.known, question.near, question.frame, question.rng, question.starts)
+    found = search(system, question.known, question.near, question.frame, question.rng, question.starts,
+                   question.budget, question.progress)  # fmt: skip
     q, hits, free = found.clusters.q, found.clusters.hits, found.free
     isolated, families = np.flatnonzero(free == 0), np.flatnonzero(free > 0)
     coverage, expected = estimates(found.hits)
@@ -222,7 +232,10 @@ def by_starts(question: Question) -> Modes:
         status += ", ..." if len(found.spins) > 3 else ""
     keep = np.concatenate([isolated, families])
     guess = (coverage, float(expected))
-    return _answer(question, q[keep], status, [""] * len(keep), hits[keep], free[keep], False, guess)
+    interrupted, late = (isinstance(found.broken, kind) for kind in BROKEN_OFF)
+    status += partial(interrupted, late)
+    answer = _answer(question, q[keep], status, [""] * len(keep), hits[keep], free[keep], False, guess)
+    return replace(answer, interrupted=interrupted, late=late)
 
 
 def _up(percent: float) -> str:

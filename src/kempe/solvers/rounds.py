@@ -15,7 +15,7 @@ from kempe.kernels.compiled import search
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kernels.search_layout import ANSWER, LINEAR, STARTS, STATUS, STEPS
 from kempe.solvers.chain import Chain
-from kempe.solvers.solution import NOT_FOUND, OUT_OF_TIME, SOLVED
+from kempe.solvers.solution import NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED
 from kempe.solvers.targets import TASKS, Z_AXIS, frame_of, points_along
 from kempe.spatial import Array
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 MOST = 1000
 """Starts before a target is given up. Most succeed with the first; one in a hundred thousand needs more than 100."""
+GLANCE = 16
+"""Starts after which the same is asked in a batch, where what is nearest to such targets can wait."""
 FEW = 64
 """Starts after which it is asked whether lengths put a target out of reach: then it is given up."""
 ITERATIONS = 40
@@ -74,10 +76,13 @@ def rows_of(task: Task) -> np.ndarray:
     return np.concatenate([np.array(rows, dtype=np.int64), task.chain.circular])
 
 
-def answered(task: Task, targets: Array, seeds: Array, limits: Array, out: Array) -> int:
+def answered(
+    task: Task, targets: Array, seeds: Array, limits: Array, out: Array, postpone: bool = False
+) -> int:  # fmt: skip
     """Number of targets (N, 4, 4) not reached; writes the answers (N, n + ANSWER) as `search.reach` does.
 
-    seeds: (1 or N, K, n); limits: (2, nv).
+    seeds: (1 or N, K, n); limits: (2, nv). With `postpone`, what is nearest to targets that lengths prove to be out of
+    reach is not searched for: their status is OUT_OF_REACH.
     """
     goals = targets
     if task.axis != Z_AXIS:
@@ -86,11 +91,22 @@ def answered(task: Task, targets: Array, seeds: Array, limits: Array, out: Array
     chain = task.chain
     head = (chain.ints, chain.floats, limits, rows_of(task), goals, seeds, task.rng)
     count = min(task.starts, FEW if task.time_limit is None else ROUND)
+    n = out.shape[1] - ANSWER
+    if postpone and count > GLANCE:
+        if not _search(chain)(*head, 0, GLANCE, task.iterations, *task.tolerance, 0.0, out):
+            return 0
+        left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
+        far = outside(task, targets[left]) > 0.0
+        out[left[far], n + STATUS] = OUT_OF_REACH
+        left = left[~far]
+        if len(left):
+            _more(task, head, left, GLANCE, count - GLANCE, out)
+            return go_on(task, targets, head, count, out)
+        return len(far)
     if time.monotonic() < task.end:
         if not _search(chain)(*head, 0, count, task.iterations, *task.tolerance, 0.0, out):
             return 0
         return go_on(task, targets, head, count, out)
-    n = out.shape[1] - ANSWER
     out[:, :n], out[:, n:] = seeds[:, 0] if seeds.shape[1] else chain.base[:, chain.q_index], 0.0
     _end(task, targets, np.arange(len(out)), out)
     return len(out)
@@ -105,35 +121,21 @@ def go_on(task: Task, targets: Array, head: tuple[Any, ...], done: int, out: Arr
     """
     from kempe.kernels.compiled import closest
 
-    *chain, goals, seeds, rng = head
-    n, search_ = out.shape[1] - ANSWER, _search(task.chain)
-
-    def some(rows: np.ndarray, first: int, count: int, length: float) -> Array:
-        own = seeds[rows] if len(seeds) > 1 else seeds
-        found = np.empty((len(rows), out.shape[1]))
-        search_(*chain, goals[rows], own, rng, first, count, task.iterations, *task.tolerance, length, found)
-        return found
-
+    n = out.shape[1] - ANSWER
     left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
     left = left[outside(task, targets[left]) == 0.0]
     linear, angular = task.tolerance
     if max(linear, angular) > LOOSE and any(task.mask[:3]) and any(task.mask[3:]):
         for share in SHARES:
             left = left[out[left, n + STATUS] == NOT_FOUND]
-            found = some(left, 0, min(task.starts, 4 * FEW), share * linear / angular)
+            found = _some(task, head, left, 0, min(task.starts, 4 * FEW), share * linear / angular)
             found[:, n + STEPS :] += out[left, n + STEPS :]
             good = found[:, n + STATUS] == SOLVED
             out[left[good]] = found[good]
     left = left[out[left, n + STATUS] == NOT_FOUND]
     while done < task.starts and len(left) and time.monotonic() < task.end:
         count = task.starts - done if task.time_limit is None else min(ROUND, task.starts - done)
-        found = some(left, done, count, 0.0)
-        found[:, n + STARTS] += done
-        found[:, n + STEPS] += out[left, n + STEPS]
-        better = (found[:, n + STATUS] == SOLVED) | (found[:, n + LINEAR] < out[left, n + LINEAR])
-        work = found[:, n + STEPS :]
-        out[left[better]] = found[better]
-        out[left, n + STEPS :] = work
+        _more(task, head, left, done, count, out)
         left, done = left[out[left, n + STATUS] == NOT_FOUND], done + count
     if done < task.starts and len(left):
         _end(task, targets, left, out)
@@ -144,6 +146,27 @@ def go_on(task: Task, targets: Array, head: tuple[Any, ...], done: int, out: Arr
 
         return search_again(task, targets, head, out)
     return missed
+
+
+def _some(task: Task, head: tuple[Any, ...], rows: np.ndarray, first: int, count: int, length: float) -> Array:
+    """Answers (k, n + ANSWER) of some starts for these rows; `head` as in `go_on`."""
+    *chain, goals, seeds, rng = head
+    own = seeds[rows] if len(seeds) > 1 else seeds
+    found = np.empty((len(rows), len(task.chain.q_index) + ANSWER))
+    search_ = _search(task.chain)
+    search_(*chain, goals[rows], own, rng, first, count, task.iterations, *task.tolerance, length, found)
+    return found
+
+
+def _more(task: Task, head: tuple[Any, ...], rows: np.ndarray, first: int, count: int, out: Array) -> None:
+    """Nothing; these rows get what further starts find, where that is better than what the `first` ones left."""
+    n = out.shape[1] - ANSWER
+    found = _some(task, head, rows, first, count, 0.0)
+    found[:, n + STARTS] += first
+    found[:, n + STEPS] += out[rows, n + STEPS]
+    better = (found[:, n + STATUS] == SOLVED) | (found[:, n + LINEAR] < out[rows, n + LINEAR])
+    out[rows[better]] = found[better]
+    out[rows, n + STEPS :] = found[:, n + STEPS :]
 
 
 def _end(task: Task, targets: Array, left: np.ndarray, out: Array) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,6 +13,7 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.tabular import Tabular
 from kempe.kinematics.task import Task, numbers_of
+from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, partial
 from kempe.solvers.freedoms import Local, freedoms_text, null
 from kempe.solvers.inverse import tasks_of
 from kempe.solvers.solution import SOLVED
@@ -45,7 +46,8 @@ class SelfMotion(Tabular):
 
     `freedoms` are those that the tasks leave at the start, over a distance: where there are only such to first order,
     `freedoms` is 0 and `q` has the start alone. `start` is the row of the configuration it began with. `closed` says
-    that the way comes back to it; else `ends` says for both ends why the way ends there.
+    that the way comes back to it; else `ends` says for both ends why the way ends there. Where an interrupt from the
+    keyboard (`interrupted`) or the time limit (`late`) ended the work, these are the configurations found by then.
     """
 
     __repr__ = brief
@@ -56,6 +58,8 @@ class SelfMotion(Tabular):
     start: int
     closed: bool
     ends: tuple[str, str]
+    interrupted: bool = False
+    late: bool = False
 
     def __len__(self) -> int:
         return len(self.q)
@@ -69,6 +73,7 @@ class SelfMotion(Tabular):
         freedoms = "1 freedom" if self.freedoms == 1 else f"{self.freedoms} freedoms"
         if not self.freedoms:
             return f"1 configuration, no motion: {self.ends[0]}"
+        how += partial(self.interrupted, self.late)
         return f"{len(self.q)} configurations of a self-motion with {freedoms}: {how}"
 
 
@@ -76,6 +81,7 @@ class SelfMotion(Tabular):
 def self_motion(
     system: System, q: Any, tasks: FrameLike | Task | Sequence[Task], *, task: str | None = None,
     axis: ArrayLike = (0.0, 0.0, 1.0), direction: Any = None, steps: int = 200, step: float = 0.05,
+    time_limit: float | None = TIME_LIMIT, progress: Callable[[int], Any] | None = None,
 ) -> SelfMotion:  # fmt: skip
     """The configurations that a system can reach from q (nq,) without leaving tasks, both ways.
 
@@ -85,8 +91,9 @@ def self_motion(
     `direction` says where to go: a coordinate to be moved, or a velocity (nv,), of which the part is followed that the
     tasks allow. `step` is the length of a step in radians and characteristic lengths. The tasks hold to 1e-9 all along:
     each step is led back by steps of minimum norm. Where the Jacobian loses rank and no motion is found, the answer is
-    q alone, and says so. Errors: `InputError` where the tasks do not hold at q, or leave no freedom even to first
-    order, or more than one without a direction.
+    q alone, and says so. `progress` is told how many steps are done; an interrupt from the keyboard or the `time_limit`
+    [s] (120; None: none) leaves the configurations that were found. Errors: `InputError` where the tasks do not hold at
+    q, or leave no freedom even to first order, or more than one without a direction.
     """
     q = as_q(system, q)
     if q.ndim != 1:
@@ -94,6 +101,8 @@ def self_motion(
     whole = isinstance(steps, (int, np.integer)) and not isinstance(steps, bool)
     if not whole or steps < 1 or not isinstance(step, (int, float, np.floating)) or not 0.0 < step <= 0.5:
         raise InputError(f"steps is {steps!r}, step {step!r}; needed are a whole number from 1 on, and 0 < step <= 0.5")
+    budget = Budget(time_limit)
+    budget.put_in_order()  # there is nothing to do afterwards
     problem, q0 = _begin(system, q, _wanted(system, q, tasks, task, axis))
     local = Local(problem, q0)
     if not local.left.shape[1]:
@@ -105,14 +114,17 @@ def self_motion(
     if local.finite == 1:  # of curves that meet here, the one nearest to the direction
         found = np.concatenate([local.motions, -local.motions])
         wish = found[np.argmax(found @ wish)]
-    way = _Way(local, wish, local.finite > 1, step)
+    way = _Way(local, wish, local.finite > 1, step, budget, progress)
     forth = way.follow(q0, 1.0, steps)
     if forth.closed:
         return SelfMotion(system, np.array([q0, *forth.q]), local.finite, 0, True, ("", ""))
-    back = way.follow(q0, -1.0, steps, (forth.q[-1], -forth.t) if forth.q and forth.last else None)
+    back = _Half([], False, "the start", -forth.t)
+    if way.broken is None:
+        back = way.follow(q0, -1.0, steps, (forth.q[-1], -forth.t) if forth.q and forth.last else None)
     q = np.array([*back.q[::-1], q0, *forth.q])
     ends = ("", "") if back.closed else (back.end, forth.end)
-    return SelfMotion(system, q, local.finite, len(back.q), back.closed, ends)
+    interrupted, late = (isinstance(way.broken, kind) for kind in BROKEN_OFF)
+    return SelfMotion(system, q, local.finite, len(back.q), back.closed, ends, interrupted, late)
 
 
 def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayLike) -> Any:
@@ -175,15 +187,29 @@ class _Half(NamedTuple):
 class _Way:
     """Follows self-motions by steps along the tangent that are led back."""
 
-    def __init__(self, local: Local, wish: Array, wished: bool, step: float) -> None:
+    def __init__(
+        self, local: Local, wish: Array, wished: bool, step: float, budget: Budget,
+        progress: Callable[[int], Any] | None,
+    ) -> None:  # fmt: skip
+        self.budget, self.progress, self.done = budget, progress, 0
+        self.broken: BaseException | None = None
         self.local, self.problem, self.wish, self.wished, self.step = local, local.problem, wish, wished, step
 
     def follow(self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None = None) -> _Half:
         """One way from q, until it comes to the goal, a configuration (nq,) and the direction (nv,) in which it is
         passed; without one back to q."""
+        out: list[Array] = []
+        try:
+            return self._follow(q, sign, steps, goal, out)
+        except BROKEN_OFF as error:
+            self.broken = error
+            return _Half(out, False, self.budget.reason(error), sign * self.wish)
+
+    def _follow(self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None, out: list[Array]) -> _Half:
         problem, system, scale, step = self.problem, self.problem.system, self.problem.packed.scale, self.step
-        before, out, t, given = sign * self.wish, [], sign * self.wish, goal is not None
+        before, t, given = sign * self.wish, sign * self.wish, goal is not None
         for n in range(steps):
+            self.budget.check()
             N = null(self.local.equations(q)[1])
             t = N @ (N.T @ before)
             if np.linalg.norm(t) < LEAST_PART:
@@ -201,6 +227,9 @@ class _Way:
                 return _Half(out, True, "", t)
             q, before = found[0], (before if self.wished else t)
             out.append(q)
+            self.done += 1
+            if self.progress is not None:
+                self.progress(self.done)
             if names := _at_limits(system, q, t):
                 return _Half(out, False, f"the limit of {names[0]!r}", t)
         return _Half(out, False, f"the last of {steps} steps", t, True)

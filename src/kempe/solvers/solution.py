@@ -40,6 +40,9 @@ class Solution(Answer):
     (NaN for targets that are not numbers). `position_error` in metres and `orientation_error` in radians (0 for
     position targets) are measured by a forward pass; `residual` is the norm of both. `iterations` and `starts` count
     the work. All have the leading shape of the targets; for a single target they are plain Python numbers.
+
+    In a batch, what is nearest to targets that lengths prove to be out of reach is searched for when `q`, an error,
+    `iterations`, `starts` or `status` is first asked for: `success`, `code` and `proven` need no search.
     """
 
     __repr__ = brief
@@ -68,9 +71,21 @@ class Solution(Answer):
         own["q"], own["success"], own["asked"], own["_measured"] = q, True, asked, measured
         return out
 
+    @classmethod
+    def postponed(cls, code: np.ndarray, asked: Any, later: tuple[Callable[..., Solution], Any]) -> Solution:
+        """The answer for a batch of which only codes (...) are known: ``later[0](*later[1])`` gives the rest."""
+        out = object.__new__(cls)
+        out.__dict__.update(success=code == SOLVED, code=code, asked=asked, _later=later)
+        return out
+
     if not TYPE_CHECKING:  # a type checker would take any name for a field
 
         def __getattr__(self, name: str) -> Any:
+            if "_later" in self.__dict__ and name in self.__dataclass_fields__:
+                function, given = self.__dict__["_later"]
+                self.__dict__.update(function(*given).__dict__)
+                del self.__dict__["_later"]
+                return self.__dict__[name]
             measured = self.__dict__.get("_measured")
             if measured is None or name not in _MEASURED:
                 return object.__getattribute__(self, name)  # the error as it was

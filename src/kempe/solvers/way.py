@@ -14,6 +14,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.solvers.chain import inside
+from kempe.solvers.clock import Budget
 from kempe.solvers.solution import SOLVED
 from kempe.solvers.tasks import Problem, judge
 from kempe.spatial import Array
@@ -64,9 +65,11 @@ class Order(NamedTuple):
 class Way:
     """The targets of a path, all that lies between them, and steps along it."""
 
-    def __init__(self, problem: Problem, max_step: float, progress: Callable[[int], None] | None = None):
+    def __init__(
+        self, problem: Problem, max_step: float, budget: Budget, progress: Callable[[int], None] | None = None
+    ):  # fmt: skip
         tasks = tuple(replace(t, tolerance=None) for t in problem.tasks)
-        self.problem, self.max_step = replace(problem, tasks=tasks), max_step
+        self.problem, self.max_step, self.budget = replace(problem, tasks=tasks), max_step, budget
         self.given = min(problem.tolerance)
         self.calm = CALM if self.given > TOLERANCE else 0.0
         self.system, self.scale, self.progress = problem.system, problem.packed.scale, progress
@@ -186,6 +189,7 @@ class Way:
 
     def land(self, problem: Problem, q: Array, ahead: Array) -> tuple[Array | None, Array]:
         """Where (nq,) the solver gets to from a scaled step (nv,) away from q, None without success, and the step."""
+        self.budget.check()
         start = self.system.integrate(q, ahead * self.scale)[None]
         found, info = replace(problem, starts=1).run(inside(self.system, start) if problem.limits else start)
         moved = self.system.difference(q, found[0]) / self.scale

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -28,25 +27,6 @@ EVENT_LIMIT = 24
 """Points where coordinates turn back that are listed; the data have all."""
 NARROW = 7
 """Coordinates up to which assembly modes are lines of a table; of more of them, each mode is a column."""
-
-
-@contextlib.contextmanager
-def progress(file: TextIO) -> Iterator[Callable[[int, float], None] | None]:
-    """A line that counts points and arc length while a motion is traced; nothing where `file` is no terminal."""
-    if not file.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (SpinnerColumn("line"), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(file=file), transient=True) as bar:
-        task = bar.add_task("tracing ...")
-
-        def said(points: int, length: float) -> None:
-            bar.update(task, description=f"tracing: {points} points, arc length {length:.3g}")
-
-        yield said
 
 
 # ---- degrees of freedom
@@ -230,7 +210,8 @@ def path_facts(answer: Path, degrees: bool = False) -> dict[str, Any]:
 
 def _motion(answer: Path, degrees: bool) -> dict[str, Any]:
     return {
-        "success": bool(answer), "interrupted": answer.interrupted, "status": answer.status, "closed": answer.closed,
+        "success": bool(answer), "interrupted": answer.interrupted, "late": answer.late, "status": answer.status,
+        "closed": answer.closed,
         "ends": list(answer.ends), "length": answer.length, "turns": answer.turns,
         "turning_points": [_event_facts(answer.system, e, degrees) for e in answer.turning_points],
         "singular_points": [_event_facts(answer.system, e, degrees) for e in answer.singular_points],

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe import spatial
-from kempe.description.source import expanded
+from kempe.description.source import expanded, no_file
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q, closed_from, from_home
 from kempe.kinematics.tabular import SUFFIXES, table_file, write_table
@@ -139,6 +139,8 @@ def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, spatial.
 
     A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` with the file and the line.
     """
+    if what := no_file(path):
+        raise InputError(f"{path}: this is {what}; give the path of a plain file")
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     return _read_npy(path, matrices) if path.suffix.lower() == ".npy" else _read_csv(path)

@@ -75,15 +75,33 @@ def in_slices(
 
 
 @contextlib.contextmanager
-def progress(file: TextIO, count: int, what: str = "targets") -> Iterator[Callable[[int], None] | None]:
-    """A bar that counts what is done of `count`; nothing where `file` is no terminal."""
+def progress(file: TextIO, count: int | None, what: str = "targets") -> Iterator[Callable[..., None] | None]:
+    """What long work calls with what is done, and perhaps an arc length; nothing where `file` is no terminal.
+
+    A bar where it is known of how many, else a line that counts.
+    """
     if not file.isatty():
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
-    columns: Any = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns: Any = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    if count is None:
+        columns = (SpinnerColumn("line"), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=Console(file=file), transient=True) as bar:
         task = bar.add_task(what, total=count)
-        yield lambda done: bar.update(task, completed=done)
+
+        def said(done: int, length: float | None = None) -> None:
+            at = "" if length is None else f", arc length {length:.3g}"
+            bar.update(task, completed=done, description=what if count else f"{done} {what}{at}")
+
+        yield said

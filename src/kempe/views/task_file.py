@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
-from kempe.description.source import Source, decode, expanded, shorten
+from kempe.description.source import Source, decode, expanded, no_file, shorten
 from kempe.description.toml_document import Document
 from kempe.errors import InputError, UnknownNameError, hint
 from kempe.kinematics import tasks
@@ -61,6 +61,8 @@ def read(system: System, path: Path, degrees: bool = False) -> Asked:
     make a batch. Errors: `DescriptionError` with all problems, each with its line.
     """
     path = expanded(path)
+    if what := no_file(path):
+        raise InputError(f"{path}: this is {what}; give the path of a plain file")
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     document = Document(Source(str(path), decode(path.read_bytes(), str(path))))

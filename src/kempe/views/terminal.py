@@ -42,6 +42,14 @@ class Commands(TyperGroup):
         return code
 
 
+def leave(answer: Any) -> None:
+    """End the command where its answer is not complete: by the code for Ctrl-C where that broke it off."""
+    if getattr(answer, "interrupted", False):
+        raise typer.Exit(INTERRUPTED)
+    if not answer:
+        raise typer.Exit(INCOMPLETE)
+
+
 def guarded(function: Callable[..., None]) -> Callable[..., None]:
     """The command with its errors made one sentence (or JSON, by its option `json`) and exit code 2."""
 

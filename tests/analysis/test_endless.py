@@ -1,0 +1,282 @@
+"""Motions that have no end, those that only seem to have none, and what is done when the time is up."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import types
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import Mechanism
+from kempe.analysis.continuation import least_squares
+from kempe.errors import InputError
+from kempe.solvers import clock
+
+
+@pytest.fixture
+def looks(monkeypatch):
+    """A clock whose time is up at look number n, counted from 0: ``looks(n)``."""
+
+    def at(n: int) -> None:
+        count = itertools.count()
+        fake = types.SimpleNamespace(monotonic=lambda: np.inf if next(count) >= n else -np.inf)
+        monkeypatch.setattr(clock, "time", fake)
+
+    return at
+
+
+def two_slides(tilt: float) -> kempe.System:
+    """A bar between two slides in the plane that are nearly parallel: its joints run far out, and come back."""
+    m = Mechanism("two slides", dim=2)
+    a, b, c = m.body("a"), m.body("b"), m.body("c")
+    m.prismatic("S", m.ground, a, axis=(1, 0))
+    m.revolute("A", a, b)
+    m.revolute("B", b, c, at=(1, 0))
+    m.prismatic("T", m.ground, c, axis=(math.cos(tilt), math.sin(tilt)))
+    return m.build()
+
+
+def rprp(offset: float) -> kempe.System:
+    m = Mechanism("rprp", dim=2)
+    a, b, c = m.body("a"), m.body("b"), m.body("c")
+    m.revolute("A", m.ground, a)
+    m.prismatic("S", a, b, axis=(1, 0))
+    m.revolute("B", b, c)
+    m.prismatic("T", m.ground, c, at=(0, offset), axis=(1, 0))
+    return m.build()
+
+
+def three_slides() -> kempe.System:
+    m = Mechanism("wedge", dim=2)
+    a, b = m.body("a"), m.body("b")
+    m.prismatic("A", m.ground, a, axis=(1, 0))
+    m.prismatic("B", a, b, axis=(1, 1))
+    m.prismatic("C", m.ground, b, axis=(1, 2))
+    return m.build()
+
+
+def screws() -> kempe.System:
+    m = Mechanism("screws")
+    a, b = m.body("a"), m.body("b")
+    m.helical("H", m.ground, a, pitch=0.01)
+    m.helical("K", a, b, pitch=0.013)
+    m.prismatic("P", m.ground, b)
+    return m.build()
+
+
+def slide() -> kempe.System:
+    m = Mechanism("slide", dim=2)
+    m.prismatic("S", m.ground, m.body("a"), axis=(1, 0))
+    return m.build()
+
+
+def gears(ratio: float, bars: bool = False) -> kempe.System:
+    """Two wheels, the second `ratio` times as fast; with `bars` pins on both are joined by two bars."""
+    m = Mechanism("gears", dim=2)
+    a, b = m.body("a"), m.body("b")
+    m.revolute("A", m.ground, a)
+    m.revolute("B", m.ground, b, at=(2, 0))
+    m.couple("B", {"A": ratio})
+    if bars:
+        c, d = m.body("c"), m.body("d")
+        m.revolute("C", a, c, at=(0.3, 0))
+        m.revolute("D", c, d, at=(2, 0))
+        m.revolute("E", b, d, at=(0.4, 0), child_at=(1.5, 0))
+    return m.build()
+
+
+# ---- no end
+
+
+ENDLESS = {"rprp": lambda: rprp(0.3), "three slides": three_slides, "screws": screws, "slide": slide,
+           "library screw": lambda: kempe.load("joint_helical")}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ENDLESS)
+def test_what_runs_away_is_said_to(name):
+    s = ENDLESS[name]()
+    path = s.trace()
+    assert path and not path.closed and len(path) < 3000
+    assert all(end.startswith("infinity: nothing turns back as far as it was followed") for end in path.ends)
+    if s.closures:
+        assert np.abs(s.closure_error(path.q)).max() < 1e-9
+
+
+def test_a_limit_ends_what_would_run_away():
+    m = Mechanism("slide", dim=2)
+    m.prismatic("S", m.ground, m.body("a"), axis=(1, 0), limits=(-math.inf, 90.0))
+    path = m.build().trace("S", {"S": 0.0})
+    assert "upper limit 90" in path.ends[1] and path.ends[0].startswith("infinity") and path.q[-1, 0] == 90.0
+
+
+@pytest.mark.parametrize("bars", [False, True], ids=["wheels", "bars"])
+@pytest.mark.parametrize("ratio", [math.sqrt(2.0), -math.pi, 1.0 / 1009.0])
+def test_gears_without_a_ratio_of_whole_numbers_do_not_come_back(ratio, bars):
+    path = gears(ratio, bars).trace()
+    assert path and not path.closed and len(path) < 3000
+    assert "does not come back within 1000 turns of 'A': 'B'" in path.ends[1] and path.ends[0] == "the start"
+
+
+# ---- an end, though far away
+
+
+@pytest.mark.parametrize("tilt", [0.3, 0.03])
+def test_nearly_parallel_slides_come_back(tilt):
+    """The ellipse of the slides' places has the half axis 1 / (2 sin(tilt/2)): far beyond where one looks ahead."""
+    path = two_slides(tilt).trace()
+    assert path.closed and path.turns == {"A": 1, "B": -1} or path.closed
+    reach = max(np.abs(path.values("S")).max(), *(abs(e.value) for e in path.extremes if e.coordinate == "S"))
+    assert reach == pytest.approx(1.0 / math.sin(tilt), rel=1e-6)
+
+
+def test_ratios_of_whole_numbers_close(hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(6)):
+        p, q = int(rng.integers(1, 30)), int(rng.integers(1, 30))
+        path = gears(p / q).trace(step=1.0)
+        assert path.closed and path.turns == {"A": q // math.gcd(p, q)}, (p, q)
+
+
+def test_long_periods_are_told_where_points_end():
+    path = gears(1.0 / 997.0).trace(max_points=1000)
+    assert not path.closed and "by its gear ratios all is as before after 997" in path.ends[1]
+
+
+def test_many_turns_close():
+    path = gears(355.0 / 113.0).trace(step=1.0)
+    assert path.closed and path.turns == {"A": 113}
+
+
+# ---- the time is up
+
+
+@pytest.mark.parametrize("look", [0, 1, 60, 300, 650])
+def test_a_path_keeps_what_was_done(looks, look):
+    s = kempe.load("four_bar")
+    whole = s.trace(both=False)
+    looks(look)
+    path = s.trace(both=False, time_limit=5.0)
+    assert path.late and not path and not path.interrupted and "the time limit" in path.status
+    np.testing.assert_array_equal(path.q, whole.q[: len(path)])
+    assert len(path) < len(whole) or path.remark
+
+
+def test_a_limit_that_does_not_bite_changes_nothing(looks):
+    s = kempe.load("jansen")
+    whole = s.trace(time_limit=None)
+    looks(10**9)
+    path = s.trace(time_limit=1.0)
+    np.testing.assert_array_equal(path.q, whole.q)
+    assert path and not path.late and path.status == whole.status
+
+
+def test_a_path_can_be_asked_when_its_time_is_over(looks):
+    path = kempe.load("four_bar").trace(time_limit=5.0)
+    looks(0)
+    assert np.isfinite(path.at([0.1, 0.2])).all() and len(path.resample(50, time_limit=None)) == 50
+
+
+def test_other_branches_that_were_not_followed_are_told(looks):
+    s = kempe.load("parallelogram")
+    whole = s.trace(switch=True)
+    assert whole.others and whole
+    looks(900)
+    path = s.trace(switch=True, time_limit=5.0)
+    assert path.late and not path and len(path.others) <= len(whole.others)
+
+
+def test_samples_points_and_self_motions_keep_what_was_done(looks):
+    s, panda = kempe.load("four_bar"), kempe.load("panda")
+    path = s.trace()
+    looks(1500)
+    motion = s.drive({"A": np.linspace(0.0, 6.0, 300)}, time_limit=5.0)
+    assert motion.late and not motion and 0 < len(motion) < 300 and len(motion.times) == len(motion.q)
+    looks(3)
+    points = path.resample(100_000, time_limit=5.0)
+    assert points.late and not points and not points.closed and 0 < len(points) < 100_000
+    assert "of 100000 points" in points.status and np.abs(s.closure_error(points.q)).max() < 1e-12
+    looks(5)
+    family = panda.self_motion(panda.posture("ready"), "panda_hand_tcp", time_limit=5.0)
+    assert family.late and 1 < len(family) < 10 and "time limit of 5 s" in family.ends[1]
+
+
+def test_modes_and_paths_of_targets_keep_what_was_done(looks):
+    s, panda = kempe.load("rssr"), kempe.load("panda")
+    looks(2)
+    modes = s.assembly_modes({"A": 0.4}, frame="rocker", time_limit=5.0)
+    assert modes.late and modes and "found from 256 starts" in modes.status and "time limit" in modes.status
+    q = panda.posture("ready") + 0.3 * np.linspace(0.0, 1.0, 50)[:, None]
+    looks(9)
+    path = panda.ik_path(panda.fk(q, "panda_hand_tcp"), "panda_hand_tcp", q[0], time_limit=5.0)
+    assert path.late and not path and 0 < path.success.sum() < 50 and "time limit" in path.status
+
+
+@pytest.mark.parametrize("verb", ["trace", "resample", "drive", "self_motion", "assembly_modes", "ik_path"])
+@pytest.mark.parametrize("limit", [0.0, -1.0, "5", True])
+def test_wrong_limits_are_refused(verb, limit):
+    s, panda = kempe.load("four_bar"), kempe.load("panda")
+    calls = {
+        "trace": lambda: s.trace(time_limit=limit),
+        "resample": lambda: s.trace().resample(5, time_limit=limit),
+        "drive": lambda: s.drive({"A": [0.0, 0.1]}, time_limit=limit),
+        "self_motion": lambda: panda.self_motion(panda.posture("ready"), "panda_hand_tcp", time_limit=limit),
+        "assembly_modes": lambda: s.assembly_modes({"A": 0.3}, time_limit=limit),
+        "ik_path": lambda: panda.ik_path(panda.fk(panda.mid, "panda_hand_tcp")[None], "panda_hand_tcp",
+                                         time_limit=limit),
+    }  # fmt: skip
+    with pytest.raises(InputError, match="time_limit"):
+        calls[verb]()
+
+
+@pytest.mark.parametrize("phase", ["walk", "order"])
+def test_an_interrupt_keeps_the_path(monkeypatch, phase):
+    """Also where it comes after the walk, when special points are looked for."""
+    s = kempe.load("four_bar")
+    name = "home" if phase == "walk" else "extreme"
+    count = itertools.count()
+    own = getattr(kempe.analysis.motion, name)
+
+    def broken(*given):
+        if next(count) == (30 if phase == "walk" else 3):
+            raise KeyboardInterrupt
+        return own(*given)
+
+    whole = s.trace()
+    monkeypatch.setattr(f"kempe.analysis.motion.{name}", broken)
+    path = s.trace()
+    assert path.interrupted and not path and not path.late and "interrupted" in path.status
+    assert len(path) == len(whole) if phase == "order" else 20 < len(path) < len(whole)
+    assert ("where it turns back" in path.status) == (phase == "order")
+
+
+# ---- many points at once
+
+
+@pytest.mark.parametrize("name", ["four_bar", "jansen", "bennett", "double_parallelogram", "schatz", "peaucellier"])
+def test_points_at_equal_distances_are_those_of_newtons_method_point_by_point(name):
+    path = kempe.load(name).trace()
+    found, e, T = path.resample(137), path.track.equations, path.track
+    assert found.s.tolist() == np.linspace(0.0, path.length, 137).tolist()
+    for s, q in zip(found.s, found.q, strict=True):
+        k = int(np.clip(np.searchsorted(T.s, s, side="right") - 1, 0, len(T.s) - 2))
+        size = T.s[k + 1] - T.s[k]
+        u, y = (s - T.s[k]) / size, e.between(T.q[k], T.q[k + 1])
+        a, b = size * T.t[k], size * T.t[k + 1]
+        x = e.move(T.q[k], u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * y - u * u * (1 - u) * b)
+        for _ in range(3):
+            F, J = e.both(x)
+            across = (1 - u) * T.t[k] + u * T.t[k + 1]
+            x = e.move(x, least_squares(np.vstack([J, across]), np.append(-F, 0.0)))
+        np.testing.assert_allclose(q, x if 0.0 < u < 1.0 else T.q[k + (u >= 1.0)], atol=1e-12)
+
+
+def test_points_are_closed_many_at_once(monkeypatch):
+    """The equations are asked for slices of points, not for points."""
+    path = kempe.load("four_bar").trace()
+    calls = []
+    equations = kempe.kinematics.loops.evaluate
+    monkeypatch.setattr("kempe.kinematics.loops.evaluate", lambda *g, **o: calls.append(1) or equations(*g, **o))
+    assert len(path.resample(20_000)) == 20_000 and len(calls) <= 3 * 20

@@ -1,0 +1,73 @@
+"""Targets of a batch that lengths prove out of reach cost a glance; what is nearest to them is found when asked for."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe.kernels.compiled import closest
+from kempe.solvers.solution import NOT_FOUND, OUT_OF_REACH, SOLVED
+
+FIELDS = ("q", "position_error", "orientation_error", "iterations", "starts")
+
+
+@pytest.fixture
+def descents(monkeypatch):
+    """The number of targets that the search for what is nearest was called with, so far: a list."""
+    asked: list[int] = []
+
+    class Counted:
+        @staticmethod
+        def approach(*given):
+            asked.append(int(np.sum(given[-1][:, -3] == NOT_FOUND)))  # those that are not found
+            return closest.approach(*given)
+
+    monkeypatch.setattr("kempe.kernels.compiled.closest", Counted)
+    return asked
+
+
+def mixed(s: kempe.System, frame: str, rng: np.random.Generator, n: int) -> np.ndarray:
+    """Targets, some of which are far away."""
+    X = np.array(s.fk(s.random(rng, n), frame))
+    X[:, :3, 3] *= rng.choice([1.0, 1.2, 3.0], size=(n, 1))
+    return X
+
+
+def test_what_is_nearest_is_searched_for_when_it_is_asked_for(descents):
+    s = kempe.load("puma560")
+    X = np.array(s.fk(s.random(0, 500), "tool"))
+    X[:, :3, 3] *= 30.0
+    answer = s.ik(X, "tool")
+    assert not answer.success.any() and (answer.code == OUT_OF_REACH).all() and answer.proven.all()
+    assert len(answer) == 500 and not answer and not sum(descents)
+    assert np.isfinite(answer.q).all() and sum(descents) == 500
+
+
+@pytest.mark.parametrize("name", ["panda", "so101", "puma560", "ur5", "cobra600"])
+def test_rows_of_a_batch_are_what_single_calls_answer(name, hunt):
+    s, rng = kempe.load(name), hunt.rng()
+    frame = s.frame_names[-1]
+    X = mixed(s, frame, rng, hunt.cases(60))
+    answer = s.ik(X, frame)
+    for i, Y in enumerate(X):
+        one = s.ik(Y, frame)
+        assert (one.success, one.code) == (answer.success[i], answer.code[i])
+        for field in FIELDS:
+            np.testing.assert_array_equal(getattr(one, field), getattr(answer, field)[i])
+    assert {SOLVED, OUT_OF_REACH} <= set(answer.code.tolist())
+
+
+@pytest.mark.parametrize("use", [pickle.dumps, repr, lambda a: a.status, lambda a: replace(a, asked=None)])
+def test_an_answer_can_be_used_before_its_numbers_were_read(use):
+    s = kempe.load("puma560")
+    X = mixed(s, "tool", np.random.default_rng(4), 30)
+    seeds = s.random(5, 30)
+    answer, same = s.ik(X, "tool", seeds), s.ik(X, "tool", seeds)
+    assert use(answer) is not None
+    again = pickle.loads(pickle.dumps(answer))
+    for field in FIELDS:
+        np.testing.assert_array_equal(getattr(again, field), getattr(same, field))

@@ -1,0 +1,229 @@
+"""How commands end: by Ctrl-C with what was done, by the time limit, and at once where a file is none."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import Result
+
+import kempe
+from kempe.description.read import check, read
+from kempe.description.write import write
+from kempe.description.xacro import expand_xacro
+from kempe.errors import DescriptionError, InputError
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals, FIFOs")
+
+HAND = "panda_hand_tcp"
+STARTED = "import signal, sys\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+
+
+def command(*words: object, before: str = "") -> list[str]:
+    """A command line that runs kempe, after some lines of Python, with Ctrl-C as in a terminal."""
+    code = STARTED + before + f"sys.argv[1:] = {[str(w) for w in words]!r}\nfrom kempe.cli import main\nmain()\n"
+    return [sys.executable, "-c", code]
+
+
+def at_call(path: str, number: int) -> str:
+    """Lines of Python by which a function sends Ctrl-C to its own process when it is called for the n-th time."""
+    module, _, name = path.rpartition(".")
+    return (
+        f"import os, itertools, importlib\nmodule = importlib.import_module({module!r})\n"
+        f"own, count = module.{name}, itertools.count(1)\n"
+        "def counted(*given, **more):\n"
+        f"    if next(count) == {number}:\n        os.kill(os.getpid(), signal.SIGINT)\n"
+        "    return own(*given, **more)\n"
+        f"module.{name} = counted\n"
+    )
+
+
+def run(words: list[str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(words, capture_output=True, text=True, timeout=300)
+
+
+@pytest.fixture
+def targets(tmp_path) -> Path:
+    robot = kempe.load("panda")
+    path = tmp_path / "targets.npy"
+    np.save(path, robot.fk(robot.random(0, 9000), HAND))
+    return path
+
+
+# ---- Ctrl-C
+
+
+def test_targets_of_a_file(tmp_path, targets):
+    out = tmp_path / "q.csv"
+    words = command("ik", "panda", "--frame", HAND, "--target", targets, "-o", out,
+                    before=at_call("kempe.solvers.inverse.run", 2))  # fmt: skip
+    done = run(words)
+    assert done.returncode == 130 and "interrupted: 4904 targets were not asked" in done.stdout, done.stderr
+    assert len(out.read_text(encoding="utf-8").splitlines()) == 1 + 4096 and "Traceback" not in done.stderr
+
+
+def test_a_path_of_targets(tmp_path):
+    robot = kempe.load("panda")
+    q = robot.posture("ready") + 0.2 * np.linspace(0.0, 1.0, 40)[:, None]
+    np.save(tmp_path / "way.npy", robot.fk(q, HAND))
+    out = tmp_path / "q.csv"
+    words = command("path", "panda", "--frame", HAND, "--targets", tmp_path / "way.npy", "--out", out,
+                    "--seed", ",".join(map(str, q[0])),
+                    before=at_call("kempe.solvers.following.inside", 12))  # fmt: skip
+    done = run(words)
+    assert done.returncode == 130 and "interrupted" in done.stdout and out.exists(), done.stderr
+
+
+@pytest.mark.parametrize("where", ["kempe.analysis.motion.home", "kempe.analysis.motion.extreme",
+                                   "kempe.analysis.path.least_squares_of_many"])  # fmt: skip
+def test_a_traced_motion(tmp_path, where):
+    """While it is followed, while special points are looked for, and while points at equal distances are made."""
+    out = tmp_path / "path.csv"
+    points = () if "motion" in where else ("--points", 30_000)
+    done = run(command("trace", "four_bar", *points, "-o", out, before=at_call(where, 5 if points else 2)))
+    assert done.returncode == 130 and "interrupted" in done.stdout and "Traceback" not in done.stderr, done.stderr
+    rows = np.loadtxt(out, delimiter=",", skiprows=1, ndmin=2)
+    s = kempe.load("four_bar")
+    assert len(rows) and np.abs(s.closure_error(rows[:, 1 : 1 + s.nq])).max() < 1e-9
+
+
+def test_assembly_modes(tmp_path):
+    out = tmp_path / "modes.csv"
+    done = run(command("assemble", "rssr", "A=0.4", "--modes", "-o", out,
+                       before=at_call("kempe.solvers.many_starts.share_found", 1)
+                       + at_call("kempe.solvers.many_starts.mixed", 1)))  # fmt: skip
+    assert done.returncode == 130 and "interrupted" in done.stdout, (done.stdout, done.stderr)
+
+
+@pytest.mark.slow
+def test_a_signal_from_outside(tmp_path):
+    """Ctrl-C from a terminal, at whatever it does then."""
+    out = tmp_path / "path.csv"
+    before = "import kempe.cli, kempe.analysis.motion\nprint('begun', flush=True)\n"
+    words = command("trace", "four_bar", "--points", 10_000_000, "-o", out, before=before)
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stdout.readline() == "begun\n"
+        time.sleep(5.0)
+        process.send_signal(signal.SIGINT)
+        said, wrong = process.communicate(timeout=300)
+    assert process.returncode == 130 and "Traceback" not in wrong and "interrupted" in said, (said, wrong)
+    assert len(out.read_text(encoding="utf-8").splitlines()) > 100
+
+
+# ---- time
+
+
+def test_a_time_limit_leaves_what_was_done(tmp_path):
+    out = tmp_path / "path.csv"
+    done = run(command("trace", "four_bar", "--points", 10_000_000, "--time-limit", 1, "-o", out))
+    assert done.returncode == 1 and "stopped by the time limit" in done.stdout, done.stderr
+    assert "of 10000000 points at equal distances" in " ".join(done.stdout.split())
+    assert len(out.read_text(encoding="utf-8").splitlines()) > 10
+
+
+def test_time_limits_are_for_what_can_take_long():
+    done = Result("assemble", "four_bar", "A=0.3", "--time-limit", 1)
+    assert done.code == 2 and "--time-limit is for --modes" in done.err
+    done = Result("trace", "four_bar", "--time-limit", 0)
+    assert done.code == 2 and "time_limit is 0" in done.err
+
+
+# ---- what is no file
+
+
+def odd_files(folder: Path, ending: str) -> dict[str, Path]:
+    """A FIFO, a folder, a socket and a device, as far as there are any."""
+    import socket
+
+    found = {"FIFO": folder / f"fifo{ending}", "folder": folder / f"folder{ending}", "device": Path("/dev/zero")}
+    os.mkfifo(found["FIFO"])
+    found["folder"].mkdir()
+    here = Path.cwd()
+    os.chdir(folder)  # names of sockets are short
+    try:
+        with socket.socket(socket.AF_UNIX) as s:
+            s.bind(f"socket{ending}")
+        found["socket"] = folder / f"socket{ending}"
+    finally:
+        os.chdir(here)
+    return {k: v for k, v in found.items() if v.exists()}
+
+
+@pytest.mark.parametrize("ending", [".urdf", ".toml", ".urdf.xacro"])
+def test_what_is_no_file_is_not_read(tmp_path, ending):
+    for what, path in odd_files(tmp_path, ending).items():
+        with pytest.raises(DescriptionError, match=f"this is a {what}"):
+            read(path, xacro=ending.endswith("xacro"))
+        assert f"this is a {what}" in str(check(path).problems[0])
+
+
+def test_what_is_no_file_is_not_written(tmp_path):
+    mechanism = kempe.read("four_bar")
+    for what, path in odd_files(tmp_path, ".toml").items():
+        if path.suffix == ".toml":
+            with pytest.raises(InputError, match=f"this is a {what}"):
+                write(mechanism, path)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("info", "{urdf}"), ("fk", "puma560", "--q", "{csv}"),
+        ("ik", "puma560", "--frame", "tool", "--target", "{csv}"),
+        ("ik", "puma560", "--tasks", "{toml}"), ("path", "puma560", "--frame", "tool", "--targets", "{npy}"),
+        ("assemble", "four_bar", "{csv}"), ("fk", "puma560", "-o", "{csv}"), ("trace", "four_bar", "--plot", "{svg}"),
+        ("convert", "four_bar", "{toml}"), ("trace", "four_bar", "-o", "{npy}"),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_commands_refuse_a_fifo_at_once(tmp_path, words):
+    paths = {ending: str(tmp_path / f"f.{ending}") for ending in ("urdf", "csv", "npy", "toml", "svg")}
+    for path in paths.values():
+        os.mkfifo(path)
+
+    def waited(*_):
+        raise AssertionError("it waits for the FIFO")
+
+    before = signal.signal(signal.SIGALRM, waited)
+    signal.alarm(20)
+    try:
+        done = Result(*(w.format(**paths) for w in words))
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+    assert done.code == 2 and "this is a FIFO" in " ".join(done.err.split()), done.err
+
+
+# ---- xacro
+
+
+def test_an_expansion_ends_when_its_message_says(tmp_path, monkeypatch):
+    """It waits for something else than the processor; and what asks for ever larger numbers."""
+    (tmp_path / "xacrodoc.py").write_text(
+        "import time\nfrom unittest.mock import MagicMock\npackages = MagicMock()\n"
+        "class XacroDoc:\n    def from_file(path, **_):\n        eval(open(path).read())\n",
+        encoding="utf-8",
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    for text in ("time.sleep(600)", "9**9**9**9"):
+        path = tmp_path / "bomb.xacro"
+        path.write_text(text, encoding="utf-8")
+        waited: list[float] = []
+        wait = subprocess.Popen.wait
+
+        def waits(process, timeout=None, waited=waited, wait=wait):
+            waited.append(timeout)
+            return wait(process, timeout)
+
+        monkeypatch.setattr(subprocess.Popen, "wait", waits)
+        with pytest.raises(DescriptionError, match=r"did not finish in 1\.5 s"):
+            expand_xacro(path, seconds=1.5)
+        assert max(t for t in waited if t is not None) == 1.5
+        monkeypatch.setattr(subprocess.Popen, "wait", wait)
