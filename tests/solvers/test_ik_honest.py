@@ -223,3 +223,28 @@ def test_freedoms_that_a_target_leaves_are_counted(task, m):
     flat = arm([(-3.0, 3.0)] * 4, (1.0, 0.7, 0.2, 0.3))
     t = flat.ik(flat.fk([0.3, 0.4, -0.2, 0.1], "tip"), "tip")
     assert (t.m, t.n, t.redundancy) == (3, 4, 1)
+
+
+# ---- near misses
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-3])
+@pytest.mark.parametrize("gap", [3e-8, 3e-7, 3e-5])
+def test_a_near_miss_is_said_to_be_one(size, gap):
+    """Beyond the reach of an arm whose links do not lie on one line, so that their lengths prove nothing."""
+    m = Mechanism("arm")
+    m.revolute("yaw", m.ground, m.body("base"), axis=(0, 0, 1))
+    m.revolute("shoulder", "base", m.body("upper"), axis=(0, 1, 0))
+    m.revolute("elbow", "upper", m.body("lower"), at=(0.5 * size, 0, 0), axis=(0, 1, 0))
+    m.frame("tip", "lower", at=(0.4 * size, 0.3 * size, 0))
+    s = m.build()
+    x = s.fk(np.array([0.3, 0.4, 0.0]), "tip")[:3, 3]
+    answer = s.ik(x * (1.0 + gap / np.linalg.norm(x)), "tip", tolerance=1e-9)
+    assert not answer.success and answer.position_error == pytest.approx(gap, rel=1e-6)
+    status = str(answer.status)
+    if gap > 1e-6:
+        assert "no configuration was found" in status and "ended early" not in status
+    else:
+        reason = "at so small a scale" if size < 1.0 else "or the target is just outside the workspace"
+        assert f"the search came within {gap:.0e} m" in status and "it may have ended early" in status
+        assert reason in status and "no configuration was found" not in status

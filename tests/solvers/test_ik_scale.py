@@ -124,3 +124,16 @@ def test_units(unit):
     b = usual.ik_all(product(TABLES["puma560"], q), "tool")
     np.testing.assert_array_equal(a.mask, b.mask)
     np.testing.assert_allclose(a.q[a.mask], b.q[b.mask], atol=1e-6)
+
+
+@pytest.mark.parametrize("length", [1e3, 2e4, 3e4, 5e4])
+def test_all_solutions_of_an_arm_with_one_long_link(length):
+    """The structure that solves the arm is found, though rounding of the long link blurs its angles."""
+    s = kempe.load("ur5").with_parameters(d4=length)
+    q = s.random(1, 60)
+    answer = s.ik_all(s.fk(q, "tool"), "tool")
+    off = np.abs((answer.q - q[:, None] + math.pi) % (2.0 * math.pi) - math.pi).max(axis=-1)
+    off = np.where(answer.mask, off, math.inf).min(axis=1)
+    assert np.sum(off > 1e-2) <= 1
+    assert not np.any((off > 1e-3) & answer.complete)
+    assert answer.complete.all() == (length < 1e4)

@@ -125,7 +125,7 @@ def unbind(loops, work):
 
 @routine
 def freeze(loops, work, ask, stage):
-    """Hold from now on what a stage has reached."""
+    """Hold from now on what a stage has reached: it misses nothing more."""
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
         if ask.stage[k] == stage:
@@ -134,6 +134,7 @@ def freeze(loops, work, ask, stage):
             for i in range(at, at + plan[tie + L.ROWS]):
                 if work.low[i] == work.high[i] or loops.error[i] != 0.0:
                     work.low[i] = work.high[i] = work.value[i]
+                    loops.error[i] = 0.0
 
 
 @routine

@@ -110,10 +110,10 @@ def search_down(loops, work, ask, key, tries, limit, stop):
 
 @routine
 def lower_first(loops, work, ask, stage, limit, mode, stop):
-    """As `lower`; hard stages behind a soft one are held as long as that costs it nothing."""
+    """As `lower`; hard stages behind a soft one are held as long as that costs it nothing, for half of the steps."""
     if mode != NOTHING or is_hard(loops, ask, stage) or not hold_ahead(loops, ask, stage):
         return lower(loops, work, ask, stage, limit, mode, stop)
-    steps, late = lower(loops, work, ask, stage, limit, mode, stop)
+    steps, late = lower(loops, work, ask, stage, limit // 2, mode, stop)
     restore(loops, ask)
     least = square_of(loops, ask, stage, stage, False)
     if least > TIGHT and not late:
@@ -191,7 +191,11 @@ def missed_softly(loops, ask):
 
 @routine
 def reach(loops, work, ask, key, tries, limit, mode, stop):
-    """Status, steps and starts; q is the answer, or the nearest found."""
+    """Status, steps and starts; q is the answer, or the nearest found.
+
+    With `tries` below 0, all stages but the last are held as q has them.
+    """
+    first = ask.stages if tries < 0 else 1
     unbind(loops, work)
     restore(loops, ask)
     last, late, steps, most = search_down(loops, work, ask, key, tries, limit, stop)
@@ -199,7 +203,9 @@ def reach(loops, work, ask, key, tries, limit, mode, stop):
     for s in range(1, ask.stages + 1):
         pinned = pinned or is_hard(loops, ask, s)
     for s in range(1, ask.stages + (1 if mode == NOTHING else 2)):
-        if not late and (s > last or not is_hard(loops, ask, s) or missed(loops, ask, s, s) > 1.0):
+        if late or not (s > last or not is_hard(loops, ask, s) or missed(loops, ask, s, s) > 1.0):
+            continue
+        if s >= first:
             copy(work.held, loops.q, 0, loops.nq)
             enough, worst = 4.0 * square_of(loops, ask, 0, s - 1, False), missed(loops, ask, 0, s - 1)
             if s <= ask.stages:
@@ -213,7 +219,7 @@ def reach(loops, work, ask, key, tries, limit, mode, stop):
             if lost or missed(loops, ask, 0, s - 1) > max(worst, 1.0):
                 copy(loops.q, work.held, 0, loops.nq)
                 assess(loops, work)
-            freeze(loops, work, ask, s)
+        freeze(loops, work, ask, s)
     unbind(loops, work)
     assess(loops, work)
     if mode == NOTHING:
@@ -238,7 +244,8 @@ def solve(
     ints, floats: the table; plan, weights: the loops, and pins (N or 1, k), as `loop_layout` says. stages (2 ties):
     stage of each tie and 1 if it is hard. strengths (ties, 3): weight, tolerance of its lengths, in characteristic
     lengths, and of its other rows. starts (N or 1, nq); goals (N or 1, nq): where the last stage leads in mode 1.
-    tries: starts at most, drawn from `seed`, for all rows alike; with 0 each stage is lowered in turn from `starts`.
+    tries: starts at most, drawn from `seed`, for all rows alike; with 0 each stage is lowered in turn from `starts`,
+    with -1 only the last one.
     limit: steps of a start. mode: NOTHING, AHEAD, or the address of a function to lower. stop: address of a function
     that writes whether the time is up, or 0: it is asked before each start and each step of a lower stage. loose:
     whether a free base may be moved before the first start.

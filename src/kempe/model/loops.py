@@ -83,8 +83,8 @@ def pack(
     if origin.any():
         table = moved(table, -origin)
     ties = _ties(system, table, carried, pins) + (further(table) if further else [])
-    ties = _in_order([t for t in ties if t.rows or t.joint], table)
-    ties = sorted(ties, key=level) if level else ties
+    ties = [t for t in ties if t.rows or t.joint]
+    ties = _by_level(ties, table, level) if level else _in_order(ties, table)
     at = dict(table.at)
     for k, tie in enumerate(ties):
         at["tie", k, 0], at["tie", k, 1] = tie.a, tie.b
@@ -193,15 +193,18 @@ def _in_order(ties: list[Tie], table: Table) -> list[Tie]:
 def _by_level(ties: list[Tie], table: Table, level: Callable[[Tie], int]) -> list[Tie]:
     """The ties in the order of levels, each in an order of its own, so that it is the same without the last level.
 
-    Those of the last level that hold one coordinate each stay where the envelope is smallest.
+    Those of the last level that hold one coordinate each stand before the first other one that it moves: this keeps the
+    envelope small.
     """
-    levels = sorted({level(t) for t in ties})
-    loose = [t.own >= 0 and level(t) == levels[-1] for t in ties]
-    firm = [t for t, free in zip(ties, loose, strict=True) if not free]
-    groups = ([t for t in firm if level(t) == n] for n in levels)
-    strict = iter([t for group in groups for t in _in_order(group, table)])
-    free = {id(t) for t, free in zip(ties, loose, strict=True) if free}
-    return [t if id(t) in free else next(strict) for t in _in_order(ties, table)]
+    last = max(level(t) for t in ties)
+    loose = [t for t in ties if t.own >= 0 and level(t) == last]
+    groups = [[t for t in ties if level(t) == n and t not in loose] for n in sorted({level(t) for t in ties})]
+    out: list[Tie] = []
+    for tie in (t for group in groups for t in _in_order(group, table)):
+        moved_by = _movers(tie, table)
+        out += [*(t for t in loose if t.own in moved_by), tie]
+        loose = [t for t in loose if t.own not in moved_by]
+    return out + loose
 
 
 def _movers(tie: Tie, table: Table) -> set[int]:

@@ -1,12 +1,15 @@
-"""Levels of tasks: their order, their packed ties, and a look at the same search without the later ones.
+"""Levels of tasks: their order, their packed ties, and what is found without the later ones.
 
-Lowering never gives up what earlier levels have reached. But where it begins depends on the later ones in two ways:
-hard tasks behind a soft level are met first, and an angle that a later level names does not turn on beyond its limits.
+Lowering never gives up what earlier levels have reached, and soft levels are added one by one, each to what is found
+without it. Hard tasks behind a soft level are met first, and an angle that a later level names does not turn on beyond
+its limits: there the search without the later ones is looked at, too.
 """
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +25,9 @@ if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.tasks import Problem
 
+Level = tuple[int, bool]
+Search = Callable[["Problem", Array, "int | None"], tuple[Array, np.ndarray]]
+
 KEPT = 64
 """Structures of tasks whose packed ties a system keeps, and sets of weights and tolerances kept with each."""
 GAIN, LITTLE = 1e-6, 1e-12
@@ -30,7 +36,7 @@ MET = 1e-16
 """Square of what a soft level misses up to which it is met."""
 
 
-def level_of(task: Task) -> tuple[int, bool]:
+def level_of(task: Task) -> Level:
     """What levels of tasks are ordered by: priority, hard before soft."""
     return int(task.priority), task.weight is not None
 
@@ -60,65 +66,115 @@ def keep(kept: dict[Any, Any], key: Any, value: Any) -> Any:
     return value
 
 
-def keep_levels(problem: Problem, base: Array, q: Array, info: np.ndarray, threads: int | None = 1) -> None:
-    """Nothing; makes rows of q and info better in place where earlier levels come lower without the later ones.
+def solve(
+    problem: Problem, base: Array, search: Search, threads: int | None = 1, rows: np.ndarray | None = None
+) -> tuple[Array, np.ndarray]:
+    """Configurations (N, nq) and (status, steps, starts) (N, 3), from starts (N or 1, nq); of some `rows` few starts.
 
-    This is looked at where later levels can change where a soft level begins, and the level is missed. Where it comes
-    lower, the later ones are lowered from there, as far as the earlier ones stay there.
+    A soft last level behind another soft one is lowered from what is found without it.
     """
-    for part in _parts(problem):
-        rows = np.flatnonzero((info[:, 0] < S.LATE) & (info[:, 0] != S.BAD_INPUT))
-        here = values(part, q[rows], rows)
-        missed = (here > MET).any(axis=1)
-        rows, here = rows[missed], here[missed]
-        if not rows.size or time.monotonic() >= problem.end:
-            continue
-        alone, found = part.run(base, threads, tries=effort.FIRST, rows=rows)
-        there = values(part, alone, rows)
-        better = (found[:, 0] == S.SOLVED) & is_lower(there, here)
-        info[rows, 1] += found[:, 1]
-        rows, there = rows[better], there[better]
-        if not rows.size:
-            continue
-        starts = q.copy()
-        starts[rows] = alone[better]
-        again, more = problem.run(starts, threads, tries=0, rows=rows)
-        lost = is_lower(there, values(part, again, rows))
-        again[lost], more[lost, 0] = starts[rows[lost]], S.NOT_FOUND
-        in_time = more[:, 0] < S.LATE
-        q[rows[in_time]], info[rows[in_time], 0] = again[in_time], more[in_time, 0]
-        info[rows, 1] += more[:, 1]
+    end = _cut(problem, _is_added)
+    if end is None:
+        few = rows is not None
+        q, info = problem.run(base, threads, tries=effort.FIRST, rows=rows) if few else search(problem, base, threads)
+        if len(problem.tasks) > 1:
+            _compare(problem, base, q, info, search, threads, np.arange(len(q)) if rows is None else rows)
+        return q, info
+    q, info = solve(_part(problem, end), base, search, threads, rows)
+    rows = np.arange(len(q)) if rows is None else rows
+    at = np.flatnonzero((info[:, 0] < S.LATE) & (info[:, 0] != S.BAD_INPUT))
+    if at.size:
+        q[at], more = _lead_on(problem, rows[at], q[at], threads, -1)
+        info[at, 0] = more[:, 0]
+        info[at, 1] += more[:, 1]
+    return q, info
 
 
-def _parts(problem: Problem) -> list[Problem]:
-    """The problem up to each level, from the first soft one on, that hard tasks follow, or tasks that name angles
-    which could turn on without them."""
-    levels = tuple(level_of(t) for t in problem.tasks)
-    order = sorted(set(levels))
-    if len(order) < 2 or not any(soft for _, soft in order[:-1]):
-        return []
-    ends = problem.packed.stages.get(levels)
+def _compare(
+    problem: Problem, base: Array, q: Array, info: np.ndarray, search: Search, threads: int | None, rows: np.ndarray
+) -> None:
+    """Nothing; makes q and info of some rows better in place where earlier levels come lower without the last ones.
+
+    This is looked at where the last levels can change what the others reach, and that is missed. Where it comes lower,
+    the last ones are lowered from there, as far as the others stay there. A success is given up only for what is one
+    without them.
+    """
+    end = _cut(problem, _may_differ)
+    if end is None:
+        return
+    soft = any(t.weight is not None and level_of(t) <= end for t in problem.tasks)
+    at = np.flatnonzero((info[:, 0] == S.NOT_FOUND) | (soft & (info[:, 0] == S.SOLVED)))
+    if not at.size:
+        return
+    part = _part(problem, end)
+    here = values(part, q[at], rows[at])
+    missed = (here > MET).any(axis=1)
+    at, here = at[missed], here[missed]
+    if not at.size or time.monotonic() >= problem.end:
+        return
+    alone, found = solve(part, base, search, threads, rows[at])
+    info[at, 1] += found[:, 1]
+    there = values(part, alone, rows[at])
+    fair = (found[:, 0] == S.SOLVED) | ((found[:, 0] == S.NOT_FOUND) & (info[at, 0] == S.NOT_FOUND))
+    better = fair & is_lower(there, here)
+    at, alone, there = at[better], alone[better], there[better]
+    if not at.size:
+        return
+    again, more = _lead_on(problem, rows[at], alone, threads, 0)
+    lost = is_lower(there, values(part, again, rows[at]))
+    again[lost], more[lost, 0] = alone[lost], S.NOT_FOUND
+    in_time = more[:, 0] < S.LATE
+    q[at[in_time]], info[at[in_time], 0] = again[in_time], more[in_time, 0]
+    info[at, 1] += more[:, 1]
+
+
+def _lead_on(problem: Problem, rows: np.ndarray, q: Array, threads: int | None, tries: int) -> tuple[Array, np.ndarray]:
+    """As `Problem.run` of some rows, from configurations of these."""
+    starts = np.zeros((math.prod(problem.lead), q.shape[1]))
+    starts[rows] = q
+    return problem.run(starts, threads, tries=tries, rows=rows)
+
+
+def _cut(problem: Problem, where: Callable[[Problem, Level], bool]) -> Level | None:
+    """The last level that says so, before the last one."""
+    levels = tuple([level_of(t) for t in problem.tasks])
+    asked = where, levels
+    ends = problem.packed.stages.get(asked)
     if ends is None:
-        first = [soft for _, soft in order].index(True)
-        ends = [end for end in order[first:-1] if _may_differ(problem, end)]
-        keep(problem.packed.stages, levels, ends)
-    return [_part(problem, end) for end in ends]
+        order = sorted(set(levels))
+        ends = keep(problem.packed.stages, asked, [end for end in order[:-1] if where(problem, end)][-1:])
+    return ends[0] if ends else None
 
 
-def _may_differ(problem: Problem, end: tuple[int, bool]) -> bool:
-    """Whether tasks behind this level can change where it begins."""
+def _is_added(problem: Problem, end: Level) -> bool:
+    """Whether a soft level, the last one, stands behind this one, which is soft or has soft ones before it."""
+    levels = sorted({level_of(t) for t in problem.tasks})
+    return levels[-1][1] and end == levels[-2] and any(soft for _, soft in levels[:-1])
+
+
+def _may_differ(problem: Problem, end: Level) -> bool:
+    """Whether tasks behind this level can change what those up to it reach.
+
+    Hard ones are met before soft ones are lowered, and angles that are named do not turn on beyond their limits.
+    """
     later = [t for t in problem.tasks if level_of(t) > end]
-    if any(t.weight is None for t in later):
+    soft = any(t.weight is not None and level_of(t) <= end for t in problem.tasks)
+    if soft and any(t.weight is None for t in later):
         return True
     named = any(t.coordinates(problem.system) for t in later)
     return named and bool(np.any(_part(problem, end).packed.wide & ~problem.packed.wide))
 
 
-def _part(problem: Problem, end: tuple[int, bool]) -> Problem:
+def _part(problem: Problem, end: Level) -> Problem:
     """The problem up to a level, nothing preferred."""
-    chosen = [i for i, t in enumerate(problem.tasks) if level_of(t) <= end]
-    tasks, goals = tuple(problem.tasks[i] for i in chosen), tuple(problem.goals[i] for i in chosen)
-    packed = packed_for(problem.system, tasks, problem.packed.turns)
+    levels = tuple([level_of(t) for t in problem.tasks])
+    asked = _part, levels, end
+    chosen, packed = problem.packed.stages.get(asked) or ((), None)
+    if packed is None:
+        chosen = tuple(i for i, level in enumerate(levels) if level <= end)
+        packed = packed_for(problem.system, tuple(problem.tasks[i] for i in chosen), problem.packed.turns)
+        keep(problem.packed.stages, asked, (chosen, packed))
+    tasks, goals = tuple([problem.tasks[i] for i in chosen]), tuple([problem.goals[i] for i in chosen])
     pins = packed.pins(goals, problem.lead if lead_of(goals) else ())
     use = (True,) * len(tasks)
     return replace(

@@ -25,6 +25,9 @@ WIDE = 1e5
 AWAY = 1e8
 """Largest lengths of the chain that its base may be from the origin, likewise."""
 
+BLUR = 100.0
+"""Roundings of an angle, in units of the square of the ratio of lengths: seen are up to 10."""
+
 EPSILON = float(np.finfo(float).eps)
 
 
@@ -51,6 +54,11 @@ class Span(NamedTuple):
     def rounding(self) -> float:
         """What rounding leaves of positions, in metres."""
         return 16.0 * EPSILON * max(self.largest, self.away)
+
+    @property
+    def blur(self) -> float:
+        """What rounding leaves of angles, where a long length moves what short ones decide."""
+        return BLUR * EPSILON * (self.largest / self.middle) ** 2 if self.middle > 0.0 else 0.0
 
     def figures(self) -> str:
         """How far lengths are apart, and what is left of positions."""

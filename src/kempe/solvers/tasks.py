@@ -29,7 +29,7 @@ from kempe.solvers.contradictions import contradictory
 from kempe.solvers.effort import most_starts
 from kempe.solvers.home import beside
 from kempe.solvers.lengths import unreachable
-from kempe.solvers.levels import keep, keep_levels, level_of, packed_for
+from kempe.solvers.levels import keep, level_of, packed_for, solve
 from kempe.solvers.reached import Reached
 from kempe.solvers.solution import BAD_INPUT, CONTRADICTORY, NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED
 from kempe.spatial import Array
@@ -215,15 +215,11 @@ def reach(
         problem = replace(problem, iterations=step_count(iterations), time_limit=time_limit, end=end)
     if prefer == "manipulability" and problem.lead:  # it depends on the goal, of which each row has its own
         rows = [_preferring(problem.of(i), prefer, base) for i in range(math.prod(problem.lead))]
-        each = [search(row, base[i : i + 1] if len(base) > 1 else base) for i, row in enumerate(rows)]
-        for i, (row, (q, info)) in enumerate(zip(rows, each, strict=True)):
-            keep_levels(row, base[i : i + 1] if len(base) > 1 else base, q, info)
+        each = [solve(row, base[i : i + 1] if len(base) > 1 else base, search) for i, row in enumerate(rows)]
         q, info = (np.concatenate([x[k] for x in each] or [np.empty((0, n))]) for k, n in ((0, system.nq), (1, 3)))
     else:
         problem = problem if prefer is None else _preferring(problem, prefer, base)
-        q, info = search(problem, base, threads)
-        if len(problem.tasks) > 1:
-            keep_levels(problem, base, q, info, threads)
+        q, info = solve(problem, base, search, threads)
     answer = judge(problem, q, info)
     if not problem.lead and answer.code == BAD_INPUT:
         for each, goals in zip(problem.tasks, problem.goals, strict=True):

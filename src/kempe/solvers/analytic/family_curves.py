@@ -66,21 +66,22 @@ class Motion(Points):
         free, found = self.kernel(self.linear(theta)[1], least=0), list[Curve]()
         if not len(free):
             return []
-        near = list(self._neighbours(theta, free, REACH))
+        far, near = REACH, self._neighbours(theta, free, REACH)
         if not near and self.spectrum(self.linear(theta)[1])[0] < self.undetermined:
-            near = list(self._neighbours(theta, free, NEAR))
-        for start, way, wide in near:
-            if len(wide) > 1:
-                return [self._surface(theta, start, wide)]
+            far, near = NEAR, self._neighbours(theta, free, NEAR)
+        for start in near:
             if known(start) or any(self._passes(curve, start) for curve in found):
                 continue
+            way, wide = (start - theta) / np.linalg.norm(start - theta), self.spanned(start, far)
+            if len(wide) > 1:
+                return [self._surface(theta, start, wide)]
             curve = self.follow(theta, way) if len(free) == 1 else self.follow(start, way)
             if curve is not None:
                 found.append(curve)
         return found
 
-    def _neighbours(self, theta: Array, free: Array, far: float) -> Iterator[tuple[Array, Array, Array]]:
-        """Configurations on target at a small distance, the way there, and the directions (d, n) free in them."""
+    def _neighbours(self, theta: Array, free: Array, far: float) -> list[Array]:
+        """Configurations (n,) on target at a small distance, far from each other."""
         if len(free) == 1:
             ways = np.array([free[0], -free[0]])
         else:
@@ -90,12 +91,10 @@ class Motion(Points):
                 c = np.stack([np.cos(angle), np.sin(angle)], axis=1)
             ways = c @ free / np.linalg.norm(c, axis=1, keepdims=True)
         seen: list[Array] = []
-        for way in ways:
-            x = self.at_distance(theta, theta + far * way, far)
-            if x is None or any(np.abs(x - y).max() < 0.05 * far for y in seen):
-                continue
-            seen.append(x)
-            yield x, (x - theta) / np.linalg.norm(x - theta), self.spanned(x, far)
+        for x in self.at_distance(theta, theta + far * ways, far):
+            if np.isfinite(x[0]) and not any(np.abs(x - y).max() < 0.05 * far for y in seen):
+                seen.append(x)
+        return seen
 
     def _passes(self, curve: Curve, theta: Array) -> bool:
         near = self.nearest_on(curve.theta, theta)
@@ -275,8 +274,8 @@ class Motion(Points):
             free = self.kernel(self.linear(x)[1], d)
             way, far = rng.normal(size=d) @ (free if len(free) == d else wide @ free.T @ free), 0.6 * rng.random()
             ahead = x + far * way / np.linalg.norm(way)
-            new = self.corrected(ahead, free)[0] if len(free) == d else self.at_distance(x, ahead, far)
-            if new is not None and self.on_target(e := self.linear(new)[0]):
+            new = self.corrected(ahead, free)[0] if len(free) == d else self.at_distance(x, ahead[None], far)[0]
+            if np.isfinite(new[0]) and self.on_target(e := self.linear(new)[0]):
                 x, worst = new, max(worst, self.missed(e))
                 out.append(x)
         free = self.kernel(self.linear(theta)[1], d)

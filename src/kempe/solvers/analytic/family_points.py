@@ -68,10 +68,15 @@ class Points:
 
     def linear(self, theta: Array) -> tuple[Array, Array]:
         """Errors (m,) and Jacobian (m, n) at theta (n,), see `shift`; columns of joints that are held are zero."""
-        e, columns = self.aim.at(theta[None])
-        J = np.zeros((e.shape[1], len(theta)))
-        J[:, self.aim.moves] = columns[0]
-        return (self.shift @ e[0], self.shift @ J) if len(self.shift) else (e[0], J)
+        e, J = self.linear_each(theta[None])
+        return e[0], J[0]
+
+    def linear_each(self, theta: Array) -> tuple[Array, Array]:
+        """As `linear`, for each of several (N, n)."""
+        e, columns = self.aim.at(theta)
+        J = np.zeros((*e.shape, theta.shape[1]))
+        J[..., self.aim.moves] = columns
+        return (e @ self.shift.T, self.shift @ J) if len(self.shift) else (e, J)
 
     def missed(self, e: Array) -> float:
         """The larger of both errors, of position [m], also where it is brought to, and of orientation [rad]."""
@@ -130,26 +135,36 @@ class Points:
         free = self.kernel(self.linear(theta)[1])
         if len(free) == 1:
             return free
-        near, ways = STRIDE * far, []
-        for way in np.random.default_rng(3).normal(size=(DIRECTIONS, len(free))) @ free:
-            x = self.at_distance(theta, theta + near * way / np.linalg.norm(way), near)
-            if x is not None:
-                ways.append((x - theta) / np.linalg.norm(x - theta))
-        if not ways:
+        near = STRIDE * far
+        ways = np.random.default_rng(3).normal(size=(DIRECTIONS, len(free))) @ free
+        ways *= near / np.linalg.norm(ways, axis=1, keepdims=True)
+        x = self.at_distance(theta, theta + ways, near)
+        x = x[np.isfinite(x[:, 0])]
+        if not len(x):
             return free[-1:]
-        _, s, Vt = np.linalg.svd(np.array(ways))
+        ways = (x - theta) / np.linalg.norm(x - theta, axis=1, keepdims=True)
+        _, s, Vt = np.linalg.svd(ways)
         return Vt[: min(len(free), int((s > SPANNED * s[0]).sum()))]
 
-    def at_distance(self, centre: Array, theta: Array, far: float) -> Array | None:
-        """A configuration (n,) on target so far from `centre`, from a start; None if none is found."""
+    def at_distance(self, centre: Array, starts: Array, far: float) -> Array:
+        """Configurations (N, n) on target so far from `centre` (n,), from starts (N, n); NaN where none is found."""
+        theta, left = starts.copy(), np.arange(len(starts))
         for _ in range(2 * CORRECTIONS):
-            e, J = self.linear(theta)
-            r = theta - centre
-            size = float(np.linalg.norm(r))
-            if not 0.3 * far < size < 3.0 * far:
-                return None
-            step = np.linalg.lstsq(np.vstack([J, r / size]), np.append(e, far - size), rcond=CUT)[0]
-            theta = theta + step
-            if np.abs(step).max() < SETTLED:
+            r = theta[left] - centre
+            size = np.linalg.norm(r, axis=1)
+            lost = ~((size > 0.3 * far) & (size < 3.0 * far))
+            theta[left[lost]] = np.nan
+            left, r, size = left[~lost], r[~lost], size[~lost]
+            if not len(left):
                 break
-        return theta if self.on_target(self.linear(theta)[0]) else None
+            e, J = self.linear_each(theta[left])
+            rows = np.concatenate([J, (r / size[:, None])[:, None]], axis=1)
+            step = np.linalg.pinv(rows, rcond=CUT) @ np.concatenate([e, (far - size)[:, None]], axis=1)[..., None]
+            theta[left] += step[..., 0]
+            left = left[np.abs(step).max(axis=(1, 2)) >= SETTLED]
+            if not len(left):
+                break
+        found = np.flatnonzero(np.isfinite(theta[:, 0]))
+        off = [not self.on_target(e) for e in self.linear_each(theta[found])[0]]
+        theta[found[off]] = np.nan
+        return theta

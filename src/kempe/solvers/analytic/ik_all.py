@@ -251,7 +251,7 @@ def solve_held(
         from kempe.solvers.analytic.search import search
 
         search(question, plan, chain_near, locked, out, counts, lost)
-    if lines.span.wide:  # a structure may be there by rounding alone
+    if lines.span.wide or plan.blurred:  # a structure may be there by rounding alone
         counts[:, 1] = 1
     return out, counts
 

@@ -83,8 +83,9 @@ class Aim:
         """What is missing (N, 6) at poses of the tip; zero in rows that do not count."""
         back, full = np.swapaxes(R, 1, 2), np.zeros((len(R), 6))
         full[:, :3] = (back @ (self.target[:3, 3] - p)[..., None])[..., 0]
-        D = back @ self.target[:3, :3]
-        full[:, 3:] = _pointing(D[:, :, 2]) if len(self.rows) in (2, 5) else _rotation_vector(D)
+        if self.rows[-1] >= 3:
+            D = back @ self.target[:3, :3]
+            full[:, 3:] = _pointing(D[:, :, 2]) if len(self.rows) in (2, 5) else _rotation_vector(D)
         out = np.zeros((len(R), 6))
         out[:, self.rows] = full[:, self.rows]
         return out

@@ -28,8 +28,8 @@ ELIMINATIONS, MOST_FORMS = 3, 5
 EIGHT = 8
 """Rows of an answer where targets are solved side by side."""
 
-RANK = 1e-7
-"""Singular values below this fraction of the largest are zero when the freedoms of a chain are counted."""
+RANK, AGAIN = 1e-7, 1e-6
+"""Singular values below this fraction of the largest are zero when freedoms are counted; how near is found again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class Plan:
 
     `method` is "closed", "elimination" or "search"; `locked` are the joints held at values: those `fixed` by whoever
     asks, and others where the chain has more than the task needs, which are at `first` (n,) where nobody says where.
-    `extra` are the lines that complete the rest to six.
+    `extra` are the lines that complete the rest to six. `blurred`: lengths leave so few digits that roots may be lost.
     """
 
     lines: Lines
@@ -62,6 +62,7 @@ class Plan:
     fixed: tuple[int, ...] = ()
     planar: bool = False
     first: tuple[float, ...] = ()
+    blurred: bool = False
 
     @property
     def rests(self) -> bool:
@@ -262,8 +263,8 @@ def in_closed_form(
     for extra in _completions(lines, task, unknown, planar, but):
         for way in _ways(lines, unknown, locked, extra):
             plan = pack(lines, task, locked, extra, way)
-            if _works(plan):
-                return plan
+            if (off := _error(plan)) < max(AGAIN, lines.span.blur):
+                return replace(plan, blurred=off >= AGAIN)
     return None
 
 
@@ -290,7 +291,7 @@ def _by_elimination(lines: Lines, task: str, unknown: list[int], locked: tuple[i
     if not best:
         return None
     plan = pack(lines, task, locked, extra, None, (tuple(places), best))
-    return plan if _works(plan) else None
+    return plan if _error(plan) < AGAIN else None
 
 
 def kernel_of(plan: Plan) -> Callable[..., None]:
@@ -378,8 +379,8 @@ def pack(
     return Plan(lines, task, locked, method, way, extra, ints, floats)
 
 
-def _works(plan: Plan) -> bool:
-    """Whether the plan finds random configurations again."""
+def _error(plan: Plan) -> float:
+    """The angle or length up to which the plan finds four of five random configurations again."""
     lines, rng = plan.lines, np.random.default_rng(3)
     theta = spread(lines, rng, TRIALS)
     q = (theta - lines.gauge) / lines.multiplier
@@ -394,5 +395,4 @@ def _works(plan: Plan) -> bool:
         counts = np.empty((TRIALS, 2), dtype=np.int64)
         kernel_of(plan)(plan.ints, floats, ground_poses(lines, q), q, q, 1e-9, 1e-9, 0, numbers, out, counts)
     off = np.where(out[..., n + A.CODE] >= 0.0, np.abs(out[..., :n] - q[:, None]).max(axis=-1), np.inf)
-    near = off.min(axis=1)
-    return bool(np.mean(near < 1e-6) > 0.8)
+    return float(np.sort(off.min(axis=1))[int(0.8 * TRIALS)])
