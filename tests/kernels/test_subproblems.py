@@ -47,7 +47,7 @@ def quartic_roots(p, out):
 
 @numba.njit
 def one_unknown(slides, a, b, k, wide, out):
-    return outer.one_unknown(slides, a, b, k, wide, raw(out))
+    return outer.one_unknown(slides, a, b, k, wide, 0.0, raw(out))
 
 
 @numba.njit

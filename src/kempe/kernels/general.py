@@ -25,7 +25,9 @@ from kempe.kernels.distinct import (
     add,
     distance,
 )
-from kempe.kernels.elimination import CANDIDATES, ELIMINATION_SCRATCH, FREE, UNSOUND, eliminate
+from kempe.kernels.elimination import ELIMINATION_SCRATCH, FREE, UNSOUND, eliminate
+from kempe.kernels.elimination_confirm import ALONE, CONFIRM_SCRATCH, confirmed, kind_of
+from kempe.kernels.folds import split
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.polish import error_at, polish, tangent
 from kempe.kernels.random import mix, unit
@@ -91,6 +93,15 @@ def walked(d, count):
 
 
 @device
+def listed(d, count):
+    """How many solutions an answer must have room for: samples of curves stand for others anyway."""
+    rows = 0
+    for k in range(count):
+        rows += int(beyond(d.found.rows, (SOLUTION + d.n) * k)[TURNS] > 0.0)
+    return rows
+
+
+@device
 def rests(d):
     """Whether lines must stay at rest: then most roots are no solutions."""
     for i in range(6):
@@ -111,7 +122,7 @@ def parity(d, count):
     for k in range(count):
         row = beyond(d.found.rows, (SOLUTION + d.n) * k)
         total += row[TURNS]
-        if row[WEAKEST] < FOLD and row[TURNS] == 1.0:
+        if row[WEAKEST] < FOLD and row[TURNS] == 1.0 and kind_of(d, row) == ALONE:
             folds += 1
             at = k
     if total % 2.0 == 0.0:
@@ -167,7 +178,7 @@ def eliminated(d, scratch, thetas):
 def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, which, out, counts):
     """Nothing; all solutions by elimination, arguments as of `all_solutions.closed`; counts[:, 1] is 1 in doubt."""
     n, slots = ints[N_JOINTS], out.shape[1]
-    block = np.empty(desk_scratch(n) + ELIMINATION_SCRATCH + 6 * CANDIDATES)
+    block = np.empty(desk_scratch(n) + CONFIRM_SCRATCH)
     flags = np.empty(6 + slots, np.int64)
     d = desk_of(raw(ints), raw(floats), raw(block), raw(flags), tol_linear, tol_angular)
     scratch = beyond(raw(block), desk_scratch(n))
@@ -177,11 +188,15 @@ def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, 
         sound, count, doubt = begin(d, beyond(raw(targets), 16 * i), close_to, held), 0, 0
         if sound:
             count, doubt = eliminated(d, scratch, beyond(scratch, ELIMINATION_SCRATCH))
+            count = split(d.found, count)
             if not mark_fold(d, count):
                 doubt = 1
+            if doubt == 1 and not rests(d):
+                count, sure = confirmed(d, count, scratch, beyond(scratch, ELIMINATION_SCRATCH))
+                doubt = 0 if sure else 1
+            if listed(d, count) > slots:
+                doubt = 1
         written = end(d, count, close_to, beyond(raw(out), slots * (n + INFO) * i), slots, sort)
-        if written == slots and count > slots:
-            doubt = 1
         counts[i, 0], counts[i, 1] = written if sound else -1, doubt
     keep(block)
     keep(flags)

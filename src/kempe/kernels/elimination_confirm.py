@@ -1,0 +1,190 @@
+"""Answers of eliminations that are in doubt confirmed a second way: by goals aside, whose answers are beyond doubt.
+
+A goal whose solutions merge, or lie on curves, is hardly ever one at which the equations are in a general position;
+those a little aside are, and each of their solutions leads by Newton's steps to one of the goal. An isolated solution
+of the goal that is regular has one partner for each goal aside, and one in which roots have merged has partners on at
+least one of two opposite sides.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kempe.kernels._jit import routine
+from kempe.kernels.analytic_layout import FORMS, N_FORMS, ORDER
+from kempe.kernels.distinct import (
+    AGAIN,
+    MERGED,
+    MOST_SOLUTIONS,
+    NEAR,
+    SOLUTION,
+    TURNS,
+    WEAKEST,
+    add,
+    distance,
+)
+from kempe.kernels.elimination import CANDIDATES, ELIMINATION_SCRATCH, eliminate
+from kempe.kernels.lines import turned
+from kempe.kernels.polish import AT_AXES, columns_at, error_at, normal_equations, tangent
+from kempe.kernels.random import mix, unit
+from kempe.kernels.scratch import beyond
+
+SIDES, ASIDE, ASTRAY = 4, 1e-3, 0.5
+"""Goals aside, each two opposite; how far they are, in radians and lengths of the chain; how far from one of their
+solutions Newton's steps may lead to a regular one."""
+
+REGULAR = 1e-4
+"""Bound of the smallest singular value squared above which a solution has one partner at each goal aside."""
+
+ALONG, RELAXING, RELAXED = 0.02, 6, 1e-6
+"""How far along its tangent a singular solution is looked at; steps that bring the tip back but along the tangent, and
+their damping."""
+
+ON_A_CURVE, ISOLATED, FASTER = 1e-11, 1e-8, 10.0
+"""The error there up to which there is a curve of solutions; from which, if it grows so much faster than by the
+smallest singular value, the solution is isolated."""
+
+CURVE, ALONE, OPEN = 0, 1, 2
+"""What a singular solution is: on a curve of solutions, isolated, or neither for sure."""
+
+SEEN, HITS, MOST_HITS, HIT = 0, 1, 2, 3
+"""Of each solution: sides that were followed to it so far, how often from the present side, how often from any."""
+
+AT_GOAL, AT_HITS = ELIMINATION_SCRATCH + 6 * CANDIDATES, ELIMINATION_SCRATCH + 6 * CANDIDATES + 12
+CONFIRM_SCRATCH = AT_HITS + HIT * MOST_SOLUTIONS
+"""Numbers of scratch that an elimination with all that confirms it needs."""
+
+
+@routine
+def goal_aside(goal, side, out):
+    """Nothing; writes the goal moved by ASIDE in a random direction, for odd sides in the opposite of the one before."""
+    key, sign = mix(np.uint64(1), np.uint64(side // 2)), 1.0 - 2.0 * (side % 2)
+    x = 2.0 * unit(mix(key, np.uint64(0))) - 1.0
+    y = 2.0 * unit(mix(key, np.uint64(1))) - 1.0
+    z = 2.0 * unit(mix(key, np.uint64(2))) - 1.0
+    size = math.sqrt(x * x + y * y + z * z) + 1e-300
+    axis = (x / size, y / size, z / size)
+    c, s = math.cos(ASIDE), sign * math.sin(ASIDE)
+    for j in range(3):
+        column = turned(axis, (goal[j], goal[4 + j], goal[8 + j]), c, s)
+        out[j], out[4 + j], out[8 + j] = column[0], column[1], column[2]
+    for i in range(3):
+        out[4 * i + 3] = goal[4 * i + 3] + sign * ASIDE * (2.0 * unit(mix(key, np.uint64(3 + i))) - 1.0)
+
+
+@routine
+def relaxed_error(d, row, sign):
+    """The error of a configuration aside of a singular solution along its tangent, once the other directions gave."""
+    m, theta = d.found.model, d.theta
+    error_at(m, row)
+    if not tangent(m, theta):
+        return math.inf
+    for i in range(m.n):
+        theta[i] = row[i] + sign * ALONG * theta[i]
+    step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
+    for _ in range(RELAXING):
+        error_at(m, theta)
+        n, k = columns_at(m), 0
+        if not normal_equations(m, n, RELAXED):
+            return math.inf
+        for i in range(m.n):
+            if m.moves[i] != 0:
+                theta[i] += step[k]
+                k += 1
+    linear, angular = error_at(m, theta)
+    return math.hypot(linear, angular)
+
+
+@routine
+def kind_of(d, row):
+    """CURVE, ALONE or OPEN, of a singular solution (row of `Found`)."""
+    theta = beyond(row, SOLUTION)
+    one, other = relaxed_error(d, theta, 1.0), relaxed_error(d, theta, -1.0)
+    if max(one, other) <= ON_A_CURVE:
+        return CURVE
+    slow = FASTER * ALONG * math.sqrt(max(row[WEAKEST], 0.0))
+    return ALONE if min(one, other) > max(ISOLATED, slow) else OPEN
+
+
+@routine
+def mark_curves(d, count):
+    """Whether it is known of each singular solution if it is isolated; those on curves become samples."""
+    known = True
+    for k in range(count):
+        row = beyond(d.found.rows, (SOLUTION + d.n) * k)
+        if row[WEAKEST] < MERGED and row[TURNS] > 0.0:
+            kind = kind_of(d, row)
+            known = known and kind != OPEN
+            row[TURNS] = 0.0 if kind == CURVE else row[TURNS]
+    return known
+
+
+@routine
+def answer_aside(d, goal, scratch, thetas):
+    """Number of candidates of the first formulation that leaves nothing in doubt about a goal, -1 where all do."""
+    for f in range(d.ints[N_FORMS]):
+        k, _, suspect = eliminate(d.kinds, d.six, goal, d.ints[FORMS + f], scratch, thetas)
+        if suspect == 0:
+            return k
+    return -1
+
+
+@routine
+def followed(d, thetas, candidates, count, side, hits):
+    """(new number of solutions, whether all is well) after those of a goal aside were followed to the goal.
+
+    All is well if each leads to a solution, and to a regular one that is near no more than one does.
+    """
+    m, order, start, well = d.found.model, beyond(d.ints, ORDER), d.candidates, True
+    for k in range(candidates):
+        for i in range(d.n):
+            d.theta[i] = d.fixed[i]
+        for i in range(6):
+            if order[i] < d.n:
+                d.theta[order[i]] = thetas[6 * k + i]
+        for i in range(d.n):
+            start[i] = d.theta[i]
+        before = count
+        count = add(d.found, count, d.theta, -1.0, AGAIN)
+        at, least = -1, NEAR
+        for j in range(count):
+            far = distance(m, beyond(d.found.rows, (SOLUTION + d.n) * j + SOLUTION), d.theta)
+            if far <= least:
+                at, least = j, far
+        if at < 0 or count < before:
+            well = False
+            continue
+        hit = beyond(hits, HIT * at)
+        if beyond(d.found.rows, (SOLUTION + d.n) * at)[WEAKEST] > REGULAR:
+            well = well and hit[SEEN] == side and distance(m, start, d.theta) < ASTRAY
+        hit[HITS] = 1.0 if hit[SEEN] <= side else hit[HITS] + 1.0
+        hit[SEEN] = side + 1.0
+        hit[MOST_HITS] = max(hit[MOST_HITS], hit[HITS])
+    return count, well
+
+
+@routine
+def confirmed(d, count, scratch, thetas):
+    """(new number of solutions, whether goals aside confirm that these are all)."""
+    goal, hits = beyond(scratch, AT_GOAL), beyond(scratch, AT_HITS)
+    for k in range(HIT * MOST_SOLUTIONS):
+        hits[k] = 0.0
+    for side in range(SIDES):
+        goal_aside(d.goal, side, goal)
+        candidates = answer_aside(d, goal, scratch, thetas)
+        if candidates < 0:
+            return count, False
+        count, well = followed(d, thetas, candidates, count, side, hits)
+        for k in range(count):
+            regular = beyond(d.found.rows, (SOLUTION + d.n) * k)[WEAKEST] > REGULAR
+            well = well and (not regular or hits[HIT * k + SEEN] == side + 1.0)
+        if not well or count == MOST_SOLUTIONS:
+            return count, False
+    known = mark_curves(d, count)
+    for k in range(count):
+        row = beyond(d.found.rows, (SOLUTION + d.n) * k)
+        if known and row[WEAKEST] < MERGED and row[TURNS] > 0.0:
+            row[TURNS] = max(hits[HIT * k + MOST_HITS], 1.0)
+    return count, known
