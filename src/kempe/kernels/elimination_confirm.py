@@ -26,14 +26,18 @@ from kempe.kernels.distinct import (
     distance,
 )
 from kempe.kernels.elimination import CANDIDATES, ELIMINATION_SCRATCH, eliminate
+from kempe.kernels.elimination_polish import polish as newton
 from kempe.kernels.lines import turned
 from kempe.kernels.polish import AT_AXES, columns_at, error_at, normal_equations, tangent
 from kempe.kernels.random import mix, unit
 from kempe.kernels.scratch import beyond
 
-SIDES, ASIDE, ASTRAY = 4, 1e-3, 0.5
-"""Goals aside, each two opposite; how far they are, in radians and lengths of the chain; how far from one of their
-solutions Newton's steps may lead to a regular one."""
+SIDES, WIDE, NARROW = 4, 1e-3, 1e-4
+"""Goals aside, each two opposite; how far they are, in radians and lengths of the chain: the first is better where roots
+have merged, the second where solutions are near each other."""
+
+STEPS, ASTRAY = 40, 0.5
+"""Newton steps from a solution of a goal aside; how far from it a regular solution may be to which they lead."""
 
 REGULAR = 1e-4
 """Bound of the smallest singular value squared above which a solution has one partner at each goal aside."""
@@ -58,20 +62,20 @@ CONFIRM_SCRATCH = AT_HITS + HIT * MOST_SOLUTIONS
 
 
 @routine
-def goal_aside(goal, side, out):
-    """Nothing; writes the goal moved by ASIDE in a random direction, for odd sides in the opposite of the one before."""
+def goal_aside(goal, side, far, out):
+    """Nothing; writes the goal moved so far in a random direction, for odd sides opposite to the one before."""
     key, sign = mix(np.uint64(1), np.uint64(side // 2)), 1.0 - 2.0 * (side % 2)
     x = 2.0 * unit(mix(key, np.uint64(0))) - 1.0
     y = 2.0 * unit(mix(key, np.uint64(1))) - 1.0
     z = 2.0 * unit(mix(key, np.uint64(2))) - 1.0
     size = math.sqrt(x * x + y * y + z * z) + 1e-300
     axis = (x / size, y / size, z / size)
-    c, s = math.cos(ASIDE), sign * math.sin(ASIDE)
+    c, s = math.cos(far), sign * math.sin(far)
     for j in range(3):
         column = turned(axis, (goal[j], goal[4 + j], goal[8 + j]), c, s)
         out[j], out[4 + j], out[8 + j] = column[0], column[1], column[2]
     for i in range(3):
-        out[4 * i + 3] = goal[4 * i + 3] + sign * ASIDE * (2.0 * unit(mix(key, np.uint64(3 + i))) - 1.0)
+        out[4 * i + 3] = goal[4 * i + 3] + sign * far * (2.0 * unit(mix(key, np.uint64(3 + i))) - 1.0)
 
 
 @routine
@@ -132,7 +136,7 @@ def answer_aside(d, goal, scratch, thetas):
 
 
 @routine
-def followed(d, thetas, candidates, count, side, hits):
+def followed(d, scratch, thetas, candidates, count, side, hits):
     """(new number of solutions, whether all is well) after those of a goal aside were followed to the goal.
 
     All is well if each leads to a solution, and to a regular one that is near no more than one does.
@@ -140,12 +144,14 @@ def followed(d, thetas, candidates, count, side, hits):
     m, order, start, well = d.found.model, beyond(d.ints, ORDER), d.candidates, True
     for k in range(candidates):
         for i in range(d.n):
-            d.theta[i] = d.fixed[i]
+            d.theta[i] = start[i] = d.fixed[i]
+        for i in range(6):
+            if order[i] < d.n:
+                start[order[i]] = thetas[6 * k + i]
+        newton(d.kinds, d.six, d.goal, beyond(thetas, 6 * k), scratch, STEPS)
         for i in range(6):
             if order[i] < d.n:
                 d.theta[order[i]] = thetas[6 * k + i]
-        for i in range(d.n):
-            start[i] = d.theta[i]
         before = count
         count = add(d.found, count, d.theta, -1.0, AGAIN)
         at, least = -1, NEAR
@@ -166,17 +172,17 @@ def followed(d, thetas, candidates, count, side, hits):
 
 
 @routine
-def confirmed(d, count, scratch, thetas):
-    """(new number of solutions, whether goals aside confirm that these are all)."""
+def confirmed_by(d, far, count, scratch, thetas):
+    """(new number of solutions, whether goals so far aside confirm that these are all)."""
     goal, hits = beyond(scratch, AT_GOAL), beyond(scratch, AT_HITS)
     for k in range(HIT * MOST_SOLUTIONS):
         hits[k] = 0.0
     for side in range(SIDES):
-        goal_aside(d.goal, side, goal)
+        goal_aside(d.goal, side, far, goal)
         candidates = answer_aside(d, goal, scratch, thetas)
         if candidates < 0:
             return count, False
-        count, well = followed(d, thetas, candidates, count, side, hits)
+        count, well = followed(d, scratch, thetas, candidates, count, side, hits)
         for k in range(count):
             regular = beyond(d.found.rows, (SOLUTION + d.n) * k)[WEAKEST] > REGULAR
             well = well and (not regular or hits[HIT * k + SEEN] == side + 1.0)
@@ -188,3 +194,10 @@ def confirmed(d, count, scratch, thetas):
         if known and row[WEAKEST] < MERGED and row[TURNS] > 0.0:
             row[TURNS] = max(hits[HIT * k + MOST_HITS], 1.0)
     return count, known
+
+
+@routine
+def confirmed(d, count, scratch, thetas):
+    """(new number of solutions, whether goals aside confirm that these are all)."""
+    count, sure = confirmed_by(d, WIDE, count, scratch, thetas)
+    return (count, sure) if sure else confirmed_by(d, NARROW, count, scratch, thetas)

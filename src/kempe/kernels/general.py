@@ -26,7 +26,7 @@ from kempe.kernels.distinct import (
     distance,
 )
 from kempe.kernels.elimination import ELIMINATION_SCRATCH, FREE, UNSOUND, eliminate
-from kempe.kernels.elimination_confirm import ALONE, CONFIRM_SCRATCH, confirmed, kind_of
+from kempe.kernels.elimination_confirm import ALONE, CONFIRM_SCRATCH, confirmed, kind_of, mark_curves
 from kempe.kernels.folds import split
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.polish import error_at, polish, tangent
@@ -191,6 +191,8 @@ def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, 
             count = split(d.found, count)
             if not mark_fold(d, count):
                 doubt = 1
+            if doubt == 1 or listed(d, count) > slots:
+                mark_curves(d, count)
             if doubt == 1 and not rests(d):
                 count, sure = confirmed(d, count, scratch, beyond(scratch, ELIMINATION_SCRATCH))
                 doubt = 0 if sure else 1
