@@ -24,9 +24,12 @@ from kempe.kernels.distinct import (
     WEAKEST,
     add,
     distance,
+    drop,
+    gap,
 )
 from kempe.kernels.elimination import CANDIDATES, ELIMINATION_SCRATCH, eliminate
 from kempe.kernels.elimination_polish import polish as newton
+from kempe.kernels.layout import SLIDE
 from kempe.kernels.lines import turned
 from kempe.kernels.polish import AT_AXES, columns_at, error_at, normal_equations, tangent
 from kempe.kernels.random import mix, unit
@@ -49,6 +52,9 @@ their damping."""
 ON_A_CURVE, ISOLATED, FASTER = 1e-11, 1e-8, 10.0
 """The error there up to which there is a curve of solutions; from which, if it grows so much faster than by the
 smallest singular value, the solution is isolated."""
+
+JOINED = 1.0
+"""How far from each other samples of a curve may be, in radians and lengths of the chain, for one to stand for both."""
 
 CURVE, ALONE, OPEN = 0, 1, 2
 """What a singular solution is: on a curve of solutions, isolated, or neither for sure."""
@@ -87,6 +93,12 @@ def relaxed_error(d, row, sign):
         return math.inf
     for i in range(m.n):
         theta[i] = row[i] + sign * ALONG * theta[i]
+    return relaxed(m, theta)
+
+
+@routine
+def relaxed(m, theta):
+    """The error left after damped steps, which bring the tip back but hardly along what is nearly a self-motion."""
     step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
     for _ in range(RELAXING):
         error_at(m, theta)
@@ -113,16 +125,48 @@ def kind_of(d, row):
 
 
 @routine
-def mark_curves(d, count):
-    """Whether it is known of each singular solution if it is isolated; those on curves become samples."""
-    known = True
+def joined(d, k):
+    """Whether sample k is on one curve with a sample before it: halfway between them there is a solution as well."""
+    m, here = d.found.model, beyond(d.found.rows, (SOLUTION + d.n) * k + SOLUTION)
+    for j in range(k):
+        other = beyond(d.found.rows, (SOLUTION + d.n) * j)
+        far = distance(m, beyond(other, SOLUTION), here)
+        if other[TURNS] > 0.0 or far > JOINED:
+            continue
+        for i in range(m.n):
+            d.theta[i] = other[SOLUTION + i] + 0.5 * gap(m.kinds[i] == SLIDE, here[i], other[SOLUTION + i])
+        if relaxed(m, d.theta) > ON_A_CURVE:
+            continue
+        one, two = distance(m, d.theta, here), distance(m, d.theta, beyond(other, SOLUTION))
+        if max(one, two) < 0.75 * far:
+            return True
+    return False
+
+
+@routine
+def thinned(d, first, count):
+    """New number of solutions: of those from `first` on, those on curves become samples, one each metre or radian."""
+    k = first
+    while k < count:
+        row = beyond(d.found.rows, (SOLUTION + d.n) * k)
+        if row[WEAKEST] < MERGED and row[TURNS] > 0.0 and kind_of(d, row) == CURVE:
+            row[TURNS] = 0.0
+        if row[TURNS] == 0.0 and joined(d, k):
+            drop(d.found, count, k)
+            count -= 1
+        else:
+            k += 1
+    return count
+
+
+@routine
+def known_of(d, count):
+    """Whether it is known of each singular solution that it is isolated, or a sample of a curve."""
     for k in range(count):
         row = beyond(d.found.rows, (SOLUTION + d.n) * k)
-        if row[WEAKEST] < MERGED and row[TURNS] > 0.0:
-            kind = kind_of(d, row)
-            known = known and kind != OPEN
-            row[TURNS] = 0.0 if kind == CURVE else row[TURNS]
-    return known
+        if row[WEAKEST] < MERGED and row[TURNS] > 0.0 and kind_of(d, row) == OPEN:
+            return False
+    return True
 
 
 @routine
@@ -162,6 +206,9 @@ def followed(d, scratch, thetas, candidates, count, side, hits):
         if at < 0 or count < before:
             well = False
             continue
+        count = thinned(d, before, count)
+        if at >= count:
+            continue
         hit = beyond(hits, HIT * at)
         if beyond(d.found.rows, (SOLUTION + d.n) * at)[WEAKEST] > REGULAR:
             well = well and hit[SEEN] == side and distance(m, start, d.theta) < ASTRAY
@@ -188,7 +235,7 @@ def confirmed_by(d, far, count, scratch, thetas):
             well = well and (not regular or hits[HIT * k + SEEN] == side + 1.0)
         if not well or count == MOST_SOLUTIONS:
             return count, False
-    known = mark_curves(d, count)
+    known = known_of(d, count)
     for k in range(count):
         row = beyond(d.found.rows, (SOLUTION + d.n) * k)
         if known and row[WEAKEST] < MERGED and row[TURNS] > 0.0:

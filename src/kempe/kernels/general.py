@@ -26,7 +26,7 @@ from kempe.kernels.distinct import (
     distance,
 )
 from kempe.kernels.elimination import ELIMINATION_SCRATCH, FREE, UNSOUND, eliminate
-from kempe.kernels.elimination_confirm import ALONE, CONFIRM_SCRATCH, confirmed, kind_of, mark_curves
+from kempe.kernels.elimination_confirm import ALONE, CONFIRM_SCRATCH, confirmed, kind_of, thinned
 from kempe.kernels.folds import split
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.polish import error_at, polish, tangent
@@ -39,6 +39,9 @@ STARTS, PACES, PACE = 64, 40, 0.3
 
 FOLD = 1e-4
 """Bound of the smallest singular value squared of a solution in which two roots may have merged."""
+
+CROWDED = 16
+"""More solutions than isolated ones are possible."""
 
 EVEN, UNEXPLAINED = -1, -2
 """An even number of solutions; an odd one of which no solution is a double one."""
@@ -145,7 +148,7 @@ def eliminated(d, scratch, thetas):
 
     It is where each root of one formulation has a solution of its own, or of two, except for singular solutions.
     """
-    count, doubt, free, witnesses = 0, 1, False, 0
+    count, doubt, free, crowded, witnesses = 0, 1, False, False, 0
     resting = rests(d)
     for f in range(d.ints[N_FORMS]):
         k, strays, suspect = eliminate(d.kinds, d.six, d.goal, d.ints[FORMS + f], scratch, thetas)
@@ -157,6 +160,8 @@ def eliminated(d, scratch, thetas):
         before, free = count, free or suspect & FREE != 0
         count = take_candidates(d, beyond(d.ints, ORDER), 0, k, ROOT if f == 0 else AGAIN, count)
         count = take_candidates(d, beyond(d.ints, ORDER), k, k + strays, AGAIN, count)
+        if count > CROWDED:
+            crowded, count = True, thinned(d, 0, count)
         enough = count > 0 or f >= 2  # that there is no solution has to be said thrice
         each = resting or count == k  # no two were the same in the end, and none was missed that is known
         clean = suspect == 0 or (count == 0 and suspect == FREE)  # far away the leading matrix is small
@@ -164,7 +169,7 @@ def eliminated(d, scratch, thetas):
             doubt = 0
             break
         witnesses = (witnesses if count == before else 0) + int(suspect & UNSOUND == 0 and each)
-        if witnesses > 1 and count == before and enough and each and parity(d, count) != UNEXPLAINED:
+        if witnesses > 1 and not crowded and count == before and enough and each and parity(d, count) != UNEXPLAINED:
             doubt = 0
             break
     count = walked(d, searched(d, count)) if free else count
@@ -192,7 +197,7 @@ def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, 
             if not mark_fold(d, count):
                 doubt = 1
             if doubt == 1 or listed(d, count) > slots:
-                mark_curves(d, count)
+                count = thinned(d, 0, count)
             if doubt == 1 and not rests(d):
                 count, sure = confirmed(d, count, scratch, beyond(scratch, ELIMINATION_SCRATCH))
                 doubt = 0 if sure else 1
