@@ -6,10 +6,10 @@ import numpy as np
 
 from kempe.kernels._jit import device, kernel
 from kempe.kernels.analytic_layout import INFO, INNER, MEASURE, MODE, N_JOINTS, OPTION, ORDER, WHAT
-from kempe.kernels.closed import CANDIDATE, SAMPLE, SCRATCH, closed_candidates
+from kempe.kernels.closed import CANDIDATE, MOST_CANDIDATES, SAMPLE, SCRATCH, closed_candidates
 from kempe.kernels.declare import FLOAT, INT, OUT, OUTI, F, I
 from kempe.kernels.desk import begin, desk_of, desk_scratch, end, take_candidates
-from kempe.kernels.distinct import MERGED, ROOT, SOLUTION, WEAKEST
+from kempe.kernels.distinct import MERGED, MOST_SOLUTIONS, ROOT, SOLUTION, WEAKEST, listed
 from kempe.kernels.folds import split
 from kempe.kernels.scratch import beyond
 from kempe.kernels.vectors import keep, raw
@@ -20,7 +20,7 @@ def led_nowhere(d, candidates, count):
     """Whether a joint was free, but none of the values that were tried leads to a solution: others may."""
     tried = False
     for k in range(candidates):
-        tried = tried or d.candidates[CANDIDATE * k + SAMPLE] == 1.0
+        tried = tried or d.candidates[CANDIDATE * k + SAMPLE] != 0.0
     for k in range(count):
         if beyond(d.found.rows, (SOLUTION + d.n) * k)[WEAKEST] < MERGED:
             return False
@@ -54,6 +54,7 @@ def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, w
             count = take_candidates(d, beyond(d.ints, ORDER), 0, k, ROOT, 0)
             doubt = doubt or led_nowhere(d, k, count)
             count = split(d.found, count)
+            doubt = doubt or listed(d.found, count) > slots or count == MOST_SOLUTIONS or k == MOST_CANDIDATES
         written = end(d, count, close_to, beyond(raw(out), slots * (n + INFO) * i), slots, sort)
         counts[i, 0], counts[i, 1] = written if sound else -1, int(doubt)
     keep(block)

@@ -45,13 +45,13 @@ STEPS, ASTRAY = 40, 0.5
 REGULAR = 1e-4
 """Bound of the smallest singular value squared above which a solution has one partner at each goal aside."""
 
-ALONG, RELAXING, RELAXED = 0.02, 6, 1e-6
-"""How far along its tangent a singular solution is looked at; steps that bring the tip back but along the tangent, and
-their damping."""
+ALONG, RELAXING, RELAXED = 0.02, 14, 1e-12
+"""How far along its tangent a singular solution is looked at; steps that bring the tip back from there, and their
+damping: on curves all along which roots have merged they only halve the distance."""
 
 ON_A_CURVE, ISOLATED, FASTER = 1e-11, 1e-8, 10.0
-"""The error there up to which there is a curve of solutions; from which, if it grows so much faster than by the
-smallest singular value, the solution is isolated."""
+"""The error after these steps up to which there is a curve of solutions, if they lead to none nearer; from which, if it
+grows so much faster than by the smallest singular value, the solution is isolated."""
 
 JOINED = 1.0
 """How far from each other samples of a curve may be, in radians and lengths of the chain, for one to stand for both."""
@@ -85,43 +85,47 @@ def goal_aside(goal, side, far, out):
 
 
 @routine
-def relaxed_error(d, row, sign):
-    """The error of a configuration aside of a singular solution along its tangent, once the other directions gave."""
-    m, theta = d.found.model, d.theta
-    error_at(m, row)
-    if not tangent(m, theta):
-        return math.inf
-    for i in range(m.n):
-        theta[i] = row[i] + sign * ALONG * theta[i]
-    return relaxed(m, theta)
-
-
-@routine
 def relaxed(m, theta):
-    """The error left after damped steps, which bring the tip back but hardly along what is nearly a self-motion."""
+    """The error left after steps that bring the tip back, but hardly along what is nearly a self-motion."""
     step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
     for _ in range(RELAXING):
         error_at(m, theta)
-        n, k = columns_at(m), 0
+        n, k, size = columns_at(m), 0, ALONG
         if not normal_equations(m, n, RELAXED):
             return math.inf
+        for i in range(n):
+            size = max(size, abs(step[i]))
         for i in range(m.n):
             if m.moves[i] != 0:
-                theta[i] += step[k]
+                theta[i] += step[k] * (ALONG / size)
                 k += 1
     linear, angular = error_at(m, theta)
     return math.hypot(linear, angular)
 
 
 @routine
+def kind_aside(d, row, sign):
+    """CURVE, ALONE or OPEN: what a singular solution (row of `Found`) seems to be by one side of its tangent."""
+    m, theta, here = d.found.model, d.theta, beyond(row, SOLUTION)
+    error_at(m, here)
+    if not tangent(m, theta):
+        return OPEN
+    for i in range(m.n):
+        theta[i] = here[i] + sign * ALONG * theta[i]
+    aside = distance(m, theta, here)
+    error = relaxed(m, theta)
+    if distance(m, theta, here) < 0.5 * aside:
+        return ALONE
+    if error <= ON_A_CURVE:
+        return CURVE
+    return ALONE if error > max(ISOLATED, FASTER * ALONG * math.sqrt(max(row[WEAKEST], 0.0))) else OPEN
+
+
+@routine
 def kind_of(d, row):
     """CURVE, ALONE or OPEN, of a singular solution (row of `Found`)."""
-    theta = beyond(row, SOLUTION)
-    one, other = relaxed_error(d, theta, 1.0), relaxed_error(d, theta, -1.0)
-    if max(one, other) <= ON_A_CURVE:
-        return CURVE
-    slow = FASTER * ALONG * math.sqrt(max(row[WEAKEST], 0.0))
-    return ALONE if min(one, other) > max(ISOLATED, slow) else OPEN
+    one, other = kind_aside(d, row, 1.0), kind_aside(d, row, -1.0)
+    return one if one == other else OPEN
 
 
 @routine

@@ -24,6 +24,7 @@ from kempe.kernels.distinct import (
     WEAKEST,
     add,
     distance,
+    listed,
 )
 from kempe.kernels.elimination import ELIMINATION_SCRATCH, FREE, UNSOUND, eliminate
 from kempe.kernels.elimination_confirm import ALONE, CONFIRM_SCRATCH, confirmed, kind_of, thinned
@@ -93,15 +94,6 @@ def walked(d, count):
             if pace > 1 and distance(m, here, beyond(row, SOLUTION)) < 0.5 * PACE:
                 break
     return count
-
-
-@device
-def listed(d, count):
-    """How many solutions an answer must have room for: samples of curves stand for others anyway."""
-    rows = 0
-    for k in range(count):
-        rows += int(beyond(d.found.rows, (SOLUTION + d.n) * k)[TURNS] > 0.0)
-    return rows
 
 
 @device
@@ -196,12 +188,12 @@ def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, 
             count = split(d.found, count)
             if not mark_fold(d, count):
                 doubt = 1
-            if doubt == 1 or listed(d, count) > slots:
+            if doubt == 1 or listed(d.found, count) > slots:
                 count = thinned(d, 0, count)
             if doubt == 1 and not rests(d):
                 count, sure = confirmed(d, count, scratch, beyond(scratch, ELIMINATION_SCRATCH))
                 doubt = 0 if sure else 1
-            if listed(d, count) > slots:
+            if listed(d.found, count) > slots:
                 doubt = 1
         written = end(d, count, close_to, beyond(raw(out), slots * (n + INFO) * i), slots, sort)
         counts[i, 0], counts[i, 1] = written if sound else -1, doubt
