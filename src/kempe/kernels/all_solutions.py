@@ -9,7 +9,7 @@ from kempe.kernels.analytic_layout import INFO, INNER, MEASURE, MODE, N_JOINTS, 
 from kempe.kernels.closed import CANDIDATE, MOST_CANDIDATES, SAMPLE, SCRATCH, closed_candidates
 from kempe.kernels.declare import FLOAT, INT, OUT, OUTI, F, I
 from kempe.kernels.desk import begin, desk_of, desk_scratch, end, take_candidates
-from kempe.kernels.distinct import MERGED, MOST_SOLUTIONS, ROOT, SOLUTION, WEAKEST, listed
+from kempe.kernels.distinct import ERROR, MERGED, MOST_SOLUTIONS, ROOT, SOLUTION, TURNS, UNSURE, WEAKEST, listed
 from kempe.kernels.folds import split
 from kempe.kernels.scratch import beyond
 from kempe.kernels.vectors import keep, raw
@@ -17,14 +17,21 @@ from kempe.kernels.vectors import keep, raw
 
 @device
 def led_nowhere(d, candidates, count):
-    """Whether a joint was free, but none of the values that were tried leads to a solution: others may."""
-    tried = False
+    """Whether a joint was free, or nearly, but the values that were tried lead to no singular solution.
+
+    Or to samples on target within the tolerance only: then there are roots somewhere.
+    """
+    tried, singular, exact = False, False, True
     for k in range(candidates):
         tried = tried or d.candidates[CANDIDATE * k + SAMPLE] != 0.0
     for k in range(count):
-        if beyond(d.found.rows, (SOLUTION + d.n) * k)[WEAKEST] < MERGED:
-            return False
-    return tried
+        row = beyond(d.found.rows, (SOLUTION + d.n) * k)
+        if row[TURNS] == 0.0:
+            exact = exact and max(row[ERROR], row[ERROR + 1]) <= UNSURE
+        elif row[WEAKEST] < MERGED:
+            singular = True
+    sampled = listed(d.found, count) < count
+    return tried and not singular and not (sampled and exact)
 
 
 @kernel(

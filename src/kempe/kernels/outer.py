@@ -292,7 +292,8 @@ def middle_values(o, x, z, out):
             slope = abs(dot(left.n, o.hy))
             t = dot(left.n, d) / dot(left.n, o.hy) if slope > NOTHING else nearest
         put(out, 0, t, t * t, t, 0.0)
-        return 1 if slope > VOID else put_samples(True, 1 if slope > NOTHING else 0, out, 1.0, nearest)
+        count = 1 if slope > NOTHING else 0
+        return count if slope > FAINT else put_samples(True, count, out, OPEN if slope > VOID else 1.0, nearest)
     u, v = (right.n, left.n) if o.what == PLANE else (minus(right.p, o.oy), minus(left.p, o.oy))
     c, s, size = align(o.hy, u, v)
     size, count = math.sqrt(size), 0
