@@ -1,4 +1,4 @@
-"""`complete` of `ik_all` next to self-motions, and of chains with slides whose axes nearly meet, and with few joints."""
+"""`complete` of `ik_all` next to self-motions, for chains with slides whose axes nearly meet, and for few joints."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ def assert_all_found_near_singular(arm: arms.Arm, seed: int, number: int) -> Non
     assert_found(arm, answer, q, far, len(q))
 
 
-@pytest.mark.parametrize(("name", "seed", "number"), [("rail_xarm5", 3, 17), ("concurrent234", 3, 22), ("puma_1e-7", 12, 7)])
+@pytest.mark.parametrize(
+    ("name", "seed", "number"), [("rail_xarm5", 3, 17), ("concurrent234", 3, 22), ("puma_1e-7", 12, 7)]
+)
 def test_next_to_self_motions_what_is_missed_is_said(name, seed, number):
     """A slide that is nearly free, 17 lengths away; a fold whose roots are 3e-5 apart; an odd number, and no fold."""
     assert_all_found_near_singular(arms.arms()[name], seed, number)

@@ -36,7 +36,7 @@ from kempe.kernels.random import mix, unit
 from kempe.kernels.scratch import beyond
 
 SIDES, WIDE, NARROW = 4, 1e-3, 1e-4
-"""Goals aside, each two opposite; how far they are, in radians and lengths of the chain: the first is better where roots
+"""Goals aside, each two opposite; how far they are, in radians and lengths of the chain: the first suits where roots
 have merged, the second where solutions are near each other."""
 
 STEPS, ASTRAY = 40, 0.5

@@ -175,5 +175,3 @@ def planar_triple(ka, ha, oa, kb, hb, ob, kc, hc, oc, d, wide, work, out):
     if ka != SLIDE:
         return planar_backward(h, ha, oa, kb, hb, ob, hc, oc, d, wide, work, out)
     return planar_swing(h, ha, hb, ob, hc, d, out)
-
-

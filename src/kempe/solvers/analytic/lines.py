@@ -175,5 +175,3 @@ def _apart(h: Array, o: Array, g: Array, p: Array) -> float:
     if size < 1e-9:
         return float(np.linalg.norm(d - h * (h @ d)))
     return abs(float(n @ d)) / size
-
-
