@@ -114,7 +114,7 @@ def nearest(arm: Arm, found, theta) -> float:
 def assert_found(arm: Arm, answer, q, within=SAME, missed: int = 0) -> None:
     """The configurations (N, nq) that gave the targets are among the answers, `within` (N,), or on their families.
 
-    All but `missed`.
+    All but `missed`, whose answers do not say that they are complete.
     """
     q = np.atleast_2d(q)
     within = np.broadcast_to(within, len(q))
@@ -123,6 +123,8 @@ def assert_found(arm: Arm, answer, q, within=SAME, missed: int = 0) -> None:
         d = nearest(arm, found, arm.model.theta(x))
         if d > within[i] and not on_a_family(answer, i, x):
             missing.append((i, d))
+    false = [(i, d) for i, d in missing if np.ravel(answer.complete)[i]]
+    assert not false, f"{arm.name}: complete with {len(false)} of {len(q)} not found, such as {false[:3]}"
     assert len(missing) <= missed, f"{arm.name}: {len(missing)} of {len(q)} not found, such as {missing[:3]}"
 
 

@@ -47,7 +47,7 @@ def quartic_roots(p, out):
 
 @numba.njit
 def one_unknown(slides, a, b, k, wide, out):
-    return outer.one_unknown(slides, a, b, k, wide, raw(out))
+    return outer.one_unknown(slides, a, b, k, wide, 0.0, raw(out))
 
 
 @numba.njit
@@ -62,9 +62,7 @@ def ball_triple(a, b, c, d, work, out):
 
 @numba.njit
 def planar_triple(kinds, a, oa, b, ob, c, oc, d, work, out):
-    return inner.planar_triple(
-        kinds[0], a, oa, kinds[1], b, ob, kinds[2], c, oc, raw(d), 1e-5, raw(work), raw(out)
-    )
+    return inner.planar_triple(kinds[0], a, oa, kinds[1], b, ob, kinds[2], c, oc, raw(d), 1e-5, raw(work), raw(out))
 
 
 def unit(v) -> tuple[float, float, float]:

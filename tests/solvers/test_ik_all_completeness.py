@@ -212,14 +212,17 @@ def test_moved_targets_have_the_same_solutions(hunt):
 @pytest.mark.parametrize("part", range(5))
 def test_long_hunt_for_missed_solutions(part, hunt):
     """10^5 structured poses in all: of the robots by turns, and of as many structured arms."""
-    rng, names, count, i = hunt.rng(), ["hc20", *NAMED], 0, part
-    while count < hunt.cases(20_000):
-        arm = arm_of(names[i % len(names)])
-        count += moved(arm, rng, poses(arm, rng, 1000))[0]
-        for _ in range(4):
-            i += 1
-            arm = continuation.structured_arm(rng, i)
-            count += moved(arm, rng, poses(arm, rng, 100))[0]
+    rng, names, i, total = hunt.rng(), ["hc20", *NAMED], part, np.zeros(2, dtype=int)
+    try:
+        while total[0] < hunt.cases(20_000):
+            arm = arm_of(names[i % len(names)])
+            total += moved(arm, rng, poses(arm, rng, 1000))
+            for _ in range(4):
+                i += 1
+                arm = continuation.structured_arm(rng, i)
+                total += moved(arm, rng, poses(arm, rng, 100))
+    finally:
+        print(f"part {part}: {total[0]} poses, {total[1]} answers not complete", flush=True)
 
 
 @pytest.mark.slow

@@ -4,14 +4,34 @@ from __future__ import annotations
 
 import numpy as np
 
-from kempe.kernels._jit import kernel
+from kempe.kernels._jit import device, kernel
 from kempe.kernels.analytic_layout import INFO, INNER, MEASURE, MODE, N_JOINTS, OPTION, ORDER, WHAT
-from kempe.kernels.closed import SCRATCH, closed_candidates
+from kempe.kernels.closed import CANDIDATE, MOST_CANDIDATES, SAMPLE, SCRATCH, closed_candidates
 from kempe.kernels.declare import FLOAT, INT, OUT, OUTI, F, I
 from kempe.kernels.desk import begin, desk_of, desk_scratch, end, take_candidates
-from kempe.kernels.distinct import ROOT
+from kempe.kernels.distinct import ERROR, MERGED, MOST_SOLUTIONS, ROOT, SOLUTION, TURNS, UNSURE, WEAKEST, listed
+from kempe.kernels.folds import split
 from kempe.kernels.scratch import beyond
 from kempe.kernels.vectors import keep, raw
+
+
+@device
+def led_nowhere(d, candidates, count):
+    """Whether a joint was free, or nearly, but the values that were tried lead to no singular solution.
+
+    Or to samples on target within the tolerance only: then there are roots somewhere.
+    """
+    tried, singular, exact = False, False, True
+    for k in range(candidates):
+        tried = tried or d.candidates[CANDIDATE * k + SAMPLE] != 0.0
+    for k in range(count):
+        row = beyond(d.found.rows, (SOLUTION + d.n) * k)
+        if row[TURNS] == 0.0:
+            exact = exact and max(row[ERROR], row[ERROR + 1]) <= UNSURE
+        elif row[WEAKEST] < MERGED:
+            singular = True
+    sampled = listed(d.found, count) < count
+    return tried and not singular and not (sampled and exact)
 
 
 @kernel(
@@ -39,6 +59,9 @@ def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, w
             k, doubt = closed_candidates(d.kinds, d.six, d.goal, ints[INNER], ints[WHAT], ints[MODE], ints[MEASURE],
                                          ints[OPTION], scratch, d.candidates)  # fmt: skip
             count = take_candidates(d, beyond(d.ints, ORDER), 0, k, ROOT, 0)
+            doubt = doubt or led_nowhere(d, k, count)
+            count = split(d.found, count)
+            doubt = doubt or listed(d.found, count) > slots or count == MOST_SOLUTIONS or k == MOST_CANDIDATES
         written = end(d, count, close_to, beyond(raw(out), slots * (n + INFO) * i), slots, sort)
         counts[i, 0], counts[i, 1] = written if sound else -1, int(doubt)
     keep(block)

@@ -200,11 +200,11 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
             count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
             some = beyond(scratch, AT_SOME)
             if faint(tx):
-                for j in range(put_samples(outer.kx == SLIDE, 0, some, OPEN)):
+                for j in range(put_samples(outer.kx == SLIDE, 0, some, OPEN, x[2])):
                     x = beyond(some, VALUE_STRIDE * j)
                     count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
             elif faint(tz):
-                for j in range(put_samples(outer.kz == SLIDE, 0, some, OPEN)):
+                for j in range(put_samples(outer.kz == SLIDE, 0, some, OPEN, z[2])):
                     z = beyond(some, VALUE_STRIDE * j)
                     count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
         dependent = max(steadiness(tx), steadiness(tz)) < DEPENDENT

@@ -168,6 +168,15 @@ def united(found, count):
 
 
 @device
+def listed(found, count):
+    """How many solutions an answer must have room for: samples of curves stand for others anyway."""
+    rows = 0
+    for k in range(count):
+        rows += int(beyond(found.rows, (SOLUTION + found.model.n) * k)[TURNS] > 0.0)
+    return rows
+
+
+@device
 def drop(found, count, k):
     """Nothing; the last solution takes the place of solution k."""
     stride = SOLUTION + found.model.n

@@ -24,8 +24,11 @@ from kempe.kernels.distinct import (
     WEAKEST,
     add,
     distance,
+    listed,
 )
-from kempe.kernels.elimination import CANDIDATES, ELIMINATION_SCRATCH, FREE, UNSOUND, eliminate
+from kempe.kernels.elimination import ELIMINATION_SCRATCH, FREE, UNSOUND, eliminate
+from kempe.kernels.elimination_confirm import ALONE, CONFIRM_SCRATCH, confirmed, kind_of, thinned
+from kempe.kernels.folds import split
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.polish import error_at, polish, tangent
 from kempe.kernels.random import mix, unit
@@ -37,6 +40,9 @@ STARTS, PACES, PACE = 64, 40, 0.3
 
 FOLD = 1e-4
 """Bound of the smallest singular value squared of a solution in which two roots may have merged."""
+
+CROWDED = 16
+"""More solutions than isolated ones are possible."""
 
 EVEN, UNEXPLAINED = -1, -2
 """An even number of solutions; an odd one of which no solution is a double one."""
@@ -111,7 +117,7 @@ def parity(d, count):
     for k in range(count):
         row = beyond(d.found.rows, (SOLUTION + d.n) * k)
         total += row[TURNS]
-        if row[WEAKEST] < FOLD and row[TURNS] == 1.0:
+        if row[WEAKEST] < FOLD and row[TURNS] == 1.0 and kind_of(d, row) == ALONE:
             folds += 1
             at = k
     if total % 2.0 == 0.0:
@@ -134,7 +140,7 @@ def eliminated(d, scratch, thetas):
 
     It is where each root of one formulation has a solution of its own, or of two, except for singular solutions.
     """
-    count, doubt, free, witnesses = 0, 1, False, 0
+    count, doubt, free, crowded, witnesses = 0, 1, False, False, 0
     resting = rests(d)
     for f in range(d.ints[N_FORMS]):
         k, strays, suspect = eliminate(d.kinds, d.six, d.goal, d.ints[FORMS + f], scratch, thetas)
@@ -146,6 +152,8 @@ def eliminated(d, scratch, thetas):
         before, free = count, free or suspect & FREE != 0
         count = take_candidates(d, beyond(d.ints, ORDER), 0, k, ROOT if f == 0 else AGAIN, count)
         count = take_candidates(d, beyond(d.ints, ORDER), k, k + strays, AGAIN, count)
+        if count > CROWDED:
+            crowded, count = True, thinned(d, 0, count)
         enough = count > 0 or f >= 2  # that there is no solution has to be said thrice
         each = resting or count == k  # no two were the same in the end, and none was missed that is known
         clean = suspect == 0 or (count == 0 and suspect == FREE)  # far away the leading matrix is small
@@ -153,7 +161,7 @@ def eliminated(d, scratch, thetas):
             doubt = 0
             break
         witnesses = (witnesses if count == before else 0) + int(suspect & UNSOUND == 0 and each)
-        if witnesses > 1 and count == before and enough and each and parity(d, count) != UNEXPLAINED:
+        if witnesses > 1 and not crowded and count == before and enough and each and parity(d, count) != UNEXPLAINED:
             doubt = 0
             break
     count = walked(d, searched(d, count)) if free else count
@@ -167,7 +175,7 @@ def eliminated(d, scratch, thetas):
 def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, which, out, counts):
     """Nothing; all solutions by elimination, arguments as of `all_solutions.closed`; counts[:, 1] is 1 in doubt."""
     n, slots = ints[N_JOINTS], out.shape[1]
-    block = np.empty(desk_scratch(n) + ELIMINATION_SCRATCH + 6 * CANDIDATES)
+    block = np.empty(desk_scratch(n) + CONFIRM_SCRATCH)
     flags = np.empty(6 + slots, np.int64)
     d = desk_of(raw(ints), raw(floats), raw(block), raw(flags), tol_linear, tol_angular)
     scratch = beyond(raw(block), desk_scratch(n))
@@ -177,11 +185,17 @@ def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, 
         sound, count, doubt = begin(d, beyond(raw(targets), 16 * i), close_to, held), 0, 0
         if sound:
             count, doubt = eliminated(d, scratch, beyond(scratch, ELIMINATION_SCRATCH))
+            count = split(d.found, count)
             if not mark_fold(d, count):
                 doubt = 1
+            if doubt == 1 or listed(d.found, count) > slots:
+                count = thinned(d, 0, count)
+            if doubt == 1 and not rests(d):
+                count, sure = confirmed(d, count, scratch, beyond(scratch, ELIMINATION_SCRATCH))
+                doubt = 0 if sure else 1
+            if listed(d.found, count) > slots:
+                doubt = 1
         written = end(d, count, close_to, beyond(raw(out), slots * (n + INFO) * i), slots, sort)
-        if written == slots and count > slots:
-            doubt = 1
         counts[i, 0], counts[i, 1] = written if sound else -1, doubt
     keep(block)
     keep(flags)

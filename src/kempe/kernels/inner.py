@@ -85,16 +85,16 @@ def planar_point(h, ka, ha, oa, kb, hb, ob, p, goal, wide, work, out):
         return 1
     if ka == SLIDE:
         r, g = flat(h, minus(p, ob)), flat(h, minus(goal, ob))
-        count = one_unknown(True, -2.0 * dot(g, ha), 1.0, dot(r, r) - dot(g, g), wide, work)
+        count = one_unknown(True, -2.0 * dot(g, ha), 1.0, dot(r, r) - dot(g, g), wide, 0.0, work)
     elif kb == SLIDE:
         r, g = flat(h, minus(p, oa)), flat(h, minus(goal, oa))
-        count = one_unknown(True, 2.0 * dot(r, hb), 1.0, dot(g, g) - dot(r, r), wide, work)
+        count = one_unknown(True, 2.0 * dot(r, hb), 1.0, dot(g, g) - dot(r, r), wide, 0.0, work)
     else:
         m, u, w = orbit(hb, minus(p, ob))
         r, g = flat(h, plus(minus(m, oa), 1.0, ob)), flat(h, minus(goal, oa))
         r1, r2, rho2 = math.sqrt(dot(r, r)), math.sqrt(dot(u, u)), dot(g, g)
         a, b, k = 2.0 * dot(r, u), 2.0 * dot(r, w), rho2 - r1 * r1 - r2 * r2
-        count = one_unknown(False, a, b, k, wide, work)
+        count = one_unknown(False, a, b, k, wide, 0.0, work)
         if count == 2:
             c0, s0, c1, s1, _ = trig_roots_of(a, b, k, triangle(r1, r2, rho2))
             put_angle(work, 0, c0, s0, 0.0)
@@ -175,5 +175,3 @@ def planar_triple(ka, ha, oa, kb, hb, ob, kc, hc, oc, d, wide, work, out):
     if ka != SLIDE:
         return planar_backward(h, ha, oa, kb, hb, ob, hc, oc, d, wide, work, out)
     return planar_swing(h, ha, hb, ob, hc, d, out)
-
-

@@ -126,11 +126,15 @@ def put_angle(out, k, c, s, sampled):
 
 
 @routine
-def put_samples(slides, count, out, mark):
-    """New number of values of a joint that is free: a few more, of which no two differ by half a turn."""
+def put_samples(slides, count, out, mark, centre):
+    """New number of values of a joint that is free: a few more, of which no two differ by half a turn.
+
+    centre: near which a slide has to be for the other joints to reach.
+    """
     for k in range(SAMPLES):
         x = 0.35 - 1.3 * k + 0.37 * (k // 2)
         if slides:
+            x += centre + 1.3
             put(out, count + k, x, x * x, x, mark)
         else:
             put_angle(out, count + k, math.cos(x), math.sin(x), mark)
@@ -138,10 +142,10 @@ def put_samples(slides, count, out, mark):
 
 
 @routine
-def one_unknown(slides, a, b, k, wide, out):
+def one_unknown(slides, a, b, k, wide, centre, out):
     """Number of solutions of a f + b g = k, written to out; f, g = cos, sin of a turn, or d, d^2 of a slide.
 
-    wide: how far beyond its edge the equation may be.
+    wide: how far beyond its edge the equation may be. centre: where a free slide is tried.
     """
     size, count = math.hypot(a, b), 0
     if size <= VOID and abs(k) > wide:
@@ -161,7 +165,7 @@ def one_unknown(slides, a, b, k, wide, out):
             put_angle(out, 0, c0, s0, 0.0)
             put_angle(out, 1, c1, s1, 0.0)
             count = 2
-    return put_samples(slides, count, out, 1.0) if size <= VOID else count
+    return put_samples(slides, count, out, 1.0, centre) if size <= VOID else count
 
 
 @routine
@@ -178,7 +182,7 @@ def cone(k, h, n, w, sign, wide, out):
         put_angle(out, 0, c0, sign * s0, 0.0)
         put_angle(out, 1, c1, sign * s1, 0.0)
         count = 2
-    return put_samples(False, count, out, 1.0) if size <= VOID else count
+    return put_samples(False, count, out, 1.0, 0.0) if size <= VOID else count
 
 
 class Outer(NamedTuple):
@@ -228,6 +232,18 @@ def z_terms(o, out):
 
 
 @device
+def x_centre(o):
+    """Where a sliding x brings its element nearest to y."""
+    return dot(o.hx, minus(o.e0.p, o.oy))
+
+
+@device
+def z_centre(o):
+    """Where a sliding z brings its element nearest to y."""
+    return dot(o.hz, minus(o.oy, o.e1.p))
+
+
+@device
 def cones(o, j, kind):
     """Whether measure j is the angle of a plane's normal with a turning y, under a turning joint."""
     return o.what == PLANE and j == 0 and o.ky != SLIDE and kind != SLIDE
@@ -240,10 +256,10 @@ def first_values(o, mode, j, tx, tz, out):
     if mode == 0:
         if cones(o, j, o.kx):
             return cone(o.hy, o.hx, o.e0.n, o.e1.n, -1.0, WIDE, out)
-        return one_unknown(o.kx == SLIDE, tx[k + 1], tx[k + 2], tz[k] - tx[k], WIDE, out)
+        return one_unknown(o.kx == SLIDE, tx[k + 1], tx[k + 2], tz[k] - tx[k], WIDE, x_centre(o), out)
     if cones(o, j, o.kz):
         return cone(o.hy, o.hz, o.e1.n, o.e0.n, 1.0, WIDE, out)
-    return one_unknown(o.kz == SLIDE, tz[k + 1], tz[k + 2], tx[k] - tz[k], WIDE, out)
+    return one_unknown(o.kz == SLIDE, tz[k + 1], tz[k + 2], tx[k] - tz[k], WIDE, z_centre(o), out)
 
 
 @routine
@@ -255,12 +271,12 @@ def second_values(o, mode, j, tx, tz, first, out):
         if cones(o, 1 - j, o.kz):
             return cone(o.hy, o.hz, o.e1.n, e.n, 1.0, WIDE, out)
         known = tx[k] + tx[k + 1] * first[0] + tx[k + 2] * first[1]
-        return one_unknown(o.kz == SLIDE, tz[k + 1], tz[k + 2], known - tz[k], WIDE, out)
+        return one_unknown(o.kz == SLIDE, tz[k + 1], tz[k + 2], known - tz[k], WIDE, z_centre(o), out)
     e = carried(o.kz, o.hz, o.oz, o.e1, first[0], first[1], first[2])
     if cones(o, 1 - j, o.kx):
         return cone(o.hy, o.hx, o.e0.n, e.n, -1.0, WIDE, out)
     known = tz[k] + tz[k + 1] * first[0] + tz[k + 2] * first[1]
-    return one_unknown(o.kx == SLIDE, tx[k + 1], tx[k + 2], known - tx[k], WIDE, out)
+    return one_unknown(o.kx == SLIDE, tx[k + 1], tx[k + 2], known - tx[k], WIDE, x_centre(o), out)
 
 
 @routine
@@ -270,15 +286,14 @@ def middle_values(o, x, z, out):
     right = carried(o.kz, o.hz, o.oz, o.e1, z[0], z[1], z[2])
     if o.ky == SLIDE:
         d = minus(left.p, right.p)
+        nearest = dot(o.hy, d)
+        t, slope = nearest, 1.0
         if o.what == PLANE:
-            slope = dot(left.n, o.hy)
-            if abs(slope) <= VOID:
-                return put_samples(True, 0, out, 1.0)
-            t = dot(left.n, d) / slope
-        else:
-            t = dot(o.hy, d)
+            slope = abs(dot(left.n, o.hy))
+            t = dot(left.n, d) / dot(left.n, o.hy) if slope > NOTHING else nearest
         put(out, 0, t, t * t, t, 0.0)
-        return 1
+        count = 1 if slope > NOTHING else 0
+        return count if slope > FAINT else put_samples(True, count, out, OPEN if slope > VOID else 1.0, nearest)
     u, v = (right.n, left.n) if o.what == PLANE else (minus(right.p, o.oy), minus(left.p, o.oy))
     c, s, size = align(o.hy, u, v)
     size, count = math.sqrt(size), 0
@@ -287,4 +302,4 @@ def middle_values(o, x, z, out):
         count = 1
     if size > FAINT:
         return count
-    return put_samples(False, count, out, OPEN if size > VOID else 1.0)
+    return put_samples(False, count, out, OPEN if size > VOID else 1.0, 0.0)

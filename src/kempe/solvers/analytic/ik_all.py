@@ -13,6 +13,7 @@ from kempe.calls import explained
 from kempe.errors import InputError, NoSolutionError
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.compiled import maker
+from kempe.kernels.layout import SLIDE
 from kempe.kernels.search_layout import LARGEST
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers.analytic.choice import choose
@@ -31,6 +32,9 @@ TOLERANCE = 1e-9
 
 EPSILON = float(np.finfo(float).eps)
 CHUNK, SERIAL_BELOW = 256, 4096
+FAR = 300.0
+"""Lengths of a chain with slides beyond which these are so long that its equations may say nothing of the rest."""
+
 NONE = np.zeros(0, dtype=np.int64)
 """No targets."""
 
@@ -240,6 +244,8 @@ def solve_held(
 
     over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
     maybe_none = n != 1 or counts.item(0) == 0
+    if (lines.kinds == SLIDE).any():
+        counts[np.linalg.norm(targets[:, :3, 3] - lines.origin, axis=1) > FAR * lines.length, 1] = 1
     none = np.flatnonzero(counts[:, 0] == 0) if maybe_none and plan.rests else NONE
     if len(none) and (other := plan.other) is not None:  # two completions have to agree
         kernel_of(other)(

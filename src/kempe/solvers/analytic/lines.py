@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 NOISE = 1e-12
 """Distances of axes, relative to those of their points and of the base, that are rounding: such axes meet."""
 
+LITTLE = 0.1
+"""The least unit of length of a chain with slides, relative to how far these may go."""
+
 
 @dataclass(frozen=True, eq=False)
 class Lines:
@@ -100,7 +103,7 @@ def lines_of(system: System, frame: str) -> Lines:
     gauge = np.where(kinds == SLIDE, 0.0, np.arctan2(numbers[:, SIN_GAUGE], numbers[:, COS_GAUGE]))
 
     def scaled(h: Array, o: Array, tip: Array, even: Lines | None) -> Lines:
-        origin, length = _unit_of(kinds, h, o)
+        origin, length = _unit_of(kinds, h, o, tip[:3, 3], chain.limits[:, at])
         tip[:3, 3] = (tip[:3, 3] - origin) / length
         return Lines(
             kinds, h, (o - origin) / length, tip, gauge, np.where(kinds == SLIDE, multiplier / length, multiplier),
@@ -131,14 +134,16 @@ def _pose(rows: np.ndarray) -> Array:
     return np.vstack([rows.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
 
 
-def _unit_of(kinds: np.ndarray, h: Array, o: Array) -> tuple[Array, float]:
-    """A point near the axes that turn, and a length: a third of the way from axis to axis, 1 where that is zero.
+def _unit_of(kinds: np.ndarray, h: Array, o: Array, tip: Array, limits: Array) -> tuple[Array, float]:
+    """A point near the axes that turn, and a length: the way from axis to axis, 1 where that is zero.
 
-    Neither changes if the points slide along their axes or the base moves.
+    Neither changes if the points slide along their axes or the base moves. What slides go is no part of the way: where
+    that is much longer, offsets by which axes miss each other would be a unit in which slides are immense.
     """
     turning = np.flatnonzero(kinds != SLIDE)
     if turning.size == 0:
         return np.zeros(3), 1.0
+    slides, all_points = np.flatnonzero(kinds == SLIDE), o
     o = o[turning]
     h = h[turning]
     # the point nearest to all axes
@@ -149,7 +154,18 @@ def _unit_of(kinds: np.ndarray, h: Array, o: Array) -> tuple[Array, float]:
     steps = [_apart(h[i], o[i], h[i + 1], o[i + 1]) for i in range(len(h) - 1)]
     size = max(sum(steps), float(away.max()))
     noise = NOISE * max(float(np.linalg.norm(x)) for x in (free, origin))
-    return origin, size if size > noise and math.isfinite(size) else 1.0
+    if not (size > noise and math.isfinite(size)):
+        return origin, 1.0
+    if slides.size:
+        travel = _travel(limits[1, slides] - limits[0, slides], all_points[slides] - origin, tip - origin)
+        size = max(size, LITTLE * travel)
+    return origin, size
+
+
+def _travel(ranges: Array, offsets: Array, tip: Array) -> float:
+    """How far slides may go: by their limits, else by how far from the turning axes slides are, or the tip is."""
+    by_limits = float(np.where(np.isfinite(ranges), ranges, 0.0).max())
+    return by_limits if by_limits > 0.0 else max(float(np.linalg.norm(x)) for x in (*offsets, tip))
 
 
 def _apart(h: Array, o: Array, g: Array, p: Array) -> float:
@@ -159,5 +175,3 @@ def _apart(h: Array, o: Array, g: Array, p: Array) -> float:
     if size < 1e-9:
         return float(np.linalg.norm(d - h * (h @ d)))
     return abs(float(n @ d)) / size
-
-
