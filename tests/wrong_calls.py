@@ -21,8 +21,8 @@ from kempe.kinematics import zoo
 
 SYSTEMS = ("puma560", "panda", "two_link", "four_bar", "bennett", "joint_spherical", "slider_crank", "nothing")
 FORWARDED = re.compile(r"from (kempe[\w.]+) import (\w+)(?: as \w+)?\n(?:.*\n)*? *return \2?")
-LEFT_OUT = {"save", "plot", "symbolic_fk", "show"}
-"""Methods that write files or draw: slow, and called on their own."""
+LEFT_OUT = {"save", "plot", "symbolic_fk", "show", "run"}
+"""Methods that write files or draw, and one that solvers call with arrays of theirs."""
 
 
 class Odd:

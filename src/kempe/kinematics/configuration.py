@@ -229,8 +229,7 @@ def _tangent(system: System, q0: Any, q1: Any) -> Array:
     """Shortest tangent vector from q0 to q1: unlimited joints turn by at most pi."""
     v = difference(system, q0, q1)
     circle = circles(system)
-    with np.errstate(invalid="ignore"):
-        v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
+    v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
     return v
 
 
@@ -244,12 +243,10 @@ def interpolate(system: System, q0: Any, q1: Any, t: ArrayLike) -> Array:
     """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go the short way."""
     t, v = numbers(t, "t"), _tangent(system, q0, q1)
     together({"t": t.shape, "q0 and q1": v.shape[:-1]})
-    with np.errstate(invalid="ignore", over="ignore"):
-        return integrate(system, q0, t[..., None] * v)
+    return integrate(system, q0, t[..., None] * v)
 
 
 @explained
 def distance(system: System, q0: Any, q1: Any) -> Array:
     """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in metres."""
-    with np.errstate(over="ignore"):
-        return np.linalg.norm(_tangent(system, q0, q1), axis=-1)
+    return np.linalg.norm(_tangent(system, q0, q1), axis=-1)
