@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from kempe.errors import CallError, InputError, KempeError, UnknownNameError, shown
-from kempe.reals import PLAIN, reals
+from kempe.reals import reals
 
 Function = TypeVar("Function", bound=Callable)
 Class = TypeVar("Class", bound=type)
@@ -193,7 +193,7 @@ def listed(names: object, what: str) -> tuple[str, ...]:
 
 def numbers(x: Any, what: str, *core: int) -> np.ndarray:
     """Real numbers (..., *core) as an array. Errors: `InputError` for what is none, and for other last axes."""
-    array = np.array(x, dtype=np.float64) if x.__class__ in PLAIN else reals(x, what)
+    array = np.array(x) if x.__class__ is float else reals(x, what)
     if core and array.shape[-len(core) :] != core:
         raise InputError(f"{what} has shape {array.shape}; it must be (..., {', '.join(map(str, core))})")
     return array
