@@ -723,7 +723,8 @@ def test_names_that_clash_ask_for_a_prefix():
     m.attach(gripper())
     other = Mechanism("other", ground="plate")
     other.prismatic("left_finger", other.ground, other.body("thing"))
-    with pytest.raises(DescriptionError, match="attach 'other' to 'host': both have joints and constraints 'left_finger'; .*prefix='other_'"):
+    said = "attach 'other' to 'host': both have joints and constraints 'left_finger'; .*prefix='other_'"
+    with pytest.raises(DescriptionError, match=said):
         m.attach(other)
     third = Mechanism("third", ground="block")
     third.posture("open", {})

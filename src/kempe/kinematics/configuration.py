@@ -216,13 +216,17 @@ def integrate(system: System, q: Any, v: ArrayLike) -> Array:
     if v.ndim == 0 or v.shape[-1] != system.nv:
         got = "a single number" if v.ndim == 0 else f"{v.shape[-1]} coordinates"
         raise InputError(f"v has {got}; {system.name} has {system.nv} velocity coordinates")
-    return system.layout.integrate(as_q(system, q), v)
+    q = as_q(system, q)
+    together({"q": q.shape[:-1], "v": v.shape[:-1]})
+    return system.layout.integrate(q, v)
 
 
 @explained
 def difference(system: System, q0: Any, q1: Any) -> Array:
     """Tangent vector (..., nv) that `integrate` needs to go from `q0` to `q1`; rotations go the short way."""
-    return system.layout.difference(as_q(system, q0), as_q(system, q1))
+    a, b = as_q(system, q0), as_q(system, q1)
+    together({"q0": a.shape[:-1], "q1": b.shape[:-1]})
+    return system.layout.difference(a, b)
 
 
 def _tangent(system: System, q0: Any, q1: Any) -> Array:

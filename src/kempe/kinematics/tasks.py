@@ -32,8 +32,7 @@ __all__ = [
 ]  # fmt: skip
 
 _EYE = np.eye(4)
-ORIGIN = (0.0, 0.0, 0.0)
-Z = (0.0, 0.0, 1.0)
+ORIGIN, Z = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
 
 def _mask(dim: int) -> int:
