@@ -149,7 +149,7 @@ def call_of(
     def bad(p: inspect.Parameter) -> Any:
         value = wrong[rng.integers(len(wrong))]
         return (
-            nothing if callable(value) and "Callable" in str(p.annotation) else value
+            nothing if callable(value) and re.search("Callable|Progress", str(p.annotation)) else value
         )  # whose errors are the caller's
 
     args, options = [], {}
