@@ -143,7 +143,7 @@ def call_of(
     title: str, function: Callable[..., Any], system: System | None, rng: np.random.Generator, short: bool = False
 ) -> Call | None:
     """A wrong call of one function: some arguments as they should be, at least one drawn from the wrong ones."""
-    parameters = [p for p in signature_of(function) if p.name not in ("self", "where")]
+    parameters = [p for p in signature_of(function) if p.name not in ("self", "where", "out")]
     wrong = wrong_values(rng)
 
     def bad(p: inspect.Parameter) -> Any:
