@@ -6,6 +6,8 @@ import os
 import shutil
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -33,3 +35,19 @@ def printed(code: str, package: Path | None = None, **environment: str) -> str:
     done = run(code, package, **environment)
     assert done.returncode == 0 and not done.stderr, done.stderr
     return done.stdout.strip()
+
+
+def once(folder: Path, make: Callable[[Path], object]) -> Path:
+    """The folder, filled by the first of the processes that ask for it; the others wait."""
+    done = folder.with_name(f"{folder.name}.done")
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        while not done.exists():
+            time.sleep(0.5)
+        return folder
+    try:
+        make(folder)
+    finally:
+        done.touch()
+    return folder

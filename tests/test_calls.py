@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import importlib
 import inspect
 import pickle
+import re
 import traceback
 import warnings
 from typing import Any
@@ -50,7 +52,7 @@ def answered(call: wrong_calls.Call) -> None:
     before = [kept(x) for x in given]
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", RuntimeWarning)  # numbers that are lost on the way, complex ones too
+            warnings.simplefilter("error", np.exceptions.ComplexWarning)  # numbers that are lost on the way
             call.function(*call.args, **call.options)
     except KempeError as error:
         assert str(error), call
@@ -104,6 +106,15 @@ def test_an_unknown_option_names_the_nearest(verb, args, option):
 def test_an_unknown_option_of_a_task():
     with pytest.raises(CallError, match="Position has no option 'weigth'; did you mean 'weight'"):
         tasks.Position("tool", [0, 0, 0], weigth=1.0)
+
+
+def test_what_the_map_of_the_library_calls_is_explained():
+    source = inspect.getsource(kempe.System)
+    found = re.findall(r"        from (kempe[\w.]+) import (\w+)$", source, re.MULTILINE)
+    functions = [getattr(importlib.import_module(module), name) for module, name in found]
+    assert len(functions) > 30
+    takes = [f for f in functions if len(inspect.signature(f).parameters) > 1]
+    assert [f.__name__ for f in takes if not hasattr(f, "__wrapped__")] == []
 
 
 def test_what_is_missing_is_named():

@@ -27,7 +27,7 @@ def is_rotation(R, tolerance=1e-14):
 
 
 def random_pose(rng, shape=()):
-    return spatial.pose(Rotation.random(int(np.prod(shape)), rng=rng).as_matrix().reshape(*shape, 3, 3),
+    return spatial.pose(Rotation.random(int(np.prod(shape)), rng).as_matrix().reshape(*shape, 3, 3),
                         rng.normal(size=(*shape, 3)))  # fmt: skip
 
 

@@ -9,14 +9,13 @@ import re
 import shutil
 import subprocess
 import sys
-import time
 import zipfile
-from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
+from copies import once
 
 from kempe.kernels.digest import source_digests
 
@@ -46,22 +45,6 @@ def built(to: Path) -> Path:
     assert len(said) >= 20 and "sweep.poses" in said, "a build says what it compiles, and how long and large it is"
     (wheel,) = to.glob("*.whl")
     return wheel
-
-
-def once(folder: Path, make: Callable[[Path], object]) -> Path:
-    """The folder, filled by the first of the processes that ask for it; the others wait."""
-    done = folder.with_name(f"{folder.name}.done")
-    try:
-        folder.mkdir()
-    except FileExistsError:
-        while not done.exists():
-            time.sleep(0.5)
-        return folder
-    try:
-        make(folder)
-    finally:
-        done.touch()
-    return folder
 
 
 @pytest.fixture(scope="session")

@@ -21,8 +21,8 @@ from kempe.kinematics import zoo
 
 SYSTEMS = ("puma560", "panda", "two_link", "four_bar", "bennett", "joint_spherical", "slider_crank", "nothing")
 FORWARDED = re.compile(r"from (kempe[\w.]+) import (\w+)(?: as \w+)?\n(?:.*\n)*? *return \2?")
-LEFT_OUT = {"save", "plot", "symbolic_fk", "show"}
-"""Methods that write files or draw: slow, and called on their own."""
+LEFT_OUT = {"save", "plot", "symbolic_fk", "show", "run"}
+"""Methods that write files or draw, and one that solvers call with arrays of theirs."""
 
 
 class Odd:
@@ -143,13 +143,13 @@ def call_of(
     title: str, function: Callable[..., Any], system: System | None, rng: np.random.Generator, short: bool = False
 ) -> Call | None:
     """A wrong call of one function: some arguments as they should be, at least one drawn from the wrong ones."""
-    parameters = [p for p in signature_of(function) if p.name not in ("self", "where")]
+    parameters = [p for p in signature_of(function) if p.name not in ("self", "where", "out")]
     wrong = wrong_values(rng)
 
     def bad(p: inspect.Parameter) -> Any:
         value = wrong[rng.integers(len(wrong))]
         return (
-            nothing if callable(value) and "Callable" in str(p.annotation) else value
+            nothing if callable(value) and re.search("Callable|Progress", str(p.annotation)) else value
         )  # whose errors are the caller's
 
     args, options = [], {}

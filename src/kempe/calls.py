@@ -57,20 +57,27 @@ def explained_methods(cls: Class) -> Class:
     return cls
 
 
+def explained_making(cls: Class) -> Class:
+    """The class with its making `explained`."""
+    cls.__init__ = explained(cls.__init__)  # type: ignore[misc]
+    return cls
+
+
 def blame(function: Callable, args: tuple[Any, ...], options: Mapping[str, Any], error: Exception) -> None:
     """Raise what is wrong with the arguments of a call that failed; nothing where they are of the right kinds."""
     from inspect import Parameter, signature  # only here: most calls succeed
 
+    called = function.__qualname__.removesuffix(".__init__").rpartition(".")[2]
     parameters = signature(function).parameters
     if Parameter.VAR_KEYWORD not in {p.kind for p in parameters.values()}:
         allowed = [p.name for p in list(parameters.values())[1:] if p.kind is not Parameter.POSITIONAL_ONLY]
         for name in options:
             if name not in parameters:
-                raise CallError(function.__name__, name, allowed) from None
+                raise CallError(called, name, allowed) from None
     try:
         bound = signature(function).bind(*args, **options)
     except TypeError as wrong:
-        raise CallError(function.__name__, str(wrong)) from None
+        raise CallError(called, str(wrong)) from None
     for name, value in bound.arguments.items():
         p = parameters[name]
         if p.kind in (Parameter.VAR_KEYWORD, Parameter.VAR_POSITIONAL) or value is p.default:
@@ -186,7 +193,7 @@ def listed(names: object, what: str) -> tuple[str, ...]:
 
 def numbers(x: Any, what: str, *core: int) -> np.ndarray:
     """Real numbers (..., *core) as an array. Errors: `InputError` for what is none, and for other last axes."""
-    array = reals(x, what)
+    array = np.array(x) if x.__class__ is float else reals(x, what)
     if core and array.shape[-len(core) :] != core:
         raise InputError(f"{what} has shape {array.shape}; it must be (..., {', '.join(map(str, core))})")
     return array

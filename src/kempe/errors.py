@@ -116,14 +116,30 @@ class NoSolutionError(KempeError, RuntimeError):
 
 
 class MissingExtraError(KempeError, ImportError):
-    """An optional dependency is not installed; the text names the extra."""
+    """An optional dependency is not installed; the text says how to install it."""
 
     def __init__(self, package: str, extra: str):
         self.package, self.extra = package, extra
-        super().__init__(f"this needs the package {package!r}: install it with  pip install 'kempe[{extra}]'")
+        said = f"pip install '{requirement(package)}'"
+        super().__init__(f"this needs the package {package!r} (extra kempe[{extra}]): install it with  {said}")
 
     def __reduce__(self):
         return (type(self), (self.package, self.extra))
+
+
+def requirement(package: str) -> str:
+    """A package with the versions that Kempe works with, by its own metadata; only its name where there are none."""
+    from importlib import metadata
+
+    try:
+        needed = metadata.requires("kempe") or ()
+    except metadata.PackageNotFoundError:
+        needed = ()
+    for text in needed:
+        name, _, versions = text.partition(";")[0].strip().partition(">=")
+        if name == package and versions:
+            return f"{name}>={versions}"
+    return package
 
 
 def shown(x: object) -> str:

@@ -30,7 +30,7 @@ def reals(given: Any, what: str, wanted: str = "an array of real numbers") -> ND
     kind = given.__class__
     if kind is np.ndarray and given.dtype == np.float64:
         return given
-    if kind in PLAIN:
+    if kind is float or kind is np.float64:
         return np.asarray(given, dtype=np.float64)
     if not is_plain(given):
         for part in _parts(given):

@@ -42,7 +42,9 @@ def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
     """Pose (..., 4, 4) of a rotation (..., 3, 3) and a position (..., 3); what is not given is zero motion."""
     R = np.eye(3) if R is None else numbers(R, "R", 3, 3)
     p = np.zeros(3) if p is None else numbers(p, "p", 3)
-    shape = together({"R": R.shape[:-2], "p": p.shape[:-1]})
+    shape = R.shape[:-2]
+    if p.shape[:-1] != shape:
+        shape = together({"R": shape, "p": p.shape[:-1]})
     out = np.zeros((*shape, 4, 4))
     out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = R, p, 1.0
     return out
@@ -72,8 +74,7 @@ def rot_z(angle: ArrayLike) -> Array:
 
 def _rot(angle: ArrayLike, axis: int) -> Array:
     angle = numbers(angle, "angle")
-    with np.errstate(invalid="ignore"):
-        c, s = np.cos(angle), np.sin(angle)
+    c, s = np.cos(angle), np.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     out = np.zeros((*angle.shape, 3, 3))
     out[..., axis, axis] = 1.0
@@ -150,7 +151,8 @@ def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
 def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """Product (..., 4) of quaternions (w, x, y, z)."""
     a, b = numbers(a, "a", 4), numbers(b, "b", 4)
-    together({"a": a.shape, "b": b.shape})
+    if a.shape != b.shape:
+        together({"a": a.shape, "b": b.shape})
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
     return np.stack([
@@ -218,9 +220,9 @@ def log_se3(X: ArrayLike) -> Array:
 
 def _series(angle: Array) -> tuple[Array, Array, Array]:
     """sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3, by series for small t."""
+    t2 = angle * angle
     small = angle < 1e-2
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        t2 = angle * angle
+    with np.errstate(invalid="ignore", divide="ignore"):
         a = np.sinc(angle / np.pi)
         b = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
         c = np.where(small, 1.0 / 6.0 - t2 / 120.0 + t2 * t2 / 5040.0, (1.0 - a) / t2)

@@ -163,7 +163,7 @@ def test_inverse_undoes_every_motion(seed):
     rng = np.random.default_rng(seed)
     X = Placement((("x", (rng.normal(),)), ("ry", (rng.normal(),)), ("align", tuple(rng.normal(size=3))),
                    ("quat_wxyz", tuple(rng.normal(size=4))),
-                   ("matrix", tuple(Rotation.random(rng=rng).as_matrix().ravel())),
+                   ("matrix", tuple(Rotation.random(None, rng).as_matrix().ravel())),
                    ("z", (Expression("2*d"),)), ("unalign", tuple(rng.normal(size=3))), ("rz", (Expression("-alpha"),)),
                    ("y", (0.3,)), ("rx", (0.1,))))  # fmt: skip
     parameters = {"d": 0.4, "alpha": 1.1}

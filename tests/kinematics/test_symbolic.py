@@ -369,4 +369,4 @@ def test_without_sympy():
         "except kempe.errors.MissingExtraError as error:\n    print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.strip().endswith("pip install 'kempe[symbolic]'")
+    assert done.stdout.strip().endswith("pip install 'sympy>=1.12'")

@@ -11,7 +11,7 @@ import numpy as np
 
 from kempe.analysis.continuation import RANK, Closure, Node, close, node
 from kempe.analysis.crossings import branch_lines, locate
-from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.joints import R
 from kempe.kinematics.configuration import as_q
 from kempe.model.coordinates import coordinate_names
@@ -78,7 +78,10 @@ def start_of(system: System, start: Any, hold: Mapping[str, float]) -> Array:
         raise InputError(f"start has shape {q.shape}; it must be one configuration ({system.nq},)")
     if not np.isfinite(q).all():
         raise InputError("start holds a NaN or an infinity")
-    return system.q(hold, q)
+    held = system.q(hold, q)
+    if held.shape != q.shape:
+        raise InputError(f"hold is {shown(hold)}; it must be one number for each coordinate")
+    return held
 
 
 def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closure, Array | None]:

@@ -122,9 +122,12 @@ def value(x: object, what: str = "value") -> Value:
         return Expression(x)
     if not is_real(x):
         raise InputError(f"{what} is {x!r}; it must be a number or an expression in parameters")
-    number = float(x)
+    try:
+        number = float(x)
+    except OverflowError:
+        number = math.inf
     if not math.isfinite(number):
-        raise InputError(f"{what} is {number}; it must be finite")
+        raise InputError(f"{what} is {shown(x)}; it must be finite")
     return number
 
 

@@ -216,21 +216,24 @@ def integrate(system: System, q: Any, v: ArrayLike) -> Array:
     if v.ndim == 0 or v.shape[-1] != system.nv:
         got = "a single number" if v.ndim == 0 else f"{v.shape[-1]} coordinates"
         raise InputError(f"v has {got}; {system.name} has {system.nv} velocity coordinates")
-    return system.layout.integrate(as_q(system, q), v)
+    q = as_q(system, q)
+    together({"q": q.shape[:-1], "v": v.shape[:-1]})
+    return system.layout.integrate(q, v)
 
 
 @explained
 def difference(system: System, q0: Any, q1: Any) -> Array:
     """Tangent vector (..., nv) that `integrate` needs to go from `q0` to `q1`; rotations go the short way."""
-    return system.layout.difference(as_q(system, q0), as_q(system, q1))
+    a, b = as_q(system, q0), as_q(system, q1)
+    together({"q0": a.shape[:-1], "q1": b.shape[:-1]})
+    return system.layout.difference(a, b)
 
 
 def _tangent(system: System, q0: Any, q1: Any) -> Array:
     """Shortest tangent vector from q0 to q1: unlimited joints turn by at most pi."""
     v = difference(system, q0, q1)
     circle = circles(system)
-    with np.errstate(invalid="ignore"):
-        v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
+    v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
     return v
 
 
@@ -244,12 +247,10 @@ def interpolate(system: System, q0: Any, q1: Any, t: ArrayLike) -> Array:
     """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go the short way."""
     t, v = numbers(t, "t"), _tangent(system, q0, q1)
     together({"t": t.shape, "q0 and q1": v.shape[:-1]})
-    with np.errstate(invalid="ignore", over="ignore"):
-        return integrate(system, q0, t[..., None] * v)
+    return integrate(system, q0, t[..., None] * v)
 
 
 @explained
 def distance(system: System, q0: Any, q1: Any) -> Array:
     """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in metres."""
-    with np.errstate(over="ignore"):
-        return np.linalg.norm(_tangent(system, q0, q1), axis=-1)
+    return np.linalg.norm(_tangent(system, q0, q1), axis=-1)

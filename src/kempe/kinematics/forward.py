@@ -57,19 +57,24 @@ class Query(Protocol):
 
 @explained
 def query(system: System, frame: FrameLike) -> Query:
-    """The bound forward model of a frame. Errors: `UnknownNameError`.
+    """The bound forward model of a frame. Errors: `UnknownNameError`."""
+    chain_of = _Chain(system, system.frame_name(frame))
+    bound_to: Any = MethodType(_model(chain_of), chain_of)  # a method, for it is pickled as an attribute of its object
+    return bound_to
+
+
+def _model(chain_of: _Chain) -> Any:
+    """The forward model of a chain, as a function of an object that is not read, q, out and threads.
 
     A closure over the packed arrays, not an object: for one configuration the way into a method and back would cost
     as much as the forward model itself. The kernels check shapes; whatever they refuse goes the general way.
     """
-    name = system.frame_name(frame)
-    chain_of = _Chain(system, name)
-    new_pose, new_columns = maker(4, 4), maker(6, system.nv)
+    new_pose, new_columns = maker(4, 4), maker(6, chain_of.system.nv)
     tables, usual = chain_of.tables, "world_aligned"
     table, table_in = tables[usual], tables.get
     pose_kernel, jacobian_kernel, both_kernel = bound.pose, bound.jacobian, bound.pose_jacobian
 
-    def pose(chain_of: _Chain, q: Any, out: Any = None, threads: int | None = None) -> Array:
+    def pose(_: object, q: Any, out: Any = None, threads: int | None = None) -> Array:
         try:
             if q.ndim == 1:
                 X = new_pose() if out is None else out
@@ -101,11 +106,10 @@ def query(system: System, frame: FrameLike) -> Query:
 
     function: Any = pose
     function.jacobian, function.pose_and_jacobian = jacobian, pose_and_jacobian
-    function.system, function.frame = system, name
-    function.__name__, function.__qualname__ = "query", f"query({system.name!r}, {name!r})"
+    function.system, function.frame = chain_of.system, chain_of.name
+    function.__name__, function.__qualname__ = "query", f"query({chain_of.system.name!r}, {chain_of.name!r})"
     function.__doc__ = Query.__call__.__doc__
-    bound_to: Any = MethodType(function, chain_of)  # pickled as the attribute `query` of its object
-    return bound_to
+    return function
 
 
 class _Chain:
@@ -126,7 +130,7 @@ class _Chain:
     @property
     def query(self) -> Query:
         """The bound forward model of the frame."""
-        return _query(self.system, self.name)
+        return query(self.system, self.name)
 
     def pose(self, q: Any, out: Array | None, threads: int | None) -> Array:
         q = as_q(self.system, q)
@@ -165,13 +169,14 @@ class _Chain:
         return pose, columns
 
 
-def _query(system: System, frame: FrameLike) -> Query:
+def _query(system: System, frame: FrameLike) -> Any:
+    """The forward model of a frame, made once."""
     try:
         found = system._queries.get(frame)
     except TypeError:  # nothing that could be a key is a name
         found = None
     if found is None:
-        found = system._queries[frame] = query(system, frame)
+        found = system._queries[frame] = _model(_Chain(system, system.frame_name(frame)))
     return found
 
 
@@ -191,7 +196,7 @@ def fk(
     of such a pose are NaN and all others are right. Errors: `UnknownNameError` for names, `InputError` for shapes.
     """
     if frame is not None and not isinstance(frame, (list, tuple)):
-        return _query(system, frame)(q, out, threads)
+        return _query(system, frame)(None, q, out, threads)
     key = None if frame is None else tuple(system.frame_name(f) for f in frame)
     packed = system._queries.get(("poses", key))
     if packed is None:

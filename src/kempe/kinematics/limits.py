@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from kempe.calls import explained
 from kempe.description import checks
 from kempe.description.parts import Joint
 from kempe.errors import InputError, UnknownNameError
@@ -18,6 +19,7 @@ from kempe.reals import named, reals
 UNLIMITED = (-math.inf, math.inf)
 
 
+@explained
 def with_limits(system: System, limits: Any = None, velocity: Any = None) -> System:
     """The system with other limits; tree, coordinates, parameters and postures are the same.
 
@@ -66,7 +68,7 @@ def _by_name(system: System, given: Any, what: str, width: int) -> dict[str, Any
     if array.shape != shape:
         raise InputError(f"{what} have shape {array.shape}; they must be a dict by coordinate name, or {shape}")
     before = system.limits if width == 2 else system.velocity_limits
-    changed = (array != before).reshape(system.nv, -1).any(axis=1)  # NaN, too
+    changed = (array != before).reshape(system.nv, width).any(axis=1)  # NaN, too
     return {system.velocity_names[i]: tuple(array[i].tolist()) if width == 2 else array[i].item()
             for i in np.flatnonzero(changed)}  # fmt: skip
 

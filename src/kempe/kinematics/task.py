@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.calls import explained_methods, numbers
-from kempe.errors import CallError, InputError
+from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import fk
@@ -77,13 +77,6 @@ class Task(ABC):
     """Whether its error has a part in radians."""
     lasting: ClassVar[bool] = True
     """Whether its ties can be kept for the next task of the same structure."""
-
-    def __new__(cls, *args: Any, **options: Any):
-        """A new task. Errors: `CallError` for options that it does not have."""
-        for name in options:
-            if name not in cls.__dataclass_fields__:
-                raise CallError(cls.__name__, name, [f.name for f in fields(cls) if f.init])
-        return super().__new__(cls)
 
     @property
     @abstractmethod

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
+from kempe.calls import explained_making
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.task import HERE, Hold, Placed, Task, along, numbers_of, poses_of
@@ -31,8 +32,7 @@ __all__ = [
 ]  # fmt: skip
 
 _EYE = np.eye(4)
-ORIGIN = (0.0, 0.0, 0.0)
-Z = (0.0, 0.0, 1.0)
+ORIGIN, Z = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
 
 def _mask(dim: int) -> int:
@@ -394,3 +394,7 @@ class Distance(Between, _TwoFrames):
     def values(self, X: Array) -> Array:
         """The distance."""
         return _size(X[..., :3, 3])[..., None]
+
+
+for _name in __all__:
+    explained_making(globals()[_name])

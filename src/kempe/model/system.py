@@ -131,7 +131,7 @@ class System(Compiled):
         """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None)."""
         query = self._queries.get(frame) if frame.__class__ is str else None
         if query is not None and q.__class__ is np.ndarray:  # the import below alone would double the time
-            return query(q, out, threads)
+            return query(None, q, out, threads)
         from kempe.kinematics.forward import fk
 
         return fk(self, q, frame, out, threads)
@@ -180,7 +180,10 @@ class System(Compiled):
     def ik_all(self, target: Any, frame: FrameLike, **options: Any) -> Solutions:
         """Every configuration in which the frame reaches the target; see `kempe.solvers.analytic.ik_all.ik_all`."""
         if not options and target.__class__ is np.ndarray and target.shape == (4, 4) and self.dim == 3:
-            bound = self._queries.get(("all", frame)) if frame.__class__ is str else None
+            try:
+                bound = self._queries.get(("all", frame))
+            except TypeError:  # what is no key is no name
+                bound = None
             answer = bound(target) if bound is not None else None
             if answer is not None:
                 return answer

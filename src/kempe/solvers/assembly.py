@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.calls import explained, explained_methods, flag, listed
+from kempe.calls import explained, flag, listed
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kernels import loop_layout as L
 from kempe.kernels.compiled import assembly as kernel
@@ -45,7 +45,6 @@ RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero."""
 
 
-@explained_methods
 class Assembler:
     """Assembly with the names of what is known looked up and the loops packed, once.
 
@@ -153,7 +152,7 @@ class Assembler:
             over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
         return q, residual, info
 
-    def __call__(
+    def _ask(
         self, values: Any = (), near: Any = None, *, nearest: bool = False, limits: bool = True, starts: int = STARTS,
         rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None,
         follow: bool = False, constraints: Sequence[Constraint] = (),
@@ -173,7 +172,7 @@ class Assembler:
         turned = self._turned(given) if self.frames else ()
         pins = self._pins(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if nearest and self.freedoms != 0 else 0
-        number = seed_number(rng)
+        number = rng if isinstance(rng, int) and 0 <= rng < 2**62 else seed_number(rng)
         if constraints.__class__ is not tuple or constraints:
             return self._custom(constraints, base, lead, limits, start_count(starts), int(number), tolerance)
         q, residual, info = self.run(
@@ -181,6 +180,8 @@ class Assembler:
             self._loops(turned, steps > 0) if turned or steps else None,
         )  # fmt: skip
         return self._answer(base, lead, q, residual, info, limits)
+
+    __call__ = explained(_ask)
 
     def _custom(
         self, constraints: Sequence[Constraint], base: Array, lead: tuple[int, ...], limits: bool,
@@ -362,7 +363,7 @@ def assemble(
             near = system.posture(branch) if near is None else near
         else:
             return _on_branch(system, bound, given, near, branch, limits, throw)
-    answer = bound(
+    answer = bound._ask(
         given, near, nearest=nearest, limits=limits, starts=starts, rng=rng, tolerance=tolerance, threads=threads,
         follow=continuous, constraints=constraints,
     )  # fmt: skip
@@ -378,7 +379,7 @@ def _on_branch(
     from kempe.solvers.dyads import closed_form, on_branch
 
     start = on_branch(system, given, branch, near)
-    answer = bound(given, start, nearest=False, limits=limits, starts=1)
+    answer = bound._ask(given, start, nearest=False, limits=limits, starts=1)
     plan: Any = closed_form(system, tuple(bound.sources))
     asked, found = plan.branch_of(start), plan.branch_of(answer.q)
     strayed = np.any((found != asked) & (asked != 0) & (found != 0), axis=-1) & (answer.code == CLOSED)

@@ -206,6 +206,8 @@ class Sweep(Tabular):
         if not rows.size:
             return best
         scores = reals(score(q[rows, 0]), "the score")
+        if scores.shape != rows.shape:
+            raise InputError(f"the objective gives an array {scores.shape} for {len(rows)} configurations")
         k = int(np.argmax(scores))
         if best is not None and scores[k] <= best.score:
             return best
