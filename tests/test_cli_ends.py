@@ -75,7 +75,7 @@ def test_a_path_of_targets(tmp_path):
     out = tmp_path / "q.csv"
     words = command("path", "panda", "--frame", HAND, "--targets", tmp_path / "way.npy", "--out", out,
                     "--seed", ",".join(map(str, q[0])),
-                    before=at_call("kempe.solvers.following.inside", 12))  # fmt: skip
+                    before=at_call("kempe.solvers.way.inside", 12))  # fmt: skip
     done = run(words)
     assert done.returncode == 130 and "interrupted" in done.stdout and out.exists(), done.stderr
 

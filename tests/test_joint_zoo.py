@@ -274,7 +274,7 @@ def test_bad_numbers_stay_bad(case, bad):
                                   c.kind.layout(c.dim, c.particle)[1][-1].kind == Q], ids=str)  # fmt: skip
 def test_zero_quaternions_are_refused_and_others_normalised(case):
     system = one_joint(case)
-    q = system.neutral
+    q = system.neutral.copy()
     k = int(system.layout.quaternion_q[0])
     for scale in (1e-300, 1e-160, 1.0, 1e160, 1e300):
         q[k : k + 4] = np.array([0.5, 0.5, -0.5, 0.5]) * scale

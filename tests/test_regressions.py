@@ -46,7 +46,7 @@ def test_limit_is_the_reason_even_where_the_task_has_more_equations_than_freedom
     robot = kempe.load("cobra600")
     for joint in ("q1", "q3"):
         i = robot.coordinate_names.index(joint)
-        q = robot.mid
+        q = robot.mid.copy()
         q[i] = robot.upper[i] + 0.05
         assert f"blocked by the limit of '{joint}'" in robot.ik(robot.fk(q, "tool"), "tool").status
 

@@ -239,7 +239,7 @@ def test_joints_that_the_chain_does_not_move_keep_their_seed():
     m = robot.mechanism
     m.revolute("aside", m.ground, m.body("other"), limits=(-1.0, 1.0))
     robot, frame = m.build(), robot.frame_names[-1]
-    seed = robot.mid
+    seed = robot.mid.copy()
     X = robot.fk(seed, frame)
     at = robot.coordinate_names.index("aside")
     for value, kept in ((0.7, 0.7), (5.0, 1.0)):

@@ -22,6 +22,9 @@ AHEAD = 1e4
 """How many of them one looks ahead."""
 STRAIGHT = 1e-9
 """Change of the direction over `SOON` below which a curve counts as straight, and one looks ahead at once."""
+SAME_RATE = 1e-8
+"""How near the ratio of two rates of a straight curve must be to one of whole numbers: rates are computed, far from the
+origin with less digits."""
 SOON = 8.0
 """Arc length after which that is asked."""
 NO_RETURN = "a place like any other of a motion that does not come back"
@@ -87,15 +90,16 @@ class Endless:
         for i in moving:
             factor = float(b.t[i] / b.t[lead])
             ratio = Fraction(factor * self.periods[lead] / self.periods[i]).limit_denominator(MOST_TURNS)
-            if abs(float(ratio) * self.periods[i] / self.periods[lead] - factor) > 10.0 * SAME_RATIO:
-                return self._unrelated(self.equations.system.velocity_names[i], factor, lead)
+            if abs(float(ratio) * self.periods[i] / self.periods[lead] - factor) > SAME_RATE:
+                return self._unrelated(self.equations.system.velocity_names[i], factor, lead, SAME_RATE)
         return ""
 
-    def _unrelated(self, name: str, factor: float, source: int) -> str:
+    def _unrelated(self, name: str, factor: float, source: int, within: float = SAME_RATIO) -> str:
+        digits = round(-math.log10(within))
         of = self.equations.system.velocity_names[source]
         return (
-            f"{NO_RETURN} within {MOST_TURNS} turns of {of!r}: {name!r} turns {abs(factor):.12g} times as fast, "
-            f"which to 12 digits is no ratio of whole numbers up to {MOST_TURNS}"
+            f"{NO_RETURN} within {MOST_TURNS} turns of {of!r}: {name!r} turns {abs(factor):.{digits}g} times as fast, "
+            f"which to {digits} digits is no ratio of whole numbers up to {MOST_TURNS}"
         )
 
     def _runs_away(self, b: Node) -> str:
