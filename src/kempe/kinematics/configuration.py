@@ -217,7 +217,8 @@ def integrate(system: System, q: Any, v: ArrayLike) -> Array:
         got = "a single number" if v.ndim == 0 else f"{v.shape[-1]} coordinates"
         raise InputError(f"v has {got}; {system.name} has {system.nv} velocity coordinates")
     q = as_q(system, q)
-    together({"q": q.shape[:-1], "v": v.shape[:-1]})
+    if q.shape != v.shape and q.ndim + v.ndim > 2:
+        together({"q": q.shape[:-1], "v": v.shape[:-1]})
     return system.layout.integrate(q, v)
 
 
@@ -225,7 +226,8 @@ def integrate(system: System, q: Any, v: ArrayLike) -> Array:
 def difference(system: System, q0: Any, q1: Any) -> Array:
     """Tangent vector (..., nv) that `integrate` needs to go from `q0` to `q1`; rotations go the short way."""
     a, b = as_q(system, q0), as_q(system, q1)
-    together({"q0": a.shape[:-1], "q1": b.shape[:-1]})
+    if a.shape != b.shape:
+        together({"q0": a.shape[:-1], "q1": b.shape[:-1]})
     return system.layout.difference(a, b)
 
 

@@ -26,6 +26,8 @@ MOST = 1000
 """Starts before a target is given up. Most succeed with the first; one in a hundred thousand needs more than 100."""
 GLANCE = 16
 """Starts after which the same is asked in a batch, where what is nearest to such targets can wait."""
+HARD = 8
+"""So few targets of a chunk that are not reached by then are more likely hard than out of reach: first they go on."""
 FEW = 64
 """Starts after which it is asked whether lengths put a target out of reach: then it is given up."""
 ITERATIONS = 40
@@ -96,13 +98,13 @@ def answered(
         if not _search(chain)(*head, 0, GLANCE, task.iterations, *task.tolerance, 0.0, out):
             return 0
         left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
-        far = outside(task, targets[left]) > 0.0
+        hard = len(left) <= HARD
+        left = _more(task, head, left, GLANCE, count - GLANCE, out) if hard else left
+        far = outside(task, targets[left]) > 0.0 if len(left) else np.zeros(0, dtype=bool)
         out[left[far], n + STATUS] = OUT_OF_REACH
         left = left[~far]
-        if len(left):
-            _more(task, head, left, GLANCE, count - GLANCE, out)
-            return go_on(task, targets, head, count, out)
-        return len(far)
+        left = left if hard else _more(task, head, left, GLANCE, count - GLANCE, out)
+        return go_on(task, targets, head, count, out) if len(left) else int(far.sum())
     if time.monotonic() < task.end:
         if not _search(chain)(*head, 0, count, task.iterations, *task.tolerance, 0.0, out):
             return 0
@@ -135,8 +137,7 @@ def go_on(task: Task, targets: Array, head: tuple[Any, ...], done: int, out: Arr
     left = left[out[left, n + STATUS] == NOT_FOUND]
     while done < task.starts and len(left) and time.monotonic() < task.end:
         count = task.starts - done if task.time_limit is None else min(ROUND, task.starts - done)
-        _more(task, head, left, done, count, out)
-        left, done = left[out[left, n + STATUS] == NOT_FOUND], done + count
+        left, done = _more(task, head, left, done, count, out), done + count
     if done < task.starts and len(left):
         _end(task, targets, left, out)
     nearest: Callable[..., int] = closest.approach
@@ -158,8 +159,10 @@ def _some(task: Task, head: tuple[Any, ...], rows: np.ndarray, first: int, count
     return found
 
 
-def _more(task: Task, head: tuple[Any, ...], rows: np.ndarray, first: int, count: int, out: Array) -> None:
-    """Nothing; these rows get what further starts find, where that is better than what the `first` ones left."""
+def _more(task: Task, head: tuple[Any, ...], rows: np.ndarray, first: int, count: int, out: Array) -> np.ndarray:
+    """The rows that are still not reached after further starts; answers that are better than the first are written."""
+    if not len(rows):
+        return rows
     n = out.shape[1] - ANSWER
     found = _some(task, head, rows, first, count, 0.0)
     found[:, n + STARTS] += first
@@ -167,6 +170,7 @@ def _more(task: Task, head: tuple[Any, ...], rows: np.ndarray, first: int, count
     better = (found[:, n + STATUS] == SOLVED) | (found[:, n + LINEAR] < out[rows, n + LINEAR])
     out[rows[better]] = found[better]
     out[rows, n + STEPS :] = found[:, n + STEPS :]
+    return rows[out[rows, n + STATUS] == NOT_FOUND]
 
 
 def _end(task: Task, targets: Array, left: np.ndarray, out: Array) -> None:
