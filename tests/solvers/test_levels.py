@@ -57,7 +57,10 @@ def task(s: System, rng: np.random.Generator, q: np.ndarray, level: int, soft: b
 def missed(s: System, answer: Reached, wanted: tasks.Task) -> float:
     """What a task misses, by the forward model; lengths in those of the solver."""
     if isinstance(wanted, tasks.Posture):
-        return float(np.linalg.norm(s.difference(np.asarray(wanted.q), answer.q)))
+        far = s.difference(np.asarray(wanted.q), answer.q)
+        slides = s.layout.vector_v[~s.coordinates.turning[s.layout.vector_v]]
+        far[slides] /= answer.asked.packed.loops.length
+        return float(np.linalg.norm(far))
     linear, angular = answer.errors[wanted.name]
     return math.hypot(linear / answer.asked.packed.loops.length, angular)
 
