@@ -181,7 +181,7 @@ def test_the_readme_with_the_lowest_versions(floors, tmp_path):
 @needs_linux
 def test_a_part_of_the_tests_with_the_lowest_versions(floors, tmp_path):
     files = [ROOT / "tests" / name for name in QUICK]
-    command = [floors, "-m", "pytest", "-n", "0", "-q", "-x", "-p", "no:cacheprovider", "--rootdir", ROOT, *files]
+    command = [floors, "-m", "pytest", "-n", "0", "-x", "-p", "no:cacheprovider", "--rootdir", ROOT, *files]
     assert re.search(r"\d+ passed", done(command, tmp_path))
 
 

@@ -36,10 +36,13 @@ def load(
     `lenient_limits=True` reads limits of a URDF that hold no range (no bounds, or lower above upper) as none. Errors:
     `DescriptionError` with file, line and what is allowed.
     """
-    return read(
-        source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro,
-        lenient_limits=lenient_limits,
-    ).build()  # fmt: skip
+    from kempe.description.source import collecting_later
+
+    with collecting_later():
+        return read(
+            source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro,
+            lenient_limits=lenient_limits,
+        ).build()  # fmt: skip
 
 
 def read(

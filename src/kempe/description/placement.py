@@ -185,15 +185,31 @@ def check_step(motion: str, numbers: tuple[Value, ...]) -> None:
             raise InputError("matrix is not a rotation (orthonormal, determinant +1)")
 
 
+_AXES = {"x": (False, 0), "y": (False, 1), "z": (False, 2), "rx": (True, 0), "ry": (True, 1), "rz": (True, 2)}
+"""Whether a motion along or about an axis turns, and the axis."""
+
+
 @lru_cache(1024)
 def _constant(steps: tuple[Step, ...]) -> spatial.Array:
     """Pose (4, 4), read-only, of steps without parameters."""
-    out = np.eye(4)
+    rows = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
     for motion, numbers in steps:
-        if motion in ("x", "y", "z"):
-            out[:3, 3] += out[:3, "xyz".index(motion)] * numbers[0]  # type: ignore[operator]
-        else:
-            out[:3, :3] = out[:3, :3] @ _constant_turn(motion, numbers)
+        place = _AXES.get(motion)
+        if place is None:
+            R = np.array(rows)
+            R[:, :3] = R[:, :3] @ _constant_turn(motion, numbers)
+            rows = R.tolist()
+            continue
+        turns, axis = place
+        x = float(numbers[0])  # type: ignore[arg-type]
+        if not turns:
+            for row in rows:
+                row[3] += row[axis] * x
+            continue
+        c, s, i, j = math.cos(x), math.sin(x), (axis + 1) % 3, (axis + 2) % 3
+        for row in rows:
+            row[i], row[j] = c * row[i] + s * row[j], c * row[j] - s * row[i]
+    out = np.array([*rows, [0.0, 0.0, 0.0, 1.0]])
     out.setflags(write=False)
     return out
 

@@ -64,8 +64,8 @@ def no_file(path: str | Path) -> str:
 
 
 @contextmanager
-def collecting_later(count: int) -> Iterator[None]:
-    """Nothing; where so many bodies are made, cyclic garbage is looked for afterwards only.
+def collecting_later(count: int = MANY_BODIES) -> Iterator[None]:
+    """Where so many bodies are made, cyclic garbage is looked for afterwards only.
 
     They last, and each look goes through all there are: that takes a third of the time.
     """
