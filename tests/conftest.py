@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import os
+import types
+from collections.abc import Callable
 
+import numpy as np
 import pytest
 from hunts import Hunt
 from hypothesis import HealthCheck, settings
@@ -37,3 +41,17 @@ def hunt(request: pytest.FixtureRequest) -> Hunt:
     """The cases of a hunt: the same on every run with the same options, others for each test."""
     options = request.config
     return Hunt(options.getoption("--hunt-seed"), options.getoption("--hunt-times"), request.node.name)
+
+
+@pytest.fixture
+def looks(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """A clock whose time is up at look number n, counted from 0: ``looks(n)``."""
+    from kempe.solvers import clock, rounds
+
+    def at(n: int) -> None:
+        count = itertools.count()
+        fake = types.SimpleNamespace(monotonic=lambda: np.inf if next(count) >= n else -np.inf)
+        for module in (clock, rounds):
+            monkeypatch.setattr(module, "time", fake)
+
+    return at

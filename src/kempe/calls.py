@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from kempe.errors import CallError, InputError, KempeError, UnknownNameError, shown
-from kempe.reals import reals
+from kempe.reals import is_whole, reals
 
 Function = TypeVar("Function", bound=Callable)
 Class = TypeVar("Class", bound=type)
@@ -109,7 +109,7 @@ def is_numbers(x: object) -> bool:
 
 
 def _is_whole(x: object) -> bool:
-    return isinstance(x, (int, np.integer)) and not isinstance(x, bool) and abs(int(x)) < 2**62
+    return is_whole(x) and abs(int(x)) < 2**62
 
 
 def _is_number(x: object) -> bool:

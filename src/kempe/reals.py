@@ -55,6 +55,11 @@ def converted(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
         return array.astype(np.float64, copy=False)
 
 
+def is_whole(x: object) -> TypeGuard[int]:
+    """Whether it is a single whole number; truth values are none."""
+    return isinstance(x, (int, np.integer)) and not isinstance(x, bool)
+
+
 def is_real(x: object) -> TypeGuard[float]:
     """Whether it is a single real number; truth values and durations are none, though numpy counts them as such."""
     return x.__class__ in PLAIN or (isinstance(x, Real) and not isinstance(x, (bool, np.timedelta64)))

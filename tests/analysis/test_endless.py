@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import types
 
 import numpy as np
 import pytest
@@ -13,19 +12,6 @@ import kempe
 from kempe import Mechanism
 from kempe.analysis.continuation import least_squares
 from kempe.errors import InputError
-from kempe.solvers import clock
-
-
-@pytest.fixture
-def looks(monkeypatch):
-    """A clock whose time is up at look number n, counted from 0: ``looks(n)``."""
-
-    def at(n: int) -> None:
-        count = itertools.count()
-        fake = types.SimpleNamespace(monotonic=lambda: np.inf if next(count) >= n else -np.inf)
-        monkeypatch.setattr(clock, "time", fake)
-
-    return at
 
 
 def two_slides(tilt: float) -> kempe.System:

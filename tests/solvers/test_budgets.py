@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import types
-
 import numpy as np
 import pytest
 from robots import urdf_files
@@ -13,24 +10,11 @@ from test_tasks import inside, two_arms
 import kempe
 from kempe import Mechanism, spatial, tasks
 from kempe.errors import InputError, NoSolutionError
-from kempe.solvers import clock, rounds
+from kempe.solvers import rounds
 from kempe.solvers.solution import NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME
 
 ROUNDING = 1e-12
 HAND = "panda_link7"
-
-
-@pytest.fixture
-def looks(monkeypatch):
-    """A clock whose time is up at look number n, counted from 0: ``looks(n)``."""
-
-    def at(n: int) -> None:
-        count = itertools.count()
-        fake = types.SimpleNamespace(monotonic=lambda: np.inf if next(count) >= n else -np.inf)
-        monkeypatch.setattr(clock, "time", fake)
-        monkeypatch.setattr(rounds, "time", fake)
-
-    return at
 
 
 # ---- answers end at rounding

@@ -13,7 +13,7 @@ from kempe.analysis.continuation import RANK, Closure, Node, close, node
 from kempe.analysis.crossings import branch_lines, locate
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.joints import R
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_q, home_of
 from kempe.model.coordinates import coordinate_names
 from kempe.reals import is_real
 from kempe.spatial import Array
@@ -66,12 +66,11 @@ def angle_or_slide(system: System, name: str) -> int:
 def start_of(system: System, start: Any, hold: Mapping[str, float]) -> Array:
     """The configuration (nq,) that `start` names, before any loop is closed."""
     if start is None:
-        start = "closed" if "closed" in system.posture_names else system.mid
-    if isinstance(start, str):
+        q = home_of(system)
+    elif isinstance(start, str):
         q = system.posture(start)
     elif isinstance(start, Mapping):
-        base = system.posture("closed") if "closed" in system.posture_names else system.mid
-        q = system.q(start, base)
+        q = system.q(start, home_of(system))
     else:
         q = as_q(system, start)
     if q.shape != (system.nq,):

@@ -21,6 +21,7 @@ from kempe.analysis.events import Limits, Stop, extreme, hidden_crossings, home,
 from kempe.analysis.path import Event, Path, Track
 from kempe.calls import explained, flag
 from kempe.errors import InputError
+from kempe.reals import is_whole
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, TimeUp
 from kempe.spatial import Array
 
@@ -134,7 +135,7 @@ def _options(
     if driver is not None:
         angle_or_slide(system, driver)
     longest = longest_step(step)
-    if isinstance(max_points, bool) or not isinstance(max_points, (int, np.integer)) or max_points < 2:
+    if not is_whole(max_points) or max_points < 2:
         raise InputError(f"max_points is {max_points!r}; it must be a whole number, at least 2")
     names = tuple(system.frame_name(f) for f in ([frames] if isinstance(frames, str) else frames))
     return _Options(driver, both, longest, limits, int(max_points), names, progress, periods(system, limits), budget)

@@ -16,6 +16,7 @@ from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.kinematics.tabular import Tabular, write_table
 from kempe.model.immovable import immovable
+from kempe.reals import is_whole
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, TimeUp, partial
 from kempe.solvers.words import counted
 from kempe.spatial import Array
@@ -216,7 +217,7 @@ class Path(Configurations):
         `progress(points, length)` is called now and then; an interrupt from the keyboard, or the `time_limit` [s] (120;
         None: none), leaves those points that were done, see `late` and `remark`. Errors: `InputError`.
         """
-        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or not 2 <= n <= MOST:
+        if not is_whole(n) or not 2 <= n <= MOST:
             raise InputError(f"n is {shown(n)}; it must be a whole number, at least 2 and at most {MOST}")
         budget, done, broken = Budget(time_limit), [], None
         budget.put_in_order()  # there is nothing to do afterwards

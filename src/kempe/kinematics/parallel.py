@@ -7,13 +7,11 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 
-import numpy as np
-
 from kempe.errors import InputError
+from kempe.reals import is_whole
 
 _lock = threading.Lock()
 _pools: dict[int, ThreadPoolExecutor] = {}
-
 
 
 def _begin_anew() -> None:
@@ -42,7 +40,7 @@ def over_chunks(
     The calling thread works too. Each thread takes the next chunk when it is done with one, so a thread that gets no
     processor holds nobody up for longer than a chunk. If one fails or is interrupted, no further chunk is begun.
     """
-    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1):
+    if threads is not None and (not is_whole(threads) or threads < 1):
         raise InputError(f"threads is {threads!r}; it must be None (all processors) or a whole number, at least 1")
     if chunk is None:
         chunk = max(serial_below, -(-count // int(threads or processors())))

@@ -10,7 +10,7 @@ import numpy as np
 
 from kempe.errors import InputError
 from kempe.kinematics.task_input import refuse_rotations
-from kempe.reals import reals
+from kempe.reals import is_whole, reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -22,14 +22,14 @@ RIGID = 1e-6
 
 def start_count(starts: object) -> int:
     """The number of starts. Errors: `InputError`."""
-    if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or not 1 <= starts < 2**62:
+    if not is_whole(starts) or not 1 <= starts < 2**62:
         raise InputError(f"starts is {starts!r}; it must be a whole number, at least 1")
     return int(starts)
 
 
 def step_count(iterations: object) -> int:
     """The number of steps of a start. Errors: `InputError`."""
-    if isinstance(iterations, bool) or not isinstance(iterations, (int, np.integer)) or not 1 <= iterations < 2**31:
+    if not is_whole(iterations) or not 1 <= iterations < 2**31:
         raise InputError(f"iterations is {iterations!r}; it must be a whole number, at least 1")
     return int(iterations)
 
@@ -50,7 +50,7 @@ def seed_number(rng: object) -> int:
     """A whole number to draw from, of a generator or a number. Errors: `InputError`."""
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**62))
-    if isinstance(rng, bool) or not isinstance(rng, (int, np.integer)) or not 0 <= rng < 2**62:
+    if not is_whole(rng) or not 0 <= rng < 2**62:
         raise InputError(f"rng is {rng!r}; it must be a generator or a whole number, from 0 and below 2**62")
     return int(rng)
 

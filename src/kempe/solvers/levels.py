@@ -93,7 +93,7 @@ def solve(
 def _compare(
     problem: Problem, base: Array, q: Array, info: np.ndarray, search: Search, threads: int | None, rows: np.ndarray
 ) -> None:
-    """Nothing; makes q and info of some rows better in place where earlier levels come lower without the last ones.
+    """Make q and info of some rows better in place where earlier levels come lower without the last ones.
 
     This is looked at where the last levels can change what the others reach, and that is missed. Where it comes lower,
     the last ones are lowered from there, as far as the others stay there. A success is given up only for what is one

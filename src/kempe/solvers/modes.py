@@ -12,6 +12,7 @@ from kempe.calls import brief, explained, explained_methods, flag, generator
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.tabular import Tabular
+from kempe.reals import is_whole
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, partial
 from kempe.solvers.clusters import INSIDE, SAME, Clusters, metric_of
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
@@ -137,7 +138,7 @@ def assembly_modes(
     base = None if near is None else as_start(system, near)
     if base is not None and (base.ndim != 1 or not np.isfinite(base).all()):
         raise InputError(f"near must be one configuration ({system.nq},) of finite numbers")
-    if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or starts < 1:
+    if not is_whole(starts) or starts < 1:
         raise InputError(f"starts is {starts!r}; it must be a whole number, at least 1")
     draw = generator(rng)
     flag(limits, "limits")

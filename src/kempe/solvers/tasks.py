@@ -18,6 +18,7 @@ from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.parallel import over_chunks
 from kempe.kinematics.task import Goals, Packed, Task, lead_of, refuse
 from kempe.kinematics.tasks_whole import Callback
+from kempe.reals import is_whole
 from kempe.solvers import effort
 from kempe.solvers.apart import apart
 from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
@@ -276,7 +277,7 @@ def _distinct(wanted: Any) -> tuple[Task, ...]:
         raise InputError(f"without a frame the target must be a task of kempe.tasks or a list of them; it is {what}")
     out: dict[str, Task] = {}
     for task in tasks:
-        if isinstance(task.priority, bool) or not isinstance(task.priority, (int, np.integer)):
+        if not is_whole(task.priority):
             raise InputError(f"priority of {task.label} is {task.priority!r}; it must be a whole number")
         number = isinstance(task.weight, (int, float, np.integer, np.floating)) and not isinstance(task.weight, bool)
         if task.weight is not None and not (number and 0.0 < task.weight < math.inf):

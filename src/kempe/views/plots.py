@@ -13,7 +13,7 @@ import numpy as np
 
 from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.configuration import as_q, distance
+from kempe.kinematics.configuration import as_q, distance, home_of
 from kempe.kinematics.forward import fk
 from kempe.reals import reals
 from kempe.spatial import Array
@@ -145,7 +145,7 @@ def _configuration(system: System, q: Any, configurations: Array | None) -> Arra
         if not np.isfinite(q).all():
             raise InputError("q holds numbers that are not finite: there is nothing to draw")
         return q
-    q = system.posture("closed") if "closed" in system.posture_names else system.mid
+    q = home_of(system)
     if configurations is None:
         return q
     finite = configurations[np.isfinite(configurations).all(axis=1)]

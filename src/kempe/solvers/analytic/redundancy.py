@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.reals import reals
+from kempe.reals import is_whole, reals
 from kempe.solvers.analytic.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, required_arm
 from kempe.solvers.analytic.choice import domains
 from kempe.solvers.analytic.ik_all import chain_lines, ik_all, plan_for
@@ -95,7 +95,7 @@ def _refuse_no_rotation(R: Array) -> None:
 
 
 def _count(n: object) -> int:
-    if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 2:
+    if not is_whole(n) or n < 2:
         raise InputError(f"the number of samples is {n!r}; it must be a whole number, at least 2")
     return int(n)
 
