@@ -17,7 +17,7 @@ import reference
 
 import kempe
 from kempe.description.dh import from_dh
-from kempe.description.placement import placement_of_pose
+from kempe.placement import placement_of_pose
 
 PI, H = math.pi, math.pi / 2
 NEG = -H

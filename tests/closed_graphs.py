@@ -16,8 +16,8 @@ import reference
 from own_joints import random_type, variants
 
 from kempe import Mechanism, System
-from kempe.description.placement import placement_of_pose
 from kempe.joints import TYPES, JointType, P, Primitive, Q, R
+from kempe.placement import placement_of_pose
 
 ELEMENTARY = ("revolute", "prismatic", "spherical")
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}

@@ -17,7 +17,8 @@ SOURCE = ROOT / "src" / "kempe"
 MODULES = sorted(SOURCE.rglob("*.py"))
 
 LAYERS = [
-    {"errors", "reals", "calls", "spatial"}, {"kernels"}, {"joints"}, {"description", "library"}, {"model"},
+    {"errors", "reals", "calls", "spatial"}, {"kernels"}, {"joints"}, {"values", "placement"},
+    {"constraints"}, {"description", "library"}, {"model"},
     {"kinematics"}, {"solvers"}, {"analysis"}, {"views", "cli"},
 ]  # fmt: skip
 """Each may import itself and what stands to the left."""

@@ -10,8 +10,8 @@ from robots import good_urdf_files, mimics, mujoco_text
 
 import kempe
 from kempe import System
-from kempe.description.placement import place
 from kempe.kinematics.constraints import coordinate_value
+from kempe.placement import place
 
 pin = pytest.importorskip("pinocchio")
 mujoco = pytest.importorskip("mujoco")

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 import kempe
-from kempe import Mechanism, System, spatial, tasks
-from kempe.description import dh, placement
+from kempe import Mechanism, System, placement, spatial, tasks
+from kempe.description import dh
 from kempe.kinematics import zoo
 
 SYSTEMS = ("puma560", "panda", "two_link", "four_bar", "bennett", "joint_spherical", "slider_crank", "nothing")

@@ -16,11 +16,11 @@ from kempe import Mechanism, System
 from kempe.analysis.generic import nearby
 from kempe.analysis.mobility import Mobility, mobility
 from kempe.analysis.rank import rank_at
-from kempe.description.placement import Placement
 from kempe.errors import InputError, UnknownNameError
 from kempe.joints import Universal
 from kempe.kinematics.constraints import closure_error
 from kempe.kinematics.loops import residual
+from kempe.placement import Placement
 
 # ---- published values
 

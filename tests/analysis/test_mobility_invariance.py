@@ -14,8 +14,8 @@ from kempe.analysis.counting import group_of
 from kempe.analysis.mobility import Mobility, mobility
 from kempe.analysis.rank import decide, rank_at
 from kempe.analysis.redundancy import count_words, pair_name
-from kempe.description.placement import placement_of_pose
 from kempe.kinematics.loops import jacobian
+from kempe.placement import placement_of_pose
 from kempe.spatial import adjoint, exp_se3
 
 NAMES = ["four_bar", "slider_crank", "double_parallelogram", "peaucellier", "three_rpr", "bennett", "goldberg_5r",

@@ -7,7 +7,7 @@ import math
 from hypothesis import strategies as st
 
 from kempe.description.mechanism import Mechanism
-from kempe.description.placement import Placement, place, steps_from_data
+from kempe.placement import Placement, place, steps_from_data
 
 NAMES = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=6).filter(str.strip)
 NUMBERS = st.one_of(

@@ -12,8 +12,8 @@ from kempe.description import checks
 from kempe.description.toml import read_toml
 from kempe.description.toml_writer import write_toml
 from kempe.description.urdf_writer import write_urdf
-from kempe.description.values import Expression
 from kempe.errors import DescriptionError, InputError
+from kempe.values import Expression
 
 
 def two_bodies(dim: int = 3) -> Mechanism:

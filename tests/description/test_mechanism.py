@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from kempe import Mechanism, System
-from kempe.description.placement import Placement, place
 from kempe.description.toml import read_toml
 from kempe.errors import DescriptionError, InputError, KempeError, Problem, UnknownNameError, Where
+from kempe.placement import Placement, place
 
 
 def arm(name: str = "arm", links: int = 2, length: float = 1.0) -> Mechanism:

@@ -13,10 +13,10 @@ from robots import good_urdf_files
 
 from kempe.description.dh import from_dh
 from kempe.description.mechanism import Mechanism
-from kempe.description.placement import place
 from kempe.description.urdf import read_urdf
 from kempe.description.urdf_writer import write_urdf
 from kempe.errors import DescriptionError
+from kempe.placement import place
 
 
 @pytest.mark.parametrize("path", good_urdf_files().values(), ids=list(good_urdf_files()))

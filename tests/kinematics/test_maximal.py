@@ -15,7 +15,6 @@ from own_joints import OWN
 from robots import good_urdf_files
 
 from kempe import Mechanism, System, load, spatial
-from kempe.description.placement import placement_of_pose
 from kempe.errors import InputError
 from kempe.joints import Free, Revolute, Spherical
 from kempe.kinematics import loops, zoo
@@ -31,6 +30,7 @@ from kempe.kinematics.maximal import (
     to_maximal,
 )
 from kempe.kinematics.pairs import hold_of
+from kempe.placement import placement_of_pose
 
 STEP = 1e-6
 

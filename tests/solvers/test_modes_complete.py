@@ -11,8 +11,8 @@ from own_joints import registered
 
 import kempe
 from kempe import Mechanism, System
-from kempe.description.placement import placement_of_pose
 from kempe.joints import JointType, P, Primitive
+from kempe.placement import placement_of_pose
 from kempe.solvers.many_starts import estimates, must_be_even, search
 from kempe.solvers.modes import assembly_modes
 from kempe.spatial import exp_se3

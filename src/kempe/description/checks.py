@@ -12,11 +12,11 @@ import numpy as np
 
 from kempe import spatial
 from kempe.description.parts import CONSTRAINT_KINDS, Body, Constraint, Joint, Limits
-from kempe.description.placement import Placement
-from kempe.description.values import Expression, Value, evaluate, value
 from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, Where, hint
 from kempe.joints import JointType, P, Q, R, joint_type
+from kempe.placement import Placement
 from kempe.reals import is_real
+from kempe.values import Expression, Value, evaluate, value
 
 SAME_DIRECTION = 1e-12
 """How far two unit vectors may be apart and still be one direction."""

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Coupling, Frame, Joint
-from kempe.description.values import evaluate
 from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, shown
 from kempe.joints import Fixed
+from kempe.values import evaluate
 
 
 def attach(host: Mechanism, guest: Mechanism, to: Body | Frame | str | None, prefix: str, placement: Mapping) -> None:

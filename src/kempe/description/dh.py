@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from kempe.calls import explained
 from kempe.description import dh_table
 from kempe.description.mechanism import BodyLike, Mechanism
-from kempe.description.placement import Placement, direction, place, placement_of_pose, steps_from_data
-from kempe.description.values import Value, value, values
 from kempe.errors import InputError, hint
+from kempe.placement import Placement, direction, place, placement_of_pose, steps_from_data
+from kempe.values import Value, value, values
 
 CONVENTIONS = ("standard", "modified")
 NUMBERS = ("a", "alpha", "d", "theta", "offset")

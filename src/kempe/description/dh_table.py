@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.description.values import Expression, Value, value
 from kempe.errors import InputError, hint
+from kempe.values import Expression, Value, value
 
 if TYPE_CHECKING:
     from kempe.description.dh import DHRow

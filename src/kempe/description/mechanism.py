@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from kempe.calls import explained, explained_methods, flag
 from kempe.description import checks
 from kempe.description.parts import Body, Constraint, Coupling, Frame, Joint
-from kempe.description.placement import Placement, place
 from kempe.description.source import collecting_later
-from kempe.description.values import Expression, Value, value
 from kempe.errors import InputError, UnknownNameError, Where
 from kempe.joints import JointType, joint_type
+from kempe.placement import Placement, place
+from kempe.values import Expression, Value, value
 
 if TYPE_CHECKING:
     from pathlib import Path

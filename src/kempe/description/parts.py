@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
-from kempe.description.placement import Placement
-from kempe.description.values import Value
 from kempe.errors import Where
 from kempe.joints import JointType
+from kempe.placement import Placement
+from kempe.values import Value
 
 Limits = tuple[float, float]
 """Lower and upper bound of one velocity coordinate; an infinity where there is none."""

@@ -11,13 +11,13 @@ from typing import Any
 from kempe.description.dh import add_dh, add_screws
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import CONSTRAINT_KINDS, Body
-from kempe.description.placement import Placement, place, steps_from_data
 from kempe.description.source import Source, decode, fail, shorten
 from kempe.description.toml_document import PLACE, Document, joint_options
 from kempe.description.toml_places import Path
-from kempe.description.values import Expression
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 from kempe.joints import TYPES
+from kempe.placement import Placement, place, steps_from_data
+from kempe.values import Expression
 
 
 def read_toml(text: str | bytes, source: str = "<text>", *, package_dirs: Iterable[str | FilePath] = ()) -> Mechanism:

@@ -8,11 +8,11 @@ from typing import Any
 
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Constraint, Frame, Joint
-from kempe.description.placement import Placement, place
 from kempe.description.toml_document import FORMAT
-from kempe.description.values import Expression
 from kempe.errors import InputError, UnsupportedError
 from kempe.joints import TYPES
+from kempe.placement import Placement, place
+from kempe.values import Expression
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _ESCAPES = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t", "\r": "\\r", "\b": "\\b", "\f": "\\f"}

@@ -7,10 +7,10 @@ import re
 from typing import Any
 
 from kempe.description.parts import Body
-from kempe.description.placement import place
 from kempe.description.source import Findings, shorten
 from kempe.description.urdf_unknown import check_known
 from kempe.description.xml import Element
+from kempe.placement import place
 
 UNLIMITED = 1e308
 """A limit of this size or more stands for none: URDF has no other way to say so for a prismatic joint."""

@@ -14,13 +14,13 @@ from kempe import spatial
 from kempe.description.graph import reachable
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Joint
-from kempe.description.placement import Placement
 from kempe.description.source import Findings
 from kempe.description.urdf_elements import UNLIMITED, WITHOUT_AXIS
-from kempe.description.values import evaluate
 from kempe.description.xml import parse_xml
 from kempe.errors import DescriptionError
 from kempe.joints import Q, R
+from kempe.placement import Placement
+from kempe.values import evaluate
 
 ON_AXIS = 1e-12
 """Metres that a body's origin may lie off the axis of its joint and still count as on it."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.description.parts import Joint
-from kempe.description.placement import place
+from kempe.placement import place
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.calls import explained, explained_methods
-from kempe.description.values import Expression
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kernels.compiled import sweep
 from kempe.kinematics.configuration import as_q
@@ -18,6 +17,7 @@ from kempe.model.system import FrameLike, System
 from kempe.model.table import lower
 from kempe.reals import reals
 from kempe.spatial import Array
+from kempe.values import Expression
 
 
 @explained

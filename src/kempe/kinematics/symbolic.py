@@ -17,11 +17,11 @@ import numpy as np
 from kempe import spatial
 from kempe.calls import explained
 from kempe.description.parts import Joint
-from kempe.description.placement import Placement
-from kempe.description.values import Expression, Value
 from kempe.errors import InputError, MissingExtraError, UnknownNameError, UnsupportedError
 from kempe.joints import Q, R
 from kempe.model.coordinates import coordinate_names
+from kempe.placement import Placement
+from kempe.values import Expression, Value
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System

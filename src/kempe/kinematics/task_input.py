@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from kempe import spatial
-from kempe.description.placement import direction
 from kempe.errors import InputError
 from kempe.kinematics.task import LARGEST, RIGID, along, flat, numbers_of
+from kempe.placement import direction
 from kempe.spatial import Array
 
 ROTATES = 1e-4

@@ -10,9 +10,9 @@ import numpy as np
 
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
-from kempe.description.values import Expression, evaluate
 from kempe.errors import DescriptionError, Problem, UnknownNameError
 from kempe.joints import Layout, P, Primitive, Q, R, layout_of
+from kempe.values import Expression, evaluate
 
 HELD_TOLERANCE = 1e-9
 """How far a coordinate that follows a locked one may be outside its limits: rounding of the multiplier."""

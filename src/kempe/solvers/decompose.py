@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.description.values import evaluate
 from kempe.joints import P, Primitive, R
 from kempe.kernels import dyads_layout as K
 from kempe.kinematics.constraints import joint_pose
 from kempe.model.coordinates import coordinate_names
 from kempe.model.topology import natural
 from kempe.spatial import Array
+from kempe.values import evaluate
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint

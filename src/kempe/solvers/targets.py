@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.calls import numbers
-from kempe.description.placement import direction
 from kempe.errors import InputError
 from kempe.kernels.search_layout import LARGEST, ROTATION_TOLERANCE
 from kempe.kinematics.task_input import refuse_rotations
+from kempe.placement import direction
 from kempe.reals import reals
 from kempe.spatial import Array
 

@@ -12,9 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from kempe import spatial
-from kempe.description.placement import AXES
 from kempe.errors import InputError
 from kempe.kinematics.tabular import write_table
+from kempe.placement import AXES
 from kempe.views import facts, report, rows
 
 if TYPE_CHECKING:

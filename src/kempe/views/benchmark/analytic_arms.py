@@ -14,7 +14,7 @@ import numpy as np
 import kempe
 from kempe import spatial
 from kempe.description.mechanism import Mechanism
-from kempe.description.placement import placement_of_pose
+from kempe.placement import placement_of_pose
 from kempe.spatial import Array
 from kempe.views.benchmark import peers
 

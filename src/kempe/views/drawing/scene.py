@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.description.values import evaluate
 from kempe.joints import Primitive
 from kempe.kinematics.constraints import closure_error, coordinate_value
 from kempe.kinematics.forward import fk
 from kempe.spatial import Array
+from kempe.values import evaluate
 
 if TYPE_CHECKING:
     from kempe.model.system import System

@@ -13,8 +13,8 @@ import numpy as np
 from kempe import spatial
 from kempe.calls import explained
 from kempe.calls import numbers as numbers_of
-from kempe.description.values import Expression, Value, evaluate, negate, value, values
 from kempe.errors import InputError
+from kempe.values import Expression, Value, evaluate, negate, value, values
 
 Step = tuple[str, tuple[Value, ...]]
 
