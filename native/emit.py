@@ -37,6 +37,7 @@ from kempe.kernels.declare import Entry
 OUTSIDE = {
     "NRT_MemInfo_alloc_aligned", "NRT_MemInfo_call_dtor", "NRT_Free",  # in layer.c
     "sin", "cos", "tan", "atan2", "hypot", "pow", "log10", "sqrt", "fabs", "memset", "memcpy", "memmove",
+    "exp", "log", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
 }  # fmt: skip
 """Functions that kernels may call and that are not compiled with them."""
 

@@ -125,7 +125,10 @@ def test_numbers_become_floats():
 
 
 def test_functions_are_the_usual_ones():
-    assert set(FUNCTIONS) == {"sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sqrt", "radians"}
+    assert set(FUNCTIONS) == {
+        "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sqrt", "hypot", "exp", "log", "sinh", "cosh", "tanh",
+        "asinh", "acosh", "atanh", "radians", "degrees",
+    }  # fmt: skip
 
 
 # ------------------------------------------------------------------ placements

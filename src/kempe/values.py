@@ -15,8 +15,13 @@ from kempe.reals import is_real
 
 FUNCTIONS: dict[str, Callable] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
-    "atan2": np.arctan2, "sqrt": np.sqrt, "radians": np.deg2rad,
+    "atan2": np.arctan2, "sqrt": np.sqrt, "hypot": np.hypot, "exp": np.exp, "log": np.log,
+    "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "asinh": np.arcsinh, "acosh": np.arccosh, "atanh": np.arctanh,
+    "radians": np.deg2rad, "degrees": np.rad2deg,
 }  # fmt: skip
+"""Functions of an expression; `log` is the natural logarithm."""
+OF_TWO = frozenset({"atan2", "hypot"})
+"""Functions of two numbers; all others are of one."""
 CONSTANTS = {"pi": math.pi}
 LENGTH_LIMIT = 1000
 """Characters of an expression."""
@@ -39,9 +44,9 @@ class Expression:
 
     __slots__ = ("_tree", "names", "text")
 
-    def __init__(self, text: str):
+    def __init__(self, text: str, length: int = LENGTH_LIMIT):
         self.text = text.strip()
-        self._tree = _parse(self.text)
+        self._tree = _parse(self.text, length)
         self.names = tuple(
             sorted({n.id for n in ast.walk(self._tree) if isinstance(n, ast.Name)} - {*FUNCTIONS, *CONSTANTS})
         )
@@ -71,7 +76,7 @@ class Expression:
         return hash(self.text)
 
     def __reduce__(self):
-        return (Expression, (self.text,))
+        return (Expression, (self.text, max(LENGTH_LIMIT, len(self.text))))
 
     def _with(self, form: str, other: Value) -> Expression:
         return Expression(form.format(a=_bracket(self), b=_bracket(other)))
@@ -164,9 +169,9 @@ def _bracket(x: Value) -> str:
     return repr(float(x)) if x >= 0 else f"({float(x)!r})"
 
 
-def _parse(text: str) -> ast.Expression:
-    if len(text) > LENGTH_LIMIT:
-        raise InputError(f"expression of {len(text)} characters; at most {LENGTH_LIMIT} are allowed")
+def _parse(text: str, length: int) -> ast.Expression:
+    if len(text) > length:
+        raise InputError(f"expression of {len(text)} characters; at most {length} are allowed")
     try:
         tree = ast.parse(text, mode="eval")
         _check(tree.body, text, 0)
@@ -189,7 +194,7 @@ def _check(node: ast.AST, text: str, depth: int) -> None:
         name = node.func.id
         if name not in FUNCTIONS:
             raise InputError(f"{text!r} calls {name!r}; allowed are {', '.join(FUNCTIONS)}")
-        count = 2 if name == "atan2" else 1
+        count = 2 if name in OF_TWO else 1
         if len(node.args) != count:
             raise InputError(f"{text!r} calls {name} with {len(node.args)} numbers; it takes {count}")
         for argument in node.args:

@@ -21,7 +21,7 @@ from kempe.errors import InputError, MissingExtraError, UnknownNameError, Unsupp
 from kempe.joints import Q, R
 from kempe.model.coordinates import coordinate_names
 from kempe.placement import Placement
-from kempe.values import Expression, Value
+from kempe.values import FUNCTIONS, Expression, Value
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -35,9 +35,9 @@ TURN_LIMIT = 100
 """Turns about different axes in one formula; it doubles in length with each, and nobody reads that."""
 
 _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
-_FUNCTIONS: dict[str, Callable] = {
-    "sin": sympy.sin, "cos": sympy.cos, "tan": sympy.tan, "asin": sympy.asin, "acos": sympy.acos, "atan": sympy.atan,
-    "atan2": sympy.atan2, "sqrt": sympy.sqrt, "radians": lambda x: x * sympy.pi / 180,
+_FUNCTIONS: dict[str, Callable] = {name: getattr(sympy, name) for name in FUNCTIONS if hasattr(sympy, name)} | {
+    "hypot": lambda x, y: sympy.sqrt(x**2 + y**2), "radians": lambda x: x * sympy.pi / 180,
+    "degrees": lambda x: x * 180 / sympy.pi,
 }  # fmt: skip
 
 

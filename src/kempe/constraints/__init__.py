@@ -1,0 +1,1 @@
+"""Constraints: what holds parts of a system, declared in one vocabulary."""

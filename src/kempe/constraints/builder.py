@@ -1,0 +1,212 @@
+"""The making of tapes: nodes are shared where they are equal, constants folded, derivatives of functions added.
+
+Every tape is finished in one order, that of a walk from its outputs, so that equal expressions give equal tapes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from kempe.constraints.tape import BINARY, UNARY, WHOLE_POWERS, Tape
+from kempe.errors import InputError
+from kempe.kernels import tape_layout as L
+
+
+class Builder:
+    """Nodes under construction. A place is a number: inputs come first."""
+
+    def __init__(self, inputs: Iterable[str], constant: Iterable[str] = ()):
+        self.inputs = tuple(inputs)
+        self._nodes: list[tuple[int, int, int]] = []
+        self._numbers: list[float] = []
+        self._known: dict[tuple[int, Any, int], int] = {}
+        self._powers: dict[int, tuple[int, int]] = {}
+        self._varies = [name not in set(constant) for name in self.inputs]
+
+    def number(self, x: float) -> int:
+        """The place of a constant. Errors: `InputError` unless it is finite."""
+        x = float(x)
+        if not math.isfinite(x):
+            raise InputError(f"a constant part of it is {x}; it must be finite")
+        key = (L.NUMBER, repr(x), -1)
+        if key not in self._known:
+            self._numbers.append(x)
+            self._known[key] = self._append(L.NUMBER, len(self._numbers) - 1, -1, False)
+        return self._known[key]
+
+    def _append(self, op: int, left: int, right: int, varies: bool) -> int:
+        self._nodes.append((op, left, right))
+        self._varies.append(varies)
+        return len(self._varies) - 1
+
+    def _constant(self, place: int) -> float | None:
+        """The number at a place, if it is one."""
+        if place < len(self.inputs):
+            return None
+        op, left, _ = self._nodes[place - len(self.inputs)]
+        return self._numbers[left] if op == L.NUMBER else None
+
+    def _folded(self, function: Callable, *places: int) -> int | None:
+        """The place of a function of numbers; None unless all are."""
+        found = [self._constant(place) for place in places]
+        if any(x is None for x in found):
+            return None
+        with np.errstate(all="ignore"):
+            return self.number(float(function(*map(np.float64, found))))
+
+    def binary(self, op: int, left: int, right: int) -> int:
+        """The place of left + right, left - right, left * right, left / right, left ** right, atan2 or hypot."""
+        folded = self._folded(BINARY[op], left, right)
+        if folded is not None:
+            return folded
+        a, b = self._constant(left), self._constant(right)
+        if op in (L.ADD, L.SUB) and b == 0.0:
+            return left
+        if op in (L.ADD, L.SUB) and a == 0.0:
+            return right if op == L.ADD else self.unary(L.NEG, right)
+        if op in (L.MUL, L.DIV) and b == 1.0:
+            return left
+        if op == L.MUL and a == 1.0:
+            return right
+        if op == L.MUL:
+            (base, m), (other, n) = self._powers.get(left, (left, 1)), self._powers.get(right, (right, 1))
+            if base == other and m + n <= WHOLE_POWERS:
+                return self._whole_power(base, m + n)
+        if op == L.POW:
+            return self._power(left, right, b)
+        if op in (L.ATAN2, L.HYPOT):
+            return self._of_two(op, left, right)
+        return self._shared(op, left, right)
+
+    def _shared(self, op: int, left: int, right: int) -> int:
+        keys = [(op, left, right)] + [(op, right, left)] * (op in (L.ADD, L.MUL))
+        for key in keys:
+            if key in self._known:
+                return self._known[key]
+        place = self._append(op, left, right, self._varies[left] or self._varies[right])
+        self._known[keys[0]] = place
+        return place
+
+    def _whole_power(self, base: int, n: int) -> int:
+        """base ** n as products of squares, n > 0."""
+        if n == 1:
+            return base
+        half = self._whole_power(base, n // 2)
+        place = self._shared(L.MUL, half, half)
+        self._powers[place] = (base, n - n % 2)
+        if n % 2:
+            place = self._shared(L.MUL, place, base)
+            self._powers[place] = (base, n)
+        return place
+
+    def _power(self, left: int, right: int, exponent: float | None) -> int:
+        if exponent is not None:
+            if exponent == 0.0:
+                return self.number(1.0)
+            if exponent == 0.5:
+                return self.unary(L.SQRT, left)
+            base, m = self._powers.get(left, (left, 1))
+            if exponent.is_integer() and abs(exponent) * m <= WHOLE_POWERS:
+                place = self._whole_power(base, int(abs(exponent)) * m)
+                return place if exponent > 0 else self.binary(L.DIV, self.number(1.0), place)
+        if self._varies[right]:
+            return self.unary(L.EXP, self.binary(L.MUL, right, self.unary(L.LOG, left)))
+        return self._shared(L.POW, left, right)
+
+    def _of_two(self, op: int, left: int, right: int) -> int:
+        if (op, left, right) in self._known:
+            return self._known[op, left, right]
+        place = self._append(op, left, right, self._varies[left] or self._varies[right])
+        self._known[op, left, right] = place
+        partials = self._append(L.PARTIALS, -1, -1, False)
+        if op == L.HYPOT:
+            by = self.binary(L.DIV, left, place), self.binary(L.DIV, right, place)
+        else:
+            square = self.binary(L.ADD, self._square(right), self._square(left))
+            by = self.binary(L.DIV, right, square), self.unary(L.NEG, self.binary(L.DIV, left, square))
+        self._nodes[partials - len(self.inputs)] = (L.PARTIALS, *by)
+        return place
+
+    def _square(self, place: int) -> int:
+        return self.binary(L.MUL, place, place)
+
+    def unary(self, op: int, x: int) -> int:
+        """The place of a function of one operand, or of its negative."""
+        folded = self._folded(UNARY[op], x)
+        if folded is not None:
+            return folded
+        if op == L.NEG and x >= len(self.inputs) and self._nodes[x - len(self.inputs)][0] == L.NEG:
+            return self._nodes[x - len(self.inputs)][1]
+        if (op, x, -1) in self._known:
+            return self._known[op, x, -1]
+        place = self._append(op, x, -1, self._varies[x])
+        self._known[op, x, -1] = place
+        if op != L.NEG:
+            self._nodes[place - len(self.inputs)] = (op, x, self._derivative(op, x, place))
+        return place
+
+    def _derivative(self, op: int, x: int, y: int) -> int:
+        """The place of the derivative of y = f(x)."""
+        one, unary, binary, square = self.number(1.0), self.unary, self.binary, self._square
+        apart = lambda: binary(L.MUL, binary(L.SUB, one, x), binary(L.ADD, one, x))  # noqa: E731
+        root = lambda z: binary(L.DIV, one, unary(L.SQRT, z))  # noqa: E731
+        made: dict[int, Callable[[], int]] = {
+            L.EXP: lambda: y,
+            L.LOG: lambda: binary(L.DIV, one, x),
+            L.SQRT: lambda: binary(L.DIV, self.number(0.5), y),
+            L.SIN: lambda: unary(L.COS, x),
+            L.COS: lambda: unary(L.NEG, unary(L.SIN, x)),
+            L.TAN: lambda: binary(L.ADD, one, square(y)),
+            L.ASIN: lambda: root(apart()),
+            L.ACOS: lambda: unary(L.NEG, root(apart())),
+            L.ATAN: lambda: binary(L.DIV, one, binary(L.ADD, one, square(x))),
+            L.SINH: lambda: unary(L.COSH, x),
+            L.COSH: lambda: unary(L.SINH, x),
+            L.TANH: lambda: binary(L.SUB, one, square(y)),
+            L.ASINH: lambda: root(binary(L.ADD, one, square(x))),
+            L.ACOSH: lambda: root(binary(L.MUL, binary(L.SUB, x, one), binary(L.ADD, one, x))),
+            L.ATANH: lambda: binary(L.DIV, one, apart()),
+        }
+        return made[op]()
+
+    def finish(self, outputs: Iterable[int]) -> Tape:
+        """The tape of these places: what they need and nothing else, in the order of a walk from them."""
+        outputs = list(outputs)
+        n = len(self.inputs)
+        used = [i for i in self._walk(outputs) if i < n]
+        kept = sorted(used)
+        fresh = Builder([self.inputs[i] for i in kept], [self.inputs[i] for i in kept if not self._varies[i]])
+        place = {old: new for new, old in enumerate(kept)}
+        for i in self._walk(outputs):
+            if i >= n:
+                op, left, right = self._nodes[i - n]
+                if op == L.NUMBER:
+                    place[i] = fresh.number(self._numbers[left])
+                elif op in BINARY:
+                    place[i] = fresh.binary(op, place[left], place[right])
+                else:
+                    place[i] = fresh.unary(op, place[left])
+        return Tape(fresh.inputs, tuple(fresh._nodes), tuple(fresh._numbers), tuple(place[i] for i in outputs))
+
+    def _walk(self, outputs: list[int]) -> list[int]:
+        """Places that the values at `outputs` need, operands before what is made of them."""
+        order: dict[int, None] = {}
+        stack = [(place, False) for place in reversed(outputs)]
+        while stack:
+            place, ready = stack.pop()
+            if place in order:
+                continue
+            if ready or place < len(self.inputs):
+                order[place] = None
+                continue
+            op, left, right = self._nodes[place - len(self.inputs)]
+            stack.append((place, True))
+            if op in BINARY:
+                stack.append((right, False))
+            if op in BINARY or op in UNARY:
+                stack.append((left, False))
+        return list(order)

@@ -1,0 +1,230 @@
+"""Tapes: recorded expressions as small programs, with exact values, gradients, Taylor series, text and pickle.
+
+A tape is made of text (`kempe.constraints.text`) or of a Python function (`kempe.constraints.recording`). Kernels run
+it from its arrays (`kempe.kernels.tape_layout`); `Tape.evaluate` is plain numpy and shares no formula with them.
+"""
+
+from __future__ import annotations
+
+import keyword
+import re
+import unicodedata
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from kempe.errors import InputError, UnknownNameError
+from kempe.kernels import tape_layout as L
+from kempe.values import CONSTANTS, FUNCTIONS
+
+Node = tuple[int, int, int]
+"""Operation, left, right, as `tape_layout` says."""
+
+TEXT_LIMIT = 20_000
+"""Characters of the text of one output: shared parts are written out wherever they are used."""
+
+WHOLE_POWERS = 64
+"""Whole exponents up to this size become products, which are exact in every order of a series and at zero."""
+
+BINARY: dict[int, Callable] = {
+    L.ADD: np.add, L.SUB: np.subtract, L.MUL: np.multiply, L.DIV: np.divide, L.POW: np.power,
+    L.ATAN2: np.arctan2, L.HYPOT: np.hypot,
+}  # fmt: skip
+UNARY: dict[int, Callable] = {
+    L.NEG: np.negative, L.EXP: np.exp, L.LOG: np.log, L.SQRT: np.sqrt, L.SIN: np.sin, L.COS: np.cos, L.TAN: np.tan,
+    L.ASIN: np.arcsin, L.ACOS: np.arccos, L.ATAN: np.arctan, L.SINH: np.sinh, L.COSH: np.cosh, L.TANH: np.tanh,
+    L.ASINH: np.arcsinh, L.ACOSH: np.arccosh, L.ATANH: np.arctanh,
+}  # fmt: skip
+"""Operations as functions of numpy."""
+
+NAMES = {op: name for name, f in FUNCTIONS.items() for op, g in (BINARY | UNARY).items() if f is g}
+"""Names in text of operations that are functions."""
+
+SYMBOLS = {L.ADD: (" + ", 1), L.SUB: (" - ", 1), L.MUL: ("*", 2), L.DIV: ("/", 2), L.POW: ("**", 4)}
+"""Signs of operations, and how tightly they bind; a minus before a term binds with 3, a name or call with 5."""
+SIGN, ATOM = 3, 5
+
+
+@dataclass(frozen=True)
+class Tape:
+    """Functions of named inputs as a program: hashable, comparable by content, picklable.
+
+    inputs: names, in the order of places 0 ... n_inputs - 1. nodes: what is computed, in order (`tape_layout`).
+    numbers: constants that nodes refer to. outputs: places of the results.
+    """
+
+    inputs: tuple[str, ...]
+    nodes: tuple[Node, ...]
+    numbers: tuple[float, ...]
+    outputs: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        """The number of places: inputs and nodes."""
+        return len(self.inputs) + len(self.nodes)
+
+    def evaluate(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+        """The outputs (..., n_outputs) at inputs given by name, which broadcast; NaN or infinity where not defined."""
+        for name in self.inputs:
+            if name not in values:
+                raise UnknownNameError("input", name, values)
+        found: list[Any] = [np.asarray(values[name], dtype=np.float64) for name in self.inputs]
+        found += [None] * len(self.nodes)
+        with np.errstate(all="ignore"):
+            for i in self._needed():
+                op, left, right = self.nodes[i - len(self.inputs)]
+                if op == L.NUMBER:
+                    found[i] = np.float64(self.numbers[left])
+                elif op in BINARY:
+                    found[i] = BINARY[op](found[left], found[right])
+                else:
+                    found[i] = UNARY[op](found[left])
+        shape = np.broadcast_shapes(*[found[i].shape for i in range(len(self.inputs))])
+        out = np.empty((*shape, len(self.outputs)))
+        for k, place in enumerate(self.outputs):
+            out[..., k] = found[place]
+        return out
+
+    def _operands(self, place: int) -> tuple[int, ...]:
+        """The places that the value at a place is computed from."""
+        if place < len(self.inputs):
+            return ()
+        op, left, right = self.nodes[place - len(self.inputs)]
+        return (left, right) if op in BINARY else (left,) if op in UNARY else ()
+
+    def _needed(self) -> list[int]:
+        """Places of nodes that the values of the outputs are computed from, in order; derivatives left out."""
+        needed = set(self.outputs)
+        for place in range(self.size - 1, len(self.inputs) - 1, -1):
+            if place in needed:
+                needed.update(self._operands(place))
+        return sorted(place for place in needed if place >= len(self.inputs))
+
+    def with_numbers(self, numbers: Iterable[float]) -> Tape:
+        """The tape with other constants. Errors: `InputError` for another count."""
+        found = tuple(float(x) for x in numbers)
+        if len(found) != len(self.numbers):
+            raise InputError(f"{len(found)} numbers are given; the tape has {len(self.numbers)}")
+        return replace(self, numbers=found)
+
+    def fixed(self, values: Mapping[str, float]) -> Tape:
+        """The tape with these inputs replaced by numbers, which come first among its `numbers`.
+
+        Its nodes are the same for all values. Names that are no inputs are left alone.
+        """
+        n = len(self.inputs)
+        bound = [i for i, name in enumerate(self.inputs) if name in values]
+        kept = [i for i in range(n) if i not in bound]
+        place = {old: new for new, old in enumerate([*kept, *bound])}
+
+        def moved(node: Node) -> Node:
+            op, left, right = node
+            if op == L.NUMBER:
+                return op, left + len(bound), right
+            return op, place.get(left, left), place.get(right, right)
+
+        numbers = tuple(float(values[self.inputs[i]]) for i in bound)
+        return Tape(
+            tuple(self.inputs[i] for i in kept),
+            tuple((L.NUMBER, k, -1) for k in range(len(bound))) + tuple(moved(node) for node in self.nodes),
+            numbers + self.numbers,
+            tuple(place.get(i, i) for i in self.outputs),
+        )
+
+    def part(self, outputs: Iterable[int]) -> Tape:
+        """The tape of some of the outputs, by their numbers; the inputs stay."""
+        return replace(self, outputs=tuple(self.outputs[i] for i in outputs))
+
+    def arrays(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The integers and the numbers that kernels read."""
+        head = (len(self.inputs), self.size, len(self.outputs), *self.outputs)
+        ints = np.array([*head, *(x for node in self.nodes for x in node)], dtype=np.int64)
+        return ints, np.array(self.numbers, dtype=np.float64)
+
+    def degrees_in(self, names: Iterable[str]) -> tuple[int, ...]:
+        """Degree of each output in these inputs together, read off the program: 0, 1, or 2 for all that is more."""
+        asked = set(names)
+        degree = [int(name in asked) for name in self.inputs] + [0] * len(self.nodes)
+        for i in self._needed():
+            op, left, right = self.nodes[i - len(self.inputs)]
+            parts = [degree[k] for k in self._operands(i)]
+            if op in (L.ADD, L.SUB, L.NEG):
+                degree[i] = max(parts)
+            elif op == L.MUL:
+                degree[i] = min(sum(parts), 2)
+            elif op == L.DIV and not degree[right]:
+                degree[i] = degree[left]
+            else:
+                degree[i] = 2 if any(parts) else 0
+        return tuple(degree[i] for i in self.outputs)
+
+    def linear_in(self, names: Iterable[str]) -> bool:
+        """Whether the program computes all outputs linearly (with a constant part) in these inputs together."""
+        return max(self.degrees_in(names), default=0) <= 1
+
+    def support(self) -> tuple[frozenset[str], ...]:
+        """For each output the inputs that it is computed from."""
+        found = [frozenset({name}) for name in self.inputs] + [frozenset[str]()] * len(self.nodes)
+        for i in self._needed():
+            found[i] = frozenset().union(*(found[k] for k in self._operands(i)))
+        return tuple(found[i] for i in self.outputs)
+
+    def texts(self) -> tuple[str, ...]:
+        """The outputs as expressions, which `kempe.constraints.text.from_text` reads to an equal tape.
+
+        Names that are no plain words stand in backquotes. Errors: `InputError` where one is beyond `TEXT_LIMIT`.
+        """
+        made: dict[int, tuple[str, int]] = {i: (quoted(name), ATOM) for i, name in enumerate(self.inputs)}
+        powers = {i: (i, 1) for i in range(len(self.inputs))}
+        for i in self._needed():
+            made[i] = self._written(i, made, powers)
+            if len(made[i][0]) > TEXT_LIMIT:
+                raise InputError(f"the expression has more than {TEXT_LIMIT} characters as text")
+        return tuple(made[i][0] for i in self.outputs)
+
+    def _written(self, i: int, made: dict[int, tuple[str, int]], powers: dict[int, tuple[int, int]]) -> tuple[str, int]:
+        """Text of a node and how tightly it binds; `powers` keeps the base and the exponent of whole powers."""
+        op, left, right = self.nodes[i - len(self.inputs)]
+        powers[i] = (i, 1)
+        if op == L.NUMBER:
+            x = self.numbers[left]
+            text = str(int(x)) if x.is_integer() and abs(x) < 1e15 else repr(x)
+            return text, ATOM if text[0] != "-" else SIGN
+        base, n = powers[left][0], powers[left][1] + powers.get(right, (-1, 0))[1]
+        if op == L.MUL and powers[right][0] == base and n <= WHOLE_POWERS:
+            powers[i] = (base, n)
+            return f"{_within(made[base], ATOM)}**{n}", SYMBOLS[L.POW][1]
+        if op == L.NEG:
+            return f"-{_within(made[left], SIGN + 1)}", SIGN
+        if op in SYMBOLS:
+            sign, tight = SYMBOLS[op]
+            first = _within(made[left], tight + (op == L.POW))
+            return f"{first}{sign}{_within(made[right], ATOM if made[right][1] == SIGN else tight + 1)}", tight
+        arguments = ", ".join(made[k][0] for k in self._operands(i))
+        return f"{NAMES[op]}({arguments})", ATOM
+
+
+def _within(part: tuple[str, int], tight: int) -> str:
+    """The text of a part, in brackets unless it binds at least so tightly."""
+    return part[0] if part[1] >= tight else f"({part[0]})"
+
+
+def is_plain(name: str) -> bool:
+    """Whether a name stands in text as it is: words, also with dots between them, that are not taken."""
+    words = name.split(".")
+    return (
+        all(re.fullmatch(r"[^\W\d]\w*", word) and unicodedata.normalize("NFKC", word) == word for word in words)
+        and not any(keyword.iskeyword(word) for word in words)
+        and name not in FUNCTIONS
+        and name not in CONSTANTS
+    )
+
+
+def quoted(name: str) -> str:
+    """A name as it is written in text. Errors: `InputError` for names with a backquote."""
+    if "`" in name:
+        raise InputError(f"the name {name!r} has a backquote, which text cannot hold")
+    return name if is_plain(name) else f"`{name}`"

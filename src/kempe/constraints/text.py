@@ -1,0 +1,158 @@
+"""Constraint equations written as text, such as ``"A - 2*B"`` or ``"sin(A) = `rear axle` / 2"``.
+
+The language is that of `kempe.values.Expression` (a parser of its own rules, nothing is run), and besides:
+
+- ``left = right`` stands for ``left - (right)``;
+- ``^`` is a power, like ``**``;
+- names may have dots between words (``joint.x``); all other names that are no plain words, and those that are also the
+  names of functions, stand in backquotes: `` `rear axle` ``, `` `sin` ``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+from kempe.constraints.builder import Builder
+from kempe.constraints.tape import TEXT_LIMIT, Tape, is_plain, quoted
+from kempe.errors import InputError, UnknownNameError
+from kempe.kernels import tape_layout as L
+from kempe.values import CONSTANTS, FUNCTIONS, OF_TWO, Expression
+
+_TOKENS = re.compile(
+    r"(?P<space>\s+)|`(?P<quoted>[^`]*)`|(?P<number>(?:\d[\d_]*\.?[\d_]*|\.\d[\d_]*)(?:[eE][+-]?\d+)?)(?!\w)"
+    r"|(?P<name>[^\W\d]\w*(?:\.[^\W\d]\w*)*)|(?P<sign>\*\*|[-+*/^(),=])"
+)
+_OPERATIONS = {
+    "sin": L.SIN, "cos": L.COS, "tan": L.TAN, "asin": L.ASIN, "acos": L.ACOS, "atan": L.ATAN, "sqrt": L.SQRT,
+    "exp": L.EXP, "log": L.LOG, "sinh": L.SINH, "cosh": L.COSH, "tanh": L.TANH, "asinh": L.ASINH, "acosh": L.ACOSH,
+    "atanh": L.ATANH, "atan2": L.ATAN2, "hypot": L.HYPOT,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Place:
+    """A number under construction: a place of a tape in the making."""
+
+    builder: Builder
+    place: int
+
+    def apply(self, op: int, other: Place | None = None) -> Place:
+        """The operation on this, and on the other where it takes two."""
+        if other is None:
+            return Place(self.builder, self.builder.unary(op, self.place))
+        return Place(self.builder, self.builder.binary(op, self.place, other.place))
+
+    def __add__(self, other: Place) -> Place:
+        return self.apply(L.ADD, other)
+
+    def __sub__(self, other: Place) -> Place:
+        return self.apply(L.SUB, other)
+
+    def __mul__(self, other: Place) -> Place:
+        return self.apply(L.MUL, other)
+
+    def __truediv__(self, other: Place) -> Place:
+        return self.apply(L.DIV, other)
+
+    def __pow__(self, other: Place) -> Place:
+        return self.apply(L.POW, other)
+
+    def __neg__(self) -> Place:
+        return self.apply(L.NEG)
+
+
+def from_text(
+    texts: str | list[str] | tuple[str, ...], names: Collection[str], parameters: Collection[str] = ()
+) -> Tape:
+    """The tape of expressions in the named inputs and parameters, an output for each text.
+
+    Its inputs are the names that occur, in the order of `names` and then of `parameters`. Exponents may depend on
+    parameters freely; along curves and in gradients they count as constant.
+
+    Errors: `InputError` for what is no expression, constants that are not finite, and a name that is both;
+    `UnknownNameError` for names that are neither, with near ones.
+    """
+    names, parameters = list(names), list(parameters)
+    for name in names:
+        if name in parameters:
+            raise InputError(f"{name!r} is the name of a coordinate and of a parameter; rename one of them")
+    builder = Builder([*names, *parameters], parameters)
+    place = {name: Place(builder, i) for i, name in enumerate([*names, *parameters])}
+    outputs = []
+    for text in texts if isinstance(texts, (list, tuple)) else [texts]:
+        expression, meant = read(text)
+        for word in expression.names:
+            if meant.get(word, word) not in place:
+                raise UnknownNameError("name", meant.get(word, word), place, f"expression {text!r}:")
+        leaves = {word: place[meant.get(word, word)] for word in expression.names}
+        number = lambda x: Place(builder, builder.number(float(x)))  # noqa: E731
+        leaves |= {word: number(x) for word, x in CONSTANTS.items()}
+        try:
+            outputs.append(expression.fold(leaves, _functions(number), number).place)
+        except (InputError, OverflowError) as error:
+            reason = error if isinstance(error, InputError) else "a number in it is too large"
+            raise InputError(f"{text!r} cannot be used: {reason}") from None
+    return builder.finish(outputs)
+
+
+def _functions(number: Callable[[float], Place]) -> dict[str, Callable]:
+    made: dict[str, Callable] = {name: _function(op, name in OF_TWO) for name, op in _OPERATIONS.items()}
+    factors = {name: float(FUNCTIONS[name](1.0)) for name in ("radians", "degrees")}
+    return made | {name: (lambda x, f=f: x * number(f)) for name, f in factors.items()}
+
+
+def _function(op: int, of_two: bool) -> Callable[..., Place]:
+    if of_two:
+        return lambda x, y: x.apply(op, y)
+    return lambda x: x.apply(op)
+
+
+def read(text: str) -> tuple[Expression, dict[str, str]]:
+    """The expression, ``left = right`` as a difference, and the names that some words of it stand for.
+
+    Errors: `InputError`.
+    """
+    if not isinstance(text, str):
+        raise InputError(f"{text!r} is no expression; it must be text")
+    if len(text) > TEXT_LIMIT:
+        raise InputError(f"expression of {len(text)} characters; at most {TEXT_LIMIT} are allowed")
+    sides, meant, at = [""], {}, 0
+    while at < len(text):
+        match = _TOKENS.match(text, at)
+        if match is None:
+            raise InputError(f"{_short(text)} has {text[at]!r} at place {at + 1}, which no expression holds")
+        at = match.end()
+        kind, token = match.lastgroup, match[match.lastgroup or 0]
+        if token == "=":
+            sides.append("")
+            continue
+        if kind == "quoted" or (kind == "name" and token not in FUNCTIONS and token not in CONSTANTS):
+            name = token
+            if not name.strip():
+                raise InputError(f"{_short(text)} has an empty name in backquotes")
+            if kind == "quoted" or not is_plain(name) or not token.isascii() or "." in token:
+                token = next((word for word, known in meant.items() if known == name), f"name_{len(meant)}_")
+                while token in text:
+                    token += "_"
+                meant[token] = name
+        sides[-1] += "**" if token == "^" else " " if kind == "space" else token
+    if len(sides) > 2:
+        raise InputError(f"{_short(text)} has {len(sides) - 1} signs of equality; one is allowed")
+    try:
+        parts = [Expression(side, len(text) + len(side) + 1) for side in sides]
+        if len(parts) == 1 or parts[1].text in ("0", "0.0"):
+            return parts[0], meant
+        return Expression(f"({sides[0]}) - ({sides[1]})", sum(map(len, sides)) + 9), meant
+    except InputError as error:
+        reason = str(error)
+        for side in sides:
+            reason = reason.replace(repr(side.strip()), _short(text))
+        for word, name in meant.items():
+            reason = reason.replace(word, quoted(name))
+        raise InputError(reason) from None
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= 60 else f"{text[:57]}...")
