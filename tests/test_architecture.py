@@ -19,7 +19,7 @@ MODULES = sorted(SOURCE.rglob("*.py"))
 LAYERS = [
     {"errors", "reals", "calls", "spatial"}, {"kernels"}, {"joints"}, {"values", "placement"},
     {"constraints"}, {"description", "library"}, {"model"},
-    {"kinematics"}, {"solvers"}, {"analysis"}, {"views", "cli"},
+    {"kinematics"}, {"solvers"}, {"analysis"}, {"views", "cli", "tasks"},
 ]  # fmt: skip
 """Each may import itself and what stands to the left."""
 

@@ -9,7 +9,7 @@ import pytest
 from command import Result
 
 import kempe
-from kempe.kinematics import tasks
+from kempe import tasks
 from kempe.views import slices, task_file
 
 HAND = "panda_link7"
@@ -82,15 +82,15 @@ def test_every_type_is_read(folder):
         "centre_of_points": 'frames = ["panda_link3", "panda_link7"]\ntarget = [0.3, 0, 0.5]\naxes = "xy"',
         "centre_of_mass": "target = [0.3, 0, 0.5]\nwithin = 0.1", "posture": "q = {panda_joint1 = 0.3}",
     }  # fmt: skip
-    assert set(body) == set(task_file.TYPES) and len(body) == len(tasks.__all__) - 2
+    assert set(body) <= set(task_file.types())
     for name, lines in body.items():
         if name == "centre_of_mass" and not any(b.mass for b in panda.mechanism.bodies.values()):
             continue
         frame = "" if name in ("centre_of_points", "centre_of_mass", "posture") else f'frame = "{HAND}"\n'
         file = write(f"{name}.toml", f'[[task]]\ntype = "{name}"\nweight = 2.0\n{frame}{lines}\n')
         (made,) = task_file.read(panda, Path(file)).tasks()
-        assert task_file.TYPES[name] is type(made) and made.weight == 2.0
-        assert np.isfinite(made.error(panda, panda.mid)).all()
+        assert task_file.types()[name] is type(made) and made.weight == 2.0
+        assert np.isfinite(tasks.error(panda, made, panda.mid)).all()
     (made,) = task_file.read(panda, Path("pose.toml"), degrees=True).tasks()
     np.testing.assert_allclose(made.target[:3, 3], [0.3, 0.1, 0.5])
     np.testing.assert_allclose(made.target[1, 0] / made.target[0, 0], np.tan(np.deg2rad(0.3)))
@@ -101,7 +101,7 @@ def test_every_type_is_read(folder):
     [
         ("# none", "t.toml:1: there are no tasks; write [[task]]"),
         ("[task]\ntype = 'pose'", "t.toml:1: 'task' is not a list of tables"),
-        ("[[task]]\ntarget = [1, 2, 3]", "t.toml:1: task '1': the key 'type' is missing; it must be one of centre"),
+        ("[[task]]\ntarget = [1, 2, 3]", "t.toml:1: task '1': the key 'type' is missing; it must be one of"),
         ("[[task]]\ntype = 'poyntin'", "t.toml:2: task 'poyntin': unknown type of task 'poyntin'; did you mean"),
         ("[[task]]\ntype = 'function'", "unknown type of task 'function'"),
         ("[[task]]\ntype = 'pose'\nframe = 'panda_link7'\ntargt = [1]", "t.toml:4: task 'pose': unknown key 'targt'"),

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from kempe import errors, spatial
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "KempeError", "Mechanism", "System", "errors", "from_dh", "from_screws", "load", "read", "spatial",
+    "KempeError", "Mechanism", "System", "constraints", "errors", "from_dh", "from_screws", "load", "read", "spatial",
     "tasks",
 ]  # fmt: skip
 
@@ -63,8 +64,6 @@ def __getattr__(name: str) -> Any:
         from kempe.description import dh
 
         return getattr(dh, name)
-    if name == "tasks":
-        from kempe.kinematics import tasks
-
-        return tasks
+    if name in ("constraints", "tasks"):
+        return import_module(f"kempe.{name}")
     raise AttributeError(f"module 'kempe' has no attribute {name!r}")

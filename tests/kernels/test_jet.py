@@ -59,7 +59,7 @@ def ties_of(kinds, numbers, length, relation=()):
             for mask, turns in kinds]  # fmt: skip
     ints, first = [len(kinds)], 0
     for (mask, turns), n in zip(kinds, rows, strict=True):
-        ints += [mask, turns, n, first, len(relation) if turns == LINEAR else 0, 0]
+        ints += [mask, turns, n, first, len(relation) if turns == LINEAR else 0, 0, -1]
         first += n
     ints += [x for iq, iv, _ in relation for x in (iq, iv)]
     return np.array(ints), np.array([1 / length, *numbers, *[f for *_, f in relation]]), first
@@ -90,7 +90,8 @@ def run(table, ties, numbers, m, q, v, steps=((0, ORDER),)):
     poses, extra = np.zeros((n, n_rows, depth, POSE_SIZE)), np.zeros((n, n_rows, depth, scratch_width(depth - 1)))
     frames, out = np.zeros((n, len(table.outputs), depth, 12)), np.zeros((n, depth, m))
     for first, last in steps:
-        jet.jets(ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, out)
+        tapes = np.zeros((len(v), 0, depth))
+        jet.jets(ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, tapes, out)
     return frames, out
 
 

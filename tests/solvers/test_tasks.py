@@ -14,7 +14,8 @@ import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.errors import InputError, NoSolutionError
 from kempe.kinematics.loops import residual
-from kempe.kinematics.task import Packed
+from kempe.kinematics.packed import Packed
+from kempe.kinematics.tasks_whole import task_of
 from kempe.solvers.reached import Reached
 from kempe.solvers.solution import Solution
 
@@ -62,13 +63,13 @@ def test_two_hands_and_the_centre_of_mass_of_a_floating_base():
     s = two_arms()
     rng = np.random.default_rng(2)
     for q in s.random(rng, 15):
-        com = tasks.CentreOfMass([0.0, 0.0, 0.0]).error(s, q)
+        com = tasks.error(s, tasks.CentreOfMass([0.0, 0.0, 0.0]), q)
         answer = s.ik([tasks.Pose("left", s.fk(q, "left")), tasks.Pose("right", s.fk(q, "right")),
                        tasks.CentreOfMass(com)])  # fmt: skip
         assert answer.success and isinstance(answer, Solution) and inside(s, answer.q)
         for side in ("left", "right"):
             np.testing.assert_allclose(s.fk(answer.q, side), s.fk(q, side), atol=3e-6)
-        np.testing.assert_allclose(tasks.CentreOfMass(com).error(s, answer.q), 0.0, atol=1e-6)
+        np.testing.assert_allclose(tasks.error(s, tasks.CentreOfMass(com), answer.q), 0.0, atol=1e-6)
         assert (answer.m, answer.n, answer.rank, answer.redundancy) == (15, 20, 15, 5)
         assert answer.self_motion.shape == (20, 5)
 
@@ -174,7 +175,7 @@ def test_wide_limits_do_not_stand_in_the_way():
 def cost_of(s: System, task: tasks.Task):
     """Half the square of a task's error in characteristic lengths, and its gradient by scaled velocities."""
     packed = Packed(s, [task])
-    pins = packed.pins([task.goals(s)])
+    pins = packed.pins([task_of(task, s.dim).goals(s)])
 
     def cost(q: np.ndarray) -> tuple[float, np.ndarray]:
         e, J = packed.evaluate(q, pins)
@@ -186,7 +187,7 @@ def cost_of(s: System, task: tasks.Task):
 def equal_to(s: System, task: tasks.Task, value: np.ndarray | None = None) -> dict:
     """The task, at a value, as a constraint for scipy."""
     packed = Packed(s, [task])
-    pins = packed.pins([task.goals(s)])
+    pins = packed.pins([task_of(task, s.dim).goals(s)])
     return {"type": "eq", "fun": lambda q: packed.evaluate(q, pins)[0] - (0.0 if value is None else value),
             "jac": lambda q: packed.evaluate(q, pins)[1]}  # fmt: skip
 
@@ -223,7 +224,7 @@ def test_levels_are_optima_of_a_nested_optimisation(seed):
     held = [equal_to(s, hard)]
     for task in (point, elbow):
         packed = Packed(s, [task])
-        held.append(equal_to(s, task, packed.evaluate(answer.q, packed.pins([task.goals(s)]))[0]))
+        held.append(equal_to(s, task, packed.evaluate(answer.q, packed.pins([task_of(task, s.dim).goals(s)]))[0]))
     lowest = least(c, s, answer.q, held)
     assert c(answer.q)[0] == pytest.approx(lowest, abs=1e-5)
 
@@ -528,7 +529,7 @@ def test_the_whole_body_of_a_humanoid(with_mass, least_found):
     q = s.random(5, 300)
     wanted: list[tasks.Task] = [tasks.Pose(f, s.fk(q, f)) for f in frames]
     if with_mass:
-        wanted.append(tasks.CentreOfMass(tasks.CentreOfMass([0.0, 0.0, 0.0]).error(s, q)))
+        wanted.append(tasks.CentreOfMass(tasks.error(s, tasks.CentreOfMass([0.0, 0.0, 0.0]), q)))
     answer = s.ik(wanted, tolerance=(1e-4, 1e-3))
     assert isinstance(answer, Reached) and np.mean(answer.success) >= least_found
     for f in frames:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.analysis.graph import Edge, Structure, rows_of, structure
-from kempe.description.parts import Constraint
+from kempe.description.parts import Declared
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
@@ -105,7 +105,7 @@ def _closing(s: Structure, dim: int) -> list[_Closing]:
 
 def _takes(edge: Edge, dim: int) -> tuple[int, str]:
     """How many freedoms an edge takes away, and what it is."""
-    if isinstance(edge.of, Constraint):
+    if isinstance(edge.of, Declared):
         return rows_of(edge, dim), f"{edge.of.kind.replace('_', '-')} constraint"
     return edge.of.type.constraints(dim, edge.particle), f"{edge.of.type.type_name} joint"
 

@@ -14,6 +14,7 @@ import numpy as np
 from kempe.kernels.layout import HEADER, KIND, N_OUT, N_ROWS, ROW_INTS, SLIDE, TURN, V_INDEX
 from kempe.kernels.loop_layout import LINEAR
 from kempe.kinematics.configuration import as_q
+from kempe.model.loop_plan import laid_out
 from kempe.model.loops import loops_of
 from kempe.spatial import Array
 
@@ -80,7 +81,7 @@ class Equations:
 
     def _pack(self) -> tuple[np.ndarray, Array]:
         """The arrays `ties` and `numbers` of `kempe.kernels.jet`."""
-        heads, entries, factors, numbers, row = [], [], [], [1.0 / self.length], 0
+        heads, entries, factors, numbers, recorded, row = [], [], [], [1.0 / self.length], [], 0
         first = self.system.coordinates.first
         for tie in self._loops.ties:
             count, size, number = 0, len(tie.rows), tie.number
@@ -95,11 +96,22 @@ class Equations:
                     entries.append(first[name])
                     factors.append(factor)
                 count = len(terms)
-            heads.append([tie.mask, LINEAR if tie.relation is not None else tie.turns, size, row, count, start])
+            data = -1
+            if tie.tape is not None:
+                data, number = len(recorded), 1.0 / self.length if tie.tape.unit == "m" else 1.0
+                inputs = ([tie.tape.input(n), *first.get(n, (-1, -1))] for n in tie.tape.tape.inputs)
+                recorded.append((*tie.tape.tape.arrays(), [x for item in inputs for x in item]))
+            heads.append([tie.mask, LINEAR if tie.relation is not None else tie.turns, size, row, count, start, data])
             numbers.append(number)
             row += size
+        at = 1 + sum(len(item) for group in (heads, entries) for item in group)
+        read, starts = laid_out(recorded, at, len(numbers) + len(factors))
+        for head in heads:
+            head[-1] = starts[head[-1]] if head[-1] >= 0 else -1
         flat = [x for group in (heads, entries) for item in group for x in item]
-        return np.array([len(heads), *flat], dtype=np.int64), np.array([*numbers, *factors], dtype=float)
+        self.tape_size = 3 * sum(int(ints[1]) for ints, _, _ in recorded)
+        tapes = np.concatenate([np.zeros(0), *(x for _, x, _ in recorded)])
+        return np.array([len(heads), *flat, *read], dtype=np.int64), np.array([*numbers, *factors, *tapes], dtype=float)
 
     def linearise(self, q: Any) -> tuple[Array, Array]:
         """Values (N, m) and Jacobian (N, m, nv), to scaled coordinates, at q (N, nq)."""
@@ -219,6 +231,7 @@ class Series:
         self._extra = np.zeros((n, rows, depth, scratch_width(order)))
         self._frames = np.zeros((n, outputs, depth, 12))
         self._v = np.zeros((n, depth, equations.nv))
+        self._tapes = np.zeros((n, equations.tape_size, depth))
         self.values = np.zeros((n, depth, equations.m))
         """Series (n, order + 1, m) of the equations."""
 
@@ -232,7 +245,7 @@ class Series:
 
         e = self.equations
         jet.jets(e.ints, e.floats, e.ties, e.numbers, self._q, self._v, first, last, self._poses, self._extra,
-             self._frames, self.values)  # fmt: skip
+             self._frames, self._tapes, self.values)  # fmt: skip
         return self.values[:, last]
 
     @property

@@ -13,16 +13,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kempe.analysis.cycles import shortened
-from kempe.description.parts import Constraint, Joint
+from kempe.description.parts import Declared, Joint
 from kempe.joints import P, Primitive, Q
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-
-CONSTRAINT_ROWS = {"distance": {2: 1, 3: 1}, "point_on_line": {2: 1, 3: 2}, "point_on_plane": {2: 1, 3: 1}}
-"""Freedoms that a declared constraint takes away, by kind and dimension."""
-
 
 class Column(NamedTuple):
     """One velocity of a joint: its name, its index among the system's (-1: held), multiplier, whether it slides."""
@@ -41,7 +37,7 @@ class Edge:
     """
 
     name: str
-    of: Joint | Constraint
+    of: Joint | Declared
     parent: int
     child: int
     X_PF: Array
@@ -128,7 +124,7 @@ class Cluster:
             most = max(most, sum(x * x for x in sizes) if own else sum(sizes) ** 2)
             joints = max(joints, len(path))
             edge = s.edges[s.loops[k].edge]
-            if isinstance(edge.of, Constraint) and edge.of.kind == "distance":
+            if isinstance(edge.of, Declared) and edge.of.rod:
                 rods.append(s.loops[k].edge)
         passed = float(np.bincount(np.concatenate(paths)).max()) if paths else 1.0
         return LoopSizes(most * float(np.sqrt(passed)), joints, np.array(rods, dtype=np.int64))
@@ -221,8 +217,8 @@ def _edges(system: System) -> list[Edge]:
         X_PF, X_CM = joint.X_PF.evaluate(m.parameters), joint.X_CM.evaluate(m.parameters)
         out.append(Edge(joint.name, joint, number[joint.parent], number[joint.child], X_PF, X_CM, particle,
                         primitives, tuple(values), tuple(columns), drives))  # fmt: skip
-    for c in m.constraints.values():
-        X_PF, X_CM = c.X_PF.evaluate(m.parameters), c.X_CM.evaluate(m.parameters)
+    for c in (c for c in m.constraints.values() if c.links):
+        X_PF, X_CM = c.frames(m.parameters, dim)
         out.append(Edge(c.name, c, number[c.parent], number[c.child], X_PF, X_CM, False))
     return out
 
@@ -267,8 +263,8 @@ def _tree_order(parent: tuple[int, ...]) -> list[int]:
 
 def rows_of(edge: Edge, dim: int) -> int:
     """Number of equations with which an edge closes a loop, its own velocities among the unknowns."""
-    if isinstance(edge.of, Constraint):
-        return CONSTRAINT_ROWS[edge.of.kind][dim]
+    if isinstance(edge.of, Declared):
+        return edge.of.equations(dim)
     return dim if edge.particle else (6 if dim == 3 else 3)
 
 

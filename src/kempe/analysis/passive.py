@@ -32,7 +32,7 @@ from kempe.analysis.graph import Structure, structure
 from kempe.analysis.rank import Rank
 from kempe.analysis.screws import Screws
 from kempe.analysis.series import between, edges_at, ends_of, in_loop, parts, rigid
-from kempe.description.parts import Constraint, Frame
+from kempe.description.parts import Declared, Frame
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -237,7 +237,7 @@ def _of_star(system: System, s: Structure, rank: Rank, spin: _Spin) -> _Group | 
         joints.append(ring.edges[places[0]])
     for i, child in star.points:
         e = s.edges[i]
-        rod = isinstance(e.of, Constraint) and e.of.kind == "distance"
+        rod = isinstance(e.of, Declared) and e.of.rod
         outside.append(-1 - i if rod else int(part[e.parent if child else e.child]))
         joints.append(i)
     if len(set(outside)) == 1:

@@ -10,7 +10,7 @@ import numpy as np
 
 from kempe.analysis.graph import Cluster, Structure, structure
 from kempe.analysis.screws import Screws, screws
-from kempe.description.parts import Constraint
+from kempe.description.parts import Declared
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -198,7 +198,7 @@ def rows_of_loop(system: System, s: Structure, at: Screws, loop: int) -> Array:
     """
     i = s.loops[loop].edge
     edge = s.edges[i]
-    if isinstance(edge.of, Constraint):
+    if isinstance(edge.of, Declared):
         return at.wrench_rows(i, edge.of, system.dim)
     if edge.particle:
         return at.point_rows(i, system.dim)

@@ -18,7 +18,8 @@ from kempe import spatial
 from kempe.analysis.graph import Edge, structure
 from kempe.analysis.rank import ClusterRank, Rank, rows_of_loop
 from kempe.analysis.screws import Screws
-from kempe.description.parts import Constraint, Joint
+from kempe.constraints.base import Op
+from kempe.description.parts import Declared, Joint
 from kempe.model.reduced import Reduced, reduced, screw, slides_along_z
 from kempe.model.topology import natural
 from kempe.solvers.words import counted, in_words
@@ -104,7 +105,7 @@ class _Row:
     @property
     def rank(self) -> tuple:
         """Order in which owners are taken: rods, passive joints, driven ones, couplings; then by name."""
-        kind = 3 if self.edge is None else 0 if isinstance(self.edge.of, Constraint) else 1 if self.passive else 2
+        kind = 3 if self.edge is None else 0 if isinstance(self.edge.of, Declared) else 1 if self.passive else 2
         return kind, natural(self.owner)
 
 
@@ -139,13 +140,13 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_Row]:
         n += len(R)
         wrenches[k] = R.T @ own
         edge = s.edges[s.loops[loop].edge]
-        if isinstance(edge.of, Constraint):
+        if isinstance(edge.of, Declared):
             labels = ("F",) if len(R) == 1 else ("Fx", "Fy")
             rows += [_Row(edge.name, label, True, edge, x) for label, x in zip(labels, own, strict=True)]
     inside = np.tensordot(c.cluster.cells, wrenches, (0, 0))  # (edges, 6, stresses)
     for i, wrench in zip(c.cluster.edges, inside, strict=True):
         edge = s.edges[i]
-        if isinstance(edge.of, Constraint):
+        if isinstance(edge.of, Declared):
             continue
         names, twists = directions(at, i, edge, system.dim)
         free = _free(edge, system.dim)
@@ -276,8 +277,9 @@ def _release(rows: Sequence[_Row], dim: int) -> Release:
     labels = tuple(r.label for r in rows if r.label)
     if edge is None:
         return Release(rows[0].owner, (), "")
-    if isinstance(edge.of, Constraint):
-        if edge.of.kind == "point_on_line" and len(rows) == 1 and dim == 3:
+    if isinstance(edge.of, Declared):
+        ops = [r.op for r in edge.of.of.rows(dim)]
+        if ops == [Op.POINT, Op.POINT] and len(rows) == 1 and dim == 3:
             return Release(rows[0].owner, labels, "a point-on-plane pair")
         return Release(rows[0].owner, labels, "")
     more = {_direction(r) for r in rows}

@@ -18,7 +18,8 @@ import numpy as np
 
 from kempe import spatial
 from kempe.analysis.graph import Edge, structure
-from kempe.description.parts import Constraint
+from kempe.constraints.base import COUNTS, Op, Row, position_rows
+from kempe.description.parts import Declared
 from kempe.joints import P, Q
 from kempe.kinematics.loops import full
 from kempe.spatial import Array
@@ -48,21 +49,25 @@ class Screws:
         d = np.concatenate([self.F[:, :3, 3], self.M[:, :3, 3]]) - self.center
         return float(np.sqrt(np.max(np.sum(d * d, axis=1), initial=0.0))) / self.length
 
-    def wrench_rows(self, edge: int, of: Constraint, dim: int) -> Array:
+    def wrench_rows(self, edge: int, of: Declared, dim: int) -> Array:
         """Rows (k, 6) that a declared constraint takes from the relative twist of its bodies."""
-        p = self.M[edge, :3, 3]
-        R = self.F[edge, :3, :3]
-        if of.kind == "distance":
-            d = p - self.F[edge, :3, 3]
-            size = np.linalg.norm(d)
-            directions = d[None] / (size if size > 0.0 else 1.0)
-        elif of.kind == "point_on_plane":
-            directions = R[:, 2][None]
-        elif dim == 2:
-            directions = np.cross([0.0, 0.0, 1.0], R[:, 2])[None]
-        else:
-            directions = R[:, :2].T
-        return np.hstack([directions, np.cross((p - self.center) / self.length, directions)])
+        return np.concatenate([self._rows_of(edge, r, dim) for r in position_rows(of.of, dim) if r.op is not Op.TAPE])
+
+    def _rows_of(self, edge: int, row: Row, dim: int) -> Array:
+        """What one row takes from the twist of frame M against F."""
+        p, R, S = self.M[edge, :3, 3], self.F[edge, :3, :3], self.M[edge, :3, :3]
+        d = p - self.F[edge, :3, 3]
+        if row.op is Op.ROTATION:
+            return np.hstack([np.zeros((3, 3)), np.eye(3)])[-COUNTS[row.op][dim] :]
+        if row.op is Op.TILT:
+            return np.hstack([np.zeros((3, 3)), R.T])[: COUNTS[row.op][dim]]
+        if row.op is Op.LOOK:  # z of M keeps to d: w x z - v / |d| across it
+            across = S[:, : COUNTS[row.op][dim]].T
+            size = float(np.linalg.norm(d)) or 1.0
+            about = np.cross(S[:, 2], across) - np.cross((p - self.center) / self.length, across / size)
+            return np.hstack([across / size, about])
+        along = R[:, row.args[0]] if row.op is Op.POINT else d / (float(np.linalg.norm(d)) or 1.0)
+        return np.hstack([along, np.cross((p - self.center) / self.length, along)])[None]
 
     def point_rows(self, edge: int, dim: int) -> Array:
         """Rows (dim, 6) that take from a twist the velocity of the origin of frame M."""

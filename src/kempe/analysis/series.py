@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.analysis.graph import Edge, Structure, structure
-from kempe.description.parts import Constraint
+from kempe.description.parts import Declared
 from kempe.joints import P, Primitive, Q
 
 if TYPE_CHECKING:
@@ -168,8 +168,8 @@ def _star(
     for i in edges:
         e = s.edges[i]
         child = bool(inside[e.child])
-        if isinstance(e.of, Constraint):
-            if e.of.kind != "distance" and not child:
+        if isinstance(e.of, Declared):
+            if not e.of.rod and not child:
                 return None
             points.append((i, child))
             continue

@@ -1,1 +1,31 @@
-"""Constraints: what holds parts of a system, declared in one vocabulary."""
+"""What may be asked of a multibody system: every kind of constraint is one class, declared for all verbs alike.
+
+``from kempe import constraints``: `Mechanism.constrain` holds one always, `System.ik` asks for it in one call.
+`KINDS` is the table.
+"""
+
+from kempe.constraints.base import KINDS, Constraint, End, Op, Row, kind
+from kempe.constraints.contacts import Contact, NoSideslip, Rolls
+from kempe.constraints.kinds import (
+    Distance,
+    HalfSpace,
+    InBox,
+    LookAt,
+    OnLine,
+    OnPlane,
+    OnSphere,
+    OnSurface,
+    Orientation,
+    Pointing,
+    Pose,
+    Position,
+    RelativePose,
+    RelativePosition,
+)
+from kempe.constraints.whole import CentreOfMass, CentreOfPoints, Function, Posture
+
+__all__ = [
+    "KINDS", "CentreOfMass", "CentreOfPoints", "Constraint", "Contact", "Distance", "End", "Function", "HalfSpace",
+    "InBox", "LookAt", "NoSideslip", "OnLine", "OnPlane", "OnSphere", "OnSurface", "Op", "Orientation", "Pointing",
+    "Pose", "Position", "Posture", "RelativePose", "RelativePosition", "Rolls", "Row", "kind",
+]  # fmt: skip

@@ -11,12 +11,12 @@ from typing import Any, NoReturn
 import numpy as np
 
 from kempe import spatial
-from kempe.description.parts import CONSTRAINT_KINDS, Body, Constraint, Joint, Limits
+from kempe.description.parts import Body, Joint, Limits
 from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, Where, hint
 from kempe.joints import JointType, P, Q, R, joint_type
 from kempe.placement import Placement
 from kempe.reals import is_real
-from kempe.values import Expression, Value, evaluate, value
+from kempe.values import Expression, value
 
 SAME_DIRECTION = 1e-12
 """How far two unit vectors may be apart and still be one direction."""
@@ -143,12 +143,12 @@ def ends(
         flat(subject, X_CM, where)
         return
     out_of_plane = f"a {type_.type_name} joint slides along z, out of the plane"
-    directions = [_axis_in_plane(subject, X, out_of_plane, where) for X in (X_PF, X_CM)]
+    directions = [axis_in_plane(subject, X, out_of_plane, where) for X in (X_PF, X_CM)]
     if np.abs(directions[1] - directions[0]).max() > SAME_DIRECTION:
         refuse(subject, "its axis differs on the two bodies", where, "turn the child by child_angle instead")
 
 
-def _axis_in_plane(subject: str, X: Placement, out_of_plane: str, where: Where | None) -> spatial.Array:
+def axis_in_plane(subject: str, X: Placement, out_of_plane: str, where: Where | None) -> spatial.Array:
     """Direction of z of a placement whose last step turns z into the plane of a planar system."""
     if not X.steps or X.steps[-1][0] != "align":
         refuse(subject, out_of_plane, where, "give its axis=(x, y)")
@@ -157,69 +157,6 @@ def _axis_in_plane(subject: str, X: Placement, out_of_plane: str, where: Where |
     if axis[2] != 0.0:
         refuse(subject, f"its axis has z = {axis[2]:g}, out of the plane", where, "give its axis=(x, y)")
     return axis
-
-
-def constraint(made: Constraint, dim: int, parent: Body, child: Body, parameters: Mapping[str, float]) -> Constraint:
-    """The constraint, where these bodies, frames and lengths can be its own in a planar or spatial system."""
-    subject, where, kind = f"constraint {made.name!r}", made.where, made.kind
-    if parent.name == child.name:
-        refuse(subject, f"it ties body {parent.name!r} to itself", where, "it must tie two bodies")
-    if kind == "point_on_plane" and dim == 2:
-        refuse(subject, "point_on_plane does not exist in the plane", where,
-               "planar systems take distance and point_on_line")  # fmt: skip
-    if kind != "distance" and parent.particle:
-        what = kind.removeprefix("point_on_")
-        refuse(subject, f"its parent {parent.name!r} is a particle, which has no {what}", where,
-               "make the particle the child")  # fmt: skip
-    for on, X in ((parent, made.X_PF), (child, made.X_CM)):
-        if on.particle and X.steps:
-            refuse(subject, f"a particle ({on.name!r}) has no extent: the point must sit on it", where,
-                   "leave out its at and its axis")  # fmt: skip
-    if dim == 2:
-        if kind == "point_on_line":
-            _axis_in_plane(subject, made.X_PF, "its line is z of the frame, out of the plane", where)
-        else:
-            flat(subject, made.X_PF, where)
-        flat(subject, made.X_CM, where)
-    if kind == "distance" and made.length is None:
-        refuse(subject, "it has no length", where, "give the length of the rod in metres")
-    if kind != "distance" and made.length is not None:
-        refuse(subject, f"{kind} takes no length", where, "only a distance must have one")
-    if kind == "distance":
-        constraint_length(made, parameters)
-    return made
-
-
-def constraint_kind(subject: str, kind: object, where: Where | None) -> str:
-    """The kind of a constraint, checked."""
-    if kind not in CONSTRAINT_KINDS:
-        refuse(subject, str(UnknownNameError("kind of constraint", kind, CONSTRAINT_KINDS)), where)
-    return str(kind)
-
-
-def constraint_value(subject: str, length: object, parameters: Mapping[str, float], where: Where | None) -> Value:
-    """The length of a rod as given: a number, or an expression in known parameters."""
-    try:
-        given = value(length, "length")
-        for name in given.names if isinstance(given, Expression) else ():
-            if name not in parameters:
-                raise UnknownNameError("parameter", name, parameters)
-    except InputError as error:
-        refuse(subject, str(error), where)
-    except UnknownNameError as error:
-        refuse(subject, f"length is {length!s}: {error}", where)
-    return given
-
-
-def constraint_length(made: Constraint, parameters: Mapping[str, float]) -> float:
-    """Length in metres of a rod with these parameters. Errors: `DescriptionError` where it is not above zero."""
-    assert made.length is not None
-    length = float(evaluate(made.length, parameters))
-    if not 0.0 < length < math.inf:  # not a number fails, too
-        text = f" (length = {made.length})" if isinstance(made.length, Expression) else ""
-        allowed = "it must be above zero" + ("; points that coincide are a joint" if length == 0.0 else "")
-        refuse(f"constraint {made.name!r}", f"its length is {length:g}{text}", made.where, allowed)
-    return length
 
 
 def flat(subject: str, X: Placement, where: Where | None) -> None:

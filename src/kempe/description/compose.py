@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
 
+from kempe.description.constrain import renamed
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Coupling, Frame, Joint
 from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, shown
@@ -47,10 +48,8 @@ def attach(host: Mechanism, guest: Mechanism, to: Body | Frame | str | None, pre
         sources = {prefix + k: v for k, v in coupling.sources.items()}
         trial.couplings[prefix + coupling.of] = replace(coupling, of=prefix + coupling.of, sources=sources)
     for constraint in guest.constraints.values():
-        trial.constraints[prefix + constraint.name] = replace(
-            constraint, name=prefix + constraint.name, parent=prefix + constraint.parent,
-            child=prefix + constraint.child,
-        )  # fmt: skip
+        bodies, frames = ({n: prefix + n for n in names} for names in (guest.bodies, guest.frames))
+        trial.constraints[prefix + constraint.name] = renamed(constraint, bodies, frames, prefix)
     for key, posture in guest.postures.items():
         trial.postures[prefix + key] = {prefix + k: v for k, v in posture.items()}
     trial.locks |= {prefix + k: v for k, v in guest.locks.items()}

@@ -7,8 +7,9 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from kempe.calls import explained, explained_methods, flag
+from kempe.constraints import Constraint, Contact, NoSideslip, Rolls
 from kempe.description import checks
-from kempe.description.parts import Body, Constraint, Coupling, Frame, Joint
+from kempe.description.parts import Body, Coupling, Declared, Frame, Joint
 from kempe.description.source import collecting_later
 from kempe.errors import InputError, UnknownNameError, Where
 from kempe.joints import JointType, joint_type
@@ -48,7 +49,7 @@ class Mechanism:
         self.joints: dict[str, Joint] = {}
         self.frames: dict[str, Frame] = {}
         self.couplings: dict[str, Coupling] = {}
-        self.constraints: dict[str, Constraint] = {}
+        self.constraints: dict[str, Declared] = {}
         self.parameters: dict[str, float] = {}
         self.postures: dict[str, dict[str, float]] = {}
         self.locks: dict[str, float] = {}
@@ -196,10 +197,21 @@ class Mechanism:
 
     # ---- constraints that are not joints
 
+    def constrain(self, constraint: Constraint, name: str = "", where: Where | None = None) -> Declared:
+        """A constraint of `kempe.constraints` that always holds, between frames or bodies of the mechanism.
+
+        Numbers may be expressions in parameters. It is no connection: the bodies need joints besides, `free` where
+        nothing else holds them. What only `ik` reads (`weight`, `priority`, `tolerance`) is refused. Errors:
+        `DescriptionError` with what is wrong and what is allowed.
+        """
+        from kempe.description.constrain import declare
+
+        return declare(self, constraint, name, where)
+
     def distance(
         self, name: str, a: BodyLike | Frame, b: BodyLike | Frame, length: Value | str,
         at: object = (0.0, 0.0, 0.0), child_at: object = (0.0, 0.0, 0.0), where: Where | None = None,
-    ) -> Constraint:  # fmt: skip
+    ) -> Declared:  # fmt: skip
         """A rod of this length, hinged in all directions, from point `at` on `a` to point `child_at` on `b`.
 
         `a` and `b` are bodies or frames; points are read in their axes, or are names of frames on them. The rod is
@@ -207,11 +219,11 @@ class Mechanism:
         """
         return self.constraint(name, "distance", a, b, at, child_at, length=length, where=where)
 
-    def point_on_line(self, name: str, a: BodyLike | Frame, b: BodyLike | Frame, **keywords) -> Constraint:
+    def point_on_line(self, name: str, a: BodyLike | Frame, b: BodyLike | Frame, **keywords) -> Declared:
         """Point `child_at` of `b` stays on the line through `at` of `a` along z (or `axis`); see `constraint`."""
         return self.constraint(name, "point_on_line", a, b, **keywords)
 
-    def point_on_plane(self, name: str, a: BodyLike | Frame, b: BodyLike | Frame, **keywords) -> Constraint:
+    def point_on_plane(self, name: str, a: BodyLike | Frame, b: BodyLike | Frame, **keywords) -> Declared:
         """Point `child_at` of `b` stays in the plane through `at` of `a` across z (or `axis`); see `constraint`."""
         return self.constraint(name, "point_on_plane", a, b, **keywords)
 
@@ -220,24 +232,40 @@ class Mechanism:
         at: object = (0.0, 0.0, 0.0), child_at: object = (0.0, 0.0, 0.0), rpy: object = None, angle: object = None,
         axis: object = None, length: Value | str | None = None, where: Where | None = None,
         quat_wxyz: object = None, matrix: object = None,
-    ) -> Constraint:  # fmt: skip
+    ) -> Declared:  # fmt: skip
         """A condition on two bodies that is not a joint: "distance", "point_on_line" or "point_on_plane".
 
         `parent` and `child` are bodies or frames. Frame A sits on the parent at `at`, turned by `rpy` (or `angle`,
         `quat_wxyz`, `matrix`) and then so that its z is `axis`; point B sits on the child at `child_at`. `length` is
         for distances. Errors: `DescriptionError` with what is wrong and what is allowed.
         """
-        subject = f"constraint {name!r}"
-        self._free_joint_name(checks.name(name, "constraint"), subject, where)
-        kind = checks.constraint_kind(subject, kind, where)
+        from kempe.description.constrain import between
+
         turn = {"rpy": rpy, "angle": angle, "axis": axis, "quat_wxyz": quat_wxyz, "matrix": matrix}
-        on, X_PF = self._end(parent, at, turn, subject, where)
-        to, X_CM = self._end(child, child_at, {}, subject, where)
-        if length is not None:
-            length = checks.constraint_value(subject, length, self.parameters, where)
-        made = Constraint(name, kind, on.name, to.name, X_PF, X_CM, length, where)
-        self.constraints[name] = checks.constraint(made, self.dim, on, to, self.parameters)
-        return made
+        return between(self, name, kind, (parent, at, turn), (child, child_at, {}), length, where)
+
+    def no_sideslip(self, name: str, frame: BodyLike | Frame, speed: Value | str = 0.0) -> Declared:
+        """The origin of a frame has no velocity along its y axis, as a wheel whose axle is y, or has the `speed`."""
+        return self.constrain(NoSideslip(str(frame), speed=speed), name)
+
+    def rolls(
+        self, name: str, frame: BodyLike | Frame, radius: Value | str, on: BodyLike | Frame | None = None,
+        shape: str = "ball", spin: bool = True, one_sided: bool = False,
+    ) -> Declared:  # fmt: skip
+        """A ball or disc about a frame's origin rolls without slipping on the xy-plane of `on` (default: the ground).
+
+        The axle of a disc is y of its frame. Without `spin` it does not turn about the normal either; `one_sided`: it
+        may leave the plane.
+        """
+        other = None if on is None else str(on)
+        return self.constrain(Rolls(str(frame), other, radius, shape, spin, one_sided), name)
+
+    def contact(
+        self, name: str, frame: BodyLike | Frame, on: BodyLike | Frame | None = None, radius: Value | str = 0.0,
+        shape: str = "ball",
+    ) -> Declared:  # fmt: skip
+        """A point, or a ball or disc about a frame's origin, stays above the xy-plane of `on` (default: the ground)."""
+        return self.constrain(Contact(str(frame), None if on is None else str(on), radius, shape), name)
 
     # ---- relations between coordinates
 
@@ -335,7 +363,7 @@ class Mechanism:
             tuple((j, tuple(j.limits.items()), tuple(j.velocity_limits.items())) for j in self.joints.values()),
             tuple(self.frames.values()), tuple((c, tuple(c.sources.items())) for c in self.couplings.values()),
             tuple(self.parameters.items()), tuple((k, tuple(v.items())) for k, v in self.postures.items()),
-            tuple(self.locks.items()), tuple(self.constraints.values()),
+            tuple(self.locks.items()), tuple(c.key() for c in self.constraints.values()),
         )  # fmt: skip
 
     # ---- checks
@@ -354,20 +382,6 @@ class Mechanism:
         if taken is not None:
             what, first = type(taken).__name__.lower(), f" ({taken.where})" if taken.where else ""
             checks.refuse(subject, f"there is another {what} of this name{first}", where, "names must be unique")
-
-    def _end(
-        self, thing: BodyLike | Frame, at: object, turn: Mapping, subject: str, where: Where | None
-    ) -> tuple[Body, Placement]:  # fmt: skip
-        """Body and placement on it of one end of a constraint, which may be given by a frame."""
-        frame = self.frames.get(str(thing)) if isinstance(thing, (Frame, str)) else None
-        if frame is None:
-            on = self._body(thing, subject, where)  # type: ignore[arg-type]
-            return on, self._place(at, turn, subject, where, on)
-        if isinstance(at, (Frame, str)):
-            checks.refuse(subject, f"its point is given twice, by frames {frame.name!r} and {str(at)!r}", where,
-                          "name the frame once")  # fmt: skip
-        on = self.bodies[frame.body]
-        return on, frame.X_BF @ self._place(at, turn, subject, where, on)
 
     def _body(self, body: BodyLike, subject: str, where: Where | None) -> Body:
         name = body.name if isinstance(body, Body) else body

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
+import numpy as np
+
+from kempe.constraints.base import Constraint, Op, content, position_rows, with_numbers
 from kempe.errors import Where
 from kempe.joints import JointType
 from kempe.placement import Placement
+from kempe.spatial import Array
 from kempe.values import Value
 
 Limits = tuple[float, float]
@@ -87,29 +92,64 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Constraint:
-    """A condition on two bodies that is not a joint; the bodies need joints besides.
+class Declared:
+    """A constraint that a mechanism always holds: its kind with its numbers, `of`, and where its ends are.
 
-    Frame A sits at `X_PF` on the parent, point B is the origin of `X_CM` on the child. By `kind`: "distance", B is
-    `length` metres from the origin of A (a rod with a ball joint at each end); "point_on_line", B is on the z axis of
-    A; "point_on_plane", B is in the xy-plane of A.
+    Frame A sits at `X_PF` on the body `parent`, frame B at `X_CM` on the body `child`; a constraint on coordinates has
+    no bodies, which are then ''.
     """
 
     name: str
-    kind: str
+    of: Constraint
     parent: str
     child: str
     X_PF: Placement = Placement()
     X_CM: Placement = Placement()
-    length: Value | None = None
     where: Where | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def kind(self) -> str:
+        """The name of its kind."""
+        return self.of.kind
+
+    @property
+    def rod(self) -> bool:
+        """Whether it holds nothing but the distance of two points."""
+        return [r.op for r in position_rows(self.of, 3)] == [Op.DISTANCE]
+
+    def frames(self, parameters: Mapping[str, float], dim: int) -> tuple[Array, Array]:
+        """The poses (4, 4) of frame A on the body `parent`, and of frame B on the body `child`."""
+        made = with_numbers(self.of, parameters)
+        B = self.X_CM.evaluate(parameters) @ np.reshape(made.tool(dim), (4, 4))
+        return self.X_PF.evaluate(parameters) @ made.goal(dim), B
+
+    def length(self, parameters: Mapping[str, float]) -> float:
+        """The length of a rod, in metres."""
+        made = with_numbers(self.of, parameters)
+        (row,) = made.rows(3)
+        return float(getattr(made, row.equal))
+
+    def equations(self, dim: int) -> int:
+        """How many equations f(q) = 0 it is, in the plane (2) or in space (3)."""
+        return sum(r.count(dim) for r in position_rows(self.of, dim))
+
+    @property
+    def links(self) -> bool:
+        """Whether it takes freedoms from the motion of one body against another, by rows that are no expressions."""
+        return bool(self.parent) and any(r.op is not Op.TAPE for r in position_rows(self.of, 3))
+
+    def key(self) -> tuple[Any, ...]:
+        """All that it is, comparable."""
+        return self.name, self.parent, self.child, self.X_PF, self.X_CM, content(self.of)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Declared) and self.key() == other.key()
+
+    def __hash__(self) -> int:
+        return hash(self.name)
 
     def __str__(self) -> str:
         return self.name
-
-
-CONSTRAINT_KINDS = ("distance", "point_on_line", "point_on_plane")
-"""What a `Constraint` can ask."""
 
 
 @dataclass(frozen=True)

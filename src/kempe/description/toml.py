@@ -8,9 +8,11 @@ from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Any
 
+from kempe.constraints.base import FRAMES, KINDS, NUMBERS, End, fields_of, needed_by
+from kempe.description.constrain import BETWEEN
 from kempe.description.dh import add_dh, add_screws
 from kempe.description.mechanism import Mechanism
-from kempe.description.parts import CONSTRAINT_KINDS, Body
+from kempe.description.parts import Body
 from kempe.description.source import Source, decode, fail, shorten
 from kempe.description.toml_document import PLACE, Document, joint_options
 from kempe.description.toml_places import Path
@@ -153,11 +155,52 @@ class _Reader:
             self.findings.add(str(error), subject, self.where(*path))
 
     def constraint(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:
+        if "parent" in table or "child" in table or table.get("type") not in KINDS:
+            self.between(table, path, subject, good)
+            return
+        kind = KINDS[table["type"]]
+        how, given = fields_of(kind), {}
+        for key in needed_by(kind):
+            if key not in table:
+                self.findings.add(f"the key {key!r} is missing", subject, self.where(*path),
+                                  f"it needs {', '.join(needed_by(kind))}")  # fmt: skip
+                good = False
+        for key in how.keys() & table.keys():
+            with self.findings.guard(subject, self.where(*path, key)):
+                given[key] = self.field(table[key], how[key], key)
+        if not good or len(given) < len(how.keys() & table.keys()):
+            return
+        try:
+            self.mechanism.constrain(kind(**given), table["name"], self.where(*path))
+        except DescriptionError as error:
+            for p in error.problems:
+                about = [k for k in given if re.search(rf"\b{k}\b", p.message)]
+                self.findings.problems.append(replace(p, where=self.where(*path, *about[:1])))
+        except (InputError, UnknownNameError) as error:
+            self.findings.add(str(error), subject, self.where(*path))
+
+    def field(self, x: Any, how: str, key: str) -> Any:
+        """The value of a field of a constraint. Errors: `InputError`."""
+        if how in FRAMES:
+            if isinstance(x, dict):
+                placed = {k: v for k, v in x.items() if k != "body"}
+                return End(str(x.get("body", "")), self.placed(placed, "", x.get("body")))
+            if not isinstance(x, str):
+                raise InputError(f"{key} is {shorten(x)}; it must be the name of a frame or body, or a table")
+        if how in ("bool", "str") and type(x).__name__ != how:
+            raise InputError(f"{key} is {shorten(x)}; it must be {'true or false' if how == 'bool' else 'text'}")
+        return tuple(x) if isinstance(x, list) and how not in NUMBERS else x
+
+    def between(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:
+        """A constraint that is placed on bodies as joints are."""
         for key in ("parent", "child"):
             good &= self.known_body(table, key, path, subject)
+            if key not in table:
+                self.findings.add(f"the key {key!r} is missing", subject, self.where(*path),
+                                  "it needs name, type, parent, child")  # fmt: skip
         kind = table.get("type")
-        if kind is not None and kind not in CONSTRAINT_KINDS:
-            said = self.findings.hint(str(kind), CONSTRAINT_KINDS)
+        if kind is not None and kind not in BETWEEN:
+            said = self.findings.hint(str(kind), [*BETWEEN, *KINDS])
             message = f"unknown type of constraint {shorten(kind)}{said}"
             self.findings.add(message, subject, self.where(*path, "type"))
             good = False

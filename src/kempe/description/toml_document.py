@@ -8,14 +8,16 @@ from dataclasses import fields
 from functools import lru_cache
 from typing import Any
 
+from kempe.constraints.base import KINDS, fields_of
 from kempe.description.source import Findings, Source, fail, shorten
 from kempe.description.toml_fast import loads
 from kempe.description.toml_places import Path, Places
 from kempe.errors import Where, hint
 from kempe.joints import TYPES, JointType
 
-FORMAT = 1
-"""Version of the format that is read and written."""
+FORMAT, NEWEST = 1, 2
+"""Versions of the format that are read. The newer one has all kinds of constraints; files without them are written in
+the older one."""
 
 PLACE = ("at", "rpy", "angle", "quat_wxyz", "matrix", "axis", "steps")
 """Keys that place a frame on a body; for the frame on a joint's child with the prefix ``child_``."""
@@ -64,7 +66,7 @@ REQUIRED = {
     "body": ("name",),
     "joint": ("name", "type", "parent", "child"),
     "frame": ("name", "body"),
-    "constraint": ("name", "type", "parent", "child"),
+    "constraint": ("name", "type"),
     "coupling": ("of", "sources"),
     "dh": ("rows",),
     "screws": ("rows",),
@@ -133,8 +135,8 @@ class Document:
         given = self.data.get("format")
         if given is None:
             raise fail("the file has no line 'format = 1'", self.where(), "every mechanism file starts with it")
-        if type(given) is not int or given != FORMAT:
-            raise fail(f"format is {given!r}", self.where("format"), f"this version of Kempe reads format {FORMAT}")
+        if type(given) is not int or not FORMAT <= given <= NEWEST:
+            raise fail(f"format is {given!r}", self.where("format"), f"this version of Kempe reads format {FORMAT} and {NEWEST}")
         if not _plain(self.data):
             self._refuse_others()
         self.findings.finish()
@@ -159,6 +161,8 @@ class Document:
         """Whether a table has all keys that it must have and no others, with the right types."""
         before = len(self.findings.problems)
         known = KEYS[kind] + (joint_options() if kind == "joint" else ())
+        if kind == "constraint" and "parent" not in table and table.get("type") in KINDS:
+            known = ("name", "type", *fields_of(KINDS[table["type"]]))
         for key, item in table.items():
             wanted, said = _VALUES.get(key, (object, ""))
             if key not in known:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
+import numpy as np
+
+from kempe.constraints.base import NUMBERS, End, expressions_in, fields_of, numbers_in
+from kempe.description.constrain import BETWEEN
 from kempe.description.mechanism import Mechanism
-from kempe.description.parts import Body, Constraint, Frame, Joint
-from kempe.description.toml_document import FORMAT
+from kempe.description.parts import Body, Declared, Frame, Joint
+from kempe.description.toml_document import FORMAT, NEWEST
 from kempe.errors import InputError, UnsupportedError
 from kempe.joints import TYPES
 from kempe.placement import Placement, place
@@ -26,7 +31,9 @@ def write_toml(mechanism: Mechanism) -> str:
     Errors: `UnsupportedError` for joint types that are not in the zoo.
     """
     m = mechanism
-    head = {"format": FORMAT, "name": m.name, "dim": m.dim, "ground": m.ground.name, "notes": list(m.notes)}
+    constraints = [_constraint(c, m.dim) for c in m.constraints.values()]
+    newer = any("parent" not in table for table in constraints)
+    head = {"format": NEWEST if newer else FORMAT, "name": m.name, "dim": m.dim, "ground": m.ground.name, "notes": list(m.notes)}
     defaults = {"dim": 3, "ground": "ground", "notes": []}
     blocks = [_lines({k: v for k, v in head.items() if defaults.get(k) != v})]
     if m.parameters:
@@ -34,7 +41,7 @@ def write_toml(mechanism: Mechanism) -> str:
     blocks += [_block("body", _body(b)) for b in m.bodies.values() if b != Body(m.ground.name)]
     blocks += [_block("joint", _joint(j, m.dim)) for j in m.joints.values()]
     blocks += [_block("frame", _frame(f, m.dim)) for f in m.frames.values()]
-    blocks += [_block("constraint", _constraint(c, m.dim)) for c in m.constraints.values()]
+    blocks += [_block("constraint", table) for table in constraints]
     for c in m.couplings.values():
         table = {"of": c.of, "sources": c.sources} | ({"offset": c.offset} if c.offset != 0.0 else {})
         blocks.append(_block("coupling", table))
@@ -99,13 +106,38 @@ def _joint(joint: Joint, dim: int) -> dict[str, Any]:
     return out | joint.type.options
 
 
-def _constraint(constraint: Constraint, dim: int) -> dict[str, Any]:
-    out: dict[str, Any] = {"name": constraint.name, "type": constraint.kind}
-    out |= {"parent": constraint.parent, "child": constraint.child}
-    if constraint.length is not None:
-        out["length"] = constraint.length
-    out |= _placement(constraint.X_PF, dim)
-    return out | {f"child_{k}": v for k, v in _placement(constraint.X_CM, dim).items()}
+def _constraint(constraint: Declared, dim: int) -> dict[str, Any]:
+    """A constraint; those that `Mechanism.constraint` places on bodies with the keys of joints."""
+    out: dict[str, Any] = {"name": constraint.name}
+    placed = next((k for k, kind in BETWEEN.items() if type(constraint.of) is kind), "")
+    if placed and all(isinstance(e, End) for e in constraint.of.ends):
+        out |= {"type": placed, "parent": constraint.parent, "child": constraint.child}
+        if constraint.rod:
+            (row,) = constraint.of.rows(dim)
+            out["length"] = getattr(constraint.of, row.equal)
+        X_PF = constraint.X_PF
+        if "direction" in (own := numbers_in(constraint.of)) and own["direction"] != (0.0, 0.0, 1.0):
+            X_PF = X_PF @ Placement((("align", tuple(own["direction"])),))
+        out |= _placement(X_PF, dim)
+        return out | {f"child_{k}": v for k, v in _placement(constraint.X_CM, dim).items()}
+    out["type"] = constraint.kind
+    usual = {f.name: f.default for f in fields(constraint.of)}
+    for key, how in fields_of(type(constraint.of)).items():
+        x = getattr(constraint.of, key)
+        if x is not None and not (isinstance(x, (str, bool, int, float, tuple)) and x == usual[key]):
+            out[key] = _field(x, how, dim)
+    return out
+
+
+def _field(x: Any, how: str, dim: int) -> Any:
+    """A field of a constraint as TOML can hold it."""
+    if isinstance(x, End):
+        return {"body": x.body, **_placement(x.X, dim)}
+    if how in NUMBERS and not isinstance(x, (str, Expression)):
+        return x if isinstance(x, (list, tuple)) and expressions_in(x) else np.asarray(x).tolist()
+    if callable(x):
+        raise UnsupportedError(f"a file cannot hold the Python function {x!r}; write it as text")
+    return str(x) if isinstance(x, (Body, Frame)) else x
 
 
 def _placement(X: Placement, dim: int) -> dict[str, Any]:

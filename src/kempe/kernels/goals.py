@@ -14,7 +14,18 @@ from kempe.kernels._jit import device, routine
 from kempe.kernels.layout import HEADER, OUTPUT_FLOATS, PARENT, ROW_INTS
 from kempe.kernels.rows import placement
 from kempe.kernels.scratch import beyond
-from kempe.kernels.ties import back, ends_of, fill_along, fill_block, inverse_left, relative, write_error
+from kempe.kernels.tape import tape_gradient, tape_values
+from kempe.kernels.tape_layout import N_INPUTS, N_NODES, TAPE_HEAD
+from kempe.kernels.ties import (
+    back,
+    ends_of,
+    fill_along,
+    fill_block,
+    fill_twist,
+    inverse_left,
+    relative,
+    write_error,
+)
 from kempe.kernels.vectors import FLOATS, entry, intrinsic
 
 
@@ -137,6 +148,73 @@ def fill_own(loops, k, at, with_blocks):
 
 
 @routine
+def read_inputs(loops, k, data, p, r, work):
+    """Write the inputs of the tape of tie k: the pose (p, R) of B in A, coordinates, numbers of the call."""
+    plan, n = loops.plan, loops.plan[loops.plan[data + L.TAPE_INTS] + N_INPUTS]
+    for i in range(n):
+        at = data + L.TAPE_INPUTS + L.INPUT_INTS * i
+        what = plan[at]
+        if what < 3:
+            work[i] = p[what]
+        elif what < L.COORDINATE:
+            work[i] = r[what - 3]
+        elif what == L.COORDINATE:
+            work[i] = loops.q[plan[at + 1]]
+        else:
+            tie = plan[L.AT_TIES] + L.TIE_INTS * k
+            work[i] = loops.pins[12 * plan[L.N_PINS] + plan[tie + L.NUMBER] + plan[at + 1]]
+
+
+@routine
+def fill_tape(loops, k, at, with_blocks):
+    """Write the equations, and the block, of a recorded expression."""
+    plan, weights = loops.plan, loops.weights
+    tie = plan[L.AT_TIES] + L.TIE_INTS * k
+    data, rows, block = plan[tie + L.DATA], plan[tie + L.ROWS], plan[tie + L.BLOCK]
+    work = beyond(loops.blocks, block + rows * plan[tie + L.LOCALS])
+    tape, floats = plan[data + L.TAPE_INTS], plan[data + L.TAPE_FLOATS]
+    adjoint = beyond(work, plan[tape + N_NODES])
+    unit = weights[L.INVERSE_LENGTH] if plan[tie + L.LENGTHS] > 0 else 1.0
+    r_a, p_a, r_b, p_b = ends_of(loops, k)
+    p = back(r_a, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
+    r = relative(r_a, r_b)
+    read_inputs(loops, k, data, p, r, work)
+    tape_values(plan, tape, weights, floats, work)
+    for o in range(rows):
+        loops.error[at + o] = work[plan[tape + TAPE_HEAD + o]] * unit
+    if not with_blocks:
+        return
+    for i in range(rows * plan[tie + L.LOCALS]):
+        loops.blocks[block + i] = 0.0
+    local = plan[L.AT_LOCALS] + plan[tie + L.LOCAL]
+    for o in range(rows):
+        tape_gradient(plan, tape, weights, floats, o, work, adjoint)
+        v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(plan[tape + N_INPUTS]):
+            entry_at = data + L.TAPE_INPUTS + L.INPUT_INTS * i
+            what, g = plan[entry_at], unit * adjoint[i]
+            if what == 0:
+                v0 += g
+            elif what == 1:
+                v1 += g
+            elif what == 2:
+                v2 += g
+            elif what < L.COORDINATE:  # the rate of column c of R is w x c
+                row, column = (what - 3) // 3, (what - 3) % 3
+                x, y, z = r[column], r[3 + column], r[6 + column]
+                if row == 0:
+                    w1, w2 = w1 + g * z, w2 - g * y
+                elif row == 1:
+                    w0, w2 = w0 - g * z, w2 + g * x
+                else:
+                    w0, w1 = w0 + g * y, w1 - g * x
+            elif what == L.COORDINATE and plan[entry_at + 2] >= 0:
+                column = plan[entry_at + 2]
+                loops.blocks[block + rows * column + o] += g * weights[L.SCALES + plan[local + column]]
+        fill_twist(loops, k, r_a, p_b, (v0, v1, v2), (w0, w1, w2), o)
+
+
+@routine
 def fill(loops, with_blocks):
     """Square of the residual at the poses last written; writes it and, if asked, the Jacobian's blocks."""
     plan = loops.plan
@@ -149,6 +227,8 @@ def fill(loops, with_blocks):
             fill_distance(loops, k, at, with_blocks)
         elif turns == L.OWN:
             fill_own(loops, k, at, with_blocks)
+        elif turns == L.TAPE:
+            fill_tape(loops, k, at, with_blocks)
         elif turns == L.FUNCTION:
             block = beyond(loops.blocks, plan[tie + L.BLOCK])
             call(plan[tie + L.DATA], loops.q, beyond(loops.error, at), block, int(with_blocks))

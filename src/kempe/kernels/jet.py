@@ -8,7 +8,8 @@ v_k after it has seen what v_1 ... v_(k-1) lead to.
 
 Ties, packed in `ties` (int64) and `numbers` (float64), as `loop_layout` names what they hold of frame B in frame A:
 
-    ties     count; then for each: MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY; then entries: place in q, in v
+    ties     count; then for each: MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, DATA; then entries: place in q, in v;
+             then what TAPE ties read, and their tapes
     numbers  1/length; then a number for each tie; then a factor for each entry
 
 Equations are algebraic in the poses: coordinates of the origin of B in A over the length, and for orientations the
@@ -24,6 +25,7 @@ from kempe.kernels.declare import INT, OUT, F, I
 from kempe.kernels.jet_layout import (
     AFTER,
     BEFORE,
+    DATA,
     ENTRIES,
     ENTRY,
     FIRST_ROW,
@@ -31,6 +33,7 @@ from kempe.kernels.jet_layout import (
     OUTER,
     POSE_SIZE,
     POWERS,
+    ROWS,
     TIE_INTS,
     TURNED,
     TURNS,
@@ -55,8 +58,25 @@ from kempe.kernels.layout import (
     TURN,
     V_INDEX,
 )
-from kempe.kernels.loop_layout import ALIGN, ANGLE, CROSS, DISTANCE, FULL, LINEAR
+from kempe.kernels.loop_layout import (
+    ALIGN,
+    ANGLE,
+    COORDINATE,
+    CROSS,
+    DISTANCE,
+    FULL,
+    INPUT_INTS,
+    LINEAR,
+    TAPE,
+    TAPE_FLOATS,
+    TAPE_INPUTS,
+    TAPE_INTS,
+    TAPE_WORK,
+)
 from kempe.kernels.rows import rotation, unit_quaternion
+from kempe.kernels.scratch import beyond
+from kempe.kernels.tape import tape_order
+from kempe.kernels.tape_layout import N_INPUTS, TAPE_HEAD
 from kempe.kernels.vectors import raw
 
 
@@ -259,7 +279,40 @@ def _linear(ties, numbers, q, start, v, b, k, tie):
 
 
 @routine
-def violation_order(ties, numbers, q, start, v, b, k, frames, out):
+def place_order(frames, b, a, k, i):
+    """Order k of the coordinate i of the origin of B in A."""
+    total = 0.0
+    for j in range(k + 1):
+        for c in range(3):
+            d = frames[b, a + 1, k - j, 9 + c] - frames[b, a, k - j, 9 + c]
+            total += frames[b, a, j, 3 * c + i] * d
+    return total
+
+
+@routine
+def _tape(ties, numbers, q, start, v, b, k, frames, tie, series, width, out):
+    """Order k of the equations of a recorded expression; `series` holds the lower orders of its nodes."""
+    t, a = 1 + TIE_INTS * tie, 2 * tie
+    data = ties[t + DATA]
+    tape, work = ties[data + TAPE_INTS], beyond(series, width * ties[data + TAPE_WORK])
+    for i in range(ties[tape + N_INPUTS]):
+        at = data + TAPE_INPUTS + INPUT_INTS * i
+        what = ties[at]
+        if what < 3:
+            x = place_order(frames, b, a, k, what)
+        elif what < COORDINATE:
+            x = between(frames, b, a, k, (what - 3) // 3, (what - 3) % 3)
+        else:
+            x = q[start + ties[at + 1]] if k == 0 else v[b, k, ties[at + 2]]
+        work[width * i + k] = x
+    tape_order(ties, tape, numbers, ties[data + TAPE_FLOATS], k, width, work)
+    unit = numbers[1 + tie]
+    for o in range(ties[t + ROWS]):
+        out[b, k, ties[t + FIRST_ROW] + o] = work[width * ties[tape + TAPE_HEAD + o] + k] * unit
+
+
+@routine
+def violation_order(ties, numbers, q, start, v, b, k, frames, series, width, out):
     """Order k of all equations."""
     per_length = numbers[0]
     for tie in range(ties[0]):
@@ -267,6 +320,9 @@ def violation_order(ties, numbers, q, start, v, b, k, frames, out):
         mask, turns, row, a = ties[t + MASK], ties[t + TURNS], ties[t + FIRST_ROW], 2 * tie
         if turns == LINEAR:
             out[b, k, row] = _linear(ties, numbers, q, start, v, b, k, tie)
+            continue
+        if turns == TAPE:
+            _tape(ties, numbers, q, start, v, b, k, frames, tie, series, width, out)
             continue
         if turns == DISTANCE:
             size = numbers[1 + tie]
@@ -279,12 +335,7 @@ def violation_order(ties, numbers, q, start, v, b, k, frames, out):
             continue
         for i in range(3):
             if mask >> i & 1:
-                total = 0.0
-                for j in range(k + 1):
-                    for c in range(3):
-                        d = frames[b, a + 1, k - j, 9 + c] - frames[b, a, k - j, 9 + c]
-                        total += frames[b, a, j, 3 * c + i] * d
-                out[b, k, row] = total * per_length
+                out[b, k, row] = place_order(frames, b, a, k, i) * per_length
                 row += 1
         if turns == FULL or turns == ANGLE:
             for i in range(0 if turns == FULL else 2, 3):
@@ -300,18 +351,21 @@ def violation_order(ties, numbers, q, start, v, b, k, frames, out):
 
 @kernel(
     I("_"), F("_"), I("_"), F("_"), F("N", "_"), F("N", "k", "_"), INT, INT, OUT("N", "_", "k", POSE_SIZE),
-    OUT("N", "_", "k", "_"), OUT("N", "_", "k", 12), OUT("N", "k", "_"), returns=False,
+    OUT("N", "_", "k", "_"), OUT("N", "_", "k", 12), OUT("N", "_", "k"), OUT("N", "k", "_"), returns=False,
 )  # fmt: skip
-def jets(ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, out):
+def jets(ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, series, out):
     """Write orders first ... last of the Taylor series along N curves; lower orders are there from earlier calls.
 
     q: where the curves begin (N, nq); v: their series (N, K + 1, nv), v[:, 0] unused. Scratch that is kept between
     calls: poses (N, n_rows, K + 1, 24), extra (N, n_rows, K + 1, scratch_width(K)).
+    Of the nodes of all tapes: series (N, n_nodes, K + 1).
     frames: (N, n_out, K + 1, 12), rotations row by row and positions; out: equations (N, K + 1, m).
     """
-    q_, nq = raw(q), q.shape[1]
+    q_, nq, width, size = raw(q), q.shape[1], series.shape[2], series.shape[1] * series.shape[2]
+    ties_, numbers_, series_ = raw(ties), raw(numbers), raw(series)
     for b in range(q.shape[0]):
         for k in range(first, last + 1):
             sweep_order(ints, floats, q_, b * nq, v, b, k, poses, extra)
             output_order(ints, floats, b, k, poses, frames)
-            violation_order(ties, numbers, q_, b * nq, v, b, k, frames, out)
+            work = beyond(series_, b * size)
+            violation_order(ties_, numbers_, q_, b * nq, v, b, k, frames, work, width, out)

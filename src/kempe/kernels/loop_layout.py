@@ -28,7 +28,7 @@ MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, LOCALS, LOCAL, BLOCK, PIN = 0, 1, 
 LENGTHS, NUMBER, BOUND, CENTRE, DATA = 10, 11, 12, 13, 14
 TIE_INTS, ENTRY_INTS, USE_INTS, ENVELOPE_INTS, READING_INTS, PLACE_INTS = 15, 2, 2, 2, 3, 3
 """A tie: LENGTHS counts its first rows, which are lengths; NUMBER, BOUND and CENTRE are -1 where it has none; DATA is
-the velocity coordinate of an OWN tie and the address of the function of a FUNCTION tie."""
+the velocity coordinate of an OWN tie, the address of the function of a FUNCTION tie, what a TAPE tie reads."""
 
 CENTRE_FLOATS = 5
 
@@ -38,10 +38,19 @@ INVERSE_LENGTH, LENGTH, SCALES = 0, 1, 2
 SLIDE, BOUND_TURN, CIRCLE, BALL_FIRST, BALL_MORE = 0, 1, 2, 3, 4
 """Sorts of velocity coordinates: a slide; an angle; one that a turn brings back; the first and the others of a ball."""
 
-NO_TURN, ANGLE, ALIGN, CROSS, FULL, DISTANCE, LINEAR, LOOK, OWN, FUNCTION = range(10)
+NO_TURN, ANGLE, ALIGN, CROSS, FULL, DISTANCE, LINEAR, LOOK, OWN, FUNCTION, TAPE = range(11)
 """What of the rotation of B in A a tie holds: nothing; the angle about z; z parallel to z; y of B normal to x of A;
 all. LOOK: z of B towards the origin of A. The others are of another kind: DISTANCE and LINEAR have one row each; OWN
-holds one coordinate, or a quaternion, at given values; FUNCTION has the rows of a function of q."""
+holds one coordinate, or a quaternion, at given values; FUNCTION has the rows of a function of q, TAPE those of a
+recorded expression (`tape_layout`) of the pose of B in A and of coordinates."""
+
+TAPE_INTS, TAPE_FLOATS, TAPE_WORK, TAPE_INPUTS, INPUT_INTS = 0, 1, 2, 3, 3
+"""What DATA of a TAPE tie leads to: where the integers and the numbers of its tape lie, where its work area begins
+(in `jet` only), then for each input three integers: what it is, and for a coordinate its place in q and its column.
+The rows of the tie are the outputs of the tape in their order."""
+PLACE, COORDINATE, GIVEN = 0, 12, 13
+"""What an input is: the place (3) of B in A and the entries (9) of its rotation row by row, from PLACE on; a
+coordinate; a number that comes with the call, counted from NUMBER on."""
 
 READ_X, READ_Y, READ_Z, READ_ANGLE, READ_RX, READ_RY, READ_QUATERNION, READ_YAW, READ_PITCH, READ_ROLL = range(10)
 """How a coordinate of a cut joint follows from the pose of B in A: a slide, the turn about z, the turns of a cross

@@ -14,7 +14,20 @@ import numpy as np
 from kempe.kernels._jit import kernel, routine
 from kempe.kernels.declare import FLOAT, INT, OUT, F, I
 from kempe.kernels.jet import between, output_order, sweep_order, violation_order
-from kempe.kernels.jet_layout import AFTER, BEFORE, ENTRIES, ENTRY, FIRST_ROW, MASK, POSE_SIZE, POWERS, TIE_INTS, TURNS
+from kempe.kernels.jet_layout import (
+    AFTER,
+    BEFORE,
+    DATA,
+    ENTRIES,
+    ENTRY,
+    FIRST_ROW,
+    MASK,
+    POSE_SIZE,
+    POWERS,
+    ROWS,
+    TIE_INTS,
+    TURNS,
+)
 from kempe.kernels.layout import (
     HEADER,
     KIND,
@@ -30,8 +43,26 @@ from kempe.kernels.layout import (
     V_INDEX,
 )
 from kempe.kernels.linear import back, factor
-from kempe.kernels.loop_layout import ALIGN, ANGLE, CROSS, DISTANCE, FULL, LINEAR, NO_TURN
+from kempe.kernels.loop_layout import (
+    ALIGN,
+    ANGLE,
+    COORDINATE,
+    CROSS,
+    DISTANCE,
+    FULL,
+    INPUT_INTS,
+    LINEAR,
+    NO_TURN,
+    TAPE,
+    TAPE_FLOATS,
+    TAPE_INPUTS,
+    TAPE_INTS,
+    TAPE_WORK,
+)
+from kempe.kernels.scratch import beyond
 from kempe.kernels.step import turn_ball
+from kempe.kernels.tape import tape_gradient
+from kempe.kernels.tape_layout import N_INPUTS, N_NODES
 from kempe.kernels.vectors import keep, raw
 
 DAMPING_LEAST, DAMPING_FIRST, DAMPING_MOST = 1e-14, 1e-4, 1e4
@@ -43,10 +74,10 @@ ENOUGH2, SHORTEST = 1e-32, 1e-14
 
 
 @routine
-def _column(ties, numbers, tie, frames, M, x, y, z, px, py, pz, J, b, column):
+def _column(ties, numbers, tie, frames, M, rates, x, y, z, px, py, pz, J, b, column):
     """Add what a unit of velocity does to the equations of a tie: B turns by (x, y, z) and moves by (px, py, pz).
 
-    M: the nine entries of R_AB.
+    M: the nine entries of R_AB; rates: for each row of a TAPE tie what the twist of B against A, in axes of A, does.
     """
     t = 1 + TIE_INTS * tie
     a, mask, turns, row = 2 * tie, ties[t + MASK], ties[t + TURNS], ties[t + FIRST_ROW]
@@ -56,6 +87,13 @@ def _column(ties, numbers, tie, frames, M, x, y, z, px, py, pz, J, b, column):
         total += py * (frames[0, a + 1, 0, 10] - frames[0, a, 0, 10])
         total += pz * (frames[0, a + 1, 0, 11] - frames[0, a, 0, 11])
         J[b, row, column] += total * numbers[0] / numbers[1 + tie]
+        return
+    if turns == TAPE:
+        for o in range(ties[t + ROWS]):
+            for i in range(3):
+                d = frames[0, a, 0, i] * px + frames[0, a, 0, 3 + i] * py + frames[0, a, 0, 6 + i] * pz
+                w = frames[0, a, 0, i] * x + frames[0, a, 0, 3 + i] * y + frames[0, a, 0, 6 + i] * z
+                J[b, row + o, column] += rates[6 * o + i] * d + rates[6 * o + 3 + i] * w
         return
     for i in range(3):
         if mask >> i & 1:
@@ -82,7 +120,7 @@ def _column(ties, numbers, tie, frames, M, x, y, z, px, py, pz, J, b, column):
 
 
 @routine
-def _columns(ints, floats, ties, numbers, tie, poses, frames, M, row, sign, J, b):
+def _columns(ints, floats, ties, numbers, tie, poses, frames, M, rates, row, sign, J, b):
     """Add the columns of one row of the table, which moves B against A in the direction `sign`."""
     h, f = HEADER + ROW_INTS * row, ROW_FLOATS * row
     kind, iv, multiplier = ints[h + KIND], ints[h + V_INDEX], floats[f + MULTIPLIER]
@@ -100,16 +138,48 @@ def _columns(ints, floats, ties, numbers, tie, poses, frames, M, row, sign, J, b
         px, py, pz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
         if kind == SLIDE:
             px, py, pz, x, y, z = x, y, z, 0.0, 0.0, 0.0
-        _column(ties, numbers, tie, frames, M, x, y, z, px, py, pz, J, b, column)
+        _column(ties, numbers, tie, frames, M, rates, x, y, z, px, py, pz, J, b, column)
 
 
 @routine
-def _linearise(ints, floats, ties, numbers, q, start, v, poses, extra, frames, value, M, J, b):
-    """Write the equations at q[start:] to value[0, 0] and their Jacobian to J[b]."""
+def _rates(ties, numbers, tie, M, work, rates, J, b):
+    """Write what the twist does to the equations of a TAPE tie; adds what coordinates do to J[b].
+
+    `work` holds the values of all nodes, M the entries of R_AB.
+    """
+    t = 1 + TIE_INTS * tie
+    data, unit = ties[t + DATA], numbers[1 + tie]
+    tape = ties[data + TAPE_INTS]
+    adjoint = beyond(work, ties[tape + N_NODES])
+    for o in range(ties[t + ROWS]):
+        tape_gradient(ties, tape, numbers, ties[data + TAPE_FLOATS], o, work, adjoint)
+        for i in range(6):
+            rates[6 * o + i] = 0.0
+        for i in range(ties[tape + N_INPUTS]):
+            at = data + TAPE_INPUTS + INPUT_INTS * i
+            what, g = ties[at], unit * adjoint[i]
+            if what < 3:
+                rates[6 * o + what] += g
+            elif what < COORDINATE:  # the rate of column c of R is w x c
+                i0, j = (what - 3) // 3, (what - 3) % 3
+                i1, i2 = (i0 + 1) % 3, (i0 + 2) % 3
+                rates[6 * o + 3 + i1] += g * M[3 * i2 + j]
+                rates[6 * o + 3 + i2] -= g * M[3 * i1 + j]
+            else:
+                J[b, ties[t + FIRST_ROW] + o, ties[at + 2]] += g
+
+
+@routine
+def _linearise(ints, floats, tied, q, start, v, poses, extra, frames, value, M, rates, J, b):
+    """Write the equations at q[start:] to value[0, 0] and their Jacobian to J[b].
+
+    tied: the ties, their numbers and room for their tapes.
+    """
+    ties, numbers, work = tied
     n, count = ints[N_ROWS], ties[0]
     sweep_order(ints, floats, q, start, v, 0, 0, poses, extra)
     output_order(ints, floats, 0, 0, poses, frames)
-    violation_order(ties, numbers, q, start, v, 0, 0, frames, value)
+    violation_order(ties, numbers, q, start, v, 0, 0, frames, work, 1, value)
     for i in range(J.shape[1]):
         for j in range(J.shape[2]):
             J[b, i, j] = 0.0
@@ -123,14 +193,27 @@ def _linearise(ints, floats, ties, numbers, q, start, v, poses, extra, frames, v
         left, right = ints[h], ints[h + OUTPUT_INTS]
         for i in range(9):
             M[i] = between(frames, 0, 2 * tie, 0, i // 3, i % 3)
+        if ties[t + TURNS] == TAPE:
+            _rates(ties, numbers, tie, M, beyond(work, ties[ties[t + DATA] + TAPE_WORK]), rates, J, b)
         while left != right:  # a parent comes before its child: the common part of both ways is reached together
             row, sign = (left, -1.0) if left > right else (right, 1.0)
-            _columns(ints, floats, ties, numbers, tie, poses, frames, M, row, sign, J, b)
+            _columns(ints, floats, ties, numbers, tie, poses, frames, M, rates, row, sign, J, b)
             above = ints[HEADER + ROW_INTS * row + PARENT]
             if left > right:
                 left = above
             else:
                 right = above
+
+
+@routine
+def _work_size(ties):
+    """Numbers that the tapes of all ties need."""
+    size = 0
+    for tie in range(ties[0]):
+        data = ties[1 + TIE_INTS * tie + DATA]
+        if ties[1 + TIE_INTS * tie + TURNS] == TAPE:
+            size = max(size, ties[data + TAPE_WORK] + 3 * ties[ties[data + TAPE_INTS] + N_NODES])
+    return size
 
 
 @routine
@@ -237,13 +320,15 @@ def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iter
     poses, extra = np.zeros((1, n, 1, POSE_SIZE)), np.zeros((1, n, 1, POWERS + 1))
     frames = np.zeros((1, max(ints[N_OUT], 1), 1, 12))
     A, g, x, trial, step, M = np.zeros(nv * nv), np.zeros(nv), np.zeros(nv), np.zeros(nq), np.zeros(nv), np.zeros(9)
+    work, rates = np.zeros(_work_size(ties) + 1), np.zeros(6 * m + 1)
+    tied = raw(ties), raw(numbers), raw(work)
     A_, g_, q_, trial_ = raw(A), raw(g), raw(q), raw(trial)
     for b in range(q.shape[0]):
         center, damping, count, fresh = centers[b], DAMPING_FIRST, 0, False
         size2, distance2 = np.inf, 0.0
         while True:
             if not fresh:
-                _linearise(ints, floats, ties, numbers, q_, b * nq, v, poses, extra, frames, value, M, J, b)
+                _linearise(ints, floats, tied, q_, b * nq, v, poses, extra, frames, value, M, rates, J, b)
                 distance2 = _apart(places, scale, center, q_, b * nq, x)
                 size2 = _size2(value, m, radius[b], distance2)
                 fresh = True
@@ -262,7 +347,7 @@ def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iter
             for j in range(nv):
                 step[j] = g[j] * min(1.0, longest / length)
             _move(places, scale, q_, b * nq, step, trial_, 0)
-            _linearise(ints, floats, ties, numbers, trial_, 0, v, poses, extra, frames, value, M, J, b)
+            _linearise(ints, floats, tied, trial_, 0, v, poses, extra, frames, value, M, rates, J, b)
             distance2 = _apart(places, scale, center, trial_, 0, x)
             new_size2 = _size2(value, m, radius[b], distance2)
             fresh = new_size2 < size2
@@ -282,3 +367,4 @@ def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iter
     keep(A)
     keep(g)
     keep(trial)
+    keep(work)

@@ -334,3 +334,34 @@ def fill_along(loops, k, x, p_b):
             m = (share * x[0], share * x[1], share * x[2])
         factor *= weights[L.SCALES + plan[local + column]]
         loops.blocks[block + column] += factor * (entry(a, 2) * m[0] + entry(b, 2) * m[1] + entry(c, 2) * m[2])
+
+
+@routine
+def fill_twist(loops, k, r_a, p_b, along, about, row):
+    """Add to one row of the block of tie k what (along, about) makes of the twist of B against A, in axes of A."""
+    plan, weights = loops.plan, loops.weights
+    tie = plan[L.AT_TIES] + L.TIE_INTS * k
+    rows, block, first = plan[tie + L.ROWS], plan[tie + L.BLOCK], plan[tie + L.ENTRY]
+    local = plan[L.AT_LOCALS] + plan[tie + L.LOCAL]
+    for i in range(first, first + plan[tie + L.ENTRIES]):
+        at = plan[L.AT_ENTRIES] + L.ENTRY_INTS * i
+        table_row, column = plan[at], plan[at + 1]
+        f = ROW_FLOATS * table_row + MULTIPLIER
+        kind = loops.ints[HEADER + ROW_INTS * table_row + KIND]
+        factor = weights[plan[L.AT_FACTORS] + i] * loops.floats[f]
+        a, b, c = axes_of(loops, table_row)
+        arm = (p_b[0] - entry(a, 3), p_b[1] - entry(b, 3), p_b[2] - entry(c, 3))
+        there = block + rows * column + row
+        if kind != BALL:
+            factor *= weights[L.SCALES + plan[local + column]]
+        for n in range(0 if kind == BALL else 2, 3):
+            x, y, z = factor * entry(a, n), factor * entry(b, n), factor * entry(c, n)
+            if kind == SLIDE:
+                v = back(r_a, x, y, z)
+                loops.blocks[there] += along[0] * v[0] + along[1] * v[1] + along[2] * v[2]
+            else:
+                v = back(r_a, y * arm[2] - z * arm[1], z * arm[0] - x * arm[2], x * arm[1] - y * arm[0])
+                w = back(r_a, x, y, z)
+                loops.blocks[there] += along[0] * v[0] + along[1] * v[1] + along[2] * v[2]
+                loops.blocks[there] += about[0] * w[0] + about[1] * w[1] + about[2] * w[2]
+            there += rows

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.calls import explained
-from kempe.description.checks import constraint_length
-from kempe.description.parts import Constraint as Declared
+from kempe.constraints.base import position_rows
+from kempe.description.parts import Declared
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics import pairs
 from kempe.kinematics.carried import Carried
@@ -312,12 +312,12 @@ def closure_of(system: System, joint: str, own: bool = False) -> Closure | Carri
 
 def declared(system: System, constraint: Declared) -> Pair:
     """The constraint of a record of the description."""
-    parameters = system.parameters
-    ends = {"X_A": constraint.X_PF.evaluate(parameters), "X_B": constraint.X_CM.evaluate(parameters)}
+    X_A, X_B = constraint.frames(system.parameters, system.dim)
+    ends: Any = {"X_A": X_A, "X_B": X_B}
     names = constraint.name, constraint.parent, constraint.child
-    if constraint.kind == "distance":
-        return Distance(*names, constraint_length(constraint, parameters), **ends)
-    if constraint.kind == "point_on_line":
+    if constraint.rod:
+        return Distance(*names, constraint.length(system.parameters), **ends)
+    if len(position_rows(constraint.of, 3)) == 2:
         return PointOnLine(*names, system.dim == 2, **ends)
     return PointOnPlane(*names, **ends)
 

@@ -76,6 +76,7 @@ def _ends(system: System) -> Iterator[tuple[str, np.ndarray]]:
         if not isinstance(j.type, Fixed):
             yield j.parent, j.X_PF.evaluate(mechanism.parameters)[:3, 3]
             yield j.child, j.X_CM.evaluate(mechanism.parameters)[:3, 3]
-    for c in mechanism.constraints.values():
-        yield c.parent, c.X_PF.evaluate(mechanism.parameters)[:3, 3]
-        yield c.child, c.X_CM.evaluate(mechanism.parameters)[:3, 3]
+    for c in (c for c in mechanism.constraints.values() if c.parent):
+        A, B = c.frames(mechanism.parameters, system.dim)
+        yield c.parent, A[:3, 3]
+        yield c.child, B[:3, 3]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from kempe.constraints.tape import Tape
 from kempe.description.parts import Joint
 from kempe.joints import P, Q, R
 from kempe.kernels import loop_layout as L
@@ -51,6 +52,37 @@ class Centre:
     rest: np.ndarray
 
 
+POSE = ("x", "y", "z", "xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")
+"""Inputs of recorded expressions between frames: the place of B in A, and its rotation row by row."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Rows that are outputs of a recorded expression: of the pose of B in A (where `posed`), else of coordinates.
+
+    Inputs that start with no other meaning are coordinates by name.
+    """
+
+    tape: Tape
+    names: tuple[str, ...]
+    unit: str
+    posed: bool
+
+    def input(self, name: str) -> int:
+        """What an input is, as `loop_layout` says."""
+        return L.PLACE + POSE.index(name) if self.posed and name in POSE else L.COORDINATE
+
+    @property
+    def moved(self) -> bool:
+        """Whether it depends on the pose."""
+        return any(self.input(n) != L.COORDINATE for n in self.tape.inputs)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """The coordinates that it depends on."""
+        return tuple(n for n in self.tape.inputs if self.input(n) == L.COORDINATE)
+
+
 @dataclass(frozen=True, eq=False)
 class Tie:
     """One constraint: what it is called, its frames (row, placement, particle), what it holds of B in A, a number."""
@@ -75,12 +107,15 @@ class Tie:
     """The velocity coordinate that an OWN tie holds, the first of a `ball`."""
     ball: bool = False
     function: Function | None = None
+    tape: Recorded | None = None
 
     @property
     def rows(self) -> list[str]:
         """Names of its equations."""
         if self.turns in ONE_ROW:
             return [ONE_ROW[self.turns]]
+        if self.tape is not None:
+            return list(self.tape.names)
         if self.function is not None:
             return [str(i) for i in range(self.function.rows)]
         if self.turns == L.OWN:
@@ -126,6 +161,22 @@ def moving(a: int, b: int, parent: np.ndarray) -> list[tuple[float, int]]:
     return [(sign, r) for sign, way in zip((-1.0, 1.0), ways, strict=True) for r in way if r not in common]
 
 
+def laid_out(
+    recorded: list[tuple[np.ndarray, np.ndarray, list[int]]], at: int, numbers_at: int
+) -> tuple[np.ndarray, list[int]]:  # fmt: skip
+    """The integers of TAPE ties, as `loop_layout` says, to stand at `at`, and where those of each begin.
+
+    The numbers of their tapes stand at `numbers_at`, one after the other.
+    """
+    out: list[int] = []
+    starts, work = [], 0
+    for ints, floats, inputs in recorded:
+        starts.append(at + len(out))
+        out += [starts[-1] + L.TAPE_INPUTS + len(inputs), numbers_at, work, *inputs, *ints.tolist()]
+        numbers_at, work = numbers_at + len(floats), work + 3 * int(ints[1])
+    return np.array(out, dtype=np.int64), starts
+
+
 class Plan:
     """The integers and numbers of `loop_layout`, being collected."""
 
@@ -156,6 +207,8 @@ class Plan:
         self.factors: list[float] = []
         self.locals: list[int] = []
         self.uses: list[list[tuple[int, int]]] = [[] for _ in range(system.nv)]
+        self.recorded: list[tuple[np.ndarray, np.ndarray, list[int]]] = []
+        """Of each TAPE tie the integers and numbers of its tape, and what its inputs are."""
 
     def tie(self, k: int, tie: Tie) -> list[int]:
         """The integers of tie k; appends its entries and locals."""
@@ -168,7 +221,7 @@ class Plan:
         elif tie.function is not None:
             columns.update({v: v for v in range(self.system.nv)})
         else:
-            for sign, row in self._rows(k, tie):
+            for sign, row in self._rows(k, tie) if tie.tape is None or tie.tape.moved else ():
                 kind, iv = int(self.rows[row, 0]), int(self.rows[row, 3])
                 if self.held[iv]:
                     continue
@@ -177,11 +230,25 @@ class Plan:
                     columns.setdefault(iv + more, len(columns))
                 self.entries.append((row, first))
                 self.factors.append(sign)
+        if tie.tape is not None:
+            self._record(tie.tape, columns)
         self.locals += list(columns)
         for v, column in columns.items():
             if not self.held[v]:
                 self.uses[v].append((k, column))
         return [len(self.entries) - entry, entry, len(columns), local]
+
+    def _record(self, recorded: Recorded, columns: dict[int, int]) -> None:
+        """Collect what a TAPE tie reads: its tape, and for each input what it is."""
+        ints, floats = recorded.tape.arrays()
+        first, inputs = self.system.coordinates.first, []
+        for name in recorded.tape.inputs:
+            place, column = -1, -1
+            if (what := recorded.input(name)) == L.COORDINATE:
+                place, v = first[name]
+                column = -1 if self.held[v] else columns.setdefault(v, len(columns))
+            inputs += [what, place, column]
+        self.recorded.append((ints, floats, inputs))
 
     def _linear(self, k: int, relation: Relation, columns: dict[int, int]) -> None:
         first = self.system.coordinates.first
@@ -223,13 +290,16 @@ class Plan:
             n_entries, entry, n_locals, local = self.tie(k, tie)
             rows = len(tie.rows)
             data = tie.function.address if tie.function is not None else tie.own
+            work = 0
+            if tie.tape is not None:
+                data, work = len(self.recorded) - 1, 3 * tie.tape.tape.size
             ties.append([
                 tie.mask, tie.turns, rows, first_row, n_entries, entry, n_locals, local, block, pin if tie.pin else -1,
                 self._lengths(tie), given if tie.given else -1, len(bounds) if tie.bounds else -1,
                 len(centres) if tie.centre is not None else -1, data,
             ])  # fmt: skip
             pin, given = pin + tie.pin, given + (4 if tie.ball else 1) * tie.given
-            first_row, block = first_row + rows, block + rows * n_locals
+            first_row, block = first_row + rows, block + rows * n_locals + work
             unit = self.length if self._lengths(tie) else 1.0
             bounds += [x / unit for low, high in tie.bounds for x in (low, high)]
             if tie.centre is not None:
@@ -245,17 +315,27 @@ class Plan:
         ]  # fmt: skip
         flat = [np.asarray(x, dtype=np.int64).ravel() for x in lists]
         places = L.HEAD + np.concatenate([[0], np.cumsum([len(x) for x in flat])])
+        numbers_at = sum(len(x) for x in (self.number, self.factors, bounds)) + 2 + 5 * self.system.nv
+        numbers_at += sum(len(c) for c in centres)
+        read, starts_at = laid_out(self.recorded, int(places[-1]), numbers_at)
+        for t, tie in zip(flat[0].reshape(-1, L.TIE_INTS), self.ties, strict=True):
+            if tie.tape is not None:
+                t[L.DATA] = starts_at[t[L.DATA]]
+        flat.append(read)
         head = [len(ties), first_row, len(reading), pin, block, size, *places[:8].tolist()]
         lists = [[1.0 / self.length, self.length], [*self.scale, *self._ranges()], self.number, self.factors, bounds]
         at = np.cumsum([len(x) for x in lists])
         head += [*at[1:].tolist(), *self._base()]
-        weights = np.concatenate([np.array(x, dtype=float) for x in (*lists, *centres)])
+        lists += [*centres, *(x for _, x, _ in self.recorded)]
+        weights = np.concatenate([np.array(x, dtype=float) for x in lists])
         return np.concatenate([np.array(head, dtype=np.int64), *flat]), weights
 
     def _lengths(self, tie: Tie) -> int:
         """How many of its rows, the first ones, are lengths."""
         if tie.turns == L.OWN:
             return int(self.sort[tie.own] == L.SLIDE)
+        if tie.tape is not None:
+            return len(tie.rows) * (tie.tape.unit == "m")
         return tie.mask.bit_count() + (tie.turns == L.DISTANCE)
 
     def _base(self) -> tuple[int, int]:

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.description.checks import constraint_length
 from kempe.description.parts import Joint
 from kempe.kernels import loop_layout as L
 from kempe.model.lengths import characteristic_length, moved, origin_of
 from kempe.model.loop_plan import Centre, Function, Loops, Plan, Tie, moving
+from kempe.model.program import coordinates_of, declared_ties
 from kempe.model.reduced import Reduced, reduced, slides_along_z
 from kempe.model.table import Table, lower
 
@@ -29,12 +29,15 @@ if TYPE_CHECKING:
 
 __all__ = ["Centre", "Function", "Loops", "Tie", "characteristic_length", "loops_of", "must_carry", "pack"]
 
+Places = dict[str, tuple[int, int]]
+"""For each coordinate by name its place in q, and in the velocities."""
 TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FULL}
 
 
 def must_carry(system: System, known: Iterable[str] = ()) -> frozenset[str]:
     """The joints left out of the tree that are carried: without a reduced form, or known, limited or coupled ones."""
     related = {n for r in system.relations for n in (r.of, *r.sources)} | set(known)
+    related |= {n for c in system.mechanism.constraints.values() for n in coordinates_of(c.of)}
     related |= {f.source for f in system.couplings.values() if f.source is not None}  # others move with them
     v_index = {n: i for i, n in enumerate(system.velocity_names)}
     limited = np.isfinite(system.lower) | np.isfinite(system.upper)
@@ -83,8 +86,8 @@ def pack(
     if origin.any():
         table = moved(table, -origin)
     ties = _ties(system, table, carried, pins) + (further(table) if further else [])
-    ties = [t for t in ties if t.rows or t.joint]
-    ties = _by_level(ties, table, level) if level else _in_order(ties, table)
+    ties, first = [t for t in ties if t.rows or t.joint], system.coordinates.first
+    ties = _by_level(ties, table, level, first) if level else _in_order(ties, table, first)
     at = dict(table.at)
     for k, tie in enumerate(ties):
         at["tie", k, 0], at["tie", k, 1] = tie.a, tie.b
@@ -105,20 +108,7 @@ def _ties(
 ) -> list[Tie]:  # fmt: skip
     mechanism = system.mechanism
     ties = [_of_joint(system, table, mechanism.joints[n], n in carried) for n in system.closures]
-    for c in mechanism.constraints.values():
-        ends = []
-        for body, X in ((c.parent, c.X_PF), (c.child, c.X_CM)):
-            row, X_row, particle = table.at[body]
-            ends.append((row, X_row @ X.evaluate(mechanism.parameters), particle))
-        if c.kind == "distance":
-            ties.append(Tie(c.name, *ends, turns=L.DISTANCE, number=constraint_length(c, mechanism.parameters)))
-        elif c.kind == "point_on_plane":
-            ties.append(Tie(c.name, *ends, mask=_mask("z")))
-        elif system.dim == 2:
-            ends = [_flat(end, ends[0], table) for end in ends]
-            ties.append(Tie(c.name, *ends, mask=_mask("y")))
-        else:
-            ties.append(Tie(c.name, *ends, mask=_mask("xy")))
+    ties += declared_ties(system, table)
     ground = (-1, np.eye(4), False)
     for relation in system.relations:
         ties.append(Tie(relation.of, ground, ground, turns=L.LINEAR, number=relation.offset, relation=relation))
@@ -171,7 +161,7 @@ def _mask(axes: str) -> int:
     return sum(1 << "xyz".index(a) for a in axes)
 
 
-def _in_order(ties: list[Tie], table: Table) -> list[Tie]:
+def _in_order(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
     """The ties so that those that share coordinates are near each other: it keeps the envelope of J J^T small."""
     if len(ties) < 8:
         return ties
@@ -180,7 +170,7 @@ def _in_order(ties: list[Tie], table: Table) -> list[Tie]:
 
     users: dict[int, list[int]] = {}
     for k, tie in enumerate(ties):
-        for v in _movers(tie, table):
+        for v in _movers(tie, table, first):
             users.setdefault(v, []).append(k)
     pairs = [(i, j) for use in users.values() for i in use for j in use]
     if not pairs:
@@ -190,7 +180,7 @@ def _in_order(ties: list[Tie], table: Table) -> list[Tie]:
     return [ties[k] for k in reverse_cuthill_mckee(graph, symmetric_mode=True)]
 
 
-def _by_level(ties: list[Tie], table: Table, level: Callable[[Tie], int]) -> list[Tie]:
+def _by_level(ties: list[Tie], table: Table, level: Callable[[Tie], int], first: Places) -> list[Tie]:
     """The ties in the order of levels, each in an order of its own, so that it is the same without the last level.
 
     Those of the last level that hold one coordinate each stand before the first other one that it moves: this keeps the
@@ -200,17 +190,25 @@ def _by_level(ties: list[Tie], table: Table, level: Callable[[Tie], int]) -> lis
     loose = [t for t in ties if t.own >= 0 and level(t) == last]
     groups = [[t for t in ties if level(t) == n and t not in loose] for n in sorted({level(t) for t in ties})]
     out: list[Tie] = []
-    for tie in (t for group in groups for t in _in_order(group, table)):
-        moved_by = _movers(tie, table)
+    for tie in (t for group in groups for t in _in_order(group, table, first)):
+        moved_by = _movers(tie, table, first)
         out += [*(t for t in loose if t.own in moved_by), tie]
         loose = [t for t in loose if t.own not in moved_by]
     return out + loose
 
 
-def _movers(tie: Tie, table: Table) -> set[int]:
+def _movers(tie: Tie, table: Table, first: Places) -> set[int]:
     """Velocity coordinates that a tie shares with others; a relation is said to have none."""
     if tie.own >= 0:
         return {tie.own}
     if tie.centre is not None or tie.function is not None:
         return set(table.iv.tolist())
+    if tie.tape is not None:
+        own = {first[name][1] for name in tie.tape.coordinates}
+        return own | (_between(tie, table) if tie.tape.moved else set())
+    return _between(tie, table)
+
+
+def _between(tie: Tie, table: Table) -> set[int]:
+    """Velocity coordinates that move B against A."""
     return {int(table.iv[row]) for _, row in moving(tie.a[0], tie.b[0], table.parent)}

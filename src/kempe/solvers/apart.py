@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kempe.kinematics.task import Packed
+from kempe.kinematics.packed import Packed
 from kempe.spatial import Array
 
 NONE = np.zeros(0, dtype=np.int64)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.constraints.reading import refuse_rotations
 from kempe.errors import InputError
-from kempe.kinematics.task_input import refuse_rotations
 from kempe.reals import is_whole, reals
 from kempe.spatial import Array
 

@@ -12,17 +12,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kempe import spatial
+from kempe.constraints.reading import RIGID
 from kempe.joints import P
-from kempe.kinematics.task import RIGID, Task
-from kempe.kinematics.tasks import HalfSpace, OnLine, OnPlane, Orientation, Pointing, Pose, Position
+from kempe.kernels import loop_layout as L
+from kempe.kinematics.task import Centred, Placed
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.tasks import Problem
 
-REGIONS = (OnLine, OnPlane, HalfSpace)
-"""Tasks that hold a point of a frame in a region."""
 SLACK = 1e-9
 """What is left to rounding, in radians and parts of the lengths."""
 
@@ -37,6 +36,14 @@ class Contradiction(NamedTuple):
     text: str
 
 
+class Region(NamedTuple):
+    """Where a point may be: along axes of the goal between ends (n,)."""
+
+    axes: tuple[int, ...]
+    low: Array
+    high: Array
+
+
 class Held(NamedTuple):
     """What a task says of a body: pose (...) of its frame in the ground and on the body's row, of which parts count."""
 
@@ -46,6 +53,7 @@ class Held(NamedTuple):
     point: bool
     turn: bool
     axis: bool
+    region: Region | None
     linear: float
     angular: float
 
@@ -56,7 +64,7 @@ def contradictions(problem: Problem) -> list[Contradiction]:
     held = {i: h for i in hard if (h := _held(problem, i)) is not None}
     out = []
     for i, j in combinations(held, 2):
-        for off, text in _between(problem, held[i], held[j], problem.tasks[i], problem.tasks[j]):
+        for off, text in _between(problem, held[i], held[j]):
             if np.any(off > 0.0):
                 out.append(Contradiction(i, j, off, text))
     return out
@@ -73,20 +81,26 @@ def contradictory(problem: Problem) -> np.ndarray:
 def _held(problem: Problem, i: int) -> Held | None:
     """What a task says of one body; None for tasks of other kinds."""
     task, system, goal = problem.tasks[i], problem.system, problem.goals[i][0][0]
-    if type(task) not in (Pose, Position, Orientation, Pointing, *REGIONS) or goal is None:
+    if not isinstance(task, Placed) or isinstance(task, Centred) or goal is None or len(problem.goals[i]) > 1:
         return None
-    hold = task.hold(system)  # type: ignore[attr-defined]
+    if task.shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE, L.ALIGN):
+        return None
+    (hold,) = task.holds(system)
     row, X, particle = system.table.at[hold.b]
     if particle or row < 0 or hold.a is not None:
         return None
     linear, angular = problem.tolerance_of(task)
     angular += 2.0 * RIGID  # a goal's rotation may be off by rounding
-    point, turn = isinstance(task, (Pose, Position)), isinstance(task, (Pose, Orientation))
+    region = None
+    if task.shape.mask and not task.point:
+        low, high = np.array(hold.bounds or ((0.0, 0.0),) * len(task.shape.axes)).T
+        region = Region(task.shape.axes, low, high)
     local = X @ np.reshape(hold.X_B, (4, 4))
-    return Held(int(row), goal, local, point, turn, isinstance(task, Pointing), linear, angular)
+    axis = task.shape.turns == L.ALIGN
+    return Held(int(row), goal, local, task.point, task.turned, axis, region, linear, angular)
 
 
-def _between(problem: Problem, a: Held, b: Held, first: Task, second: Task) -> list[tuple[Array, str]]:
+def _between(problem: Problem, a: Held, b: Held) -> list[tuple[Array, str]]:
     """How far what two tasks ask for is apart, by each argument that applies, and what is said of it."""
     if a.row != b.row:
         if not (a.point and b.point):
@@ -96,7 +110,7 @@ def _between(problem: Problem, a: Held, b: Held, first: Task, second: Task) -> l
         slack = longest + a.linear + b.linear + SLACK * (1.0 + apart)
         text = f"their places are {{off}} m apart, the links between them allow at most {longest:.6g} m"
         return [(np.where(apart > slack, apart, 0.0), text)]
-    return [*_angles(a, b), *_places(a, b, first, second)]
+    return [*_angles(a, b), *_places(a, b)]
 
 
 def _angles(a: Held, b: Held) -> list[tuple[Array, str]]:
@@ -115,7 +129,7 @@ def _angles(a: Held, b: Held) -> list[tuple[Array, str]]:
     return [(_more(off, slack), "they turn axes of one body to directions that are {off} rad off")]
 
 
-def _places(a: Held, b: Held, first: Task, second: Task) -> list[tuple[Array, str]]:
+def _places(a: Held, b: Held) -> list[tuple[Array, str]]:
     """By how much the places that two tasks ask of points of one body exclude each other, in metres."""
     arm = b.local[:3, 3] - a.local[:3, 3]
     length, out = float(np.linalg.norm(arm)), []
@@ -131,22 +145,17 @@ def _places(a: Held, b: Held, first: Task, second: Task) -> list[tuple[Array, st
             if whole.turn:
                 off = np.linalg.norm(g - p - sign * (sign * _body(whole) @ arm), axis=-1)
                 out.append((_more(off, slack + 2.0 * whole.angular * length, p, g), text))
-    for point, region, task in ((a, b, second), (b, a, first)):
-        if point.point and isinstance(task, REGIONS):
-            way = region.local[:3, 3] - point.local[:3, 3]
+    for point, there in ((a, b), (b, a)):
+        if point.point and there.region is not None:
+            axes, low, high = there.region
+            way = there.local[:3, 3] - point.local[:3, 3]
             p, more = point.goal[..., :3, 3], slack + length
             if point.turn:
                 p, more = p + _body(point) @ way, slack + 2.0 * point.angular * length
-            x = np.einsum("...ji,...j->...i", region.goal[..., :3, :3], p - region.goal[..., :3, 3])
-            off = np.hypot(x[..., 0], x[..., 1]) if isinstance(task, OnLine) else np.abs(x[..., 2])
-            if isinstance(task, HalfSpace):
-                off = np.maximum(-x[..., 2], 0.0)
-            out.append(
-                (
-                    _more(off, more, p, region.goal[..., :3, 3]),
-                    "one puts a point of the body {off} m away from where the other lets it be",
-                )
-            )
+            x = np.einsum("...ji,...j->...i", there.goal[..., :3, :3], p - there.goal[..., :3, 3])[..., axes]
+            off = np.linalg.norm(x - np.clip(x, low, high), axis=-1)
+            text = "one puts a point of the body {off} m away from where the other lets it be"
+            out.append((_more(off, more, p, there.goal[..., :3, 3]), text))
     return out
 
 

@@ -21,7 +21,6 @@ from kempe.kinematics.constraints import joint_pose
 from kempe.model.coordinates import coordinate_names
 from kempe.model.topology import natural
 from kempe.spatial import Array
-from kempe.values import evaluate
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint
@@ -219,12 +218,12 @@ def _tie(system: System, name: str, part: int, at: dict[str, tuple[int, Pose]]) 
     """The two links of a constraint, on a part of its own."""
     constraint, parameters = system.mechanism.constraints[name], system.parameters
     (a, X_A), (b, X_B) = at[constraint.parent], at[constraint.child]
-    X_PF, X_CM = constraint.X_PF.evaluate(parameters), constraint.X_CM.evaluate(parameters)
+    X_PF, X_CM = constraint.frames(parameters, 2)
     here, there = (f"{name} ({body})" for body in (constraint.parent, constraint.child))
     start, end, length = (1.0, 0.0, 0.0, 0.0), times(X_B, _flat(X_CM)), 0.0
-    if constraint.kind == "distance":
+    if constraint.rod:
         first = Link(here, R, a, part, times(X_A, _flat(X_PF)), start, NOWHERE, 1.0, 0.0)
-        length = float(evaluate(constraint.length or 0.0, parameters))
+        length = constraint.length(parameters)
     else:
         first = Link(here, P, a, part, times(X_A, _rail(X_PF)), start, NOWHERE, 1.0, 0.0)
     return [first, Link(there, R, part, b, (1.0, 0.0, length, 0.0), end, NOWHERE, 1.0, 0.0)]

@@ -16,7 +16,7 @@ from kempe.kernels import search_layout as S
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.kinematics.task import Packed
+    from kempe.kinematics.packed import Packed
     from kempe.model.system import System
     from kempe.solvers.tasks import Problem
 

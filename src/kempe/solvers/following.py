@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.calls import brief, explained, explained_methods
+from kempe.constraints import Pose, Position
 from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.search_layout import BAD_INPUT
+from kempe.kinematics.packed import refuse
 from kempe.kinematics.tabular import Tabular
-from kempe.kinematics.task import refuse
-from kempe.kinematics.tasks import Pose, Position
 from kempe.reals import reals
 from kempe.solvers.apart import apart
 from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, partial

@@ -9,8 +9,7 @@ import numpy as np
 from kempe.joints import P
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import sampling_box
-from kempe.kinematics.task import Placed
-from kempe.kinematics.tasks import Pose, Position
+from kempe.kinematics.task import Centred, Placed
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -28,7 +27,8 @@ def beside(problem: Problem, home: Array) -> Array:
     """
     system, base = problem.system, _slides(problem.system)
     for k, task in enumerate(problem.tasks):
-        placed = isinstance(task, (Pose, Position)) and task.weight is None
+        whole = isinstance(task, Placed) and task.point and not isinstance(task, Centred)
+        placed = whole and task.weight is None and task.hold(system).a is None
         at = problem.packed.owner.tolist().index(k) if placed and len(base) else -1
         if at < 0 or problem.packed.loops.plan[L.BASE_TIE] >= 0:
             continue

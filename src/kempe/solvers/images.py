@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.description.parts import Constraint
+from kempe.description.parts import Declared
 from kempe.kinematics.forward import fk
 from kempe.kinematics.maximal_form import coordinates_of
 from kempe.model.loops import characteristic_length
@@ -59,18 +59,21 @@ def _points(system: System) -> list[Array]:
         return found
     m, number, length = system.mechanism, {b: i for i, b in enumerate(system.body_names)}, characteristic_length(system)
     points: list[list[Array]] = [[] for _ in system.body_names]
-    for owner in (*m.joints.values(), *m.constraints.values()):
+    for owner in (*m.joints.values(), *(c for c in m.constraints.values() if c.parent)):
         joint = m.joints.get(owner.name)
         particle = joint is not None and m.bodies[joint.child].particle
         primitives = () if joint is None else joint.type.layout(system.dim, particle)[1]
         axes = {p.axis for p in primitives}
         letter = axes.pop() if len(axes) == 1 and not particle else ""
-        if isinstance(owner, Constraint) and owner.kind != "distance":
+        if isinstance(owner, Declared) and not owner.rod:
             letter = "z"
         if joint is not None and particle:
             continue  # a place where it is at neutral, and no end of a link
-        for body, place in ((owner.parent, owner.X_PF), (owner.child, owner.X_CM)):
-            X = place.evaluate(m.parameters)
+        if isinstance(owner, Declared):
+            places = owner.frames(m.parameters, system.dim)
+        else:
+            places = owner.X_PF.evaluate(m.parameters), owner.X_CM.evaluate(m.parameters)
+        for body, X in zip((owner.parent, owner.child), places, strict=True):
             points[number[body]].append(X[:3, 3])
             along = X[:3, "xyz".index(letter)] if letter else np.zeros(3)
             if system.dim == 3 or np.abs(along[2]) < 0.5:

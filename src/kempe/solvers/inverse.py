@@ -138,7 +138,7 @@ def _judged(
 
 def tasks_of(frame: str, asked: tuple[str, tuple[float, float, float]], X: Array) -> list[Any]:
     """The tasks that a target (..., 4, 4) stands for."""
-    from kempe.kinematics import tasks
+    from kempe import constraints as tasks
 
     name, axis = asked
     out: list[Any] = []

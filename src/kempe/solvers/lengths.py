@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.kernels import loop_layout as L
-from kempe.kinematics.task import Goals, Hold, Task
-from kempe.kinematics.tasks import OnLine, OnPlane, Pose, Position, RelativePose, RelativePosition
+from kempe.kinematics.task import Centred, Goals, Hold, Placed, Task
 from kempe.model.gauge import regauge
 from kempe.model.table import local_chain
 from kempe.solvers.chain import ReachBound, reach_bounds
@@ -21,9 +20,6 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.tasks import Problem
-
-PLACES = (Pose, Position, OnLine, OnPlane, RelativePose, RelativePosition)
-"""Tasks that hold a point of a frame at a point, on a line or on a plane."""
 
 
 def unreachable(problem: Problem) -> np.ndarray:
@@ -42,9 +38,10 @@ def beyond(problem: Problem, task: Task, goals: Goals) -> Array:
     """
     system, (goal, _) = problem.system, goals[0]
     none = np.zeros((1, 2))
-    if type(task) not in PLACES or goal is None:
+    if not isinstance(task, Placed) or isinstance(task, Centred) or task.bounded or goal is None:
         return none
-    assert isinstance(task, PLACES)
+    if not task.shape.mask or task.shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE):
+        return none
     hold = task.hold(system)
     if hold.a is not None:
         row, X, particle = system.table.at[hold.a]

@@ -17,7 +17,8 @@ import numpy as np
 
 from kempe.kernels import loop_layout as L
 from kempe.kernels import search_layout as S
-from kempe.kinematics.task import Packed, Task, lead_of
+from kempe.kinematics.packed import Packed, lead_of
+from kempe.kinematics.task import Task
 from kempe.solvers import effort
 from kempe.spatial import Array
 

@@ -308,9 +308,9 @@ def _round(system: System, i: int) -> bool:
 def _tied(system: System, i: int) -> bool:
     """Whether a velocity is one of a particle's place, and distances are the only constraints: as some solution is
     regular, these tie it to what stays near."""  # fmt: skip
-    mechanism, kinds = system.mechanism, {c.kind for c in system.mechanism.constraints.values()}
+    mechanism, kinds = system.mechanism, {c.rod for c in system.mechanism.constraints.values()}
     joint = mechanism.joints.get(system.velocity_names[i].rpartition(".")[0])
-    if joint is None or kinds != {"distance"} or system.relations or not mechanism.bodies[joint.child].particle:
+    if joint is None or kinds != {True} or system.relations or not mechanism.bodies[joint.child].particle:
         return False
     names, primitives = joint.type.layout(system.dim, True)
     slides = sorted((p.kind, p.axis) for p in primitives)

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.calls import brief, explained, explained_methods
+from kempe.constraints.base import Constraint
+from kempe.constraints.reading import numbers_of
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.tabular import Tabular
-from kempe.kinematics.task import Task, numbers_of
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, partial
 from kempe.solvers.freedoms import Local, freedoms_text, null
 from kempe.solvers.inverse import tasks_of
@@ -79,7 +80,7 @@ class SelfMotion(Tabular):
 
 @explained
 def self_motion(
-    system: System, q: Any, tasks: FrameLike | Task | Sequence[Task], *, task: str | None = None,
+    system: System, q: Any, tasks: FrameLike | Constraint | Sequence[Constraint], *, task: str | None = None,
     axis: ArrayLike = (0.0, 0.0, 1.0), direction: Any = None, steps: int = 200, step: float = 0.05,
     time_limit: float | None = TIME_LIMIT, progress: Callable[[int], Any] | None = None,
 ) -> SelfMotion:  # fmt: skip
@@ -129,7 +130,7 @@ def self_motion(
 
 def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayLike) -> Any:
     """The tasks; for a frame those that keep it."""
-    if isinstance(tasks, (Task, list, tuple)):
+    if isinstance(tasks, (Constraint, list, tuple)):
         if task is not None:
             raise InputError(f"task is {task!r}; it belongs to a frame, tasks say themselves what they ask")
         return tasks
@@ -145,7 +146,7 @@ def _begin(system: System, q: Array, wanted: Any) -> tuple[Problem, Array]:
     problem, start = pose_problem(system, wanted, q, TOLERANCE, 1)
     if problem.lead:
         raise InputError(f"the goals have the leading shape {problem.lead}; needed are those of one problem")
-    problem = replace(problem, tasks=tuple(replace(t, tolerance=None) for t in problem.tasks))
+    problem = replace(problem, tasks=tuple(t.exactly() for t in problem.tasks))
     at = judge(replace(problem, tolerance=(1e-6, 1e-6)), start, np.zeros((1, 3), dtype=np.int64))
     if not at:
         raise InputError(f"the tasks do not hold at q: they are missed by {at.position_error} m, "

@@ -23,7 +23,7 @@ from kempe.solvers.servo_pose import BLIND, FLAT, STILL, TAKEN, TRIALS
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.kinematics.task import Packed
+    from kempe.kinematics.packed import Packed
     from kempe.model.system import System
     from kempe.solvers.tasks import Problem
 
@@ -310,7 +310,7 @@ def ends_of_rows(packed: Packed) -> tuple[Array, Array]:
 
 def posed(system: System, wanted: Any, q: Array) -> Problem:
     """The tasks of one step, checked and packed. Errors: `InputError` for a batch, and for goals that are none."""
-    from kempe.kinematics.task import refuse
+    from kempe.kinematics.packed import refuse
     from kempe.solvers.tasks import pose_problem
 
     problem, _ = pose_problem(system, wanted, q)

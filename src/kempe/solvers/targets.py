@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.calls import numbers
+from kempe.constraints.reading import refuse_rotations
 from kempe.errors import InputError
 from kempe.kernels.search_layout import LARGEST, ROTATION_TOLERANCE
-from kempe.kinematics.task_input import refuse_rotations
 from kempe.placement import direction
 from kempe.reals import reals
 from kempe.spatial import Array

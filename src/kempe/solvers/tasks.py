@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.calls import explained
+from kempe.constraints.base import Constraint
 from kempe.errors import InputError, NoSolutionError, shown
 from kempe.kernels import search_layout as S
 from kempe.kernels.compiled import reach as kernel
 from kempe.kinematics.configuration import as_start, home_of
+from kempe.kinematics.packed import Packed, lead_of, refuse
 from kempe.kinematics.parallel import over_chunks
-from kempe.kinematics.task import Goals, Packed, Task, lead_of, refuse
-from kempe.kinematics.tasks_whole import Callback
+from kempe.kinematics.task import Goals, Task
+from kempe.kinematics.tasks_whole import Callback, task_of
 from kempe.reals import is_whole
 from kempe.solvers import effort
 from kempe.solvers.apart import apart
@@ -178,7 +180,7 @@ class Problem:
 
 @explained
 def reach(
-    system: System, wanted: Task | Sequence[Task], seed: Any = None, *,
+    system: System, wanted: Constraint | Sequence[Constraint], seed: Any = None, *,
     task: None = None,
     prefer: str | Callable[[Array], Any] | None = None,
     tolerance: float | tuple[float, float] = TOLERANCE, starts: int | None = None, iterations: int = STEPS,
@@ -232,14 +234,14 @@ def reach(
 
 
 def pose_problem(
-    system: System, wanted: Task | Sequence[Task], seed: Any = None, tolerance: Any = TOLERANCE,
+    system: System, wanted: Constraint | Sequence[Constraint], seed: Any = None, tolerance: Any = TOLERANCE,
     starts: int | None = STARTS, rng: Any = 0, turns: bool = False,
 ) -> tuple[Problem, Array]:  # fmt: skip
     """The problem, checked and packed, and its first starts (N or 1, nq); `turns` as in `Packed`.
 
     `starts` None are as many as it deserves.
     """
-    tasks = _distinct(wanted)
+    tasks = _distinct(wanted, system.dim)
     goals = tuple(t.goals(system) for t in tasks)
     base = _home(system) if seed is None else as_start(system, seed)
     lead = own = lead_of(goals)
@@ -269,14 +271,14 @@ def _home(system: System) -> Array:
     return found
 
 
-def _distinct(wanted: Any) -> tuple[Task, ...]:
+def _distinct(wanted: Any, dim: int) -> tuple[Task, ...]:
     """The tasks, checked, with labels that differ."""
-    tasks = (wanted,) if isinstance(wanted, Task) else tuple(wanted) if isinstance(wanted, (list, tuple)) else ()
-    if not tasks or not all(isinstance(t, Task) for t in tasks):
+    given = (wanted,) if isinstance(wanted, Constraint) else tuple(wanted) if isinstance(wanted, (list, tuple)) else ()
+    if not given or not all(isinstance(t, Constraint) for t in given):
         what = "an empty list" if isinstance(wanted, (list, tuple)) and not wanted else shown(wanted)
         raise InputError(f"without a frame the target must be a task of kempe.tasks or a list of them; it is {what}")
     out: dict[str, Task] = {}
-    for task in tasks:
+    for task in given:
         if not is_whole(task.priority):
             raise InputError(f"priority of {task.label} is {task.priority!r}; it must be a whole number")
         number = isinstance(task.weight, (int, float, np.integer, np.floating)) and not isinstance(task.weight, bool)
@@ -291,7 +293,7 @@ def _distinct(wanted: Any) -> tuple[Task, ...]:
         while label in out:
             count += 1
             label = f"{task.label} ({count})"
-        out[label] = task if count == 1 else replace(task, name=label)
+        out[label] = task_of(task if count == 1 else replace(task, name=label), dim)
     return tuple(out.values())
 
 

@@ -68,7 +68,7 @@ class Way:
     def __init__(
         self, problem: Problem, max_step: float, budget: Budget, progress: Callable[[int], None] | None = None
     ):  # fmt: skip
-        tasks = tuple(replace(t, tolerance=None) for t in problem.tasks)
+        tasks = tuple(t.exactly() for t in problem.tasks)
         self.problem, self.max_step, self.budget = replace(problem, tasks=tasks), max_step, budget
         self.given = min(problem.tolerance)
         self.calm = CALM if self.given > TOLERANCE else 0.0

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import library, spatial
-from kempe.description.checks import constraint_length
-from kempe.description.parts import Constraint, Joint
+from kempe.description.parts import Declared, Joint
 from kempe.errors import DescriptionError, KempeError, Problem
 from kempe.joints import P, R
 from kempe.kinematics.configuration import has_loops
@@ -123,12 +122,12 @@ def _coupling(of: str, follower: Follower) -> dict[str, Any]:
     return {"of": of, "source": follower.source, "multiplier": follower.multiplier, "offset": follower.offset}
 
 
-def _constraint(system: System, c: Constraint) -> dict[str, Any]:
-    """A declared constraint; its equations are those that its kind takes away, one of a line less in the plane."""
-    length = None if c.length is None else constraint_length(c, system.parameters)
-    equations = 2 if c.kind == "point_on_line" and system.dim == 3 else 1
+def _constraint(system: System, c: Declared) -> dict[str, Any]:
+    """A declared constraint with the freedoms of position that it takes away."""
+    length = c.length(system.parameters) if c.rod else None
     return {
-        "name": c.name, "type": c.kind, "parent": c.parent, "child": c.child, "length": length, "equations": equations,
+        "name": c.name, "type": c.kind, "parent": c.parent, "child": c.child, "length": length,
+        "equations": c.equations(system.dim),
     }  # fmt: skip
 
 

@@ -12,32 +12,32 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
+from kempe.constraints import KINDS, Constraint
 from kempe.description.source import Source, decode, expanded, no_file, shorten
 from kempe.description.toml_document import Document
 from kempe.errors import InputError, UnknownNameError, hint
-from kempe.kinematics import tasks
+from kempe.kinematics.tasks_whole import task_of
 from kempe.views import rows
 from kempe.views.facts import DEGREE, units
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-TYPES: dict[str, type[tasks.Task]] = {
-    re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower(): getattr(tasks, name)
-    for name in tasks.__all__ if name not in ("Task", "Function")
-}  # fmt: skip
-"""The types by name: 'pose', 'look_at', ... Functions of the user are for Python."""
 
-TEXT = ("frame", "other", "name", "axes")
+def types() -> dict[str, type[Constraint]]:
+    """The kinds that can be asked for, by name: 'pose', 'look_at', ... Functions of the user are for Python."""
+    return {name: k for name, k in KINDS.items() if not any("Callable" in str(f.type) for f in fields(k))}
+
+
+TEXT = ("frame", "other", "name", "axes", "shape", "surface")
 NUMBERS = ("weight", "margin")
-POSES = (tasks.Pose, tasks.RelativePose)
 
 
 @dataclass(frozen=True)
 class _Row:
     """A task with its parameters; those in `many` have an entry for each row of a file."""
 
-    kind: type[tasks.Task]
+    kind: type[Constraint]
     given: dict[str, Any]
     many: frozenset[str]
 
@@ -49,7 +49,7 @@ class Asked:
     rows: tuple[_Row, ...]
     count: int | None
 
-    def tasks(self, start: int = 0, stop: int | None = None) -> list[tasks.Task]:
+    def tasks(self, start: int = 0, stop: int | None = None) -> list[Constraint]:
         """The tasks, of a file of rows those from `start` to `stop`."""
         return [r.kind(**{k: v[start:stop] if k in r.many else v for k, v in r.given.items()}) for r in self.rows]
 
@@ -100,12 +100,12 @@ class _Reader:
         findings, at = self.document.findings, ("task", index)
         kind = table.get("type")
         subject = f"task {shorten(table.get('name') or kind or index + 1)}"
-        if not isinstance(kind, str) or kind not in TYPES:
+        if not isinstance(kind, str) or kind not in types():
             message = "the key 'type' is missing" if kind is None else f"unknown type of task {shorten(kind)}"
-            said = "it must be one of " + ", ".join(TYPES) if kind is None else hint(str(kind), TYPES).lstrip("; ")
+            said = "it must be one of " + ", ".join(types()) if kind is None else hint(str(kind), types()).lstrip("; ")
             findings.add(message, subject, self.document.where(*at, *(["type"] if kind is not None else [])), said)
             return None
-        names, needed = _parameters(TYPES[kind])
+        names, needed = _parameters(types()[kind])
         before = len(findings.problems)
         given: dict[str, Any] = {}
         many: set[str] = set()
@@ -116,7 +116,7 @@ class _Reader:
                 findings.add(f"unknown key {shorten(key)}{hint(key, names)}", subject, self.document.where(*at, key))
                 continue
             with findings.guard(subject, self.document.where(*at, key)):
-                given[key] = self.value(TYPES[kind], key, value)
+                given[key] = self.value(types()[kind], key, value)
                 if _names_file(key, value):
                     many.add(key)
         for key in needed:
@@ -125,14 +125,14 @@ class _Reader:
                 findings.add(f"the key {key!r} is missing", subject, self.document.where(*at), allowed)
         if len(findings.problems) > before:
             return None
-        row = _Row(TYPES[kind], given, frozenset(many))
+        row = _Row(types()[kind], given, frozenset(many))
         self.check(row, subject, at)
         return row if len(findings.problems) == before else None
 
     def check(self, row: _Row, subject: str, at: tuple[str, int]) -> None:
         """Record what does not fit the system, at the key that it is about."""
         try:
-            made = row.kind(**row.given)
+            made = task_of(row.kind(**row.given), self.system.dim)
             made.structure(self.system)
             made.goals(self.system)
         except (InputError, UnknownNameError) as error:
@@ -142,7 +142,7 @@ class _Reader:
                 about = [k for k, v in row.given.items() if v == error.name or _holds(v, error.name)]
             self.document.findings.add(text, subject, self.document.where(*at, *about[:1]))
 
-    def value(self, kind: type[tasks.Task], key: str, value: Any) -> Any:
+    def value(self, kind: type[Constraint], key: str, value: Any) -> Any:
         """A parameter as the class takes it. Errors: `InputError`."""
         if key in TEXT:
             if not isinstance(value, str):
@@ -167,11 +167,10 @@ class _Reader:
             return turned(np.asarray(_numbers(key, value), dtype=float))
         return _numbers(key, value)
 
-    def turned(self, kind: type[tasks.Task], key: str) -> Callable[[spatial.Array], spatial.Array] | None:
+    def turned(self, kind: type[Constraint], key: str) -> Callable[[spatial.Array], spatial.Array] | None:
         """How numbers become a pose or a rotation, where the parameter is one."""
-        if key == "pose" or (key == "target" and issubclass(kind, POSES)):
-            return self.poses
-        return self.rotations if key == "target" and issubclass(kind, tasks.Orientation) else None
+        sort = next(str(f.type) for f in fields(kind) if f.name == key)
+        return {"Matrix": self.poses, "Rotation": self.rotations}.get(sort)
 
     def poses(self, x: spatial.Array) -> spatial.Array:
         """Poses (..., 4, 4) from x, y, z, roll, pitch, yaw, of planar systems x, y, angle; or as they are."""
@@ -210,7 +209,7 @@ class _Reader:
             return {k: x * (self.angle if unit.get(k) == "rad" else 1.0) for k, x in flat.items()}
         return rows.configuration(self.system, ",".join(map(str, _numbers("q", value))), None, self.degrees)
 
-    def from_file(self, kind: type[tasks.Task], key: str, path: Path) -> spatial.Array:
+    def from_file(self, kind: type[Constraint], key: str, path: Path) -> spatial.Array:
         """Values (n, ...) of the rows of a file."""
         if key == "q":
             return rows.configuration(self.system, str(path), None, self.degrees)
@@ -222,7 +221,7 @@ class _Reader:
         return table[:, 0] if single else table
 
 
-def _parameters(kind: type[tasks.Task]) -> tuple[list[str], list[str]]:
+def _parameters(kind: type[Constraint]) -> tuple[list[str], list[str]]:
     """Names of the parameters of a class, and those that it needs."""
     own = sorted((f for f in fields(kind) if f.init), key=lambda f: f.kw_only is True)
     needed = [f.name for f in own if f.default is MISSING and f.default_factory is MISSING]

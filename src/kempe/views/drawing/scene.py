@@ -11,7 +11,6 @@ from kempe.joints import Primitive
 from kempe.kinematics.constraints import closure_error, coordinate_value
 from kempe.kinematics.forward import fk
 from kempe.spatial import Array
-from kempe.values import evaluate
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -194,14 +193,13 @@ def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]
     """Rods and lines of the constraints that are no joints, where the mechanism has any."""
     mechanism = system.mechanism
     rods, lines = [], []
-    for c in mechanism.constraints.values():
-        A = poses[c.parent] @ c.X_PF.evaluate(mechanism.parameters)
-        B = poses[c.child] @ c.X_CM.evaluate(mechanism.parameters)
+    for c in (c for c in mechanism.constraints.values() if c.parent):
+        X_A, X_B = c.frames(mechanism.parameters, system.dim)
+        A, B = poses[c.parent] @ X_A, poses[c.child] @ X_B
         ends = number[c.parent], number[c.child]
-        if c.kind == "distance":
+        if c.rod:
             p = np.stack([A[:3, 3], B[:3, 3]])
-            length = float(evaluate(c.length, mechanism.parameters)) if c.length is not None else 0.0
-            rods.append((c.name, ends, p, float(np.linalg.norm(p[1] - p[0])) - length))
+            rods.append((c.name, ends, p, float(np.linalg.norm(p[1] - p[0])) - c.length(mechanism.parameters)))
         else:
             lines.append((c.name, ends, A, B[:3, 3]))
     return tuple(rods), tuple(lines)

@@ -1,4 +1,4 @@
-"""What tasks are given, checked: points, directions, and what cannot change from target to target."""
+"""What constraints are given, checked: poses, points, directions, and what cannot change from target to target."""
 
 from __future__ import annotations
 
@@ -7,15 +7,55 @@ from typing import Any
 import numpy as np
 
 from kempe import spatial
+from kempe.calls import numbers
 from kempe.errors import InputError
-from kempe.kinematics.task import LARGEST, RIGID, along, flat, numbers_of
 from kempe.placement import direction
 from kempe.spatial import Array
+
+LAST = np.array([0.0, 0.0, 0.0, 1.0])
+RIGID = 1e-6
+"""How far a pose may be from a rigid motion."""
+LARGEST = 1e100
+"""Numbers above this are too large for the kernels."""
 
 ROTATES = 1e-4
 """How far R'R of a (3, 3) array may be from 1 for it to be a rotation, and not three positions."""
 MEETS = 1e-12
 """Distance in metres below which there is no direction from one point to another."""
+
+
+def poses_of(x: Any, dim: int, what: str) -> Array:
+    """Poses (..., 4, 4) as given, in the plane also (..., 3, 3); kernels check rotations. Errors: `InputError`."""
+    X = numbers_of(x, what)
+    if dim == 2 and X.ndim >= 2 and X.shape[-2:] == (3, 3):
+        flat, X = X, np.zeros((*X.shape[:-2], 4, 4))
+        X[..., :2, :2], X[..., :2, 3], X[..., 2, 2], X[..., 3, 3] = flat[..., :2, :2], flat[..., :2, 2], 1.0, 1.0
+    if X.ndim < 2 or X.shape[-2:] != (4, 4):
+        raise InputError(f"{what} has shape {X.shape}; it must be a pose (..., 4, 4)")
+    last = X[..., 3, :]
+    if not (last == LAST).all() and not np.all((last == LAST) | np.isnan(last)):
+        raise InputError(f"{what} is no pose: its last row is {X[..., 3, :].tolist()}; it must be 0 0 0 1")
+    if dim == 2 and (np.any(np.abs(X[..., 2, 3]) > RIGID) or np.any(1.0 - X[..., 2, 2] > RIGID)):
+        raise InputError(f"{what} leaves the plane of the system")
+    return X
+
+
+def numbers_of(x: Any, what: str) -> Array:
+    """Real numbers as an array. Errors: `InputError`."""
+    return numbers(x, what)
+
+
+def along(z: Array, dim: int) -> Array:
+    """Rotations (..., 3, 3) whose z is along unit vectors (..., 3); in the plane their x is the plane's normal."""
+    if dim == 3:
+        return spatial.align_z(z)
+    x = np.broadcast_to([0.0, 0.0, 1.0], z.shape)
+    return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
+def flat(X: Array) -> tuple[float, ...]:
+    """A pose as something that can be a key."""
+    return tuple(X.ravel().tolist())
 
 
 def points_of(x: Any, dim: int, what: str) -> Array:
@@ -109,3 +149,22 @@ def _in_plane(p: Array, dim: int, what: str) -> Array:
     if dim == 2 and np.any(np.abs(p[..., 2]) > RIGID):
         raise InputError(f"{what} leaves the plane of the system: its z is up to {np.nanmax(np.abs(p[..., 2])):.6g}")
     return p
+
+
+def positive(x: Any, what: str) -> Array:
+    """Numbers that are not negative. Errors: `InputError`."""
+    value = numbers_of(x, what)
+    if np.any(value < 0.0):
+        raise InputError(f"{what} is {x!r}; it must not be negative")
+    return value
+
+
+def pair(low: Any, high: Any, what: str) -> tuple[Array, Array]:
+    """Two ends as arrays of one shape. Errors: `InputError` where they do not fit together, or leave nothing."""
+    try:
+        a, b = np.broadcast_arrays(*(numbers_of(x, f"an end of {what}") for x in (low, high)))
+    except ValueError:
+        raise InputError(f"{what}: {low!r} and {high!r} have shapes that do not fit together") from None
+    if np.any(a > b):
+        raise InputError(f"{what}: {low!r} and {high!r} leave nothing; needed is low <= high")
+    return a.copy(), b.copy()

@@ -1,0 +1,287 @@
+"""What a constraint declares: its ends, its rows, its numbers. Nothing is computed here.
+
+A *kind* of constraint is a small class. Its `rows` are structure: which operation reads what, and between which of its
+fields the value is held. Its fields hold the numbers. How rows become equations is in `kempe.model.program`, how they
+are judged from poses alone in `kempe.kinematics.measure`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, replace
+from enum import Enum, auto
+from functools import cached_property
+from typing import Any, ClassVar, TypeAlias, TypeVar, dataclass_transform
+
+import numpy as np
+
+from kempe.calls import explained_making
+from kempe.errors import InputError
+from kempe.placement import Placement
+from kempe.spatial import Array
+from kempe.values import Expression
+
+Frame: TypeAlias = "str | End"
+"""A field that names a frame or a body, or is an `End`."""
+Number: TypeAlias = Any
+"""A field of one number (...): in a description also an expression in parameters."""
+Point: TypeAlias = Any
+"""A field of a place, or of a number for each direction (..., 3), in planar systems also (..., 2)."""
+Direction: TypeAlias = Any
+"""A field of a direction (..., 3), or its name: "x", "-z"."""
+Matrix: TypeAlias = Any
+"""A field of a pose (..., 4, 4)."""
+Rotation: TypeAlias = Any
+"""A field of a rotation (..., 3, 3)."""
+
+
+class Op(Enum):
+    """What a row reads: of the pose of frame B seen from frame A, of coordinates, or of the twist of B against A."""
+
+    POINT = auto()
+    """The origin of B along the axis `args[0]` of A."""
+    ROTATION = auto()
+    """The rotation of B in A: three equations that belong together, in the plane one."""
+    TILT = auto()
+    """The direction of z of B in A: two equations, in the plane one."""
+    LOOK = auto()
+    """The direction of z of B against that from B to the origin of A: two equations, in the plane one."""
+    DISTANCE = auto()
+    """The distance of the origins."""
+    COORDINATE = auto()
+    """A coordinate, or a quaternion."""
+    TAPE = auto()
+    """Output `args[1]` of the recorded expression `args[0]`."""
+    CALL = auto()
+    """Values of a Python function of the configuration."""
+    VELOCITY = auto()
+    """Output `args[1]` of the recorded expression `args[0]`, linear in velocities: the row A(q) v - b(q, t)."""
+
+
+COUNTS = {Op.ROTATION: {2: 1, 3: 3}, Op.TILT: {2: 1, 3: 2}, Op.LOOK: {2: 1, 3: 2}}
+"""How many equations an operation is, by the dimension, where that is not one."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One equation, or a group that cannot be split: structure without numbers that may vary.
+
+    `equal`, `low` and `high` name fields of the constraint; without them the value is held at zero. Where the field of
+    `equal` is None, the value is held between the others, an infinity where these are None. `part` is its place in
+    fields that hold several numbers.
+    """
+
+    op: Op
+    args: tuple[Any, ...] = ()
+    name: str = ""
+    unit: str = "m"
+    equal: str = ""
+    low: str = ""
+    high: str = ""
+    part: int | None = None
+
+    def count(self, dim: int) -> int:
+        """Number of equations."""
+        return COUNTS.get(self.op, {}).get(dim, 1)
+
+    @property
+    def velocity(self) -> bool:
+        """Whether it is a row A(q) v = b(q, t)."""
+        return self.op is Op.VELOCITY
+
+
+@dataclass(frozen=True)
+class End:
+    """Where a constraint takes hold: a frame at `X` on a body."""
+
+    body: str
+    X: Placement = Placement()
+
+    def __str__(self) -> str:
+        return self.body
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint(ABC):
+    """Something asked of a system; each kind is a subclass that declares its rows.
+
+    `Mechanism.constrain` holds it always, `System.ik` in one call. What only `ik` reads: without a `weight` it is hard,
+    it must hold. With one it is soft: the sum of weight times squared error, in radians and characteristic lengths of
+    the system, is made least. Those of a lower `priority` number come first: the others act only in what these leave
+    free. `tolerance` is the largest error of a hard one, a number or (metres, radians); default: that of the call.
+    `name` is how answers call it.
+    """
+
+    weight: float | None = field(default=None, kw_only=True)
+    priority: int = field(default=0, kw_only=True)
+    tolerance: float | tuple[float, float] | None = field(default=None, kw_only=True)
+    name: str = field(default="", kw_only=True)
+
+    kind: ClassVar[str] = ""
+    """Its name in files and tables."""
+    symbol: ClassVar[str] = "mark"
+    """How it is drawn: "rod", "line", "wheel", "contact", "mark"."""
+    says: ClassVar[str] = ""
+    """What it asks, as a sentence over its fields."""
+    zero: ClassVar[float] = 0.0
+    """What `low` or `high` of a row may name."""
+
+    @abstractmethod
+    def rows(self, dim: int) -> tuple[Row, ...]:
+        """Its rows in the plane (2) or in space (3). Errors: `InputError` where its fields do not fit together."""
+
+    # ---- its ends
+
+    @property
+    def ends(self) -> tuple[Any, Any]:
+        """Ends A and B: frames by name, `End`s, or None for the ground (A) and for what is no frame."""
+        return getattr(self, "other", None), getattr(self, "frame", None)
+
+    def goal(self, dim: int) -> Array:
+        """The pose (..., 4, 4) of frame A on its end: numbers."""
+        return EYE
+
+    def tool(self, dim: int) -> tuple[float, ...]:
+        """The pose of frame B on its end, as 16 numbers: structure."""
+        return HERE
+
+    def prefixed(self, prefix: str) -> Constraint:
+        """The same where coordinates have a prefix."""
+        return self
+
+    # ---- how it is called
+
+    @property
+    def about(self) -> str:
+        """What it is about: the frames."""
+        ends = [str(e) for e in reversed(self.ends) if e is not None]
+        return " and ".join(map(repr, ends)) or "the system"
+
+    @cached_property
+    def label(self) -> str:
+        """How answers call it."""
+        return self.name or f"{type(self).__name__} of {self.about}"
+
+    # ---- what only `ik` reads
+
+    def soft(self, weight: float = 1.0, **more: Any) -> Constraint:
+        """The same, as a wish of `ik` with a weight; `more` are `priority`, `tolerance`, `name`."""
+        return replace(self, weight=weight, **more)
+
+    def demand(self, **more: Any) -> Constraint:
+        """The same with what only `ik` reads: `weight`, `priority`, `tolerance`, `name`."""
+        return replace(self, **more)
+
+    @property
+    def demands(self) -> tuple[str, ...]:
+        """What it says that only `ik` reads."""
+        usual = {f.name: f.default for f in fields(self)}
+        return tuple(n for n in ("weight", "priority", "tolerance") if getattr(self, n) != usual[n])
+
+
+EYE = np.eye(4)
+EYE.setflags(write=False)
+HERE = tuple(EYE.ravel().tolist())
+"""The frame itself."""
+
+KINDS: dict[str, type[Constraint]] = {}
+"""The kinds by name: the one table, which files, builders and reports read."""
+
+_Kind = TypeVar("_Kind", bound=type[Constraint])
+
+
+@dataclass_transform(frozen_default=True)
+def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _Kind]:
+    """A decorator that enters a class into the table of kinds, under `name`.
+
+    `says` is its sentence, with fields in braces: "{frame} and {other} are {value} apart". Errors: `InputError` for a
+    name that another kind has.
+    """
+
+    def enter(cls: _Kind) -> _Kind:
+        made = dataclass(frozen=True, eq=False)(cls)
+        taken = KINDS.get(name)
+        if taken is not None and taken.__qualname__ != made.__qualname__:
+            raise InputError(f"the kind {name!r} of constraint exists already: {taken.__qualname__}")
+        made.kind, made.symbol, made.says = name, symbol, says
+        explained_making(made)
+        KINDS[name] = made
+        return made
+
+    return enter
+
+
+def held(constraint: Constraint, row: Row) -> str:
+    """The field that a row's value is held at; '' for zero or where it is held between two."""
+    return row.equal if row.equal and getattr(constraint, row.equal) is not None else ""
+
+
+def one_sided(constraint: Constraint, row: Row) -> bool:
+    """Whether a row holds between two ends, not at a value."""
+    return bool(row.low or row.high) and not held(constraint, row)
+
+
+def position_rows(constraint: Constraint, dim: int) -> Sequence[Row]:
+    """The rows f(q) = 0 of a constraint: those that take a freedom of position each."""
+    return [r for r in constraint.rows(dim) if not r.velocity and not one_sided(constraint, r)]
+
+
+def content(constraint: Constraint) -> tuple[Any, ...]:
+    """All that a constraint is, as nested tuples: its kind and its fields."""
+
+    def plain(x: Any) -> Any:
+        if isinstance(x, np.ndarray):
+            return x.shape, tuple(x.ravel().tolist())
+        if isinstance(x, (list, tuple)):
+            return tuple(map(plain, x))
+        return tuple((k, plain(v)) for k, v in x.items()) if isinstance(x, Mapping) else x
+
+    return constraint.kind, *((f.name, plain(getattr(constraint, f.name))) for f in fields(constraint) if f.init)
+
+
+FRAMES = ("Frame", "Frame | None")
+"""Annotations of fields that name a frame."""
+NUMBERS = ("Number", "Point", "Direction", "Matrix", "Rotation")
+"""Annotations of fields of numbers, which in a description may be expressions in parameters."""
+
+
+def frames_of(constraint: Constraint) -> dict[str, Any]:
+    """The fields that name frames, with what they name."""
+    return {f.name: getattr(constraint, f.name) for f in fields(constraint) if f.type in FRAMES}
+
+
+def numbers_in(constraint: Constraint) -> dict[str, Any]:
+    """The fields of numbers, with these."""
+    return {f.name: getattr(constraint, f.name) for f in fields(constraint) if f.type in NUMBERS}
+
+
+def with_numbers(constraint: Constraint, parameters: Mapping[str, float]) -> Constraint:
+    """The constraint with expressions in its fields of numbers evaluated. Errors: `UnknownNameError`."""
+    given = {k: x for k, x in numbers_in(constraint).items() if expressions_in(x)}
+    return replace(constraint, **{k: _evaluated(x, parameters) for k, x in given.items()}) if given else constraint
+
+
+def expressions_in(x: Any) -> list[Expression]:
+    """The expressions in a number, or in lists of numbers."""
+    if isinstance(x, Expression):
+        return [x]
+    return [e for item in x for e in expressions_in(item)] if isinstance(x, (list, tuple)) else []
+
+
+def _evaluated(x: Any, parameters: Mapping[str, float]) -> Any:
+    if isinstance(x, (list, tuple)):
+        return [_evaluated(item, parameters) for item in x]
+    return x.evaluate(parameters) if isinstance(x, Expression) else x
+
+
+def fields_of(kind: type[Constraint]) -> dict[str, str]:
+    """The fields of a kind that a description may give, with their annotations."""
+    left_out = {f.name for f in fields(Constraint)}
+    return {f.name: str(f.type) for f in fields(kind) if f.init and f.name not in left_out}
+
+
+def needed_by(kind: type[Constraint]) -> list[str]:
+    """The fields of a kind that must be given."""
+    own = (f for f in fields(kind) if f.init and f.default is MISSING and f.default_factory is MISSING)
+    return [f.name for f in own]

@@ -1,0 +1,104 @@
+"""Kinds of touching: a point or ball above a plane, wheels, discs and balls that roll without slipping.
+
+A plane is the xy-plane of a frame `other`; in planar systems it is the line of its x axis, which y points away from.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kempe.constraints.base import Constraint, Frame, Number, Op, Row, kind
+from kempe.constraints.reading import positive
+from kempe.constraints.text import from_text
+from kempe.errors import InputError, UnknownNameError
+
+POSE = ("x", "y", "z", "xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")
+"""Inputs of expressions: the place of frame B in A, and of its rotation the component by row, the axis by column."""
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+"""Inputs of rows of velocities: the velocity of the origin of B against A and its angular velocity, in axes of A."""
+
+SPACE = {
+    "ball": ("z - radius", ("vx - radius*wy", "vy + radius*wx"), "wz"),
+    "disc": (
+        "z - radius*sqrt(1 - zy^2)",
+        (
+            "vx - radius*(wy*(1 - zy^2) + wz*yy*zy)/sqrt(1 - zy^2)",
+            "vy + radius*(wx*(1 - zy^2) + wz*xy*zy)/sqrt(1 - zy^2)",
+        ),
+        "wz",
+    ),
+}
+"""Of each shape of the radius that touches the plane: the gap, the velocities of the point that touches, its spin.
+
+The point of a disc whose axle is a, y of its frame, lies at c = -radius (n - (n.a) a) / |n - (n.a) a| from its centre,
+n being the normal; its velocity is v + w x c.
+"""
+PLANE = {"ball": ("y - radius", ("vx + radius*wz",), ""), "disc": ("y - radius", ("vx + radius*wz",), "")}
+
+
+def touching(shape: Any, dim: int, what: str) -> tuple[str, tuple[str, ...], str]:
+    """The gap, the slips and the spin of a shape. Errors: `UnknownNameError`."""
+    if shape not in SPACE:
+        raise UnknownNameError("shape", shape, SPACE, what)
+    return (PLANE if dim == 2 else SPACE)[shape]
+
+
+@kind("contact", "contact", "{frame} stays above the plane of {other}")
+class Contact(Constraint):
+    """A frame's point, or a ball or disc of the `radius` about it, does not enter the plane of `other`."""
+
+    frame: Frame
+    other: Frame | None = None
+    radius: Number = 0.0
+    shape: str = "ball"
+
+    def rows(self, dim: int) -> tuple[Row, ...]:
+        """The gap, which is not negative."""
+        positive(self.radius, f"radius of {self.label}")
+        gap, _, _ = touching(self.shape, dim, self.label)
+        return (Row(Op.TAPE, (from_text([gap], (*POSE, "radius"), {}), 0), "gap", "m", low="zero"),)
+
+
+@kind("no_sideslip", "wheel", "{frame} does not slip along its y")
+class NoSideslip(Constraint):
+    """The origin of a frame has no velocity along its y axis, as a wheel or a blade, or has the `speed` there."""
+
+    frame: Frame
+    other: Frame | None = None
+    speed: Number = 0.0
+
+    def rows(self, dim: int) -> tuple[Row, ...]:
+        """The velocity along y."""
+        text = "xy*vx + yy*vy - speed" if dim == 2 else "xy*vx + yy*vy + zy*vz - speed"
+        return (Row(Op.VELOCITY, (from_text([text], (*POSE, *TWIST, "speed"), {}), 0), "sideslip", "m/s"),)
+
+
+@kind("rolls", "wheel", "{frame} rolls on the plane of {other}")
+class Rolls(Constraint):
+    """A ball or disc about a frame's origin rolls on the plane of `other` without slipping.
+
+    The axle of a disc is y of its frame. Without `spin` a ball does not turn about the normal either. `one_sided`: it
+    may leave the plane.
+    """
+
+    frame: Frame
+    other: Frame | None = None
+    radius: Number = None
+    shape: str = "ball"
+    spin: bool = True
+    one_sided: bool = False
+
+    def rows(self, dim: int) -> tuple[Row, ...]:
+        """The gap, and what slips."""
+        if self.radius is None:
+            raise InputError(f"{self.label} needs a radius")
+        positive(self.radius, f"radius of {self.label}")
+        gap, slips, spin = touching(self.shape, dim, self.label)
+        more = (spin,) if spin and not self.spin else ()
+        inputs = (*POSE, *TWIST, "radius")
+        tape, own = from_text([*slips, *more], inputs, {}), from_text([gap], (*POSE, "radius"), {})
+        names = [*(f"slip {a}" for a, _ in zip("xy", slips, strict=False)), *(["spin"] if more else [])]
+        low = "zero" if self.one_sided else ""
+        return (Row(Op.TAPE, (own, 0), "gap", "m", low=low), *(
+            Row(Op.VELOCITY, (tape, k), name, "rad/s" if name == "spin" else "m/s") for k, name in enumerate(names)
+        ))  # fmt: skip

@@ -1,0 +1,193 @@
+"""Constraints as parts of a mechanism: their ends found, their numbers checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any
+
+from kempe.constraints.base import (
+    Constraint,
+    End,
+    Op,
+    Row,
+    expressions_in,
+    frames_of,
+    held,
+    numbers_in,
+    with_numbers,
+)
+from kempe.constraints.kinds import Distance, OnLine, OnPlane
+from kempe.description import checks
+from kempe.description.parts import Body, Declared, Frame
+from kempe.errors import InputError, UnknownNameError, Where, shown
+from kempe.placement import AXES, Placement
+from kempe.values import Expression, value
+
+if TYPE_CHECKING:
+    from kempe.description.mechanism import Mechanism
+
+BETWEEN = {"distance": Distance, "point_on_line": OnLine, "point_on_plane": OnPlane}
+"""Kinds that `Mechanism.constraint` and files of format 1 place on bodies, by the names that they have there."""
+
+Placed = tuple[Any, object, Mapping[str, object]]
+"""A body or frame, a place on it, and how it is turned there."""
+
+
+def declare(mechanism: Mechanism, given: object, name: str, where: Where | None = None) -> Declared:
+    """Add a constraint to a mechanism; see `Mechanism.constrain`."""
+    if not isinstance(given, Constraint):
+        raise InputError(f"{shown(given)} is no constraint; see kempe.constraints")
+    name = name or given.name or given.label
+    subject = f"constraint {name!r}"
+    mechanism._free_joint_name(checks.name(name, "constraint"), subject, where)
+    demands = [f for f in ("weight", "priority", "tolerance") if getattr(given, f) != getattr(Constraint, f)]
+    if demands:
+        checks.refuse(subject, f"{demands[0]} is what ik reads of a wish", where,
+                      "a mechanism always holds it: leave it out")  # fmt: skip
+    made = _with_values(mechanism, given, subject, where)
+    ends = [_end(mechanism, e, subject, where) for e in made.ends]
+    record = Declared(name, made, ends[0].body, ends[1].body, ends[0].X, ends[1].X, where)
+    check(mechanism, record)
+    mechanism.constraints[name] = record
+    return record
+
+
+def between(
+    mechanism: Mechanism, name: str, kind: str, parent: Placed, child: Placed, length: object, where: Where | None
+) -> Declared:  # fmt: skip
+    """Add a constraint of `BETWEEN` with its ends placed on bodies; see `Mechanism.constraint`."""
+    subject = f"constraint {name!r}"
+    mechanism._free_joint_name(checks.name(name, "constraint"), subject, where)
+    if kind not in BETWEEN:
+        checks.refuse(subject, str(UnknownNameError("kind of constraint", kind, BETWEEN)), where)
+    A, B = (_placed(mechanism, p, subject, where) for p in (parent, child))
+    rod = BETWEEN[kind] is Distance
+    if mechanism.dim == 2 and BETWEEN[kind] is OnPlane:
+        checks.refuse(subject, f"{kind} does not exist in the plane", where,
+                      "planar systems take distance and point_on_line")  # fmt: skip
+    if rod and length is None:
+        checks.refuse(subject, "it has no length", where, "give the length of the rod in metres")
+    if not rod and length is not None:
+        checks.refuse(subject, f"{kind} takes no length", where, "only a distance must have one")
+    if rod:
+        return declare(mechanism, Distance(B, A, length), name, where)
+    direction: Any = (0.0, 0.0, 1.0)
+    if mechanism.dim == 2 and kind == "point_on_line":
+        checks.axis_in_plane(subject, A.X, "its line is z of the frame, out of the plane", where)
+        A, direction = End(A.body, Placement(A.X.steps[:-1])), A.X.steps[-1][1]
+    turned = {"direction": direction} if BETWEEN[kind] is OnLine else {}
+    return declare(mechanism, BETWEEN[kind](B, other=A, **turned), name, where)
+
+
+def _placed(mechanism: Mechanism, placed: Placed, subject: str, where: Where | None) -> End:
+    """An end on a body, which may be given by a frame."""
+    thing, at, turn = placed
+    frame = mechanism.frames.get(str(thing)) if isinstance(thing, (Frame, str)) else None
+    if frame is None:
+        on = mechanism._body(thing, subject, where)
+        return End(on.name, mechanism._place(at, turn, subject, where, on))
+    if isinstance(at, (Frame, str)):
+        checks.refuse(subject, f"its point is given twice, by frames {frame.name!r} and {str(at)!r}", where,
+                      "name the frame once")  # fmt: skip
+    on = mechanism.bodies[frame.body]
+    return End(on.name, frame.X_BF @ mechanism._place(at, turn, subject, where, on))
+
+
+def _end(mechanism: Mechanism, end: object, subject: str, where: Where | None) -> End:
+    """An end as a place on a body: None is the ground, text a frame or a body."""
+    if end is None:
+        return End(mechanism.ground.name)
+    if isinstance(end, End):
+        mechanism._body(end.body, subject, where)
+        return end
+    name = end.name if isinstance(end, (Body, Frame)) else end
+    frame = mechanism.frames.get(name) if isinstance(name, str) else None
+    if frame is not None:
+        return End(frame.body, frame.X_BF)
+    if isinstance(name, str) and name in mechanism.bodies:
+        return End(name)
+    known = [*mechanism.frames, *mechanism.bodies]
+    checks.refuse(subject, str(UnknownNameError("frame or body", name, known, mechanism.name)), where)
+
+
+def _with_values(mechanism: Mechanism, given: Constraint, subject: str, where: Where | None) -> Constraint:
+    """The constraint with text in its fields of numbers as expressions in known parameters."""
+    changed: dict[str, Any] = {}
+    for key, x in numbers_in(given).items():
+        if isinstance(x, str) and x in AXES:
+            continue
+        try:
+            read = _read(x, key)
+            for e in expressions_in(read):
+                for name in e.names:
+                    if name not in mechanism.parameters:
+                        raise UnknownNameError("parameter", name, mechanism.parameters)
+        except (InputError, UnknownNameError) as error:
+            text = str(error) if isinstance(error, InputError) else f"{key} is {x!s}: {error}"
+            checks.refuse(subject, text, where)
+        if read is not x:
+            changed[key] = read
+    return replace(given, **changed) if changed else given
+
+
+def _read(x: Any, what: str) -> Any:
+    """Numbers, lists of numbers or expressions as values."""
+    if isinstance(x, (list, tuple)):
+        return [_read(item, what) for item in x]
+    return value(x, what) if isinstance(x, (str, Expression)) else x
+
+
+def check(mechanism: Mechanism, made: Declared) -> None:
+    """Refuse ends, frames and numbers that cannot be the constraint's own."""
+    subject, where, dim = f"constraint {made.name!r}", made.where, mechanism.dim
+    a, b = (mechanism.bodies[n] for n in (made.parent, made.child))
+    if a.name == b.name:
+        checks.refuse(subject, f"it ties body {a.name!r} to itself", where, "it must tie two bodies")
+    try:
+        numbers = with_numbers(made.of, mechanism.parameters)
+        rows = numbers.rows(dim)
+        numbers.goal(dim)
+        tool = numbers.tool(dim)
+    except InputError as error:
+        checks.refuse(subject, str(error), where)
+    lean = any(r.op is not Op.DISTANCE for r in rows)
+    if a.particle and lean:
+        checks.refuse(subject, f"its parent {a.name!r} is a particle, which has no axes", where,
+                      "make the particle the child")  # fmt: skip
+    if b.particle and (any(r.op not in (Op.DISTANCE, Op.POINT) for r in rows) or any(tool[k] for k in (3, 7, 11))):
+        checks.refuse(subject, f"{b.name!r} is a particle, which has no axes and no extent", where, "")
+    for on, X in ((a, made.X_PF), (b, made.X_CM)):
+        if on.particle and X.steps:
+            checks.refuse(subject, f"a particle ({on.name!r}) has no extent: the point must sit on it", where,
+                          "leave out its at and its axis")  # fmt: skip
+        if dim == 2:
+            checks.flat(subject, X, where)
+    _lengths(made, numbers, rows)
+
+
+def _lengths(made: Declared, numbers: Constraint, rows: tuple[Row, ...]) -> None:
+    """Refuse lengths that no rod has: points that coincide are a joint."""
+    for row in rows:
+        name = held(numbers, row) if row.op is Op.DISTANCE else ""
+        length = getattr(numbers, name) if name else 1.0
+        if not 0.0 < float(length) < math.inf:  # not a number fails, too
+            given = getattr(made.of, name)
+            text = f" ({name} = {given})" if isinstance(given, Expression) else ""
+            allowed = "it must be above zero" + ("; points that coincide are a joint" if float(length) == 0.0 else "")
+            checks.refuse(f"constraint {made.name!r}", f"its length is {float(length):g}{text}", made.where, allowed)
+
+
+def renamed(made: Declared, bodies: Mapping[str, str], frames: Mapping[str, str], prefix: str) -> Declared:
+    """The same under other names of bodies and frames, coordinates and the constraint itself with a prefix."""
+    both = {**bodies, **frames}
+
+    def other(x: Any) -> Any:
+        return replace(x, body=bodies[x.body]) if isinstance(x, End) else both.get(x, x)
+
+    of = replace(made.of, **{k: other(x) for k, x in frames_of(made.of).items()})
+    own = {"name": prefix + made.name, "of": of.prefixed(prefix)}
+    return replace(made, **own, parent=bodies.get(made.parent, ""), child=bodies.get(made.child, ""))
+
+

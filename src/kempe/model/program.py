@@ -1,0 +1,81 @@
+"""Declared constraints as ties for the kernels: their rows of position, with ends on rows of the table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.constraints.base import Constraint, Op, Row, held, numbers_in, one_sided, with_numbers
+from kempe.description.parts import Declared
+from kempe.kernels import loop_layout as L
+from kempe.model.loop_plan import Recorded, Tie
+from kempe.model.table import Table
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+TURNS = {Op.ROTATION: {2: L.ANGLE, 3: L.FULL}, Op.TILT: {2: L.ALIGN, 3: L.ALIGN}, Op.LOOK: {2: L.LOOK, 3: L.LOOK}}
+"""What of the rotation a row holds, by the dimension."""
+
+End = tuple[int, np.ndarray, bool]
+"""A row of the table, the pose on it, whether it is a particle."""
+
+
+def declared_ties(system: System, table: Table) -> list[Tie]:
+    """The ties of all declared constraints whose rows hold at a value; one-sided rows and velocities are left out."""
+    return [t for c in system.mechanism.constraints.values() for t in ties_of(system, table, c) if not t.bounds]
+
+
+def ties_of(system: System, table: Table, declared: Declared) -> list[Tie]:
+    """The ties of a declared constraint, one-sided ones with their bounds."""
+    parameters, dim = system.mechanism.parameters, system.dim
+    made = with_numbers(declared.of, parameters)
+    ground = (-1, np.eye(4), False)
+    if not declared.parent:
+        return list(_ties(declared.name, made, dim, ground, ground))
+    ends = ((declared.parent, declared.child), declared.frames(parameters, dim))
+    a, b = ((row, X @ E, particle) for (row, X, particle), E in ((table.at[n], E) for n, E in zip(*ends, strict=True)))
+    return list(_ties(declared.name, made, dim, a, b))
+
+
+def _ties(name: str, made: Constraint, dim: int, a: End, b: End) -> Iterator[Tie]:
+    """Rows that one tie can hold together are one."""
+    rows = [r for r in made.rows(dim) if not r.velocity]
+    for sided in (False, True):
+        own = [r for r in rows if one_sided(made, r) == sided]
+        axes = [r for r in own if r.op is Op.POINT]
+        turns = next((TURNS[r.op][dim] for r in own if r.op in TURNS), L.NO_TURN)
+        bounds = tuple(_between(made, r) for r in axes) if sided else ()
+        if axes or turns != L.NO_TURN:
+            yield Tie(name, a, b, sum(1 << r.args[0] for r in axes), turns, bounds=bounds)
+        for row in (r for r in own if r.op is Op.DISTANCE):
+            field = held(made, row)
+            number = 0.0 if sided else float(getattr(made, field))
+            yield Tie(name, a, b, turns=L.DISTANCE, number=number, bounds=(_between(made, row),) if sided else ())
+        for tape, unit in dict.fromkeys((r.args[0], r.unit) for r in own if r.op is Op.TAPE):
+            alike = [r for r in own if r.op is Op.TAPE and (r.args[0], r.unit) == (tape, unit)]
+            bounds = tuple(_between(made, r) for r in alike) if sided else ()
+            yield Tie(name, a, b, turns=L.TAPE, bounds=bounds, tape=recorded(made, alike))
+
+
+def recorded(made: Constraint, rows: list[Row]) -> Recorded:
+    """Rows of one expression, with the numbers of the constraint put in."""
+    tape = rows[0].args[0].part([r.args[1] for r in rows])
+    numbers = {k: float(x) for k, x in numbers_in(made).items() if k in tape.inputs}
+    return Recorded(tape.fixed(numbers), tuple(r.name for r in rows), rows[0].unit, made.ends[1] is not None)
+
+
+def coordinates_of(made: Constraint) -> tuple[str, ...]:
+    """Names of the coordinates that a constraint reads, besides poses."""
+    return tuple(getattr(made, "of", ()))
+
+
+def _between(made: Constraint, row: Row) -> tuple[float, float]:
+    """Between what a one-sided row holds."""
+    ends = []
+    for field, infinity in ((row.low, -np.inf), (row.high, np.inf)):
+        x = getattr(made, field) if field else None
+        ends.append(infinity if x is None else float(x if row.part is None else np.asarray(x)[row.part]))
+    return ends[0], ends[1]

@@ -1,0 +1,13 @@
+"""What a configuration can be asked for: the kinds of `kempe.constraints`, under the name that roboticists look for.
+
+``from kempe import tasks``, and `System.ik` takes any of them. See `kempe.constraints.Constraint` for `weight`,
+`priority`, `tolerance` and `name`, which all take. Goals may have leading axes: they make a batch. `error`, `jacobian`
+and `miss` say what one of them is at a configuration.
+"""
+
+from kempe.constraints import *  # noqa: F403
+from kempe.constraints import __all__ as __all__
+from kempe.constraints.base import Constraint as Task
+from kempe.kinematics.packed import count, error, jacobian, miss
+
+__all__ += ["Task", "count", "error", "jacobian", "miss"]
