@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from kempe import Mechanism, System
-from kempe.description import checks
 from kempe.description.toml import read_toml
 from kempe.description.toml_writer import write_toml
 from kempe.description.urdf_writer import write_urdf
@@ -61,8 +60,8 @@ def test_ends_are_bodies_or_frames():
         (lambda m: m.constraint("r", "distanc", "a", "b"), "no kind of constraint 'distanc'; did you mean 'distance'"),
         (lambda m: m.constraint("r", "point_on_line", "a", "b", length=1.0), "point_on_line takes no length"),
         (lambda m: m.point_on_line("r", "a", "b", axis=(0, 0, 0)), "axis is 0.0 0.0 0.0"),
-        (lambda m: m.point_on_line("r", m.particle("p"), "b"), "'p' is a particle, which has no line"),
-        (lambda m: m.point_on_plane("r", m.particle("p"), "b"), "'p' is a particle, which has no plane"),
+        (lambda m: m.point_on_line("r", m.particle("p"), "b"), "'p' is a particle, which has no axes"),
+        (lambda m: m.point_on_plane("r", m.particle("p"), "b"), "'p' is a particle, which has no axes"),
         (lambda m: m.point_on_line("r", "a", m.particle("p"), child_at=(1, 0)), "particle .* has no extent"),
     ],
 )
@@ -141,7 +140,7 @@ def test_mounting_and_cutting_out():
     host.attach(m, prefix="x_").attach(m, prefix="y_")
     assert list(host.constraints) == ["x_rod", "y_rod"]
     moved = host.constraints["y_rod"]
-    assert (moved.parent, moved.child, moved.length) == ("y_a", "y_b", Expression("l"))
+    assert (moved.parent, moved.child, moved.of.value) == ("y_a", "y_b", Expression("l"))
     assert moved.X_PF == m.frames["tip"].X_BF
     other = Mechanism("other")
     other.revolute("x_rod", other.ground, other.body("z"))
@@ -163,6 +162,6 @@ def test_urdf_cannot_say_it():
 def test_length_follows_parameters():
     m = two_bodies()
     rod = m.distance("rod", "a", "b", "l - 1")
-    assert checks.constraint_length(rod, m.parameters) == 1.0
+    assert rod.length(m.parameters) == 1.0
     with pytest.raises(DescriptionError, match=r"constraint 'rod': its length is -0.5 \(length = l - 1\)"):
-        checks.constraint_length(rod, {"l": 0.5})
+        m.build().with_parameters(l=0.5).assemble()

@@ -131,6 +131,10 @@ class Constraint(ABC):
     def rows(self, dim: int) -> tuple[Row, ...]:
         """Its rows in the plane (2) or in space (3). Errors: `InputError` where its fields do not fit together."""
 
+    def check(self, dim: int) -> None:
+        """Refuse numbers that it cannot have. Errors: `InputError`."""
+        self.goal(dim)
+
     # ---- its ends
 
     @property

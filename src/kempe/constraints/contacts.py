@@ -52,9 +52,12 @@ class Contact(Constraint):
     radius: Number = 0.0
     shape: str = "ball"
 
+    def check(self, dim: int) -> None:
+        """A radius is not negative."""
+        positive(self.radius, f"radius of {self.label}")
+
     def rows(self, dim: int) -> tuple[Row, ...]:
         """The gap, which is not negative."""
-        positive(self.radius, f"radius of {self.label}")
         gap, _, _ = touching(self.shape, dim, self.label)
         return (Row(Op.TAPE, (from_text([gap], (*POSE, "radius"), {}), 0), "gap", "m", low="zero"),)
 
@@ -88,11 +91,14 @@ class Rolls(Constraint):
     spin: bool = True
     one_sided: bool = False
 
+    def check(self, dim: int) -> None:
+        """A radius is not negative."""
+        positive(self.radius, f"radius of {self.label}")
+
     def rows(self, dim: int) -> tuple[Row, ...]:
         """The gap, and what slips."""
         if self.radius is None:
             raise InputError(f"{self.label} needs a radius")
-        positive(self.radius, f"radius of {self.label}")
         gap, slips, spin = touching(self.shape, dim, self.label)
         more = (spin,) if spin and not self.spin else ()
         inputs = (*POSE, *TWIST, "radius")

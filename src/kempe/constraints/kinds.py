@@ -237,8 +237,11 @@ class OnSphere(_Placed):
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """The distance."""
-        positive(self.radius, f"radius of {self.label}")
         return (Row(Op.DISTANCE, (), "distance", equal="radius"),)
+
+    def check(self, dim: int) -> None:
+        """A radius is not negative."""
+        positive(self.radius, f"radius of {self.label}")
 
     def goal(self, dim: int) -> Array:
         """The center."""
@@ -258,12 +261,15 @@ class InBox(_Placed):
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """All directions."""
-        self._corners(dim)
         return points(dim, low="low_corner", high="high_corner")
 
     def goal(self, dim: int) -> Array:
         """The box's frame."""
         return poses_of(self.pose, dim, f"pose of {self.label}")
+
+    def check(self, dim: int) -> None:
+        """The corners leave something between them."""
+        self._corners(dim)
 
     def _corners(self, dim: int = 0) -> tuple[Array, Array]:
         what = f"corners of {self.label}"
@@ -327,13 +333,16 @@ class Distance(_TwoFrames):
         """The distance."""
         if (self.value is None) == (self.at_least is None and self.at_most is None):
             raise InputError(f"{self.label} needs a value, or at_least or at_most")
+        return (Row(Op.DISTANCE, (), "distance", equal="value", low="at_least", high="at_most"),)
+
+    def check(self, dim: int) -> None:
+        """Distances are not negative, and bounds leave something between them."""
         for name in ("value", "at_least", "at_most"):
             if (x := getattr(self, name)) is not None:
                 positive(x, f"{name} of {self.label}" if name == "value" else f"a bound of {self.label}")
         if self.value is None:
             pair(0.0 if self.at_least is None else self.at_least, math.inf if self.at_most is None else self.at_most,
                  f"at_least and at_most of {self.label}")  # fmt: skip
-        return (Row(Op.DISTANCE, (), "distance", equal="value", low="at_least", high="at_most"),)
 
     def goal(self, dim: int) -> Array:
         """The point of the other frame."""

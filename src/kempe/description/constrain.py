@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from kempe.constraints.base import (
@@ -21,7 +21,7 @@ from kempe.constraints.base import (
 from kempe.constraints.kinds import Distance, OnLine, OnPlane
 from kempe.description import checks
 from kempe.description.parts import Body, Declared, Frame
-from kempe.errors import InputError, UnknownNameError, Where, shown
+from kempe.errors import DescriptionError, InputError, UnknownNameError, Where, shown
 from kempe.placement import AXES, Placement
 from kempe.values import Expression, value
 
@@ -72,6 +72,10 @@ def between(
     if not rod and length is not None:
         checks.refuse(subject, f"{kind} takes no length", where, "only a distance must have one")
     if rod:
+        try:
+            length = value(length, "length")
+        except InputError as error:
+            checks.refuse(subject, str(error), where)
         return declare(mechanism, Distance(B, A, length), name, where)
     direction: Any = (0.0, 0.0, 1.0)
     if mechanism.dim == 2 and kind == "point_on_line":
@@ -135,7 +139,8 @@ def _with_values(mechanism: Mechanism, given: Constraint, subject: str, where: W
 def _read(x: Any, what: str) -> Any:
     """Numbers, lists of numbers or expressions as values."""
     if isinstance(x, (list, tuple)):
-        return [_read(item, what) for item in x]
+        items = tuple(_read(item, what) for item in x)
+        return x if all(a is b for a, b in zip(items, x, strict=True)) else items
     return value(x, what) if isinstance(x, (str, Expression)) else x
 
 
@@ -145,15 +150,9 @@ def check(mechanism: Mechanism, made: Declared) -> None:
     a, b = (mechanism.bodies[n] for n in (made.parent, made.child))
     if a.name == b.name:
         checks.refuse(subject, f"it ties body {a.name!r} to itself", where, "it must tie two bodies")
-    try:
-        numbers = with_numbers(made.of, mechanism.parameters)
-        rows = numbers.rows(dim)
-        numbers.goal(dim)
-        tool = numbers.tool(dim)
-    except InputError as error:
-        checks.refuse(subject, str(error), where)
-    lean = any(r.op is not Op.DISTANCE for r in rows)
-    if a.particle and lean:
+    numbers = resolved(made, mechanism.parameters, dim)
+    rows, tool = numbers.rows(dim), numbers.tool(dim)
+    if a.particle and any(r.op is not Op.DISTANCE for r in rows):
         checks.refuse(subject, f"its parent {a.name!r} is a particle, which has no axes", where,
                       "make the particle the child")  # fmt: skip
     if b.particle and (any(r.op not in (Op.DISTANCE, Op.POINT) for r in rows) or any(tool[k] for k in (3, 7, 11))):
@@ -164,7 +163,22 @@ def check(mechanism: Mechanism, made: Declared) -> None:
                           "leave out its at and its axis")  # fmt: skip
         if dim == 2:
             checks.flat(subject, X, where)
-    _lengths(made, numbers, rows)
+
+
+def resolved(made: Declared, parameters: Mapping[str, float], dim: int) -> Constraint:
+    """The constraint with the numbers that its expressions stand for, checked. Errors: `DescriptionError`."""
+    numbers = with_numbers(made.of, parameters)
+    try:
+        rows = numbers.rows(dim)
+        _lengths(made, numbers, rows)
+        numbers.check(dim)
+        numbers.goal(dim)
+        numbers.tool(dim)
+    except InputError as error:
+        if isinstance(error, DescriptionError):
+            raise
+        checks.refuse(f"constraint {made.name!r}", str(error), made.where)
+    return numbers
 
 
 def _lengths(made: Declared, numbers: Constraint, rows: tuple[Row, ...]) -> None:
@@ -174,7 +188,7 @@ def _lengths(made: Declared, numbers: Constraint, rows: tuple[Row, ...]) -> None
         length = getattr(numbers, name) if name else 1.0
         if not 0.0 < float(length) < math.inf:  # not a number fails, too
             given = getattr(made.of, name)
-            text = f" ({name} = {given})" if isinstance(given, Expression) else ""
+            text = f" (length = {given})" if isinstance(given, Expression) else ""
             allowed = "it must be above zero" + ("; points that coincide are a joint" if float(length) == 0.0 else "")
             checks.refuse(f"constraint {made.name!r}", f"its length is {float(length):g}{text}", made.where, allowed)
 

@@ -380,7 +380,7 @@ class Mechanism:
     def _free_joint_name(self, name: str, subject: str, where: Where | None) -> None:
         taken = self.joints.get(name) or self.constraints.get(name)
         if taken is not None:
-            what, first = type(taken).__name__.lower(), f" ({taken.where})" if taken.where else ""
+            what, first = "joint" if name in self.joints else "constraint", f" ({taken.where})" if taken.where else ""
             checks.refuse(subject, f"there is another {what} of this name{first}", where, "names must be unique")
 
     def _body(self, body: BodyLike, subject: str, where: Where | None) -> Body:

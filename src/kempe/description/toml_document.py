@@ -136,7 +136,8 @@ class Document:
         if given is None:
             raise fail("the file has no line 'format = 1'", self.where(), "every mechanism file starts with it")
         if type(given) is not int or not FORMAT <= given <= NEWEST:
-            raise fail(f"format is {given!r}", self.where("format"), f"this version of Kempe reads format {FORMAT} and {NEWEST}")
+            allowed = f"this version of Kempe reads format {FORMAT} and {NEWEST}"
+            raise fail(f"format is {given!r}", self.where("format"), allowed)
         if not _plain(self.data):
             self._refuse_others()
         self.findings.finish()

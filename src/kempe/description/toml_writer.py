@@ -32,8 +32,8 @@ def write_toml(mechanism: Mechanism) -> str:
     """
     m = mechanism
     constraints = [_constraint(c, m.dim) for c in m.constraints.values()]
-    newer = any("parent" not in table for table in constraints)
-    head = {"format": NEWEST if newer else FORMAT, "name": m.name, "dim": m.dim, "ground": m.ground.name, "notes": list(m.notes)}
+    version = NEWEST if any("parent" not in table for table in constraints) else FORMAT
+    head = {"format": version, "name": m.name, "dim": m.dim, "ground": m.ground.name, "notes": list(m.notes)}
     defaults = {"dim": 3, "ground": "ground", "notes": []}
     blocks = [_lines({k: v for k, v in head.items() if defaults.get(k) != v})]
     if m.parameters:

@@ -186,6 +186,7 @@ def task_of(constraint: Any, dim: int) -> Task:
     if not isinstance(constraint, Constraint):
         raise InputError(f"{constraint!r} is no constraint; see kempe.constraints")
     rows = constraint.rows(dim)
+    constraint.check(dim)
     if any(r.velocity for r in rows):
         raise InputError(f"{constraint.label} is about velocities, which no configuration has: declare it by "
                          "Mechanism.constrain")  # fmt: skip

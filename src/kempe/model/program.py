@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.constraints.base import Constraint, Op, Row, held, numbers_in, one_sided, with_numbers
+from kempe.constraints.base import Constraint, Op, Row, held, numbers_in, one_sided
+from kempe.description.constrain import resolved
 from kempe.description.parts import Declared
 from kempe.kernels import loop_layout as L
 from kempe.model.loop_plan import Recorded, Tie
@@ -31,7 +32,7 @@ def declared_ties(system: System, table: Table) -> list[Tie]:
 def ties_of(system: System, table: Table, declared: Declared) -> list[Tie]:
     """The ties of a declared constraint, one-sided ones with their bounds."""
     parameters, dim = system.mechanism.parameters, system.dim
-    made = with_numbers(declared.of, parameters)
+    made = resolved(declared, parameters, dim)
     ground = (-1, np.eye(4), False)
     if not declared.parent:
         return list(_ties(declared.name, made, dim, ground, ground))
