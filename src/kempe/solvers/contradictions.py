@@ -15,6 +15,7 @@ from kempe import spatial
 from kempe.joints import P
 from kempe.kinematics.task import RIGID, Task
 from kempe.kinematics.tasks import HalfSpace, OnLine, OnPlane, Orientation, Pointing, Pose, Position
+from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def contradictory(problem: Problem) -> np.ndarray:
 
 def _held(problem: Problem, i: int) -> Held | None:
     """What a task says of one body; None for tasks of other kinds."""
-    task, system, goal = problem.tasks[i], problem.system, problem.goals[i][0][0]
+    task, system, goal = problem.tasks[i], own_tree(problem.system), problem.goals[i][0][0]
     if type(task) not in (Pose, Position, Orientation, Pointing, *REGIONS) or goal is None:
         return None
     hold = task.hold(system)  # type: ignore[attr-defined]
@@ -91,7 +92,7 @@ def _between(problem: Problem, a: Held, b: Held, first: Task, second: Task) -> l
     if a.row != b.row:
         if not (a.point and b.point):
             return []
-        longest = longest_between(problem.system, a, b)
+        longest = longest_between(own_tree(problem.system), a, b)
         apart = np.linalg.norm(a.goal[..., :3, 3] - b.goal[..., :3, 3], axis=-1)
         slack = longest + a.linear + b.linear + SLACK * (1.0 + apart)
         text = f"their places are {{off}} m apart, the links between them allow at most {longest:.6g} m"

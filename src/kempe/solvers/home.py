@@ -11,6 +11,7 @@ from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import sampling_box
 from kempe.kinematics.task import Placed
 from kempe.kinematics.tasks import Pose, Position
+from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -26,7 +27,8 @@ def beside(problem: Problem, home: Array) -> Array:
 
     So a drive over the plane begins beside its target; what is near stays. A base that flies is moved by the kernels.
     """
-    system, base = problem.system, _slides(problem.system)
+    system = own_tree(problem.system)
+    base = _slides(system)
     for k, task in enumerate(problem.tasks):
         placed = isinstance(task, (Pose, Position)) and task.weight is None
         at = problem.packed.owner.tolist().index(k) if placed and len(base) else -1
