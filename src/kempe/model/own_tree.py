@@ -1,7 +1,9 @@
 """The tree over which loops are solved: the one that is chosen where no joint is marked `cut`.
 
 Marks say what `fk` and `closure_error` leave out. Where a search from far away ends depends on the equations that it
-solves; so these do not follow the marks, and systems that differ by marks only have the same answers.
+solves; so these do not follow the marks, and systems that differ by marks only have the same answers. One mark is more
+than that: where it keeps a joint in the tree that holds nothing, a free one, it says that bodies are given by their own
+coordinates and those of the joints between them follow.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from kempe.model.topology import spanning_tree
+from kempe.model.topology import Topology, spanning_tree
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -24,6 +26,14 @@ def own_tree(system: System) -> System:
             mechanism = system.mechanism
             mechanism.joints |= {name: replace(joint, cut=False) for name, joint in mechanism.joints.items()}
             tree = spanning_tree(mechanism)
-            found = system if tree == system.topology else type(system)(mechanism, tree)
+            if tree != system.topology and not _keeps_free(system, tree):
+                found = type(system)(mechanism, tree)
         system._queries["own tree"] = found
     return found
+
+
+def _keeps_free(system: System, tree: Topology) -> bool:
+    """Whether the system's tree has a joint that holds nothing and that the other tree leaves out."""
+    m = system._mechanism
+    joints = (m.joints[name] for name in {*tree.closures} - {*system.closures})
+    return any(j.type.constraints(m.dim, m.bodies[j.child].particle) == 0 for j in joints)
