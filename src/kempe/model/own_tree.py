@@ -36,4 +36,4 @@ def _keeps_free(system: System, tree: Topology) -> bool:
     """Whether the system's tree has a joint that holds nothing and that the other tree leaves out."""
     m = system._mechanism
     joints = (m.joints[name] for name in {*tree.closures} - {*system.closures})
-    return any(j.type.constraints(m.dim, m.bodies[j.child].particle) == 0 for j in joints)
+    return any(j.type.constraints(m.dim, m.bodies[j.child].particle) <= 0 for j in joints)
