@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -41,6 +41,18 @@ def hunt(request: pytest.FixtureRequest) -> Hunt:
     """The cases of a hunt: the same on every run with the same options, others for each test."""
     options = request.config
     return Hunt(options.getoption("--hunt-seed"), options.getoption("--hunt-times"), request.node.name)
+
+
+@pytest.fixture(scope="module")
+def solved_as_marked() -> Iterator[None]:
+    """Solvers close loops where they are marked `cut`: for tests of how each type of joint closes one."""
+    from kempe.kinematics import loops, task
+    from kempe.solvers import assembly
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (assembly, loops, task):
+            patch.setattr(module, "own_tree", lambda system: system)
+        yield
 
 
 @pytest.fixture

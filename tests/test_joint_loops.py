@@ -25,6 +25,7 @@ from kempe.views.drawing import symbols
 from kempe.views.drawing.scene import look
 from kempe.views.drawing.solids import Solids
 
+pytestmark = pytest.mark.usefixtures("solved_as_marked")
 NEAR = 0.1
 """How far starts are from a closed configuration, in radians and metres."""
 KINDS = [kind(**options) for kind in (*TYPES.values(), *OWN) for options in variants(kind, 0.3)]

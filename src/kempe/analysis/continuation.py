@@ -16,6 +16,7 @@ import numpy as np
 
 from kempe.kinematics import loops
 from kempe.model.lengths import origin_of
+from kempe.model.own_tree import own_tree
 from kempe.solvers.clock import Budget
 from kempe.spatial import Array
 
@@ -50,7 +51,7 @@ class Closure:
     """
 
     def __init__(self, system: System, held: Sequence[int] = (), at: Array | None = None):
-        self.system, self.held = system, tuple(held)
+        self.system, self.held, self._tree = system, tuple(held), own_tree(system)
         self._held = np.array(self.held, dtype=np.int64)
         layout, turning = system.layout, system.coordinates.turning
         length = loops.characteristic_length(system)
@@ -61,7 +62,7 @@ class Closure:
         self.place = np.full(system.nv, -1, dtype=np.int64)
         self.place[layout.vector_v] = layout.vector_q
         self.n = system.nv
-        rows = loops.row_names(system)
+        rows = loops.row_names(self._tree)
         self.weight = np.array([self._weight(name, row, length) for name, row in rows])
         self.targets = np.zeros(0) if at is None else at[self.place[self._held]]
         self.rows = max(len(rows) + len(self.held), self.n)
@@ -87,7 +88,7 @@ class Closure:
         self.budget.check()
         F, J, m = np.zeros(self.rows), np.zeros((self.rows, self.n)), len(self.weight)
         if m:
-            values, columns = loops.evaluate(self.system, x, with_matrix)
+            values, columns = loops.evaluate(self._tree, x, with_matrix)
             F[:m] = self.weight * values
             if with_matrix:
                 J[:m] = self.weight[:, None] * columns * self.unit
@@ -102,7 +103,7 @@ class Closure:
         k, m = len(x), len(self.weight)
         F, J = np.zeros((k, self.rows)), np.zeros((k, self.rows, self.n))
         if m:
-            values, columns = loops.evaluate(self.system, x)
+            values, columns = loops.evaluate(self._tree, x)
             F[:, :m], J[:, :m] = self.weight * values, self.weight[:, None] * columns * self.unit
         if self.held:
             F[:, m : m + len(self.held)] = (x[:, self.place[self._held]] - self.targets) / self.unit[self._held]

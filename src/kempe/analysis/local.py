@@ -23,6 +23,7 @@ from kempe.analysis.reduction import Split
 from kempe.errors import InputError
 from kempe.kinematics.ball_angles import back, regular_chart
 from kempe.kinematics.configuration import as_q
+from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -127,7 +128,7 @@ def local_dimension(
         raise InputError(f"order is {order!r}; it must be a whole number from 2 to 16")
     if not 0.0 < tolerance < 1.0:
         raise InputError(f"tolerance is {tolerance!r}; it must be a part of one, such as {reduction.RANK:g}")
-    other, there, turned = regular_chart(system, q)
+    other, there, turned = regular_chart(own_tree(system), q)
     rng = np.random.default_rng(rng)
     return in_chart(system, _found(other, there, order, rng, tolerance, sampling), turned)
 

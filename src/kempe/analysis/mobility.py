@@ -21,6 +21,7 @@ from kempe.calls import explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.ball_angles import regular_chart
 from kempe.kinematics.configuration import as_q
+from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -161,26 +162,26 @@ def mobility(
     configurations. Where three angles of a ball joint are singular coordinates, it is looked at in others: `rank` and
     `local` are then about angles measured from there. Errors: `InputError`, `UnknownNameError`.
     """
-    s = structure(system)
+    shown, system = system, own_tree(system)
     driven(system, actuated)  # a wrong name is refused before any work
     at = close(system, _given(system, q)) if q is not None else find_closed(system)
     rng = generator(rng)
     if not at.closed:
-        return _open(system, s, at)
+        return _open(system, shown, at)
     other, q, turned = regular_chart(system, at.q)
     if turned:  # angles of a ball have velocities there that move nothing
-        found = _found(other, replace(at, q=q), actuated, local, rng)
+        found = _found(other, shown, replace(at, q=q), actuated, local, rng)
         from kempe.analysis.local import in_chart
 
         truth = None if found.local is None else in_chart(system, found.local, turned)
         return replace(found, q=at.q, local=truth)
-    return _found(system, at, actuated, local, rng)
+    return _found(system, shown, at, actuated, local, rng)
 
 
 def _found(
-    system: System, at: Closed, actuated: Iterable[str] | None, local: bool, rng: np.random.Generator
+    system: System, shown: System, at: Closed, actuated: Iterable[str] | None, local: bool, rng: np.random.Generator
 ) -> Mobility:  # fmt: skip
-    """Everything, at a closed configuration whose coordinates are regular."""
+    """Everything, at a closed configuration whose coordinates are regular; counted over the tree of `shown`."""
     s, motors = structure(system), driven(system, actuated)
     rank = rank_at(system, at.q)
     generic = nearby(system, rank, rng) if rank.dependent or motors or may_idle(system, rank, motors) else []
@@ -191,8 +192,8 @@ def _found(
     singular, kind = _kind(rank, best, truth)
     sure = truth is None and dof is not None and regular(system, rank, at.residual)
     return Mobility(
-        system.name, system.dim, at.q, True, at.residual, at.given, "", counting(system),
-        loop_counts(system, rank.screws), _clusters(s, rank), _outside(system, s), rank, best.nullity, truth, dof,
+        system.name, system.dim, at.q, True, at.residual, at.given, "", counting(shown),
+        loop_counts(shown, rank.screws), _clusters(s, rank), _outside(system, s), rank, best.nullity, truth, dof,
         redundancy(system, best), idle, control(system, rank, generic, idle, actuated), singular, kind,
         sure,
     )  # fmt: skip
@@ -205,10 +206,11 @@ def _given(system: System, q: Any) -> Array:
     return given
 
 
-def _open(system: System, s: Structure, at: Closed) -> Mobility:
+def _open(system: System, shown: System, at: Closed) -> Mobility:
+    s = structure(system)
     return Mobility(
-        system.name, system.dim, at.q, False, at.residual, at.given, at.why, counting(system),
-        loop_counts(system, None), _clusters(s, None), _outside(system, s), None, None, None, None, None, (), None,
+        system.name, system.dim, at.q, False, at.residual, at.given, at.why, counting(shown),
+        loop_counts(shown, None), _clusters(s, None), _outside(system, s), None, None, None, None, None, (), None,
         None, "",
     )  # fmt: skip
 

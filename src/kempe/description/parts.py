@@ -53,8 +53,8 @@ class Joint:
 
     `limits`, `velocity_limits` and `effort_limits` are by the joint's velocity coordinate names ('' where there is
     one). `actuated` says that a motor drives it (True), that it is passive (False), or nothing (None); `cut` asks
-    that, in a loop, this joint be left out of the spanning tree. `unstated` marks limits that a file does not give, and
-    that are zero by the rules of its format.
+    that, in a loop, this joint be left out of the spanning tree, over which `fk` goes; no answer of solvers depends on
+    it. `unstated` marks limits that a file does not give, and that are zero by the rules of its format.
     """
 
     name: str

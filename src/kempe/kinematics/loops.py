@@ -15,6 +15,7 @@ import numpy as np
 from kempe.kernels.compiled import equations
 from kempe.kinematics.configuration import as_q
 from kempe.model.loops import Loops, characteristic_length, loops_of
+from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -41,8 +42,8 @@ def jacobian(system: System, q: Any) -> Array:
 def evaluate(system: System, q: Any, with_jacobian: bool = True, scaled: bool = False) -> tuple[Array, Array]:
     """Residual (..., m) and Jacobian (..., m, nv) in one pass; the Jacobian is empty unless asked for.
 
-    `scaled`: lengths, those of sliding coordinates included, are measured in characteristic lengths, so that nothing
-    depends on the unit.
+    `scaled`: lengths, those of sliding coordinates included, are measured in characteristic lengths, and loops are cut
+    where solvers cut them (`own_tree`), so that nothing depends on the unit or on joints marked `cut`.
     """
     q = as_q(system, q)
     loops = full(system, scaled)
@@ -62,4 +63,5 @@ def row_names(system: System) -> list[tuple[str, str]]:
 
 def full(system: System, scaled: bool) -> Loops:
     """The packed loops in full form, in metres or `scaled`."""
-    return loops_of(system, frozenset(system.closures), length=None if scaled else 1.0)
+    tree = own_tree(system) if scaled else system
+    return loops_of(tree, frozenset(tree.closures), length=None if scaled else 1.0)

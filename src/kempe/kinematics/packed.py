@@ -16,6 +16,7 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.task import GROUND, TILTS, Goals, Task
 from kempe.kinematics.tasks_whole import task_of
 from kempe.model.loops import Loops, Tie, pack
+from kempe.model.own_tree import own_tree
 from kempe.model.table import Table
 from kempe.spatial import Array
 
@@ -50,7 +51,7 @@ def lead_of(goals: Sequence[Goals]) -> tuple[int, ...]:
 
 def _wide(system: System, tasks: Sequence[Task]) -> np.ndarray:
     """Angles (nv,) with limits a whole turn apart or more, which a whole turn does not change in anything else."""
-    table, c = system.table, system.coordinates
+    table, c = own_tree(system).table, system.coordinates
     with np.errstate(invalid="ignore"):
         wide = c.turning & np.isfinite(c.upper - c.lower) & (c.upper - c.lower >= 2.0 * np.pi)
     for v in np.flatnonzero(wide):
@@ -87,9 +88,10 @@ class Packed:
             return made
 
         self.wide = _wide(system, self.tasks) if turns else np.zeros(system.nv, dtype=bool)
-        carried = frozenset(system.closures)
+        tree = own_tree(system)
+        carried = frozenset(tree.closures)
         level = (lambda tie: levels[owner[id(tie)][0]] if id(tie) in owner else 0) if any(levels) else None
-        self.loops: Loops = pack(system, carried, length=length, further=further, wide=self.wide, level=level)
+        self.loops: Loops = pack(tree, carried, length=length, further=further, wide=self.wide, level=level)
         self.stages: dict[Hashable, Any] = {}
         """What solvers have worked out of weights and priorities."""
         self.scale: Array = self.loops.weights[L.SCALES : L.SCALES + system.nv]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.joints import Fixed
+from kempe.model.own_tree import own_tree
 from kempe.model.table import Table
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def characteristic_length(system: System) -> float:
     if found:
         least = SHORT * sorted(found)[-2:][0]
         return float(np.median([x for x in found if x > least]))
-    table = system.table
+    table = own_tree(system).table
     found = np.linalg.norm(table.placement[..., :3, 3], axis=-1).ravel().tolist()
     found += [float(np.linalg.norm(np.asarray(X)[..., :3, 3], axis=-1).max()) for _, X, _ in table.at.values()]
     real = [x for x in found if x > NOTHING * (1.0 + max(found))]
@@ -63,7 +64,7 @@ def moved(table: Table, by: np.ndarray) -> Table:
 
 def _links(system: System) -> dict[int, list[np.ndarray]]:
     """For each row of the table (-1 is the ground) where joints and constraints sit on it; fixed joints are none."""
-    out: dict[int, list[np.ndarray]] = {}
+    system, out = own_tree(system), {}
     for body, point in _ends(system):
         row, X, _ = system.table.at[body]
         out.setdefault(row, []).append(np.asarray(X)[:3, :3] @ point + np.asarray(X)[:3, 3])

@@ -18,6 +18,7 @@ from kempe.kernels.compiled import assembly as kernel
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.loops import Loops, loops_of, must_carry
+from kempe.model.own_tree import own_tree
 from kempe.reals import reals
 from kempe.solvers.arguments import check_constraints, place_of, seed_number, start_count
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
@@ -52,12 +53,12 @@ class Assembler:
     """
 
     def __init__(self, system: System, known: Iterable[str] = ()):
-        self.system, self.known = system, tuple(known)
+        self.system, self.known, self.tree = system, tuple(known), own_tree(system)
         self.names, self.further = set(self.known), ()
         coordinates = [k for k in self.known if k not in system.frame_names or k in system.coordinate_names]
         self.frames = tuple(k for k in self.known if k not in coordinates)
         self._places(coordinates)
-        self.carried = must_carry(system, self.sources)
+        self.carried = must_carry(self.tree, self.sources)
         self.loops = self._loops((False,) * len(self.frames))
         self.no_pins = np.zeros((1, 12 * len(self.frames)))
 
@@ -108,8 +109,8 @@ class Assembler:
         `whole`: the coordinates of all joints are unknowns, also of those that the tree left out, so that what is
         nearest does not depend on where the loops are cut.
         """
-        carried = frozenset(self.system.closures) if whole else self.carried
-        return loops_of(self.system, carried, self.held, tuple(zip(self.frames, turned, strict=True)))
+        carried = frozenset(self.tree.closures) if whole else self.carried
+        return loops_of(self.tree, carried, self.held, tuple(zip(self.frames, turned, strict=True)))
 
     @cached_property
     def freedoms(self) -> int:

@@ -16,6 +16,7 @@ from kempe.constraints.reading import RIGID
 from kempe.joints import P
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.task import Centred, Placed
+from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def contradictory(problem: Problem) -> np.ndarray:
 
 def _held(problem: Problem, i: int) -> Held | None:
     """What a task says of one body; None for tasks of other kinds."""
-    task, system, goal = problem.tasks[i], problem.system, problem.goals[i][0][0]
+    task, system, goal = problem.tasks[i], own_tree(problem.system), problem.goals[i][0][0]
     if not isinstance(task, Placed) or isinstance(task, Centred) or goal is None or len(problem.goals[i]) > 1:
         return None
     if task.shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE, L.ALIGN):
@@ -105,7 +106,7 @@ def _between(problem: Problem, a: Held, b: Held) -> list[tuple[Array, str]]:
     if a.row != b.row:
         if not (a.point and b.point):
             return []
-        longest = longest_between(problem.system, a, b)
+        longest = longest_between(own_tree(problem.system), a, b)
         apart = np.linalg.norm(a.goal[..., :3, 3] - b.goal[..., :3, 3], axis=-1)
         slack = longest + a.linear + b.linear + SLACK * (1.0 + apart)
         text = f"their places are {{off}} m apart, the links between them allow at most {longest:.6g} m"

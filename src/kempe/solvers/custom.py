@@ -13,6 +13,7 @@ import numpy as np
 
 from kempe.kernels.loop_layout import DAMPING, LONGEST, MOST_DAMPING, SCALES, WIDER
 from kempe.kinematics.loops import evaluate, full
+from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -79,6 +80,7 @@ def assemble_each(
     tolerance: float, rng: int,
 ) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
     """As the kernel: configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3)."""
+    system = own_tree(system)
     q, residual = np.empty_like(starts), np.full(len(starts), np.nan)
     info: Any = np.zeros((len(starts), 3), dtype=np.int64)
     for i, home in enumerate(starts):

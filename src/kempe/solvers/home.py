@@ -10,6 +10,7 @@ from kempe.joints import P
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import sampling_box
 from kempe.kinematics.task import Centred, Placed
+from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -25,7 +26,8 @@ def beside(problem: Problem, home: Array) -> Array:
 
     So a drive over the plane begins beside its target; what is near stays. A base that flies is moved by the kernels.
     """
-    system, base = problem.system, _slides(problem.system)
+    system = own_tree(problem.system)
+    base = _slides(system)
     for k, task in enumerate(problem.tasks):
         whole = isinstance(task, Placed) and task.point and not isinstance(task, Centred)
         placed = whole and task.weight is None and task.hold(system).a is None

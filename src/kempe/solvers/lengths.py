@@ -13,6 +13,7 @@ import numpy as np
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.task import Centred, Goals, Hold, Placed, Task
 from kempe.model.gauge import regauge
+from kempe.model.own_tree import own_tree
 from kempe.model.table import local_chain
 from kempe.solvers.chain import ReachBound, reach_bounds
 from kempe.spatial import Array
@@ -36,7 +37,7 @@ def beyond(problem: Problem, task: Task, goals: Goals) -> Array:
 
     It is a lower bound of the error in its place; zero where lengths say nothing, or within the tolerances.
     """
-    system, (goal, _) = problem.system, goals[0]
+    system, (goal, _) = own_tree(problem.system), goals[0]
     none = np.zeros((1, 2))
     if not isinstance(task, Placed) or isinstance(task, Centred) or task.bounded or goal is None:
         return none

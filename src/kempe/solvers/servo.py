@@ -14,6 +14,7 @@ from kempe.errors import InputError
 from kempe.kernels.layout import BALL, TURN
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import refuse_bad
+from kempe.model.own_tree import own_tree
 from kempe.reals import reals
 from kempe.solvers.chain import chain_of, obstacle
 from kempe.solvers.least_squares import NEAR, damped, scaled
@@ -252,7 +253,7 @@ def speeds(system: System) -> Array:
     """
     found = system._queries.get(("step", "speeds"))
     if found is None:
-        table, given = system.table, system.velocity_limits
+        table, given = own_tree(system).table, system.velocity_limits
         usual = np.where(system.coordinates.turning, TURNING, SLIDING)
         usual[system.layout.quaternion_v[:, None] + np.arange(3)] = TURNING
         for kind, v, m in zip(table.kind.tolist(), table.iv.tolist(), table.multiplier.tolist(), strict=True):

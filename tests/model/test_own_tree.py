@@ -1,0 +1,75 @@
+"""Over which tree loops are solved: marks `cut` do not choose it, unless they keep a free joint."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import Mechanism, System
+from kempe.model.lengths import characteristic_length
+from kempe.model.own_tree import own_tree
+
+
+def four_bar(*cut: str, **more) -> System:
+    m = Mechanism("four-bar", dim=2)
+    m.parameter("crank", 0.1)
+    crank, coupler, rocker = (m.body(name) for name in ("crank", "coupler", "rocker"))
+    places = {"A": (m.ground, crank, 0.0, 0.0), "B": (crank, coupler, "crank", 0.0),
+              "C": (coupler, rocker, 0.5, 0.4), "D": (m.ground, rocker, 0.4, 0.0)}  # fmt: skip
+    for name, (parent, child, at, child_at) in places.items():
+        m.revolute(name, parent, child, at=(at, 0), child_at=(child_at, 0), cut=name in cut, **more.get(name, {}))
+    return m.build()
+
+
+@pytest.mark.parametrize("cut", ["", "A", "B", "C", "D", "AB", "ABCD"])
+def test_a_mark_changes_what_is_left_out_but_not_the_tree_of_solvers(cut):
+    s, plain = four_bar(*cut), four_bar()
+    tree = own_tree(s)
+    assert tree.topology == plain.topology and tree.closures == ("C",)
+    assert (tree is s) == (s.closures == ("C",))
+    assert own_tree(s) is tree and own_tree(tree) is tree
+    assert tree.coordinate_names == s.coordinate_names and np.array_equal(tree.limits, s.limits)
+
+
+def test_other_parameters_and_limits_come_along():
+    s = four_bar("B").with_limits({"A": (-1.0, 1.0)}).with_parameters(crank=0.15)
+    assert isinstance(s, System)
+    tree = own_tree(s)
+    assert s.closures == ("B",) and tree.closures == ("C",)
+    assert tree.parameters["crank"] == 0.15 and tree.limits[0].tolist() == [-1.0, 1.0]
+
+
+@pytest.mark.parametrize("planar", [True, False])
+def test_bodies_that_hang_on_free_joints_stay_there(planar):
+    """Marks say there that bodies are given by their poses; without them the free joint is left out."""
+    m = Mechanism("free", dim=2 if planar else 3)
+    m.free("body", m.ground, m.body("b"))
+    m.revolute("J", m.ground, "b", cut=True)
+    s = m.build()
+    assert s.closures == ("J",) and own_tree(s) is s
+    m.joints["J"] = replace(m.joints["J"], cut=False)
+    assert m.build().closures == ("body",)
+
+
+def test_a_fixed_joint_that_is_cut_does_not_make_two_links_of_one():
+    """How long a typical link is must not depend on it."""
+    lengths = []
+    for cut in "AWD":
+        m = Mechanism("welded", dim=2)
+        crank, coupler, half, rocker = (m.body(name) for name in ("crank", "coupler", "half", "rocker"))
+        m.revolute("A", m.ground, crank, cut=cut == "A")
+        m.revolute("B", crank, coupler, at=(0.1, 0))
+        m.joint("W", "fixed", coupler, half, at=(0.4, 0), cut=cut == "W")
+        m.revolute("C", half, rocker, at=(0.1, 0), child_at=(0.4, 0))
+        m.revolute("D", m.ground, rocker, at=(0.4, 0), cut=cut == "D")
+        s = m.build()
+        assert s.closures == (cut,)
+        lengths.append(characteristic_length(s))
+    assert lengths == [pytest.approx(0.4, rel=1e-12)] * 3
+
+
+def test_files_without_marks_are_solved_over_their_own_tree():
+    assert all(own_tree(s) is s for s in map(kempe.load, ("delta_ss", "jansen", "panda")))
