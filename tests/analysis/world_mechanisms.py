@@ -111,7 +111,8 @@ class World:
             if kind == "distance":
                 m.distance(name, a, b, scale * float(np.linalg.norm(end - p)), at=ends[0], child_at=ends[1])
             else:
-                m.constraint(name, kind, a, b, at=ends[0], child_at=ends[1], axis=(T[:3, :3] @ axis)[:d])
+                declare = {"point_on_line": m.point_on_line, "point_on_plane": m.point_on_plane}[kind]
+                declare(name, a, b, at=ends[0], child_at=ends[1], axis=(T[:3, :3] @ axis)[:d])
         for of, sources in self.couplings:
             m.couple(of, sources)
         return m.build()

@@ -6,6 +6,7 @@ import math
 
 from hypothesis import strategies as st
 
+from kempe.description.constrain import between
 from kempe.description.mechanism import Mechanism
 from kempe.placement import Placement, place, steps_from_data
 
@@ -128,7 +129,7 @@ def _constraints(draw, m: Mechanism, parameters: list[str]) -> None:
         if length and parameters:
             length = draw(st.sampled_from([length, f"2 + sin({parameters[0]})"]))
         if name not in m.joints:
-            m.constraint(name, kind, a, b, X_PF, X_CM, axis=axis, length=length)
+            between(m, name, kind, (a, X_PF, {"axis": axis}), (b, X_CM, {}), length, None)
 
 
 def _relations(draw, m: Mechanism, parameters: list[str]) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from kempe import Mechanism, System
+from kempe.description.constrain import between
 from kempe.description.toml import read_toml
 from kempe.description.toml_writer import write_toml
 from kempe.description.urdf_writer import write_urdf
@@ -57,8 +58,8 @@ def test_ends_are_bodies_or_frames():
         (lambda m: m.distance("Ja", "a", "b", 1.0), "another joint of this name"),
         (lambda m: m.distance("r", "a", "b", 1.0, at=(math.nan, 0)), "at is nan"),
         (lambda m: m.distance("r", "a", "b", 1.0, at="nowhere"), "no frame 'nowhere'"),
-        (lambda m: m.constraint("r", "distanc", "a", "b"), "no kind of constraint 'distanc'; did you mean 'distance'"),
-        (lambda m: m.constraint("r", "point_on_line", "a", "b", length=1.0), "point_on_line takes no length"),
+        (lambda m: between(m, "r", "distanc", ("a", (0, 0, 0), {}), ("b", (0, 0, 0), {}), None, None), "no kind of constraint 'distanc'; did you mean 'distance'"),
+        (lambda m: between(m, "r", "point_on_line", ("a", (0, 0, 0), {}), ("b", (0, 0, 0), {}), 1.0, None), "point_on_line takes no length"),
         (lambda m: m.point_on_line("r", "a", "b", axis=(0, 0, 0)), "axis is 0.0 0.0 0.0"),
         (lambda m: m.point_on_line("r", m.particle("p"), "b"), "'p' is a particle, which has no axes"),
         (lambda m: m.point_on_plane("r", m.particle("p"), "b"), "'p' is a particle, which has no axes"),

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from kempe.calls import explained, explained_methods, flag
-from kempe.constraints import Constraint, Contact, NoSideslip, Rolls
 from kempe.description import checks
+from kempe.description.constraint_methods import ConstraintMethods
 from kempe.description.parts import Body, Coupling, Declared, Frame, Joint
 from kempe.description.source import collecting_later
 from kempe.errors import InputError, UnknownNameError, Where
@@ -25,7 +25,7 @@ BodyLike = Body | str
 
 
 @explained_methods
-class Mechanism:
+class Mechanism(ConstraintMethods):
     """A system under construction: bodies, joints between any two of them, frames, couplings, limits, parameters.
 
     Every method that adds something returns its record or name; a wrong call raises at once and changes nothing.
@@ -194,78 +194,6 @@ class Mechanism:
     def free(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
         """No constraint, but coordinates for where the child is; keywords as in `joint`."""
         return self.joint(name, "free", parent, child, **keywords)
-
-    # ---- constraints that are not joints
-
-    def constrain(self, constraint: Constraint, name: str = "", where: Where | None = None) -> Declared:
-        """A constraint of `kempe.constraints` that always holds, between frames or bodies of the mechanism.
-
-        Numbers may be expressions in parameters. It is no connection: the bodies need joints besides, `free` where
-        nothing else holds them. What only `ik` reads (`weight`, `priority`, `tolerance`) is refused. Errors:
-        `DescriptionError` with what is wrong and what is allowed.
-        """
-        from kempe.description.constrain import declare
-
-        return declare(self, constraint, name, where)
-
-    def distance(
-        self, name: str, a: BodyLike | Frame, b: BodyLike | Frame, length: Value | str,
-        at: object = (0.0, 0.0, 0.0), child_at: object = (0.0, 0.0, 0.0), where: Where | None = None,
-    ) -> Declared:  # fmt: skip
-        """A rod of this length, hinged in all directions, from point `at` on `a` to point `child_at` on `b`.
-
-        `a` and `b` are bodies or frames; points are read in their axes, or are names of frames on them. The rod is
-        no connection: both bodies need joints besides, `free` where nothing else holds them.
-        """
-        return self.constraint(name, "distance", a, b, at, child_at, length=length, where=where)
-
-    def point_on_line(self, name: str, a: BodyLike | Frame, b: BodyLike | Frame, **keywords) -> Declared:
-        """Point `child_at` of `b` stays on the line through `at` of `a` along z (or `axis`); see `constraint`."""
-        return self.constraint(name, "point_on_line", a, b, **keywords)
-
-    def point_on_plane(self, name: str, a: BodyLike | Frame, b: BodyLike | Frame, **keywords) -> Declared:
-        """Point `child_at` of `b` stays in the plane through `at` of `a` across z (or `axis`); see `constraint`."""
-        return self.constraint(name, "point_on_plane", a, b, **keywords)
-
-    def constraint(
-        self, name: str, kind: str, parent: BodyLike | Frame, child: BodyLike | Frame,
-        at: object = (0.0, 0.0, 0.0), child_at: object = (0.0, 0.0, 0.0), rpy: object = None, angle: object = None,
-        axis: object = None, length: Value | str | None = None, where: Where | None = None,
-        quat_wxyz: object = None, matrix: object = None,
-    ) -> Declared:  # fmt: skip
-        """A condition on two bodies that is not a joint: "distance", "point_on_line" or "point_on_plane".
-
-        `parent` and `child` are bodies or frames. Frame A sits on the parent at `at`, turned by `rpy` (or `angle`,
-        `quat_wxyz`, `matrix`) and then so that its z is `axis`; point B sits on the child at `child_at`. `length` is
-        for distances. Errors: `DescriptionError` with what is wrong and what is allowed.
-        """
-        from kempe.description.constrain import between
-
-        turn = {"rpy": rpy, "angle": angle, "axis": axis, "quat_wxyz": quat_wxyz, "matrix": matrix}
-        return between(self, name, kind, (parent, at, turn), (child, child_at, {}), length, where)
-
-    def no_sideslip(self, name: str, frame: BodyLike | Frame, speed: Value | str = 0.0) -> Declared:
-        """The origin of a frame has no velocity along its y axis, as a wheel whose axle is y, or has the `speed`."""
-        return self.constrain(NoSideslip(str(frame), speed=speed), name)
-
-    def rolls(
-        self, name: str, frame: BodyLike | Frame, radius: Value | str, on: BodyLike | Frame | None = None,
-        shape: str = "ball", spin: bool = True, one_sided: bool = False,
-    ) -> Declared:  # fmt: skip
-        """A ball or disc about a frame's origin rolls without slipping on the xy-plane of `on` (default: the ground).
-
-        The axle of a disc is y of its frame. Without `spin` it does not turn about the normal either; `one_sided`: it
-        may leave the plane.
-        """
-        other = None if on is None else str(on)
-        return self.constrain(Rolls(str(frame), other, radius, shape, spin, one_sided), name)
-
-    def contact(
-        self, name: str, frame: BodyLike | Frame, on: BodyLike | Frame | None = None, radius: Value | str = 0.0,
-        shape: str = "ball",
-    ) -> Declared:  # fmt: skip
-        """A point, or a ball or disc about a frame's origin, stays above the xy-plane of `on` (default: the ground)."""
-        return self.constrain(Contact(str(frame), None if on is None else str(on), radius, shape), name)
 
     # ---- relations between coordinates
 

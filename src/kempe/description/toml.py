@@ -9,7 +9,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from kempe.constraints.base import FRAMES, KINDS, NUMBERS, End, fields_of, needed_by
-from kempe.description.constrain import BETWEEN
+from kempe.description.constrain import BETWEEN, between
 from kempe.description.dh import add_dh, add_screws
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body
@@ -209,16 +209,8 @@ class _Reader:
         if not good or X_PF is None or X_CM is None:
             return
         try:
-            self.mechanism.constraint(
-                table["name"],
-                table["type"],
-                table["parent"],
-                table["child"],
-                at=X_PF,
-                child_at=X_CM,
-                length=table.get("length"),
-                where=self.where(*path),
-            )
+            ends = (table["parent"], X_PF, {}), (table["child"], X_CM, {})
+            between(self.mechanism, table["name"], table["type"], *ends, table.get("length"), self.where(*path))
         except DescriptionError as error:
             for p in error.problems:
                 about = ["length"] if "length" in table and "length" in p.message else []

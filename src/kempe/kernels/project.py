@@ -324,8 +324,7 @@ def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iter
     tied = raw(ties), raw(numbers), raw(work)
     A_, g_, q_, trial_ = raw(A), raw(g), raw(q), raw(trial)
     for b in range(q.shape[0]):
-        center, damping, count, fresh = centers[b], DAMPING_FIRST, 0, False
-        size2, distance2 = np.inf, 0.0
+        center, damping, count, fresh, size2, distance2 = centers[b], DAMPING_FIRST, 0, False, np.inf, 0.0
         while True:
             if not fresh:
                 _linearise(ints, floats, tied, q_, b * nq, v, poses, extra, frames, value, M, rates, J, b)

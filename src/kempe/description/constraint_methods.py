@@ -1,0 +1,74 @@
+"""The methods of `Mechanism` that declare constraints: what always holds besides the joints."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kempe.constraints import Constraint, Contact, NoSideslip, Rolls
+from kempe.description.constrain import between, declare
+from kempe.description.parts import Body, Declared, Frame
+from kempe.errors import Where
+from kempe.values import Value
+
+BodyLike = Body | str
+
+
+class ConstraintMethods:
+    """Base of `Mechanism`: constraints that are not joints, by their kinds and by name."""
+
+    def constrain(self: Any, constraint: Constraint, name: str = "", where: Where | None = None) -> Declared:
+        """A constraint of `kempe.constraints` that always holds, between frames or bodies of the mechanism.
+
+        Numbers may be expressions in parameters. It is no connection: the bodies need joints besides, `free` where
+        nothing else holds them. What only `ik` reads (`weight`, `priority`, `tolerance`) is refused. Errors:
+        `DescriptionError` with what is wrong and what is allowed.
+        """
+        return declare(self, constraint, name, where)
+
+    def distance(
+        self: Any, name: str, a: BodyLike | Frame, b: BodyLike | Frame, length: Value | str,
+        at: object = (0.0, 0.0, 0.0), child_at: object = (0.0, 0.0, 0.0), where: Where | None = None,
+    ) -> Declared:  # fmt: skip
+        """A rod of this length, hinged in all directions, from point `at` on `a` to point `child_at` on `b`.
+
+        `a` and `b` are bodies or frames; points are read in their axes, or are names of frames on them. The rod is
+        no connection: both bodies need joints besides, `free` where nothing else holds them.
+        """
+        return between(self, name, "distance", (a, at, {}), (b, child_at, {}), length, where)
+
+    def point_on_line(
+        self: Any, name: str, a: BodyLike | Frame, b: BodyLike | Frame, at: object = (0.0, 0.0, 0.0),
+        child_at: object = (0.0, 0.0, 0.0), where: Where | None = None, **turn,
+    ) -> Declared:  # fmt: skip
+        """Point `child_at` of `b` stays on the line through `at` of `a` along z (or `axis`, as in `joint`)."""
+        return between(self, name, "point_on_line", (a, at, turn), (b, child_at, {}), None, where)
+
+    def point_on_plane(
+        self: Any, name: str, a: BodyLike | Frame, b: BodyLike | Frame, at: object = (0.0, 0.0, 0.0),
+        child_at: object = (0.0, 0.0, 0.0), where: Where | None = None, **turn,
+    ) -> Declared:  # fmt: skip
+        """Point `child_at` of `b` stays in the plane through `at` of `a` across z (or `axis`, as in `joint`)."""
+        return between(self, name, "point_on_plane", (a, at, turn), (b, child_at, {}), None, where)
+
+    def no_sideslip(self: Any, name: str, frame: BodyLike | Frame, speed: Value | str = 0.0) -> Declared:
+        """The origin of a frame has no velocity along its y axis, as a wheel whose axle is y, or has the `speed`."""
+        return self.constrain(NoSideslip(str(frame), speed=speed), name)
+
+    def rolls(
+        self: Any, name: str, frame: BodyLike | Frame, radius: Value | str, on: BodyLike | Frame | None = None,
+        shape: str = "ball", spin: bool = True, one_sided: bool = False,
+    ) -> Declared:  # fmt: skip
+        """A ball or disc about a frame's origin rolls without slipping on the xy-plane of `on` (default: the ground).
+
+        The axle of a disc is y of its frame. Without `spin` it does not turn about the normal either; `one_sided`: it
+        may leave the plane.
+        """
+        other = None if on is None else str(on)
+        return self.constrain(Rolls(str(frame), other, radius, shape, spin, one_sided), name)
+
+    def contact(
+        self: Any, name: str, frame: BodyLike | Frame, on: BodyLike | Frame | None = None, radius: Value | str = 0.0,
+        shape: str = "ball",
+    ) -> Declared:  # fmt: skip
+        """A point, or a ball or disc about a frame's origin, stays above the xy-plane of `on` (default: the ground)."""
+        return self.constrain(Contact(str(frame), None if on is None else str(on), radius, shape), name)
