@@ -181,8 +181,11 @@ def count(system: System, constraint: Constraint) -> int:
 
 
 def miss(system: System, constraint: Constraint, q: Any) -> tuple[Array, Array]:
-    """How far (...) a constraint is missed at q (..., nq), in metres and in radians, judged by the forward model."""
-    return task_of(constraint, system.dim).measure(system, as_q(system, q))
+    """How far (...) a constraint is missed at q (..., nq), in metres and in radians, judged by the forward model.
+
+    Where loops are open, bodies are where solvers place them (`kempe.model.own_tree`).
+    """
+    return task_of(constraint, system.dim).measure(own_tree(system), as_q(system, q))
 
 
 def _alone(system: System, constraint: Constraint) -> Packed:
