@@ -13,9 +13,9 @@ from scipy.optimize import minimize
 import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.errors import InputError, NoSolutionError
+from kempe.kinematics.asking import task_of
 from kempe.kinematics.loops import residual
 from kempe.kinematics.packed import Packed
-from kempe.kinematics.tasks_whole import task_of
 from kempe.solvers.reached import Reached
 from kempe.solvers.solution import Solution
 

@@ -12,9 +12,9 @@ from kempe.constraints.base import Constraint
 from kempe.constraints.reading import LARGEST, RIGID
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
+from kempe.kinematics.asking import task_of
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.task import GROUND, TILTS, Goals, Task
-from kempe.kinematics.tasks_whole import task_of
 from kempe.model.loops import Loops, Tie, pack
 from kempe.model.own_tree import own_tree
 from kempe.model.table import Table

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.constraints.base import Constraint, Op
 from kempe.constraints.reading import ends_of, numbers_of
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q, circles
-from kempe.kinematics.task import GROUND, Centred, Goals, Placed, Task
+from kempe.kinematics.task import GROUND, Goals, Task
 from kempe.kinematics.zoo import UserConstraint, user_constraint
 from kempe.model.loops import Tie
 from kempe.model.table import Table
@@ -175,20 +174,3 @@ class Called(Task):
             value = np.atleast_1d(reals(self.of.function(q[index].copy()), f"the value of {self.label}"))
             out[index] = np.linalg.norm(value - np.clip(value, self.of.low, self.of.high))
         return np.zeros(lead), out
-
-
-FAMILIES: dict[Op, type[Task]] = {Op.COORDINATE: Coordinates, Op.CALL: Called}
-"""Which class asks for rows of an operation; `Placed` for all others."""
-
-
-def task_of(constraint: Any, dim: int) -> Task:
-    """The constraint as a task. Errors: `InputError` where it is none, or cannot be asked of a configuration."""
-    if not isinstance(constraint, Constraint):
-        raise InputError(f"{constraint!r} is no constraint; see kempe.constraints")
-    rows = constraint.rows(dim)
-    constraint.check(dim)
-    if any(r.velocity for r in rows):
-        raise InputError(f"{constraint.label} is about velocities, which no configuration has: declare it by "
-                         "Mechanism.constrain")  # fmt: skip
-    family = FAMILIES.get(rows[0].op) or (Centred if hasattr(constraint, "masses") else Placed)
-    return family(constraint, dim)

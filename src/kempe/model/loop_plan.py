@@ -67,15 +67,19 @@ class Recorded:
     names: tuple[str, ...]
     unit: str
     posed: bool
+    given: tuple[str, ...] = ()
+    """Inputs that are numbers of the call."""
 
     def input(self, name: str) -> int:
         """What an input is, as `loop_layout` says."""
+        if name in self.given:
+            return L.GIVEN
         return L.PLACE + POSE.index(name) if self.posed and name in POSE else L.COORDINATE
 
     @property
     def moved(self) -> bool:
         """Whether it depends on the pose."""
-        return any(self.input(n) != L.COORDINATE for n in self.tape.inputs)
+        return any(self.input(n) < L.COORDINATE for n in self.tape.inputs)
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -247,6 +251,8 @@ class Plan:
             if (what := recorded.input(name)) == L.COORDINATE:
                 place, v = first[name]
                 column = -1 if self.held[v] else columns.setdefault(v, len(columns))
+            elif what == L.GIVEN:
+                place = recorded.given.index(name)
             inputs += [what, place, column]
         self.recorded.append((ints, floats, inputs))
 
@@ -298,7 +304,7 @@ class Plan:
                 self._lengths(tie), given if tie.given else -1, len(bounds) if tie.bounds else -1,
                 len(centres) if tie.centre is not None else -1, data,
             ])  # fmt: skip
-            pin, given = pin + tie.pin, given + (4 if tie.ball else 1) * tie.given
+            pin, given = pin + tie.pin, given + (len(tie.tape.given) if tie.tape else 4 if tie.ball else 1) * tie.given
             first_row, block = first_row + rows, block + rows * n_locals + work
             unit = self.length if self._lengths(tie) else 1.0
             bounds += [x / unit for low, high in tie.bounds for x in (low, high)]

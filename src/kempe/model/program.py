@@ -35,14 +35,14 @@ def ties_of(system: System, table: Table, declared: Declared) -> list[Tie]:
     made = resolved(declared, parameters, dim)
     ground = (-1, np.eye(4), False)
     if not declared.parent:
-        return list(_ties(declared.name, made, dim, ground, ground))
+        return list(ties(declared.name, made, dim, ground, ground))
     ends = ((declared.parent, declared.child), declared.frames(parameters, dim))
     a, b = ((row, X @ E, particle) for (row, X, particle), E in ((table.at[n], E) for n, E in zip(*ends, strict=True)))
-    return list(_ties(declared.name, made, dim, a, b))
+    return list(ties(declared.name, made, dim, a, b))
 
 
-def _ties(name: str, made: Constraint, dim: int, a: End, b: End) -> Iterator[Tie]:
-    """Rows that one tie can hold together are one."""
+def ties(name: str, made: Constraint, dim: int, a: End, b: End, given: bool = False) -> Iterator[Tie]:
+    """The ties of the rows of position between two ends, as few as can hold them; `given` as in `recorded`."""
     rows = [r for r in made.rows(dim) if not r.velocity]
     for sided in (False, True):
         own = [r for r in rows if one_sided(made, r) == sided]
@@ -58,14 +58,17 @@ def _ties(name: str, made: Constraint, dim: int, a: End, b: End) -> Iterator[Tie
         for tape, unit in dict.fromkeys((r.args[0], r.unit) for r in own if r.op is Op.TAPE):
             alike = [r for r in own if r.op is Op.TAPE and (r.args[0], r.unit) == (tape, unit)]
             bounds = tuple(_between(made, r) for r in alike) if sided else ()
-            yield Tie(name, a, b, turns=L.TAPE, bounds=bounds, tape=recorded(made, alike))
+            yield Tie(name, a, b, turns=L.TAPE, bounds=bounds, tape=recorded(made, alike, given))
 
 
-def recorded(made: Constraint, rows: list[Row]) -> Recorded:
-    """Rows of one expression, with the numbers of the constraint put in."""
+def recorded(made: Constraint, rows: list[Row], given: bool = False) -> Recorded:
+    """Rows of one expression, with the numbers of the constraint put in; `given`: they come with the call."""
     tape = rows[0].args[0].part([r.args[1] for r in rows])
-    numbers = {k: float(x) for k, x in numbers_in(made).items() if k in tape.inputs}
-    return Recorded(tape.fixed(numbers), tuple(r.name for r in rows), rows[0].unit, made.ends[1] is not None)
+    numbers = {k: x for k, x in numbers_in(made).items() if k in tape.inputs}
+    names, unit, posed = tuple(r.name for r in rows), rows[0].unit, made.ends[1] is not None
+    if given:
+        return Recorded(tape, names, unit, posed, tuple(numbers))
+    return Recorded(tape.fixed({k: float(x) for k, x in numbers.items()}), names, unit, posed)
 
 
 def coordinates_of(made: Constraint) -> tuple[str, ...]:

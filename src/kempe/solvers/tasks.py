@@ -15,11 +15,12 @@ from kempe.constraints.base import Constraint
 from kempe.errors import InputError, NoSolutionError, shown
 from kempe.kernels import search_layout as S
 from kempe.kernels.compiled import reach as kernel
+from kempe.kinematics.asking import task_of
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.packed import Packed, lead_of, refuse
 from kempe.kinematics.parallel import over_chunks
 from kempe.kinematics.task import Goals, Task
-from kempe.kinematics.tasks_whole import Callback, task_of
+from kempe.kinematics.tasks_whole import Callback
 from kempe.reals import is_whole
 from kempe.solvers import effort
 from kempe.solvers.apart import apart

@@ -16,7 +16,7 @@ from kempe.constraints import KINDS, Constraint
 from kempe.description.source import Source, decode, expanded, no_file, shorten
 from kempe.description.toml_document import Document
 from kempe.errors import InputError, UnknownNameError, hint
-from kempe.kinematics.tasks_whole import task_of
+from kempe.kinematics.asking import task_of
 from kempe.views import rows
 from kempe.views.facts import DEGREE, units
 
