@@ -26,6 +26,8 @@ SHARE, LEAST = 1e-3, 1e-15
 """The least part of an estimate of rounding, and the least rounding, that is believed."""
 BLIND = 1e-6
 """Part of a bracket that a direction must be long at most, for it to be beyond doubt that there is none."""
+AGAIN = 3
+"""How often a doubtful growth vector is sought again."""
 MORE = 2
 """Brackets of a length that are tried besides those that may be independent."""
 WORK = 1e8
@@ -188,12 +190,21 @@ class _Span:
 
 
 def growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bool) -> Growth:
-    """The growth vector at the point of a distribution, up to `enough` directions.
+    """The growth vector at the point of a distribution, up to `enough` directions; again where it is doubtful.
 
     Where nothing is added by one more letter, all brackets of any length are in the span if the point is generic, for
     the span is then involutive around it. If `patient`, longer ones are tried all the same, up to a limit of work: at
     singular points the growth may rest and go on.
     """
+    found = _growth(at, rng, enough, patient)
+    for _ in range(AGAIN):
+        if not found.doubtful:
+            break
+        found = _growth(at, rng, enough, patient)
+    return found
+
+
+def _growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bool) -> Growth:
     words, m = Words(at, rng), at.dimension
     span = _Span(at.basis, 1e-15 * at.condition)
     found, length, limit = [m], 1, _limit(words)

@@ -8,18 +8,19 @@ the rates of functions of q (Frobenius, 1877): positions in disguise.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.analysis.brackets import Distribution, Growth, distribution, growth
-from kempe.analysis.generic import Closed, close, find_closed
+from kempe.analysis.brackets import growth
+from kempe.analysis.generic import close, find_closed
 from kempe.calls import explained, explained_methods, generator
+from kempe.analysis.reach import Place, Reach, random_place, reach
+from kempe.description.parts import Fixed
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.recorded import Rows
 from kempe.kinematics.velocity import tangent_rows
 from kempe.spatial import Array
 
@@ -27,29 +28,29 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 HOLONOMIC, INTEGRABLE, NONHOLONOMIC, UNILATERAL = "holonomic", "integrable", "nonholonomic", "unilateral"
-STEP = 0.5
-"""Length of the step to a configuration drawn at random, in radians and characteristic lengths."""
-PIECES = 3
-"""Random motions, one after the other, to a configuration that is reached from a given one."""
-
-
 @dataclass(frozen=True)
 class ConstraintKind:
     """What one constraint is, alone beside what holds positions.
 
-    `rows` counts its equations, `independent` the freedoms of velocity that they take. `integrable` of the velocity
-    rows, or of sums of them with factors, are rates of functions of position; `reaches` is the dimension of what
-    motions reach that obey this constraint, `growth` their growth vector at configurations around.
+    `rows` are the names of its equations, `independent` of them take a freedom of velocity each. With rows of velocity,
+    `integrable` of the freedoms that these take are rates of functions of position; `reaches` is the dimension of what
+    motions reach that obey this constraint, `growth` their growth vector, both at configurations around.
     """
 
     name: str
     kind: str
-    rows: int
+    rows: tuple[str, ...]
     independent: int
-    integrable: int
-    reaches: int | None
-    growth: tuple[int, ...] | None
-    sentence: str
+    integrable: int = 0
+    reaches: int | None = None
+    growth: tuple[int, ...] | None = None
+
+    @property
+    def sentence(self) -> str:
+        """What it is, and why, in one sentence."""
+        from kempe.analysis.classify_text import of_one
+
+        return of_one(self)
 
     def __str__(self) -> str:
         return f"{self.name}: {self.sentence}"
@@ -135,4 +136,87 @@ def classify(
     at = find_closed(system) if given is None else close(system, given)
     if not at.closed:
         raise InputError(f"the mechanism cannot be closed here (residual {at.residual:.2g}): {at.why}")
-    return _Classifier(system, tangent_rows(system), at.q, float(t), generator(rng)).found()
+    return _Classifier(system, at.q, float(t), generator(rng)).found()
+
+
+class _Classifier:
+    """The rows of a system at a closed configuration, and around it."""
+
+    def __init__(self, system: System, q: Array, t: float, rng: np.random.Generator):
+        self.system, self.rows, self.rng = system, tangent_rows(system), rng
+        self.of: dict[str, list[int]] = {}
+        for i, row in enumerate(self.rows.names):
+            self.of.setdefault(row.of, []).append(i)
+        names = self.rows.names
+        self.moving = {c for c, rows in self.of.items() if any(names[i].velocity for i in rows)}
+        # what rolls touches: its one-sided rows hold while it does
+        held = (i for i, r in enumerate(names) if not r.velocity and (not r.sided or r.of in self.moving))
+        self.place = Place(self.rows, q, t, tuple(held), self._closed)
+
+    def _closed(self, q: Array) -> Array | None:
+        if not self.place.holding:
+            return q
+        at = close(self.system, q)
+        return at.q if at.closed else None
+
+    def velocity_rows(self, names: Iterable[str]) -> list[int]:
+        """The rows of velocity of some constraints."""
+        return [i for c in names for i in self.of[c] if self.rows.names[i].velocity]
+
+    def found(self) -> Classification:
+        """Everything."""
+        place, system = self.place, self.system
+        whole, around = place.kernel(), random_place(place, self.rng)
+        positions = whole.dimension - place.extra
+        away = whole.dimension if around is None else around.kernel().dimension
+        which = self.velocity_rows(self.moving)
+        free = place.kernel(which).dimension - place.extra
+        made = {"name": system.name, "q": place.q, "position_dof": positions, "velocity_dof": free}
+        if away < whole.dimension:
+            why = f"q is a singular point of the configurations: {positions} velocities there, {away - place.extra} around"
+            return self._without(why, made, around)
+        if place.extra and not np.any(np.abs(place.kernel(which).basis[-1]) > 1e-9):
+            return self._without("the velocities that are asked for contradict each other at q", made, around)
+        total = reach(place, around, which, self.rng)
+        kind = self._together(total)
+        why = "" if total.growth is not None else "the rows of velocity lose rank at q: no velocities go on smoothly around"
+        return Classification(
+            **made, kind=kind, growth=total.growth, growth_around=total.around, reachable_dimension=total.dimension,
+            degree=total.degree, constraints=self._each(around or place), doubtful=total.doubtful, why=why,
+            reachable_around=total.dimension_around,
+        )  # fmt: skip
+
+    def _without(self, why: str, made: dict[str, Any], around: Place | None) -> Classification:
+        """What can be said where growth is not defined."""
+        return Classification(
+            **made, kind="", growth=None, growth_around=None, reachable_dimension=None, degree=None,
+            constraints=self._each(around or self.place), doubtful=False, why=why,
+        )  # fmt: skip
+
+    def _together(self, total: Reach) -> str:
+        """What all constraints are together."""
+        if self.moving:
+            return INTEGRABLE if total.around[0] == total.dimension_around else NONHOLONOMIC
+        sided = bool(self.rows.names) and all(r.sided for r in self.rows.names)
+        return UNILATERAL if sided else HOLONOMIC
+
+    def _each(self, place: Place) -> Mapping[str, ConstraintKind]:
+        return Fixed({name: self._one(place, name, rows) for name, rows in self.of.items()})
+
+    def _one(self, place: Place, name: str, own: list[int]) -> ConstraintKind:
+        rows, whole = self.rows.names, place.kernel().dimension
+        names, which = tuple(rows[i].name for i in own), self.velocity_rows([name]) if name in self.moving else []
+        if not which:
+            held = [i for i in own if not rows[i].sided]
+            others = replace(place, holding=tuple(i for i in place.holding if i not in own))
+            return ConstraintKind(
+                name, HOLONOMIC if held else UNILATERAL, names, others.kernel().dimension - whole if held else 0
+            )  # fmt: skip
+        alone = place.kernel(which)
+        found = growth(alone, self.rng, whole, False).dimensions
+        kind = INTEGRABLE if found[-1] == alone.dimension else NONHOLONOMIC
+        extra = place.extra
+        return ConstraintKind(
+            name, kind, names, whole - alone.dimension, whole - found[-1], found[-1] - extra,
+            tuple(d - extra for d in found),
+        )  # fmt: skip

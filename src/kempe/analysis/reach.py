@@ -115,6 +115,10 @@ def reach(place: Place, around: Place | None, which: Sequence[int], rng: np.rand
     here = place.kernel(which)
     there = here if around is None else around.kernel(which)
     far = growth(there, rng, whole, False)
+    if far.dimensions[-1] < whole and around is not None:  # the end is confirmed at another place
+        other = random_place(around, rng)
+        more = far if other is None else growth(other.kernel(which), rng, whole, False)
+        far = max(far, more, key=lambda g: g.dimensions[-1])
     most = far.dimensions[-1]
     if here.dimension > there.dimension:  # no field of velocities at q goes on smoothly around
         return Reach(here.dimension - extra, None, _less(far, extra), None, most - extra, None, far.doubtful)

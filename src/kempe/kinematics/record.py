@@ -27,6 +27,7 @@ Form = dict[Any, Num]
 
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 PLACE = {"x": 0, "y": 1, "z": 2}
+POSE = frozenset({*"xyz", *(i + j for i in "xyz" for j in "xyz")})
 
 
 class Numbers:
@@ -216,24 +217,28 @@ class Recorder:
 
     # ---- expressions
 
-    def linear(
-        self, tape: Tape, a: tuple, b: tuple, known: Mapping[str, Num], rates: Mapping[str, Form], which: int
-    ) -> tuple[Num, Form]:
-        """An output of a tape, and what is linear in velocities of its rate.
+    def seen(self, a: tuple, b: tuple) -> Seen:
+        """The pose of b seen from a, by the names of its numbers."""
+        return Seen(self, a, b)
 
-        `known` gives inputs by name, `rates` the rates of some of them. Other inputs are of the pose of b seen from a;
-        and the components of the twist, whose value is zero and whose rate is the component itself.
+    def linear(
+        self, tape: Tape, seen: Seen | None, known: Mapping[str, Num], rates: Mapping[str, Form], which: int
+    ) -> tuple[Num, Form]:
+        """An output of a tape, and its rate as what is linear in velocities.
+
+        Inputs are, where there is a pose `seen`, its numbers, and the components of the twist, whose value is zero and
+        whose rate is the component itself; `known` gives others by name, `rates` the rates of some of them.
         """
-        n, pose = self.numbers, _Seen(self, a, b)
+        n = self.numbers
         values: list[Num] = []
         forms: list[Form] = []
         for name in tape.inputs:
-            if name in TWIST:
+            if seen is not None and name in TWIST:
                 value, form = 0.0, {TWIST.index(name): 1.0}
-            elif name in known:
-                value, form = known[name], dict(rates.get(name, {}))
+            elif seen is not None and name in POSE:
+                value, form = seen(name)
             else:
-                value, form = pose(name)
+                value, form = known[name], rates.get(name, {})
             values.append(value)
             forms.append(form)
         zero: Num = 0.0
@@ -256,7 +261,7 @@ class Recorder:
         at = tape.outputs[which]
         return values[at], forms[at]
 
-    def _sum(self, f: Form, by: Num, g: Form, other: Num) -> Form:
+    def sum_of(self, f: Form, by: Num, g: Form, other: Num) -> Form:
         """by f + other g."""
         n = self.numbers
         out = {k: n.mul(by, x) for k, x in f.items()}
@@ -268,22 +273,22 @@ class Recorder:
         n = self.numbers
         if op in (L.ADD, L.SUB):
             sign = 1.0 if op == L.ADD else -1.0
-            return (n.add if op == L.ADD else n.sub)(a, b), self._sum(f, 1.0, g, sign)
+            return (n.add if op == L.ADD else n.sub)(a, b), self.sum_of(f, 1.0, g, sign)
         if op == L.MUL:
-            return n.mul(a, b), self._sum(f, b, g, a)
-        value = n.of(op, a, b)
+            return n.mul(a, b), self.sum_of(f, b, g, a)
+        value = 0.0 if op == L.DIV and isinstance(a, float) and a == 0.0 else n.of(op, a, b)
         if not f and not g:
             return value, {}
         if op == L.DIV:
             by = n.of(L.DIV, 1.0, b)
-            return value, self._sum(f, by, g, n.neg(n.mul(value, by)))
+            return value, self.sum_of(f, by, g, n.neg(n.mul(value, by)))
         if op == L.POW:
             slope = n.mul(b, n.of(L.POW, a, n.sub(b, 1.0)))
-            return value, self._sum(f, slope, g, n.mul(value, n.of(L.LOG, a)) if g else 0.0)
+            return value, self.sum_of(f, slope, g, n.mul(value, n.of(L.LOG, a)) if g else 0.0)
         if op == L.HYPOT:
-            return value, self._sum(f, n.of(L.DIV, a, value), g, n.of(L.DIV, b, value))
+            return value, self.sum_of(f, n.of(L.DIV, a, value), g, n.of(L.DIV, b, value))
         square = n.add(n.mul(a, a), n.mul(b, b))
-        return value, self._sum(f, n.of(L.DIV, b, square), g, n.neg(n.of(L.DIV, a, square)))
+        return value, self.sum_of(f, n.of(L.DIV, b, square), g, n.neg(n.of(L.DIV, a, square)))
 
     def _slope(self, op: int, x: Num, y: Num) -> Num:
         """The derivative of y = f(x)."""
@@ -300,7 +305,7 @@ class Recorder:
         return tape, places.reshape(-1, 2)
 
 
-class _Seen:
+class Seen:
     """Numbers of the pose of b seen from a by name, and their rates, as they are asked for."""
 
     def __init__(self, recorder: Recorder, a: tuple, b: tuple):

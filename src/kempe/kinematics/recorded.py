@@ -20,12 +20,16 @@ TIME = "t"
 
 @dataclass(frozen=True)
 class RowName:
-    """Where a row comes from: its constraint or joint, its name there, its unit, whether it is one of velocities."""
+    """Where a row comes from: its constraint or joint, its name there, its unit.
+
+    `velocity`: a row A(q) v = b, not the tangent of a position; `sided`: of a position that is held between two ends.
+    """
 
     of: str
     name: str
     unit: str = "m/s"
     velocity: bool = True
+    sided: bool = False
 
 
 @dataclass(frozen=True, eq=False)
