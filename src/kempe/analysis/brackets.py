@@ -22,15 +22,15 @@ ROUNDING = 30.0
 """How many times its estimated rounding a direction must be long to count."""
 SEEN, DOUBT = 3.0, 300.0
 """Between how many times its rounding a direction is doubtful, whether it counts or not."""
-SHARE, LEAST = 1e-3, 1e-15
-"""The least part of an estimate of rounding, and the least rounding, that is believed."""
+SHARE = 1e-3
+"""The least part of an estimate of rounding that is believed."""
 BLIND = 1e-6
 """Part of a bracket that a direction must be long at most, for it to be beyond doubt that there is none."""
 AGAIN = 3
 """How often a doubtful growth vector is sought again."""
 MORE = 2
 """Brackets of a length that are tried besides those that may be independent."""
-WORK = 1e8
+WORK = 4e8
 """Products of series, in numbers, that the longest brackets may take."""
 CONDITION = 1e-9
 """Smallest singular value, as part of the largest of scaled rows, that counts for the rank of A."""
@@ -54,6 +54,8 @@ class Distribution:
     """The last singular value of the rows that counts over the first that does not."""
     condition: float
     """The first singular value over the last that counts."""
+    error: float = 1e-15
+    """How far q is from where it should be, in units."""
 
     @property
     def dimension(self) -> int:
@@ -61,16 +63,18 @@ class Distribution:
         return self.basis.shape[1]
 
 
-def distribution(rows: Rows, q: Array, which: Sequence[int] | None = None, t: float = 0.0) -> Distribution:
-    """The kernel of some `rows`, or of all, at q (nq,) and the time t."""
+def distribution(
+    rows: Rows, q: Array, which: Sequence[int] | None = None, t: float = 0.0, error: float = 1e-15
+) -> Distribution:
+    """The kernel of some `rows`, or of all, at q (nq,) and the time t, which are right up to an `error`."""
     which = np.arange(len(rows.names)) if which is None else np.array(which, dtype=np.int64)
     A, b = rows.values(q, t)
     whole = A[which] if rows.steady else np.concatenate([A[which], -b[which, None]], axis=1)
     units = rows.units[: whole.shape[1]]
-    return _kernel(rows, q, t, which, whole * units)
+    return _kernel(rows, q, t, which, whole * units, error)
 
 
-def _kernel(rows: Rows, q: Array, t: float, which: np.ndarray, scaled: Array) -> Distribution:
+def _kernel(rows: Rows, q: Array, t: float, which: np.ndarray, scaled: Array, error: float) -> Distribution:
     n = scaled.shape[1]
     sizes = np.linalg.norm(scaled, axis=1)
     real = np.flatnonzero(sizes > 0.0)
@@ -87,7 +91,7 @@ def _kernel(rows: Rows, q: Array, t: float, which: np.ndarray, scaled: Array) ->
     pivots[columns] = np.arange(rank)
     inverse = np.ascontiguousarray(np.linalg.inv(square)) if rank else np.zeros((0, 0))
     condition = float(values[0] / values[rank - 1]) if rank else 1.0
-    return Distribution(rows, q, t, chosen, pivots, inverse, Vt[rank:].T, gap, condition)
+    return Distribution(rows, q, t, chosen, pivots, inverse, Vt[rank:].T, gap, condition, error)
 
 
 def _pivots(matrix: Array, count: int) -> np.ndarray:
@@ -123,11 +127,18 @@ class Words:
         self.units = np.ascontiguousarray(rows.units[:n])
 
     def __call__(self, count: int, length: int) -> tuple[Array, Array]:
-        """Brackets (count, length, columns) of `length`, ..., 2, 1 letters, and their rounding (count, length)."""
-        at, columns = self.at, len(self.at.pivots)
-        letters = self.rng.normal(size=(count, length, at.dimension))
+        """Brackets (count, length, columns) of `length`, ..., 2, 1 random letters, and their rounding (count, length)."""
+        letters = self.rng.normal(size=(count, length, self.at.dimension))
         letters /= np.linalg.norm(letters, axis=-1, keepdims=True)
-        letters = np.ascontiguousarray(letters @ at.basis.T)
+        return self.of(letters @ self.at.basis.T)
+
+    def of(self, letters: Array) -> tuple[Array, Array]:
+        """Brackets (n, length, columns) and their rounding for given letters (n, length, columns).
+
+        Entries of letters that are not free at the point do not count.
+        """
+        at, letters = self.at, np.ascontiguousarray(letters)
+        count, length, columns = letters.shape
         found, noise = np.empty((count, length, columns)), np.empty((count, length))
         brackets.words(
             *at.rows.packed, self.order, self.entries, at.pivots, at.inverse, self.slots, at.rows.balls, self.state,
@@ -157,8 +168,8 @@ class _Span:
     estimates that the latest of them had.
     """
 
-    def __init__(self, basis: Array, rounding: float):
-        self.basis, self.rounding = basis, np.full(basis.shape[1], rounding)
+    def __init__(self, basis: Array, rounding: float, least: float):
+        self.basis, self.rounding, self.least = basis, np.full(basis.shape[1], rounding), least
         self.shares, self.doubtful = [1.0, 1.0], False
 
     def add(self, words: Array, noise: Array, known: bool) -> int:
@@ -167,7 +178,7 @@ class _Span:
         `known` says that they should be in it.
         """
         sizes = np.linalg.norm(words, axis=0)
-        real = sizes > noise * ROUNDING
+        real = sizes > ROUNDING * np.maximum(noise, self.least)
         words, noise = words[:, real] / sizes[real], noise[real] / sizes[real]
         if not words.size:
             return 0
@@ -176,7 +187,7 @@ class _Span:
         rest -= self.basis @ (self.basis.T @ rest)
         U, values, _ = np.linalg.svd(rest, full_matrices=False)
         bound = float(np.max(noise + self.rounding @ np.abs(inside))) * np.sqrt(words.shape[1])
-        error = max(LEAST, max(self.shares[-2:]) * bound)
+        error = max(self.least, max(self.shares[-2:]) * bound)
         rank = int(np.sum(values > ROUNDING * error))
         if known and not rank:
             self.shares.append(max(values[0] / bound, SHARE))
@@ -206,7 +217,7 @@ def growth(at: Distribution, rng: np.random.Generator, enough: int, patient: boo
 
 def _growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bool) -> Growth:
     words, m = Words(at, rng), at.dimension
-    span = _Span(at.basis, 1e-15 * at.condition)
+    span = _Span(at.basis, at.error * at.condition, at.error)
     found, length, limit = [m], 1, _limit(words)
     while found[-1] < enough and m > 1 and length < limit:
         length += 1

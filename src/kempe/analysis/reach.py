@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,8 @@ PIECES = 3
 """Random motions, one after the other, to a configuration that is reached from a given one."""
 EXACT = 1e-12
 """Tolerance of the integration of such motions."""
+DRIFT = 1e-9
+"""How far it leads away from what such motions reach, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +35,12 @@ class Place:
     t: float
     holding: tuple[int, ...]
     closed: Callable[[Array], Array | None]
+    error: float = 1e-15
+    """How far the configuration is from where it should be, in units."""
 
     def at(self, q: Array) -> Place:
         """The same at another configuration."""
-        return Place(self.rows, q, self.t, self.holding, self.closed)
+        return replace(self, q=q)
 
     @property
     def extra(self) -> int:
@@ -45,7 +49,7 @@ class Place:
 
     def kernel(self, which: Sequence[int] = ()) -> Distribution:
         """Velocities that what holds positions, and further rows, leave free."""
-        return distribution(self.rows, self.q, (*self.holding, *which), self.t)
+        return distribution(self.rows, self.q, (*self.holding, *which), self.t, self.error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +110,7 @@ def moved_place(place: Place, which: Sequence[int], rng: np.random.Generator) ->
         begin = np.append(start, state[-1])
         end = solve_ivp(rate, (0.0, STEP), begin, "DOP853", rtol=EXACT, atol=EXACT).y[:, -1]
         start, state[-1] = layout.integrate(end[:-1], np.zeros(layout.nv)), end[-1]
-    return Place(rows, start, float(state[-1]), place.holding, place.closed)
+    return replace(place, q=start, t=float(state[-1]), error=DRIFT)
 
 
 def reach(place: Place, around: Place | None, which: Sequence[int], rng: np.random.Generator) -> Reach:

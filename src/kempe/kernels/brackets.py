@@ -199,6 +199,52 @@ def copied(slots, n_slots, work, n, source, step, target, tstep):
                 work[target + tstep * place + s] = work[source + step * i + s]
 
 
+@routine
+def magnitudes(ints, order, n_order, work, n_inputs, width, out):
+    """Write for all nodes the sum of the sizes of what their rates are summed from, by the first letter alone."""
+    for i in range(n_inputs):
+        work[out + i] = abs(work[width * i + 1])
+    for o in range(n_order):
+        i = order[o]
+        p = node_at(ints, 0, i)
+        op, left, right = ints[p], ints[p + 1], ints[p + 2]
+        if op == NUMBER or op == PARTIALS:
+            work[out + i] = 0.0
+            continue
+        first, second = work[out + left], 0.0
+        if op == ADD or op == SUB:
+            second = work[out + right]
+        elif op == MUL:
+            first, second = first * abs(work[width * right]), work[out + right] * abs(work[width * left])
+        elif op == DIV:
+            by = abs(work[width * right])
+            first, second = first / by, work[out + right] * abs(work[width * i]) / by
+        elif op == ATAN2 or op == HYPOT:
+            first *= abs(work[width * ints[p + NODE_INTS + 1]])
+            second = work[out + right] * abs(work[width * ints[p + NODE_INTS + 2]])
+        elif op != NEG:
+            first *= abs(work[width * right])
+        work[out + i] = first + second
+
+
+@routine
+def steepness(entries, n_entries, pivots, columns, inverse, rank, units, work, sizes, v, right):
+    """How fast velocities v change, at most, in units: sums of the sizes of all terms, where `sizes` are of nodes."""
+    for r in range(rank):
+        work[right + r] = 0.0
+    for e in range(n_entries):
+        work[right + entries[3 * e]] += work[sizes + entries[3 * e + 2]] * abs(work[v + entries[3 * e + 1]])
+    most = 0.0
+    for column in range(columns):
+        k = pivots[column]
+        if k >= 0:
+            total = 0.0
+            for r in range(rank):
+                total += abs(inverse[k * rank + r]) * work[right + r]
+            most = max(most, total / units[column])
+    return most
+
+
 @kernel(
     I("_"), F("_"), I("_"), I("e", 3), I("c"), F("r", "r"), I("s", 2), I("_", 2), F("s"), F("n"), F("c"),
     F("N", "l", "c"), OUT("N", "l", "c"), OUT("N", "l"), returns=False,
@@ -225,7 +271,8 @@ def words(ints, floats, order, entries, pivots, inverse, slots, balls, q, inputs
     drift = others + nodes * half
     error = drift + n_slots * half
     right = error + width
-    block = np.zeros(right + rank + 1)
+    sizes = right + rank + 1
+    block = np.zeros(sizes + nodes)
     work, ints_, floats_, order_, entries_ = raw(block), raw(ints), raw(floats), raw(order), raw(entries)
     pivots_, inverse_, slots_, balls_, units_ = raw(pivots), raw(inverse), raw(slots), raw(balls), raw(units)
     found_ = raw(found)
@@ -255,6 +302,12 @@ def words(ints, floats, order, entries, pivots, inverse, slots, balls, q, inputs
             if j < k:
                 copied(slots_, n_slots, work, n, to, width, n, width)
                 tops(ints_, order_, len(order), work, n, width, n, width)
+        steep = 0.0
+        if k > 0:
+            magnitudes(ints_, order_, len(order), work, ints[N_INPUTS], width, sizes)
+            steep = steepness(
+                entries_, len(entries), pivots_, columns, inverse_, rank, units_, work, sizes, own, right
+            )  # fmt: skip
         for s in range(width):
             work[error + s] = EPSILON * size_of(slots_, n_slots, units_, work, s, moves, width)
         at = (b * count + k) * columns
@@ -287,7 +340,7 @@ def words(ints, floats, order, entries, pivots, inverse, slots, balls, q, inputs
                     work[moves + i * width + s] = work[moves + i * width + n + s] - work[drift + i * half + s]
             at = (b * count + j) * columns
             write_word(slots_, n_slots, balls_, n_balls, units_, work, state, width, moves, width, found_, at)
-            noise[b, j] = work[error]
+            noise[b, j] = max(work[error], EPSILON * steep ** (k - j))  # sums that cancel all the way
     keep(block)
 
 

@@ -14,8 +14,8 @@ from kempe.kernels import tape_layout as L
 from kempe.kernels.compiled import brackets
 from kempe.spatial import Array
 
-TIME = "t"
-"""The name of the time among the inputs of a tape."""
+TIME = ""
+"""The name of the time among the inputs of the tape, which is no coordinate's."""
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,8 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
+CLOCK = "t"
+"""The name of the time in expressions, unless a coordinate is called so."""
 RATE = "'"
 """What follows the name of a coordinate in the name of its velocity, in expressions."""
 
@@ -88,7 +90,7 @@ class _Recording:
         self.rates: dict[str, Form] = {n: {("v", iv): 1.0} for n, (_, iv) in first.items()}
         for iq, iv in zip(system.layout.quaternion_q, system.layout.quaternion_v, strict=True):
             self._quaternion(int(iq), int(iv))
-        self.known[TIME] = self.recorder.time
+        self.known.setdefault(CLOCK, self.recorder.time)
 
     def _quaternion(self, iq: int, iv: int) -> None:
         """The rates of the entries of a quaternion: q' = q (0, w) / 2."""
@@ -109,7 +111,7 @@ class _Recording:
         r, turns = self.recorder, tie.turns
         seen = r.seen(tie.a, tie.b)
         if tie.tape is not None:
-            known, rates = {**self.known}, {**self.rates, TIME: {("v", r.table.nv): 1.0}}
+            known, rates = {**self.known}, {CLOCK: {("v", r.table.nv): 1.0}, **self.rates}
             for k in range(len(tie.tape.names)):
                 yield r.linear(tie.tape.tape, seen if tie.tape.posed else None, known, rates, k)[1]
             return
