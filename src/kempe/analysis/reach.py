@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kempe.analysis.brackets import Distribution, Growth, distribution, growth
 from kempe.kinematics.recorded import Rows
+from kempe.kinematics.velocity import tangent_rows, velocity_rows
 from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
 
 STEP = 0.7
 """Mean length of the step of a velocity to a configuration drawn at random, in radians and characteristic lengths."""
@@ -21,6 +26,15 @@ EXACT = 1e-12
 """Tolerance of the integration of such motions."""
 DRIFT = 1e-9
 """How far it leads away from what such motions reach, at most."""
+
+
+def velocity_freedoms(system: System, q: Array) -> int | None:
+    """Freedoms of velocity at q (nq,) that all constraints leave; None without constraints of velocity."""
+    if not velocity_rows(system).names:
+        return None
+    rows = tangent_rows(system)
+    which = [i for i, row in enumerate(rows.names) if not row.sided]
+    return distribution(rows, q, which).dimension - (0 if rows.steady else 1)
 
 
 @dataclass(frozen=True, eq=False)
