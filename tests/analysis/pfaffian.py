@@ -60,7 +60,9 @@ SYSTEMS = {
     "Martinet": Pfaffian("x y z", (("-y**2", "0", "1"),)),
     "Heisenberg": Pfaffian("x y z", (("y/2", "-x/2", "1"),)),
     "Engel": Pfaffian("x y z w", (("-z", "1", "0", "0"), ("-w", "0", "1", "0"))),
-    "Cartan": Pfaffian("x y z u v", (("y", "-x", "1", "0", "0"), ("-z", "0", "0", "1", "0"), ("0", "-z", "0", "0", "1"))),
+    "Cartan": Pfaffian(
+        "x y z u v", (("y", "-x", "1", "0", "0"), ("-z", "0", "0", "1", "0"), ("0", "-z", "0", "0", "1"))
+    ),
     "exact": Pfaffian("x y z", (("cos(x)*y", "sin(x)", "exp(z)"),)),
     "exact, with a factor": Pfaffian("x y z", (("x*(2+sin(y))", "y*(2+sin(y))", "z*(2+sin(y))"),)),
     "two exact": Pfaffian("x y z w", (("y*z", "x*z", "x*y", "0"), ("1", "1", "1", "2*w"))),

@@ -10,8 +10,6 @@ from pfaffian import SYSTEMS, Pfaffian, at_point, bracket, fields, growth_by_sym
 
 from kempe.analysis.brackets import Words, distribution, growth
 from kempe.analysis.reach import Place, Reach, random_place, reach
-from kempe.joints import Layout
-from kempe.kinematics.recorded import RowName, Rows
 
 CHEAP = [name for name in SYSTEMS if name != "three trailers"]
 
@@ -163,9 +161,8 @@ def test_growth_does_not_depend_on_how_rows_are_written(name: str, hunt: Hunt) -
         names, m, order = system.names, len(system.text), rng.permutation(len(q))
         mix = (np.eye(m) + rng.uniform(-0.3, 0.3, size=(m, m)) / m).tolist()
         factors = [[f"({mix[i][j]!r}*(2 + sin({rng.choice(names)})))" for j in range(m)] for i in range(m)]
-        text = tuple(
-            tuple(" + ".join(f"{factors[i][k]}*({system.text[k][j]})" for k in range(m)) for j in order) for i in range(m)
-        )
-        other = Pfaffian(" ".join(names[j] for j in order), text)
+        sums = [[" + ".join(f"{f}*({row[j]})" for f, row in zip(own, system.text, strict=True)) for j in order]
+                for own in factors]  # fmt: skip
+        other = Pfaffian(" ".join(names[j] for j in order), tuple(map(tuple, sums)))
         found = reached(other, np.array(q)[order], int(rng.integers(1000)))
         assert (found.growth, found.dimension) == (here, here[-1])

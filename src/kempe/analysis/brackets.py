@@ -1,9 +1,9 @@
 """Growth vectors: how Lie brackets of the velocities that rows A(q) v = 0 leave free span more and more directions.
 
 The fields X_c(q) are velocities in the kernel of A(q). D^1 is what they span at q, D^s what brackets of up to s of them
-span; the growth vector is (dim D^1, dim D^2, ...). Brackets of random letters span, one after the other, all brackets of
-their length: words [X_1, [X_2, ... [X_(s-1), Y]]] of letters from a basis do (the Jacobi identity), they are linear in
-each letter, and values of a polynomial at random points span what all its values do.
+span; the growth vector is (dim D^1, dim D^2, ...). Brackets of random letters span, one after the other, all brackets
+of their length: words [X_1, [X_2, ... [X_(s-1), Y]]] of letters from a basis do (the Jacobi identity), they are linear
+in each letter, and values of a polynomial at random points span what all its values do.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kempe.errors import InputError
 from kempe.kernels.compiled import brackets
 from kempe.kinematics.recorded import Rows
 from kempe.spatial import Array
@@ -115,9 +114,8 @@ class Words:
         self.at, self.rng = at, rng
         place = {int(row): i for i, row in enumerate(at.chosen)}
         outputs = [k for k, (row, column) in enumerate(rows.entries.tolist()) if row in place and column < n]
-        self.entries = np.array(
-            [(place[int(rows.entries[k, 0])], rows.entries[k, 1], rows.tape.outputs[k]) for k in outputs], dtype=np.int64
-        ).reshape(-1, 3)  # fmt: skip
+        entries = [(place[int(rows.entries[k, 0])], rows.entries[k, 1], rows.tape.outputs[k]) for k in outputs]
+        self.entries = np.array(entries, dtype=np.int64).reshape(-1, 3)
         self.order = rows.needed(outputs)
         state = np.append(at.q, at.t)
         self.inputs = state[rows.inputs]
@@ -127,7 +125,7 @@ class Words:
         self.units = np.ascontiguousarray(rows.units[:n])
 
     def __call__(self, count: int, length: int) -> tuple[Array, Array]:
-        """Brackets (count, length, columns) of `length`, ..., 2, 1 random letters, and their rounding (count, length)."""
+        """Brackets (count, length, columns) of `length`, ..., 1 random letters, and their rounding (count, length)."""
         letters = self.rng.normal(size=(count, length, self.at.dimension))
         letters /= np.linalg.norm(letters, axis=-1, keepdims=True)
         return self.of(letters @ self.at.basis.T)
@@ -236,7 +234,7 @@ def _growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bo
 
 
 def _most(m: int, length: int) -> int:
-    """How many independent brackets of a length there are of m letters, at most (Witt, 1937), but for small divisors."""
+    """About how many independent brackets of a length there are of m letters, at most (Witt, 1937)."""
     return max(1, m**length // length)
 
 

@@ -1,4 +1,4 @@
-"""Which kind each constraint is: holonomic, integrable, nonholonomic, unilateral; how far velocities that are free reach.
+"""Which kind each constraint is: holonomic, integrable, nonholonomic, unilateral; how far free velocities reach.
 
 Velocities that rows A(q) v = 0 leave free span a distribution on the set of closed configurations. What brackets of its
 fields span at q is tangent to the set that motions from q reach (Chow, 1939; Nagano, 1966; Sussmann, 1973). Where it is
@@ -16,8 +16,8 @@ import numpy as np
 
 from kempe.analysis.brackets import growth
 from kempe.analysis.generic import close, find_closed
-from kempe.calls import explained, explained_methods, generator
 from kempe.analysis.reach import Place, Reach, random_place, reach
+from kempe.calls import explained, explained_methods, generator
 from kempe.description.parts import Fixed
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q
@@ -173,13 +173,15 @@ class _Classifier:
         free = place.kernel(which).dimension - place.extra
         made = {"name": system.name, "q": place.q, "position_dof": positions, "velocity_dof": free}
         if away < whole.dimension:
-            why = f"q is a singular point of the configurations: {positions} velocities there, {away - place.extra} around"
+            count = f"{positions} freedoms, around {away - place.extra}"
+            why = f"q is a singular point of what holds positions, which leaves {count}"
             return self._without(why, made, around)
         if place.extra and not np.any(np.abs(place.kernel(which).basis[-1]) > 1e-9):
             return self._without("the velocities that are asked for contradict each other at q", made, around)
         total = reach(place, around, which, self.rng)
         kind = self._together(total)
-        why = "" if total.growth is not None else "the rows of velocity lose rank at q: no velocities go on smoothly around"
+        lost = "constraints of velocity lose rank at q, where velocities do not go on smoothly around"
+        why = "" if total.growth is not None else lost
         return Classification(
             **made, kind=kind, growth=total.growth, growth_around=total.around, reachable_dimension=total.dimension,
             degree=total.degree, constraints=self._each(around or place), doubtful=total.doubtful, why=why,

@@ -26,7 +26,8 @@ def sentence(c: Classification) -> str:
         return both + (f"; {c.why}" if c.why else "")
     if c.kind == "integrable":
         lost = c.integrals or 0
-        return f"{both}: integrable, {counted(lost, 'function')} of position {'stays' if lost == 1 else 'stay'} as it was"
+        keep = "keeps its value" if lost == 1 else "keep their values"
+        return f"{both}: integrable, {counted(lost, 'function')} of position {keep}"
     if c.reachable_dimension is None:
         return f"{both}: nonholonomic; {c.why}"
     if c.reachable_dimension == c.position_dof:
@@ -46,10 +47,9 @@ def of_one(c: ConstraintKind) -> str:
         return "integrable: its velocities are zero by what holds positions, it takes no freedom"
     growth = vector(c.growth or ())
     if c.kind == "integrable":
-        return (
-            f"integrable: alone, brackets of its velocities add nothing, {growth}: it holds "
-            f"{counted(c.independent, 'function')} of position, so motions stay in {counted(c.reaches or 0, 'dimension')}"
-        )
+        held, stay = counted(c.independent, "function"), counted(c.reaches or 0, "dimension")
+        alone = f"integrable: alone, brackets of its velocities add nothing, {growth}"
+        return f"{alone}: it holds {held} of position, so motions stay in {stay}"
     part = ""
     if c.integrable:
         part = f"; {c.integrable} of its {c.independent} freedoms {'is' if c.integrable == 1 else 'are'} integrable"

@@ -78,7 +78,7 @@ class Mobility:
     singular: bool | None
     kind: str
     velocity_dof: int | None = None
-    """Freedoms of velocity at `q`, which constraints of velocity leave of those of position; None where there are none."""
+    """Freedoms of velocity at `q`: what constraints of velocity leave of `rank_dof`; None without such constraints."""
     regular: bool = False
     """Whether the rank is full beyond rounding, so that the implicit function theorem gives `dof`."""
 

@@ -164,7 +164,8 @@ def data(m: Mobility) -> dict[str, Any]:
     return {
         "name": m.name, "dim": m.dim, "sentence": sentence(m), "q": m.q.tolist(), "closed": m.closed,
         "residual": m.residual, "given_residual": m.given_residual, "dof": m.dof, "useful": m.useful, "idle": m.idle,
-        "gruebler": m.gruebler, "gruebler_spatial": m.gruebler_spatial, "rank_dof": m.rank_dof, "velocity_dof": m.velocity_dof,
+        "gruebler": m.gruebler, "gruebler_spatial": m.gruebler_spatial, "rank_dof": m.rank_dof,
+        "velocity_dof": m.velocity_dof,
         "generic_rank_dof": m.generic_rank_dof, "redundant": m.redundant, "redundant_here": m.redundant_here,
         "singular": m.singular, "kind": m.kind, "certain": m.certain, "how": how_known(m),
         "gap": None if r is None or r.gap == float("inf") else r.gap, "counting": list(m.counting.steps),

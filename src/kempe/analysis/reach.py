@@ -100,7 +100,7 @@ def moved_place(place: Place, which: Sequence[int], rng: np.random.Generator) ->
     """A configuration that random motions reach which obey the rows."""
     from scipy.integrate import solve_ivp
 
-    rows, every = place.rows, np.array([*place.holding, *which], dtype=np.int64)
+    rows = place.rows
     layout, units = rows.layout, rows.units[: rows.layout.nv + place.extra]
     start, state = place.q, np.append(np.zeros(layout.nv), place.t)
     for _ in range(PIECES):

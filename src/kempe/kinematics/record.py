@@ -1,8 +1,8 @@
-"""Recording of rows A(q) v = b(q, t): of declared constraints of velocities, and the tangents of all that hold positions.
+"""Recording of rows A(q) v = b(q, t): of constraints of velocity, and the tangents of all that holds positions.
 
-A row is linear in the twist of frame B against frame A: coefficients c of the pose X_AB, dotted with the twists that the
-joints between A and B give, as in `kempe.kernels.ties`. Numbers that are known are folded, so that a tape holds what
-moves only.
+A row is linear in the twist of frame B against frame A: coefficients c of the pose X_AB, dotted with the twists that
+the joints between A and B give, as in `kempe.kernels.ties`. Numbers that are known are folded, so that a tape holds
+what moves only.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ class Numbers:
 
     def of(self, op: int, a: Num, b: Num | None = None) -> Num:
         """An operation of the tape."""
-        made = self.builder.unary(op, self.place(a)) if b is None else self.builder.binary(op, self.place(a), self.place(b))
+        x, build = self.place(a), self.builder
+        made = build.unary(op, x) if b is None else build.binary(op, x, self.place(b))
         if made >= len(self.builder.inputs):
             known = self.builder._constant(made)
             return made if known is None else known
@@ -52,7 +53,9 @@ class Numbers:
         """a + b."""
         if isinstance(a, float) and isinstance(b, float):
             return a + b
-        return b if a == 0.0 and isinstance(a, float) else a if b == 0.0 and isinstance(b, float) else self.of(L.ADD, a, b)
+        if isinstance(a, float) and a == 0.0:
+            return b
+        return a if isinstance(b, float) and b == 0.0 else self.of(L.ADD, a, b)
 
     def neg(self, a: Num) -> Num:
         """-a."""
@@ -313,6 +316,7 @@ class Seen:
         self._ends: tuple[Pose, Pose] | None = None
 
     def __call__(self, name: str) -> tuple[Num, Form]:
+        """A number of the pose and its rate."""
         n = self.recorder.numbers
         if self._ends is None:
             self._ends = self.recorder.end(self.a), self.recorder.end(self.b)

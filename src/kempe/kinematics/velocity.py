@@ -139,7 +139,7 @@ class _Recording:
                     form = r.sum_of(form, 1.0, r.sum_of(du, p, dp, u), 1.0)
                 yield form
         elif turns != L.NO_TURN:
-            raise UnsupportedError(f"constraint {tie.name!r} is a function that is not recorded: its series are needed here")
+            raise UnsupportedError(f"constraint {tie.name!r} is no recorded expression: its series are needed here")
 
     def velocities(self, declared: Declared) -> None:
         """Add the rows of velocity of a declared constraint."""
@@ -148,7 +148,7 @@ class _Recording:
         rows = [row for row in made.rows(system.dim) if row.velocity]
         if not rows:
             return
-        a, b = ends_of(system, self.recorder.table, declared, made)
+        a, b = ends_of(system, self.recorder.table, declared)
         seen = self.recorder.seen(a, b) if made.ends[1] is not None else None
         numbers = {k: float(x) for k, x in numbers_in(made).items() if np.ndim(x) == 0 and x is not None}
         known: dict[str, Num] = {**self.known, **numbers}
