@@ -1,4 +1,4 @@
-"""Iterated Lie brackets of the fields in the kernel of A(q), and values of A(q) recorded as a tape (`tape_layout`).
+"""Iterated Lie brackets of the fields in the kernel of A(q), which is recorded as a tape (`tape_layout`).
 
 The fields are X_c(q), c in R^m: velocities with A(q) v = 0 whose free coordinates are c, as motions of the entries of
 q; a quaternion moves by q' = q (0, w) / 2. For fields X_1 ... X_k and Y the fields W_(k+1) = Y and
@@ -15,6 +15,8 @@ tape holds derivatives as nodes.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from kempe.kernels._jit import kernel, routine
@@ -28,13 +30,11 @@ from kempe.kernels.tape_layout import (
     MUL,
     N_INPUTS,
     N_NODES,
-    N_OUTPUTS,
     NEG,
     NODE_INTS,
     NUMBER,
     PARTIALS,
     SUB,
-    TAPE_HEAD,
 )
 from kempe.kernels.vectors import keep, raw
 
@@ -99,41 +99,80 @@ def tops(ints, order, n_order, work, n, width, top, step):
             product(work, n, width * right, a, y, 1.0)
 
 
+class Fields(NamedTuple):
+    """Packed rows, how to solve them, and the scratch of words of one length; everything but the numbers is a pointer.
+
+    Elements of nodes lie at `width` times their place, those of slots from `state` on, of their motion from `moves` on.
+    Coefficients of letter j, 0 ... k, of size 2^j, from own + columns (2^j - 1) on.
+    """
+
+    ints: object
+    order: object
+    entries: object
+    pivots: object
+    inverse: object
+    slots: object
+    balls: object
+    units: object
+    work: object
+    n_order: int
+    n_entries: int
+    columns: int
+    rank: int
+    n_slots: int
+    n_balls: int
+    nodes: int
+    letters: int
+    width: int
+    half: int
+    state: int
+    moves: int
+    own: int
+    changed: int
+    """Changes of a letter's coefficients,"""
+    others: int
+    """of the nodes"""
+    drift: int
+    """and of motions, by another motion than the letter's: elements are `half` numbers apart."""
+    error: int
+    right: int
+    sizes: int
+
+
 @routine
-def fill_velocities(
-    entries, n_entries, pivots, columns, inverse, rank, work, n, width, v, step, u, ustep, top, tstep, right
-):  # fmt: skip
+def fill_velocities(f, n, v, step, u, top):
     """Solve A v = -B u for the pivots among the elements v + step * column, of size n; the free ones are there.
 
-    The nodes of A lie at width * place, those of B at top + tstep * place; without B, top is negative. u lies at
-    u + ustep * column; work[right : right + rank] is scratch.
+    The nodes of A lie at width * place, those of B at top + half * place; without B, top is negative. u lies at
+    u + n * column.
     """
+    work, width = f.work, f.width
     for s in range(n):
-        for r in range(rank):
-            work[right + r] = 0.0
-        for e in range(n_entries):
-            row, column, node = entries[3 * e], entries[3 * e + 1], entries[3 * e + 2]
+        for r in range(f.rank):
+            work[f.right + r] = 0.0
+        for e in range(f.n_entries):
+            row, column, node = f.entries[3 * e], f.entries[3 * e + 1], f.entries[3 * e + 2]
             x, a, total = v + step * column, width * node, 0.0
-            if pivots[column] < 0:
+            if f.pivots[column] < 0:
                 total = work[a] * work[x + s]
             part = s
             while part > 0:
                 total += work[a + part] * work[x + (s ^ part)]
                 part = (part - 1) & s
             if top >= 0:
-                y, b = u + ustep * column, top + tstep * node
+                y, b = u + n * column, top + f.half * node
                 total += work[b] * work[y + s]
                 part = s
                 while part > 0:
                     total += work[b + part] * work[y + (s ^ part)]
                     part = (part - 1) & s
-            work[right + row] -= total
-        for column in range(columns):
-            k = pivots[column]
+            work[f.right + row] -= total
+        for column in range(f.columns):
+            k = f.pivots[column]
             if k >= 0:
                 total = 0.0
-                for r in range(rank):
-                    total += inverse[k * rank + r] * work[right + r]
+                for r in range(f.rank):
+                    total += f.inverse[k * f.rank + r] * work[f.right + r]
                 work[v + step * column + s] = total
 
 
@@ -150,62 +189,64 @@ def half_turns(work, n, q, qstep, w, wstep, out, ostep):
 
 
 @routine
-def rates_of(slots, n_slots, balls, n_balls, work, n, v, step, q, qstep, out, ostep):
-    """Write the motion of the entries of q, at out + ostep * slot, under velocities v."""
-    for i in range(n_slots):
-        column = slots[2 * i]
+def write_motion(f, n, v, step, out, ostep):
+    """Write the motion of the slots, at out + ostep * slot, under the velocities v + step * column."""
+    for i in range(f.n_slots):
+        column = f.slots[2 * i]
         for s in range(n):
-            work[out + ostep * i + s] = work[v + step * column + s] if column >= 0 else 0.0
-    for i in range(n_balls):
-        slot, column = balls[2 * i], balls[2 * i + 1]
-        half_turns(work, n, q + qstep * slot, qstep, v + step * column, step, out + ostep * slot, ostep)
+            f.work[out + ostep * i + s] = f.work[v + step * column + s] if column >= 0 else 0.0
+    for i in range(f.n_balls):
+        slot, column = f.balls[2 * i], f.balls[2 * i + 1]
+        half_turns(f.work, n, f.state + f.width * slot, f.width, v + step * column, step, out + ostep * slot, ostep)
 
 
 @routine
-def write_word(slots, n_slots, balls, n_balls, units, work, q, qstep, w, wstep, out, to):
-    """Write to out[to:] the velocities, in units, that move the state as the first numbers of the elements at w do."""
-    for i in range(n_slots):
-        column = slots[2 * i]
+def write_word(f, out, to):
+    """Write to out[to:] the velocities, in units, that move the state as the first numbers of `moves` do."""
+    work, d = f.work, f.width
+    for i in range(f.n_slots):
+        column = f.slots[2 * i]
         if column >= 0:
-            out[to + column] = work[w + wstep * i] / units[column]
-    for i in range(n_balls):
-        slot, column = balls[2 * i], balls[2 * i + 1]
-        at, by = q + qstep * slot, w + wstep * slot
-        a, x, y, z = work[at], work[at + qstep], work[at + 2 * qstep], work[at + 3 * qstep]
-        da, dx, dy, dz = work[by], work[by + wstep], work[by + 2 * wstep], work[by + 3 * wstep]
+            out[to + column] = work[f.moves + d * i] / f.units[column]
+    for i in range(f.n_balls):
+        at, by = f.state + d * f.balls[2 * i], f.moves + d * f.balls[2 * i]
+        column = f.balls[2 * i + 1]
+        a, x, y, z = work[at], work[at + d], work[at + 2 * d], work[at + 3 * d]
+        da, dx, dy, dz = work[by], work[by + d], work[by + 2 * d], work[by + 3 * d]
         per = 2.0 / (a * a + x * x + y * y + z * z)
-        out[to + column] = per * (a * dx - x * da - y * dz + z * dy) / units[column]
-        out[to + column + 1] = per * (a * dy - y * da - z * dx + x * dz) / units[column + 1]
-        out[to + column + 2] = per * (a * dz - z * da - x * dy + y * dx) / units[column + 2]
+        out[to + column] = per * (a * dx - x * da - y * dz + z * dy) / f.units[column]
+        out[to + column + 1] = per * (a * dy - y * da - z * dx + x * dz) / f.units[column + 1]
+        out[to + column + 2] = per * (a * dz - z * da - x * dy + y * dx) / f.units[column + 2]
 
 
 @routine
-def size_of(slots, n_slots, units, work, s, w, wstep):
-    """The largest of the numbers s of the elements at w, in units."""
+def size_of(f, s, w, step):
+    """The largest of the numbers s of the elements at w + step * slot, in units."""
     most = 0.0
-    for i in range(n_slots):
-        column = slots[2 * i]
-        most = max(most, abs(work[w + wstep * i + s]) / (units[column] if column >= 0 else 1.0))
+    for i in range(f.n_slots):
+        column = f.slots[2 * i]
+        most = max(most, abs(f.work[w + step * i + s]) / (f.units[column] if column >= 0 else 1.0))
     return most
 
 
 @routine
-def copied(slots, n_slots, work, n, source, step, target, tstep):
-    """Copy the elements of entries of q to those of the inputs of the tape."""
-    for i in range(n_slots):
-        place = slots[2 * i + 1]
+def write_inputs(f, n, source, target, step):
+    """Copy the elements of slots, `width` apart, to those of the inputs of the tape."""
+    for i in range(f.n_slots):
+        place = f.slots[2 * i + 1]
         if place >= 0:
             for s in range(n):
-                work[target + tstep * place + s] = work[source + step * i + s]
+                f.work[target + step * place + s] = f.work[source + f.width * i + s]
 
 
 @routine
-def magnitudes(ints, order, n_order, work, n_inputs, width, out):
+def magnitudes(f, n_inputs):
     """Write for all nodes the sum of the sizes of what their rates are summed from, by the first letter alone."""
+    ints, work, width, out = f.ints, f.work, f.width, f.sizes
     for i in range(n_inputs):
         work[out + i] = abs(work[width * i + 1])
-    for o in range(n_order):
-        i = order[o]
+    for o in range(f.n_order):
+        i = f.order[o]
         p = node_at(ints, 0, i)
         op, left, right = ints[p], ints[p + 1], ints[p + 2]
         if op == NUMBER or op == PARTIALS:
@@ -228,21 +269,68 @@ def magnitudes(ints, order, n_order, work, n_inputs, width, out):
 
 
 @routine
-def steepness(entries, n_entries, pivots, columns, inverse, rank, units, work, sizes, v, right):
-    """How fast velocities v change, at most, in units: sums of the sizes of all terms, where `sizes` are of nodes."""
-    for r in range(rank):
-        work[right + r] = 0.0
-    for e in range(n_entries):
-        work[right + entries[3 * e]] += work[sizes + entries[3 * e + 2]] * abs(work[v + entries[3 * e + 1]])
+def steepness(f):
+    """How fast the first letter's coefficients change along it, at most, in units: sums of the sizes of all terms."""
+    work = f.work
+    for r in range(f.rank):
+        work[f.right + r] = 0.0
+    for e in range(f.n_entries):
+        row, column, node = f.entries[3 * e], f.entries[3 * e + 1], f.entries[3 * e + 2]
+        work[f.right + row] += work[f.sizes + node] * abs(work[f.own + column])
     most = 0.0
-    for column in range(columns):
-        k = pivots[column]
+    for column in range(f.columns):
+        k = f.pivots[column]
         if k >= 0:
             total = 0.0
-            for r in range(rank):
-                total += abs(inverse[k * rank + r]) * work[right + r]
-            most = max(most, total / units[column])
+            for r in range(f.rank):
+                total += abs(f.inverse[k * f.rank + r]) * work[f.right + r]
+            most = max(most, total / f.units[column])
     return most
+
+
+@routine
+def forth(f, letters, at):
+    """Fill the coefficients of all letters, read from letters[at:], the nodes, and the motion of the last letter."""
+    for j in range(f.letters):
+        n = 1 << j
+        v = f.own + f.columns * (n - 1)
+        for i in range(f.columns):
+            for s in range(n):
+                f.work[v + i * n + s] = 0.0
+            if f.pivots[i] < 0:
+                f.work[v + i * n] = letters[at + j * f.columns + i] * f.units[i]
+        fill_velocities(f, n, v, n, 0, -1)
+        last = j == f.letters - 1
+        to = f.moves if last else f.state + n
+        write_motion(f, n, v, n, to, f.width)
+        if not last:
+            write_inputs(f, n, to, n, f.width)
+            tops(f.ints, f.order, f.n_order, f.work, n, f.width, n, f.width)
+
+
+@routine
+def back(f, j):
+    """Put in place of the motions W their brackets [X_j, W], and of their rounding that of these."""
+    n, work = 1 << j, f.work
+    v = f.own + f.columns * (n - 1)
+    write_inputs(f, n, f.moves, f.others, f.half)
+    tops(f.ints, f.order, f.n_order, work, n, f.width, f.others, f.half)
+    for i in range(f.columns * f.half):
+        work[f.changed + i] = 0.0
+    fill_velocities(f, n, f.changed, f.half, v, f.others)
+    write_motion(f, n, f.changed, f.half, f.drift, f.half)
+    for i in range(f.n_balls):
+        slot, column = f.balls[2 * i], f.balls[2 * i + 1]
+        half_turns(work, n, f.moves + f.width * slot, f.width, v + n * column, n, f.drift + f.half * slot, f.half)
+    before = size_of(f, 0, f.moves, f.width)
+    gain = size_of(f, 0, f.drift, f.half) / before if before > 0.0 else 0.0
+    for s in range(n):
+        terms = size_of(f, n + s, f.moves, f.width) + size_of(f, s, f.drift, f.half)
+        work[f.error + s] = work[f.error + n + s] + gain * work[f.error + s] + EPSILON * terms
+    for i in range(f.n_slots):
+        for s in range(n):
+            at = f.moves + i * f.width + s
+            work[at] = work[at + n] - work[f.drift + i * f.half + s]
 
 
 @kernel(
@@ -258,14 +346,12 @@ def words(ints, floats, order, entries, pivots, inverse, slots, balls, q, inputs
     none; `balls` the first slot and the first column of quaternions. `q` is the state, `inputs` are those of the tape.
     The free entries of `letters` are the letters' coefficients, in `units` of the columns; the last letter is Y.
     """
-    count, columns, rank = letters.shape[1], pivots.shape[0], len(inverse)
-    n_slots, n_balls = len(slots), len(balls)
-    k, nodes = count - 1, ints[N_NODES]
-    width = 1 << k
+    count, columns, rank, n_slots = letters.shape[1], len(pivots), len(inverse), len(slots)
+    nodes, width = ints[N_NODES], 1 << (count - 1)
     half = max(width // 2, 1)
     state = nodes * width
     moves = state + n_slots * width
-    own = moves + n_slots * width  # of letter j, 0 ... k, from columns * (2^j - 1) on
+    own = moves + n_slots * width
     changed = own + columns * 2 * width
     others = changed + columns * half
     drift = others + nodes * half
@@ -273,87 +359,31 @@ def words(ints, floats, order, entries, pivots, inverse, slots, balls, q, inputs
     right = error + width
     sizes = right + rank + 1
     block = np.zeros(sizes + nodes)
-    work, ints_, floats_, order_, entries_ = raw(block), raw(ints), raw(floats), raw(order), raw(entries)
-    pivots_, inverse_, slots_, balls_, units_ = raw(pivots), raw(inverse), raw(slots), raw(balls), raw(units)
-    found_ = raw(found)
+    f = Fields(
+        raw(ints), raw(order), raw(entries), raw(pivots), raw(inverse), raw(slots), raw(balls), raw(units), raw(block),
+        len(order), len(entries), columns, rank, n_slots, len(balls), nodes, count, width, half, state, moves, own,
+        changed, others, drift, error, right, sizes,
+    )  # fmt: skip
     for i in range(ints[N_INPUTS]):
-        work[i] = inputs[i]
-    tape_values(ints_, 0, floats_, 0, work)
+        block[i] = inputs[i]
+    tape_values(f.ints, 0, raw(floats), 0, f.work)
     for i in range(nodes - 1, -1, -1):
-        value = work[i]
+        value = block[i]
         for s in range(width):
-            work[i * width + s] = value if s == 0 else 0.0
+            block[i * width + s] = value if s == 0 else 0.0
     for i in range(n_slots):
-        work[state + i * width] = q[i]
+        block[state + i * width] = q[i]
     for b in range(letters.shape[0]):
-        for j in range(count):
-            n = 1 << j
-            v = own + columns * (n - 1)
-            for i in range(columns):
-                for s in range(n):
-                    work[v + i * n + s] = 0.0
-                if pivots[i] < 0:
-                    work[v + i * n] = letters[b, j, i] * units[i]
-            fill_velocities(
-                entries_, len(entries), pivots_, columns, inverse_, rank, work, n, width, v, n, 0, 0, -1, 0, right
-            )
-            to = state + n if j < k else moves
-            rates_of(slots_, n_slots, balls_, n_balls, work, n, v, n, state, width, to, width)
-            if j < k:
-                copied(slots_, n_slots, work, n, to, width, n, width)
-                tops(ints_, order_, len(order), work, n, width, n, width)
+        forth(f, raw(letters), b * count * columns)
         steep = 0.0
-        if k > 0:
-            magnitudes(ints_, order_, len(order), work, ints[N_INPUTS], width, sizes)
-            steep = steepness(
-                entries_, len(entries), pivots_, columns, inverse_, rank, units_, work, sizes, own, right
-            )  # fmt: skip
+        if count > 1:
+            magnitudes(f, ints[N_INPUTS])
+            steep = steepness(f)
         for s in range(width):
-            work[error + s] = EPSILON * size_of(slots_, n_slots, units_, work, s, moves, width)
-        at = (b * count + k) * columns
-        write_word(slots_, n_slots, balls_, n_balls, units_, work, state, width, moves, width, found_, at)
-        noise[b, k] = work[error]
-        for j in range(k - 1, -1, -1):
-            n = 1 << j
-            v = own + columns * (n - 1)
-            copied(slots_, n_slots, work, n, moves, width, others, half)
-            tops(ints_, order_, len(order), work, n, width, others, half)
-            for i in range(columns * half):
-                work[changed + i] = 0.0
-            fill_velocities(
-                entries_, len(entries), pivots_, columns, inverse_, rank, work, n, width, changed, half, v, n, others,
-                half, right,
-            )  # fmt: skip
-            rates_of(slots_, n_slots, balls_, n_balls, work, n, changed, half, state, width, drift, half)
-            for i in range(n_balls):
-                slot, column = balls[i, 0], balls[i, 1]
-                at = drift + half * slot
-                half_turns(work, n, moves + width * slot, width, v + n * column, n, at, half)
-            before = size_of(slots_, n_slots, units_, work, 0, moves, width)
-            gain = size_of(slots_, n_slots, units_, work, 0, drift, half) / before if before > 0.0 else 0.0
-            for s in range(n):
-                terms = size_of(slots_, n_slots, units_, work, n + s, moves, width)
-                terms += size_of(slots_, n_slots, units_, work, s, drift, half)
-                work[error + s] = work[error + n + s] + gain * work[error + s] + EPSILON * terms
-            for i in range(n_slots):
-                for s in range(n):
-                    work[moves + i * width + s] = work[moves + i * width + n + s] - work[drift + i * half + s]
-            at = (b * count + j) * columns
-            write_word(slots_, n_slots, balls_, n_balls, units_, work, state, width, moves, width, found_, at)
-            noise[b, j] = max(work[error], EPSILON * steep ** (k - j))  # sums that cancel all the way
-    keep(block)
-
-
-@kernel(I("_"), F("_"), F("N", "n"), OUT("N", "m"), returns=False)
-def tape_outputs(ints, floats, inputs, values):
-    """Write the outputs of a tape at N points."""
-    ints_, floats_, n = raw(ints), raw(floats), ints[N_INPUTS]
-    block = np.empty(ints[N_NODES] + 1)
-    work = raw(block)
-    for b in range(inputs.shape[0]):
-        for i in range(n):
-            work[i] = inputs[b, i]
-        tape_values(ints_, 0, floats_, 0, work)
-        for o in range(ints[N_OUTPUTS]):
-            values[b, o] = work[ints[TAPE_HEAD + o]]
+            block[error + s] = EPSILON * size_of(f, s, moves, width)
+        for j in range(count - 1, -1, -1):
+            if j < count - 1:
+                back(f, j)
+            write_word(f, raw(found), (b * count + j) * columns)
+            noise[b, j] = max(block[error], EPSILON * steep ** (count - 1 - j))  # sums that cancel all the way
     keep(block)

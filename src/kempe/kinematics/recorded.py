@@ -11,7 +11,7 @@ import numpy as np
 from kempe.constraints.tape import BINARY, UNARY, Tape
 from kempe.joints import Layout
 from kempe.kernels import tape_layout as L
-from kempe.kernels.compiled import brackets
+from kempe.kernels.compiled import tape
 from kempe.spatial import Array
 
 TIME = ""
@@ -72,7 +72,7 @@ class Rows:
         points[:, :-1] = np.broadcast_to(q, (*shape, self.layout.nq)).reshape(n, self.layout.nq)
         points[:, -1] = np.broadcast_to(t, shape).reshape(n)
         found = np.empty((n, len(self.entries)))
-        brackets.tape_outputs(*self.packed, np.ascontiguousarray(points[:, self.inputs]), found)
+        tape.tape_outputs(*self.packed, np.ascontiguousarray(points[:, self.inputs]), found)
         whole = np.zeros((n, len(self.names), self.layout.nv + 1))
         whole[:, self.entries[:, 0], self.entries[:, 1]] = found
         whole = whole.reshape(*shape, len(self.names), self.layout.nv + 1)
