@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import sympy
+from sympy.parsing.sympy_parser import parse_expr
 
 from kempe.constraints.text import from_text
 from kempe.joints import Layout
@@ -36,11 +38,11 @@ class Pfaffian:
         names = tuple(RowName("law", str(i)) for i in range(len(self.text)))
         return Rows(layout, self.names, tape, np.array(entries).reshape(-1, 2), names, np.ones(n + 1))
 
-    def symbolic(self) -> tuple[list[sympy.Symbol], sympy.Matrix]:
+    def symbolic(self) -> tuple[list[Any], Any]:
         """The coordinates and the matrix in symbols."""
         symbols = [sympy.Symbol(n) for n in self.names]
-        known = dict(zip(self.names, symbols, strict=True))
-        return symbols, sympy.Matrix([[sympy.sympify(x, known) for x in row] for row in self.text])
+        known: Any = dict(zip(self.names, symbols, strict=True))
+        return symbols, sympy.Matrix([[parse_expr(x, known) for x in row] for row in self.text])
 
 
 def trailers(n: int) -> Pfaffian:
@@ -76,10 +78,10 @@ SYSTEMS = {
 """Systems of up to six coordinates: literature, and exact forms."""
 
 
-def fields(A: sympy.Matrix, symbols: list[sympy.Symbol], free: list[int]) -> list[sympy.Matrix]:
+def fields(A: Any, symbols: list[Any], free: list[int]) -> list[Any]:
     """The fields in the kernel of A whose free entries are 1, one after the other, and 0."""
     dependent = [i for i in range(len(symbols)) if i not in free]
-    solved = -A[:, dependent].LUsolve(A[:, free]) if dependent else None
+    solved: Any = -A[:, dependent].LUsolve(A[:, free]) if dependent else None
     out = []
     for k, i in enumerate(free):
         x = sympy.zeros(len(symbols), 1)
@@ -90,12 +92,12 @@ def fields(A: sympy.Matrix, symbols: list[sympy.Symbol], free: list[int]) -> lis
     return out
 
 
-def bracket(X: sympy.Matrix, Y: sympy.Matrix, symbols: list[sympy.Symbol]) -> sympy.Matrix:
+def bracket(X: Any, Y: Any, symbols: list[Any]) -> Any:
     """[X, Y] = DY X - DX Y."""
     return Y.jacobian(symbols) * X - X.jacobian(symbols) * Y
 
 
-def at_point(X: sympy.Matrix, symbols: list[sympy.Symbol], q: np.ndarray) -> np.ndarray:
+def at_point(X: Any, symbols: list[Any], q: np.ndarray) -> np.ndarray:
     """The numbers of a field at q, from forty digits."""
     exact = {s: sympy.Rational(float(x)) for s, x in zip(symbols, q, strict=True)}
     return np.array([float(sympy.N(x.subs(exact), 40)) for x in X])

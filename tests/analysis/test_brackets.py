@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import sympy
@@ -25,7 +27,8 @@ def words_by_symbols(system: Pfaffian, q: np.ndarray, free: list[int], letters: 
     """The brackets of the last 1, 2, ... letters at q."""
     symbols, A = system.symbolic()
     basis = fields(A, symbols, free)
-    X = [sum((sympy.Rational(float(c)) * x for c, x in zip(row, basis, strict=True)), 0 * basis[0]) for row in letters]
+    X: list[Any] = [sum((sympy.Rational(float(c)) * x for c, x in zip(row, basis, strict=True)), 0 * basis[0])
+                    for row in letters]  # fmt: skip
     word, out = X[-1], []
     for x in [None, *X[-2::-1]]:
         word = word if x is None else bracket(x, word, symbols)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -72,10 +72,11 @@ def tangent_rows(system: System) -> Rows:
 
 
 def _recorded(system: System, table: Table, positions: bool) -> Rows:
-    made = _Recording(system, table)
+    mechanism = system.mechanism  # a copy
+    made = _Recording(system, table, mechanism.parameters)
     for tie in held_ties(system, table) if positions else ():
         made.tangents(tie)
-    for declared in system.mechanism.constraints.values():
+    for declared in mechanism.constraints.values():
         made.velocities(declared)
     return made.rows()
 
@@ -83,8 +84,9 @@ def _recorded(system: System, table: Table, positions: bool) -> Rows:
 class _Recording:
     """The rows of a system being recorded, with their names."""
 
-    def __init__(self, system: System, table: Table):
-        self.system, self.recorder, self.names = system, Recorder(table, system.coordinate_names, TIME), list[RowName]()
+    def __init__(self, system: System, table: Table, parameters: Mapping[str, float]):
+        self.system, self.parameters, self.names = system, parameters, list[RowName]()
+        self.recorder = Recorder(table, system.coordinate_names, TIME)
         first = system.coordinates.first
         self.known: dict[str, Num] = {n: i for i, n in enumerate(system.coordinate_names)}
         self.rates: dict[str, Form] = {n: {("v", iv): 1.0} for n, (_, iv) in first.items()}
@@ -144,7 +146,7 @@ class _Recording:
     def velocities(self, declared: Declared) -> None:
         """Add the rows of velocity of a declared constraint."""
         system = self.system
-        made = with_numbers(declared.of, system.mechanism.parameters)
+        made = with_numbers(declared.of, self.parameters)
         rows = [row for row in made.rows(system.dim) if row.velocity]
         if not rows:
             return
