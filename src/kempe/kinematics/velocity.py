@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.calls import explained
-from kempe.constraints.base import numbers_in, with_numbers
+from kempe.constraints.base import numbers_in
+from kempe.description.constrain import resolved
 from kempe.description.parts import Declared
 from kempe.errors import UnsupportedError
 from kempe.joints import P, Q
@@ -146,7 +147,7 @@ class _Recording:
     def velocities(self, declared: Declared) -> None:
         """Add the rows of velocity of a declared constraint."""
         system = self.system
-        made = with_numbers(declared.of, self.parameters)
+        made = resolved(declared, self.parameters, system.dim)
         rows = [row for row in made.rows(system.dim) if row.velocity]
         if not rows:
             return
