@@ -16,6 +16,7 @@ from kempe.analysis.graph import Structure, structure
 from kempe.analysis.mobility_text import dimensions
 from kempe.analysis.passive import IdleFreedom, idle_freedoms, may_idle
 from kempe.analysis.rank import Rank, rank_at
+from kempe.analysis.reach import velocity_freedoms
 from kempe.analysis.redundancy import Redundancy, redundancy
 from kempe.calls import explained, explained_methods, generator
 from kempe.errors import InputError
@@ -76,6 +77,8 @@ class Mobility:
     control: Control | None
     singular: bool | None
     kind: str
+    velocity_dof: int | None = None
+    """Freedoms of velocity at `q`: what constraints of velocity leave of `rank_dof`; None without such constraints."""
     regular: bool = False
     """Whether the rank is full beyond rounding, so that the implicit function theorem gives `dof`."""
 
@@ -195,7 +198,7 @@ def _found(
         system.name, system.dim, at.q, True, at.residual, at.given, "", counting(shown),
         loop_counts(shown, rank.screws), _clusters(s, rank), _outside(system, s), rank, best.nullity, truth, dof,
         redundancy(system, best), idle, control(system, rank, generic, idle, actuated), singular, kind,
-        sure,
+        velocity_freedoms(system, at.q), sure,
     )  # fmt: skip
 
 

@@ -94,6 +94,15 @@ def rank_text(m: Mobility) -> str:
     return text + gap
 
 
+def _of_velocity(m: Mobility) -> list[str]:
+    """Freedoms of position and of velocity, where some constraints are of velocity."""
+    if m.velocity_dof is None or m.rank_dof is None:
+        return []
+    taken = m.rank_dof - m.velocity_dof
+    return [f"{counted(m.rank_dof, 'freedom')} of position, {m.velocity_dof} of velocity: constraints of velocity take "
+            f"{taken} of them at every moment; what motions reach all the same says `classify`"]  # fmt: skip
+
+
 def lines(m: Mobility) -> list[tuple[str, list[str]]]:
     """The report as (title, lines)."""
     out = [("count", list(m.counting.steps))]
@@ -113,6 +122,8 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         useful = f", {m.useful or 'none'} of them useful" if m.idle else ""
         useful = ", which is idle" if m.idle == m.dof == 1 else useful
         out.append(("truth", [f"{counted(m.dof, 'degree')} of freedom{useful}", how_known(m)]))
+    if m.velocity_dof is not None:
+        out.append(("velocity", _of_velocity(m)))
     if m.redundancy is not None and m.redundancy.number:
         out.append(("redundant", [*str(m.redundancy).split("\n")]))
         if m.dof is not None and (m.generic_rank_dof or 0) > m.dof:
@@ -154,6 +165,7 @@ def data(m: Mobility) -> dict[str, Any]:
         "name": m.name, "dim": m.dim, "sentence": sentence(m), "q": m.q.tolist(), "closed": m.closed,
         "residual": m.residual, "given_residual": m.given_residual, "dof": m.dof, "useful": m.useful, "idle": m.idle,
         "gruebler": m.gruebler, "gruebler_spatial": m.gruebler_spatial, "rank_dof": m.rank_dof,
+        "velocity_dof": m.velocity_dof,
         "generic_rank_dof": m.generic_rank_dof, "redundant": m.redundant, "redundant_here": m.redundant_here,
         "singular": m.singular, "kind": m.kind, "certain": m.certain, "how": how_known(m),
         "gap": None if r is None or r.gap == float("inf") else r.gap, "counting": list(m.counting.steps),

@@ -304,3 +304,18 @@ def tape_series(ints, floats, order, inputs, outputs):
             for k in range(order + 1):
                 outputs[b, o, k] = series[width * ints[TAPE_HEAD + o] + k]
     keep(series)
+
+
+@kernel(I("_"), F("_"), F("N", "n"), OUT("N", "m"), returns=False)
+def tape_outputs(ints, floats, inputs, values):
+    """Write the outputs of a tape at N points."""
+    ints_, floats_, n = raw(ints), raw(floats), ints[N_INPUTS]
+    block = np.empty(ints[N_NODES] + 1)
+    work = raw(block)
+    for b in range(inputs.shape[0]):
+        for i in range(n):
+            work[i] = inputs[b, i]
+        tape_values(ints_, 0, floats_, 0, work)
+        for o in range(ints[N_OUTPUTS]):
+            values[b, o] = work[ints[TAPE_HEAD + o]]
+    keep(block)

@@ -31,14 +31,17 @@ def declared_ties(system: System, table: Table) -> list[Tie]:
 
 def ties_of(system: System, table: Table, declared: Declared) -> list[Tie]:
     """The ties of a declared constraint, one-sided ones with their bounds."""
-    parameters, dim = system.mechanism.parameters, system.dim
-    made = resolved(declared, parameters, dim)
-    ground = (-1, np.eye(4), False)
+    made = resolved(declared, system.mechanism.parameters, system.dim)
+    return list(ties(declared.name, made, system.dim, *ends_of(system, table, declared)))
+
+
+def ends_of(system: System, table: Table, declared: Declared) -> tuple[End, End]:
+    """Frames A and B of a declared constraint; the ground twice for one of coordinates."""
     if not declared.parent:
-        return list(ties(declared.name, made, dim, ground, ground))
-    ends = ((declared.parent, declared.child), declared.frames(parameters, dim))
+        return (-1, np.eye(4), False), (-1, np.eye(4), False)
+    ends = ((declared.parent, declared.child), declared.frames(system.mechanism.parameters, system.dim))
     a, b = ((row, X @ E, particle) for (row, X, particle), E in ((table.at[n], E) for n, E in zip(*ends, strict=True)))
-    return list(ties(declared.name, made, dim, a, b))
+    return a, b
 
 
 def ties(name: str, made: Constraint, dim: int, a: End, b: End, given: bool = False) -> Iterator[Tie]:
