@@ -16,6 +16,9 @@ from kempe.errors import DescriptionError, InputError
 from kempe.values import Expression
 
 
+ENDS = ("a", (0, 0, 0), {}), ("b", (0, 0, 0), {})
+
+
 def two_bodies(dim: int = 3) -> Mechanism:
     m = Mechanism("two", dim)
     m.parameter("l", 2.0)
@@ -58,8 +61,8 @@ def test_ends_are_bodies_or_frames():
         (lambda m: m.distance("Ja", "a", "b", 1.0), "another joint of this name"),
         (lambda m: m.distance("r", "a", "b", 1.0, at=(math.nan, 0)), "at is nan"),
         (lambda m: m.distance("r", "a", "b", 1.0, at="nowhere"), "no frame 'nowhere'"),
-        (lambda m: between(m, "r", "distanc", ("a", (0, 0, 0), {}), ("b", (0, 0, 0), {}), None, None), "no kind of constraint 'distanc'; did you mean 'distance'"),
-        (lambda m: between(m, "r", "point_on_line", ("a", (0, 0, 0), {}), ("b", (0, 0, 0), {}), 1.0, None), "point_on_line takes no length"),
+        (lambda m: between(m, "r", "distanc", *ENDS, None, None), "no kind of constraint 'distanc'; did you mean 'distance'"),
+        (lambda m: between(m, "r", "point_on_line", *ENDS, 1.0, None), "point_on_line takes no length"),
         (lambda m: m.point_on_line("r", "a", "b", axis=(0, 0, 0)), "axis is 0.0 0.0 0.0"),
         (lambda m: m.point_on_line("r", m.particle("p"), "b"), "'p' is a particle, which has no axes"),
         (lambda m: m.point_on_plane("r", m.particle("p"), "b"), "'p' is a particle, which has no axes"),
