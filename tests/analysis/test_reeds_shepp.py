@@ -73,7 +73,7 @@ def polished(way: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
             moved[i] += 1e-7
             J[:, i] = (follow(zip(k, moved, strict=True)) - follow(zip(k, x, strict=True))) / 1e-7
         step = np.linalg.lstsq(J, off, rcond=1e-8)[0]
-        x = x + step * min(1.0, 1.0 / np.abs(step).max())
+        x = x + step / max(1.0, np.abs(step).max())
     return None
 
 

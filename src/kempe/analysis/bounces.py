@@ -21,8 +21,10 @@ from kempe.spatial import Array
 
 FADED = 1e-9
 """Part of the largest impact speed below which bounces on one plane count as the rest of their geometric series."""
-GONE = 1e-13
-"""Part of it below which a normal speed is rounding."""
+GONE = 1e-11
+"""Part of it below which a normal speed counts as none: what falls through the rounding of places gets that fast."""
+ROUNDING = 4e-15
+"""Part of the distances from the origin up to which a gap is rounding."""
 TOUCH = 1e-9
 """Gap [m] below which a start touches a plane; more inside it is refused."""
 SAME_TIME = 1e-13
@@ -94,7 +96,7 @@ class Flight:
                 rest, i, tangent, pull = settling
                 self.arcs[-1] = Arc(time, y, tangent, pull)
                 y, v = y + rest * (tangent + 0.5 * rest * pull), tangent + rest * pull
-                time, touching = time + rest, held | {i}
+                time, touching = time + rest, self._touched(y, held | {i})
                 self.impacts.append(Impact("settles", time, (i,), 0.0, 0.0, y, v))
             elif not time + step < duration or len(self.impacts) >= MOST:
                 self.broken = time + step < duration
@@ -102,8 +104,8 @@ class Flight:
             else:
                 again = again + 1 if step <= 0.0 else 0
                 time, y, v = time + step, y + step * (v + 0.5 * step * a), v + step * a
-                touching = hit | held
-                y = self._onto(y, touching)
+                y = self._onto(y, hit | held)
+                touching = self._touched(y, hit | held)
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """Places and velocities (n, k) at times (n,)."""
@@ -178,6 +180,11 @@ class Flight:
             if first_zero(max(float(gaps[j]), 0.0), float(self.N[j] @ tangent), float(self.N[j] @ along)) <= rest:
                 return None
         return rest, hops[0], tangent, along
+
+    def _touched(self, y: Array, known: set[int]) -> set[int]:
+        """The planes that a place touches, or is above only by rounding."""
+        rounding = ROUNDING * (np.abs(self.N) @ np.abs(y) + np.abs(self.offsets))
+        return known | set(np.flatnonzero(self.gaps(y) <= rounding).tolist())
 
     def _onto(self, y: Array, touching: set[int]) -> Array:
         """The place (k,) put onto planes that it touches but for rounding."""

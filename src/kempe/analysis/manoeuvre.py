@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 SLIP = 1e-9
 """Slip, of rows and speeds of size 1, above which a sample is not on the constraint."""
+PARALLEL = 1e-3
+"""Sine of the angle between the two slides, of the sign that it has at the start, from which on they go on."""
 OUTSIDE = 1e-12
 """By how much a coordinate may be beyond its limit."""
 MOST = 10**6
@@ -65,21 +67,19 @@ def manoeuvre(
         raise InputError(f"samples is {samples!r}; it must be a whole number, at least 2 and at most {MOST}")
     car = wheeled(system, q)
     loose = _loose(system, goal, free, car)
-    course, best, said = None, None, ""
+    course, said = None, ""
     try:
         for plan in plans(car, q, goals, None if radius is None else float(radius), loose):
             found = _course(car, q, goals, plan)
-            said = _outside(system, found, q, int(samples))
+            said = "" if found is None else _outside(system, found, int(samples))
             if not said:
-                course, best = found, plan
+                course = found
                 break
     except Refused as refusal:
         said = str(refusal)
     zero = np.zeros(1)
-    if best is None or course is None:
-        return Manoeuvre(system, q[None], zero, zero, (), 0.0, 0, False, said, (car.pose.body,))
-    if not course.pieces:
-        return Manoeuvre(system, q[None], zero, zero, (), 0.0, 0, True, "", (car.pose.body,))
+    if course is None:
+        return Manoeuvre(system, q[None], zero, zero, (), 0.0, 0, not said, said, (car.pose.body,))
     t = _times(course, int(samples))
     x, v = course.at(t)
     slipped = slip(system, t, x, v)
@@ -126,8 +126,8 @@ def _loose(system: System, goal: Any, free: Iterable[str], car: Wheeled) -> tupl
     return (*out, *(v for v in car.driven if given is not None and names[v] not in given))
 
 
-def _course(car: Wheeled, q: Array, goal: Array, plan: Plan) -> Course:
-    """A plan in closed form: with the steering between its moves, at speeds that the system's limits allow."""
+def _course(car: Wheeled, q: Array, goal: Array, plan: Plan) -> Course | None:
+    """A plan in closed form, None where there is nothing to do: with the steering between its moves, at speeds that the system's limits allow."""
     pieces: list[Piece] = []
     now = float(q[car.steering_q])
 
@@ -151,9 +151,10 @@ def _course(car: Wheeled, q: Array, goal: Array, plan: Plan) -> Course:
     idle[list(car.idle)] = car.system.difference(q, goal)[list(car.idle)]
     if not pieces and idle.any():
         pieces.append(Piece("rest", 0.0, float(np.abs(idle).max()), 0.0, 0.0, 0.0))
-    course = Course(car, q, idle, pieces)
-    limits = car.system.velocity_limits
-    if not pieces or not np.isfinite(limits).any():
+    if not pieces:
+        return None
+    course, limits = Course(car, q, idle, pieces), car.system.velocity_limits
+    if not np.isfinite(limits).any():
         return course
     return Course(car, q, idle, _slower(course, limits))
 
@@ -194,11 +195,13 @@ def _times(course: Course, samples: int) -> Array:
     return np.concatenate(out)
 
 
-def _outside(system: System, course: Course, q: Array, samples: int) -> str:
+def _outside(system: System, course: Course, samples: int) -> str:
     """What a course does that it must not, in words: it leaves the limits."""
-    if not course.pieces:
-        return ""
-    x = course.at(_times(course, max(samples, 200)))[0][:, system.layout.vector_q]
+    q = course.at(_times(course, max(samples, 200)))[0]
+    if (course.car.pose.spread(q) <= PARALLEL).any():
+        slides = " and ".join(repr(system.velocity_names[v]) for v in course.car.pose.slides_v)
+        return f"on the way {slides} would be parallel, and cannot go on"
+    x = q[:, system.layout.vector_q]
     low, high = (e[system.layout.vector_v] for e in (system.lower, system.upper))
     over = np.maximum(low - x, x - high) - 1e-9 * np.maximum(1.0, np.abs(x))
     if not (over > 0.0).any():

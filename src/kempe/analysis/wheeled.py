@@ -71,6 +71,12 @@ class Pose:
         out[:, self.slides_q] = np.linalg.solve(self.plane @ J, (place - origin)[..., None])[..., 0]
         return out
 
+    def spread(self, q: Array) -> Array:
+        """Sine (n,) of the angle between the two slides, positive where it has the sign that it has at the first q."""
+        D = self.plane @ np.asarray(self.system.jacobian(q, self.body))[:, :3][..., self.slides_v]
+        sine = np.linalg.det(D / np.linalg.norm(D, axis=1, keepdims=True))
+        return sine * np.sign(sine[0])
+
     def rates(self, q: Array, velocity: Array, turning: Array) -> Array:
         """Velocities (n, 3) of slides and turn that give the body's origin velocities (n, 2) and turning (n,)."""
         J = self.plane @ self.system.jacobian(q, self.body)[:, :3]
@@ -201,9 +207,47 @@ def wheeled(system: System, q: Array) -> Wheeled:
                                "on its position, no nonholonomic one")  # fmt: skip
     a = a / math.hypot(a[0], a[1])
     forward = np.array([a[1], -a[0]])
-    if forward[0] < -SAME or (abs(forward[0]) <= SAME and forward[1] < 0.0):
-        forward, a = -forward, -a
-    return Wheeled(pose, a[2] * forward, math.atan2(forward[1], forward[0]), driven, idle, steering, steering_q, loose)
+    forward = -forward if forward[0] < -SAME or (abs(forward[0]) <= SAME and forward[1] < 0.0) else forward
+    axle, sense = _middle(pose, q, -a[2] * np.array([-a[1], a[0]]), forward)
+    forward = sense * forward
+    return Wheeled(pose, axle, math.atan2(forward[1], forward[0]), driven, idle, steering, steering_q, loose)
+
+
+def _middle(pose: Pose, q: Array, foot: Array, forward: Array) -> tuple[Array, float]:
+    """The middle (2,) of the axle in the body's axes, and whether `forward` (2,) is forwards (1) or in reverse (-1).
+
+    By the ends of velocity constraints that are fixed on the axle: their middle, and the sense of their x axes. Where
+    there is none, the middle is the `foot`, next to the body's origin.
+    """
+    system, found, sense = pose.system, [], 0.0
+    across = np.array([-forward[1], forward[0]])
+    samples = np.concatenate([q[None], random(system, np.random.default_rng(SEED), (2,))])
+    place, heading = pose.at(samples)
+    c, s = np.cos(heading), np.sin(heading)
+
+    def own(x: Array) -> Array:
+        """Vectors (n, 3) of the ground in the body's axes (n, 2)."""
+        x = x @ pose.plane.T
+        return np.column_stack([c * x[:, 0] + s * x[:, 1], c * x[:, 1] - s * x[:, 0]])
+
+    for body, X in ends_of_velocity_constraints(system):
+        end = system.fk(samples, body) @ X
+        far, ahead = own(end[:, :3, 3] - place @ pose.plane), own(end[:, :3, 0])
+        reach = 1.0 + float(np.abs(far).max()) + float(np.abs(place).max())
+        if max(np.abs(far - far[0]).max(), abs(float(forward @ (far[0] - foot)))) < SAME * reach:
+            found.append(float(across @ (far[0] - foot)))
+            sense += float(forward @ ahead[0]) if np.abs(ahead - ahead[0]).max() < SAME else 0.0
+    middle = foot + across * float(np.mean(found)) if found else foot
+    return middle, -1.0 if sense < -0.5 else 1.0
+
+
+def ends_of_velocity_constraints(system: System) -> list[tuple[str, Array]]:
+    """For each declared velocity constraint the body of its end B, and the pose of that end on it."""
+    out = []
+    for c in getattr(system._mechanism, "_vel", ()):
+        frame = system.frames.get(c[2])
+        out.append((c[2], np.eye(4)) if frame is None else (frame.body, frame.X_BF.evaluate(system.parameters)))
+    return out
 
 
 def binding(system: System, q: Array) -> str | None:
