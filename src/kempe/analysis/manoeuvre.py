@@ -127,7 +127,7 @@ def _loose(system: System, goal: Any, free: Iterable[str], car: Wheeled) -> tupl
 
 
 def _course(car: Wheeled, q: Array, goal: Array, plan: Plan) -> Course | None:
-    """A plan in closed form, None where there is nothing to do: with the steering between its moves, at speeds that the system's limits allow."""
+    """A plan in closed form, with the steering between its moves, as fast as limits allow; None for nothing to do."""
     pieces: list[Piece] = []
     now = float(q[car.steering_q])
 
