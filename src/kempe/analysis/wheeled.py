@@ -242,12 +242,9 @@ def _middle(pose: Pose, q: Array, foot: Array, forward: Array) -> tuple[Array, f
 
 
 def ends_of_velocity_constraints(system: System) -> list[tuple[str, Array]]:
-    """For each declared velocity constraint the body of its end B, and the pose of that end on it."""
-    out = []
-    for c in getattr(system._mechanism, "_vel", ()):
-        frame = system.frames.get(c[2])
-        out.append((c[2], np.eye(4)) if frame is None else (frame.body, frame.X_BF.evaluate(system.parameters)))
-    return out
+    """For each declared velocity constraint between frames the body of its end B, and the pose of that end on it."""
+    found = [c for c in system._mechanism.constraints.values() if any(r.velocity for r in c.of.rows(system.dim))]
+    return [(c.child, c.frames(system.parameters, system.dim)[1]) for c in found if c.child]
 
 
 def binding(system: System, q: Array) -> str | None:

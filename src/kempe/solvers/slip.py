@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kempe.errors import InputError
-from kempe.kinematics.velocity import rates, row_names
+from kempe.kinematics.velocity import rates, row_names, velocity_rows
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -112,8 +112,7 @@ def slip_of(system: System, q: Array, times: Sequence[float] | Array | None = No
         return None
     k = int(bad[0])
     row = int(np.argmax(over[k]))
-    name, part, *_ = row_names(system)[row]
-    unit = "rad" if part == "spin" else "m"
+    name, unit = velocity_rows(system).names[row].of, velocity_rows(system).names[row].unit.removesuffix("/s")
     return Slip(k + first, name, float(slips[k, row]), float(span[k]), unit)
 
 
