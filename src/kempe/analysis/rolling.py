@@ -242,9 +242,7 @@ def _limit(system: System, dense: Callable[[float], Array], t0: float, t1: float
 
 def slip(system: System, t: Array, q: Array, v: Array) -> float:
     """The largest slip of samples, of rows and speeds of size 1, by the velocity rows of the system."""
-    most = 0.0
-    for time, x, speed in zip(t, q, v, strict=True):
-        A, b = rates(system, x, float(time))
-        size = np.linalg.norm(A, axis=1) * max(1.0, float(np.linalg.norm(speed)))
-        most = max(most, float((np.abs(A @ speed - b) / np.maximum(size, 1e-300)).max(initial=0.0)))
-    return most
+    A, b = rates(system, q, t)
+    size = np.linalg.norm(A, axis=-1) * np.maximum(1.0, np.linalg.norm(v, axis=-1))[:, None]
+    off = np.abs(np.einsum("nij,nj->ni", A, v) - b)
+    return float((off / np.maximum(size, 1e-300)).max(initial=0.0))

@@ -130,8 +130,7 @@ def _ways(system: System, q: Array, clock: Array, step: int) -> _Ways:
     middle = q[1:-1] if step == 2 else system.integrate(q[:-1], 0.5 * way)
     time = clock[step:] - clock[:-step]
     when = 0.5 * (clock[step:] + clock[:-step])
-    found = [rates(system, x, float(t)) for x, t in zip(middle, when, strict=True)]
-    A, b = np.array([f[0] for f in found]), np.array([f[1] for f in found])
+    A, b = rates(system, middle, when)
     slip = np.einsum("nij,nj->ni", A, way) - b * time[:, None]
     size = np.einsum("nij,nj->ni", np.abs(A), np.abs(way)) + np.abs(b) * time[:, None]
     return _Ways(slip, size, np.linalg.norm(way, axis=1), time)
