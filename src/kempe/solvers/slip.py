@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 RELATIVE, ABSOLUTE = 1e-6, 1e-9
 """Slip, of the sizes that add up to it and in metres or radians, up to which a path counts as without."""
 EXPLAINED = 0.5
-"""Part of what the bend between samples explains that a slip must exceed."""
+"""Part of the change from one way to two by which a slip must exceed what the bend between samples explains."""
 CONTRADICTION = 1e-9
 """By how much velocity rows may contradict loops, of rows of size 1."""
 
@@ -84,8 +84,7 @@ def slip_of(system: System, q: Array, times: Sequence[float] | Array | None = No
     """Where configurations (n, nq), one after the other, slip first; None where they do not.
 
     The rows times the way between two samples, at its middle, are what they slip there, but for the third power of the
-    distance. Ways of two samples are compared with those of one to tell it apart (Richardson): what remains must be
-    more than half of what the bend explains.
+    distance. Ways over two samples are compared with those over one to tell that apart (Richardson).
     """
     if len(q) < 2 or not rolls(system):
         return None
@@ -101,10 +100,9 @@ def slip_of(system: System, q: Array, times: Sequence[float] | Array | None = No
         a, b = h[:-1], h[1:]
         odd = (a + b) ** 3 - a**3 - b**3
         share = np.where(odd > 0.0, (a**3 + b**3) / np.where(odd > 0.0, odd, 1.0), 0.0)
-        sum_ = one.slip[:-1] + one.slip[1:]
-        bend = two.slip - sum_
-        slips = sum_ - bend * share[:, None]
-        allowed = EXPLAINED * np.abs(bend) + ABSOLUTE + RELATIVE * (one.size[:-1] + one.size[1:])
+        slips = one.slip[:-1] + one.slip[1:]
+        explained = (share + EXPLAINED)[:, None] * _around(system, two.slip - slips)
+        allowed = explained + ABSOLUTE + RELATIVE * (one.size[:-1] + one.size[1:])
         span, first = two.time, 2
     over = np.abs(slips) - allowed
     bad = np.flatnonzero((over > 0.0).any(axis=1))
@@ -114,6 +112,17 @@ def slip_of(system: System, q: Array, times: Sequence[float] | Array | None = No
     row = int(np.argmax(over[k]))
     name, unit = velocity_rows(system).names[row].of, velocity_rows(system).names[row].unit.removesuffix("/s")
     return Slip(k + first, name, float(slips[k, row]), float(span[k]), unit)
+
+
+def _around(system: System, bend: Array) -> Array:
+    """Sizes (n, m) of what is explained by bends (n, m), near each sample and over rows of one unit: one passes 0."""
+    units = np.array([row.unit for row in velocity_rows(system).names])
+    out = np.empty_like(bend)
+    for unit in set(units.tolist()):
+        size = np.linalg.norm(bend[:, units == unit], axis=1)
+        near = np.pad(size, 1, mode="edge")
+        out[:, units == unit] = np.maximum(np.maximum(near[:-2], near[1:-1]), near[2:])[:, None]
+    return out
 
 
 class _Ways(NamedTuple):
