@@ -21,11 +21,13 @@ from kempe.analysis.course import Course, State, Stuck
 from kempe.analysis.events import Limits
 from kempe.analysis.motion import Progress
 from kempe.analysis.path import Configurations, Event
+from kempe.analysis.rolling_drive import Driven, driven
 from kempe.calls import explained, explained_methods, flag
 from kempe.errors import InputError
 from kempe.kinematics.tabular import write_table
 from kempe.reals import reals
 from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, TimeUp, partial
+from kempe.solvers.slip import rolls
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
@@ -143,6 +145,9 @@ def drive(
     now and then; an interrupt from the keyboard, or the `time_limit` [s] of the whole call (600; None: none), leaves
     the samples that were done.
 
+    Where there are velocity constraints, what is not driven rolls along (from the first values of the inputs on), and
+    the motion ends before it slips: `status` says where, and by how much. `toward` and `step` do not count there.
+
     Errors: `UnsupportedError` where the inputs leave freedoms or fight each other; `UnknownNameError`; `InputError`.
 
     >>> from kempe import Mechanism
@@ -166,6 +171,9 @@ def drive(
     clock, samples = _samples(inputs, times)
     longest, budget = longest_step(step), Budget(time_limit)
     budget.put_in_order()  # there is nothing to do afterwards
+    if rolls(system):
+        return _rolled(driven(system, names, dict(hold or {}), start, clock, samples, limits, budget), system, names,
+                       clock, samples)  # fmt: skip
     first = dict(zip(names, samples(0, 1)[-1].tolist(), strict=True))
     closure, q = _begin(system, start, dict(hold or {}), first, index)
     if q is None:
@@ -178,6 +186,21 @@ def drive(
     wish = wish_of(system, toward)
     course = Course(closure, index, longest, Limits(closure) if limits else None, wish / closure.unit)
     return _run(course, q, names, clock, samples, progress)
+
+
+def _rolled(
+    found: Driven | None, system: System, names: list[str], clock: Array, samples: Callable[[int, int], list[Array]]
+) -> Drive:  # fmt: skip
+    """The motion of what rolls, as an answer."""
+    if found is None:
+        found = Driven(start_of(system, None, {})[None], "the loops do not close near the start", None)
+    n = len(found.q)
+    asked = np.array([samples(k, 1)[-1] for k in range(n)]).reshape(n, len(names))
+    return Drive(
+        system, found.q, clock[:n], {name: asked[:, j] for j, name in enumerate(names)}, np.zeros(n, dtype=bool), (),
+        (), (), not found.reason and found.broken is None, isinstance(found.broken, KeyboardInterrupt), found.reason,
+        isinstance(found.broken, TimeUp),
+    )  # fmt: skip
 
 
 def _samples(

@@ -1,7 +1,7 @@
 """Velocities and forces through closed loops: Jacobians, mechanical advantage, transmission angle, dead points.
 
-The kernel of the closure Jacobian holds all velocities that the loops allow. Where the inputs determine them, the
-velocity of anything is linear in those of the inputs; no number is differenced.
+The kernel of the closure Jacobian, and of the velocity constraints, holds all velocities that they allow. Where the
+inputs determine them, the velocity of anything is linear in those of the inputs; no number is differenced.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import P, R
 from kempe.kinematics.configuration import as_q
 from kempe.reals import reals
+from kempe.solvers.slip import hard_rows, rolls
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
@@ -167,11 +168,17 @@ def _output(system: System, name: str) -> tuple[str, str]:
 
 
 def _kernel(closure: Closure, q: Array) -> Array:
-    """Orthonormal basis (nv, k) of the velocities, without unit, that the loops allow at a closed configuration."""
+    """Orthonormal basis (nv, k) of the velocities, without unit, that all constraints allow at a closed q."""
     F, J = closure.both(q)
     gap = float(np.abs(F).max(initial=0.0))
     if not gap < OPEN:
         raise InputError(f"the loops are open by {gap:.3g} (radians or characteristic lengths); assemble q first")
+    if rolls(closure.system):
+        A, b = hard_rows(closure.system, q, closure.unit)
+        if b.any():
+            raise UnsupportedError(f"{closure.system.name}: a velocity constraint asks for a speed of its own (b is "
+                                   "not zero), so velocities are not proportional to those of inputs")  # fmt: skip
+        J = np.concatenate([J, A])
     _, s, Vt = np.linalg.svd(J)
     return Vt[int(np.sum(s > RANK * max(s[0], 1e-300))) :].T
 

@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from kempe.analysis.drive import Drive
+    from kempe.analysis.manoeuvre_path import Manoeuvre
     from kempe.analysis.mobility import Mobility
     from kempe.analysis.path import Path as Motion
+    from kempe.analysis.simulate import Simulation
     from kempe.analysis.transmission import LoopJacobian
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
@@ -298,6 +300,24 @@ class System(Compiled):
         from kempe.analysis.drive import drive
 
         return drive(self, inputs, times, start, **options)
+
+    def manoeuvre(
+        self, start: Any, goal: Any, *, radius: float | None = None, free: Iterable[str] = (), samples: int = 200
+    ) -> Manoeuvre:  # fmt: skip
+        """A way between configurations of what rolls, without slipping; see `kempe.analysis.manoeuvre`."""
+        from kempe.analysis.manoeuvre import manoeuvre
+
+        return manoeuvre(self, start, goal, radius=radius, free=free, samples=samples)
+
+    def simulate(
+        self, duration: float, start: Any = None, *, inputs: Mapping[str, Any] | None = None, velocity: Any = None,
+        acceleration: Any = None, restitution: float = 1.0, **options: Any,
+    ) -> Simulation:  # fmt: skip
+        """The motion under input velocities, or of a ball that falls and bounces; see `kempe.analysis.simulate`."""
+        from kempe.analysis.simulate import simulate
+
+        return simulate(self, duration, start, inputs=inputs, velocity=velocity, acceleration=acceleration,
+                        restitution=restitution, **options)  # fmt: skip
 
     def loop_jacobian(self, q: Any, inputs: Sequence[str], outputs: Sequence[str], **options: Any) -> LoopJacobian:
         """Velocities of joints or frames by those of inputs, through the loops; see `kempe.analysis.transmission`."""

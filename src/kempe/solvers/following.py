@@ -18,6 +18,7 @@ from kempe.kinematics.tabular import Tabular
 from kempe.reals import reals
 from kempe.solvers.apart import apart
 from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, partial
+from kempe.solvers.slip import rolls
 from kempe.solvers.solution import SOLVED
 from kempe.solvers.targets import parse_targets
 from kempe.solvers.tasks import STARTS, Problem, judge, pose_problem
@@ -88,6 +89,8 @@ def ik_path(
     a singularity cannot give is then left out within it.
     Where the smallest part of it cannot be gone, the path must jump: it stops, or, with `restart`, goes on from the
     nearest configuration found at the next target that can be reached; joints that the targets do not ask for stay.
+    Where there are velocity constraints, a path that slips (by more than the bend between targets explains) is refused
+    with the place; where targets leave freedoms, one that rolls is led from the first target on instead.
     With `branches`, paths from several start configurations are tried, those of `ik_all` among them where it applies:
     the answer is the one that gets farthest, then the one with fewest jumps, then the shortest. `progress` is told how
     many targets are done.
@@ -117,7 +120,7 @@ def ik_path(
         status = f"the path does not begin: target {begin} is {judge(way.rows[begin], q0, info).status}"
         return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status)
     if not branches:
-        return way.path(q0[0], restart, begin)
+        return way.rolled(way.path(q0[0], restart, begin), begin)
     further = _all(system, targets, frame, way.rows[begin], begin, q0[0])
     begins = _distinct([q0[0], *way.elsewhere(begin, q0[0]), *further])
     paths = []
@@ -125,6 +128,7 @@ def ik_path(
         paths.append(way.path(q, restart, begin))
         if paths[-1].interrupted or paths[-1].late:
             break
+    paths = [way.rolled(p, begin) for p in paths]
     return min(paths, key=lambda p: (-_farthest(p), -np.sum(p.success), len(p.jumps), _length(p)))
 
 
@@ -191,6 +195,20 @@ class _Path(Way):
         status = f"{success.sum()} of {n} targets followed"
         jumped = f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
         return IkPath(self.system, out, success, tuple(jumps), "; ".join([status + jumped, *said]), interrupted, late)
+
+    def rolled(self, path: IkPath, begin: int) -> IkPath:
+        """The path, or where there are velocity constraints what of it, or in its place, does not slip."""
+        if not rolls(self.system) or path.interrupted or path.late:
+            return path
+        from kempe.solvers.rolling_way import without_slip
+
+        try:
+            return without_slip(self, path, begin)
+        except BROKEN_OFF as error:
+            interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
+            said = f"{path.status}; it slips, {partial(interrupted, late).strip(' ()')}"
+            return replace(path, success=np.zeros(len(path.q), dtype=bool), status=said, interrupted=interrupted,
+                           late=late)  # fmt: skip
 
     def _go(self, out: Array, jumps: list[int], said: list[str], restart: bool, begin: int) -> None:
         """Write the path from its configuration at target `begin` on, and what there is to say."""

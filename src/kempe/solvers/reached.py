@@ -49,7 +49,7 @@ class Reached(Solution):
         """The sentence for one problem."""
         from kempe.solvers.explain_tasks import sentence
 
-        return sentence(self, index)
+        return sentence(self, index) + self._way_there(index)
 
 
 def analyse(problem: Problem, q: Array) -> tuple[int, int, int, Array]:

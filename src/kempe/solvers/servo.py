@@ -19,6 +19,7 @@ from kempe.reals import reals
 from kempe.solvers.chain import chain_of, obstacle
 from kempe.solvers.least_squares import NEAR, damped, scaled
 from kempe.solvers.servo_pose import Approach, chain_length, error
+from kempe.solvers.slip import rolls
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -144,8 +145,9 @@ def ik_step(
 
     Loops and relations of several coordinates stay closed, those of the whole system for tasks and for a frame that
     they move: to first order by the velocities, and then in `q`, which is closed again (q may be open a little, as by
-    drift). There sizes are measured in radians and characteristic lengths, and damping relative to the largest
-    singular value. Errors: `InputError`, also where the loops are open.
+    drift). Velocity constraints hold: what rolls does not slip, and the way to `q` obeys them to second order. There
+    sizes are measured in radians and characteristic lengths, and damping relative to the largest singular value.
+    Errors: `InputError`, also where the loops are open.
     """
     q = as_q(system, q)
     if q.ndim != 1 or not (0.0 < dt < math.inf and 0.0 <= damping < math.inf):
@@ -158,7 +160,7 @@ def ik_step(
             raise InputError("keep_direction and weights are for the twist of a frame; tasks have weights of their own")
         return _held_step(system, q, wanted, None, dt, speed, damping, False, None)
     name = system.frame_name(frame)
-    if obstacle(system, name):
+    if rolls(system) or obstacle(system, name):
         return _held_step(system, q, wanted, name, dt, speed, damping, keep_direction, w)
     servo = system._queries.get(("step", name))
     if servo is None:

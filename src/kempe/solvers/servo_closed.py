@@ -1,9 +1,10 @@
 """One step of the differential inverse model under constraints: loops and relations stay closed, tasks come in order.
 
-Velocities are looked for in what the constraints leave: v = N z, with an orthonormal basis N of their null space, in
-radians and characteristic lengths. What each stage reaches, the next ones keep: they act in the null space of its
-equations, its inequalities become bounds (Siciliano and Slotine, 1991; Escande, Mansard and Wieber, 2014). The step is
-of first order, so it opens the loops by the square of its size: they are closed again, within the same limits.
+Velocities are looked for in what the constraints leave, velocity constraints among them: v = N z, with an orthonormal
+basis N of their null space, in radians and characteristic lengths. What each stage reaches, the next ones keep: they
+act in the null space of its equations, its inequalities become bounds (Siciliano and Slotine, 1991; Escande, Mansard
+and Wieber, 2014). The step is of first order, so it opens the loops by the square of its size: they are closed again,
+within the same limits.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from kempe.kinematics.loops import evaluate, full
 from kempe.solvers.freedoms import null
 from kempe.solvers.least_squares import LEAST, NEAR, bounded, damped, scaled
 from kempe.solvers.servo_pose import BLIND, FLAT, STILL, TAKEN, TRIALS
+from kempe.solvers.slip import at_rest, hard_rows, rolls
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -56,6 +58,13 @@ class Stage(NamedTuple):
     high: Array
     hard: bool = True
 
+    def beside(self, rest: Array) -> Stage:
+        """What is asked of the velocities beside some that are there at rest (nv,)."""
+        if not rest.any():
+            return self
+        have = self.inequalities @ rest
+        return self._replace(b=self.b - self.A @ rest, low=self.low - have, high=self.high - have)
+
     def missed(self, u: Array | None = None) -> float:
         """The length of what velocities u (nv,) leave of what is asked, or of all of it."""
         left = self.b if u is None else self.b - self.A @ u
@@ -73,7 +82,7 @@ class Closed:
     def __init__(self, system: System):
         self.system, layout = system, system.layout
         loops = full(system, True)
-        self.length, self.names = loops.length, loops.names
+        self.length, self.names, self.rolls = loops.length, loops.names, rolls(system)
         self.scale: Array = loops.weights[L.SCALES : L.SCALES + system.nv]
         self.at_v, self.at_q = layout.vector_v, layout.vector_q
         self.lower, self.upper = system.lower[self.at_v], system.upper[self.at_v]
@@ -98,28 +107,36 @@ class Closed:
         nothing = np.zeros(0)
         return Stage(w[:, None] * J * self.scale, w * twist, np.zeros((0, self.system.nv)), nothing, nothing)
 
-    def free(self, q: Array) -> Array:
-        """An orthonormal basis (nv, k) of what loops and relations leave. Errors: `InputError` for open loops."""
+    def free(self, q: Array) -> tuple[Array, Array]:
+        """An orthonormal basis (nv, k) of what constraints leave, and the velocities (nv,) that they ask for at rest.
+
+        Errors: `InputError` for open loops.
+        """
         error, C = evaluate(self.system, q, True, True)
         worst = int(np.argmax(np.abs(error))) if len(error) else -1
         if len(error) and not abs(error[worst]) < OPEN:
             raise InputError(f"the loops are open at q: {self.names[worst][0]!r} by {abs(error[worst]):.2g} (radians, "
                              f"characteristic lengths); robot.assemble(near=q) closes them")  # fmt: skip
-        return null(C)
+        if not self.rolls:
+            return null(C), np.zeros(self.system.nv)
+        A, b = hard_rows(self.system, q, self.scale)
+        return null(np.concatenate([C, A])), at_rest(C, A, b)
 
     def velocity(
-        self, N: Array, stages: list[Stage], low: Array, high: Array, damping: float, direction: bool,
+        self, free: tuple[Array, Array], stages: list[Stage], low: Array, high: Array, damping: float, direction: bool,
         model: Array | None = None,
     ) -> Array:  # fmt: skip
-        """Scaled velocities (nv,) of the stages, in order, within the box; N as from `free`.
+        """Scaled velocities (nv,) of the stages, in order, within the box; what is left `free` as from there.
 
         `model` (k, k), where given, is the Hessian that counts for the last stage.
         """
+        N, rest = free
         some, own = _Descent(N), np.isfinite(low) | np.isfinite(high)
-        some.take(Stage(N.T[:0], low[:0], np.eye(len(low))[own], low[own], high[own]), 0.0, False)
+        box = Stage(N.T[:0], low[:0], np.eye(len(low))[own], low[own], high[own])
+        some.take(box.beside(rest), 0.0, False)
         for k, stage in enumerate(stages):
-            some.take(stage, damping, direction, model if k + 1 == len(stages) else None)
-        return np.minimum(np.maximum(N @ some.z, low), high)
+            some.take(stage.beside(rest), damping, direction, model if k + 1 == len(stages) else None)
+        return np.minimum(np.maximum(rest + N @ some.z, low), high)
 
     def towards(
         self, q: Array, stages: list[Stage], low: Array, high: Array, damping: float, direction: bool, dt: float,
@@ -130,8 +147,8 @@ class Closed:
         The first stage that a step of first order does not halve takes one of second order, which must lower the
         error as promised, else a shorter one; stages after it do not count. `at` gives the stages at a configuration.
         """
-        N = self.free(q)
-        u = self.velocity(N, stages, low, high, damping, direction)
+        free = self.free(q)
+        u = self.velocity(free, stages, low, high, damping, direction)
         size, asked = dt * float(u @ u), [s.missed() for s in stages]
         if size * dt <= ENOUGH**2:
             return self.after(q, np.minimum(np.maximum(0.0, low), high), dt, low, high)
@@ -144,11 +161,11 @@ class Closed:
         ):  # earlier ones move it, by more than it disturbs them; or curvature is little beside what is gained
             return self.after(q, u, dt, low, high)
         first, own, before = stages[:k], stages[: k + 1], asked[k]
-        model = None if direction else self.curvature(q, N, own, u, low, high, dt, at)
+        model = None if direction else self.curvature(q, free[0], own, u, low, high, dt, at)
         more = 0.0
         for _ in range(TRIALS):
             if model is not None:
-                u = self.velocity(N, own, low, high, damping, False, model + more * np.eye(len(model)))
+                u = self.velocity(free, own, low, high, damping, False, model + more * np.eye(len(model)))
             found = self.after(q, u, dt, low, high)
             promise = before**2 - own[k].missed(found[1]) ** 2
             if 0.0 <= promise <= STILL * before**2 + (ROUNDING / dt) ** 2:
@@ -159,7 +176,7 @@ class Closed:
                 return found
             more = 4.0 * more if more else 1e-2 * float(np.abs(model).max()) if model is not None else 0.0
             u = 0.5 * u
-        return self.after(q, self.velocity(N, first, low, high, damping, direction), dt, low, high)
+        return self.after(q, self.velocity(free, first, low, high, damping, direction), dt, low, high)
 
     def curvature(
         self, q: Array, N: Array, stages: list[Stage], u: Array, low: Array, high: Array, dt: float,
@@ -177,7 +194,8 @@ class Closed:
 
         pull, rows = push(q, stages)
         at_bound = np.eye(len(u))[(u <= low) | (u >= high)]
-        held = np.concatenate([rows, at_bound])
+        rolling = hard_rows(self.system, q, self.scale)[0] if self.rolls else at_bound[:0]
+        held = np.concatenate([rows, rolling, at_bound])
         forces = np.linalg.lstsq(held.T, pull, rcond=1e-9)[0][: len(rows)] if len(held) else np.zeros(0)
         slopes = []
         for way in N.T:
@@ -204,7 +222,7 @@ class Closed:
 
         By the smallest corrections (Newton), bounded where these would leave the box.
         """
-        system, x = self.system, self.system.integrate(q, u * self.scale * dt)
+        system, x = self.system, self.system.integrate(q, (self.bent(q, u, dt) if self.rolls else u) * self.scale * dt)
         for _ in range(CORRECTIONS):
             error, C = evaluate(system, x, True, True)
             if np.abs(error).max(initial=0.0) <= CLOSED:
@@ -217,6 +235,11 @@ class Closed:
                 more = bounded(A, np.concatenate([-error, np.zeros(len(more))]), least, most, more)
             x = system.integrate(x, more * self.scale)
         return None
+
+    def bent(self, q: Array, u: Array, dt: float) -> Array:
+        """Scaled velocities (nv,) over dt for those at q: without slip in the middle of the way, to second order."""
+        A, b = hard_rows(self.system, self.system.integrate(q, 0.5 * dt * u * self.scale), self.scale)
+        return u - np.linalg.pinv(A, rcond=1e-8) @ (A @ u - b)
 
     def _inside(self, q: Array, x: Array) -> Array:
         """x, its limits kept to the last bit where q kept them."""

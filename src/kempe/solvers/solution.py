@@ -182,4 +182,10 @@ class Solution(Answer):
         """The sentence for one configuration."""
         from kempe.solvers.explain import sentence
 
-        return sentence(self, index)
+        return sentence(self, index) + self._way_there(index)
+
+    def _way_there(self, index: tuple[int, ...]) -> str:
+        """The tail of a sentence about what was reached: whether going there is a manoeuvre."""
+        from kempe.solvers.slip import way_there
+
+        return way_there(self.system) if np.asarray(self.success)[index] else ""

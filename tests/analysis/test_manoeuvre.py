@@ -1,0 +1,303 @@
+"""Manoeuvres: integrated again from their speeds alone, against the velocity rows, and what is refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from analysis import wheels
+from scipy.integrate import solve_ivp
+
+from kempe import Mechanism
+from kempe.analysis.reeds_shepp import length_of, ways
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
+
+
+def check(system, path, start, goal, frame: str) -> None:
+    """What every manoeuvre is held against, with the axle at the origin of `frame`, its wheels along x.
+
+    Start, goal and limits; the velocity of the axle by the frame's Jacobian; the derivative of `at` by differences;
+    and the unicycle x' = v cos h, y' = v sin h, h' = w, integrated by scipy from the speeds of the pieces.
+    """
+    assert path.success, path.status
+    scale = 1.0 + np.abs(path.q).max() + path.length
+    off = system.difference(path.q[-1], goal)
+    assert np.array_equal(path.q[0], start)
+    assert np.abs(off - 2 * math.pi * np.round(off / (2 * math.pi))).max() < 1e-12 * scale
+    assert np.all(np.diff(path.t) > 0.0)
+    v = path.velocity(path.t)
+    J = np.asarray(system.jacobian(path.q, frame, "body"))
+    twist = np.einsum("nij,nj->ni", J, v)
+    assert np.abs(twist[:, 1]).max() < 1e-9 * scale
+    if len(path) < 2:
+        return
+    mid = 0.5 * (path.t[1:] + path.t[:-1])
+    h = np.minimum(1e-5, 0.25 * np.diff(path.t))
+    slope = system.difference(path.at(mid - h), path.at(mid + h)) / (2 * h)[:, None]
+    v = path.velocity(mid)
+    rounding = 1e-15 * scale / h[:, None]
+    assert (np.abs(slope - v) < 1e-7 * np.maximum(1.0, np.abs(v).max()) ** 3 + 10 * rounding).all()
+    X0 = system.fk(path.q[0], frame)
+    x = np.zeros(3)  # in the axes of the frame at the start
+    for p in path.pieces:
+        inputs = p.forward, p.turning
+
+        def rate(t, x, inputs=inputs):
+            return [inputs[0] * math.cos(x[2]), inputs[0] * math.sin(x[2]), inputs[1]]
+
+        x = solve_ivp(rate, (0.0, p.duration), x, rtol=1e-12, atol=1e-12, method="DOP853").y[:, -1]
+        X = np.linalg.inv(X0) @ system.fk(path.at(min(p.start + p.duration, path.duration)), frame)
+        assert np.abs(X[:2, 3] - x[:2]).max() < 1e-9 * scale
+        assert np.abs(X[:2, 0] - [math.cos(x[2]), math.sin(x[2])]).max() < 1e-9 * scale
+
+
+def axles(system, q, frame="axle") -> np.ndarray:
+    X = system.fk(q, frame)
+    return X[:2, 3]
+
+
+def test_any_configuration_is_reached(hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(40)):
+        system = wheels.knife(rng.normal(size=2), rng.uniform(-3, 3))
+        start, goal = rng.uniform(-4, 4, (2, 3)) * rng.choice([1e-3, 1.0, 100.0])
+        for radius in (None, rng.choice([0.05, 1.0, 7.0])):
+            path = system.manoeuvre(start, goal, radius=radius, samples=60)
+            check(system, path, start, goal, "axle")
+            far = np.linalg.norm(axles(system, goal) - axles(system, start))
+            if radius is None:
+                assert path.length == pytest.approx(far, rel=1e-12)
+                assert np.array_equal(path.q[-1], goal)
+            else:
+                assert path.length >= far * (1 - 1e-12)
+
+
+@pytest.mark.slow
+def test_any_configuration_is_reached_slow(hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(500)):
+        system = wheels.knife(rng.normal(size=2), rng.uniform(-3, 3))
+        start, goal = rng.uniform(-4, 4, (2, 3)) * rng.choice([1e-3, 1.0, 100.0])
+        radius = rng.choice([0.0, 0.05, 1.0, 7.0])
+        check(system, system.manoeuvre(start, goal, radius=radius, samples=40), start, goal, "axle")
+
+
+@pytest.mark.parametrize("radius", [0.5, 1.0, 3.0])
+def test_lengths_are_those_of_reeds_and_shepp(hunt, radius):
+    rng, system = hunt.rng(), wheels.knife()
+    for _ in range(hunt.cases(20)):
+        goal = rng.uniform(-3, 3, 3)
+        best = ways(goal[0] / radius, goal[1] / radius, goal[2])[0]
+        assert system.manoeuvre(np.zeros(3), goal, radius=radius).length == pytest.approx(radius * length_of(best))
+
+
+def test_planes_and_joints_of_any_kind(hunt):
+    """The structure counts: slides and a turn in any order, plane, place of the axle."""
+    rng, done = hunt.rng(), 0
+    for _ in range(hunt.cases(30)):
+        system = wheels.tilted(rng)
+        start, goal = rng.uniform(-3, 3, (2, 3))
+        for radius in (None, 0.7):
+            path = system.manoeuvre(start, goal, radius=radius, samples=50)
+            if not path:  # a turn between the slides turns one of them to the other
+                assert "would be parallel" in path.status
+                continue
+            check(system, path, start, goal, "axle")
+            done += 1
+    assert done > hunt.cases(30)
+
+
+def test_sideways_by_alternation():
+    """Parking: 1 m to the side, at a turning radius of 4 m, forwards and in reverse by turns."""
+    system = wheels.knife()
+    path = system.manoeuvre([0, 0, 0], [0, 1, 0], radius=4.0)
+    check(system, path, np.zeros(3), np.array([0.0, 1.0, 0.0]), "axle")
+    assert path.cusps == 2 and {p.kind for p in path.pieces} == {"forwards", "in reverse"}
+    assert "2 cusps" in path.text
+    assert path.length == pytest.approx(4 * length_of(ways(0, 0.25, 0)[0]))
+
+
+@pytest.mark.parametrize("phase", [-9.0, 0.0, 0.1, 2.0, 11.0])
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.8, -0.4), (1e-9, 0.0)])
+def test_a_coin_arrives_with_its_own_angle(place, phase):
+    """A triangle of sides, or a way forwards and back, has the length that the angle asks for."""
+    system = wheels.coin()
+    start, goal = np.array([0.1, 0.2, 0.3, 0.4]), np.array([0.1 + place[0], 0.2 + place[1], 2.0, phase])
+    path = system.manoeuvre(start, goal)
+    check(system, path, start, goal, "yoke")
+    assert np.array_equal(path.q[-1], goal)
+    v = path.velocity(path.t)
+    J = np.asarray(system.jacobian(path.q, "coin"))
+    at_floor = np.einsum("nij,nj->ni", J[:, :3] + np.cross(J[:, 3:], np.array([0, 0, -0.5])[:, None], axis=-2), v)
+    assert np.abs(at_floor).max() < 1e-9  # the point on the floor rests
+
+
+def test_what_a_dict_does_not_name_rolls_along():
+    system = wheels.coin()
+    path = system.manoeuvre({}, {"pose.x": 1.0})
+    assert path.q[-1].tolist() == [1.0, 0.0, 0.0, 2.0]
+    named = system.manoeuvre(np.zeros(4), [1.0, 0, 0, 9.0], free=["roll"], radius=0.5)
+    assert named.q[-1].tolist() == [1.0, 0.0, 0.0, 2.0]
+    with pytest.raises(UnsupportedError, match=r"'roll' ends 7 away.*free=\['roll'\]"):
+        system.manoeuvre(np.zeros(4), [1.0, 0, 0, 9.0], radius=0.5)
+    with pytest.raises(InputError, match="'pose.x' does not roll along"):
+        system.manoeuvre(np.zeros(4), np.ones(4), free=["pose.x"])
+    with pytest.raises(UnknownNameError, match="rol"):
+        system.manoeuvre(np.zeros(4), np.ones(4), free=["rol"])
+
+
+def test_wheels_that_keep_a_sum_cannot_end_anywhere():
+    system = wheels.differential()
+    turned = 0.3 * 2.0 / 0.1  # of each wheel, in opposite ways, where the cart turns by 2 rad
+    goal = np.array([1.0, 1.0, 2.0, 15.0 - turned, 15.0 + turned])
+    path = system.manoeuvre(np.zeros(5), goal)
+    check(system, path, np.zeros(5), goal, "body")
+    refused = system.manoeuvre(np.zeros(5), goal + [0, 0, 0, 0.5, 0])
+    assert not refused and "cannot be reached" in refused.status and len(refused.q) == 1
+    assert system.manoeuvre(np.zeros(5), {"pose.x": 1.0, "pose.y": 2.0}, radius=1.0)
+
+
+def front_slip(system, path) -> float:
+    v = path.velocity(path.t)
+    return float(np.abs(np.einsum("ni,ni->n", np.asarray(system.jacobian(path.q, "fork", "body"))[:, 1], v)).max())
+
+
+def test_a_car_steers(hunt):
+    rng, system = hunt.rng(), wheels.car()
+    for _ in range(hunt.cases(5)):
+        start, goal = rng.uniform(-1.4, 1.4, (2, 4))
+        for radius in (None, 2.0):
+            path = system.manoeuvre(start, goal, radius=radius)
+            check(system, path, start, goal, "body")
+            assert front_slip(system, path) < 1e-9
+
+
+def test_a_car_with_limits_takes_its_smallest_circle():
+    system = wheels.car(limits=(-0.6, 0.5))
+    start, goal = np.zeros(4), np.array([0.0, 1.0, 0.0, 0.2])
+    path = system.manoeuvre(start, goal)
+    check(system, path, start, goal, "body")
+    least = 1.2 / math.tan(0.5)
+    assert path.length == pytest.approx(least * length_of(ways(0.0, 1.0 / least, 0.0)[0]))
+    assert path.q[:, 3].max() <= 0.5 + 1e-12 and front_slip(system, path) < 1e-9
+    tight = system.manoeuvre(start, goal, radius=1.0)
+    assert not tight and f"smallest radius is {least:.6g} m" in tight.status
+    assert "does not turn on the spot" in system.manoeuvre(start, goal, radius=0.0).status
+    with pytest.raises(InputError, match="limits are -0.6 and 0.5"):
+        system.manoeuvre(start, [0, 1, 0, 0.55])
+
+
+def test_limits_of_the_place_choose_the_way():
+    """The tip of the triangle, or the shortest way, is on the side where there is room."""
+    free, narrow = wheels.knife(), wheels.knife(limits={"x": (-0.1, 5.0)})
+    goal = np.array([0.0, 1.0, 0.0])
+    assert free.manoeuvre(np.zeros(3), goal, radius=2.0).q[:, 0].min() < -0.1
+    path = narrow.manoeuvre(np.zeros(3), goal, radius=2.0)
+    assert path and path.q[:, 0].min() > -0.1 - 1e-9
+    shut = wheels.knife(limits={"x": (-0.1, 0.1)}).manoeuvre(np.zeros(3), goal, radius=2.0)
+    assert not shut and "'pose.x' would get to" in shut.status
+    turn = wheels.knife(limits={"rz": (-0.5, 0.5)})
+    assert not turn.manoeuvre(np.zeros(3), goal) and turn.manoeuvre(np.zeros(3), 0.1 * goal, radius=1.0)
+
+
+def test_velocity_limits_are_kept():
+    slow = wheels.knife().with_limits(velocity={"pose.x": 0.2, "pose.rz": 0.1})
+    for radius in (None, 1.0):
+        path = slow.manoeuvre(np.zeros(3), [1.0, 1.0, 2.0], radius=radius)
+        v = np.abs(path.velocity(np.linspace(0, path.duration, 5000))).max(axis=0)
+        assert v[0] <= 0.2 * (1 + 1e-9) and v[2] <= 0.1 * (1 + 1e-9) and v.max() > 0.0999
+
+
+def test_an_arm_on_the_cart_moves_along():
+    m = Mechanism("cart with arm", dim=2)
+    body, arm = m.body("body"), m.body("arm")
+    m.planar("pose", m.ground, body)
+    m.revolute("elbow", body, arm, at=(0.2, 0), limits=(-3, 3), velocity=0.5)
+    m.no_sideslip("edge", "body")
+    system = m.build()
+    start, goal = np.zeros(4), np.array([1.0, 1.0, 0.0, 2.5])
+    path = system.manoeuvre(start, goal)
+    check(system, path, start, goal, "body")
+    assert np.abs(path.velocity(path.t)[:, 3]).max() <= 0.5 + 1e-12
+    still = system.manoeuvre(start, [0.0, 0.0, 0.0, 1.0])
+    assert still.length == 0.0 and still.q[-1].tolist() == [0.0, 0.0, 0.0, 1.0] and still.duration == pytest.approx(2)
+
+
+def test_nothing_to_do():
+    path = wheels.knife().manoeuvre(np.ones(3), np.ones(3))
+    assert path and len(path.q) == 1 and path.length == 0.0 and "the same" in path.status
+    assert path.at(0.0).tolist() == [1, 1, 1] and not path.velocity(0.0).any()
+
+
+def test_far_from_the_origin():
+    system = wheels.knife((0.5, 0.1), 0.2)
+    start = np.array([1e6, -2e6, 40.0])
+    goal = start + [0.3, 0.4, -2.0]
+    for radius in (None, 1.0):
+        check(system, system.manoeuvre(start, goal, radius=radius), start, goal, "axle")
+
+
+def bare() -> Mechanism:
+    m = Mechanism("bare", dim=2)
+    m.planar("pose", m.ground, m.body("body"))
+    return m
+
+
+def holonomic():
+    m = bare()
+    m.no_sideslip("edge", "body")
+    m.frame("across", "body", angle=1.0)
+    m.no_sideslip("other", "across")
+    return m.build()
+
+
+def serial():
+    m = Mechanism("arm", dim=2)
+    a, b, c = m.body("a"), m.body("b"), m.body("c")
+    m.revolute("1", m.ground, a)
+    m.revolute("2", a, b, at=(1, 0))
+    m.revolute("3", b, c, at=(1, 0))
+    m.no_sideslip("edge", "c")
+    return m.build()
+
+
+def looped():
+    m = bare()
+    m.frame("edge", "body")
+    m.no_sideslip("no slip", "edge")
+    m.distance("rod", m.ground, "body", 1.0)
+    return m.build()
+
+
+@pytest.mark.parametrize(("system", "reason"), [
+    (lambda: bare().build(), "no velocity constraints"), (wheels.trailer, "'hitch' depends on 'hitch' itself"),
+    (serial, "two slides and a turn"), (looped, "'rod' ties coordinates"), (holonomic, "1 freedom"),
+])  # fmt: skip
+def test_what_is_not_known_is_refused_with_the_reason(system, reason):
+    s = system()
+    with pytest.raises(UnsupportedError, match=reason):
+        s.manoeuvre(np.zeros(s.nq), np.ones(s.nq))
+
+
+@pytest.mark.parametrize(("options", "error"), [
+    ({"radius": -1.0}, "radius is -1.0"), ({"radius": math.nan}, "radius is nan"), ({"radius": "2"}, "radius is '2'"),
+    ({"samples": 1}, "samples is 1"), ({"samples": 2.5}, "samples is 2.5"), ({"goal": [1, 2]}, "2 coordinates"),
+    ({"goal": [1, 2, math.nan]}, "NaN"), ({"start": [[0, 0, 0]]}, "shape"), ({"goal": {"pose.q": 1}}, "pose.q"),
+])  # fmt: skip
+def test_bad_input_is_named(options, error):
+    given = {"start": np.zeros(3), "goal": np.ones(3), **options}
+    with pytest.raises((InputError, UnknownNameError), match=error):
+        wheels.knife().manoeuvre(given.pop("start"), given.pop("goal"), **given)
+
+
+def test_it_is_saved_and_drawn_like_other_paths(tmp_path):
+    path = wheels.knife().manoeuvre(np.zeros(3), [0, 1, 0], radius=1.0)
+    data = np.loadtxt(path.save(tmp_path / "p.csv"), delimiter=",", skiprows=1)
+    assert np.array_equal(data[:, 0], path.t) and np.array_equal(data[:, 1:], path.q)
+    assert path.curve("body")[-1] == pytest.approx([0, 1, 0]) and path.values("pose.y")[-1] == 1.0
+    assert "Reeds" not in str(path) and path._repr_html_().startswith("<p>")
+    with pytest.raises(InputError, match="outside the manoeuvre"):
+        path.at(path.duration + 1.0)
+    ax = path.system.plot(path=path, ghosts=3)
+    assert ax.figure is not None

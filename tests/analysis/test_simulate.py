@@ -1,0 +1,239 @@
+"""Motion in time: the ball against closed forms, rolling against integrations of its own, and what is refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from analysis import wheels
+from scipy.integrate import solve_ivp
+
+from kempe import Mechanism
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
+
+G = 9.81
+
+
+def ball(kind: str = "free", dim: int = 3, limits=None, **place):
+    m = Mechanism("ball", dim=dim)
+    m.joint("at", kind, m.ground, m.body("ball"), limits=limits, **place)
+    return m.build()
+
+
+# ---- what falls
+
+
+def test_a_ball_bounces_to_rest_and_rolls_on_evenly():
+    system = ball(limits={"z": (0.1, None)})
+    start = system.q({"at.z": 1.1})
+    r = system.simulate(5.0, start, velocity={"at.x": 0.5, "at.wz": 3.0}, restitution=0.8)
+    first, speed = math.sqrt(2 / G), math.sqrt(2 * G)
+    end = first + 2 * 0.8 * speed / (G * 0.2)
+    bounces = [e for e in r.events if e.kind == "bounce"]
+    k = np.arange(len(bounces))
+    assert np.abs([e.time for e in bounces] - (first + 2 * speed * 0.8 * (1 - 0.8**k) / (G * 0.2))).max() < 1e-10
+    assert r and r.events[-1].kind == "settles" and abs(r.events[-1].time - end) < 1e-10
+    assert r.q[-1, :3] == pytest.approx([2.5, 0.0, 0.1], abs=1e-12)
+    assert r.q[-1, 3:] == pytest.approx([math.cos(7.5), 0, 0, math.sin(7.5)]) or r.q[-1, 3] < 0
+    assert r.v[-1] == pytest.approx([0.5, 0, 0, 0, 0, 3.0])
+    assert "settles on" in str(r) and "it stays on" in r.status
+    assert r.q[:, 2].min() >= 0.1 - 1e-12 and np.all(np.diff(r.t) > 0)
+
+
+def test_samples_are_parabolas_between_bounces():
+    system = ball("translation", limits={"z": (0.0, None)})
+    r = system.simulate(1.2, {"at.z": 1.0}, velocity=[0.3, 0.0, 1.0], restitution=0.5, samples=500)
+    hit = (1.0 + math.sqrt(1 + 2 * G)) / G
+    t = r.t[r.t < hit]
+    assert r.q[: len(t), 2] == pytest.approx(1.0 + t - 0.5 * G * t**2, abs=1e-13)
+    assert r.events[0].time == pytest.approx(hit, abs=1e-13)
+    assert (r.events[0].before, r.events[0].after) == pytest.approx((-(G * hit - 1), 0.5 * (G * hit - 1)))
+    assert r.at(hit)[2] == pytest.approx(0.0, abs=1e-14) and r.velocity(hit)[2] == pytest.approx(0.5 * (G * hit - 1))
+
+
+@pytest.mark.parametrize("kind", ["translation", "free"])
+def test_without_planes_it_falls(kind):
+    r = ball(kind).simulate(2.0, velocity={"at.x": 1.0}, acceleration=(0.0, 1.0, -2.0))
+    assert r and not r.events and r.q[-1, :3] == pytest.approx([2.0, 2.0, -4.0])
+
+
+def test_a_bead_on_an_inclined_rod_takes_its_part_of_the_acceleration():
+    m = Mechanism("bead", dim=2)
+    m.prismatic("s", m.ground, m.particle("bead"), axis=(3.0, 4.0, 0.0), limits=(0.0, 2.0))
+    r = m.build().simulate(1.0, {"s": 1.0}, restitution=0.6)
+    hit = math.sqrt(2 * 1.0 / (0.8 * G))
+    assert r.events[0].time == pytest.approx(hit, abs=1e-14) and r.events[0].contacts[0].startswith("lower limit")
+    assert r.events[0].after == pytest.approx(0.6 * 0.8 * G * hit)
+
+
+def test_slides_that_are_not_at_right_angles_have_the_metric_of_space(hunt):
+    """The same ball on skew slides: the same motion of its place."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(10)):
+        m = Mechanism("skew", dim=2)
+        a = m.body("a")
+        m.prismatic("u", m.ground, a, axis=(1.0, rng.uniform(-0.5, 0.5), 0.0))
+        m.prismatic("w", a, m.particle("p"), axis=(rng.uniform(-0.5, 0.5), 1.0, 0.0))
+        with pytest.raises(UnsupportedError, match="several moving bodies"):
+            m.build().simulate(1.0)
+    rpy = rng.uniform(-1, 1, 3)
+    system = ball("translation", rpy=tuple(rpy))
+    r = system.simulate(1.0, velocity=[0.1, 0.2, 0.3])
+    X = system.fk(r.q, "ball")[:, :3, 3]
+    v0 = np.asarray(system.jacobian(r.q[0], "ball"))[:3] @ [0.1, 0.2, 0.3]
+    assert np.abs(X - (np.outer(r.t, v0) - np.outer(0.5 * r.t**2, [0, 0, G]))).max() < 1e-12
+
+
+def test_a_corner_of_two_stops():
+    system = ball("planar", dim=2, limits={"x": (None, 2.0), "y": (0.0, None)})
+    r = system.simulate(10.0, {"at.y": 1.0}, velocity={"at.x": 1.5, "at.rz": 1.0}, restitution=0.7)
+    wall = [e for e in r.events if "upper limit of at.x" in e.contacts]
+    assert len(wall) == 1 and wall[0].time == pytest.approx(2 / 1.5, abs=1e-12)
+    assert r.q[-1] == pytest.approx([2 - 1.05 * (10 - 2 / 1.5), 0.0, 10.0], abs=1e-9)
+
+
+def test_a_start_inside_is_refused_with_the_distance():
+    system = ball(limits={"z": (0.1, None)})
+    with pytest.raises(InputError, match="0.05 m inside 'lower limit of at.z'"):
+        system.simulate(1.0, system.q({"at.z": 0.05}))
+    touching = system.simulate(1.0, system.q({"at.z": 0.1}), restitution=0.9)
+    assert touching and not touching.events and np.all(touching.q[:, 2] == 0.1)
+
+
+def pendulum():
+    m = Mechanism("pendulum", dim=2)
+    m.revolute("A", m.ground, m.body("bob", center=(1.0, 0.0, 0.0)))
+    return m.build()
+
+
+def two():
+    m = Mechanism("two")
+    m.free("A", m.ground, m.body("a"))
+    m.free("B", m.ground, m.body("b"))
+    return m.build()
+
+
+def rod():
+    m = Mechanism("rod", dim=2)
+    m.free("A", m.ground, m.body("a"))
+    m.distance("rope", m.ground, "a", 1.0)
+    return m.build()
+
+
+@pytest.mark.parametrize(("system", "reason"), [
+    (pendulum, "'A' swings the centre of 'bob'.*moments of inertia"), (two, "several moving bodies.*masses"),
+    (rod, "'rope'.*masses"), (wheels.coin, "velocity constraints.*masses.*inputs"),
+    (lambda: Mechanism("still").build(), "no body that moves"),
+])  # fmt: skip
+def test_what_needs_masses_is_refused_with_the_reason(system, reason):
+    with pytest.raises(UnsupportedError, match=reason):
+        system().simulate(1.0)
+
+
+@pytest.mark.parametrize(("options", "error"), [
+    ({"duration": 0.0}, "duration is 0.0"), ({"duration": math.inf}, "duration is inf"),
+    ({"restitution": 1.5}, "restitution is 1.5"), ({"acceleration": (1, 2)}, "acceleration has shape"),
+    ({"velocity": [1.0]}, "velocity has shape"), ({"velocity": {"at.u": 1}}, "at.u"), ({"samples": 0}, "samples is 0"),
+    ({"velocity": {"at.x": "fast"}}, "'fast'"), ({"start": [0, 0]}, "2 coordinates"),
+    ({"inputs": {"at.x": 1}, "velocity": {"at.y": 1}}, "velocity is for what falls"), ({"inputs": 3}, "inputs is int"),
+])  # fmt: skip
+def test_bad_input_is_named(options, error):
+    given = {"duration": 1.0, **options}
+    with pytest.raises((InputError, UnknownNameError), match=error):
+        ball().simulate(given.pop("duration"), given.pop("start", None), **given)
+
+
+# ---- what rolls
+
+
+def test_a_car_follows_its_inputs(hunt):
+    """Against the equations of the bicycle: x' = v cos h, y' = v sin h, h' = v tan(steer) / length."""
+    rng, system = hunt.rng(), wheels.car(length=1.2)
+    for _ in range(hunt.cases(4)):
+        a, w, v = rng.uniform(0.1, 0.4), rng.uniform(0.5, 2), rng.uniform(-2, 2)
+        r = system.simulate(6.0, np.zeros(4), inputs={"body.vx": v, "steer": lambda t, a=a, w=w: a * math.cos(w * t)},
+                            samples=30)  # fmt: skip
+
+        def rate(t, x, a=a, w=w, v=v):
+            return [v * math.cos(x[2]), v * math.sin(x[2]), v * math.tan(x[3]) / 1.2, a * math.cos(w * t)]
+
+        x = solve_ivp(rate, (0, 6.0), np.zeros(4), rtol=1e-12, atol=1e-12, method="DOP853", t_eval=r.t).y.T
+        assert r and np.abs(r.q - x).max() < 1e-8 and r.slip < 1e-12
+        J = np.asarray(system.jacobian(r.q, "fork", "body"))
+        assert np.abs(np.einsum("ni,ni->n", J[:, 1], r.v)).max() < 1e-9
+
+
+def test_a_coin_in_a_circle_comes_back():
+    """Radius 0.5, speed 1 m/s, turning at 2 rad/s: after pi s the place is the start's, and the coin has turned."""
+    system = wheels.coin()
+    r = system.simulate(math.pi, np.zeros(4), inputs={"roll": 2.0, "pose.rz": 2.0})
+    assert r.q[-1] == pytest.approx([0, 0, 2 * math.pi, 2 * math.pi], abs=1e-9) and r.slip < 1e-12
+    assert np.ptp(np.hypot(r.q[:, 0], r.q[:, 1] - 0.5)) < 1e-9
+
+
+def test_a_ball_rolls_on_a_plane():
+    """On a circle, with some spin: x' = r wy, y' = -r wx."""
+    m = Mechanism("ball on plane")
+    a, b = m.body("carrier"), m.body("ball")
+    m.translation("at", m.ground, a, at=(0.0, 0.0, 0.2))
+    m.spherical("turn", a, b)
+    m.rolls("floor", "ball", radius=0.2, shape="ball")
+    system = m.build()
+    with pytest.raises(UnsupportedError, match="leave 3 freedoms"):
+        system.simulate(1.0, inputs={"at.z": 0.0})
+    place = {"at.x": lambda t: 0.1 * math.cos(t), "at.y": lambda t: -0.1 * math.sin(t), "at.z": 0.0}
+    r = system.simulate(2.0, inputs={**place, "ball.wz": 0.3})
+    assert r.q[-1, :3] == pytest.approx([0.1 * math.sin(2.0), 0.1 * math.cos(2.0) - 0.1, 0.0], abs=1e-9)
+    w = np.asarray(system.jacobian(r.q, "ball"))[:, 3:] @ r.v[:, :, None]
+    assert np.abs(r.v[:, 0] - 0.2 * w[:, 1, 0]).max() < 1e-9 and np.abs(r.v[:, 1] + 0.2 * w[:, 0, 0]).max() < 1e-9
+    assert np.abs(np.linalg.norm(r.q[:, 3:], axis=1) - 1).max() < 1e-14
+
+
+def test_loops_stay_closed():
+    m = Mechanism("four-bar", dim=2)
+    crank, coupler, rocker = m.body("crank"), m.body("coupler"), m.body("rocker")
+    m.revolute("A", m.ground, crank)
+    m.revolute("B", crank, coupler, at=(1, 0))
+    m.revolute("C", coupler, rocker, at=(3, 0), child_at=(2.5, 0))
+    m.revolute("D", m.ground, rocker, at=(3, 0))
+    system = m.build()
+    start = system.assemble({"A": 0.5}).q
+    r = system.simulate(20.0, start, inputs={"A": 1.0})
+    assert r and np.abs(system.closure_error(r.q)).max() < 1e-12
+    i = system.coordinate_names.index("A")
+    assert r.q[:, i] == pytest.approx(0.5 + r.t, abs=1e-9)
+    driven = system.drive({"A": 0.5 + r.t}, r.t, start)
+    assert np.abs(r.q - driven.q).max() < 1e-8
+    with pytest.raises(InputError, match="off by"):
+        system.simulate(1.0, start + 0.1, inputs={"A": 1.0})
+
+
+def test_it_ends_where_a_limit_is_met():
+    r = wheels.car(limits=(-0.6, 0.6)).simulate(10.0, np.zeros(4), inputs={"body.vx": 1.0, "steer": 0.1})
+    assert not r and "'steer' meets its limit" in r.status and r.t[-1] == pytest.approx(6.0, abs=1e-9)
+    assert r.q[-1, 3] == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize(("inputs", "reason"), [
+    ({"body.vx": 1.0}, "leave 1 freedom of motion, among 'steer'"),
+    ({"body.vx": 1.0, "steer": 0.0, "body.vy": 1.0}, "do not allow the input 'body.vy'.*0 would do in place of 1"),
+])  # fmt: skip
+def test_inputs_that_are_too_few_or_too_many(inputs, reason):
+    with pytest.raises(UnsupportedError, match=reason):
+        wheels.car().simulate(1.0, np.zeros(4), inputs=inputs)
+
+
+@pytest.mark.parametrize(("inputs", "error"), [
+    ({"body.v": 1.0}, "no velocity 'body.v'"), ({"body.vx": "1"}, "'body.vx' is '1'"),
+    ({"body.vx": lambda t: "1"}, "at time 0 is '1'"), ({"body.vx": lambda t: math.nan}, "must be finite"),
+])  # fmt: skip
+def test_bad_inputs_are_named(inputs, error):
+    with pytest.raises((InputError, UnknownNameError), match=error):
+        wheels.car().simulate(1.0, np.zeros(4), inputs={"steer": 0.0, **inputs})
+
+
+def test_time_is_up(looks):
+    looks(3)
+    r = wheels.car().simulate(1.0, np.zeros(4), inputs={"body.vx": 1.0, "steer": 0.0}, time_limit=1.0)
+    assert r.late and not r and "time limit" in r.status and len(r.q) == len(r.t) == len(r.v)
