@@ -8,7 +8,6 @@ a one-sided row is zero on the whole cone where it takes part in a nonnegative c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from math import comb
@@ -32,6 +31,12 @@ class Ways(NamedTuple):
 
     down: bool
     up: bool
+
+    def __str__(self) -> str:
+        return _WORDS[self.up][self.down]
+
+
+_WORDS = (("neither up nor down", "down but not up"), ("up but not down", "up and down"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,14 +211,3 @@ def _rays(C: Array) -> Array | None:
         if all(np.linalg.norm(ray - other) > NOTHING for other in out):
             out.append(ray)
     return np.array(out).reshape(-1, r)
-
-
-def directions(ways: Sequence[Ways]) -> list[str]:
-    """For each quantity in words what is allowed: 'up but not down'."""
-    return [_WORDS[way] for way in ways]
-
-
-_WORDS = {
-    Ways(True, True): "up and down", Ways(False, True): "up but not down", Ways(True, False): "down but not up",
-    Ways(False, False): "neither up nor down",
-}  # fmt: skip
