@@ -14,15 +14,13 @@ from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import jacobian
 from kempe.kinematics.loops import evaluate, full
-from kempe.kinematics.one_sided import OneSided, one_sided_rows
+from kempe.kinematics.one_sided import CLOSED, OneSided, one_sided_rows
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
-CLOSED = 1e-6
-"""Slack in radians, or as a part of the characteristic length, up to which a constraint counts as closed."""
 
 
 @dataclass(frozen=True)
@@ -169,6 +167,16 @@ def one_sided(system: System, q: Any = None, *, tolerance: float = CLOSED) -> On
         sides[k] = _with_ways(found[k], place, cone, G[place], [found[j].name for j in closed])
     weights = full(system, True).weights
     return OneSidedReport(system, at, tuple(sides), cone, weights[L.SCALES : L.SCALES + system.nv])
+
+
+def if_any(system: System, q: Array) -> OneSidedReport | None:
+    """The report at a configuration (nq,), None where nothing is declared and no limit is reached."""
+    rows = one_sided_rows(system)
+    if not rows.declared:
+        x, (low, high) = q[rows.at], rows.well_inside
+        if ((x > low) & (x < high)).all():
+            return None
+    return one_sided(system, q)
 
 
 def _sides(rows: OneSided, values: Array, J: Array, tolerance: float) -> tuple[list[Side], Array]:

@@ -20,6 +20,8 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
+CLOSED = 1e-6
+"""Slack in radians, or as a part of the characteristic length, up to which a row counts as closed."""
 ROUNDING = 1e-9
 """By how much more than a bound, of 1 or less, a value may be and still respect it."""
 
@@ -53,6 +55,11 @@ class OneSided:
     def scale(self) -> Array:
         """One over the characteristic length for rows in metres, 1 for others: what makes rows compare."""
         return np.where(np.array(self.units) == "m", 1.0 / full(self.system, True).length, 1.0)
+
+    @cached_property
+    def well_inside(self) -> tuple[Array, Array]:
+        """Ends between which the rows' values are farther than `CLOSED` from their bounds."""
+        return self.low + CLOSED / self.scale, self.high - CLOSED / self.scale
 
     @cached_property
     def slack(self) -> Array:
