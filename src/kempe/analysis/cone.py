@@ -14,6 +14,7 @@ from math import comb
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kempe.spatial import Array
 
@@ -70,7 +71,7 @@ class Cone:
         """Whether all that may move may move both ways: the active rows act as equations do."""
         return self.dimension == self.lineality
 
-    def ways(self, row: Array) -> Ways:
+    def ways(self, row: ArrayLike) -> Ways:
         """Whether `row` @ v may be below and above zero, of a quantity with the gradient `row` (n,)."""
         row = np.asarray(row, dtype=float)
         size = float(np.linalg.norm(row))

@@ -85,6 +85,13 @@ class OneSided:
         out = np.maximum(np.maximum(self.low[:k] - x, x - self.high[:k]), 0.0)
         return np.where(out <= self.slack[:k], 0.0, out)
 
+    def left_out(self, beyond: np.ndarray) -> str:
+        """What is said where configurations are left out that violate rows: which of them (n, k) each does violate."""
+        count = int(beyond.any(axis=1).sum())
+        which = ", ".join(repr(self.names[k]) for k in np.flatnonzero(beyond.any(axis=0)))
+        those = "1 is left out that violates" if count == 1 else f"{count} are left out that violate"
+        return f"; {those} {which}" if count else ""
+
     def _read(self, q: Any, rates: bool, declared: bool = False) -> tuple[Array, Array]:
         q, nv = as_q(self.system, q), self.system.nv
         lead, n, k = q.shape[:-1], self.declared, self.declared if declared else len(self)
