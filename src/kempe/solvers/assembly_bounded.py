@@ -62,7 +62,7 @@ def _search(
     scale, count = loops.weights[L.SCALES : L.SCALES + system.nv], 1
     while count < tries and len(left):
         spread = min(1.0, L.WIDER * count) * np.pi * scale * ~held
-        drawn = np.stack([np.random.default_rng((rng, offset + i, count)).uniform(-1.0, 1.0, system.nv) for i in left])
+        drawn = np.stack([np.random.default_rng((rng, offset + int(i), count)).uniform(-1.0, 1.0, system.nv) for i in left])
         some = pins[left] if len(pins) > 1 else pins
         first = system.integrate(starts[left], drawn * spread)
         found, more = _solve(loops, weights, first, starts[left], some, steps, tolerance, nearest, rng, threads)

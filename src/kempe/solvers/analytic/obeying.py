@@ -21,7 +21,7 @@ def obeying(solutions: Solutions) -> Solutions:
     used = solutions._used
     q = np.where(used[..., None], solutions._full(), solutions.system.neutral)
     beyond = used[..., None] & (bounds.beyond(q, declared=True) > 0.0)
-    bad = beyond.any(axis=-1)
+    bad = np.any(beyond, axis=-1)
     if not bad.any():
         return solutions
     rows = solutions._rows.copy()
@@ -29,7 +29,7 @@ def obeying(solutions: Solutions) -> Solutions:
     rows = packed(rows) if solutions.single else rows
     out = Solutions(solutions._asked, solutions.plan, solutions._base, rows, solutions._counts, solutions._lead, None,
                     *solutions._where)  # fmt: skip
-    texts = np.empty(len(bad), dtype=object)
+    texts = np.empty(len(beyond), dtype=object)
     texts[:] = [bounds.left_out(each) for each in beyond]
     out._whole, out._left_out = solutions, texts
     return out
