@@ -201,7 +201,7 @@ def _found(
         system.name, system.dim, at.q, True, at.residual, at.given, "", counting(shown),
         loop_counts(shown, rank.screws), _clusters(s, rank), _outside(system, s), rank, best.nullity, truth, dof,
         redundancy(system, best), idle, control(system, rank, generic, idle, actuated), singular, kind,
-        sure, if_any(system, at.q),
+        sure, if_any(shown, at.q),
     )  # fmt: skip
 
 

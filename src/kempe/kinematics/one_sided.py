@@ -6,15 +6,17 @@ They are read before their bounds: whether a row is active, and how far it is fr
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.loops import full
-from kempe.model.loops import Loops
+from kempe.model.loops import Loops, loops_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -133,9 +135,27 @@ def _made(system: System) -> OneSided:
     at, v = system.layout.vector_q, system.layout.vector_v
     limited = np.isfinite(system.lower[v]) | np.isfinite(system.upper[v])
     at, v = at[limited], v[limited]
-    names = [system.velocity_names[i] for i in v]
-    units = ["rad" if system.coordinates.turning[i] else "m" for i in v]
+    names, units, bounds, chosen, loops = _declared(system) if system.mechanism.constraints else ([], [], [], [], None)
+    low, high = np.array(bounds, dtype=float).reshape(-1, 2).T
+    names += [system.velocity_names[i] for i in v]
+    units += ["rad" if system.coordinates.turning[i] else "m" for i in v]
     return OneSided(
-        system, tuple(names), tuple(units), system.lower[v], system.upper[v], 0, None, np.zeros(0, dtype=np.int64),
-        at, v,
+        system, tuple(names), tuple(units), np.append(low, system.lower[v]), np.append(high, system.upper[v]),
+        len(bounds), loops if bounds else None, np.array(chosen, dtype=np.int64), at, v,
     )  # fmt: skip
+
+
+def _declared(system: System) -> tuple[list[str], list[str], list[tuple[float, float]], list[int], Loops]:
+    """Names, units, bounds and places of the declared rows between bounds, and the ties that they are among."""
+    loops = loops_of(system, frozenset(system.closures), one_sided=True)
+    several = Counter(t.name for t in loops.ties if t.bounds for _ in t.rows)
+    names, units, bounds, chosen, at = [], [], [], [], 0
+    for k, tie in enumerate(loops.ties):
+        lengths = int(loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.LENGTHS])
+        for i, row in enumerate(tie.rows if tie.bounds else ()):
+            names.append(tie.name if several[tie.name] == 1 else f"{tie.name} {row}")
+            units.append("m" if i < lengths else "rad" if tie.tape is None else tie.tape.unit)
+            bounds.append(tie.bounds[i])
+            chosen.append(at + i)
+        at += len(tie.rows)
+    return names, units, bounds, chosen, loops

@@ -23,7 +23,7 @@ from kempe.joints import P
 from kempe.kinematics.configuration import home_of, random
 from kempe.kinematics.loops import evaluate
 from kempe.model.own_tree import own_tree
-from kempe.solvers.assembly import RANK_TOLERANCE, Assembler, assembler
+from kempe.solvers.assembly import RANK_TOLERANCE, Assembler, of_equations
 from kempe.solvers.clock import BROKEN_OFF, Budget
 from kempe.solvers.clusters import SAME, Clusters
 from kempe.solvers.images import mirrored, mixed
@@ -161,7 +161,7 @@ def search(
     An interrupt, or the end of the time, which is looked for after each round, leaves what the rounds before found.
     """
     system = own_tree(system)
-    bound = assembler(system, known)
+    bound = of_equations(system, known)
     s = Search(system, known, near, rng, bound, Clusters(system, _places(system, frame)), frame)
     while s.tried < starts:
         before = s.copy()
