@@ -92,16 +92,12 @@ class Packed:
         tree = own_tree(system)
         carried = frozenset(tree.closures)
         level = (lambda tie: levels[owner[id(tie)][0]] if id(tie) in owner else 0) if any(levels) else None
-<<<<<<< HEAD
-        self.loops: Loops = pack(tree, carried, length=length, further=further, wide=self.wide, level=level)
-=======
         self.one_sided = one_sided_rows(system)
         """One-sided rows of the system; those that are declared hold, too."""
         bounded = self.one_sided.declared > 0
         self.loops: Loops = pack(
-            system, carried, length=length, further=further, wide=self.wide, level=level, one_sided=bounded
+            tree, carried, length=length, further=further, wide=self.wide, level=level, one_sided=bounded
         )
->>>>>>> eb0a6f8 (Inverse model, paths and modes hold declared one-sided constraints; tests with contacts, ropes and walls)
         self.stages: dict[Hashable, Any] = {}
         """What solvers have worked out of weights and priorities."""
         self.scale: Array = self.loops.weights[L.SCALES : L.SCALES + system.nv]
