@@ -92,9 +92,11 @@ def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closur
     fixed = Closure(system, held + [angle_or_slide(system, n) for n in known], near)
     q = None if known else close(fixed, near)  # what is known may be far: then on the branch that `assemble` finds
     if q is None:
-        from kempe.solvers.assembly import assemble
+        from kempe.solvers.assembly import assemble, of_equations
 
         answer = assemble(system, known={**hold, **known}, near=near)
+        if not answer.success:  # what is one-sided is then told
+            answer = of_equations(system, {**hold, **known})({**hold, **known}, near)
         q = close(fixed, answer.q) if answer.success else None
     return equations, q
 

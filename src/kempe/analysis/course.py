@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from kempe.analysis.beginning import too_free
+from kempe.analysis.bounds import Limits
 from kempe.analysis.continuation import (
     ACROSS,
     BEND,
@@ -23,7 +24,7 @@ from kempe.analysis.continuation import (
     step,
 )
 from kempe.analysis.crossings import branch_lines, locate, singular_node
-from kempe.analysis.events import AWKWARD, LEAST_STEP, Limits, checked, next_step, root
+from kempe.analysis.events import AWKWARD, LEAST_STEP, checked, next_step, root
 from kempe.analysis.path import Event
 from kempe.errors import UnsupportedError
 from kempe.spatial import Array
@@ -72,7 +73,7 @@ class Course:
     closure: Closure
     index: list[int]
     longest: float
-    limits: Limits | None
+    limits: Limits
     wish: Array
     singular: list[Event] = field(default_factory=list)
 
@@ -161,7 +162,7 @@ class Course:
         if b.t[-1] <= 0.0:
             turn = root(way, a, b, lambda n: float(n.t[-1])) or a
         far = b if turn is None else turn
-        hit = self.limits.hit(way, a, b) if self.limits is not None else None
+        hit = self.limits.hit(way, a, b)
         if hit is not None and float(hit[0].x[-1]) < min(float(far.x[-1]), length) + NO_CHANGE:
             return self._stuck(way, hit[0], f"beyond {hit[1]}", length), None
         if turn is not None and float(turn.x[-1]) < length + SAME_INPUT:

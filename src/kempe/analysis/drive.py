@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.analysis.beginning import angle_or_slide, begin, longest_step, periods, start_of, wish_of
+from kempe.analysis.bounds import Limits
 from kempe.analysis.continuation import Closure
 from kempe.analysis.course import Course, State, Stuck
-from kempe.analysis.events import Limits
 from kempe.analysis.motion import Progress
 from kempe.analysis.path import Configurations, Event
 from kempe.analysis.rolling_drive import Driven, driven
@@ -184,7 +184,7 @@ def drive(
         return Drive(system, near[None], clock[:1], asked, none, (), (), (), False, False, said)
     closure.budget = budget
     wish = wish_of(system, toward)
-    course = Course(closure, index, longest, Limits(closure) if limits else None, wish / closure.unit)
+    course = Course(closure, index, longest, Limits(closure, limits), wish / closure.unit)
     return _run(course, q, names, clock, samples, progress)
 
 

@@ -12,8 +12,9 @@ from fractions import Fraction
 import numpy as np
 
 from kempe.analysis.beginning import MOST_TURNS, SAME_RATIO, followers
+from kempe.analysis.bounds import Limits
 from kempe.analysis.continuation import Closure, Node, bend, step
-from kempe.analysis.events import Limits, flipped
+from kempe.analysis.events import flipped
 from kempe.spatial import Array
 
 FAR = 50.0
@@ -38,12 +39,12 @@ MOVES = 1e-9
 class Endless:
     """Whether a walk from a first node on has no end; `limits` are those that may still end it."""
 
-    def __init__(self, equations: Closure, first: Node, periods: Array, limits: Limits | None):
+    def __init__(self, equations: Closure, first: Node, periods: Array, limits: Limits):
         self.equations, self.first, self.periods, self.limits = equations, first, periods, limits
         system = equations.system
         self.away = np.array([i for i in system.layout.vector_v if not periods[i]], dtype=np.int64)
         self.place = equations.place[self.away]
-        self.followers = followers(system, limits is not None)
+        self.followers = followers(system, limits.limits)
         self.next, self.asked = FAR, False
 
     def reason(self, b: Node, length: float) -> str:
@@ -106,8 +107,7 @@ class Endless:
         """Look ahead in longer and longer steps; what runs away, empty where anything turns back or ends."""
         equations, h, gone = self.equations, 1.0, 0.0
         rest = [i for i in self.away if abs(b.t[i]) > 1e-3]
-        ended = () if self.limits is None else [i for i, _, _, sign in self.limits.all if sign * b.t[i] > 0.0]
-        if not rest or not set(rest).isdisjoint(ended):
+        if not rest or self.limits.may_end(b, rest):
             return ""
         a = b
         while gone < AHEAD:

@@ -27,8 +27,6 @@ LEAST_STEP = 1e-6
 """Steps below this are given up: the curve has a cusp or an end there."""
 AWKWARD = 1e-5
 """Relative singular value below which a step had better land elsewhere: rounding is blown up there."""
-TOUCH = 1e-12
-"""Radians or metres beyond a limit that are rounding."""
 RESTING = 1e-9
 """Rates below this count as zero."""
 NOISE = 1e-12
@@ -105,66 +103,6 @@ def root(
     else:
         here = found.get(distance) or inside(equations, a, b, distance)
     return here if here is None or here.matrix.size else node(equations, here.x, here.t)
-
-
-class Limits:
-    """The limits of the angles and slides of a system, as ends of a walk."""
-
-    def __init__(self, equations: Closure):
-        system = equations.system
-        self.equations = equations
-        limits, place = system.limits, equations.place
-        self.all = [(i, int(place[i]), float(limits[i, side]), sign)
-                    for i in range(system.nv) if place[i] >= 0 and i not in equations.held
-                    for side, sign in ((0, -1.0), (1, 1.0)) if np.isfinite(limits[i, side])]  # fmt: skip
-
-    def outside(self, x: Array) -> str:
-        """Name of a coordinate that is outside its limits at `x`, or an empty string."""
-        for i, iq, bound, sign in self.all:
-            if sign * (x[iq] - bound) > 1e-9 * (1.0 + abs(bound)):
-                return self.equations.system.velocity_names[i]
-        return ""
-
-    def hit(self, equations: Closure, a: Node, b: Node) -> tuple[Node, str] | None:
-        """The first node between two neighbours at which a limit is reached, and which: None if there is none."""
-        best: tuple[float, Node, str] | None = None
-        h = float(a.t @ equations.between(a.x, b.x))
-        for i, iq, bound, sign in self.all:
-            rate, later = sign * a.t[i], sign * b.t[i]
-            far = sign * (b.x[iq] - bound)
-            peak = far if rate * later >= 0.0 or rate < 0.0 else np.inf
-            if peak == np.inf:  # it turns in between: the chord bends by at most this much
-                peak = max(far, sign * (a.x[iq] - bound)) + h * self.equations.unit[i] * rate
-            if peak <= TOUCH:
-                continue
-            reached = self._reached(equations, a, b, i, iq, bound, sign)
-            if reached is not None:
-                distance = float(a.t @ equations.between(a.x, reached.x))
-                if best is None or distance < best[0]:
-                    best = (distance, reached, self._name(i, bound, sign))
-        return None if best is None else best[1:]
-
-    def _name(self, i: int, bound: float, sign: float) -> str:
-        name = self.equations.system.velocity_names[i]
-        return f"the {'upper' if sign > 0 else 'lower'} limit {bound:.9g} of {name!r}"
-
-    @staticmethod
-    def _reached(
-        equations: Closure, a: Node, b: Node, i: int, iq: int, bound: float, sign: float
-    ) -> Node | None:  # fmt: skip
-        def over(n: Node) -> float:
-            return sign * (n.x[iq] - bound)
-
-        if over(a) > -TOUCH:
-            return a if sign * a.t[i] > RESTING else None
-        last = b
-        if over(b) <= TOUCH:
-            turn = root(equations, a, b, lambda n: float(n.t[i]))
-            if turn is None or over(turn) <= TOUCH:
-                return None
-            last = turn
-        high = float(a.t @ equations.between(a.x, last.x))
-        return root(equations, a, b, over, 0.0, high)
 
 
 def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> Node | None:

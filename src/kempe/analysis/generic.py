@@ -10,6 +10,7 @@ import numpy as np
 from kempe.analysis.rank import Rank, rank_at
 from kempe.errors import InputError
 from kempe.kinematics.loops import evaluate
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -45,9 +46,9 @@ def close(system: System, q: Array) -> Closed:
         raise InputError("q must be finite numbers, and its quaternions not zero")
     if given <= EXACT:
         return Closed(q, True, given, given)
-    from kempe.solvers.assembly import assemble
+    from kempe.solvers.assembly import of_equations
 
-    answer = assemble(system, near=q, starts=1, limits=False, nearest=given > NEAR)
+    answer = of_equations(system)(near=q, starts=1, limits=False, nearest=given > NEAR)
     if answer.success:
         return Closed(answer.q, True, given, float(answer.residual))
     return Closed(answer.q, False, given, float(answer.residual), str(answer.status))
@@ -56,13 +57,15 @@ def close(system: System, q: Array) -> Closed:
 def find_closed(system: System) -> Closed:
     """A closed configuration: the posture 'closed', the middle of the limits, or else one that is searched."""
     at = close(system, system.posture("closed") if "closed" in system.posture_names else system.mid)
-    if at.closed:
+    if at.closed and not one_sided_rows(system).beyond(at.q, declared=True).any():
         return at
     from kempe.solvers.assembly import assemble
 
     answer = assemble(system, limits=False)
     if answer.success:
         return close(system, answer.q)
+    if at.closed:
+        return at
     return Closed(answer.q, False, at.given, float(answer.residual), str(answer.status))
 
 
@@ -82,13 +85,13 @@ def nearby(system: System, rank: Rank, rng: np.random.Generator) -> list[Rank]:
 
 
 def _walk(system: System, rank: Rank, rng: np.random.Generator, count: int) -> list[Rank]:
-    from kempe.solvers.assembly import assemble
+    from kempe.solvers.assembly import of_equations
 
     z = rng.normal(size=(count, rank.nullity)) @ rank.kernel.T
     size = STEP * np.sqrt(rank.nullity)
     z *= size / np.linalg.norm(z, axis=1, keepdims=True)
     starts = system.integrate(np.broadcast_to(rank.q, (count, system.nq)), z * rank.units)
-    answer = assemble(system, near=starts, starts=1, limits=False, nearest=False)
+    answer = of_equations(system)(near=starts, starts=1, limits=False)
     moved = np.linalg.norm(system.difference(rank.q, answer.q) / rank.units, axis=1)
     good = np.asarray(answer.success) & (moved > AWAY * size)
     return [rank_at(system, q) for q in answer.q[good]]

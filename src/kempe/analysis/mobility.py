@@ -14,6 +14,7 @@ from kempe.analysis.counting import Counting, LoopCount, counting, loop_counts
 from kempe.analysis.generic import Closed, close, find_closed, nearby
 from kempe.analysis.graph import Structure, structure
 from kempe.analysis.mobility_text import dimensions
+from kempe.analysis.one_sided import OneSidedReport, if_any
 from kempe.analysis.passive import IdleFreedom, idle_freedoms, may_idle
 from kempe.analysis.rank import Rank, rank_at
 from kempe.analysis.reach import velocity_freedoms
@@ -81,6 +82,11 @@ class Mobility:
     """Freedoms of velocity at `q`: what constraints of velocity leave of `rank_dof`; None without such constraints."""
     regular: bool = False
     """Whether the rank is full beyond rounding, so that the implicit function theorem gives `dof`."""
+    one_sided: OneSidedReport | None = field(default=None, repr=False)
+    """What one-sided constraints are closed and still allow; None where there are none but limits that are not reached.
+
+    The freedoms above do not count them: a side that is open takes nothing away, a closed one only a direction.
+    """
 
     @property
     def gruebler(self) -> int:
@@ -177,7 +183,7 @@ def mobility(
         from kempe.analysis.local import in_chart
 
         truth = None if found.local is None else in_chart(system, found.local, turned)
-        return replace(found, q=at.q, local=truth)
+        return replace(found, q=at.q, local=truth, one_sided=if_any(shown, at.q))
     return _found(system, shown, at, actuated, local, rng)
 
 
@@ -198,7 +204,7 @@ def _found(
         system.name, system.dim, at.q, True, at.residual, at.given, "", counting(shown),
         loop_counts(shown, rank.screws), _clusters(s, rank), _outside(system, s), rank, best.nullity, truth, dof,
         redundancy(system, best), idle, control(system, rank, generic, idle, actuated), singular, kind,
-        velocity_freedoms(system, at.q), sure,
+        velocity_freedoms(system, at.q), sure, if_any(shown, at.q),
     )  # fmt: skip
 
 

@@ -132,6 +132,8 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         out.append((f"idle: {m.idle}", _cut([str(f) for f in m.idle_freedoms])))
     if m.singular:
         out.append(("singular", [m.kind]))
+    if m.one_sided is not None:
+        out.append(("one-sided", _cut([m.one_sided.sentence, *m.one_sided.lines])))
     if m.control is not None:
         out.append(("control", str(m.control).split("\n")))
         if m.dof is not None and (m.rank_dof or 0) > m.dof:
@@ -179,6 +181,7 @@ def data(m: Mobility) -> dict[str, Any]:
         "stressed": {} if m.redundancy is None else {k: list(v) for k, v in m.redundancy.stressed},
         "idle_freedoms": [{"bodies": list(f.bodies), "joints": list(f.joints), "point": list(f.point),
                            "direction": list(f.direction)} for f in m.idle_freedoms],
+        "one_sided": None if m.one_sided is None else m.one_sided.data(),
         "control": None if c is None else {
             "actuated": list(c.actuated), "useful": c.useful, "controlled": c.controlled, "excess": c.excess,
             "singular": c.singular, "complete": c.complete, "free": [dict(f) for f in c.free]},

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.analysis.beginning import angle_or_slide, begin, first_node, longest_step, periods, start_of
+from kempe.analysis.bounds import Limits
 from kempe.analysis.continuation import Closure, Node, arc, node
 from kempe.analysis.endless import NO_RETURN, Endless
-from kempe.analysis.events import Limits, Stop, extreme, hidden_crossings, home, turns, walk
+from kempe.analysis.events import Stop, extreme, hidden_crossings, home, turns, walk
 from kempe.analysis.path import Event, Path, Track
 from kempe.calls import explained, flag
 from kempe.errors import InputError
@@ -92,8 +93,8 @@ def trace(
     equations, q = begin(system, start, held)
     if q is None:
         return _failed(equations, options, "the loops do not close near the start", start_of(system, start, held))
-    if limits and (name := Limits(equations).outside(q)):
-        return _failed(equations, options, f"{name!r} is outside its limits at the start", q)
+    if said := Limits(equations, limits).outside(q):
+        return _failed(equations, options, f"{said} at the start", q)
     equations.budget = options.budget
     try:
         return _followed(equations, q, options, toward, switch)
@@ -160,14 +161,14 @@ def _one_way(
     equations: Closure, first: Node, options: _Options, most: int
 ) -> tuple[list[Node], str, bool, BaseException | None]:  # fmt: skip
     """Nodes from the first on, why they end, whether they came home, and what broke the walk off, if anything did."""
-    nodes, limits, length = [first], Limits(equations), 0.0
-    endless = Endless(equations, first, options.periods, limits if options.limits else None)
+    nodes, limits, length = [first], Limits(equations, options.limits), 0.0
+    endless = Endless(equations, first, options.periods, limits)
     try:
         for b in walk(equations, first, options.longest):
             a = nodes[-1]
             if isinstance(b, Stop):
                 return nodes, b.reason, False, None
-            hit = limits.hit(equations, a, b) if options.limits else None
+            hit = limits.hit(equations, a, b)
             back = home(equations, a, b, first, options.periods) if length > 0.0 else None
             if back is not None and (hit is None or _before(equations, a, back, hit[0])):
                 return [*nodes, back], "the start", True, None

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kempe.constraints.base import (
     Constraint,
     End,
@@ -18,6 +20,7 @@ from kempe.constraints.base import (
     numbers_in,
     with_numbers,
 )
+from kempe.constraints.contacts import POSE, TWIST
 from kempe.constraints.kinds import Distance, OnLine, OnPlane
 from kempe.description import checks
 from kempe.description.parts import Body, Declared, Frame
@@ -155,7 +158,7 @@ def check(mechanism: Mechanism, made: Declared) -> None:
     if a.particle and any(r.op is not Op.DISTANCE for r in rows):
         checks.refuse(subject, f"its parent {a.name!r} is a particle, which has no axes", where,
                       "make the particle the child")  # fmt: skip
-    if b.particle and (any(r.op not in (Op.DISTANCE, Op.POINT) for r in rows) or any(tool[k] for k in (3, 7, 11))):
+    if b.particle and (any(map(_reads_axes, rows)) or any(tool[k] for k in (3, 7, 11))):
         checks.refuse(subject, f"{b.name!r} is a particle, which has no axes and no extent", where, "")
     for on, X in ((a, made.X_PF), (b, made.X_CM)):
         if on.particle and X.steps:
@@ -170,6 +173,9 @@ def resolved(made: Declared, parameters: Mapping[str, float], dim: int) -> Const
     numbers = with_numbers(made.of, parameters)
     try:
         rows = numbers.rows(dim)
+        for key, x in numbers_in(numbers).items():
+            if x is not None and _not_a_number(x):
+                raise InputError(f"{key} is {x!r}; it must be numbers")
         _lengths(made, numbers, rows)
         numbers.check(dim)
         numbers.goal(dim)
@@ -179,6 +185,22 @@ def resolved(made: Declared, parameters: Mapping[str, float], dim: int) -> Const
             raise
         checks.refuse(f"constraint {made.name!r}", str(error), made.where)
     return numbers
+
+
+def _not_a_number(x: Any) -> bool:
+    """Whether NaN is among numbers."""
+    try:
+        return bool(np.isnan(np.asarray(x, dtype=float)).any())
+    except (TypeError, ValueError):
+        return False
+
+
+def _reads_axes(row: Row) -> bool:
+    """Whether a row reads how frame B is turned."""
+    if row.op in (Op.TAPE, Op.VELOCITY):
+        tape, output = row.args
+        return tape.degrees_in((*POSE[3:], *TWIST[3:]))[output] > 0
+    return row.op not in (Op.DISTANCE, Op.POINT)
 
 
 def _lengths(made: Declared, numbers: Constraint, rows: tuple[Row, ...]) -> None:

@@ -59,11 +59,12 @@ def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]]
 
 
 def has_loops(system: System) -> bool:
-    """Whether anything ties the coordinates: loops, declared constraints or relations of several coordinates."""
+    """Whether equations tie the coordinates: of loops, of declared constraints, or relations of several coordinates."""
     found = system._queries.get("has loops")  # looked up once
     if found is None:
-        tied = system.closures or system.relations or system._mechanism.constraints
-        found = system._queries["has loops"] = bool(tied)
+        tied = system.closures or system.relations
+        declared = system._mechanism.constraints.values()
+        found = system._queries["has loops"] = bool(tied) or any(c.equations(system.dim) for c in declared)
     return found
 
 

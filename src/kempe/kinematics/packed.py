@@ -14,6 +14,7 @@ from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.asking import task_of
 from kempe.kinematics.configuration import as_q
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.task import GROUND, TILTS, Goals, Task
 from kempe.model.loops import Loops, Tie, pack
 from kempe.model.own_tree import own_tree
@@ -91,7 +92,12 @@ class Packed:
         tree = own_tree(system)
         carried = frozenset(tree.closures)
         level = (lambda tie: levels[owner[id(tie)][0]] if id(tie) in owner else 0) if any(levels) else None
-        self.loops: Loops = pack(tree, carried, length=length, further=further, wide=self.wide, level=level)
+        self.one_sided = one_sided_rows(system)
+        """One-sided rows of the system; those that are declared hold, too."""
+        bounded = self.one_sided.declared > 0
+        self.loops: Loops = pack(
+            tree, carried, length=length, further=further, wide=self.wide, level=level, one_sided=bounded
+        )
         self.stages: dict[Hashable, Any] = {}
         """What solvers have worked out of weights and priorities."""
         self.scale: Array = self.loops.weights[L.SCALES : L.SCALES + system.nv]
@@ -101,7 +107,9 @@ class Packed:
         self.slots = [owner.get(id(t), (-1, 0)) for t in self.loops.ties]
         self.owner = np.array([i for i, _ in self.slots], dtype=np.int64)
         self.rows = np.repeat(self.owner, [len(t.rows) for t in self.loops.ties])
-        """Task of each equation; -1 for loops, -2 for what holds of itself."""
+        """Task of each equation; -1 for loops, -2 for what holds of itself, -3 for declared ones between bounds."""
+        bounds = [i < 0 and bool(t.bounds) for i, t in zip(self.owner, self.loops.ties, strict=True)]
+        self.rows[np.repeat(bounds, [len(t.rows) for t in self.loops.ties])] = -3
         ends = np.cumsum([len(t.rows) for t in self.loops.ties], dtype=np.int64) - 1
         self.rows[ends[[system.dim == 2 and t.turns in TILTS for t in self.loops.ties]]] = -2
         self.closed = bool(np.any(self.rows == -1))

@@ -102,8 +102,7 @@ def configuration_space(system: System) -> ConfigurationSpace:
     parts = [name if n == 1 else f"{name}^{n}" for name, n in factors if n]
     limited = int((np.isfinite(system.lower) | np.isfinite(system.upper)).sum())
     rows = len(system.relations)
-    for constraint in system.mechanism.constraints.values():
-        rows += 2 if constraint.kind == "point_on_line" and system.dim == 3 else 1
+    rows += sum(c.equations(system.dim) for c in system.mechanism.constraints.values())
     for name in system.closures:
         joint = system.joints[name]
         particle = system.mechanism.bodies[joint.child].particle

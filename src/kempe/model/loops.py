@@ -52,18 +52,18 @@ def must_carry(system: System, known: Iterable[str] = ()) -> frozenset[str]:
 
 def loops_of(
     system: System, carried: frozenset[str], held: frozenset[str] = frozenset(),
-    pins: tuple[tuple[str, bool], ...] = (), length: float | None = None,
+    pins: tuple[tuple[str, bool], ...] = (), length: float | None = None, one_sided: bool = False,
 ) -> Loops:  # fmt: skip
-    """The packed loops of a system.
+    """The packed loops of a system; with `one_sided` those declared constraints, too, that hold between bounds.
 
     `carried` names the left-out joints to carry, `held` the velocity coordinates that are no unknowns, `pins` the
     frames that are held in place (with their orientation where the flag says so). Equations and unknowns are scaled by
     `length` (default: the characteristic length); with length 1 they are in metres.
     """
-    key = ("loops", carried, held, pins, length)
+    key = ("loops", carried, held, pins, length, one_sided)
     found = system._queries.get(key)
     if found is None:
-        found = system._queries[key] = pack(system, carried, held, pins, length)
+        found = system._queries[key] = pack(system, carried, held, pins, length, one_sided=one_sided)
     return found
 
 
@@ -71,7 +71,7 @@ def pack(
     system: System, carried: frozenset[str], held: frozenset[str] = frozenset(),
     pins: tuple[tuple[str, bool], ...] = (), length: float | None = None,
     further: Callable[[Table], list[Tie]] | None = None, wide: np.ndarray | None = None,
-    level: Callable[[Tie], int] | None = None,
+    level: Callable[[Tie], int] | None = None, one_sided: bool = False,
 ) -> Loops:  # fmt: skip
     """As `loops_of`, but packed anew, and with `further` ties over the rows of the table that it is given.
 
@@ -85,7 +85,7 @@ def pack(
     size, origin = characteristic_length(system) if length is None else length, origin_of(system)
     if origin.any():
         table = moved(table, -origin)
-    ties = _ties(system, table, carried, pins) + (further(table) if further else [])
+    ties = _ties(system, table, carried, pins, one_sided) + (further(table) if further else [])
     ties, first = [t for t in ties if t.rows or t.joint], system.coordinates.first
     ties = _by_level(ties, table, level, first) if level else _in_order(ties, table, first)
     at = dict(table.at)
@@ -114,11 +114,11 @@ def held_ties(system: System, table: Table) -> list[Tie]:
 
 
 def _ties(
-    system: System, table: Table, carried: frozenset[str], pins: tuple[tuple[str, bool], ...]
+    system: System, table: Table, carried: frozenset[str], pins: tuple[tuple[str, bool], ...], one_sided: bool
 ) -> list[Tie]:  # fmt: skip
     mechanism = system.mechanism
     ties = [_of_joint(system, table, mechanism.joints[n], n in carried) for n in system.closures]
-    ties += declared_ties(system, table)
+    ties += declared_ties(system, table, one_sided)
     ground = (-1, np.eye(4), False)
     for relation in system.relations:
         ties.append(Tie(relation.of, ground, ground, turns=L.LINEAR, number=relation.offset, relation=relation))

@@ -24,9 +24,10 @@ End = tuple[int, np.ndarray, bool]
 """A row of the table, the pose on it, whether it is a particle."""
 
 
-def declared_ties(system: System, table: Table) -> list[Tie]:
-    """The ties of all declared constraints whose rows hold at a value; one-sided rows and velocities are left out."""
-    return [t for c in system.mechanism.constraints.values() for t in ties_of(system, table, c) if not t.bounds]
+def declared_ties(system: System, table: Table, one_sided: bool = False) -> list[Tie]:
+    """The ties of all declared constraints whose rows hold at a value, or with `one_sided` between two, too."""
+    every = (t for c in system.mechanism.constraints.values() for t in ties_of(system, table, c))
+    return [t for t in every if one_sided or not t.bounds]
 
 
 def ties_of(system: System, table: Table, declared: Declared) -> list[Tie]:

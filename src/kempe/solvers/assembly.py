@@ -16,6 +16,7 @@ from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kernels import loop_layout as L
 from kempe.kernels.compiled import assembly as kernel
 from kempe.kinematics.configuration import as_start, home_of
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.loops import Loops, loops_of, must_carry
 from kempe.model.own_tree import own_tree
@@ -49,11 +50,13 @@ RANK_TOLERANCE = 1e-8
 class Assembler:
     """Assembly with the names of what is known looked up and the loops packed, once.
 
-    `known` are names of coordinates and of frames, in the order in which values are given.
+    `known` are names of coordinates and of frames, in the order in which values are given. Without `one_sided` declared
+    constraints count only as far as they are equations.
     """
 
-    def __init__(self, system: System, known: Iterable[str] = ()):
+    def __init__(self, system: System, known: Iterable[str] = (), one_sided: bool = True):
         self.system, self.known, self.tree = system, tuple(known), own_tree(system)
+        self.one_sided = one_sided_rows(system) if one_sided and one_sided_rows(system).declared else None
         self.names, self.further = set(self.known), ()
         coordinates = [k for k in self.known if k not in system.frame_names or k in system.coordinate_names]
         self.frames = tuple(k for k in self.known if k not in coordinates)
@@ -109,8 +112,10 @@ class Assembler:
         `whole`: the coordinates of all joints are unknowns, also of those that the tree left out, so that what is
         nearest does not depend on where the loops are cut.
         """
-        carried = frozenset(self.tree.closures) if whole else self.carried
-        return loops_of(self.tree, carried, self.held, tuple(zip(self.frames, turned, strict=True)))
+        bounded = self.one_sided is not None
+        carried = frozenset(self.tree.closures) if whole or bounded else self.carried
+        pins = tuple(zip(self.frames, turned, strict=True))
+        return loops_of(self.tree, carried, self.held, pins, one_sided=bounded)
 
     @cached_property
     def freedoms(self) -> int:
@@ -147,6 +152,11 @@ class Assembler:
                                  limits, tolerance, True, loops)  # fmt: skip
                 q[sound], residual[sound], info[sound] = inner
                 return q, residual, info
+        if self.one_sided is not None:
+            from kempe.solvers.assembly_bounded import Bounded
+
+            bounded = Bounded(self.system, loops, weights, STEPS, tolerance, rng, threads)
+            return (bounded.follow if follow else bounded.assemble)(starts, pins, tries)
         if n <= CHUNK or follow:
             work(0, n)
         else:
@@ -329,6 +339,17 @@ def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
     return found
 
 
+def of_equations(system: System, known: Iterable[str] = ()) -> Assembler:
+    """As `assembler`, but one-sided constraints do not count: what they leave out is looked at elsewhere."""
+    if not one_sided_rows(system).declared:
+        return assembler(system, known)
+    key = ("assembler of equations", listed(known, "known"))
+    found = system._queries.get(key)
+    if found is None:
+        found = system._queries[key] = Assembler(system, key[1], one_sided=False)
+    return found
+
+
 @explained
 def assemble(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, branch: str | None = None,
@@ -345,7 +366,7 @@ def assemble(
     with `nearest`, where freedoms are left, it is the closed configuration nearest to it. `branch` names a branch:
     signs such as '+-' for planar mechanisms made of dyads (see `assembly_modes`), or a posture, which is where the
     search starts. `continuous`: row by row, each started where the last two lead. Coordinates stay inside their limits
-    unless `limits=False`.
+    unless `limits=False`; one-sided constraints of the system always hold: a start that violates them is brought there.
 
     The first of `starts` starts is `near`; the others are drawn around it from `rng`, wider and wider. An open loop is
     never a success: the answer then says which loop is open, by how much, and `q` is the nearest to closing;

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.constraints.base import Op, position_rows
+from kempe.description.parts import Declared
 from kempe.joints import P, Primitive, R
 from kempe.kernels import dyads_layout as K
 from kempe.kinematics.constraints import joint_pose
@@ -155,6 +157,11 @@ def _rail(X: Array, axis: int = 2) -> Pose:
     return dx / n, dy / n, float(X[0, 3]), float(X[1, 3])
 
 
+def _slides(constraint: Declared) -> bool:
+    """Whether it holds a point on the line along z of frame A, in the plane, and nothing else."""
+    return [(r.op, r.args) for r in position_rows(constraint.of, 2)] == [(Op.POINT, (1,))]
+
+
 def _alone(joint: Joint) -> Primitive | None:
     """The only motion of a joint of the plane, a turn or a slide by its coordinate; None of one that has several."""
     primitives = joint.type.layout(2)[1]
@@ -169,6 +176,9 @@ def parts_of(system: System) -> Parts:
     particles = [b.name for b in mechanism.bodies.values() if b.particle]
     if particles:
         return Parts(trouble=f"{particles[0]!r} is a particle")
+    other = [c for c in mechanism.constraints.values() if c.equations(2) and not (c.rod or _slides(c))]
+    if other:
+        return Parts(trouble=f"constraint {other[0].name!r} is of kind {other[0].kind}")
     held: dict[str, tuple[str, str, Pose]] = {}
     moving: list[Joint] = []
     for name in sorted(mechanism.joints, key=natural):
@@ -205,7 +215,8 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
         if follower is not None:
             source, multiplier, offset = follower.source or "", follower.multiplier, follower.offset
         links.append(Link(joint.name, R if turns else P, a, b, F, M, slots[source], multiplier, offset))
-    for name in sorted(system.mechanism.constraints, key=natural):
+    constraints = system.mechanism.constraints
+    for name in sorted((n for n, c in constraints.items() if c.equations(2)), key=natural):
         links += _tie(system, name, len(groups), at)
         groups.append([name])
     size = _size(links)

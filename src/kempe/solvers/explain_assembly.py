@@ -11,7 +11,7 @@ from kempe.kinematics import loops
 from kempe.kinematics.configuration import random
 from kempe.model.immovable import immovable
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
-from kempe.solvers.assembly import Assembler, assembler, freedoms_left
+from kempe.solvers.assembly import Assembler, assembler, freedoms_left, of_equations
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
@@ -40,7 +40,8 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
         return f"a known value is outside its limits: {_outside(bound, q)}"
     if code == OTHER_BRANCH:
         return "the branch asked for cannot be closed with these values; q is closed on another one"
-    reason = _limits(bound, q) or _too_many(bound) or "with these values no closed configuration was found"
+    reason = _one_sided(bound, q) or _limits(bound, q) or _too_many(bound)
+    reason = reason or "with these values no closed configuration was found"
     what = _open(bound, q, residual)
     still = immovable(bound.system)
     reason += f"; {still}" if still else ""
@@ -124,7 +125,38 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
             continue
         text = f"the loop of joint {name!r}" if name in system.joints else f"constraint {name!r}"
         text += f" stays open by {apart:.6g} m" + (f" and {turned:.3g} rad" if turned > 1e-9 else "")
+    for name, beyond, unit, size in _beyond(bound, q):
+        if size > worst:
+            text = f"the one-sided constraint {name!r} is violated by {beyond:.6g} {unit}".removesuffix(" 1")
+            worst = size
     return text
+
+
+def _beyond(bound: Assembler, q: Array) -> list[tuple[str, float, str, float]]:
+    """Declared one-sided rows that are violated: name, by how much, unit, and the same in characteristic lengths."""
+    rows = bound.one_sided
+    if rows is None:
+        return []
+    beyond = rows.beyond(q, declared=True)
+    return [(rows.names[k], float(beyond[k]), rows.units[k], float(beyond[k] * rows.scale[k]))
+            for k in np.flatnonzero(beyond)]  # fmt: skip
+
+
+def _one_sided(bound: Assembler, q: Array) -> str:
+    """Whether the equations alone can be closed with what is known, and which one-sided constraints are then violated.
+
+    With no freedom left that is a contradiction of what is known with them.
+    """
+    if bound.one_sided is None or bound.frames:
+        return ""
+    answer = of_equations(bound.system, bound.known)(q[bound.places] * 1.0, q) if bound.plain else None
+    if answer is None or not answer.success:
+        return ""
+    each = _beyond(bound, answer.q)
+    found = ", ".join(f"{name!r} by {beyond:.6g} {unit}".removesuffix(" 1") for name, beyond, unit, _ in each)
+    if bound.known and not freedoms_left(bound.system, answer.q, bound.held):
+        return f"what is known contradicts {found}" if found else ""
+    return f"without one-sided constraints it closes, violating {found}" if found else ""
 
 
 def _limits(bound: Assembler, q: Array) -> str:

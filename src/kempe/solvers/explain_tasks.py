@@ -56,7 +56,7 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
         return f"all hard tasks hold: {worst} ({work}); {_freedoms(problem, q)}{more}"
     failing = [t for t in problem.tasks if t.weight is None and not _within(problem, t, misses[t.label])]
     what = ", ".join(f"{t.label!r} is missed by {_amount(t, misses[t.label])}" for t in failing)
-    what = what or "the hard tasks hold, but not with closed loops"
+    what = what or f"the hard tasks hold, but {_violated(problem, q) or 'not with closed loops'}"
     if code == OUT_OF_TIME:
         tried = f"{starts} of {counted(problem.starts, 'start')}"
         return f"not reached within {limit}, after {tried}: {what}; q is the nearest found{more}"
@@ -91,9 +91,19 @@ def _freedoms(problem: Problem, q: Array) -> str:
     return f"{left}, though {local.m} equations meet {counted(local.n, 'freedom')}" if local.m > local.n else left
 
 
-def _solved(problem: Problem, q: Array, tasks: list[int], limits: bool = True) -> Array | None:
+def _violated(problem: Problem, q: Array) -> str:
+    """Which declared one-sided constraints are violated at q (nq,), and by how much."""
+    rows = problem.packed.one_sided
+    beyond = rows.beyond(q, declared=True)
+    which = (f"{rows.names[k]!r} by {beyond[k]:.6g} {rows.units[k]}".removesuffix(" 1") for k in np.flatnonzero(beyond))
+    return "violating " + ", ".join(which) if beyond.any() else ""
+
+
+def _solved(
+    problem: Problem, q: Array, tasks: list[int], limits: bool = True, one_sided: bool = True
+) -> Array | None:  # fmt: skip
     """A configuration (nq,) that holds only these hard tasks, or None."""
-    part = problem.only(tasks, limits)
+    part = problem.only(tasks, limits, one_sided)
     found, info = part.run(q[None])
     return found[0] if judge(part, found, info) else None
 
@@ -102,6 +112,9 @@ def _reason(problem: Problem, q: Array) -> str:
     """Why the hard tasks of one problem do not hold together; q (nq,) is the nearest found."""
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
     proofs = [proof for i in hard if (proof := _out_of_reach(problem, i))] or _contradictory(problem)
+    above = _solved(problem, q, hard, True, False) if problem.packed.one_sided.declared else None
+    if above is not None and not proofs and (said := _violated(problem, above)):
+        return f"without one-sided constraints it is reached, {said}"
     free = _solved(problem, q, hard, False)
     names = _names(outside(problem, free)) if free is not None else ""
     if proofs:

@@ -15,6 +15,7 @@ from kempe.kernels.compiled import maker, search
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, STATUS
 from kempe.kinematics.configuration import as_start
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers import rounds
 from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
@@ -71,7 +72,7 @@ def ik(
     """
     name = system.frame_name(frame)
     asked, targets, lead = _asked(system, name, target, _task_name(task, position_only), axis)
-    if method != "analytic" and obstacle(system, name):
+    if method != "analytic" and (obstacle(system, name) or one_sided_rows(system).declared):
         from kempe.solvers.tasks import reach
 
         wanted = tasks_of(name, asked, targets.reshape(*lead, 4, 4))

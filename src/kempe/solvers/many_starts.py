@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.description.parts import Declared
 from kempe.errors import InputError
 from kempe.joints import P
 from kempe.kinematics.configuration import home_of, random
 from kempe.kinematics.loops import evaluate
 from kempe.model.own_tree import own_tree
-from kempe.solvers.assembly import RANK_TOLERANCE, Assembler, assembler
+from kempe.solvers.assembly import RANK_TOLERANCE, Assembler, of_equations
 from kempe.solvers.clock import BROKEN_OFF, Budget
 from kempe.solvers.clusters import SAME, Clusters
 from kempe.solvers.images import mirrored, mixed
@@ -161,7 +162,7 @@ def search(
     An interrupt, or the end of the time, which is looked for after each round, leaves what the rounds before found.
     """
     system = own_tree(system)
-    bound = assembler(system, known)
+    bound = of_equations(system, known)
     s = Search(system, known, near, rng, bound, Clusters(system, _places(system, frame)), frame)
     while s.tried < starts:
         before = s.copy()
@@ -307,10 +308,15 @@ def _round(system: System, i: int) -> bool:
     return bool(np.any((i >= system.layout.quaternion_v) & (i < system.layout.quaternion_v + 3)))
 
 
+def _equations(system: System) -> list[Declared]:
+    """The declared constraints that are equations."""
+    return [c for c in system.mechanism.constraints.values() if c.equations(system.dim)]
+
+
 def _tied(system: System, i: int) -> bool:
     """Whether a velocity is one of a particle's place, and distances are the only constraints: as some solution is
     regular, these tie it to what stays near."""  # fmt: skip
-    mechanism, kinds = system.mechanism, {c.rod for c in system.mechanism.constraints.values()}
+    mechanism, kinds = system.mechanism, {c.rod for c in _equations(system)}
     joint = mechanism.joints.get(system.velocity_names[i].rpartition(".")[0])
     if joint is None or kinds != {True} or system.relations or not mechanism.bodies[joint.child].particle:
         return False

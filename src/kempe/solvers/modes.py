@@ -11,6 +11,7 @@ import numpy as np
 from kempe.calls import brief, explained, explained_methods, flag, generator
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_start, home_of
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.tabular import Tabular
 from kempe.reals import is_whole
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, partial
@@ -58,6 +59,8 @@ class Modes(Tabular):
     expected: float | None = None
     interrupted: bool = False
     late: bool = False
+    left_out: int = 0
+    """How many close the mechanism, but violate declared one-sided constraints."""
 
     def __len__(self) -> int:
         return len(self.q)
@@ -259,15 +262,20 @@ def _answer(
     v = q[:, system.layout.vector_q]
     low, high = (x[system.layout.vector_v] for x in (system.lower, system.upper))
     inside = np.all((v >= low - INSIDE) & (v <= high + INSIDE), axis=-1)
-    keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
+    bounds = one_sided_rows(system)
+    beyond = bounds.beyond(q, declared=True) > 0.0
+    holds = ~beyond.any(axis=1)
+    inside, left_out = inside & holds, int(np.sum(~holds))
+    keep = np.flatnonzero(inside if question.limits else holds)
     if question.near is not None:
         keep = keep[np.argsort(metric_of(system).distances(q[keep], question.near), kind="stable")]
-    outside = len(q) - int(inside.sum())
+    outside = len(q) - int(inside.sum()) - left_out
     if outside:
         status += f"; {outside} {'are' if outside > 1 else 'is'} outside the limits"
+    status += bounds.left_out(beyond)
     return Modes(
         q[keep], complete, status, tuple(branches[i] for i in keep), multiplicity[keep], freedoms[keep], inside[keep],
-        outside if question.limits else 0, system, question.known, *guess,
+        outside if question.limits else 0, system, question.known, *guess, left_out=left_out,
     )  # fmt: skip
 
 

@@ -75,6 +75,8 @@ class Problem:
     """Configurations (N or 1, nq) that the last stage leads towards."""
     callback: Callback | None = field(default=None, repr=False)
     limits: bool = True
+    one_sided: bool = True
+    """Whether declared one-sided constraints hold."""
     loose: bool = False
     """Whether nobody named a seed, so that a free base may be moved before the first start."""
     iterations: int = STEPS
@@ -93,11 +95,11 @@ class Problem:
         goals = tuple(_row(g, index, self.lead) for g in self.goals)
         return replace(self, goals=goals, pins=pins, aim=aim, lead=())
 
-    def only(self, tasks: Sequence[int], limits: bool = True) -> Problem:
+    def only(self, tasks: Sequence[int], limits: bool = True, one_sided: bool = True) -> Problem:
         """The same with only these tasks, nothing preferred, no limit of time, and few starts."""
         use = tuple(i in tasks for i in range(len(self.tasks)))
         return replace(
-            self, use=use, limits=limits, mode=S.NOTHING, end=math.inf, starts=min(self.starts, STARTS))  # fmt: skip
+            self, use=use, limits=limits, one_sided=one_sided, mode=S.NOTHING, end=math.inf, starts=min(self.starts, STARTS))  # fmt: skip
 
     def run(
         self, starts: Array, threads: int | None = 1, *, tries: int | None = None, rows: np.ndarray | None = None
@@ -154,7 +156,7 @@ class Problem:
     def levels(self) -> tuple[np.ndarray, Array, list[int], Array]:
         """For kernels the stage of each tie and whether it is hard (2 ties,), and weight and tolerances (ties, 3); the
         tasks that are hard, and their tolerances (hard, 2)."""
-        asked = (self.use, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
+        asked = (self.use, self.one_sided, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
         found = self.packed.stages.get(asked)
         if found is None:
             hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
@@ -171,6 +173,7 @@ class Problem:
         stages[1], strengths[:, 1:] = 1, CLOSED
         for k, i in enumerate(self.packed.owner):
             if i < 0:
+                stages[0, k] = -1 if ties[k].bounds and not self.one_sided else 0
                 continue
             task, key = self.tasks[i], keys[i]
             stages[:, k] = order.index(key) + 1 if self.use[i] else -1, task.weight is None
@@ -342,6 +345,8 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
         from kempe.kinematics.loops import evaluate
 
         good &= np.linalg.norm(evaluate(system, sound, False, True)[0], axis=-1) <= 10.0 * CLOSED
+    if packed.one_sided.declared and problem.one_sided:
+        good &= ~packed.one_sided.beyond(sound, declared=True).any(axis=-1)
     late = status >= S.LATE
     code = np.where(good.ravel(), SOLVED, np.where(late, OUT_OF_TIME, NOT_FOUND))
     code[bad] = BAD_INPUT

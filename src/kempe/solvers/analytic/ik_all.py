@@ -15,9 +15,11 @@ from kempe.kernels import analytic_layout as A
 from kempe.kernels.compiled import maker
 from kempe.kernels.layout import SLIDE
 from kempe.kernels.search_layout import LARGEST
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
 from kempe.solvers.analytic.choice import choose
 from kempe.solvers.analytic.lines import Lines, lines_of
+from kempe.solvers.analytic.obeying import obeying
 from kempe.solvers.analytic.plan import Plan, kernel_of, side_by_side_of
 from kempe.solvers.analytic.question import Question, held, near_of, within
 from kempe.solvers.analytic.solutions import Solutions
@@ -54,7 +56,8 @@ def ik_all(
     that are to spare where `near` has them, and elsewhere for targets that have no solution inside the limits there:
     `Solutions.held` says where.
     Solutions are sorted: inside the limits first, then by nearness to `near` (nq,), which also chooses among turns;
-    with `inside_only` others are dropped, with `expand_turns` every turn inside the limits is listed.
+    with `inside_only` others are dropped, with `expand_turns` every turn inside the limits is listed. What violates
+    one-sided constraints of the system is left out, and the status says so.
 
     Each solution is verified by the forward model to `tolerance` [m, rad] (or to rounding, far away). What is not
     reached has no solutions and a `status` that says why; `throw=True` raises `NoSolutionError` for it. Errors:
@@ -77,7 +80,8 @@ def ik_all(
     question = Question(system, name, task, direction, targets, None if single else lead, sure, wanted)
     if single and not np.isfinite(targets).all():
         raise InputError("target has entries that are not finite")
-    if single and task == "pose" and plan.side_by_side and ("all", name) not in system._queries:
+    plain = not one_sided_rows(system).declared
+    if plain and single and task == "pose" and plan.side_by_side and ("all", name) not in system._queries:
         bind(system, name)
     answer = solve(question, plan, near_of(system, near, question.lead), values, threads)
     if single and answer._counts[0, 0] < 0:
@@ -86,6 +90,7 @@ def ik_all(
         raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
     if expand_turns or inside_only:
         answer = answer.chosen(bool(expand_turns), bool(inside_only))
+    answer = obeying(answer)
     if throw and not answer:
         raise NoSolutionError(answer)
     return answer

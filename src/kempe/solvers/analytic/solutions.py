@@ -48,6 +48,7 @@ class Solutions(Tabular):
         self._base, self._rows, self._counts, self._lead, self._count = base, rows, counts, lead, used
         self._locked, self._first, self._tried = locked, first, tried
         self._whole: Solutions | None = None  # the answer before some of it was chosen: what is said is about that
+        self._left_out: np.ndarray | None = None  # and what is said besides (N,) of those that were left out
 
     @cached_property
     def question(self) -> Question:
@@ -99,14 +100,18 @@ class Solutions(Tabular):
     @cached_property
     def q(self) -> Array:
         """Configurations (k, nq), or (..., K, nq) of a batch."""
+        return self._of(self._full())
+
+    def _full(self) -> Array:
+        """Configurations (N, K, nq) of all rows."""
         n, index = self.system.nq, self.plan.lines.q_index
         own = self._rows[..., : len(index)]
-        if not self.plan.plain or len(index) < n:
-            full = np.empty((*own.shape[:2], n))
-            full[:] = self._base[:, None]
-            full[..., index] = own
-            own = full
-        return self._of(own)
+        if self.plan.plain and len(index) == n:
+            return own
+        full = np.empty((*own.shape[:2], n))
+        full[:] = self._base[:, None]
+        full[..., index] = own
+        return full
 
     @cached_property
     def residual(self) -> Array:
@@ -285,7 +290,8 @@ class Solutions(Tabular):
         from kempe.solvers.analytic.explain import status
 
         if self._whole is not None:
-            return self._whole.status
+            said, more = self._whole.status, self._left_out
+            return said if more is None else said + more[0] if self._lead is None else said + more.reshape(self._lead)
         if self._lead is None:
             return status(self, 0)
         out = np.empty(len(self._rows), dtype=object)

@@ -1,0 +1,161 @@
+"""One-sided rows of a system, low <= f(q) <= high: declared constraints and limits of coordinates, as values and rates.
+
+They are read before their bounds: whether a row is active, and how far it is from its bound, is for others to say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.kernels import loop_layout as L
+from kempe.kinematics.configuration import as_q
+from kempe.kinematics.loops import full
+from kempe.model.loops import Loops, loops_of
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+CLOSED = 1e-6
+"""Slack in radians, or as a part of the characteristic length, up to which a row counts as closed."""
+ROUNDING = 1e-9
+"""By how much more than a bound, of 1 or less, a value may be and still respect it."""
+
+
+@dataclass(frozen=True, eq=False)
+class OneSided:
+    """The one-sided rows of a system: `declared` ones first, then the limited coordinates.
+
+    Row k is called `names[k]`, measured in `units[k]` ("m", "rad" or "1") and holds where its value is between `low[k]`
+    and `high[k]`.
+    """
+
+    system: System = field(repr=False)
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    low: Array
+    high: Array
+    declared: int
+    loops: Loops | None = field(repr=False)
+    chosen: np.ndarray = field(repr=False)
+    """Which equations of `loops` are rows."""
+    at: np.ndarray = field(repr=False)
+    """Places in q of the coordinates that are rows."""
+    moved: np.ndarray = field(repr=False)
+    """Their velocities."""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @cached_property
+    def scale(self) -> Array:
+        """One over the characteristic length for rows in metres, 1 for others: what makes rows compare."""
+        return np.where(np.array(self.units) == "m", 1.0 / full(self.system, True).length, 1.0)
+
+    @cached_property
+    def well_inside(self) -> tuple[Array, Array]:
+        """Ends between which the rows' values are farther than `CLOSED` from their bounds."""
+        return self.low + CLOSED / self.scale, self.high - CLOSED / self.scale
+
+    @cached_property
+    def slack(self) -> Array:
+        """By how much (k,) each row may be beyond its bounds through rounding."""
+        bounds = np.where(np.isfinite([self.low, self.high]), np.abs([self.low, self.high]), 0.0)
+        return ROUNDING * (1.0 + bounds.max(axis=0, initial=0.0))
+
+    def values(self, q: Any, declared: bool = False) -> Array:
+        """The rows' values (..., k) at q (..., nq), in their units; only those that are `declared`, if so asked."""
+        return self._read(q, False, declared)[0]
+
+    def rates(self, q: Any, declared: bool = False) -> tuple[Array, Array]:
+        """Values (..., k), and rates (..., k, nv) of the scaled values by the scaled velocities, at q (..., nq)."""
+        return self._read(q, True, declared)
+
+    def beyond(self, q: Any, declared: bool = False) -> Array:
+        """How far (..., k) the rows are outside their bounds at q (..., nq), in their units; 0 where they hold.
+
+        Only those that are `declared`, if so asked.
+        """
+        k = self.declared if declared else len(self)
+        x = self._read(q, False, declared)[0]
+        out = np.maximum(np.maximum(self.low[:k] - x, x - self.high[:k]), 0.0)
+        return np.where(out <= self.slack[:k], 0.0, out)
+
+    def left_out(self, beyond: np.ndarray) -> str:
+        """What is said where configurations are left out that violate rows: which of them (n, k) each does violate."""
+        count = int(beyond.any(axis=1).sum())
+        which = ", ".join(repr(self.names[k]) for k in np.flatnonzero(beyond.any(axis=0)))
+        those = "1 is left out that violates" if count == 1 else f"{count} are left out that violate"
+        return f"; {those} {which}" if count else ""
+
+    def _read(self, q: Any, rates: bool, declared: bool = False) -> tuple[Array, Array]:
+        q, nv = as_q(self.system, q), self.system.nv
+        lead, n, k = q.shape[:-1], self.declared, self.declared if declared else len(self)
+        flat = q.reshape(math.prod(lead), self.system.nq)
+        values, J = np.empty((len(flat), k)), np.zeros((len(flat) if rates else 0, k, nv))
+        if self.loops is not None:
+            from kempe.kernels.compiled import equations
+
+            loops, m = self.loops, len(self.loops.names)
+            out, columns = np.empty((len(flat), m)), np.empty((len(J), m, nv))
+            none = np.zeros((1, 0))
+            equations.equations(loops.ints, loops.floats, loops.plan, loops.weights, none, flat, rates, out, columns)
+            values[:, :n] = out[:, self.chosen] / self.scale[:n]
+            J[:, :n] = columns[:, self.chosen]
+        if not declared:
+            values[:, n:] = flat[:, self.at]
+            if rates:
+                J[:, np.arange(n, k), self.moved] = 1.0
+        return values.reshape(*lead, k), J.reshape(*lead, k, nv) if rates else J
+
+    def side(self, k: int, upper: bool) -> str:
+        """How one end of row k is called."""
+        end = "upper" if upper else "lower"
+        if k >= self.declared:
+            return f"{end} limit of {self.names[k]}"
+        both = np.isfinite(self.low[k]) and np.isfinite(self.high[k])
+        return f"{self.names[k]}, {end} end" if both else self.names[k]
+
+
+def one_sided_rows(system: System) -> OneSided:
+    """The one-sided rows of a system, packed once."""
+    found = system._queries.get("one-sided")
+    if found is None:
+        found = system._queries["one-sided"] = _made(system)
+    return found
+
+
+def _made(system: System) -> OneSided:
+    at, v = system.layout.vector_q, system.layout.vector_v
+    limited = np.isfinite(system.lower[v]) | np.isfinite(system.upper[v])
+    at, v = at[limited], v[limited]
+    names, units, bounds, chosen, loops = _declared(system) if system.mechanism.constraints else ([], [], [], [], None)
+    low, high = np.array(bounds, dtype=float).reshape(-1, 2).T
+    names += [system.velocity_names[i] for i in v]
+    units += ["rad" if system.coordinates.turning[i] else "m" for i in v]
+    return OneSided(
+        system, tuple(names), tuple(units), np.append(low, system.lower[v]), np.append(high, system.upper[v]),
+        len(bounds), loops if bounds else None, np.array(chosen, dtype=np.int64), at, v,
+    )  # fmt: skip
+
+
+def _declared(system: System) -> tuple[list[str], list[str], list[tuple[float, float]], list[int], Loops]:
+    """Names, units, bounds and places of the declared rows between bounds, and the ties that they are among."""
+    loops = loops_of(system, frozenset(system.closures), one_sided=True)
+    several = Counter(t.name for t in loops.ties if t.bounds for _ in t.rows)
+    names, units, bounds, chosen, at = [], [], [], [], 0
+    for k, tie in enumerate(loops.ties):
+        lengths = int(loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.LENGTHS])
+        for i, row in enumerate(tie.rows if tie.bounds else ()):
+            names.append(tie.name if several[tie.name] == 1 else f"{tie.name} {row}")
+            units.append("m" if i < lengths else "rad" if tie.tape is None else tie.tape.unit)
+            bounds.append(tie.bounds[i])
+            chosen.append(at + i)
+        at += len(tie.rows)
+    return names, units, bounds, chosen, loops

@@ -1,0 +1,35 @@
+"""Solutions without those that violate declared one-sided constraints."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kempe.kernels import analytic_layout as A
+from kempe.kinematics.one_sided import one_sided_rows
+from kempe.solvers.analytic.solutions import Solutions
+from kempe.solvers.analytic.turns import packed
+
+
+def obeying(solutions: Solutions) -> Solutions:
+    """The solutions that hold the one-sided constraints of their system; the status says how many do not, and which.
+
+    Coordinates that the chain does not have are where the solutions have them: near, or neutral.
+    """
+    bounds = one_sided_rows(solutions.system)
+    if not bounds.declared:
+        return solutions
+    used = solutions._used
+    q = np.where(used[..., None], solutions._full(), solutions.system.neutral)
+    beyond = used[..., None] & (bounds.beyond(q, declared=True) > 0.0)
+    bad = np.any(beyond, axis=-1)
+    if not bad.any():
+        return solutions
+    rows = solutions._rows.copy()
+    rows[bad, -A.INFO + A.CODE] = A.UNUSED
+    rows = packed(rows) if solutions.single else rows
+    out = Solutions(solutions._asked, solutions.plan, solutions._base, rows, solutions._counts, solutions._lead, None,
+                    *solutions._where)  # fmt: skip
+    texts = np.empty(len(beyond), dtype=object)
+    texts[:] = [bounds.left_out(each) for each in beyond]
+    out._whole, out._left_out = solutions, texts
+    return out
