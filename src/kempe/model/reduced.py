@@ -40,7 +40,7 @@ def reduced(kind: JointType, dim: int = 3, particle: bool = False) -> Reduced | 
     slides = [p for p in primitives if p.kind == P]
     turns = [p for p in primitives if p.kind != P]
     about = "ball" if [p.kind for p in turns] == [Q] else "".join("?" if p.kind == Q else p.axis for p in turns)
-    if about not in TURNS or len({p.axis for p in slides}) < len(slides) or not _plain(primitives):
+    if about not in TURNS or len({p.axis for p in slides}) < len(slides) or not plain(primitives):
         return None
     late = [p for k, p in enumerate(primitives) if p.kind == P and any(t in turns for t in primitives[:k])]
     if any(about != "z" or p.axis != "z" for p in late):
@@ -59,7 +59,7 @@ def reduced(kind: JointType, dim: int = 3, particle: bool = False) -> Reduced | 
     return Reduced(position, "" if particle else held, tuple(sorted(readings)))
 
 
-def _plain(primitives: tuple[Primitive, ...]) -> bool:
+def plain(primitives: tuple[Primitive, ...]) -> bool:
     """Whether each primitive has a coordinate of its own, and is as large as that."""
     return all(p.multiplier == 1.0 for p in primitives) and len({p.coordinate for p in primitives}) == len(primitives)
 
