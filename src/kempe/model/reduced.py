@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
+from kempe import spatial
 from kempe.joints import JointType, P, Primitive, Q, R
 
 TURNS = {
@@ -67,6 +70,13 @@ def plain(primitives: tuple[Primitive, ...]) -> bool:
 def slides_along_z(kind: JointType, dim: int, particle: bool) -> bool:
     """Whether a joint of the plane slides along z of its frame F, which then lies in the plane."""
     return dim == 2 and any(p.kind == P and p.axis == "z" for p in kind.layout(2, particle)[1])
+
+
+def flat_frame(X: np.ndarray) -> np.ndarray:
+    """A frame of the plane turned so that x is what was z, a direction in the plane, and z is the plane's normal."""
+    normal = X[2, :3]
+    x = np.array([0.0, 0.0, 1.0])
+    return X @ spatial.pose(np.stack([x, np.cross(normal, x), normal], axis=1))
 
 
 def screw(kind: JointType) -> float | None:
