@@ -6,10 +6,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from pathlib import Path
 
-from kempe.joints import TYPES, JointType, P
+from kempe.joints import TYPES, JointType, P, joint_type
 
 PITCH = 0.01
 """Value of an option that is a number, so that the table shows what it does."""
+SHOWN = ("P(x) R(z) R(y)", "P(x) R(z)", "R(z) R(x) R(z)", "H(x, 0.01) P(y)", "P(z) S")
+"""Products in words that the page shows."""
 
 HEAD = """\
 # The joint zoo
@@ -34,6 +36,17 @@ The joint's pose X_FM(q) is a product of *primitives*, from left to right: R(z) 
 so far, P(x) slides along its axis x. Most joints are combinations of revolute and prismatic ones: a universal joint is
 two revolutes, a cylindrical joint a revolute and a prismatic one, a planar joint two prismatic and a revolute one, a
 spherical joint three revolutes.
+
+"""
+
+PRODUCTS = """
+## Products in words
+
+A joint that has no name of its own is said as its product: R(x) turns about an axis, P(x) slides along it, H(x, 0.1) is
+a screw with its pitch in metres a radian, S is a ball joint (a unit quaternion).
+`mechanism.joint("J", "P(x) R(z) R(y)", a, b)` slides along x of F, then turns about z, then about the y that this turn
+has moved; TOML has it as `type = "P(x) R(z) R(y)"`. Where a product has several factors about or along one axis, their
+coordinates are numbered.
 
 """
 
@@ -63,7 +76,8 @@ def page() -> str:
     particles = table(
         ("type", *counts, "coordinates"), (particle_row(t()) for t in TYPES.values() if is_for_particles(t()))
     )
-    return f"{HEAD}{freedoms}{COORDINATES}{coordinates}{NOTES}{particles}"
+    products = table(("type", "DoF", "constraints", *head[2:]), map(product_row, SHOWN))
+    return f"{HEAD}{freedoms}{COORDINATES}{coordinates}{NOTES}{particles}{PRODUCTS}{products}"
 
 
 def examples() -> Iterator[JointType]:
@@ -87,10 +101,16 @@ def freedom_row(kind: JointType) -> list[str]:
 
 def coordinate_row(kind: JointType) -> list[str]:
     """What a joint type is made of in space, and its coordinates."""
-    options = ", ".join(f"`{f.name}={getattr(kind, f.name)}`" for f in fields(kind))
+    options = ", ".join(f"`{name}={getattr(kind, name)}`" for name in kind.defaults())
     coordinates, velocities = names(kind.coordinates()), names(kind.velocities())
     same = velocities == coordinates
     return [f"`{kind.type_name}`", options, kind.decomposition, coordinates, "the same" if same else velocities]
+
+
+def product_row(words: str) -> list[str]:
+    """What a product in words leaves and takes away in space, and its coordinates."""
+    kind = joint_type(words)
+    return [f"`{words}`", str(kind.dof()), str(kind.constraints()), *coordinate_row(kind)[2:]]
 
 
 def particle_row(kind: JointType) -> list[str]:

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import reference
-from own_joints import random_type, variants
+from own_joints import random_product, random_type, variants
 
 from kempe import Mechanism, System
-from kempe.joints import TYPES, JointType, P, Primitive, Q, R
+from kempe.joints import TYPES, JointType, P, Primitive, Q, R, joint_type
 from kempe.placement import placement_of_pose
 
 ELEMENTARY = ("revolute", "prismatic", "spherical")
@@ -157,20 +157,32 @@ def closed(
 
 
 def random_closed(rng: np.random.Generator, own: float = 0.4) -> Closed:
-    """A random closed mechanism: joints of the table and, a part `own` of them, of random types, in one to three loops.
+    """A random closed mechanism: joints of the table and, a part `own` of them, of random types
+    and products in words, in one to three loops.
 
     It has freedoms to spare, so that it does not close at one place only.
     """
     dim = int(rng.choice([2, 3, 3]))
     bodies, loops = int(rng.integers(2, 6)), int(rng.integers(1, 4))
-    kinds = [random_type(rng, f"own{k}", dim) if rng.random() < own else from_table(rng, dim)
-             for k in range(bodies + loops)]  # fmt: skip
+    kinds: list[JointType] = []
+    for k in range(bodies + loops):
+        where = rng.random()
+        product = where < 0.5 * own
+        kinds.append(joint_type(random_product(rng, dim)) if product else
+                     random_type(rng, f"own{k}", dim) if where < own else from_table(rng, dim))  # fmt: skip
     return closed(rng, dim, bodies, kinds)
 
 
 def _random(rng: np.random.Generator, dim: int) -> np.ndarray:
     xyz, rpy = rng.uniform(-1, 1, 3).tolist(), rng.uniform(-1.5, 1.5, 3).tolist()
     return reference.placement(xyz[:dim], rpy if dim == 3 else (0.0, 0.0, rpy[2]))
+
+
+def stays_in_plane(kind: JointType) -> bool:
+    """Whether a joint of this kind can be used in the plane."""
+    steps = kind.layout(2)[1]
+    flat = all((p.kind == R and p.axis == "z") or (p.kind == P and p.axis != "z") for p in steps)
+    return flat or all(p.kind == P and p.axis == "z" for p in steps)
 
 
 def _slider(kind: JointType) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import reference
 from hypothesis import strategies as st
-from own_joints import variants
+from own_joints import PRODUCTS, variants
 
 from kempe import Mechanism, System
 from kempe.joints import TYPES, P, joint_type
@@ -18,6 +18,9 @@ PLANAR_KINDS: list[tuple[str, dict]] = [(name, {}) for name, t in TYPES.items() 
 SLIDES: list[tuple[str, dict]] = [
     (name, {}) for name, t in TYPES.items() if t.planar and all(p.kind == P for p in t().layout(3, True)[1])
 ]
+KINDS += [(words, {}) for words in PRODUCTS]
+PLANAR_KINDS += [("P(x) R(z)", {}), ("R(z) P(y) R(z)", {}), ("P(y) P(x)", {})]
+SLIDES += [("P(y) P(x)", {}), ("P(y)", {})]
 """Joint types in space, in the plane, and for particles."""
 
 

@@ -195,6 +195,25 @@ OWN: tuple[type[JointType], ...] = (
 """Types that are not in the table of joints."""
 
 
+PRODUCTS = (
+    "P(x) R(z) R(y)", "P(x) R(z)", "R(z) P(x) R(z)", "P(y) P(x)", "P(z) R(x) P(y) R(z)", "R(z) R(x) R(z)", "H(x, 0.25)",
+    "H(z, -0.1) P(y) S", "S P(z)", "R(y)", "P(x)", "S", "P(x) P(y) P(z) R(x) R(y) R(z)",
+)  # fmt: skip
+"""Joint types as products in words."""
+
+
+def random_product(rng: np.random.Generator, dim: int = 3) -> str:
+    """A product in words, of one to four factors."""
+    words = []
+    for _ in range(int(rng.integers(1, 5 if dim == 3 else 4))):
+        letter = str(rng.choice(list("RRRPPPHS" if dim == 3 else "RP")))
+        axis = str(rng.choice(list("xyz") if dim == 3 else ["z"] if letter == "R" else ["x", "y"]))
+        if letter == "S" and "S" in words:
+            continue
+        words.append({"S": "S", "H": f"H({axis}, {rng.uniform(-1, 1):.2f})"}.get(letter, f"{letter}({axis})"))
+    return " ".join(words)
+
+
 def declared(name: str, steps: Sequence[Primitive]) -> JointType:
     """A joint of a type of its own, with the coordinates c0, c1, ... and these primitives wherever it is used."""
     count = max((p.coordinate + (4 if p.kind == Q else 1) for p in steps), default=0)

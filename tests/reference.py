@@ -44,7 +44,7 @@ def ball(w: float, x: float, y: float, z: float) -> np.ndarray:
 def joint_pose(
     kind: str, q: Sequence[float], pitch: float = 0.0, angles: bool = False, dim: int = 3, particle: bool = False
 ) -> np.ndarray:  # fmt: skip
-    """X_FM of each joint of the zoo, written out."""
+    """X_FM of each joint of the zoo, written out, and of products in words."""
     if kind == "fixed":
         return np.eye(4, dtype=Long)
     if kind == "revolute":
@@ -65,7 +65,18 @@ def joint_pose(
         return slide("x", q[0]) @ slide("y", q[1]) @ (np.eye(4) if particle else turn("z", q[2]))
     if kind == "free":
         return joint_pose("translation", q[:3]) @ joint_pose("spherical", q[3:], angles=angles)
-    raise AssertionError(kind)
+    X, left = np.eye(4, dtype=Long), list(q)  # a product in words
+    for word in kind.replace(", ", ",").split():
+        if word == "S":
+            X = X @ ball(*left[:4])
+            del left[:4]
+            continue
+        number, axis = left.pop(0), word[2]
+        X = X @ (slide(axis, number) if word[0] == "P" else turn(axis, number))
+        if word[0] == "H":
+            X = X @ slide(axis, Long(float(word[4:-1])) * Long(number))
+    assert not left, kind
+    return X
 
 
 def placement(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:

@@ -17,8 +17,9 @@ from scipy.spatial.transform import Rotation
 from kempe import Mechanism
 from kempe.description.toml import read_toml
 from kempe.description.toml_writer import write_toml
+from kempe.description.urdf_writer import write_urdf
 from kempe.errors import DescriptionError, InputError, UnknownNameError
-from kempe.joints import TYPES, Helical, JointType, P, Q, R, Revolute, Spherical, joint_type
+from kempe.joints import TYPES, Helical, JointType, P, Product, Q, R, Revolute, Spherical, in_zoo, joint_type
 from kempe.kinematics.constraints import joint_pose
 
 
@@ -54,6 +55,9 @@ def variants(name: str) -> list[dict]:
 CASES = [Case(name, options=o) for name in TYPES for o in variants(name)]
 CASES += [Case(name, dim=2) for name, t in TYPES.items() if t.planar]
 CASES += [Case(name, dim=dim, particle=True) for dim in (2, 3) for name, _ in SLIDES]
+CASES += [Case(words) for words in own_joints.PRODUCTS]
+CASES += [Case(words, dim=2) for words in ("P(x) R(z)", "R(z) P(x) R(z)", "P(y) P(x)", "R(z)", "P(y)", "P(z)")]
+CASES += [Case(words, dim, True) for words in ("P(y) P(x)", "P(x)") for dim in (2, 3)]
 every_case = pytest.mark.parametrize("case", CASES, ids=str)
 
 X_PF_AT, X_PF_RPY = (0.3, -0.2, 0.5), (0.4, -0.7, 1.1)
@@ -178,7 +182,8 @@ def test_angles_are_three_turns():
 
 @every_case
 def test_the_table_tells_types_apart(case):
-    assert TYPES[case.type].type_name == case.type and case.kind.summary and TYPES[case.type].__doc__
+    assert TYPES.get(case.type, Product).__doc__ and case.kind.summary
+    assert joint_type(case.kind.type_name, **case.kind.options) == case.kind and in_zoo(case.kind)
 
 
 # ------------------------------------------------------------------ poses
@@ -491,3 +496,87 @@ def test_particles_take_slides_only(name, dim):
 
 def test_kinds_are_what_the_kernels_expect():
     assert (R, P, Q) == (0, 1, 2)
+
+
+# ------------------------------------------------------------------ products in words
+
+
+@pytest.mark.parametrize(
+    ("words", "normal", "coordinates", "velocities"),
+    [
+        ("P(x) R(z) R(y)", "P(x) R(z) R(y)", "x rz ry", "x rz ry"),
+        (" P( x )R(z)\tR(y) ", "P(x) R(z) R(y)", "x rz ry", "x rz ry"),
+        ("R(z) P(x) R(z) P(x)", "R(z) P(x) R(z) P(x)", "rz1 x1 rz2 x2", "rz1 x1 rz2 x2"),
+        ("R(z) H(z, 1e-1) P(z)", "R(z) H(z, 0.1) P(z)", "rz1 rz2 z", "rz1 rz2 z"),
+        ("P(y) Q P(y)", "P(y) S P(y)", "y1 qw qx qy qz y2", "y1 wx wy wz y2"),
+        ("S", "S", "qw qx qy qz", "wx wy wz"),
+        ("H(x,-.5)", "H(x, -0.5)", "", ""),
+        ("R(y)", "R(y)", "", ""),
+    ],
+)
+def test_products_in_words(words, normal, coordinates, velocities):
+    kind = joint_type(words)
+    assert (kind.type_name, kind.options) == (normal, {}) and kind == joint_type(normal) == joint_type(kind)
+    assert kind.coordinates() == tuple(coordinates.split() or [""])
+    assert kind.velocities() == tuple(velocities.split() or [""])
+    m = Mechanism()
+    m.joint("J", words, m.ground, m.body("b"))
+    assert f'type = "{normal}"' in write_toml(m)
+
+
+def test_products_are_the_types_that_they_spell():
+    same = {"universal": "R(x) R(y)", "cylindrical": "R(z) P(z)", "planar": "P(x) P(y) R(z)", "spherical": "S",
+            "translation": "P(x) P(y) P(z)", "free": "P(x) P(y) P(z) S", "revolute": "R(z)"}  # fmt: skip
+    for name, words in same.items():
+        assert joint_type(name).layout() == joint_type(words).layout(), name
+    assert joint_type("helical", pitch=0.2).layout() == joint_type("H(z, 0.2)").layout()
+    assert joint_type("spherical", angles=True).layout() == joint_type("R(z) R(y) R(x)").layout()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [("P(w)", r"'P\(w\)' is no primitive; R\(x\) turns, P\(x\) slides"), ("R", "'R' is no"),
+     ("P(x)*R(z)", r"'\*' is no"), ("r(z)", r"'r\(z\)' is no"), ("H(x)", r"'H\(x\)' is no"), ("()", r"'\(' is no"),
+     ("H(x, nan)", "is no primitive"), ("H(z, 1e999)", "is no primitive"), ("R(z, 2)", "is no primitive"),
+     ("S Q", "more than one S"), (" ", "no primitive"), ("P(x) R(z", r"'R' is no"),
+     ("R(٣)", "is no primitive"), ("H(z, ٣)", "is no primitive"), ("SS()", "is no primitive")],
+)  # fmt: skip
+def test_words_that_are_no_product(words, said):
+    with pytest.raises((InputError, UnknownNameError), match=said):
+        joint_type(words)
+    m = Mechanism()
+    for options, fault in (({}, said), ({"limit": 3}, "no keyword 'limit'"), ({"pitch": 3}, said)):
+        with pytest.raises(DescriptionError, match=rf"joint 'J': .*{fault}"):
+            m.joint("J", words, m.ground, m.body(f"b{options}"), **options)
+    text = f'format = 1\nname = "m"\n[[body]]\nname = "b"\n[[joint]]\nname = "J"\ntype = "{words}"\nparent = "ground"\n'
+    with pytest.raises(DescriptionError, match=f":7: joint 'J': .*{said.removeprefix('no ')}"):
+        read_toml(text + 'child = "b"\n')
+
+
+def test_where_products_do_not_fit():
+    with pytest.raises(InputError, match=r"joint type 'P\(x\) R\(z\)' has no option 'words'; it takes no options"):
+        joint_type("P(x) R(z)", words="S")
+    with pytest.raises(UnknownNameError, match=r"'free', 'P\(x\) R\(z\)'"):
+        joint_type("knee")
+    flat, m = Mechanism(dim=2), Mechanism()
+    for words in ("P(x) R(y)", "S", "H(z, 0.1)", "P(x) P(z)"):
+        with pytest.raises(DescriptionError, match=r"joint 'J': a .* joint leaves the plane; in the plane"):
+            flat.joint("J", words, flat.ground, flat.body(words))
+    with pytest.raises(DescriptionError, match=r"a P.* joint turns, but 'p' is a particle; .*products of slides"):
+        m.joint("J", "P(x) R(z)", m.ground, m.particle("p"))
+    m = Mechanism()
+    m.joint("J", "P(x) R(z)", m.ground, m.body("b"), limits={"x": (-1, 1)})
+    with pytest.raises(DescriptionError, match=r"joint 'J': a P\(x\) R\(z\) joint does not exist in URDF"):
+        write_urdf(m)
+
+
+def test_random_products(hunt):
+    """Poses of random products are the reference's, and files hold them."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(100)):
+        dim = int(rng.choice([2, 3]))
+        case = Case(own_joints.random_product(rng, dim), dim)
+        system = one_joint(case, placed=True)
+        q = sample(system, rng)
+        np.testing.assert_allclose(system.fk(q, "M"), expected_pose(case, q, placed=True), rtol=0, atol=1e-12)
+        assert read_toml(write_toml(system.mechanism)).build() == system

@@ -2,22 +2,24 @@
 
 A joint connects frame F on its parent body to frame M on its child body. Its pose X_FM(q) is a product of primitives:
 turns and slides about and along the axes x, y, z of the frame reached so far, and unit quaternions. Most complex
-joints are combinations of revolute and prismatic ones; the classes say which.
+joints are combinations of revolute and prismatic ones; the classes say which. A product without a class of its own is
+said in words: `joint_type("P(x) R(z) R(y)")`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from functools import cached_property
+import math
+import re
+from dataclasses import MISSING, dataclass, fields, replace
+from functools import lru_cache
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from kempe import spatial
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.layout import BALL, SLIDE, TURN
-from kempe.reals import is_real, reals
+from kempe.reals import is_real
 
 R, P, Q = TURN, SLIDE, BALL
 """Kinds of primitives in the table of the kernels: turn, slide, unit quaternion."""
@@ -87,7 +89,12 @@ class JointType:
     @property
     def options(self) -> dict[str, object]:
         """Settings that differ from their defaults, by name."""
-        return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) != f.default}
+        return {n: getattr(self, n) for n, default in self.defaults().items() if getattr(self, n) != default}
+
+    @classmethod
+    def defaults(cls) -> dict[str, object]:
+        """Settings that the type takes, by name, with their defaults."""
+        return {f.name: f.default for f in fields(cls) if f.default is not MISSING}
 
 
 @dataclass(frozen=True)
@@ -232,6 +239,72 @@ class Free(JointType):
         return names + ball_names, slides + tuple(t._replace(coordinate=t.coordinate + 3) for t in turns)
 
 
+@dataclass(frozen=True)
+class Product(JointType):
+    """A product of primitives in words, such as "P(x) R(z) R(y)": each has the axes that those before it moved.
+
+    R(x) turns about an axis, P(x) slides along it, H(x, 0.1) is a screw of that pitch in metres a radian, S (or Q) is
+    any rotation, as a unit quaternion. Coordinates are `rx` for turns and screws and `x` for slides, numbered where
+    an axis occurs more than once (`rz1`, `rz2`).
+    """
+
+    summary = "product of primitives"
+    planar = True
+    words: str
+
+    def __post_init__(self) -> None:
+        said = [letter + f"({', '.join(told)})" * bool(told) for letter, *told in _factors(self.words)]
+        object.__setattr__(self, "words", " ".join(said))
+
+    @property
+    def type_name(self) -> str:  # type: ignore[override]
+        """The product, as text that `joint_type` reads."""
+        return self.words
+
+    def layout(self, dim: int = 3, particle: bool = False):
+        """What the words say, in their order."""
+        return _product(self.words)
+
+
+_FACTOR = re.compile(r"([RP])\(([xyz])\)|(H)\(([xyz]),([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\)|[SQ]", re.ASCII)
+_LETTERS = frozenset("RPHSQ")
+
+
+def _factors(words: str) -> list[tuple[str, ...]]:
+    """Letter, axis and pitch of each factor, as text. Errors: `InputError` with the word that is none."""
+    out: list[tuple[str, ...]] = []
+    for word in re.findall(r"\w+(?:\s*\([^()]*\))?|\S", words):
+        found = _FACTOR.fullmatch("".join(word.split()))
+        pitch = float(found[5]) if found and found[3] else 0.0
+        if found is None or not math.isfinite(pitch):
+            allowed = "R(x) turns, P(x) slides, H(x, 0.1) is a screw with its pitch, each with x, y or z; S is a ball"
+            raise InputError(f"joint type {words!r}: {word!r} is no primitive; {allowed}")
+        out.append((found[1], found[2]) if found[1] else ("H", found[4], repr(pitch)) if found[3] else ("S",))
+    if not out or out.count(("S",)) > 1:
+        raise InputError(f"joint type {words!r}: it has " + ("more than one S" if out else "no primitive"))
+    return out
+
+
+@lru_cache(maxsize=256)
+def _product(words: str) -> tuple[tuple[str, ...], tuple[Primitive, ...]]:
+    """Coordinate names and primitives of a product in words."""
+    names: list[str] = []
+    steps: list[Primitive] = []
+    for letter, *told in _factors(words):
+        i = len(names)
+        if letter == "S":
+            names += ["qw", "qx", "qy", "qz"]
+            steps.append(Primitive(Q, "z", i))
+            continue
+        names.append(told[0] if letter == "P" else "r" + told[0])
+        if letter != "P":
+            steps.append(Primitive(R, told[0], i))
+        if letter != "R":
+            steps.append(Primitive(P, told[0], i, float(told[1]) if letter == "H" else 1.0))
+    numbered = tuple(f"{n}{names[:i].count(n) + 1}" if names.count(n) > 1 else n for i, n in enumerate(names))
+    return ("",) if len(names) == 1 else numbered, tuple(steps)
+
+
 TYPES: dict[str, type[JointType]] = {
     t.type_name: t
     for t in (Fixed, Revolute, Prismatic, Helical, Cylindrical, Universal, Planar, Translation, Spherical, Free)
@@ -240,27 +313,36 @@ TYPES: dict[str, type[JointType]] = {
 
 
 def joint_type(name: str | JointType, **options: object) -> JointType:
-    """A joint type by its name (or another joint type) and options.
+    """A joint type by its name, by a product in words (see `Product`), or another joint type with options.
 
-    Errors: `UnknownNameError` for the name, `InputError` for options that the type does not take.
+    Errors: `UnknownNameError` for the name, `InputError` for products that cannot be read and for options that the
+    type does not take.
     """
     if isinstance(name, JointType):
-        kind, options = type(name), {**name.options, **options}
+        made = name
     elif isinstance(name, str) and name in TYPES:
-        kind = TYPES[name]
+        made = TYPES[name]()
+    elif isinstance(name, str) and ("(" in name or name and _LETTERS.issuperset(name.split())):
+        made = Product(name)
     else:
-        raise UnknownNameError("joint type", name, TYPES)
-    known = {f.name: f.default for f in fields(kind)}
+        raise UnknownNameError("joint type", name, (*TYPES, "P(x) R(z)"))
+    known = made.defaults()
+    options = {**made.options, **options}
     for key, given in options.items():
         if key not in known:
             allowed = f"it takes {', '.join(known)}" if known else "it takes no options"
-            raise InputError(f"joint type {kind.type_name!r} has no option {key!r}; {allowed}")
+            raise InputError(f"joint type {made.type_name!r} has no option {key!r}; {allowed}")
         if isinstance(known[key], bool):
             if not isinstance(given, (bool, np.bool_)):
                 raise InputError(f"option {key!r} is {given!r}; it must be true or false")
         elif not is_real(given) or not np.isfinite(float(given)):
             raise InputError(f"option {key!r} is {given!r}; it must be a finite number")
-    return kind(**{k: type(known[k])(v) for k, v in options.items()})  # type: ignore[arg-type, call-arg]
+    return replace(made, **{k: type(known[k])(v) for k, v in options.items()}) if options else made
+
+
+def in_zoo(kind: JointType) -> bool:
+    """Whether `joint_type` makes this type from its name and options, as files do."""
+    return TYPES.get(kind.type_name, Product) is type(kind)
 
 
 AXIS_ROTATIONS = {"x": spatial.align_z([1.0, 0, 0]), "y": spatial.align_z([0.0, 1, 0]), "z": np.eye(3)}
@@ -269,69 +351,3 @@ AXIS_ROTATIONS = {"x": spatial.align_z([1.0, 0, 0]), "y": spatial.align_z([0.0, 
 
 def _unique(primitives: tuple[Primitive, ...]) -> list[Primitive]:
     return list({p.coordinate: p for p in primitives}.values())
-
-
-@dataclass(frozen=True)
-class Layout:
-    """How an array `q` is made up: plain coordinates, and unit quaternions (w, x, y, z) whose velocities are angular.
-
-    `vector_q[i]` is the coordinate whose velocity is `vector_v[i]`; a quaternion starts at `quaternion_q[k]`, its
-    three angular velocities, in the axes of the turned frame, at `quaternion_v[k]`.
-    """
-
-    nq: int
-    nv: int
-    vector_q: np.ndarray
-    vector_v: np.ndarray
-    quaternion_q: np.ndarray
-    quaternion_v: np.ndarray
-
-    @cached_property
-    def neutral(self) -> spatial.Array:
-        """Zero coordinates and identity quaternions (nq,); read-only."""
-        q = np.zeros(self.nq)
-        q[self.quaternion_q] = 1.0
-        q.setflags(write=False)
-        return q
-
-    def _quaternions(self, q: spatial.Array) -> spatial.Array:
-        return q[..., self.quaternion_q[:, None] + np.arange(4)]
-
-    def integrate(self, q: ArrayLike, v: ArrayLike) -> spatial.Array:
-        """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of time."""
-        q, v = reals(q, "q"), reals(v, "v")
-        out = np.array(np.broadcast_to(q, (*np.broadcast_shapes(q.shape[:-1], v.shape[:-1]), self.nq)))
-        out[..., self.vector_q] += v[..., self.vector_v]
-        if self.quaternion_q.size:
-            w = v[..., self.quaternion_v[:, None] + np.arange(3)]
-            turned = spatial.quat_wxyz_multiply(spatial.unit(self._quaternions(q)), spatial.quat_wxyz_exp(w))
-            out[..., self.quaternion_q[:, None] + np.arange(4)] = spatial.unit(turned)
-        return out
-
-    def difference(self, q0: ArrayLike, q1: ArrayLike) -> spatial.Array:
-        """Tangent vector (..., nv) that `integrate` needs to go from `q0` to `q1`; rotations go the short way."""
-        q0, q1 = reals(q0, "q0"), reals(q1, "q1")
-        out = np.zeros((*np.broadcast_shapes(q0.shape[:-1], q1.shape[:-1]), self.nv))
-        out[..., self.vector_v] = q1[..., self.vector_q] - q0[..., self.vector_q]
-        if self.quaternion_q.size:
-            a, b = spatial.unit(self._quaternions(q0)), spatial.unit(self._quaternions(q1))
-            w = spatial.quat_wxyz_log(spatial.quat_wxyz_multiply(spatial.quat_wxyz_conjugate(a), b))
-            out[..., self.quaternion_v[:, None] + np.arange(3)] = w
-        return out
-
-    def random_quaternions(self, q: spatial.Array, rng: np.random.Generator, order: np.ndarray | None = None) -> None:
-        """Fill the quaternions of `q` (..., nq), in place, with uniformly distributed rotations."""
-        for k in range(self.quaternion_q.size) if order is None else order:
-            i = self.quaternion_q[k]
-            q[..., i : i + 4] = spatial.unit(rng.normal(size=(*q.shape[:-1], 4)))
-
-
-def layout_of(primitives: list[tuple[int, int, int]], nq: int, nv: int) -> Layout:
-    """`Layout` of (kind, first coordinate, first velocity) triples, one for each independent primitive."""
-    vectors = [(iq, iv) for kind, iq, iv in primitives if kind != Q]
-    balls = [(iq, iv) for kind, iq, iv in primitives if kind == Q]
-    vector = np.array(vectors, dtype=np.int64).reshape(-1, 2)
-    ball = np.array(balls, dtype=np.int64).reshape(-1, 2)
-    for array in (vector, ball):
-        array.setflags(write=False)
-    return Layout(nq, nv, vector[:, 0], vector[:, 1], ball[:, 0], ball[:, 1])

@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from oracles.maximal import maximal_jacobian
 from rods import FORMS, UNITS, Rods, mechanism
 from world_mechanisms import World
 
@@ -14,7 +15,6 @@ from kempe import Mechanism, System
 from kempe.analysis.mobility import mobility
 from kempe.analysis.passive import IdleFreedom
 from kempe.kinematics.loops import residual
-from kempe.kinematics.maximal import maximal_jacobian, to_maximal
 from kempe.spatial import exp_so3
 
 ANGLE = 0.02
@@ -55,7 +55,7 @@ def rate_of(system: System, q: np.ndarray, f: IdleFreedom) -> float:
 
 def alone(system: System, q: np.ndarray, bodies) -> int:
     """In how many ways these bodies can move while all others rest: a kernel in maximal coordinates."""
-    J = maximal_jacobian(system, to_maximal(system, q))
+    J = maximal_jacobian(system, system.to_maximal(q))
     columns = [6 * (system.body_names.index(b) - 1) + k for b in bodies for k in range(6)]
     values = np.linalg.svd(J[:, columns], compute_uv=False)
     return len(columns) - int((values > 1e-9 * values.max()).sum())

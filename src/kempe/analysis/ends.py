@@ -98,6 +98,8 @@ def held(system: System, s: Structure, at: Screws, driven: frozenset[int]) -> li
         found = system._queries[key] = []
         for star in stars(system, driven):
             holds = []
+            if not (star.chains or star.points):  # nothing holds it
+                continue
             for ring in star.chains:
                 meets = [_meet(s, at, ring, k, k + 1) for k in range(len(ring.edges) - 1)]
                 holds.append(Hold(ring, _grow(ring, meets, 0, 1), -1.0))

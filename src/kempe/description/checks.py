@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import fields
 from functools import lru_cache
 from typing import Any, NoReturn
 
@@ -13,7 +12,7 @@ import numpy as np
 from kempe import spatial
 from kempe.description.parts import Body, Joint, Limits
 from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, Where, hint
-from kempe.joints import JointType, P, Q, R, joint_type
+from kempe.joints import TYPES, JointType, P, Product, Q, R
 from kempe.placement import Placement
 from kempe.reals import is_real
 from kempe.values import Expression, value
@@ -82,7 +81,7 @@ def kind(dim: int, subject: str, type_: JointType, parent: Body, child: Body, wh
     primitives = type_.layout(dim, child.particle)[1]
     if child.particle and any(p.kind != P for p in primitives):
         refuse(subject, f"a {type_.type_name} joint turns, but {child.name!r} is a particle", where,
-               "particles take prismatic, planar, translation, fixed and free")  # fmt: skip
+               "particles take prismatic, planar, translation, fixed, free, and products of slides")  # fmt: skip
     if dim == 2:
         flat = all(p.kind == R and p.axis == "z" or p.kind == P and p.axis != "z" for p in primitives)
         if not flat and any(p.kind != P or p.axis != "z" for p in primitives):
@@ -94,7 +93,8 @@ def slip(kind: str | JointType, options: Iterable[str], builder: Callable[..., J
     """What to say of options that the joint type does not have, where one is a slip of a keyword of the builder."""
     import inspect  # only here: most calls are right
 
-    own = {field.name for field in fields(joint_type(kind))}
+    made = TYPES.get(kind, Product) if isinstance(kind, str) else kind
+    own = made.defaults()
     keywords = [k for k in inspect.signature(builder).parameters if k not in ("self", "options")]
     for key in options:
         if key not in own and "did you mean" in (said := hint(key, keywords)):

@@ -17,7 +17,7 @@ from kempe.description.source import Source, decode, fail, shorten
 from kempe.description.toml_document import PLACE, Document, joint_options
 from kempe.description.toml_places import Path
 from kempe.errors import DescriptionError, InputError, UnknownNameError
-from kempe.joints import TYPES
+from kempe.joints import TYPES, joint_type
 from kempe.placement import Placement, place, steps_from_data
 from kempe.values import Expression
 
@@ -123,9 +123,15 @@ class _Reader:
             good &= self.known_body(table, key, path, subject)
         kind = table.get("type")
         if kind is not None and (not isinstance(kind, str) or kind not in TYPES):
-            said = self.findings.hint(str(kind), TYPES)
-            self.findings.add(f"unknown joint type {shorten(kind)}{said}", subject, self.where(*path, "type"))
-            good = False
+            try:
+                joint_type(kind)
+            except UnknownNameError as error:
+                said = f"unknown joint type {shorten(kind)}{self.findings.hint(str(kind), error.allowed)}"
+                self.findings.add(said, subject, self.where(*path, "type"))
+                good = False
+            except InputError as error:
+                self.findings.add(str(error), subject, self.where(*path, "type"))
+                good = False
         X_PF = self.placement(table, "", path, subject, table.get("parent"))
         same = X_PF is not None and "axis" in table and "child_steps" not in table
         implied = {"child_axis": table["axis"]} if same else {}

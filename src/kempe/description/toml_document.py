@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import fields
 from functools import lru_cache
 from typing import Any
 
@@ -99,7 +98,7 @@ def joint_options() -> tuple[str, ...]:
 
 @lru_cache(maxsize=8)
 def _options(types: tuple[type[JointType], ...]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(f.name for type_ in types for f in fields(type_)))
+    return tuple(dict.fromkeys(name for type_ in types for name in type_.defaults()))
 
 
 def _plain(data: Any) -> bool:

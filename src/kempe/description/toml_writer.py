@@ -15,7 +15,7 @@ from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Declared, Frame, Joint
 from kempe.description.toml_document import FORMAT, NEWEST
 from kempe.errors import InputError, UnsupportedError
-from kempe.joints import TYPES
+from kempe.joints import in_zoo
 from kempe.placement import Placement, place
 from kempe.values import Expression
 
@@ -76,7 +76,7 @@ def _frame(frame: Frame, dim: int) -> dict[str, Any]:
 
 
 def _joint(joint: Joint, dim: int) -> dict[str, Any]:
-    if TYPES.get(joint.type.type_name) is not type(joint.type):
+    if not in_zoo(joint.type):
         raise UnsupportedError(f"joint {joint.name!r}: type {joint.type.type_name!r} is not in the zoo of joints")
     out: dict[str, Any] = {
         "name": joint.name,

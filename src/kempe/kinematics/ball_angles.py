@@ -14,6 +14,8 @@ import numpy as np
 
 from kempe import spatial
 from kempe.description.parts import Joint
+from kempe.joints import R
+from kempe.model.reduced import plain
 from kempe.placement import place
 from kempe.spatial import Array
 
@@ -39,9 +41,9 @@ def regular_chart(system: System, q: Array, held: Collection[str] = ()) -> tuple
     if not turned:
         return system, q, turned
     mechanism = system.mechanism.copy()
-    for name, R in turned.items():
+    for name, turn in turned.items():
         joint: Joint = mechanism.joints[name]
-        mechanism.joints[name] = replace(joint, X_CM=joint.X_CM @ place(matrix=R.T))
+        mechanism.joints[name] = replace(joint, X_CM=joint.X_CM @ place(matrix=turn.T))
     other = mechanism.build()
     values = np.array(q)
     for name in turned:
@@ -52,10 +54,10 @@ def regular_chart(system: System, q: Array, held: Collection[str] = ()) -> tuple
 def back(system: System, q: Array, turned: dict[str, Array]) -> Array:
     """The configuration (nq,) of the system itself for one in the other chart."""
     q = np.array(q)
-    for name, R in turned.items():
+    for name, turn in turned.items():
         at = _balls(system)[name]
         z, y, x = q[at]
-        q[at] = spatial.matrix_to_rpy(spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x) @ R)[::-1]
+        q[at] = spatial.matrix_to_rpy(spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x) @ turn)[::-1]
     return q
 
 
@@ -68,8 +70,12 @@ def _balls(system: System) -> dict[str, list[int]]:
         related |= {n for r in system.relations for n in (r.of, *r.sources)}
         found = {}
         for joint in system.joints.values():
-            angles = [f"{joint.name}.{n}" for n in ("rz", "ry", "rx")]
-            if joint.type.options.get("angles") and set(angles) <= set(names) and not related & set(angles):
-                found[joint.name] = [names[n] for n in angles]
+            particle = system.mechanism.bodies[joint.child].particle
+            own, steps = joint.type.layout(system.dim, particle)
+            last = steps[-3:] if plain(steps) else ()
+            angles = [f"{joint.name}.{own[p.coordinate]}" for p in last if p.kind == R]
+            if [p.axis for p in last] == ["z", "y", "x"] and len(angles) == 3:
+                if set(angles) <= set(names) and not related & set(angles):
+                    found[joint.name] = [names[n] for n in angles]
         system._queries["ball angles"] = found
     return found

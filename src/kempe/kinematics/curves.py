@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.errors import InputError
-from kempe.joints import layout_of
 from kempe.kernels.layout import SLIDE
 from kempe.kinematics.derivatives import COMPLEX, IMAGINARY_STEP, REAL_STEP, SUPPLIED, way_of
+from kempe.model.layout import layout_of
 from kempe.reals import reals
 from kempe.spatial import Array
 

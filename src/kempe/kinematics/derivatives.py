@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from kempe.errors import InputError
-from kempe.joints import Layout
+from kempe.model.layout import Layout
 from kempe.reals import reals
 from kempe.spatial import Array
 

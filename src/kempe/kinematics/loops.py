@@ -39,14 +39,17 @@ def jacobian(system: System, q: Any) -> Array:
     return evaluate(system, q, True)[1]
 
 
-def evaluate(system: System, q: Any, with_jacobian: bool = True, scaled: bool = False) -> tuple[Array, Array]:
+def evaluate(
+    system: System, q: Any, with_jacobian: bool = True, scaled: bool = False, loops: Loops | None = None
+) -> tuple[Array, Array]:  # fmt: skip
     """Residual (..., m) and Jacobian (..., m, nv) in one pass; the Jacobian is empty unless asked for.
 
     `scaled`: lengths, those of sliding coordinates included, are measured in characteristic lengths, and loops are cut
-    where solvers cut them (`own_tree`), so that nothing depends on the unit or on joints marked `cut`.
+    where solvers cut them (`own_tree`), so that nothing depends on the unit or on joints marked `cut`. `loops` are the
+    equations in another form than the full one.
     """
     q = as_q(system, q)
-    loops = full(system, scaled)
+    loops = loops or full(system, scaled)
     lead, m = q.shape[:-1], len(loops.names)
     flat = q.reshape(math.prod(lead), system.nq)
     out = np.empty((len(flat), m))

@@ -7,93 +7,115 @@ exact where the constraint is violated, too. `of_system` lists those that a syst
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe import spatial
 from kempe.calls import explained
-from kempe.constraints.base import position_rows
-from kempe.description.parts import Declared
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics import pairs
-from kempe.kinematics.carried import Carried
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.constraint_base import Constraint, Pair
 from kempe.kinematics.constraints import coordinate_row, coordinate_value
 from kempe.kinematics.curves import Curve
 from kempe.kinematics.derivatives import SUPPLIED, check_supplied, checked_value, jacobian_of, way_of
-from kempe.kinematics.joint_motion import motion_of
-from kempe.model.reduced import slides_along_z
+from kempe.kinematics.forward import fk
+from kempe.kinematics.forward import jacobian as frame_jacobian
+from kempe.kinematics.loops import evaluate, full
+from kempe.model.loops import Loops, loops_of, must_carry
+from kempe.model.reduced import flat_frame
 from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
+Rows = tuple[Array, Array]
+"""Values (..., m) of rows that look at the pose X of B in A, and the matrix (..., m, 6) that takes the twist [v; w] of
+B against A, at the origin of B and in axes of A, to their rates."""
+_EYE = np.eye(4)
+
 # ---- the zoo
 
 
+class Constraint(ABC):
+    """A holonomic constraint f(q) = 0."""
+
+    name: str
+
+    @property
+    @abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """A name for each row."""
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return len(self.names)
+
+    @abstractmethod
+    def residual(self, system: System, q: Any) -> Array:
+        """How far it is violated (..., size), in metres and radians."""
+
+    @abstractmethod
+    def jacobian(self, system: System, q: Any) -> Array:
+        """Derivatives (..., size, nv) of the residual by the velocity coordinates."""
+
+
 @dataclass(frozen=True, eq=False)
-class Closure(Pair):
-    """A joint that closes a loop, by the rows that its type takes away: 5 of a revolute joint, 3 of a ball, ...
+class Tied(Constraint):
+    """A constraint that a system has, by its rows of the packed equations."""
 
-    `tied` are coordinates of the joint that have rows of their own, which ask that the value in q (or what it
-    follows) is what is read off the pose; each (names, how they are read), three angles or a quaternion together.
-    """
-
-    hold: pairs.Hold
-    pitch: float = 0.0
-    tied: tuple[tuple[tuple[str, ...], str], ...] = ()
+    name: str
+    loops: Loops
+    rows: tuple[int, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """A name for each row: held directions, then tied coordinates."""
-        own = [x for names, _ in self.tied for x in (names if len(names) == 1 else (f"own r{a}" for a in "xyz"))]
-        return (*self.hold.names, *own)
-
-    def rows(self, X: Array) -> pairs.Rows:
-        """The rows that the joint's type holds."""
-        return self.hold.rows(X)
+        """What each row holds: 'x', 'rz', 'distance', ..."""
+        return tuple(self.loops.names[i][1] for i in self.rows)
 
     def residual(self, system: System, q: Any) -> Array:
         """How far it is violated (..., size), in metres and radians."""
-        return self._both(system, as_q(system, q))[0]
+        return evaluate(system, q, False, loops=self.loops)[0][..., list(self.rows)]
 
     def jacobian(self, system: System, q: Any) -> Array:
         """Derivatives (..., size, nv) of the residual by the velocity coordinates."""
-        return self._both(system, as_q(system, q))[1]
-
-    def _both(self, system: System, q: Array) -> tuple[Array, Array]:
-        X, motion = self.pose(system, q), self.motion(system, q)
-        value, rates = self.hold.rows(X)
-        values, jacobians = [value], [rates @ motion]
-        for names, kind in self.tied:
-            if len(names) == 1:
-                number, rates = pairs.read(X, kind, self.pitch)
-                number = number - coordinate_value(system, q, names[0])
-                if kind.startswith("turn"):
-                    number = (number + np.pi) % (2.0 * np.pi) - np.pi  # a full turn more is the same pose
-                number, J = number[..., None], rates[..., None, :] @ motion - coordinate_row(system, names[0])
-            else:
-                own = np.stack([coordinate_value(system, q, n) for n in names], axis=-1)
-                number, rates, by_own = (pairs.angle_rows if len(names) == 3 else pairs.quaternion_rows)(X, own)
-                J = rates @ motion + by_own @ _own_rows(system, names)
-            values.append(number)
-            jacobians.append(J)
-        return np.concatenate(values, axis=-1), np.concatenate(jacobians, axis=-2)
+        return evaluate(system, q, loops=self.loops)[1][..., list(self.rows), :]
 
 
-def _own_rows(system: System, names: tuple[str, ...]) -> Array:
-    """Matrix (3, nv) to the velocities of three angles or of a quaternion."""
-    if len(names) == 3:
-        return np.stack([coordinate_row(system, n) for n in names])
-    out = np.zeros((3, system.nv))
-    if names[0] not in system.couplings:
-        first = system.coordinates.first[names[0]][1]
-        out[:, first : first + 3] = np.eye(3)
-    return out
+@dataclass(frozen=True, eq=False)
+class Pair(Constraint):
+    """A constraint on where frame B is in frame A: `X_A` on the body or frame `a`, `X_B` on `b`."""
+
+    name: str
+    a: str
+    b: str
+    X_A: Array = field(default_factory=lambda: _EYE, kw_only=True)
+    X_B: Array = field(default_factory=lambda: _EYE, kw_only=True)
+
+    @abstractmethod
+    def rows(self, X: Array) -> Rows:
+        """Residual (..., size) and rates (..., size, 6) of the pose X of B in A."""
+
+    def residual(self, system: System, q: Any) -> Array:
+        """How far it is violated (..., size), in metres and radians."""
+        return self.rows(self.pose(system, as_q(system, q)))[0]
+
+    def jacobian(self, system: System, q: Any) -> Array:
+        """Derivatives (..., size, nv) of the residual by the velocity coordinates."""
+        return self.rows(self.pose(system, q := as_q(system, q)))[1] @ self.motion(system, q)
+
+    def pose(self, system: System, q: Array) -> Array:
+        """Pose (..., 4, 4) of B in A."""
+        return spatial.inverse(fk(system, q, self.a) @ self.X_A) @ fk(system, q, self.b) @ self.X_B
+
+    def motion(self, system: System, q: Array) -> Array:
+        """Matrix (..., 6, nv): velocity coordinates to the twist of B against A, at the origin of B, in axes of A."""
+        ends = ((self.a, self.X_A), (self.b, self.X_B))
+        return _motion(*((fk(system, q, f), X, frame_jacobian(system, q, f)) for f, X in ends))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +129,7 @@ class Distance(Pair):
         """One row."""
         return ("distance",)
 
-    def rows(self, X: Array) -> pairs.Rows:
+    def rows(self, X: Array) -> Rows:
         """Distance less length."""
         p = X[..., :3, 3]
         d = np.linalg.norm(p, axis=-1, keepdims=True)
@@ -126,12 +148,12 @@ class PointOnLine(Pair):
         """Two rows, in the plane one."""
         return ("y",) if self.planar else ("x", "y")
 
-    def rows(self, X: Array) -> pairs.Rows:
+    def rows(self, X: Array) -> Rows:
         """Distances along x and y of A; in the plane along the normal of the line."""
-        value, rates = pairs.slides(X, "xy")
+        value, rates = _slides(X, "xy")
         if not self.planar:
             return value, rates
-        across = pairs.flat_frame(self.X_A)[:3, 1] @ self.X_A[:3, :3]  # in axes of A
+        across = flat_frame(self.X_A)[:3, 1] @ self.X_A[:3, :3]  # in axes of A
         return X[..., :3, 3] @ across[:, None], np.broadcast_to(np.r_[across, 0.0, 0.0, 0.0], (*X.shape[:-2], 1, 6))
 
 
@@ -144,9 +166,9 @@ class PointOnPlane(Pair):
         """One row."""
         return ("z",)
 
-    def rows(self, X: Array) -> pairs.Rows:
+    def rows(self, X: Array) -> Rows:
         """Height over the plane."""
-        return pairs.slides(X, "z")
+        return _slides(X, "z")
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +192,7 @@ class PointOnCurve(Pair):
         """Two rows, in the plane one."""
         return ("normal",) if self.planar else ("normal 1", "normal 2")
 
-    def rows(self, X: Array) -> pairs.Rows:
+    def rows(self, X: Array) -> Rows:
         """Distances along the normals at the nearest point."""
         value, rates = self.curve.distances(X[..., :3, 3], self.planar)
         return value, np.concatenate([rates, np.zeros_like(rates)], axis=-1)
@@ -205,6 +227,34 @@ class Coupling(Constraint):
         check_coordinates(system, (self.of, *self.sources))
         row = coordinate_row(system, self.of) - sum(m * coordinate_row(system, s) for s, m in self.sources.items())
         return np.array(np.broadcast_to(row, (*as_q(system, q).shape[:-1], 1, system.nv)))
+
+
+def _motion(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> Array:
+    """Matrix (..., 6, n) to the twist of B against A, at the origin of B, in axes of A.
+
+    Each end is a pose X_WB, a pose on it, and the Jacobian (..., 6, n) of the first, world-aligned.
+    """
+    (p_A, J_A, R_A), (p_B, J_B, _) = (_placed(*end) for end in (a, b))
+    v = J_B[..., :3, :] - J_A[..., :3, :] + spatial.skew(p_B - p_A) @ J_A[..., 3:, :]
+    back = np.swapaxes(R_A, -1, -2)
+    return np.concatenate([back @ v, back @ (J_B[..., 3:, :] - J_A[..., 3:, :])], axis=-2)
+
+
+def _placed(X_WB: Array, X: Array, J: Array) -> tuple[Array, Array, Array]:
+    """Origin, world-aligned Jacobian and rotation of a frame at X on one whose Jacobian is J."""
+    X_W = X_WB @ X
+    J = np.broadcast_to(J, (*X_W.shape[:-2], *J.shape[-2:]))
+    shift = spatial.skew(X_WB[..., :3, 3] - X_W[..., :3, 3])
+    J = np.concatenate([J[..., :3, :] + shift @ J[..., 3:, :], J[..., 3:, :]], axis=-2)
+    return X_W[..., :3, 3], J, X_W[..., :3, :3]
+
+
+def _slides(X: Array, axes: str) -> Rows:
+    """Positions of M along some axes of F."""
+    index = ["xyz".index(a) for a in axes]
+    rates = np.zeros((*X.shape[:-2], len(index), 6))
+    rates[..., np.arange(len(index)), index] = 1.0
+    return X[..., index, 3], rates
 
 
 def gear(driven: str, driver: str, ratio: float, offset: float = 0.0) -> Coupling:
@@ -285,49 +335,16 @@ def user_constraint(
 # ---- what a system has
 
 
-def closure_of(system: System, joint: str, own: bool = False) -> Closure | Carried:
-    """The closure of a joint, by the rows that its type takes away.
-
-    Coordinates of the joint that follow others, are held, or are part of a relation have a row each besides, for
-    they are not free; with `own=True` all of them do, so that the residual is zero only where q has their values, too.
-    So they do in any case where what the type takes away has no fixed axes: its closure is `Carried`.
-    """
-    mechanism = system.mechanism
-    if joint not in mechanism.joints:
-        raise UnknownNameError("joint", joint, mechanism.joints, system.name)
-    j = mechanism.joints[joint]
-    particle = mechanism.bodies[j.child].particle
-    X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (j.X_PF, j.X_CM))
-    X_PF, X_CM = pairs.frames_of(j.type, X_PF, X_CM, system.dim, particle)
-    names, hold = system.coordinates_of_joint(joint), pairs.hold_of(j.type, system.dim, particle)
-    if hold is None:
-        motion = motion_of(system, j, slides_along_z(j.type, system.dim, particle))
-        return Carried(joint, j.parent, j.child, motion, X_A=X_PF, X_B=X_CM)
-    related = {n for r in system.relations for n in (r.of, *r.sources)} | system.couplings.keys()
-    groups = pairs.reading_groups(j.type, system.dim, particle)
-    tied = [(tuple(names[i] for i in group), kind) for group, kind in groups]
-    tied = [t for t in tied if own or related & {*t[0]}]
-    return Closure(joint, j.parent, j.child, hold, hold.pitch or 0.0, tuple(tied), X_A=X_PF, X_B=X_CM)
-
-
-def declared(system: System, constraint: Declared) -> Pair:
-    """The constraint of a record of the description."""
-    X_A, X_B = constraint.frames(system.parameters, system.dim)
-    ends: Any = {"X_A": X_A, "X_B": X_B}
-    names = constraint.name, constraint.parent, constraint.child
-    if constraint.rod:
-        return Distance(*names, constraint.length(system.parameters), **ends)
-    if len(position_rows(constraint.of, 3)) == 2:
-        return PointOnLine(*names, system.dim == 2, **ends)
-    return PointOnPlane(*names, **ends)
-
-
 @explained
 def of_system(system: System, own: bool = True) -> list[Constraint]:
     """The constraints of a system: its closures, the declared ones, the relations of several coordinates.
 
     With `own=False` the coordinates of the joints that close loops are left out where nothing else depends on them.
     """
-    out: list[Constraint] = [closure_of(system, name, own) for name in system.closures]
-    out += [declared(system, c) for c in system.mechanism.constraints.values()]
-    return out + [Coupling(r.of, r.of, r.sources, r.offset) for r in system.relations]
+    loops = full(system, False) if own else loops_of(system, must_carry(system), length=1.0)
+    rows: dict[tuple[str, bool], list[int]] = {}
+    for i, (name, what) in enumerate(loops.names):
+        rows.setdefault((name, what == "relation"), []).append(i)
+    order = [(n, False) for n in (*system.closures, *system.mechanism.constraints)]
+    order += [(r.of, True) for r in system.relations]
+    return [Tied(key[0], loops, tuple(rows[key])) for key in order if key in rows]

@@ -11,8 +11,8 @@ from kempe.calls import known
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Fixed, Frame, Joint
 from kempe.errors import DescriptionError, Problem, UnknownNameError
-from kempe.joints import Layout
 from kempe.model.coordinates import Coordinates, Relation, coordinate_names, coordinates_of
+from kempe.model.layout import Layout
 from kempe.model.table import Table, lower
 from kempe.model.topology import Topology, spanning_tree
 from kempe.spatial import Array

@@ -11,7 +11,8 @@ import numpy as np
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
 from kempe.errors import DescriptionError, Problem, UnknownNameError
-from kempe.joints import Layout, P, Primitive, Q, R, layout_of
+from kempe.joints import P, Primitive, Q, R
+from kempe.model.layout import Layout, layout_of
 from kempe.values import Expression, evaluate
 
 HELD_TOLERANCE = 1e-9

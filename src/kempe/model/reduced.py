@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
+from kempe import spatial
 from kempe.joints import JointType, P, Primitive, Q, R
 
 TURNS = {
@@ -40,7 +43,7 @@ def reduced(kind: JointType, dim: int = 3, particle: bool = False) -> Reduced | 
     slides = [p for p in primitives if p.kind == P]
     turns = [p for p in primitives if p.kind != P]
     about = "ball" if [p.kind for p in turns] == [Q] else "".join("?" if p.kind == Q else p.axis for p in turns)
-    if about not in TURNS or len({p.axis for p in slides}) < len(slides) or not _plain(primitives):
+    if about not in TURNS or len({p.axis for p in slides}) < len(slides) or not plain(primitives):
         return None
     late = [p for k, p in enumerate(primitives) if p.kind == P and any(t in turns for t in primitives[:k])]
     if any(about != "z" or p.axis != "z" for p in late):
@@ -59,7 +62,7 @@ def reduced(kind: JointType, dim: int = 3, particle: bool = False) -> Reduced | 
     return Reduced(position, "" if particle else held, tuple(sorted(readings)))
 
 
-def _plain(primitives: tuple[Primitive, ...]) -> bool:
+def plain(primitives: tuple[Primitive, ...]) -> bool:
     """Whether each primitive has a coordinate of its own, and is as large as that."""
     return all(p.multiplier == 1.0 for p in primitives) and len({p.coordinate for p in primitives}) == len(primitives)
 
@@ -67,6 +70,13 @@ def _plain(primitives: tuple[Primitive, ...]) -> bool:
 def slides_along_z(kind: JointType, dim: int, particle: bool) -> bool:
     """Whether a joint of the plane slides along z of its frame F, which then lies in the plane."""
     return dim == 2 and any(p.kind == P and p.axis == "z" for p in kind.layout(2, particle)[1])
+
+
+def flat_frame(X: np.ndarray) -> np.ndarray:
+    """A frame of the plane turned so that x is what was z, a direction in the plane, and z is the plane's normal."""
+    normal = X[2, :3]
+    x = np.array([0.0, 0.0, 1.0])
+    return X @ spatial.pose(np.stack([x, np.cross(normal, x), normal], axis=1))
 
 
 def screw(kind: JointType) -> float | None:

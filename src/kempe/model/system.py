@@ -269,6 +269,13 @@ class System(Compiled):
 
         return of_system(self)
 
+    @property
+    def maximal(self) -> System:
+        """The system with each body on a free joint and all its joints cut; see `kempe.kinematics.maximal.maximal`."""
+        from kempe.kinematics.maximal import maximal
+
+        return maximal(self)
+
     def to_maximal(self, q: Any) -> Array:
         """Poses (..., n_b, 4, 4) of all bodies but the ground, the maximal coordinates."""
         from kempe.kinematics.maximal import to_maximal
@@ -276,8 +283,8 @@ class System(Compiled):
         return to_maximal(self, q)
 
     def from_maximal(self, poses: ArrayLike, near: Any = None, **options: Any) -> Array:
-        """Configuration (..., nq) from the poses (..., n_b, 4, 4) of all bodies; see `kempe.kinematics.maximal`."""
-        from kempe.kinematics.maximal import from_maximal
+        """Configuration (..., nq) from the poses (..., n_b, 4, 4) of all bodies; see `kempe.solvers.poses`."""
+        from kempe.solvers.poses import from_maximal
 
         return from_maximal(self, poses, near, **options)
 

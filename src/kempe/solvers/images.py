@@ -14,8 +14,8 @@ import numpy as np
 
 from kempe.description.parts import Declared
 from kempe.kinematics.forward import fk
-from kempe.kinematics.maximal_form import coordinates_of
 from kempe.model.loops import characteristic_length
+from kempe.solvers.poses import coordinates_at
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -38,8 +38,7 @@ def mirrored(system: System, q: Array) -> Array:
         image = poses[:, i, :3, :3] @ points.T + poses[:, i, :3, 3:]  # (n, 3, points)
         image = image - 2.0 * normal[:, None] * (normal @ (image - center[:, None]))[:, None, :]
         out[:, i] = _fitted(system, i + 1, points, np.swapaxes(image, 1, 2), poses[:, i])
-    values = [coordinates_of(system, X, x)[0] for X, x in zip(out, q, strict=True)]
-    found = np.array([[v[name] for name in system.coordinate_names] for v in values], dtype=float)
+    found = coordinates_at(system, out, q)
     return found[np.isfinite(found).all(axis=1)]
 
 

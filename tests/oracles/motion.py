@@ -10,8 +10,8 @@ import numpy as np
 from kempe import spatial
 from kempe.description.parts import Joint
 from kempe.joints import P, Q, R
-from kempe.kinematics import pairs
 from kempe.spatial import Array
+from oracles import pairs
 
 if TYPE_CHECKING:
     from kempe.model.system import System

@@ -14,7 +14,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.joints import JointType
-from kempe.model.reduced import reduced, screw, slides_along_z
+from kempe.model.reduced import flat_frame, reduced, screw, slides_along_z
 from kempe.spatial import Array
 
 Rows = tuple[Array, Array]
@@ -64,13 +64,6 @@ def hold_of(kind: JointType, dim: int = 3, particle: bool = False) -> Hold | Non
         return Hold(form.position, form.turns)
     pitch = screw(kind) if dim == 3 and not particle else None
     return None if pitch is None else Hold("xy", "xy", pitch)
-
-
-def flat_frame(X: Array) -> Array:
-    """A frame of the plane turned so that x is what was z, a direction in the plane, and z is the plane's normal."""
-    normal = X[2, :3]
-    x = np.array([0.0, 0.0, 1.0])
-    return X @ spatial.pose(np.stack([x, np.cross(normal, x), normal], axis=1))
 
 
 def frames_of(kind: JointType, X_PF: Array, X_CM: Array, dim: int, particle: bool) -> tuple[Array, Array]:

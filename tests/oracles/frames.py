@@ -1,48 +1,25 @@
-"""What every constraint is: rows of equations with names, a residual and its exact derivatives."""
+"""A constraint between two frames: rows of equations of the pose of one in the other, with their rates."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kempe import spatial
-from kempe.kinematics import pairs
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import fk
 from kempe.kinematics.forward import jacobian as frame_jacobian
+from kempe.kinematics.zoo import Constraint
 from kempe.spatial import Array
+from oracles import pairs
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
 _EYE = np.eye(4)
-
-
-class Constraint(ABC):
-    """A holonomic constraint f(q) = 0."""
-
-    name: str
-
-    @property
-    @abstractmethod
-    def names(self) -> tuple[str, ...]:
-        """A name for each row."""
-
-    @property
-    def size(self) -> int:
-        """Number of rows."""
-        return len(self.names)
-
-    @abstractmethod
-    def residual(self, system: System, q: Any) -> Array:
-        """How far it is violated (..., size), in metres and radians."""
-
-    @abstractmethod
-    def jacobian(self, system: System, q: Any) -> Array:
-        """Derivatives (..., size, nv) of the residual by the velocity coordinates."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.kinematics import pairs
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.constraint_base import Pair
 from kempe.kinematics.constraints import coordinate_row, coordinate_value
-from kempe.kinematics.joint_motion import FLAT, Motion
 from kempe.spatial import Array
+from oracles import pairs
+from oracles.frames import Pair
+from oracles.motion import FLAT, Motion
 
 if TYPE_CHECKING:
     from kempe.model.system import System

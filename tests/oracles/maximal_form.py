@@ -11,13 +11,14 @@ import numpy as np
 from kempe import spatial
 from kempe.description.parts import Joint
 from kempe.joints import Q
-from kempe.kinematics import pairs
-from kempe.kinematics.carried import Carried
 from kempe.kinematics.configuration import as_start
-from kempe.kinematics.constraint_base import Pair
 from kempe.kinematics.constraints import coordinate_value
-from kempe.kinematics.zoo import Closure, closure_of, declared
 from kempe.spatial import Array
+from oracles import pairs
+from oracles.carried import Carried
+from oracles.closures import Closure, closure_of
+from oracles.declared import declared
+from oracles.frames import Pair
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -66,9 +67,9 @@ class Form(NamedTuple):
 
 def form_of(system: System) -> Form:
     """The equations of a system, compiled once."""
-    found = system._queries.get("maximal")
+    found = system._queries.get("oracle of maximal coordinates")
     if found is None:
-        found = system._queries["maximal"] = _compiled(system)
+        found = system._queries["oracle of maximal coordinates"] = _compiled(system)
     return found
 
 
@@ -193,32 +194,6 @@ def _turn_counts(n: int) -> Array:
     most = TURNS[n] if n < len(TURNS) else 0
     found = sorted(product(range(-most, most + 1), repeat=n), key=lambda ks: sum(map(abs, ks)))
     return np.array(found, dtype=float).reshape(len(found), n)
-
-
-def find_turns(form: Form, values: dict[str, Array], tolerance: float) -> None:
-    """Give coordinates full turns, few against those that they have, with which all that depends on them is right.
-
-    Turns of a driver are those that fit all that follows it; then relations choose for coordinates that drive nothing.
-    """
-    followers: dict[str, list[LinearRow]] = {}
-    for r in form.relations:
-        if not r.free and len(r.terms) == 2 and r.terms[1][0] in form.turning:
-            followers.setdefault(r.terms[1][0], []).append(r)
-    for driver, mine in followers.items():
-        given = values[driver][..., None] + FULL_TURN * _turn_counts(1)[:, 0]
-        off = [values[r.name][..., None] + r.terms[1][1] * given - r.offset for r in mine]
-        good = [np.abs(_within(x, r.turns)) <= tolerance for x, r in zip(off, mine, strict=True)]
-        first = np.argmax(np.all(good, axis=0), axis=-1)[..., None]
-        values[driver] = np.take_along_axis(given, first, axis=-1)[..., 0]
-    for r in form.relations:
-        moving = [(n, m) for n, m in r.periods if n not in followers]
-        counts = _turn_counts(len(moving))
-        off = off_by(r, values, False)[..., None] + FULL_TURN * (counts @ np.array([m for _, m in moving]))
-        first = np.argmax(np.abs(_within(off, r.turns)) <= tolerance, axis=-1)
-        for i, (n, _) in enumerate(moving):
-            values[n] = values[n] + FULL_TURN * counts[first, i]
-        off = off_by(r, values, False)
-        values[r.name] = values[r.name] - off + _within(off, r.turns)
 
 
 def _within(off: Array, turns: bool) -> Array:

@@ -1,0 +1,169 @@
+"""Counting as a computed fact: what joints take away from two free bodies, by the rank of their constraints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from closed_graphs import pose_of, stays_in_plane
+from own_joints import OWN, PRODUCTS, random_product, random_type, variants
+from reference import twist_between
+
+import kempe
+from kempe import Mechanism, System
+from kempe.joints import TYPES, JointType, P, joint_type
+from kempe.kinematics import loops
+
+TABLE = [kind(**options) for kind in TYPES.values() for options in variants(kind, 0.3)]
+EVERY = [*TABLE, *map(joint_type, PRODUCTS), *(kind() for kind in OWN)]
+CASES = [(kind, dim) for kind in EVERY for dim in (2, 3) if dim == 3 or (kind.planar and stays_in_plane(kind))]
+HIDDEN = {"coaxial", "telescope"}
+"""Types of which only sums of coordinates can be seen."""
+
+
+def between_free_bodies(kind: JointType, dim: int, rng: np.random.Generator) -> tuple[System, np.ndarray]:
+    """Two bodies that move freely, tied by a joint of this kind in odd frames; closed at the configuration given."""
+    m = Mechanism("two bodies", dim)
+    slider = any(p.kind == P and p.axis == "z" for p in kind.layout(dim)[1]) and dim == 2
+
+    def place(prefix: str) -> dict:
+        at = {prefix + "at": rng.uniform(-1, 1, dim)}
+        if slider:
+            return at
+        return at | ({prefix + "rpy": rng.uniform(-1, 1, 3)} if dim == 3 else {prefix + "angle": rng.uniform(-1, 1)})
+
+    a, b = m.body("a"), m.body("b")
+    m.free("A", m.ground, a)
+    m.free("B", m.ground, b)
+    m.joint("J", kind, a, b, cut=True, **place(""), **place("child_"), **({"axis": (0.6, 0.8)} if slider else {}))
+    s = m.build()
+    assert s.closures == ("J",)
+    # the joint is given values, and b is put where it then is
+    q = s.random(rng)
+    known = {n: x for n, x in s.q_dict(q).items() if n.split(".")[0] in ("A", "J")}
+    found = s.assemble(known, near=q)
+    assert found.success
+    return s, found.q
+
+
+def rank(J: np.ndarray) -> int:
+    return int(np.linalg.matrix_rank(J, tol=1e-8)) if J.size else 0
+
+
+def taken(s: System, q: np.ndarray) -> int:
+    """What the joint takes away: the rank of its equations, less that of what its own coordinates can give in."""
+    J = loops.jacobian(s, q)
+    own = [i for i, n in enumerate(s.velocity_names) if n.split(".")[0] == "J"]
+    return rank(J) - rank(J[:, own])
+
+
+def seen(kind: JointType, dim: int, values: np.ndarray) -> int:
+    """Freedoms of the joint by differences of its pose, written out elsewhere."""
+    steps, h = kind.layout(dim)[1], 1e-6
+    along = (0.6, 0.8) if dim == 2 else None
+    twists = []
+    for i in range(len(values)):
+        ahead, back = values.copy(), values.copy()
+        ahead[i], back[i] = ahead[i] + h, back[i] - h
+        twists.append(twist_between(pose_of(steps, back.tolist(), dim, along),
+                                    pose_of(steps, ahead.tolist(), dim, along), 2 * h))  # fmt: skip
+    return int(np.linalg.matrix_rank(np.array(twists), tol=1e-4)) if twists else 0
+
+
+def check(kind: JointType, dim: int, rng: np.random.Generator) -> int:
+    s, q = between_free_bodies(kind, dim, rng)
+    full = 6 if dim == 3 else 3
+    values = np.array([s.q_dict(q)[n] for n in s.coordinates_of_joint("J")])
+    found = taken(s, q)
+    assert found == full - seen(kind, dim, values)
+    m = s.mobility(q, local=False)
+    idle = kind.dof(dim) - (full - found)  # coordinates that move nothing
+    assert m.counting.free == 2 * full and m.rank_dof is not None
+    assert m.counting.free - (m.rank_dof - idle) == found
+    assert m.counting.taken == kind.constraints(dim)
+    return found
+
+
+@pytest.mark.parametrize(("kind", "dim"), CASES, ids=str)
+def test_rank_of_joints_between_free_bodies(kind, dim):
+    """A joint takes away 6 less its freedoms, in the plane 3; more is taken only where coordinates move nothing."""
+    found = check(kind, dim, np.random.default_rng(3))
+    if kind.type_name not in HIDDEN:
+        assert found == kind.constraints(dim)
+
+
+def test_random_types_between_free_bodies(hunt):
+    rng = hunt.rng()
+    for k in range(hunt.cases(100)):
+        dim = int(rng.choice([2, 3]))
+        kind = joint_type(random_product(rng, dim)) if k % 2 else random_type(rng, f"t{k}", dim)
+        check(kind, dim, rng)
+
+
+@pytest.mark.slow
+def test_random_types_between_free_bodies_at_length(hunt):
+    rng = hunt.rng()
+    for k in range(hunt.cases(1000)):
+        dim = int(rng.choice([2, 3]))
+        kind = joint_type(random_product(rng, dim)) if k % 2 else random_type(rng, f"t{k}", dim)
+        check(kind, dim, rng)
+
+
+@pytest.mark.parametrize(("name", "dim"), [(n, d) for n, t in TYPES.items() for d in (2, 3)
+                                           if all(p.kind == P for p in t().layout(d, True)[1])
+                                           and (d == 3 or t.planar)])  # fmt: skip
+def test_rank_of_joints_of_particles(name, dim):
+    m = Mechanism("particle", dim)
+    body, point = m.body("a"), m.particle("p")
+    m.free("A", m.ground, body, **({"at": (0.3, 0.1), "angle": 0.4} if dim == 2 else {"rpy": (0.3, 0.2, 0.1)}))
+    m.free("B", m.ground, point)
+    m.joint("J", name, body, point, cut=True, **({"axis": (0.6, 0.8)} if dim == 2 and name == "prismatic" else {}))
+    s = m.build()
+    q = s.assemble(near=s.random(1)).q
+    assert taken(s, q) == TYPES[name]().constraints(dim, True)
+
+
+# ------------------------------------------------------------------ each constraint removes one freedom, but for these
+
+
+def platform(rods: list[tuple[float, float, float]]) -> System:
+    """A platform on rods that stand upright: where each is in the ground and on it, and how long it is."""
+    m = Mechanism("platform", 2)
+    m.free("P", m.ground, m.body("platform"), at=(0.0, 1.0))
+    for k, (ground, top, length) in enumerate(rods):
+        m.distance(f"rod {k}", m.ground, "platform", length, at=(ground, 0), child_at=(top, 0))
+    return m.build()
+
+
+@pytest.mark.parametrize(
+    ("rods", "numbers"),
+    [([], (3, 3, 3)), ([0], (2, 2, 2)), ([0, 1], (1, 1, 1)), ([0, 1, 2], (0, 1, 1)), ([0, 1, 2, 3], (-1, 1, 1))],
+)
+def test_parallel_rods_of_one_length(rods, numbers):
+    """The parallelogram: from the third rod on they remove nothing (a fifth link, with the ground and the platform)."""
+    m = platform([(x, x, 1.0) for x in rods]).mobility({"P.x": 0.0, "P.y": 0.0, "P.rz": 0.0})
+    assert (m.gruebler, m.rank_dof, m.dof) == numbers
+
+
+def test_a_third_rod_that_is_not_parallel_removes_the_last_freedom():
+    m = platform([(0, 0, 1.0), (1, 1, 1.0), (2.5, 2, np.hypot(0.5, 1.0))]).mobility([0.0, 0.0, 0.0])
+    assert (m.gruebler, m.rank_dof, m.dof) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(("slider", "rank_dof"), [(3.5, 0), (4.0, 1), (2.0, 1)])
+def test_holding_a_slider_at_its_dead_centre(slider, rank_dof):
+    """It removes the last freedom, but the rank sees it only where the slider is not in its extreme position."""
+    m = Mechanism("engine", 2)
+    m.revolute("A", m.ground, m.body("crank"))
+    m.prismatic("S", m.ground, m.body("slider"), axis=(1, 0))
+    m.distance("rod", "crank", "slider", 3.0, at=(1, 0))
+    free = m.build()
+    start = free.assemble({"S": slider}, near={"A": 0.3 if slider > 2.1 else np.pi, "S": slider}).q
+    assert free.mobility(start).dof == 1
+    held = m.lock({"S": slider}).build()
+    found = held.mobility(held.assemble(near=[start[0]]).q)
+    assert (found.gruebler, found.rank_dof, found.dof) == (0, rank_dof, 0)
+
+
+def test_sarrus_counts_to_nothing_and_moves():
+    m = kempe.load("sarrus").maximal.mobility()
+    assert (m.counting.free, m.counting.taken, m.counting.free - m.rank_dof, m.dof) == (30, 30, 29, 1)
