@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from kempe.constraints.tape import BINARY, UNARY, Tape
-from kempe.joints import Layout
 from kempe.kernels import tape_layout as L
 from kempe.kernels.compiled import tape
+from kempe.model.layout import Layout
 from kempe.spatial import Array
 
 TIME = ""

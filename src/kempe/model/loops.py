@@ -20,7 +20,7 @@ from kempe.description.parts import Joint
 from kempe.kernels import loop_layout as L
 from kempe.model.lengths import characteristic_length, moved, origin_of
 from kempe.model.loop_plan import Centre, Function, Loops, Plan, Tie, moving
-from kempe.model.program import coordinates_of, declared_ties, ties_of
+from kempe.model.program import coordinates_of, declared_ties
 from kempe.model.reduced import Reduced, reduced, slides_along_z
 from kempe.model.table import Table, lower
 
@@ -108,9 +108,7 @@ def held_ties(system: System, table: Table) -> list[Tie]:
 
     `table` has the frames of these joints, led on through their motion.
     """
-    ties = _ties(system, table, frozenset(system.closures), ())
-    sided = (t for c in system.mechanism.constraints.values() for t in ties_of(system, table, c) if t.bounds)
-    return [*ties, *sided]
+    return _ties(system, table, frozenset(system.closures), (), True)
 
 
 def _ties(

@@ -25,7 +25,8 @@ def apart(packed: Packed, pins: Array) -> np.ndarray:
         (_, tasks), (_, loops) = (packed.evaluate(q, pins[:1], c) for c in (False, True))
         if not (np.isfinite(tasks).all() and np.isfinite(loops).all()):
             return NONE
-        tasks = np.concatenate([tasks, packed.one_sided.rates(q, declared=True)[1]], axis=1)  # as if they were asked for
+        sided = packed.one_sided.rates(q, declared=True)[1]
+        tasks = np.concatenate([tasks, sided], axis=1)  # as if they were asked for
         told = any(tie.function is not None for tie in packed.loops.ties)  # and may be flat there
         found = packed.stages[apart] = NONE if told else _left_alone(packed, tasks, loops)
     return found
