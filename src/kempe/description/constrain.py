@@ -141,6 +141,8 @@ def _with_values(mechanism: Mechanism, given: Constraint, subject: str, where: W
 
 def _read(x: Any, what: str) -> Any:
     """Numbers, lists of numbers or expressions as values."""
+    if isinstance(x, (np.ndarray, np.generic)):
+        x = x.tolist()
     if isinstance(x, (list, tuple)):
         items = tuple(_read(item, what) for item in x)
         return x if all(a is b for a, b in zip(items, x, strict=True)) else items

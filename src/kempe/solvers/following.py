@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.calls import brief, explained, explained_methods
-from kempe.constraints import Pose, Position
+from kempe.constraints.base import Constraint
+from kempe.constraints.targets import of_target
 from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.search_layout import BAD_INPUT
 from kempe.kinematics.packed import refuse
@@ -20,7 +21,7 @@ from kempe.solvers.apart import apart
 from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, partial
 from kempe.solvers.slip import rolls
 from kempe.solvers.solution import SOLVED
-from kempe.solvers.targets import parse_targets
+from kempe.solvers.targets import Z_AXIS, parse_targets
 from kempe.solvers.tasks import STARTS, Problem, judge, pose_problem
 from kempe.solvers.way import DEPTH, SINGULAR, STAYS, TOLERANCE, WEAK, Way
 from kempe.spatial import Array
@@ -132,14 +133,15 @@ def ik_path(
     return min(paths, key=lambda p: (-_farthest(p), -np.sum(p.success), len(p.jumps), _length(p)))
 
 
-def _held(system: System, targets: Any, frame: FrameLike) -> Pose | Position:
+def _held(system: System, targets: Any, frame: FrameLike) -> Constraint:
     poses, lead, is_position = parse_targets(system, targets)
     for i in np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2)))[:1]:
         raise InputError(f"target {i} is not finite, or no pose, whose last row must be 0 0 0 1")
     poses = poses.reshape(*lead, 4, 4)
     name = system.frame_name(frame)
     is_position = is_position or bool(system.table.at[name][2])
-    return Position(name, poses[..., :3, 3]) if is_position else Pose(name, poses)
+    (held,) = of_target(name, "position" if is_position else "pose", Z_AXIS, poses)
+    return held
 
 
 class _Path(Way):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.calls import explained
+from kempe.constraints.targets import of_target
 from kempe.errors import InputError, NoSolutionError
 from kempe.kernels.compiled import maker, search
 from kempe.kernels.layout import HAS_QUATERNION
@@ -75,7 +76,7 @@ def ik(
     if method != "analytic" and (obstacle(system, name) or one_sided_rows(system).declared):
         from kempe.solvers.tasks import reach
 
-        wanted = tasks_of(name, asked, targets.reshape(*lead, 4, 4))
+        wanted = of_target(name, *asked, targets.reshape(*lead, 4, 4))
         given = {"starts": (starts, MOST), "iterations": (iterations, ITERATIONS), "time_limit": (time_limit, None)}
         more: dict[str, Any] = {name: value for name, (value, usual) in given.items() if value != usual}
         return reach(system, wanted, seed, tolerance=tolerance, rng=rng, threads=threads, throw=throw, **more)
@@ -135,23 +136,6 @@ def _judged(
     if not lead and code[0] == BAD_INPUT:
         raise InputError(not_a_pose(targets[0], "seed"))
     return _answer(question, full, code, residual, info, lead)
-
-
-def tasks_of(frame: str, asked: tuple[str, tuple[float, float, float]], X: Array) -> list[Any]:
-    """The tasks that a target (..., 4, 4) stands for."""
-    from kempe import constraints as tasks
-
-    name, axis = asked
-    out: list[Any] = []
-    if name == "pose":
-        out.append(tasks.Pose(frame, X))
-    if points_along(name):
-        out.append(tasks.Pointing(frame, X[..., :3, :3] @ np.array(axis), axis=axis))
-    if name == "orientation":
-        out.append(tasks.Orientation(frame, X[..., :3, :3]))
-    if name in ("position", "position_axis"):
-        out.append(tasks.Position(frame, X[..., :3, 3]))
-    return out
 
 
 def _task_name(task: str | None, position_only: bool) -> str | None:

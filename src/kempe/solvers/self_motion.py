@@ -11,12 +11,12 @@ import numpy as np
 from kempe.calls import brief, explained, explained_methods
 from kempe.constraints.base import Constraint
 from kempe.constraints.reading import numbers_of
+from kempe.constraints.targets import of_target
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.tabular import Tabular
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, partial
 from kempe.solvers.freedoms import Local, freedoms_text, null
-from kempe.solvers.inverse import tasks_of
 from kempe.solvers.solution import SOLVED
 from kempe.solvers.targets import axis_of, points_along, task_of
 from kempe.solvers.tasks import judge, pose_problem
@@ -138,7 +138,7 @@ def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayL
     kind = task_of(task, False, bool(system.table.at[name][2]))
     if system.dim == 2 and points_along(kind):
         kind = "orientation" if kind == "direction" else "pose"
-    return tasks_of(name, (kind, axis_of(axis)), system.fk(q, name))
+    return of_target(name, kind, axis_of(axis), system.fk(q, name))
 
 
 def _begin(system: System, q: Array, wanted: Any) -> tuple[Problem, Array]:

@@ -138,12 +138,12 @@ class Solution(Answer):
         return self._analysed()
 
     def _analysed(self) -> tuple[int, int, int, Array]:
-        from kempe.solvers.inverse import tasks_of
+        from kempe.constraints.targets import of_target
         from kempe.solvers.reached import analyse
         from kempe.solvers.tasks import pose_problem
 
         task = self.task
-        problem, _ = pose_problem(task.system, tasks_of(task.frame, (task.name, task.axis), task.targets[0]), self.q)
+        problem, _ = pose_problem(task.system, of_target(task.frame, task.name, task.axis, task.targets[0]), self.q)
         return analyse(problem, self.q)
 
     @property

@@ -9,6 +9,7 @@ import numpy as np
 
 from kempe.calls import numbers
 from kempe.constraints.reading import refuse_rotations
+from kempe.constraints.targets import AXIS_TASKS
 from kempe.errors import InputError
 from kempe.kernels.search_layout import LARGEST, ROTATION_TOLERANCE
 from kempe.placement import direction
@@ -129,7 +130,7 @@ def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
 
 def points_along(task: str | None) -> bool:
     """Whether the task reads one axis of the tool only."""
-    return task in ("direction", "position_axis")
+    return task in AXIS_TASKS
 
 
 def numbers_of(target: Any) -> Array:

@@ -98,8 +98,9 @@ class Problem:
     def only(self, tasks: Sequence[int], limits: bool = True, one_sided: bool = True) -> Problem:
         """The same with only these tasks, nothing preferred, no limit of time, and few starts."""
         use = tuple(i in tasks for i in range(len(self.tasks)))
+        few = min(self.starts, STARTS)
         return replace(
-            self, use=use, limits=limits, one_sided=one_sided, mode=S.NOTHING, end=math.inf, starts=min(self.starts, STARTS))  # fmt: skip
+            self, use=use, limits=limits, one_sided=one_sided, mode=S.NOTHING, end=math.inf, starts=few)  # fmt: skip
 
     def run(
         self, starts: Array, threads: int | None = 1, *, tries: int | None = None, rows: np.ndarray | None = None

@@ -1,0 +1,69 @@
+"""Every kind of constraint does what kinds do, and needs no other kind; no name of a kind stands outside its table."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from kinds_battery import EXAMPLES, run
+
+from kempe.constraints import KINDS
+
+HERE = Path(__file__).parent
+SOURCE = HERE.parents[1] / "src" / "kempe"
+ALLOWED = {"description/constrain.py", "description/constraint_methods.py"}
+"""Where the builder's sugar names kinds."""
+
+
+def test_every_kind_has_an_example():
+    assert set(EXAMPLES) <= set(KINDS)
+    assert {k for k, kind in KINDS.items() if kind.__module__.startswith("kempe.")} == set(EXAMPLES)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_what_holds_for_every_kind(name, dim):
+    run(name, dim)
+
+
+WITHOUT = """
+import sys
+sys.path.insert(0, {here!r})
+from kempe.constraints import KINDS
+del KINDS[{name!r}]
+import kinds_battery
+for other in kinds_battery.EXAMPLES:
+    if other != {name!r}:
+        kinds_battery.run(other, 3)
+"""
+
+
+@pytest.mark.parametrize("name", [
+    "distance", *(pytest.param(n, marks=pytest.mark.slow) for n in EXAMPLES if n != "distance")
+])  # fmt: skip
+def test_no_kind_needs_another(name):
+    script = WITHOUT.format(here=str(HERE), name=name)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+@pytest.mark.parametrize("path", [p for p in sorted(SOURCE.rglob("*.py")) if "benchmark" not in p.parts],
+                         ids=lambda p: p.relative_to(SOURCE).as_posix())  # fmt: skip
+def test_kinds_are_named_in_their_table_only(path):
+    """Everywhere else what is to be done follows from their rows."""
+    where = path.relative_to(SOURCE).as_posix()
+    if where.startswith("constraints/") or where in ALLOWED:
+        return
+    classes = {kind.__name__ for kind in KINDS.values()} - {"Function"}
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("kempe.constraints"):
+            assert not classes & {alias.name for alias in node.names}, f"{where}:{node.lineno}"
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            assert not (node.value.id in ("constraints", "tasks") and node.attr in classes), f"{where}:{node.lineno}"
+        if isinstance(node, ast.Compare):
+            names = {x.value for x in ast.walk(node) if isinstance(x, ast.Constant) and isinstance(x.value, str)}
+            kinds = any(isinstance(x, ast.Attribute) and x.attr == "kind" for x in ast.walk(node))
+            assert not (kinds and names & (set(KINDS) - {"joint"}) and "constraint" in ast.unparse(node)), where
