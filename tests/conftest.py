@@ -46,11 +46,11 @@ def hunt(request: pytest.FixtureRequest) -> Hunt:
 @pytest.fixture(scope="module")
 def solved_as_marked() -> Iterator[None]:
     """Solvers close loops where they are marked `cut`: for tests of how each type of joint closes one."""
-    from kempe.kinematics import loops, task
+    from kempe.kinematics import loops, packed
     from kempe.solvers import assembly
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (assembly, loops, task):
+        for module in (assembly, loops, packed):
             patch.setattr(module, "own_tree", lambda system: system)
         yield
 

@@ -12,7 +12,7 @@ import math
 import re
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import lru_cache
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
