@@ -337,8 +337,8 @@ def joint_type(name: str | JointType, **options: object) -> JointType:
                 raise InputError(f"option {key!r} is {given!r}; it must be true or false")
         elif not is_real(given) or not np.isfinite(float(given)):
             raise InputError(f"option {key!r} is {given!r}; it must be a finite number")
-    made_of: dict[str, Any] = {k: float(v) if isinstance(known[k], float) else bool(v) for k, v in options.items()}
-    return replace(made, **made_of) if options else made
+    kept: dict[str, Any] = {k: type(known[k])(v) for k, v in options.items()}  # type: ignore[call-arg]
+    return replace(made, **kept) if kept else made
 
 
 def in_zoo(kind: JointType) -> bool:

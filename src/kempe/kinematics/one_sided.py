@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.loops import full
 from kempe.model.loops import Loops, loops_of
@@ -149,12 +148,11 @@ def _declared(system: System) -> tuple[list[str], list[str], list[tuple[float, f
     """Names, units, bounds and places of the declared rows between bounds, and the ties that they are among."""
     loops = loops_of(system, frozenset(system.closures), one_sided=True)
     several = Counter(t.name for t in loops.ties if t.bounds for _ in t.rows)
-    names, units, bounds, chosen, at = [], [], [], [], 0
-    for k, tie in enumerate(loops.ties):
-        lengths = int(loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.LENGTHS])
+    names, units, bounds, chosen, at, every = [], [], [], [], 0, loops.units
+    for tie in loops.ties:
         for i, row in enumerate(tie.rows if tie.bounds else ()):
             names.append(tie.name if several[tie.name] == 1 else f"{tie.name} {row}")
-            units.append("m" if i < lengths else "rad" if tie.tape is None else tie.tape.unit)
+            units.append(every[at + i])
             bounds.append(tie.bounds[i])
             chosen.append(at + i)
         at += len(tie.rows)

@@ -144,6 +144,14 @@ class Loops:
     origin: np.ndarray
     """Where (3,) the origin of the table is in the ground: pins are placed from there."""
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The unit of each equation: "m", "rad", or that of an expression."""
+        at = int(self.plan[L.AT_TIES]) + L.LENGTHS
+        lengths = self.plan[at : at + L.TIE_INTS * len(self.ties) : L.TIE_INTS].tolist()
+        return tuple("m" if i < n else "rad" if t.tape is None else t.tape.unit
+                     for t, n in zip(self.ties, lengths, strict=True) for i in range(len(t.rows)))  # fmt: skip
+
 
 def _readings(system: System, joint: Joint) -> list[tuple[int, int]]:
     """For each coordinate of a joint how it is read off the pose of M in F, and its place in q."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,7 +19,7 @@ from kempe.errors import InputError
 from kempe.joints import JointType, P, Q
 from kempe.kinematics.configuration import as_start
 from kempe.kinematics.constraints import coordinate_value
-from kempe.kinematics.loops import evaluate, row_names
+from kempe.kinematics.loops import evaluate, full, row_names
 from kempe.kinematics.maximal import as_poses, coordinates_of_pose, maximal, maximal_q
 from kempe.model.reduced import flat_frame, reduced, screw, slides_along_z
 from kempe.placement import Placement, place
@@ -46,7 +47,7 @@ def from_maximal(system: System, poses: ArrayLike, near: Any = None, tolerance: 
     """Configuration (..., nq) of the poses (..., n_b, 4, 4), each coordinate read off where its joint's bodies are.
 
     Angles are those nearest to the configuration `near` (default: `system.mid`), and so are the signs of quaternions;
-    a driver has made the full turns that those which follow it tell. Limits are not looked at.
+    a driver has made the full turns that those which follow it tell. Limits and one-sided rows are not looked at.
     Errors: `InputError` for poses that violate a joint, a constraint or a coupling by more than `tolerance` (metres
     or radians), naming it and by how much, and for matrices that are no poses.
     """
@@ -57,19 +58,18 @@ def from_maximal(system: System, poses: ArrayLike, near: Any = None, tolerance: 
     joints = system.mechanism.joints
     read = read_joints(system, poses, system.mid if near is None else near, tolerance)
     for name, (_, length, angle) in read.items():
-        _refuse_far(f"joint {name!r} ({joints[name].type.type_name})", length, angle, tolerance)
-    _refuse_constraints(system, poses, tolerance)
+        _refuse_far(f"joint {name!r} ({joints[name].type.type_name})", {"m": length, "rad": angle}, tolerance)
     values = {n: x for name, (own, *_) in read.items() for n, x in _by_name(system, name, own).items()}
     _refuse_held(system, values, tolerance)
     relations = _relations(system)
     find_turns(relations, values, tolerance)
     for r in relations:
-        off = off_by(r, values)
-        _refuse_far(f"coordinate {r.name!r}, which is tied to others or held,", off * (not r.turns), off * r.turns,
-                    tolerance)  # fmt: skip
+        off = {"rad" if r.turns else "m": off_by(r, values)}
+        _refuse_far(f"coordinate {r.name!r}, which is tied to others or held,", off, tolerance)
     q = np.empty((*lead, system.nq))
     for i, name in enumerate(system.coordinate_names):
         q[..., i] = values[name]
+    _refuse_constraints(system, poses, q, tolerance)
     return q
 
 
@@ -269,16 +269,20 @@ def _refuse_no_poses(system: System, poses: Array, tolerance: float) -> None:
             raise InputError(f"{subject} leaves the plane")
 
 
-def _refuse_constraints(system: System, poses: Array, tolerance: float) -> None:
-    """Refuse poses that violate a declared constraint."""
-    declared = system.mechanism.constraints
-    if not declared:
+def _refuse_constraints(system: System, poses: Array, q: Array, tolerance: float) -> None:
+    """Refuse poses, with the configurations read off them, that violate a declared constraint."""
+    if not system.mechanism.constraints:
         return
     other = maximal(system)
-    off = evaluate(other, maximal_q(system, None, poses), False)[0]
-    for name, made in declared.items():
-        rows = [i for i, (n, _) in enumerate(row_names(other)) if n == name]
-        _refuse_far(f"constraint {name!r} ({made.kind})", np.linalg.norm(off[..., rows], axis=-1), 0.0, tolerance)
+    loops, off = full(other, False), evaluate(other, maximal_q(system, q, poses), False)[0]
+    units = loops.units
+    for name, made in system.mechanism.constraints.items():
+        rows: dict[str, list[int]] = {}
+        for i, (n, what) in enumerate(loops.names):
+            if n == name and what != "relation":
+                rows.setdefault(units[i], []).append(i)
+        sizes = {unit: np.linalg.norm(off[..., at], axis=-1) for unit, at in rows.items()}
+        _refuse_far(f"constraint {name!r} ({made.kind})", sizes, tolerance)
 
 
 def _refuse_held(system: System, values: dict[str, Array], tolerance: float) -> None:
@@ -292,12 +296,12 @@ def _refuse_held(system: System, values: dict[str, Array], tolerance: float) -> 
                 found = spatial.quat_wxyz_to_matrix(np.stack([values[n] for n in four], axis=-1))
                 turn = spatial.log_so3(spatial.quat_wxyz_to_matrix(spatial.unit(quat)).T @ found)
                 subject = f"joint {joint.name!r} ({joint.type.type_name}) is locked"
-                _refuse_far(subject, 0.0, np.linalg.norm(turn, axis=-1), tolerance)
+                _refuse_far(subject, {"rad": np.linalg.norm(turn, axis=-1)}, tolerance)
 
 
-def _refuse_far(subject: str, length: ArrayLike, angle: ArrayLike, tolerance: float) -> None:
-    """Refuse lengths or angles (...) above the tolerance."""
-    parts = [(np.abs(x).max(initial=0.0), unit) for x, unit in ((length, "m"), (angle, "rad"))]
+def _refuse_far(subject: str, sizes: Mapping[str, Array], tolerance: float) -> None:
+    """Refuse what is violated by more than the tolerance, by its sizes (...) by unit."""
+    parts = [(float(np.abs(x).max(initial=0.0)), unit) for unit, x in sizes.items()]
     if any(size > tolerance for size, _ in parts):
-        said = " and ".join(f"{size:.3g} {unit}" for size, unit in parts if size > tolerance)
+        said = " and ".join(f"{size:.3g} {unit}".removesuffix(" 1") for size, unit in parts if size > tolerance)
         raise InputError(f"the poses violate {subject} by {said}; at most {tolerance:g} is read; project them first")
