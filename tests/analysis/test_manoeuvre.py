@@ -184,7 +184,7 @@ def test_a_car_with_limits_takes_its_smallest_circle():
     tight = system.manoeuvre(start, goal, radius=1.0)
     assert not tight and f"smallest radius is {least:.6g} m" in tight.status
     assert "does not turn on the spot" in system.manoeuvre(start, goal, radius=0.0).status
-    with pytest.raises(InputError, match="limits are -0.6 and 0.5"):
+    with pytest.raises(InputError, match="between -0.6 and 0.5"):
         system.manoeuvre(start, [0, 1, 0, 0.55])
 
 
