@@ -36,7 +36,7 @@ PARTS = 64
 """Steps at least."""
 CORRECTIONS = 6
 
-Input = float | Callable[[float], float]
+Input = float | Callable[[float], Any]
 
 
 class Stop(Exception):
@@ -203,7 +203,7 @@ def roll(
             if solver.status == "failed":
                 raise Stop(f"at time {solver.t:.6g} the velocities change too fast: {said}")
             dense, last = solver.dense_output(), solver.t
-            stop = _limit(system, dense, solver.t_old, last)
+            stop = _limit(system, dense, float(solver.t_old or 0.0), last)
             while k < len(times) and times[k] <= (last if stop is None else stop[0]):
                 x = motion.closed(dense(times[k]))
                 out_v.append(motion.at(x, float(times[k])))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -80,7 +80,8 @@ class Steering:
             ends = [s for s in (low, high) if abs(off(s)) < EXACT]
             s = ends[0] if ends else None
             if s is None and off(low) * off(high) < 0.0:
-                s = float(brentq(off, low, high, xtol=1e-15, rtol=1e-15))
+                root: Any = brentq(off, low, high, xtol=1e-15)
+                s = float(root)
             for simple in (float(self.q[self.car.steering_q]), 0.0):
                 s = simple if s is not None and abs(s - simple) < 1e-9 and abs(off(simple)) < EXACT else s
             if s is not None and all(abs(s - other) > 1e-9 for other in found):
