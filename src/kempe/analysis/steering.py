@@ -179,8 +179,12 @@ def _on_the_spot(
             return
         first = (way - h) % math.pi
         options = [first + k * math.pi for k in range(*_span(angle, first))]
-        for a in sorted(options, key=lambda a: (abs(a) + abs(angle - a), abs(a))):
-            ahead = 1.0 if round((a - (way - h)) / math.pi) % 2 == 0 else -1.0
+
+        def ahead_by(a: float) -> float:
+            return 1.0 if round((a - (way - h)) / math.pi) % 2 == 0 else -1.0
+
+        for a in sorted(options, key=lambda a: (round(abs(a) + abs(angle - a), 9), -ahead_by(a), abs(a))):
+            ahead = ahead_by(a)
             if signed is None or ahead * signed > 0.0:
                 yield _spare((Move(0.0, a), Move(ahead * far, 0.0), Move(0.0, angle - a)))
         return
