@@ -123,8 +123,10 @@ def plans(car: Wheeled, q: Array, goal: Array, radius: float | None, free: Seque
                       f"the smallest radius is {steering.tightest():.6g} m")  # fmt: skip
     c, s = math.cos(start[2]), math.sin(start[2])
     dx, dy = (end[0] - start[0]) / radius, (end[1] - start[1]) / radius
-    for way in reeds_shepp.ways(c * dx + s * dy, c * dy - s * dx, end[2] - start[2]):
-        yield tuple(Move(radius * x, k * x, straight if k == 0.0 else left if k > 0.0 else right) for k, x in way)
+    relative = c * dx + s * dy, c * dy - s * dx, end[2] - start[2]
+    for way in reeds_shepp.ways(*relative):
+        exact = reeds_shepp.refined(way, *relative)
+        yield tuple(Move(radius * x, k * x, straight if k == 0.0 else left if k > 0.0 else right) for k, x in exact)
 
 
 def _labelled(plan: Plan, straight: tuple[float, ...], turn: tuple[float, ...]) -> Plan:
