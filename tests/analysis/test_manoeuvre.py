@@ -184,7 +184,7 @@ def test_a_car_with_limits_takes_its_smallest_circle():
     tight = system.manoeuvre(start, goal, radius=1.0)
     assert not tight and f"smallest radius is {least:.6g} m" in tight.status
     assert "does not turn on the spot" in system.manoeuvre(start, goal, radius=0.0).status
-    with pytest.raises(InputError, match="limits are -0.6 and 0.5"):
+    with pytest.raises(InputError, match="between -0.6 and 0.5"):
         system.manoeuvre(start, [0, 1, 0, 0.55])
 
 
@@ -236,6 +236,18 @@ def test_far_from_the_origin():
     goal = start + [0.3, 0.4, -2.0]
     for radius in (None, 1.0):
         check(system, system.manoeuvre(start, goal, radius=radius), start, goal, "axle")
+
+
+def test_radii_and_distances_of_all_sizes(hunt):
+    """From micrometres to a hundred kilometres, goals that are near in angle or place among them."""
+    rng, system = hunt.rng(), wheels.knife()
+    for _ in range(hunt.cases(100)):
+        turn = rng.choice([0.0, 1e-9, 1e-5, 0.1, 3.0, math.pi, -math.pi / 2])
+        goal = np.append(rng.uniform(-1, 1, 2) * 10.0 ** rng.uniform(-5, 4) * (rng.random() < 0.8), turn)
+        path = system.manoeuvre(np.zeros(3), goal, radius=10.0 ** rng.uniform(-5, 5), samples=30)
+        off = system.difference(path.q[-1], goal)
+        off[2] = math.remainder(off[2], 2 * math.pi)
+        assert path and np.abs(off).max() < 1e-12 * (1 + np.abs(path.q).max() + path.length) and path.slip < 1e-12
 
 
 def bare() -> Mechanism:

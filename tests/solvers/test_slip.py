@@ -184,6 +184,16 @@ def test_a_motion_that_rolls_along():
     assert driven and np.abs(driven.q[-1] - same.q[-1]).max() < 1e-9
 
 
+def test_traces_and_self_motions_tell_where_they_slip():
+    system = wheels.knife()
+    path = system.trace("pose.y", [0, 0, 0], hold={"pose.x": 0.0, "pose.rz": 0.0}, max_points=20)
+    assert not path and "slips by" in path.status and "'edge'" in path.status
+    along = system.trace("pose.x", [0, 0, 0], hold={"pose.y": 0.0, "pose.rz": 0.0}, max_points=20)
+    assert "slips" not in along.status
+    with pytest.raises(UnsupportedError, match="self-motion of mobile arm slips"):
+        with_arm().self_motion([0, 0, 0, 0.5, 0.7], "tip", direction="pose.y", steps=5)
+
+
 def test_inputs_that_leave_freedoms_and_limits():
     with pytest.raises(UnsupportedError, match="leave 1 freedom of motion, among 'pose.rz'"):
         wheels.coin().drive({"roll": [0.0, 1.0]}, start=np.zeros(4))

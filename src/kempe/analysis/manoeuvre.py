@@ -22,6 +22,7 @@ from kempe.analysis.wheeled import Wheeled, wheeled
 from kempe.calls import explained, listed
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kinematics.configuration import as_q, has_loops
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.reals import is_real, is_whole, named
 from kempe.spatial import Array
 
@@ -34,8 +35,6 @@ SLIP = 1e-9
 """Slip, of rows and speeds of size 1, above which a sample is not on the constraint."""
 PARALLEL = 1e-3
 """Sine of the angle between the two slides, of the sign that it has at the start, from which on they go on."""
-OUTSIDE = 1e-12
-"""By how much a coordinate may be beyond its limit."""
 MOST = 10**6
 """Samples at most."""
 
@@ -101,14 +100,11 @@ def _one(system: System, q: Any, what: str) -> Array:
         raise InputError(f"{what} has shape {array.shape}; it must be one configuration ({system.nq},)")
     if not np.isfinite(array).all():
         raise InputError(f"{what} holds a NaN or an infinity")
-    layout = system.layout
-    x = array[layout.vector_q]
-    low, high = system.lower[layout.vector_v], system.upper[layout.vector_v]
-    over = np.maximum(low - x, x - high)
-    if (over > OUTSIDE * np.maximum(1.0, np.abs(x))).any():
+    rows = one_sided_rows(system)
+    if (over := rows.beyond(array)).any():
         k = int(np.argmax(over))
-        name = system.velocity_names[layout.vector_v[k]]
-        raise InputError(f"{what} has {name!r} = {x[k]:.9g}; its limits are {low[k]:.9g} and {high[k]:.9g}")
+        raise InputError(f"{what} has {rows.names[k]!r} = {rows.values(array)[k]:.9g}; it must be between "
+                         f"{rows.low[k]:.9g} and {rows.high[k]:.9g}")  # fmt: skip
     return array.astype(float)
 
 
@@ -196,21 +192,18 @@ def _times(course: Course, samples: int) -> Array:
 
 
 def _outside(system: System, course: Course, samples: int) -> str:
-    """What a course does that it must not, in words: it leaves the limits."""
+    """What a course does that it must not, in words: it leaves limits, or violates one-sided constraints."""
     q = course.at(_times(course, max(samples, 200)))[0]
     if (course.car.pose.spread(q) <= PARALLEL).any():
         slides = " and ".join(repr(system.velocity_names[v]) for v in course.car.pose.slides_v)
         return f"on the way {slides} would be parallel, and cannot go on"
-    x = q[:, system.layout.vector_q]
-    low, high = (e[system.layout.vector_v] for e in (system.lower, system.upper))
-    over = np.maximum(low - x, x - high) - 1e-9 * np.maximum(1.0, np.abs(x))
-    if not (over > 0.0).any():
+    rows = one_sided_rows(system)
+    over = rows.beyond(q)
+    if not over.any():
         return ""
-    k = int(np.argmax(over.max(axis=0)))
-    name = system.velocity_names[system.layout.vector_v[k]]
-    worst = x[int(np.argmax(over[:, k])), k]
-    return (f"not found within the limits: {name!r} would get to {worst:.6g}, and is limited to {low[k]:.6g} and "
-            f"{high[k]:.6g}")  # fmt: skip
+    n, k = np.unravel_index(int(np.argmax(over)), over.shape)
+    return (f"not found within the limits: {rows.names[k]!r} would get to {rows.values(q[n])[k]:.6g}, and must be "
+            f"between {rows.low[k]:.6g} and {rows.high[k]:.6g}")  # fmt: skip
 
 
 def _arrive(car: Wheeled, course: Course, x: Array, q: Array, goal: Array, free: Sequence[int]) -> int:
@@ -229,6 +222,9 @@ def _arrive(car: Wheeled, course: Course, x: Array, q: Array, goal: Array, free:
     scale = 1.0 + float(np.abs(x[:, system.layout.vector_q]).max(initial=0.0)) + course.total
     if off.max() > 1e-12 * scale:
         name = system.velocity_names[int(np.argmax(off))]
+        if int(np.argmax(off)) not in car.driven:
+            raise UnsupportedError(f"{system.name}: {name!r} would miss the goal by {off.max():.3g}: this radius is too "
+                                   "large beside the distance for the digits of numbers")  # fmt: skip
         raise UnsupportedError(f"{system.name}: with this radius {name!r} ends {off.max():.6g} away from the goal: let "
                                f"it end anywhere (free={[name]!r}), or turn on the spot (radius=0)")  # fmt: skip
     x[0], x[-1] = q, end

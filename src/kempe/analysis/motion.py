@@ -24,6 +24,7 @@ from kempe.calls import explained, flag
 from kempe.errors import InputError
 from kempe.reals import is_whole
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, TimeUp
+from kempe.solvers.slip import slip_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -97,12 +98,21 @@ def trace(
         return _failed(equations, options, f"{said} at the start", q)
     equations.budget = options.budget
     try:
-        return _followed(equations, q, options, toward, switch)
+        return without_slip(_followed(equations, q, options, toward, switch))
     except TimeUp as error:
         said = f"it was not followed: {options.budget.reason(error)} came before the directions at its start were known"
         return replace(_failed(equations, options, said, q), late=True)
     finally:
         equations.budget = Budget(None)  # the path keeps them
+
+
+def without_slip(path: Path) -> Path:
+    """The path, no success where it slips: what is traced are positions."""
+    slip = slip_of(path.system, path.q)
+    if slip is None:
+        return path
+    said = f"before point {slip.index} it {slip.text}: positions were traced, drive and simulate follow what rolls"
+    return replace(path, success=False, remark="; ".join(filter(None, [path.remark, said])))
 
 
 def _followed(

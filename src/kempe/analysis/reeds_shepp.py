@@ -100,6 +100,21 @@ def _exact(way: Way, x: float, y: float, h: float) -> Way | None:
     return None
 
 
+def refined(way: Way, x: float, y: float, h: float) -> Way:
+    """A way that leads to a pose to the last digits: corrected as long as that brings it nearer."""
+    best, least = way, math.inf
+    for _ in range(8):
+        end = end_of(way)
+        miss = np.array([x - end[0], y - end[1], wrapped(h - end[2])])
+        size = float(np.abs(miss).max())
+        if not way or not size < least:
+            break
+        best, least = way, size
+        more = np.linalg.pinv(_slopes(way), rcond=1e-6) @ miss
+        way = tuple((k, length + float(m)) for (k, length), m in zip(way, more, strict=True))
+    return best
+
+
 def _slopes(way: Way) -> Array:
     """Derivatives (3, n) of the pose at the end by the lengths of the pieces."""
     x, y, _ = end_of(way)

@@ -16,6 +16,7 @@ import numpy as np
 
 from kempe.analysis.continuation import Closure
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity import rates
 from kempe.reals import is_real
 from kempe.solvers.clock import BROKEN_OFF, Budget
@@ -35,7 +36,7 @@ PARTS = 64
 """Steps at least."""
 CORRECTIONS = 6
 
-Input = float | Callable[[float], float]
+Input = float | Callable[[float], Any]
 
 
 class Stop(Exception):
@@ -183,7 +184,10 @@ def roll(
     if not gap < OPEN:
         raise InputError(f"the position constraints are off by {gap:.3g} at the start (radians or characteristic "
                          "lengths); assemble it first")  # fmt: skip
-    q = motion.closed(q)
+    rows, q = one_sided_rows(system), motion.closed(q)
+    if (over := rows.beyond(q)).any():
+        k = int(np.argmax(over))
+        raise InputError(f"the start violates {rows.names[k]!r} by {over[k]:.6g}")
     try:
         first = motion.at(q, float(times[0]))
     except Stop as stop:
@@ -199,7 +203,7 @@ def roll(
             if solver.status == "failed":
                 raise Stop(f"at time {solver.t:.6g} the velocities change too fast: {said}")
             dense, last = solver.dense_output(), solver.t
-            stop = _limit(system, dense, solver.t_old, last)
+            stop = _limit(system, dense, float(solver.t_old or 0.0), last)
             while k < len(times) and times[k] <= (last if stop is None else stop[0]):
                 x = motion.closed(dense(times[k]))
                 out_v.append(motion.at(x, float(times[k])))
@@ -222,22 +226,18 @@ def roll(
 
 
 def _limit(system: System, dense: Callable[[float], Array], t0: float, t1: float) -> tuple[float, str] | None:
-    """The time at which a coordinate leaves its limits between two times, and the words for it."""
-    layout = system.layout
-    low, high = (e[layout.vector_v] for e in (system.lower, system.upper))
-
-    def over(t: float) -> Array:
-        x = dense(t)[layout.vector_q]
-        return np.maximum(low - x, x - high) - 1e-12 * np.maximum(1.0, np.abs(x))
-
-    if not (over(t1) > 0.0).any():
+    """The time at which a limit or another one-sided constraint is met between two times, and the words for it."""
+    rows = one_sided_rows(system)
+    over = rows.beyond(dense(t1))
+    if not over.any():
         return None
-    a, b = t0, t1
+    k, a, b = int(np.argmax(over)), t0, t1
     for _ in range(60):
         m = 0.5 * (a + b)
-        a, b = (a, m) if (over(m) > 0.0).any() else (m, b)
-    name = system.velocity_names[layout.vector_v[int(np.argmax(over(b)))]]
-    return a, f"it stops at time {a:.9g}, where {name!r} meets its limit"
+        x = rows.values(dense(m))[k]
+        a, b = (a, m) if max(rows.low[k] - x, x - rows.high[k]) > 1e-3 * rows.slack[k] else (m, b)
+    what = "its limit" if k >= rows.declared else "its bound"
+    return a, f"it stops at time {a:.9g}, where {rows.names[k]!r} meets {what}"
 
 
 def slip(system: System, t: Array, q: Array, v: Array) -> float:

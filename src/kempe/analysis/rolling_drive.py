@@ -16,6 +16,7 @@ import numpy as np
 from kempe.analysis.beginning import angle_or_slide, start_of
 from kempe.analysis.continuation import RANK, Closure, close
 from kempe.errors import UnsupportedError
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity import rates
 from kempe.solvers.clock import BROKEN_OFF, Budget
 from kempe.solvers.slip import slip_of
@@ -55,7 +56,7 @@ def driven(
     q = _first(system, start, hold, names, samples(0, 1)[-1])
     if q is None:
         return None
-    out, reason, broken = [q], "", None
+    out, reason, broken, rows = [q], "", None, one_sided_rows(system)
     before = samples(0, 1)[-1]
     try:
         for k in range(1, len(clock)):
@@ -65,8 +66,10 @@ def driven(
             if q is None:
                 reason = f"at time {clock[k]:.6g} the inputs cannot be had: the loops do not close"
                 break
-            if limits and (over := _beyond(system, q)):
-                reason = f"it stops before time {clock[k]:.6g}, where {over!r} would be beyond its limit"
+            over = rows.beyond(q, not limits)
+            if over.any():
+                name = rows.names[int(np.argmax(over))]
+                reason = f"it stops before time {clock[k]:.6g}, where {name!r} would be beyond its limit"
                 break
             out.append(q)
     except BROKEN_OFF as error:
@@ -88,14 +91,6 @@ def _first(system: System, start: Any, hold: Mapping[str, float], names: Sequenc
     closure = Closure(system)
     near[closure.place[index]] = [*u, *hold.values()]
     return close(Closure(system, index, near), near)
-
-
-def _beyond(system: System, q: Array) -> str:
-    v = system.layout.vector_v
-    x = q[system.layout.vector_q]
-    over = np.maximum(system.lower[v] - x, x - system.upper[v])
-    k = int(np.argmax(over)) if len(over) else 0
-    return system.velocity_names[v[k]] if len(over) and over[k] > 1e-9 * max(1.0, abs(x[k])) else ""
 
 
 class _Follow:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -80,7 +80,8 @@ class Steering:
             ends = [s for s in (low, high) if abs(off(s)) < EXACT]
             s = ends[0] if ends else None
             if s is None and off(low) * off(high) < 0.0:
-                s = float(brentq(off, low, high, xtol=1e-15, rtol=1e-15))
+                root: Any = brentq(off, low, high, xtol=1e-15)
+                s = float(root)
             for simple in (float(self.q[self.car.steering_q]), 0.0):
                 s = simple if s is not None and abs(s - simple) < 1e-9 and abs(off(simple)) < EXACT else s
             if s is not None and all(abs(s - other) > 1e-9 for other in found):
@@ -122,8 +123,10 @@ def plans(car: Wheeled, q: Array, goal: Array, radius: float | None, free: Seque
                       f"the smallest radius is {steering.tightest():.6g} m")  # fmt: skip
     c, s = math.cos(start[2]), math.sin(start[2])
     dx, dy = (end[0] - start[0]) / radius, (end[1] - start[1]) / radius
-    for way in reeds_shepp.ways(c * dx + s * dy, c * dy - s * dx, end[2] - start[2]):
-        yield tuple(Move(radius * x, k * x, straight if k == 0.0 else left if k > 0.0 else right) for k, x in way)
+    relative = c * dx + s * dy, c * dy - s * dx, end[2] - start[2]
+    for way in reeds_shepp.ways(*relative):
+        exact = reeds_shepp.refined(way, *relative)
+        yield tuple(Move(radius * x, k * x, straight if k == 0.0 else left if k > 0.0 else right) for k, x in exact)
 
 
 def _labelled(plan: Plan, straight: tuple[float, ...], turn: tuple[float, ...]) -> Plan:
@@ -178,8 +181,12 @@ def _on_the_spot(
             return
         first = (way - h) % math.pi
         options = [first + k * math.pi for k in range(*_span(angle, first))]
-        for a in sorted(options, key=lambda a: (abs(a) + abs(angle - a), abs(a))):
-            ahead = 1.0 if round((a - (way - h)) / math.pi) % 2 == 0 else -1.0
+
+        def ahead_by(a: float) -> float:
+            return 1.0 if round((a - (way - h)) / math.pi) % 2 == 0 else -1.0
+
+        for a in sorted(options, key=lambda a: (round(abs(a) + abs(angle - a), 9), -ahead_by(a), abs(a))):
+            ahead = ahead_by(a)
             if signed is None or ahead * signed > 0.0:
                 yield _spare((Move(0.0, a), Move(ahead * far, 0.0), Move(0.0, angle - a)))
         return

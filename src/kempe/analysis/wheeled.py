@@ -82,7 +82,8 @@ class Pose:
         J = self.plane @ self.system.jacobian(q, self.body)[:, :3]
         spin = turning / self.gear
         rest = velocity - J[..., self.turn_v] * spin[:, None]
-        return np.column_stack([np.linalg.solve(J[..., self.slides_v], rest[..., None])[..., 0], spin])
+        slides: Array = np.asarray(np.linalg.solve(J[..., self.slides_v], rest[..., None])[..., 0], dtype=float)
+        return np.column_stack([slides, spin])
 
     def twist(self, q: Array) -> Array:
         """Matrix (3, 3): forward, sideways and turning rates of the body, in its axes, by the rates `own`."""

@@ -12,11 +12,12 @@ from kempe.calls import brief, explained, explained_methods
 from kempe.constraints.base import Constraint
 from kempe.constraints.reading import numbers_of
 from kempe.constraints.targets import of_target
-from kempe.errors import InputError, UnknownNameError
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.tabular import Tabular
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, partial
 from kempe.solvers.freedoms import Local, freedoms_text, null
+from kempe.solvers.slip import slip_of
 from kempe.solvers.solution import SOLVED
 from kempe.solvers.targets import axis_of, points_along, task_of
 from kempe.solvers.tasks import judge, pose_problem
@@ -94,7 +95,8 @@ def self_motion(
     each step is led back by steps of minimum norm. Where the Jacobian loses rank and no motion is found, the answer is
     q alone, and says so. `progress` is told how many steps are done; an interrupt from the keyboard or the `time_limit`
     [s] (120; None: none) leaves the configurations that were found. Errors: `InputError` where the tasks do not hold at
-    q, or leave no freedom even to first order, or more than one without a direction.
+    q, or leave no freedom even to first order, or more than one without a direction; `UnsupportedError` where velocity
+    constraints do not allow the motion.
     """
     q = as_q(system, q)
     if q.ndim != 1:
@@ -118,14 +120,24 @@ def self_motion(
     way = _Way(local, wish, local.finite > 1, step, budget, progress)
     forth = way.follow(q0, 1.0, steps)
     if forth.closed:
-        return SelfMotion(system, np.array([q0, *forth.q]), local.finite, 0, True, ("", ""))
+        return SelfMotion(system, _rolling(system, [q0, *forth.q]), local.finite, 0, True, ("", ""))
     back = _Half([], False, "the start", -forth.t)
     if way.broken is None:
         back = way.follow(q0, -1.0, steps, (forth.q[-1], -forth.t) if forth.q and forth.last else None)
-    q = np.array([*back.q[::-1], q0, *forth.q])
+    q = _rolling(system, [*back.q[::-1], q0, *forth.q])
     ends = ("", "") if back.closed else (back.end, forth.end)
     interrupted, late = (isinstance(way.broken, kind) for kind in BROKEN_OFF)
     return SelfMotion(system, q, local.finite, len(back.q), back.closed, ends, interrupted, late)
+
+
+def _rolling(system: System, q: list[Array]) -> Array:
+    """Configurations (n, nq), one after the other. Errors: `UnsupportedError` where they slip."""
+    found = np.array(q)
+    slip = slip_of(system, found)
+    if slip is not None:
+        raise UnsupportedError(f"the self-motion of {system.name} {slip.text}: only what does not move what rolls is "
+                               "followed; steps without slip are those of ik_step")  # fmt: skip
+    return found
 
 
 def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayLike) -> Any:

@@ -58,7 +58,7 @@ def at_rest(C: Array, A: Array, b: Array) -> Array:
     if not b.any():
         return np.zeros(A.shape[1])
     M, wanted = np.concatenate([C, A]), np.concatenate([np.zeros(len(C)), b])
-    u = np.linalg.lstsq(M, wanted, rcond=1e-8)[0]
+    u: Array = np.asarray(np.linalg.lstsq(M, wanted, rcond=1e-8)[0], dtype=float)
     if (gap := float(np.abs(M @ u - wanted).max())) > CONTRADICTION * max(1.0, float(np.abs(b).max())):
         raise InputError(f"the velocity constraints cannot be satisfied at q: they contradict loops or each other by "
                          f"{gap:.2g} (rows of size 1)")  # fmt: skip
