@@ -176,6 +176,8 @@ def if_any(system: System, q: Array) -> OneSidedReport | None:
     """The report at a configuration (nq,), None where nothing is declared and no limit is reached."""
     rows = one_sided_rows(system)
     if not rows.declared:
+        if not len(rows):
+            return None
         x, (low, high) = q[rows.at], rows.well_inside
         if ((x > low) & (x < high)).all():
             return None

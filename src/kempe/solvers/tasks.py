@@ -99,7 +99,9 @@ class Problem:
         """The same with only these tasks, nothing preferred, no limit of time, and few starts."""
         use = tuple(i in tasks for i in range(len(self.tasks)))
         return replace(
-            self, use=use, limits=limits, one_sided=one_sided, mode=S.NOTHING, end=math.inf, starts=min(self.starts, STARTS))  # fmt: skip
+            self, use=use, limits=limits, one_sided=one_sided, mode=S.NOTHING, end=math.inf,
+            starts=min(self.starts, STARTS),
+        )  # fmt: skip
 
     def run(
         self, starts: Array, threads: int | None = 1, *, tries: int | None = None, rows: np.ndarray | None = None
