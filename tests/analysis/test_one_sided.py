@@ -83,3 +83,87 @@ def test_mobility_tells_which_limits_are_reached():
     assert (m.one_sided.dimension, m.one_sided.lineality) == (2, 1)
     assert "up but not down" in str(m)
     assert m.data()["one_sided"]["active"] == ["lower limit of q1"]
+
+
+# ---- declared constraints
+
+
+def gaps(system, q):
+    """Gaps of the constraints of `cage` from poses alone, and their inward gradients by central differences."""
+
+    def values(x):
+        hand, elbow, anchor, tray = (system.fk(x, n) for n in ("hand", "elbow", "anchor", "tray"))
+        seen = np.linalg.inv(tray) @ hand
+        far = np.linalg.norm(hand[:3, 3] - anchor[:3, 3])
+        box = np.linalg.inv(anchor) @ elbow
+        return np.array([
+            seen[2, 3] - 0.05, hand[2, 3], 1.4 - far, far - 0.2, *(box[:3, 3] + 0.9),
+            *(0.9 - box[:3, 3]),
+        ])  # fmt: skip
+
+    steps = 1e-6 * np.eye(system.nv)
+    J = [(values(system.integrate(q, h)) - values(system.integrate(q, -h))) / 2e-6 for h in steps]
+    return values(q), np.array(J).T
+
+
+def cage():
+    """An arm of six joints on a slide whose hand touches a tray that turns, a floor, a rope, a box."""
+    m = kempe.Mechanism("cage")
+    for i, axis in enumerate(((0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))):
+        link = m.body(f"link{i}")
+        before = m.ground if i == 0 else f"link{i - 1}"
+        m.revolute(f"J{i}", before, link, at=(0.1, 0.05 * i, 0.3), axis=axis)
+    m.prismatic("S", "link4", m.body("last"), axis=(1, 0, 0))
+    m.revolute("T", m.ground, m.body("tray body"), at=(0.3, 0, 0.1), axis=(1, 0, 0))
+    m.frame("hand", "last", at=(0.1, 0, 0.05))
+    m.frame("elbow", "link2", at=(0, 0.1, 0))
+    m.frame("anchor", m.ground, at=(0.2, 0.1, 0.4), rpy=(0.3, 0.2, 0.1))
+    m.frame("tray", "tray body", at=(0, 0, 0.1), rpy=(0.1, 0, 0))
+    return m
+
+
+def constrained(q, chosen):
+    """The cage with constraints moved so that the chosen gaps are zero at q, and the others are open by 0.3."""
+    system = cage().build()
+    values, _ = gaps(system, q)
+    out = cage()
+    shift = np.where(chosen, values, values - 0.3)
+    out.frame("lifted", "tray body", at=tuple(np.array([0, 0, 0.1]) + shift[0] * tilt()[:, 2]), rpy=(0.1, 0, 0))
+    out.frame("low", out.ground, at=(0, 0, float(shift[1])))
+    out.contact("ball", "hand", on="lifted", radius=0.05)
+    out.contact("floor", "hand", on="low")
+    out.constrain(kempe.constraints.Distance("hand", "anchor", at_least=0.2 + shift[3], at_most=1.4 - shift[2]), "rope")
+    low, high = -0.9 + shift[4:7], 0.9 - shift[7:]
+    out.constrain(kempe.constraints.InBox("elbow", low, high, other="anchor"), name="box")
+    return out.build()
+
+
+def tilt():
+    c, s = np.cos(0.1), np.sin(0.1)
+    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+
+
+@pytest.mark.parametrize("number", [12, pytest.param(150, marks=pytest.mark.slow)])
+def test_what_declared_constraints_allow(number, hunt):
+    """Oracle: gradients by differences of poses, and linear programs."""
+    system, rng, closed = cage().build(), hunt.rng(), 0
+    for _ in range(hunt.cases(number)):
+        q = rng.uniform(-1.0, 1.0, system.nq)
+        chosen = rng.random(10) < 0.5
+        chosen[3] &= not chosen[2]  # two ends of one row are apart
+        chosen[7:] &= ~chosen[4:7]
+        J = gaps(system, q)[1]
+        made = constrained(q, chosen)
+        found = one_sided(made, q)
+        assert not found.violated
+        assert len(found.active) == chosen.sum()
+        assert np.sort([s.slack for s in found.sides]) == pytest.approx(np.sort(np.where(chosen, 0.0, 0.3)), abs=1e-9)
+        G, E = J[chosen], np.zeros((0, system.nv))
+        closed += len(G)
+        if not len(G):
+            continue
+        assert found.dimension == spanned(E, G, system.nv, rng)
+        for k, name in enumerate(made.velocity_names):
+            row = np.eye(system.nv)[k]
+            assert found.coordinates[name] == (least(row, E, G) < -1e-6, least(-row, E, G) < -1e-6)
+    assert closed > hunt.cases(number)

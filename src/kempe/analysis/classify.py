@@ -9,13 +9,14 @@ the rates of functions of q (Frobenius, 1877): positions in disguise.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kempe.analysis.brackets import growth
 from kempe.analysis.generic import close, find_closed
+from kempe.analysis.one_sided import OneSidedReport, if_any
 from kempe.analysis.reach import Place, Reach, random_place, reach
 from kempe.calls import explained, explained_methods, generator
 from kempe.description.parts import Fixed
@@ -82,6 +83,8 @@ class Classification:
     constraints: Mapping[str, ConstraintKind]
     doubtful: bool
     why: str = ""
+    one_sided: OneSidedReport | None = field(default=None, repr=False)
+    """Which one-sided constraints are closed at `q` and what they still allow; None where there are none."""
     reachable_around: int | None = None
     """The dimension that motions reach from configurations drawn at random."""
 
@@ -136,7 +139,8 @@ def classify(
     at = find_closed(system) if given is None else close(system, given)
     if not at.closed:
         raise InputError(f"the mechanism cannot be closed here (residual {at.residual:.2g}): {at.why}")
-    return _Classifier(system, at.q, float(t), generator(rng)).found()
+    found = _Classifier(system, at.q, float(t), generator(rng)).found()
+    return replace(found, one_sided=if_any(system, at.q))
 
 
 class _Classifier:

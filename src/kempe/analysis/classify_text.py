@@ -92,6 +92,8 @@ def lines(c: Classification) -> list[tuple[str, list[str]]]:
     out = [("growth", reasons(c)), ("known by", proof(c))]
     each = [str(x) for x in c.constraints.values()]
     out.append(("constraints", each if len(each) <= SHOWN else [*each[:SHOWN], f"... and {len(each) - SHOWN} more"]))
+    if c.one_sided is not None:
+        out.append(("one-sided", [c.one_sided.sentence, *c.one_sided.lines]))
     return [(title, own) for title, own in out if own]
 
 
@@ -121,7 +123,7 @@ def data(c: Classification) -> dict[str, Any]:
         "velocity_dof": c.velocity_dof, "growth": None if c.growth is None else list(c.growth),
         "growth_around": None if c.growth_around is None else list(c.growth_around), "degree": c.degree,
         "reachable_dimension": c.reachable_dimension, "reachable_around": c.reachable_around, "singular": c.singular,
-        "doubtful": c.doubtful, "why": c.why,
+        "doubtful": c.doubtful, "why": c.why, "one_sided": None if c.one_sided is None else c.one_sided.data(),
         "constraints": {
             k: {"kind": x.kind, "rows": list(x.rows), "independent": x.independent, "integrable": x.integrable,
                 "reaches": x.reaches, "growth": None if x.growth is None else list(x.growth), "sentence": x.sentence}

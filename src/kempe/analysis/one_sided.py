@@ -15,6 +15,7 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import jacobian
 from kempe.kinematics.loops import evaluate, full
 from kempe.kinematics.one_sided import CLOSED, OneSided, one_sided_rows
+from kempe.kinematics.velocity import rates, velocity_rows
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
@@ -58,8 +59,8 @@ class Side:
 class OneSidedReport:
     """One-sided constraints of a system at `q` (nq,), limits of coordinates among them; ``print`` it.
 
-    `sides` are all of them, `cone` the velocities that equations and closed sides leave, to first order. Sides that are
-    open take nothing away.
+    `sides` are all of them, `cone` the velocities that equations, those of rolling among them, and closed sides leave,
+    to first order. Sides that are open take nothing away.
     """
 
     system: System = field(repr=False)
@@ -159,7 +160,9 @@ def one_sided(system: System, q: Any = None, *, tolerance: float = CLOSED) -> On
     rows = one_sided_rows(system)
     values, J = rows.rates(at)
     found, G = _sides(rows, values, J, tolerance)
-    cone = tangent_cone(_equalities(system, at), G)
+    E, still = _equations(system, at)
+    cone = tangent_cone(E, G)
+    cone = cone if still else replace(cone, exact=False)
     states = [s.state for s in found]
     closed = [k for k, state in enumerate(states) if state == "closed"]
     sides = list(found)
@@ -173,6 +176,8 @@ def if_any(system: System, q: Array) -> OneSidedReport | None:
     """The report at a configuration (nq,), None where nothing is declared and no limit is reached."""
     rows = one_sided_rows(system)
     if not rows.declared:
+        if not len(rows):
+            return None
         x, (low, high) = q[rows.at], rows.well_inside
         if ((x > low) & (x < high)).all():
             return None
@@ -212,6 +217,12 @@ def _with_ways(side: Side, place: int, cone: Cone, inward: Array, names: list[st
     return replace(side, ways=ways)
 
 
-def _equalities(system: System, q: Array) -> Array:
-    """The equations (m, nv) of all loops and declared constraints on scaled velocities."""
-    return evaluate(system, q, True, True)[1]
+def _equations(system: System, q: Array) -> tuple[Array, bool]:
+    """The rows (m, nv) of loops and declared constraints on scaled velocities, and whether rest is one of them.
+
+    Where it is not, what they allow are differences of velocities.
+    """
+    J, (A, b) = evaluate(system, q, True, True)[1], rates(system, q)
+    weights, names = full(system, True).weights, velocity_rows(system).names
+    lengths = np.where([name.unit.startswith("m") for name in names], weights[L.INVERSE_LENGTH], 1.0)
+    return np.concatenate([J, lengths[:, None] * A * weights[L.SCALES : L.SCALES + system.nv]]), not b.any()

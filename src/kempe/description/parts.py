@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from kempe.constraints.base import Constraint, Op, content, position_rows, with_numbers
+from kempe.constraints.base import Constraint, Op, content, one_sided, position_rows, with_numbers
 from kempe.errors import Where
 from kempe.joints import JointType
 from kempe.placement import Placement
@@ -132,6 +132,10 @@ class Declared:
     def equations(self, dim: int) -> int:
         """How many equations f(q) = 0 it is, in the plane (2) or in space (3)."""
         return sum(r.count(dim) for r in position_rows(self.of, dim))
+
+    def bounds(self, dim: int) -> int:
+        """How many rows it has that hold on one side, or between two ends, in the plane (2) or in space (3)."""
+        return sum(r.count(dim) for r in self.of.rows(dim) if not r.velocity and one_sided(self.of, r))
 
     @property
     def links(self) -> bool:

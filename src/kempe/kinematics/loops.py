@@ -21,7 +21,10 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-__all__ = ["characteristic_length", "evaluate", "jacobian", "residual", "row_names"]
+RANK_TOLERANCE = 1e-8
+"""Singular values below this fraction of the largest count as zero."""
+
+__all__ = ["characteristic_length", "evaluate", "freedoms_left", "jacobian", "residual", "row_names"]
 
 
 def residual(system: System, q: Any) -> Array:
@@ -68,3 +71,17 @@ def full(system: System, scaled: bool) -> Loops:
     """The packed loops in full form, in metres or `scaled`."""
     tree = own_tree(system) if scaled else system
     return loops_of(tree, frozenset(tree.closures), length=None if scaled else 1.0)
+
+
+def freedoms_left(system: System, q: Array, held: frozenset[str] = frozenset()) -> int:
+    """Nullity of the constraint Jacobian at q over the coordinates that are not held.
+
+    The angles of a ball near their own singularity are measured from q, unless some of them are held.
+    """
+    from kempe.kinematics.ball_angles import regular_chart  # only here: to assemble needs none of it
+
+    system, q, _ = regular_chart(system, q, held)
+    free = [i for i, n in enumerate(system.velocity_names) if n not in held]
+    J = evaluate(system, q, True, True)[1][:, free]
+    values = np.linalg.svd(J, compute_uv=False) if J.size else np.zeros(0)
+    return len(free) - int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())

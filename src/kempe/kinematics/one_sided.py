@@ -86,6 +86,17 @@ class OneSided:
         out = np.maximum(np.maximum(self.low[:k] - x, x - self.high[:k]), 0.0)
         return np.where(out <= self.slack[:k], 0.0, out)
 
+    def violated(self, q: Array, allowed: Array) -> tuple[Array, Array]:
+        """How far (m,) the declared rows that are violated at q (nq,) are outside, by more than `allowed`, and rates.
+
+        Both as `rates` has them, positive above an upper end.
+        """
+        k = self.declared
+        x, J = self.rates(q, declared=True)
+        off = np.minimum(x - self.low[:k] + allowed, 0.0) + np.maximum(x - self.high[:k] - allowed, 0.0)
+        out = np.flatnonzero(off)
+        return (self.scale[:k] * off)[out], J[out]
+
     def left_out(self, beyond: np.ndarray) -> str:
         """What is said where configurations are left out that violate rows: which of them (n, k) each does violate."""
         count = int(beyond.any(axis=1).sum())

@@ -16,6 +16,7 @@ from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kernels import loop_layout as L
 from kempe.kernels.compiled import assembly as kernel
 from kempe.kinematics.configuration import as_start, home_of
+from kempe.kinematics.loops import freedoms_left
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.loops import Loops, loops_of, must_carry
@@ -43,8 +44,6 @@ CHUNK, SERIAL_BELOW = 64, 2048
 PLAIN_NUMBERS = {float, int, np.float64}
 FEW = 300
 """Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
-RANK_TOLERANCE = 1e-8
-"""Singular values below this fraction of the largest count as zero."""
 
 
 class Assembler:
@@ -312,21 +311,6 @@ def limitless(system: System, loops: Loops) -> Array:
     weights, nv = loops.weights.copy(), system.nv
     weights[L.SCALES + nv : L.SCALES + 2 * nv], weights[L.SCALES + 2 * nv : L.SCALES + 3 * nv] = -np.inf, np.inf
     return weights
-
-
-def freedoms_left(system: System, q: Array, held: frozenset[str] = frozenset()) -> int:
-    """Nullity of the constraint Jacobian at q over the coordinates that are not held.
-
-    The angles of a ball near their own singularity are measured from q, unless some of them are held.
-    """
-    from kempe.kinematics.ball_angles import regular_chart  # only here: to assemble needs none of it
-    from kempe.kinematics.loops import evaluate
-
-    system, q, _ = regular_chart(system, q, held)
-    free = [i for i, n in enumerate(system.velocity_names) if n not in held]
-    J = evaluate(system, q, True, True)[1][:, free]
-    values = np.linalg.svd(J, compute_uv=False) if J.size else np.zeros(0)
-    return len(free) - int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
 
 
 @explained

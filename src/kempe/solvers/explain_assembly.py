@@ -11,7 +11,7 @@ from kempe.kinematics import loops
 from kempe.kinematics.configuration import random
 from kempe.model.immovable import immovable
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
-from kempe.solvers.assembly import Assembler, assembler, freedoms_left, of_equations
+from kempe.solvers.assembly import Assembler, assembler, of_equations
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
@@ -53,14 +53,14 @@ def _left(bound: Assembler, q: Array) -> str:
     if bound.frames or bound.further or len(bound.loops.names) > MOST:
         return ""
     system = bound.system
-    left = freedoms_left(system, q, bound.held)
+    left = loops.freedoms_left(system, q, bound.held)
     if not left:
         return ""
     said = f"; {counted(left, 'freedom')} left open"
     count, who = system.nv - len(bound.held) - len(loops.row_names(system)), "by the count"
     is_folded = count >= 0 or 0 <= bound.freedoms < left
     if count < 0:  # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey their group
-        count, who = freedoms_left(system, random(system, np.random.default_rng(0)), bound.held), "in general"
+        count, who = loops.freedoms_left(system, random(system, np.random.default_rng(0)), bound.held), "in general"
     folded = _coinciding(system, q) if count < left else []
     if folded:
         pins = ", ".join(f"{a} and {b}" for a, b in folded[:3]) + (", ..." if len(folded) > 3 else "")
@@ -154,7 +154,7 @@ def _one_sided(bound: Assembler, q: Array) -> str:
         return ""
     each = _beyond(bound, answer.q)
     found = ", ".join(f"{name!r} by {beyond:.6g} {unit}".removesuffix(" 1") for name, beyond, unit, _ in each)
-    if bound.known and not freedoms_left(bound.system, answer.q, bound.held):
+    if bound.known and not loops.freedoms_left(bound.system, answer.q, bound.held):
         return f"what is known contradicts {found}" if found else ""
     return f"without one-sided constraints it closes, violating {found}" if found else ""
 

@@ -22,9 +22,9 @@ from kempe.description.parts import Declared
 from kempe.errors import InputError
 from kempe.joints import P
 from kempe.kinematics.configuration import home_of, random
-from kempe.kinematics.loops import evaluate
+from kempe.kinematics.loops import RANK_TOLERANCE, evaluate
 from kempe.model.own_tree import own_tree
-from kempe.solvers.assembly import RANK_TOLERANCE, Assembler, of_equations
+from kempe.solvers.assembly import Assembler, of_equations
 from kempe.solvers.clock import BROKEN_OFF, Budget
 from kempe.solvers.clusters import SAME, Clusters
 from kempe.solvers.images import mirrored, mixed

@@ -262,17 +262,18 @@ def _answer(
     v = q[:, system.layout.vector_q]
     low, high = (x[system.layout.vector_v] for x in (system.lower, system.upper))
     inside = np.all((v >= low - INSIDE) & (v <= high + INSIDE), axis=-1)
-    bounds = one_sided_rows(system)
-    beyond = bounds.beyond(q, declared=True) > 0.0
-    holds = ~beyond.any(axis=1)
-    inside, left_out = inside & holds, int(np.sum(~holds))
-    keep = np.flatnonzero(inside if question.limits else holds)
+    bounds, left_out = one_sided_rows(system), 0
+    keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
+    if bounds.declared:
+        beyond = bounds.beyond(q, declared=True) > 0.0
+        holds = ~beyond.any(axis=1)
+        inside, left_out, keep = inside & holds, int(np.sum(~holds)), keep[holds[keep]]
+        status += bounds.left_out(beyond)
     if question.near is not None:
         keep = keep[np.argsort(metric_of(system).distances(q[keep], question.near), kind="stable")]
     outside = len(q) - int(inside.sum()) - left_out
     if outside:
         status += f"; {outside} {'are' if outside > 1 else 'is'} outside the limits"
-    status += bounds.left_out(beyond)
     return Modes(
         q[keep], complete, status, tuple(branches[i] for i in keep), multiplicity[keep], freedoms[keep], inside[keep],
         outside if question.limits else 0, system, question.known, *guess, left_out=left_out,

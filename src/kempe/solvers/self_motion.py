@@ -277,6 +277,10 @@ def _stop(problem: Problem, q: Array, t: Array, ahead: float) -> str:
     if names := _at_limits(system, q, t, ahead * scale):
         return f"the limit of {names[0]!r}"
     there = system.integrate(q, ahead * t * scale)
+    rows = problem.packed.one_sided
+    beyond = np.append(rows.beyond(there, declared=True) * rows.scale[: rows.declared], 0.0)
+    if beyond.max() > 0.01 * ahead:
+        return f"the one-sided constraint {rows.names[int(beyond.argmax())]!r}"
     owner, ties = problem.packed.owner, problem.packed.loops.ties
     for i in sorted({int(k) for k, tie in zip(owner, ties, strict=True) if tie.bounds and k >= 0}):
         task, goals = problem.tasks[i], problem.goals[i]

@@ -14,6 +14,7 @@ from kempe.errors import InputError
 from kempe.kernels.layout import BALL, TURN
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import refuse_bad
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.own_tree import own_tree
 from kempe.reals import reals
 from kempe.solvers.chain import chain_of, obstacle
@@ -145,7 +146,8 @@ def ik_step(
 
     Loops and relations of several coordinates stay closed, those of the whole system for tasks and for a frame that
     they move: to first order by the velocities, and then in `q`, which is closed again (q may be open a little, as by
-    drift). Velocity constraints hold: what rolls does not slip, and the way to `q` obeys them to second order. There
+    drift). Velocity constraints hold: what rolls does not slip, and the way to `q` obeys them to second order. Declared
+    one-sided constraints hold as limits do. There
     sizes are measured in radians and characteristic lengths, and damping relative to the largest singular value.
     Errors: `InputError`, also where the loops are open.
     """
@@ -160,7 +162,7 @@ def ik_step(
             raise InputError("keep_direction and weights are for the twist of a frame; tasks have weights of their own")
         return _held_step(system, q, wanted, None, dt, speed, damping, False, None)
     name = system.frame_name(frame)
-    if rolls(system) or obstacle(system, name):
+    if rolls(system) or obstacle(system, name) or one_sided_rows(system).declared:
         return _held_step(system, q, wanted, name, dt, speed, damping, keep_direction, w)
     servo = system._queries.get(("step", name))
     if servo is None:
@@ -197,7 +199,7 @@ def _held_step(
     low, high = closed.box(q, dt, speed)
     stages = at(q)
     if frame is not None and np.ndim(wanted) == 1:
-        u = closed.velocity(closed.free(q), stages, low, high, damping, direction)
+        u = closed.velocity(closed.free(q, dt), stages, low, high, damping, direction)
         after, u = closed.after(q, u, dt, low, high)
     else:
         after, u = closed.towards(q, stages, low, high, damping, direction, dt, at)

@@ -18,6 +18,7 @@ import numpy as np
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.loops import evaluate, full
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.freedoms import null
 from kempe.solvers.least_squares import LEAST, NEAR, bounded, damped, scaled
 from kempe.solvers.servo_pose import BLIND, FLAT, STILL, TAKEN, TRIALS
@@ -76,6 +77,17 @@ class Stage(NamedTuple):
         return math.sqrt(square)
 
 
+class Left(NamedTuple):
+    """What constraints leave of the velocities at a configuration: a `basis` (nv, k) of what equations do, velocities
+    (nv,) that these ask for at `rest`, and between what declared one-sided `rows` (m, nv) of them stay for dt."""
+
+    basis: Array
+    rest: Array
+    rows: Array
+    low: Array
+    high: Array
+
+
 class Closed:
     """All of a system's steps under its constraints that does not depend on the configuration."""
 
@@ -86,6 +98,7 @@ class Closed:
         self.scale: Array = loops.weights[L.SCALES : L.SCALES + system.nv]
         self.at_v, self.at_q = layout.vector_v, layout.vector_q
         self.lower, self.upper = system.lower[self.at_v], system.upper[self.at_v]
+        self.bounds = one_sided_rows(system)
 
     def box(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
         """Least and largest scaled velocities (nv,) for which limits of position and speed hold after dt.
@@ -107,32 +120,48 @@ class Closed:
         nothing = np.zeros(0)
         return Stage(w[:, None] * J * self.scale, w * twist, np.zeros((0, self.system.nv)), nothing, nothing)
 
-    def free(self, q: Array) -> tuple[Array, Array]:
-        """An orthonormal basis (nv, k) of what constraints leave, and the velocities (nv,) that they ask for at rest.
-
-        Errors: `InputError` for open loops.
-        """
+    def free(self, q: Array, dt: float) -> Left:
+        """What constraints leave of the velocities at q (nq,), for dt. Errors: `InputError` for open loops."""
         error, C = evaluate(self.system, q, True, True)
         worst = int(np.argmax(np.abs(error))) if len(error) else -1
         if len(error) and not abs(error[worst]) < OPEN:
             raise InputError(f"the loops are open at q: {self.names[worst][0]!r} by {abs(error[worst]):.2g} (radians, "
                              f"characteristic lengths); robot.assemble(near=q) closes them")  # fmt: skip
+        between = self._between(q, dt)
         if not self.rolls:
-            return null(C), np.zeros(self.system.nv)
+            return Left(null(C), np.zeros(self.system.nv), *between)
         A, b = hard_rows(self.system, q, self.scale)
-        return null(np.concatenate([C, A])), at_rest(C, A, b)
+        return Left(null(np.concatenate([C, A])), at_rest(C, A, b), *between)
+
+    def _between(self, q: Array, dt: float) -> tuple[Array, Array, Array]:
+        """Declared one-sided rows (m, nv) of the scaled velocities, and between what they stay within dt."""
+        rows, k = self.bounds, self.bounds.declared
+        if not k:
+            return np.zeros((0, self.system.nv)), np.zeros(0), np.zeros(0)
+        value, G = rows.rates(q, declared=True)
+        scale = rows.scale[:k] / dt
+        return G, scale * (rows.low[:k] - value), scale * (rows.high[:k] - value)
+
+    def _missed(self, x: Array, before: Array) -> tuple[Array, Array]:
+        """What equations miss at x, and declared one-sided rows by more than `before`, with the rates of both."""
+        error, C = evaluate(self.system, x, True, True)
+        if not self.bounds.declared:
+            return error, C
+        more, G = self.bounds.violated(x, before)
+        return np.concatenate([error, more]), np.concatenate([C, G])
 
     def velocity(
-        self, free: tuple[Array, Array], stages: list[Stage], low: Array, high: Array, damping: float, direction: bool,
+        self, free: Left, stages: list[Stage], low: Array, high: Array, damping: float, direction: bool,
         model: Array | None = None,
     ) -> Array:  # fmt: skip
         """Scaled velocities (nv,) of the stages, in order, within the box; what is left `free` as from there.
 
         `model` (k, k), where given, is the Hessian that counts for the last stage.
         """
-        N, rest = free
+        N, rest, rows, least, most = free
         some, own = _Descent(N), np.isfinite(low) | np.isfinite(high)
-        box = Stage(N.T[:0], low[:0], np.eye(len(low))[own], low[own], high[own])
+        rows = np.concatenate([np.eye(len(low))[own], rows])
+        box = Stage(N.T[:0], low[:0], rows, np.append(low[own], least), np.append(high[own], most))
         some.take(box.beside(rest), 0.0, False)
         for k, stage in enumerate(stages):
             some.take(stage.beside(rest), damping, direction, model if k + 1 == len(stages) else None)
@@ -147,7 +176,7 @@ class Closed:
         The first stage that a step of first order does not halve takes one of second order, which must lower the
         error as promised, else a shorter one; stages after it do not count. `at` gives the stages at a configuration.
         """
-        free = self.free(q)
+        free = self.free(q, dt)
         u = self.velocity(free, stages, low, high, damping, direction)
         size, asked = dt * float(u @ u), [s.missed() for s in stages]
         if size * dt <= ENOUGH**2:
@@ -161,7 +190,7 @@ class Closed:
         ):  # earlier ones move it, by more than it disturbs them; or curvature is little beside what is gained
             return self.after(q, u, dt, low, high)
         first, own, before = stages[:k], stages[: k + 1], asked[k]
-        model = None if direction else self.curvature(q, free[0], own, u, low, high, dt, at)
+        model = None if direction else self.curvature(q, free.basis, own, u, low, high, dt, at)
         more = 0.0
         for _ in range(TRIALS):
             if model is not None:
@@ -223,8 +252,9 @@ class Closed:
         By the smallest corrections (Newton), bounded where these would leave the box.
         """
         system, x = self.system, self.system.integrate(q, (self.bent(q, u, dt) if self.rolls else u) * self.scale * dt)
+        before = self.bounds.beyond(q, declared=True) if self.bounds.declared else x
         for _ in range(CORRECTIONS):
-            error, C = evaluate(system, x, True, True)
+            error, C = self._missed(x, before)
             if np.abs(error).max(initial=0.0) <= CLOSED:
                 return self._inside(q, x)
             moved = system.difference(q, x) / self.scale

@@ -123,11 +123,11 @@ def _coupling(of: str, follower: Follower) -> dict[str, Any]:
 
 
 def _constraint(system: System, c: Declared) -> dict[str, Any]:
-    """A declared constraint with the freedoms of position that it takes away."""
+    """A declared constraint with the freedoms of position that it takes away, and its number of one-sided rows."""
     length = c.length(system.parameters) if c.rod else None
     return {
         "name": c.name, "type": c.kind, "parent": c.parent, "child": c.child, "length": length,
-        "equations": c.equations(system.dim),
+        "equations": c.equations(system.dim), "one_sided": c.bounds(system.dim),
     }  # fmt: skip
 
 

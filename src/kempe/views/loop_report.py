@@ -49,6 +49,9 @@ def mobility(answer: Mobility) -> RenderableType:
 def mobility_facts(system: System, answer: Mobility, degrees: bool = False) -> dict[str, Any]:
     """Degrees of freedom as plain data."""
     data = facts.jsonable(answer.data())
+    for side in (data["one_sided"] or {"sides": []})["sides"] if degrees else ():
+        if side["unit"] == "rad":
+            side |= {"unit": "deg", **{k: side[k] / facts.DEGREE for k in ("value", "bound", "slack")}}
     return {"system": data.pop("name"), "angle_unit": _angle(degrees), **data, "q": by_name(system, answer.q, degrees)}
 
 

@@ -131,7 +131,7 @@ def _headline(data: dict[str, Any]) -> Text:
 
 def _overview(data: dict[str, Any]) -> Table:
     space, loops, dof = data["configuration_space"], len(data["closures"]), str(data["dof_of_tree"])
-    declared, equations = len(data["constraints"]), space["constraints"]
+    declared, equations = sum(c["equations"] > 0 for c in data["constraints"]), space["constraints"]
     if equations:
         what = [count(loops, "loop")] if loops else []
         what += [count(declared, "constraint")] if declared else []
@@ -215,7 +215,8 @@ def _constraints(data: dict[str, Any]) -> Table | None:
     lines = []
     for c in data["constraints"]:
         length = "" if c["length"] is None else f"{c['length']:g} m"
-        lines.append((c["name"], c["type"], f"{c['parent']} - {c['child']}", length))
+        sided = ", one-sided" if c["one_sided"] else ""
+        lines.append((c["name"], f"{c['type']}{sided}", f"{c['parent']} - {c['child']}", length))
     return table(("constraint", "=type", "bodies", ">length"), lines, "Declared constraints") if lines else None
 
 

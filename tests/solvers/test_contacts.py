@@ -217,6 +217,44 @@ def test_rank_and_freedoms_do_not_see_them():
     assert "floor: open by 0.4 m" in str(m)
 
 
+# ---- steps and paths
+
+
+@pytest.mark.parametrize("keep_direction", [False, True])
+def test_steps_stay_inside(keep_direction, hunt):
+    system, rng = arm(), hunt.rng()
+    q = system.assemble(near=rng.uniform([-2.0, -3.0], [2.0, 3.0], (hunt.cases(150), 2))).q
+    for x in q[arm_beyond(q) < 1e-12]:
+        step = system.ik_step(x, np.append(rng.normal(size=2), np.zeros(4)), "tip", 0.05, keep_direction=keep_direction)
+        assert arm_beyond(step.q) < 1e-11
+
+
+def test_a_step_ends_where_a_rope_does():
+    """The tip, 1.34 from the hook, pulled away from it: by 0.01, which is had, and by more than the rope has."""
+    system = arm()
+    a = np.arctan2(0.9, 1.2) + np.arccos(0.75)
+    q = np.array([a, np.arctan2(0.9 - np.sin(a), 1.2 - np.cos(a)) - a])
+    p = np.array([1.2, 0.9])
+    inside = 1.5 - np.hypot(p[0], p[1] - 1.5)
+    out = np.array([p[0], p[1] - 1.5]) / np.hypot(p[0], p[1] - 1.5)
+    step = system.ik_step(q, np.append(0.1 * out, np.zeros(4)), "tip", 0.1)
+    after = system.fk(step.q, "tip")[:2, 3]
+    assert np.hypot(after[0], after[1] - 1.5) == pytest.approx(1.5 - inside + 0.01, abs=1e-3)
+    far = system.ik_step(q, np.append(10.0 * out, np.zeros(4)), "tip", 0.5, velocity_limits=np.inf)
+    assert arm_beyond(far.q) < 1e-11
+
+
+def test_a_path_stops_where_the_rope_ends():
+    system = arm()
+    t = np.linspace(0.0, 1.0, 30)
+    path = system.ik_path(np.stack([0.3 + 0.9 * t, 1.2 - 1.2 * t], -1), "tip", [1.9, -1.0])
+    assert not path.success.all()
+    held = ~np.isnan(path.q).any(axis=1)
+    inside = np.hypot(0.3 + 0.9 * t, 1.2 - 1.2 * t - 1.5) <= 1.5
+    assert np.array_equal(held, inside)
+    assert (arm_beyond(path.q[held]) < 2e-9).all()
+
+
 # ---- motions
 
 
