@@ -252,7 +252,7 @@ def test_info_shows_declared_constraints(rodded):
     assert data["constraints"] == [
         {"name": "rod", "type": "distance", "parent": "crank", "child": "slider", "length": 2.0, "equations": 1,
          "one_sided": 0},
-        {"name": "guide", "type": "point_on_line", "parent": "ground", "child": "slider", "length": None,
+        {"name": "guide", "type": "on_line", "parent": "ground", "child": "slider", "length": None,
          "equations": 1, "one_sided": 0},
     ]  # fmt: skip
     shown = Result("info", rodded).out
