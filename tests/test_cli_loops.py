@@ -258,7 +258,7 @@ def test_info_shows_declared_constraints(rodded):
     shown = Result("info", rodded).out
     assert "4 of all joints less 2 equations of 2 constraints: at least 2; kempe dof" in shown
     assert [line.split() for line in shown.splitlines() if line.startswith(("rod ", "guide "))] == [
-        ["rod", "distance", "crank", "-", "slider", "2", "m"], ["guide", "point_on_line", "ground", "-", "slider"],
+        ["rod", "distance", "crank", "-", "slider", "2", "m"], ["guide", "on_line", "ground", "-", "slider"],
     ]  # fmt: skip
     assert "kempe dof" in Result("info", "bennett").out and "kempe dof" not in Result("info", "puma560").out
 
