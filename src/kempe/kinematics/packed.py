@@ -162,6 +162,7 @@ class Packed:
             pins = self.pins(goals, lead if lead_of(goals) else ())
         out, J = np.empty((len(flat_q), m)), np.empty((len(flat_q), m, self.system.nv))
         equations.equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J)
+        loops.check()
         use = self.rows == -1 if closures else self.rows >= 0
         out, J = out[:, use], J[:, use]
         return out.reshape(*lead, out.shape[1]), J.reshape(*lead, *J.shape[1:])

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.constraints.base import Op
+from kempe.constraints.tape import TIME
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
 from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError
@@ -170,7 +171,8 @@ def _check_written(mechanism: Mechanism, every: dict[str, Joint], balls: set[str
         for name in reads:
             subject = f"constraint {c.name!r}"
             if name not in every:
-                _refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), c.where)
+                allowed = "for the time say time=True" if name == TIME else ""
+                _refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), c.where, allowed)
             if name in balls and Op.VELOCITY not in operations:
                 _refuse(subject, PART_OF_BALL.format(name), c.where, OF_BALL)
         both = [n for n in mechanism.parameters if n in every and n in getattr(c.of, "words", ())]

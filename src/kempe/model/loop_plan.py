@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -173,6 +174,18 @@ class Loops:
         lengths = self.plan[at : at + L.TIE_INTS * len(self.ties) : L.TIE_INTS].tolist()
         return tuple("m" if i < n else "rad" if t.tape is None else t.tape.unit
                      for t, n in zip(self.ties, lengths, strict=True) for i in range(len(t.rows)))  # fmt: skip
+
+    @cached_property
+    def functions(self) -> tuple[Function, ...]:
+        """The Python functions among its ties."""
+        return tuple(t.function for t in self.ties if t.function is not None)
+
+    def check(self) -> None:
+        """Raise what a function raised when a kernel called it."""
+        for f in self.functions:
+            if f.error is not None:
+                error, f.error = f.error, None
+                raise error
 
     def columns(self, k: int) -> list[int]:
         """Velocity coordinates that tie k depends on."""
