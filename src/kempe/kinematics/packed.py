@@ -101,9 +101,6 @@ class Packed:
         self.stages: dict[Hashable, Any] = {}
         """What solvers have worked out of weights and priorities."""
         self.scale: Array = self.loops.weights[L.SCALES : L.SCALES + system.nv]
-        for tie in self.loops.ties:
-            if tie.function is not None:
-                tie.function.scale = self.scale
         self.slots = [owner.get(id(t), (-1, 0)) for t in self.loops.ties]
         self.owner = np.array([i for i, _ in self.slots], dtype=np.int64)
         self.rows = np.repeat(self.owner, [len(t.rows) for t in self.loops.ties])
@@ -165,6 +162,7 @@ class Packed:
             pins = self.pins(goals, lead if lead_of(goals) else ())
         out, J = np.empty((len(flat_q), m)), np.empty((len(flat_q), m, self.system.nv))
         equations.equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J)
+        loops.check()
         use = self.rows == -1 if closures else self.rows >= 0
         out, J = out[:, use], J[:, use]
         return out.reshape(*lead, out.shape[1]), J.reshape(*lead, *J.shape[1:])
