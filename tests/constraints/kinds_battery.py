@@ -98,7 +98,7 @@ def asked(made: c.Constraint, s: System) -> None:
 def declared(made: c.Constraint, s: System, dim: int) -> None:
     """Closed, with as many equations as its rows are, and their Jacobian by differences."""
     q = s.random(5)
-    held = sum(r.count(dim) for r in position_rows(made, dim))
+    held = sum(r.size(dim) for r in position_rows(made, dim))
     r, J = loops.residual(s, q), loops.jacobian(s, q)
     assert r.shape == (held,) or made.kind in ("pointing", "look_at")
     h = 1e-6

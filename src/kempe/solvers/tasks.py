@@ -279,7 +279,7 @@ def _home(system: System) -> Array:
 def _distinct(wanted: Any, dim: int) -> tuple[Task, ...]:
     """The tasks, checked, with labels that differ."""
     given = (wanted,) if isinstance(wanted, Constraint) else tuple(wanted) if isinstance(wanted, (list, tuple)) else ()
-    if not given or not all(isinstance(t, Constraint) for t in given):
+    if not given or not all([isinstance(t, Constraint) for t in given]):
         what = "an empty list" if isinstance(wanted, (list, tuple)) and not wanted else shown(wanted)
         raise InputError(f"without a frame the target must be a task of kempe.tasks or a list of them; it is {what}")
     out: dict[str, Task] = {}
