@@ -163,3 +163,45 @@ def test_random_laws_against_their_own_derivatives(hunt, count: int):
         found = m.build().mobility(q, local=False)
         assert found.rank_dof == n - np.linalg.matrix_rank(A + B * np.cos(q))
         assert found.gruebler == n - k
+
+
+def cam(branching: bool = False) -> kempe.Mechanism:
+    """A slide whose place is prescribed in time by the turn of a cam: y = 0.1 sin(A), A = 2 t."""
+    m = kempe.Mechanism("cam", dim=2)
+    m.revolute("A", m.ground, m.body("cam"))
+    m.prismatic("y", m.ground, m.body("follower"), axis="y")
+    law = (lambda x, t: x["A"] - 2 * t if t > -9.0 else 0.0) if branching else lambda x, t: x["A"] - 2 * t
+    m.equation("motor", law, of=("A",), time=True)
+    m.equation("cam", "y = sin(A)/10")
+    return m
+
+
+@pytest.mark.parametrize("branching", [False, True])
+def test_equations_in_time(branching: bool):
+    s = cam(branching).build()
+    assert s.mobility().dof == 0
+    for t in (0.0, 0.3, 1.2):
+        found = s.assemble(t=t, near=[2 * t, 0.0])
+        assert found.success
+        np.testing.assert_allclose(found.q, [2 * t, 0.1 * np.sin(2 * t)], atol=1e-8)
+    times = np.linspace(0.0, 2.0, 9)
+    motion = s.drive({}, times=times, start=[0.0, 0.0])
+    assert motion.success and motion.q.shape == (9, 2) and motion.system is s
+    np.testing.assert_allclose(motion.q, np.stack([2 * times, 0.1 * np.sin(2 * times)], axis=1), atol=1e-8)
+
+
+def test_time_and_inputs_together():
+    m = kempe.Mechanism("two", dim=2)
+    for name in "AB":
+        m.revolute(name, m.ground, m.body(name.lower()))
+    m.revolute("C", "b", m.body("c"))
+    m.equation("law", "C = A*B + t^2", time=True)
+    s = m.build()
+    times = np.linspace(0.0, 1.0, 5)
+    motion = s.drive({"A": lambda t: np.sin(t), "B": 0.5}, times=times, start=[0.0, 0.5, 0.0])
+    np.testing.assert_allclose(motion.values("C"), np.sin(times) * 0.5 + times**2, atol=1e-8)
+
+
+def test_many_times_are_for_drive():
+    with pytest.raises(kempe.errors.InputError, match="drive"):
+        cam().build().assemble(t=np.array([0.0, 1.0]))
