@@ -207,7 +207,7 @@ WRONG = {
     "ragged": (lambda m: m.velocity_equation("e", [[1, 2], [3]], of=("A", "B")), InputError, "different lengths"),
     "b": (lambda m: m.velocity_equation("e", [[1, 2]], of=("A", "B"), b=[1, 2]), InputError, "b of .*'e'"),
     "branching rows": (
-        lambda m: m.velocity_equation("e", lambda x: [[abs(x["A"]), 1]], of=("A", "B")), InputError, "'e' cannot be rec"),
+        lambda m: m.velocity_equation("e", lambda x: [[abs(x["A"]), 1]], of=("A", "B")), InputError, "'e' cannot be"),
     "a whole posture": (lambda m: m.constrain(kempe.constraints.Posture({"A": 0.1}, weight=None)),
                         DescriptionError, "one call of ik"),
     "of a file": (lambda m: m.equation("e", 3 + 4j), KempeError, "text"),

@@ -176,7 +176,7 @@ def check(mechanism: Mechanism, made: Declared) -> None:
     if not made.parent:
         if not getattr(made.of, "of", ()):
             checks.refuse(subject, f"{made.of.label} is asked for in one call of ik, not held always", where,
-                          "hold coordinates by lock, couple or equation, frames by the kinds that name them")  # fmt: skip
+                          "hold coordinates by lock, couple or equation, frames by kinds that name them")  # fmt: skip
         return
     a, b = (mechanism.bodies[n] for n in (made.parent, made.child))
     if a.particle and any(r.op is not Op.DISTANCE for r in rows):

@@ -14,8 +14,8 @@ from kempe.description.constrain import resolved
 from kempe.description.parts import Declared
 from kempe.kernels import loop_layout as L
 from kempe.model.callback import Callback
-from kempe.model.loop_plan import Recorded, Tie
 from kempe.model.table import Table
+from kempe.model.ties import Recorded, Tie
 
 if TYPE_CHECKING:
     from kempe.model.system import System

@@ -20,7 +20,7 @@ from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.packed import Packed, lead_of, refuse
 from kempe.kinematics.parallel import over_chunks
 from kempe.kinematics.task import Goals, Task
-from kempe.kinematics.tasks_whole import Callback
+from kempe.model.callback import Callback
 from kempe.reals import is_whole
 from kempe.solvers import effort
 from kempe.solvers.apart import apart

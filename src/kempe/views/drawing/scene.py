@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.joints import Primitive
 from kempe.constraints.base import Op, position_rows
+from kempe.joints import Primitive
 from kempe.kinematics.constraints import closure_error, coordinate_value
 from kempe.kinematics.forward import fk
 from kempe.spatial import Array
