@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 
 
 
+BLIND = "its gradient vanishes or is not defined here: nothing is known to first order"
+"""What is said of a row that does not tell what it allows."""
+
+
 @dataclass(frozen=True)
 class Side:
     """One end of a one-sided row: `value` must not be below `bound`, or with `upper` not above it, in `unit`.
@@ -205,7 +209,7 @@ def _sides(rows: OneSided, values: Array, J: Array, tolerance: float) -> tuple[l
 def _with_ways(side: Side, place: int, cone: Cone, inward: Array, names: list[str]) -> Side:
     """A closed side with what it still allows."""
     if place in cone.vanishing:
-        return replace(side, ways=Ways(True, True), why="its gradient vanishes here: nothing is known to first order")
+        return replace(side, ways=Ways(True, True), why=BLIND)
     if place in cone.implied:
         return replace(side, ways=Ways(False, False), why="the equations keep it closed")
     ways = cone.ways(-inward if side.upper else inward)
