@@ -92,7 +92,7 @@ def tangent_cone(equal: Array, one_sided: Array, ignore: float = NOTHING) -> Con
     Rows below `ignore` count as zero, one-sided ones that are not finite, too; others are scaled to unit length.
     """
     E, G = np.asarray(equal, dtype=float), np.asarray(one_sided, dtype=float)
-    G = np.where(np.isfinite(G).all(axis=1)[:, None], G, 0.0)
+    G = np.where(np.isfinite(G).all(axis=1, keepdims=True), G, 0.0)
     n = E.shape[1]
     rank, N = _kernel(_unit(E, ignore)[0])
     full = rank == len(E)
