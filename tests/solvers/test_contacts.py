@@ -205,6 +205,11 @@ def test_a_blocked_target_says_by_what():
         assert answer.success == (free.fk(q)[3, 2, 3] >= 0.25)
 
 
+def test_the_analytic_method_is_refused_by_name():
+    with pytest.raises(kempe.KempeError, match="'floor'"):
+        arm().ik([0.5, 0.5], "tip", method="analytic")
+
+
 def test_rank_and_freedoms_do_not_see_them():
     m = ball().mobility([0, 0, 0.1, 1, 0, 0, 0])
     assert (m.dof, m.rank_dof, m.gruebler, m.certain) == (6, 6, 6, True)
