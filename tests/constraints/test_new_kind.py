@@ -7,7 +7,7 @@ import pytest
 
 import kempe
 from kempe.analysis.classify import classify
-from tests.constraints.on_ellipse import OnEllipse
+from on_ellipse import OnEllipse
 
 A, B = 1.5, 1.0
 
