@@ -88,16 +88,15 @@ def recorded(made: Constraint, rows: list[Row], given: bool = False) -> Recorded
     names, unit, posed = tuple(r.name for r in rows), rows[0].unit, made.ends[1] is not None
     if given:
         return Recorded(tape, names, unit, posed, tuple(k for k in numbers_in(made) if k in tape.inputs))
-    return Recorded(tape.fixed({k: x for k, x in numbers_of(made).items() if k in tape.inputs}), names, unit, posed)
+    numbers = numbers_of(made) | ({CLOCK: 0.0} if getattr(made, "time", False) else {})
+    return Recorded(tape.fixed({k: x for k, x in numbers.items() if k in tape.inputs}), names, unit, posed)
 
 
 def numbers_of(made: Constraint) -> dict[str, float]:
-    """The numbers of a constraint, parameters and the time among them, by the names that expressions have for them."""
+    """The numbers of a constraint, parameters among them, by the names that expressions have for them."""
     own = {k: x for k, x in numbers_in(made).items() if x is not None and np.ndim(x) == 0 and not isinstance(x, str)}
     given = {**(getattr(made, "parameters", None) or {}), **own}
-    clock = {CLOCK: 0.0} if getattr(made, "time", False) else {}
-    taken = coordinates_of(made)
-    return {k: float(x) for k, x in given.items() if k not in taken} | clock
+    return {k: float(x) for k, x in given.items() if k not in coordinates_of(made)}
 
 
 def coordinates_of(made: Constraint) -> tuple[str, ...]:
