@@ -39,9 +39,9 @@ LONG = 12
 
 
 class Part(NamedTuple):
-    """The equations of one cluster: a basis (m, k) of rows that suffice for each of its loops and relations.
+    """The equations of one cluster: a basis (m, k) of rows that suffice for each of its loops and laws.
 
-    `columns` are the velocities of the cluster, `uses` those of each loop or relation.
+    `columns` are the velocities of the cluster, `uses` those of each loop or law.
     """
 
     cluster: Cluster
@@ -75,6 +75,8 @@ def _certified(
     s: Structure, at: Screws, c: Cluster, values: Array, J: Array, residual: float, short: bool
 ) -> Certificate:  # fmt: skip
     """The certificate of equations of a cluster, of `short` loops or those of the tree, with singular values of J."""
+    if c.bent:  # of whose second derivatives no bound is known
+        return Certificate(False, 0.0, np.inf)
     size = c.size_of_loops(s, short)
     reach = at.reach
     residual *= len(c.loops) * (1.0 + reach) + 1.0  # loops are sums of others, and read elsewhere
@@ -165,7 +167,7 @@ def _sum(found: Sequence[Proof]) -> Proof:
 
 def _parts(system: System, s: Structure, at: Screws, equations: Equations, J: Array) -> list[Part]:
     """The equations of each cluster, reduced loop by loop to what its group of motions leaves."""
-    edges, relations = equations.rows_of
+    edges = equations.rows_of
     out = []
     for c in s.clusters:
         rows, uses = [], []
@@ -174,10 +176,9 @@ def _parts(system: System, s: Structure, at: Screws, equations: Equations, J: Ar
             own = edges[s.edges[s.loops[k].edge].name]
             rows.append(_rows(equations.m, own, _group(system, s, at, k, path, J[own], equations.length)))
             uses.append(np.unique([col.index for i in path for col in s.edges[i].columns if col.index >= 0]))
-        for k in c.relations:
-            r = system.relations[k]
-            rows.append(_rows(equations.m, relations[r.of], np.eye(1)))
-            uses.append(np.array([system.velocity_names.index(n) for n in (r.of, *r.sources)]))
+        for law in (s.laws[k] for k in c.laws):
+            rows.append(_rows(equations.m, np.array(law.places), np.eye(law.rows)))
+            uses.append(np.array(law.support, dtype=np.int64))
         out.append(Part(c, rows, c.velocities, uses))
     return out
 
@@ -259,7 +260,7 @@ def _within(T: Array, columns: np.ndarray) -> Array:
 
 def _half_angles(s: Structure, at: Screws, equations: Equations, q: Array, c: Cluster, kernel: Array) -> bool:
     """Whether the only loop is of four hinges that move as Bennett's do."""
-    if len(c.loops) != 1 or c.relations or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
+    if len(c.loops) != 1 or c.laws or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
         return False
     path = [(i, sign) for i, sign in s.loops[c.loops[0]].path if at.twists[i].shape[1]]
     columns = [x for i, _ in path for x in s.edges[i].columns]
@@ -273,7 +274,7 @@ def _half_angles(s: Structure, at: Screws, equations: Equations, q: Array, c: Cl
 
 def _two_groups(s: Structure, at: Screws, c: Cluster) -> bool:
     """Whether the only loop parts into two chains, each of which makes all motions of the group that it generates."""
-    if len(c.loops) != 1 or c.relations or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
+    if len(c.loops) != 1 or c.laws or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
         return False
     path = [i for i, _ in s.loops[c.loops[0]].path if at.twists[i].shape[1]]
     if len(path) > LONG or any(s.edges[i].particle or any(x.index < 0 for x in s.edges[i].columns) for i in path):

@@ -62,18 +62,15 @@ class Closure:
         self.place = np.full(system.nv, -1, dtype=np.int64)
         self.place[layout.vector_v] = layout.vector_q
         self.n = system.nv
-        rows = loops.row_names(self._tree)
-        self.weight = np.array([self._weight(name, row, length) for name, row in rows])
+        index = {n: i for i, n in enumerate(system.velocity_names)}
+        self.weight = np.array([
+            1.0 if row in ANGLES or (tie.plain and tie.relation is None)
+            else 1.0 / (length if tie.relation is None else self.unit[index[tie.relation.of]])
+            for tie in loops.full(self._tree, False).ties for row in tie.rows
+        ])  # fmt: skip
         self.targets = np.zeros(0) if at is None else at[self.place[self._held]]
-        self.rows = max(len(rows) + len(self.held), self.n)
+        self.rows = max(len(self.weight) + len(self.held), self.n)
         self.budget = Budget(None)
-
-    def _weight(self, name: str, row: str, length: float) -> float:
-        if row in ANGLES:
-            return 1.0
-        index = {n: i for i, n in enumerate(self.system.velocity_names)}
-        related = name in index and name in {r.of for r in self.system.relations}
-        return 1.0 / (self.unit[index[name]] if related and row == "relation" else length)
 
     def values(self, x: Array) -> Array:
         """What is missing in each equation (rows,) at `x`."""

@@ -111,10 +111,11 @@ def _takes(edge: Edge, dim: int) -> tuple[int, str]:
 
 
 def _held(s: Structure, system: System) -> list[tuple[int, str]]:
-    """What couplings, locks and relations take away."""
+    """What couplings, locks and constraints that are expressions take away."""
     locked = sum(c.index < 0 for e in s.edges for c in e.columns)
     follow = sum(c.index >= 0 and c.name != system.velocity_names[c.index] for e in s.edges for c in e.columns)
-    found = [(locked, "locked coordinate"), (follow + len(system.relations), "coupling")]
+    written = sum(law.rows for law in s.laws if isinstance(law.of, Declared))
+    found = [(locked, "locked coordinate"), (follow + len(system.relations), "coupling"), (written, "equation")]
     return [(n, what) for n, what in found if n]
 
 

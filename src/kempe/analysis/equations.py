@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from kempe.analysis.graph import NO_SERIES, called
+from kempe.errors import UnsupportedError
 from kempe.kernels.layout import HEADER, KIND, N_OUT, N_ROWS, ROW_INTS, SLIDE, TURN, V_INDEX
 from kempe.kernels.loop_layout import LINEAR
 from kempe.kinematics.configuration import as_q
@@ -58,6 +60,9 @@ class Equations:
         self.system = system
         self._loops = loops_of(system, frozenset(system.closures))
         self.names = self._loops.names
+        found = called(system)
+        if found:
+            raise UnsupportedError(f"constraint {found[0]!r} {NO_SERIES}, which is needed here")
         self.m, self.nv, self.nq = len(self.names), system.nv, system.nq
         self.length = self._loops.length
         self.ints, self.floats = self._loops.ints, self._loops.floats
@@ -200,17 +205,14 @@ class Equations:
         return Series(self, np.array(np.broadcast_to(q, (n, self.nq)), dtype=float), order)
 
     @cached_property
-    def rows_of(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """Places of the equations of joints and constraints by name, and of relations by the coordinate they give."""
-        edges, relations, row = {}, {}, 0
+    def rows_of(self) -> dict[str, np.ndarray]:
+        """Places of the equations of joints and of constraints that are no expressions, by name."""
+        out, row = {}, 0
         for tie in self._loops.ties:
-            at = np.arange(row, row + len(tie.rows))
-            row += len(at)
-            if tie.relation is None:
-                edges[tie.name] = at
-            else:
-                relations[tie.relation.of] = at
-        return edges, relations
+            if tie.relation is None and not tie.written:
+                out[tie.name] = np.arange(row, row + len(tie.rows))
+            row += len(tie.rows)
+        return out
 
     @cached_property
     def sizes(self) -> tuple[int, int]:

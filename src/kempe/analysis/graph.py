@@ -1,11 +1,12 @@
 """The graph of a system as mobility sees it: joints and constraints as edges, loops, and clusters of loops.
 
-Nothing here depends on the configuration. A cluster is a set of loops and relations that share velocities, directly
+Nothing here depends on the configuration. A cluster is a set of loops and laws that share velocities, directly
 or through others: its rank, its redundancy and its freedoms are its own affair.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -15,10 +16,16 @@ import numpy as np
 from kempe.analysis.cycles import shortened
 from kempe.description.parts import Declared, Joint
 from kempe.joints import P, Primitive, Q
+from kempe.kinematics.loops import full
+from kempe.model.coordinates import Relation
+from kempe.model.loop_plan import Loops, Tie
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+
+NO_SERIES = "is a Python function that cannot be recorded, and has no Taylor series"
+
 
 class Column(NamedTuple):
     """One velocity of a joint: its name, its index among the system's (-1: held), multiplier, whether it slides."""
@@ -62,6 +69,32 @@ class Edge:
 
 
 @dataclass(frozen=True, eq=False)
+class Law:
+    """Equations of coordinates or of a pose that are no loop: a coupling with several sources, or a written constraint.
+
+    `support` are the velocities that it depends on, `places` those of its rows among all equations in full form.
+    """
+
+    name: str
+    of: Relation | Declared
+    support: tuple[int, ...]
+    places: list[int]
+    names: tuple[str, ...]
+    linear: bool
+    """Whether its equations are linear in coordinates."""
+
+    @property
+    def rows(self) -> int:
+        """Number of its equations."""
+        return len(self.places)
+
+    @property
+    def title(self) -> str:
+        """How sentences call it."""
+        return f"coupling of {self.name}" if isinstance(self.of, Relation) else self.name
+
+
+@dataclass(frozen=True, eq=False)
 class Loop:
     """One closed loop: the edge that closes it, and all its edges with the sign in which it passes them."""
 
@@ -81,10 +114,10 @@ class LoopSizes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Cluster:
-    """Loops and relations that share velocities, directly or through others: `velocities` are their columns."""
+    """Loops and laws that share velocities, directly or through others: `velocities` are their columns."""
 
     loops: tuple[int, ...]
-    relations: tuple[int, ...]
+    laws: tuple[int, ...]
     velocities: np.ndarray
     edges: tuple[int, ...]
     signs: Array = field(repr=False)
@@ -101,6 +134,8 @@ class Cluster:
     """its multiplier,"""
     sliding: np.ndarray = field(repr=False)
     """and whether it slides."""
+    bent: tuple[str, ...] = ()
+    """Laws that are not linear in coordinates."""
 
     def paths(self, s: Structure, short: bool) -> list[np.ndarray]:
         """The edges of each loop, shortened or as the tree closes it."""
@@ -137,10 +172,11 @@ class Cluster:
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """What does not depend on the configuration: edges, loops, clusters."""
+    """What does not depend on the configuration: edges, loops, laws, clusters."""
 
     edges: tuple[Edge, ...]
     loops: tuple[Loop, ...]
+    laws: tuple[Law, ...]
     clusters: tuple[Cluster, ...]
     parent: np.ndarray
     child: np.ndarray
@@ -157,8 +193,8 @@ class Structure:
 
     @property
     def rows(self) -> int:
-        """Number of equations of all loops and relations."""
-        return sum(loop.rows for loop in self.loops) + sum(len(c.relations) for c in self.clusters)
+        """Number of equations of all loops and laws."""
+        return sum(x.rows for x in (*self.loops, *self.laws))
 
 
 def structure(system: System) -> Structure:
@@ -169,10 +205,16 @@ def structure(system: System) -> Structure:
     return found
 
 
+def called(system: System) -> tuple[str, ...]:
+    """Constraints that are Python functions without series."""
+    return tuple(dict.fromkeys(t.name for t in full(system, True).ties if t.function is not None))
+
+
 def _structure(system: System) -> Structure:
     edges = _edges(system)
     loops = _loops(system, edges)
-    clusters = _clusters(system, edges, loops)
+    laws = _laws(system)
+    clusters = _clusters(system, edges, loops, laws)
     stack = np.array([(e.X_PF, e.X_CM) for e in edges]).reshape(-1, 2, 4, 4)
     ends = np.array([(e.parent, e.child) for e in edges], dtype=np.int64).reshape(-1, 2)
     slides = np.zeros(system.nv, dtype=bool)
@@ -180,7 +222,7 @@ def _structure(system: System) -> Structure:
         if iv >= 0 and name == system.velocity_names[iv]:
             slides[iv] = slide
     return Structure(
-        tuple(edges), tuple(loops), clusters, ends[:, 0], ends[:, 1], stack[:, 0], stack[:, 1], slides
+        tuple(edges), tuple(loops), laws, clusters, ends[:, 0], ends[:, 1], stack[:, 0], stack[:, 1], slides
     )  # fmt: skip
 
 
@@ -251,6 +293,37 @@ def _loops(system: System, edges: list[Edge]) -> list[Loop]:
     return out
 
 
+def _laws(system: System) -> tuple[Law, ...]:
+    """Couplings with several sources, and what constraints say by expressions and functions."""
+    loops, first = full(system, True), 0
+    found: dict[tuple[int, int], tuple[Relation | Declared, list[int], list[Tie]]] = {}
+    order = {c.name: i for i, c in enumerate(system.mechanism.constraints.values())}
+    for k, tie in enumerate(loops.ties):
+        places = list(range(first, first + len(tie.rows)))
+        first += len(tie.rows)
+        if tie.relation is not None:
+            key, of = (0, system.relations.index(tie.relation)), tie.relation
+        elif tie.written:
+            key, of = (1, order[tie.name]), system.mechanism.constraints[tie.name]
+        else:
+            continue
+        _, own, ties = found.setdefault(key, (of, [], []))
+        own += places
+        ties.append(tie)
+    return tuple(_law(loops, *found[key]) for key in sorted(found))
+
+
+def _law(loops: Loops, of: Relation | Declared, places: list[int], ties: list[Tie]) -> Law:
+    support = {v for k, tie in enumerate(loops.ties) if tie in ties for v in loops.columns(k)}
+    tapes = [t.tape for t in ties]
+    linear = all(
+        t.relation is not None or (r is not None and not r.moved and r.tape.linear_in(r.tape.inputs))
+        for t, r in zip(ties, tapes, strict=True)
+    )
+    name = of.of if isinstance(of, Relation) else of.name
+    return Law(name, of, tuple(sorted(support)), places, tuple(loops.names[i][1] for i in places), linear)
+
+
 def _tree_order(parent: tuple[int, ...]) -> list[int]:
     children: dict[int, list[int]] = {}
     for body, above in enumerate(parent):
@@ -264,14 +337,15 @@ def _tree_order(parent: tuple[int, ...]) -> list[int]:
 def rows_of(edge: Edge, dim: int) -> int:
     """Number of equations with which an edge closes a loop, its own velocities among the unknowns."""
     if isinstance(edge.of, Declared):
-        return edge.of.equations(dim)
+        return edge.of.of_pose(dim)
     return dim if edge.particle else (6 if dim == 3 else 3)
 
 
-def _clusters(system: System, edges: list[Edge], loops: list[Loop]) -> tuple[Cluster, ...]:
-    in_v = {n: i for i, n in enumerate(system.velocity_names)}
+def _clusters(
+    system: System, edges: list[Edge], loops: list[Loop], laws: Sequence[Law]
+) -> tuple[Cluster, ...]:  # fmt: skip
     supports = [sorted({c.index for i, _ in loop.path for c in edges[i].columns if c.index >= 0}) for loop in loops]
-    supports += [sorted({in_v[r.of], *(in_v[s] for s in r.sources)}) for r in system.relations]
+    supports += [list(law.support) for law in laws]
     root = list(range(system.nv + len(supports)))
 
     def find(i: int) -> int:
@@ -298,17 +372,18 @@ def _clusters(system: System, edges: list[Edge], loops: list[Loop]) -> tuple[Clu
         whole = np.array([edges[loops[k].edge].joint and not edges[loops[k].edge].particle for k in own], dtype=bool)
         ends = np.array([(edges[i].parent, edges[i].child) for i in inside], dtype=np.int64).reshape(-1, 2)
         cells = shortened(signs, whole, ends[:, 0], ends[:, 1])
-        relations = tuple(k - len(loops) for k in members if k >= len(loops))
+        laws_ = tuple(k - len(loops) for k in members if k >= len(loops))
         columns = [(n, c) for n, i in enumerate(inside) for c in edges[i].columns]
         moving = np.array([c.index >= 0 for _, c in columns], dtype=bool)
         at = {v: n for n, v in enumerate(velocities)}
         out.append(
             Cluster(
-                tuple(own), relations, np.array(velocities, dtype=np.int64), tuple(inside), signs, cells, moving,
+                tuple(own), laws_, np.array(velocities, dtype=np.int64), tuple(inside), signs, cells, moving,
                 np.array([n for n, c in columns if c.index >= 0], dtype=np.int64),
                 np.array([at[c.index] for _, c in columns if c.index >= 0], dtype=np.int64),
                 np.array([c.multiplier for _, c in columns if c.index >= 0]),
                 np.array([c.slides for _, c in columns if c.index >= 0], dtype=bool),
+                tuple(laws[k].name for k in laws_ if not laws[k].linear),
             )
         )  # fmt: skip
     return tuple(out)

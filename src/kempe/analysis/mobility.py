@@ -12,7 +12,7 @@ from kempe.analysis.certify import regular
 from kempe.analysis.control import Control, control, driven
 from kempe.analysis.counting import Counting, LoopCount, counting, loop_counts
 from kempe.analysis.generic import Closed, close, find_closed, nearby
-from kempe.analysis.graph import Structure, structure
+from kempe.analysis.graph import Structure, called, structure
 from kempe.analysis.mobility_text import dimensions
 from kempe.analysis.one_sided import OneSidedReport, if_any
 from kempe.analysis.passive import IdleFreedom, idle_freedoms, may_idle
@@ -87,6 +87,8 @@ class Mobility:
 
     The freedoms above do not count them: a side that is open takes nothing away, a closed one only a direction.
     """
+    called: tuple[str, ...] = ()
+    """Constraints that are functions without series, because of which `dof` is not known."""
 
     @property
     def gruebler(self) -> int:
@@ -132,6 +134,14 @@ class Mobility:
         holds, whose hypotheses were checked: see `kempe.analysis.certify`. Otherwise `dof` is known to an order only.
         """
         return self.regular if self.local is None else self.local.certain
+
+    @property
+    def unproven(self) -> str:
+        """Why `dof` is not proven where the rank is full."""
+        bent = [c for r in self.rank.clusters for c in r.cluster.bent] if self.rank is not None else []
+        if bent:
+            return f"no bound is known of how {', '.join(map(repr, bent))} bends"
+        return "a singular value is too near zero to be told from it"
 
     @property
     def sentence(self) -> str:
@@ -205,6 +215,7 @@ def _found(
         loop_counts(shown, rank.screws), _clusters(s, rank), _outside(system, s), rank, best.nullity, truth, dof,
         redundancy(system, best), idle, control(system, rank, generic, idle, actuated), singular, kind,
         velocity_freedoms(system, at.q), sure, if_any(shown, at.q),
+        called(system) if dof is None and local else (),
     )  # fmt: skip
 
 
@@ -226,7 +237,7 @@ def _open(system: System, shown: System, at: Closed) -> Mobility:
 
 def _local(system: System, rank: Rank, wanted: bool, rng: np.random.Generator) -> LocalDimension | None:
     """The true local dimension, where the rank alone does not prove it."""
-    if not wanted or not rank.dependent or not rank.nullity:
+    if not wanted or not rank.dependent or not rank.nullity or called(system):
         return None
     from kempe.analysis.local import local_dimension
 
@@ -244,7 +255,7 @@ def _on_branches(system: System, truth: LocalDimension | None) -> list[Rank]:
 def _clusters(s: Structure, rank: Rank | None) -> tuple[ClusterMobility, ...]:
     out = []
     for k, c in enumerate(s.clusters):
-        rows = sum(s.loops[i].rows for i in c.loops) + len(c.relations)
+        rows = sum(s.loops[i].rows for i in c.loops) + sum(s.laws[i].rows for i in c.laws)
         r = None if rank is None else rank.clusters[k]
         out.append(
             ClusterMobility(

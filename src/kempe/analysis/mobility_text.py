@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+from kempe.analysis.graph import NO_SERIES
 from kempe.solvers.words import counted
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ def how_known(m: Mobility) -> str:
         return f"{m.local.method}{sampled}{sure}"
     if not m.loops and not m.rank.clusters:
         return "no loops: each joint moves as it likes"
-    unsure = "" if m.certain else "; not proven: a singular value is too near zero to be told from it"
+    unsure = "" if m.certain else f"; not proven: {m.unproven}"
     if not m.rank.dependent:
         why = "all constraints are independent here, so the configurations are a manifold (implicit function theorem)"
         return why + unsure
@@ -124,6 +125,9 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         out.append(("truth", [f"{counted(m.dof, 'degree')} of freedom{useful}", how_known(m)]))
     if m.velocity_dof is not None:
         out.append(("velocity", _of_velocity(m)))
+    if m.called:
+        who = f"constraint {m.called[0]!r} {NO_SERIES}: what is singular here cannot be told from what is redundant"
+        out.append(("truth", ["not known", who]))
     if m.redundancy is not None and m.redundancy.number:
         out.append(("redundant", [*str(m.redundancy).split("\n")]))
         if m.dof is not None and (m.generic_rank_dof or 0) > m.dof:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.analysis.graph import Cluster, Structure, structure
+from kempe.analysis.graph import Cluster, Law, Structure, structure
 from kempe.analysis.screws import Screws, screws
 from kempe.description.parts import Declared
+from kempe.kernels.loop_layout import SCALES
+from kempe.kinematics import loops
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -23,6 +26,9 @@ SOMETHING = 1e-4
 """Singular values above this part of the largest count as not zero; between the two the widest gap decides."""
 CLEAR_GAP = 1e3
 """Ratio of the last singular value that counts to the first that does not, below which the rank is doubtful."""
+AROUND, POINTS = 0.2, 8
+"""How far around a configuration, in scaled velocities, and at how many points the sizes of written rows are looked at.
+"""
 FLOOR = 1e-15
 """Singular values below this part of the largest are rounding."""
 
@@ -140,11 +146,14 @@ def rank_at(system: System, q: Array) -> Rank:
     """The rank of the loop equations at a closed configuration `q` (nq,)."""
     s, at = structure(system), screws(system, q)
     units = np.where(s.slides, at.length, 1.0)
-    return Rank(q, tuple(_cluster(system, s, at, c, units) for c in s.clusters), at, units)
+    written = written_rows(system, q)
+    return Rank(q, tuple(_cluster(system, s, at, c, units, written) for c in s.clusters), at, units)
 
 
-def _cluster(system: System, s: Structure, at: Screws, c: Cluster, units: Array) -> ClusterRank:
-    J, size = _jacobian(system, s, at, c, units)
+def _cluster(
+    system: System, s: Structure, at: Screws, c: Cluster, units: Array, written: Mapping[str, Array]
+) -> ClusterRank:  # fmt: skip
+    J, size = _jacobian(system, s, at, c, units, written)
     if not J.size:
         n = J.shape[1]
         return ClusterRank(c, J, np.zeros(0), 0, np.inf, np.eye(len(J)), np.eye(n))
@@ -154,7 +163,9 @@ def _cluster(system: System, s: Structure, at: Screws, c: Cluster, units: Array)
     return ClusterRank(c, J, values / size, r, gap, U[:, r:], Vt[r:].T, size)
 
 
-def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array) -> tuple[Array, float]:
+def _jacobian(
+    system: System, s: Structure, at: Screws, c: Cluster, units: Array, written: Mapping[str, Array]
+) -> tuple[Array, float]:  # fmt: skip
     """Loop equations (rows, velocities of the cluster), scaled, and the largest twist of a velocity."""
     n = len(c.velocities)
     around = np.zeros((len(c.loops), 6, n))
@@ -177,15 +188,40 @@ def _jacobian(system: System, s: Structure, at: Screws, c: Cluster, units: Array
             blocks.append(there if system.dim == 3 else there[_PLANE])
         else:
             blocks.append(rows_of_loop(system, s, at, k) @ twists)
-    local = {int(v): i for i, v in enumerate(c.velocities)}
-    for k in c.relations:
-        relation = system.relations[k]
-        row = np.zeros((1, n))
-        for name, m in ((relation.of, -1.0), *relation.sources.items()):
-            v = system.velocity_names.index(name)
-            row[0, local[v]] += m * units[v]
-        blocks.append(row / np.abs(row).max())
+    blocks += [_law(system, s.laws[k], written, c.velocities, units) for k in c.laws]
     return np.concatenate(blocks) if blocks else np.zeros((0, n)), size
+
+
+def _law(system: System, law: Law, written: Mapping[str, Array], columns: np.ndarray, units: Array) -> Array:
+    """The rows (rows, velocities of the cluster) of a law."""
+    if isinstance(law.of, Declared):
+        return written[law.name][:, columns]
+    row = np.zeros((1, system.nv))
+    for name, m in ((law.of.of, -1.0), *law.of.sources.items()):
+        v = system.velocity_names.index(name)
+        row[0, v] += m * units[v]
+    return row[:, columns] / np.abs(row).max()
+
+
+def written_rows(system: System, q: Array) -> dict[str, Array]:
+    """For each written constraint its rows (rows, nv) at q (nq,), as parts of the largest that they are around q.
+
+    So their size does not depend on units, and where they vanish they are small.
+    """
+    laws = [law for law in structure(system).laws if isinstance(law.of, Declared)]
+    if not laws:
+        return {}
+    rng = np.random.default_rng(0)  # the same around each q
+    scale = loops.full(system, True).weights[SCALES : SCALES + system.nv]
+    steps = np.concatenate([np.zeros((1, system.nv)), AROUND * rng.normal(size=(POINTS, system.nv)) * scale])
+    there = system.layout.integrate(np.broadcast_to(q, (len(steps), len(q))), steps)
+    J = loops.evaluate(system, there, True, True)[1]
+    out = {}
+    for law in laws:
+        size = np.linalg.norm(J[:, law.places], axis=2)
+        largest = np.max(np.where(np.isfinite(size), size, 0.0), axis=0)
+        out[law.name] = J[0, law.places] / np.where(largest > 0.0, largest, 1.0)[:, None]
+    return out
 
 
 _PLANE = [0, 1, 5]

@@ -158,8 +158,11 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_Row]:
             if column.index < 0 or column.name != system.velocity_names[column.index]:
                 what = f"{'lock' if column.index < 0 else 'coupling'} of {column.name}"
                 rows.append(_Row(what, "", False, None, twist @ wrench))
-    for k, relation in enumerate(c.cluster.relations):
-        rows.append(_Row(f"coupling of {system.relations[relation].of}", "", False, None, c.stresses[n + k]))
+    for law in (s.laws[k] for k in c.cluster.laws):
+        labels = law.names if law.rows > 1 else ("",)
+        own = c.stresses[n : n + law.rows]
+        rows += [_Row(law.title, label, False, None, x) for label, x in zip(labels, own, strict=True)]
+        n += law.rows
     return rows
 
 

@@ -51,7 +51,8 @@ class Screws:
 
     def wrench_rows(self, edge: int, of: Declared, dim: int) -> Array:
         """Rows (k, 6) that a declared constraint takes from the relative twist of its bodies."""
-        return np.concatenate([self._rows_of(edge, r, dim) for r in position_rows(of.of, dim) if r.op is not Op.TAPE])
+        rows = (r for r in position_rows(of.of, dim) if r.op not in (Op.TAPE, Op.CALL))
+        return np.concatenate([self._rows_of(edge, r, dim) for r in rows])
 
     def _rows_of(self, edge: int, row: Row, dim: int) -> Array:
         """What one row takes from the twist of frame M against F."""

@@ -73,10 +73,10 @@ def rings(system: System, driven: frozenset[int]) -> tuple[Ring, ...]:
 
 
 def _uses(system: System, s: Structure) -> np.ndarray:
-    """For each velocity by how many columns and relations it is used."""
+    """For each velocity by how many columns and laws it is used."""
     uses = np.bincount([c.index for e in s.edges for c in e.columns if c.index >= 0], minlength=system.nv)
-    for r in system.relations:
-        uses[[system.velocity_names.index(n) for n in (r.of, *r.sources)]] += 1
+    for law in s.laws:
+        uses[list(law.support)] += 1
     return uses
 
 

@@ -6,6 +6,7 @@
 
 from kempe.constraints.base import KINDS, Constraint, End, Op, Row, kind
 from kempe.constraints.contacts import Contact, NoSideslip, Rolls
+from kempe.constraints.equations import Equation, Inequality, VelocityEquation
 from kempe.constraints.kinds import (
     Distance,
     HalfSpace,
@@ -25,7 +26,8 @@ from kempe.constraints.kinds import (
 from kempe.constraints.whole import CentreOfMass, CentreOfPoints, Function, Posture
 
 __all__ = [
-    "KINDS", "CentreOfMass", "CentreOfPoints", "Constraint", "Contact", "Distance", "End", "Function", "HalfSpace",
-    "InBox", "LookAt", "NoSideslip", "OnLine", "OnPlane", "OnSphere", "OnSurface", "Op", "Orientation", "Pointing",
-    "Pose", "Position", "Posture", "RelativePose", "RelativePosition", "Rolls", "Row", "kind",
+    "KINDS", "CentreOfMass", "CentreOfPoints", "Constraint", "Contact", "Distance", "End", "Equation", "Function",
+    "HalfSpace", "InBox", "Inequality", "LookAt", "NoSideslip", "OnLine", "OnPlane", "OnSphere", "OnSurface", "Op", "Orientation", "Pointing",
+    "Pose", "Position", "Posture", "RelativePose", "RelativePosition", "Rolls", "Row",
+    "VelocityEquation", "kind",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ are judged from poses alone in `kempe.kinematics.measure`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import Enum, auto
 from functools import cached_property
@@ -154,6 +154,10 @@ class Constraint(ABC):
         """The same where coordinates have a prefix."""
         return self
 
+    def knowing(self, parameters: Collection[str]) -> Constraint:
+        """The same in a mechanism with parameters of these names."""
+        return self
+
     # ---- how it is called
 
     @property
@@ -241,13 +245,16 @@ def content(constraint: Constraint) -> tuple[Any, ...]:
             return tuple(map(plain, x))
         return tuple((k, plain(v)) for k, v in x.items()) if isinstance(x, Mapping) else x
 
-    return constraint.kind, *((f.name, plain(getattr(constraint, f.name))) for f in fields(constraint) if f.init)
+    own = (f.name for f in fields(constraint) if f.init and f.type != PARAMETERS)
+    return constraint.kind, *((name, plain(getattr(constraint, name))) for name in own)
 
 
 FRAMES = ("Frame", "Frame | None")
 """Annotations of fields that name a frame."""
 NUMBERS = ("Number", "Point", "Direction", "Matrix", "Rotation")
 """Annotations of fields of numbers, which in a description may be expressions in parameters."""
+PARAMETERS = "Parameters"
+"""Annotation of a field that is told the parameters of the mechanism."""
 
 
 def frames_of(constraint: Constraint) -> dict[str, Any]:
@@ -262,8 +269,9 @@ def numbers_in(constraint: Constraint) -> dict[str, Any]:
 
 def with_numbers(constraint: Constraint, parameters: Mapping[str, float]) -> Constraint:
     """The constraint with expressions in its fields of numbers evaluated. Errors: `UnknownNameError`."""
-    given = {k: x for k, x in numbers_in(constraint).items() if expressions_in(x)}
-    return replace(constraint, **{k: _evaluated(x, parameters) for k, x in given.items()}) if given else constraint
+    given = {k: _evaluated(x, parameters) for k, x in numbers_in(constraint).items() if expressions_in(x)}
+    given |= {f.name: parameters for f in fields(constraint) if f.type == PARAMETERS}
+    return replace(constraint, **given) if given else constraint
 
 
 def expressions_in(x: Any) -> list[Expression]:
@@ -282,7 +290,7 @@ def _evaluated(x: Any, parameters: Mapping[str, float]) -> Any:
 def fields_of(kind: type[Constraint]) -> dict[str, str]:
     """The fields of a kind that a description may give, with their annotations."""
     left_out = {f.name for f in fields(Constraint)}
-    return {f.name: str(f.type) for f in fields(kind) if f.init and f.name not in left_out}
+    return {f.name: str(f.type) for f in fields(kind) if f.init and f.name not in left_out and f.type != PARAMETERS}
 
 
 def needed_by(kind: type[Constraint]) -> list[str]:

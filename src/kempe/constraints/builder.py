@@ -6,7 +6,8 @@ Every tape is finished in one order, that of a walk from its outputs, so that eq
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -210,3 +211,40 @@ class Builder:
             if op in BINARY or op in UNARY:
                 stack.append((left, False))
         return list(order)
+
+    def replayed(self, tape: Tape, leaves: Iterable[int]) -> list[int]:
+        """The places of the outputs of a tape whose inputs are at the places `leaves`."""
+        place = dict(enumerate(leaves))
+        for i in tape._needed():
+            op, left, right = tape.nodes[i - len(tape.inputs)]
+            if op == L.NUMBER:
+                place[i] = self.number(tape.numbers[left])
+            elif op in BINARY:
+                place[i] = self.binary(op, place[left], place[right])
+            else:
+                place[i] = self.unary(op, place[left])
+        return [place[i] for i in tape.outputs]
+
+
+def renamed(tape: Tape, names: Mapping[str, str]) -> Tape:
+    """The tape with other names of its inputs."""
+    return replace(tape, inputs=tuple(names.get(n, n) for n in tape.inputs))
+
+
+def substituted(tape: Tape, sources: Mapping[str, tuple[str | None, float, float]]) -> Tape:
+    """The tape where each of these inputs is multiplier * source + offset, or the offset where the source is None.
+
+    Exponents are constants. Errors: `InputError` for numbers that are not finite.
+    """
+    if not sources.keys() & set(tape.inputs):
+        return tape
+    follows = [sources.get(n, (n, 1.0, 0.0)) for n in tape.inputs]
+    builder = Builder(dict.fromkeys(source for source, _, _ in follows if source is not None))
+    leaves = []
+    for source, multiplier, offset in follows:
+        place = builder.number(offset)
+        if source is not None:
+            factor = builder.binary(L.MUL, builder.number(multiplier), builder.inputs.index(source))
+            place = builder.binary(L.ADD, factor, place)
+        leaves.append(place)
+    return builder.finish(builder.replayed(tape, leaves))

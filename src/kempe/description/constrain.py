@@ -49,9 +49,13 @@ def declare(mechanism: Mechanism, given: object, name: str, where: Where | None 
     if demands:
         checks.refuse(subject, f"{demands[0]} is what ik reads of a wish", where,
                       "a mechanism always holds it: leave it out")  # fmt: skip
-    made = _with_values(mechanism, given, subject, where)
-    ends = [_end(mechanism, e, subject, where) for e in made.ends]
-    record = Declared(name, made, ends[0].body, ends[1].body, ends[0].X, ends[1].X, where)
+    made = _with_values(mechanism, given, subject, where).knowing(mechanism.parameters)
+    made = replace(made, name="") if made.name else made
+    if made.ends[1] is None:
+        record = Declared(name, made, "", "", where=where)
+    else:
+        ends = [_end(mechanism, e, subject, where) for e in made.ends]
+        record = Declared(name, made, ends[0].body, ends[1].body, ends[0].X, ends[1].X, where)
     check(mechanism, record)
     mechanism.constraints[name] = record
     return record
@@ -152,11 +156,16 @@ def _read(x: Any, what: str) -> Any:
 def check(mechanism: Mechanism, made: Declared) -> None:
     """Refuse ends, frames and numbers that cannot be the constraint's own."""
     subject, where, dim = f"constraint {made.name!r}", made.where, mechanism.dim
-    a, b = (mechanism.bodies[n] for n in (made.parent, made.child))
-    if a.name == b.name:
-        checks.refuse(subject, f"it ties body {a.name!r} to itself", where, "it must tie two bodies")
+    if made.parent and made.parent == made.child:
+        checks.refuse(subject, f"it ties body {made.parent!r} to itself", where, "it must tie two bodies")
     numbers = resolved(made, mechanism.parameters, dim)
     rows, tool = numbers.rows(dim), numbers.tool(dim)
+    if not made.parent:
+        if not getattr(made.of, "of", ()):
+            checks.refuse(subject, f"{made.of.label} is asked for in one call of ik, not held always", where,
+                          "hold coordinates by lock, couple or equation, frames by the kinds that name them")  # fmt: skip
+        return
+    a, b = (mechanism.bodies[n] for n in (made.parent, made.child))
     if a.particle and any(r.op is not Op.DISTANCE for r in rows):
         checks.refuse(subject, f"its parent {a.name!r} is a particle, which has no axes", where,
                       "make the particle the child")  # fmt: skip

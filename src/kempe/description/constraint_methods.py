@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from kempe.constraints import Constraint, Contact, NoSideslip, Rolls
+from kempe.constraints import Constraint, Contact, Equation, Inequality, NoSideslip, Rolls, VelocityEquation
 from kempe.description.constrain import between, declare
 from kempe.description.parts import Body, Declared, Frame
 from kempe.errors import Where
@@ -72,3 +73,31 @@ class ConstraintMethods:
     ) -> Declared:  # fmt: skip
         """A point, or a ball or disc about a frame's origin, stays above the xy-plane of `on` (default: the ground)."""
         return self.constrain(Contact(str(frame), None if on is None else str(on), radius, shape), name)
+
+    def equation(
+        self: Any, name: str, expression: str | Sequence[str] | Callable[..., Any], of: Sequence[str] = (),
+        time: bool = False,
+    ) -> Declared:  # fmt: skip
+        """An equation f = 0 of coordinates, or several: ``"A = 2*B"``, or a function of the coordinates named in `of`.
+
+        A function is called with a mapping from these names to numbers, with `time` also with the time t. Text finds
+        its coordinates itself; other names are parameters.
+        """
+        return self.constrain(Equation(expression, of, time, name=name), name)
+
+    def inequality(
+        self: Any, name: str, expression: str | Sequence[str] | Callable[..., Any], of: Sequence[str] = (),
+        time: bool = False,
+    ) -> Declared:  # fmt: skip
+        """An inequality f >= 0 of coordinates, or several, as `equation` takes it: ``"1.2 - A"``."""
+        return self.constrain(Inequality(expression, of, time, name=name), name)
+
+    def velocity_equation(
+        self: Any, name: str, matrix: Sequence[Sequence[Any]] | Callable[..., Any], of: Sequence[str], b: Any = 0,
+        time: bool = False,
+    ) -> Declared:  # fmt: skip
+        """Rows A(q) v = b(q, t) over the velocities of the coordinates named in `of`: ``[["-y^2", 0, 1]]``.
+
+        `matrix` holds numbers and texts, or is a function that returns rows; so is `b`, one number for each row.
+        """
+        return self.constrain(VelocityEquation(matrix, of, b, time, name=name), name)

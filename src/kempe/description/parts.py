@@ -137,10 +137,14 @@ class Declared:
         """How many rows it has that hold on one side, or between two ends, in the plane (2) or in space (3)."""
         return sum(r.count(dim) for r in self.of.rows(dim) if not r.velocity and one_sided(self.of, r))
 
+    def of_pose(self, dim: int) -> int:
+        """How many of these are directions, turns and distances, which no expression says."""
+        return sum(r.count(dim) for r in position_rows(self.of, dim) if r.op not in (Op.TAPE, Op.CALL))
+
     @property
     def links(self) -> bool:
         """Whether it takes freedoms from the motion of one body against another, by rows that are no expressions."""
-        return bool(self.parent) and any(r.op is not Op.TAPE for r in position_rows(self.of, 3))
+        return bool(self.parent) and any(r.op not in (Op.TAPE, Op.CALL) for r in position_rows(self.of, 3))
 
     def key(self) -> tuple[Any, ...]:
         """All that it is, comparable."""

@@ -195,6 +195,8 @@ class _Reader:
                 raise InputError(f"{key} is {shorten(x)}; it must be the name of a frame or body, or a table")
         if how in ("bool", "str") and type(x).__name__ != how:
             raise InputError(f"{key} is {shorten(x)}; it must be {'true or false' if how == 'bool' else 'text'}")
+        if how == "Names" and not (isinstance(x, list) and all(isinstance(n, str) for n in x)):
+            raise InputError(f"{key} is {shorten(x)}; it must be a list of names of coordinates")
         return tuple(x) if isinstance(x, list) and how not in NUMBERS else x
 
     def between(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:

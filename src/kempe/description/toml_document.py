@@ -164,7 +164,7 @@ class Document:
         if kind == "constraint" and "parent" not in table and table.get("type") in KINDS:
             known = ("name", "type", *fields_of(KINDS[table["type"]]))
         for key, item in table.items():
-            wanted, said = _VALUES.get(key, (object, ""))
+            wanted, said = (object, "") if (kind, key) == ("constraint", "of") else _VALUES.get(key, (object, ""))
             if key not in known:
                 place = self.where(*path, key)
                 self.findings.add(f"unknown key {shorten(key)}{hint(key[:60], known)}", subject, place)

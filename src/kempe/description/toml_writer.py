@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from kempe.constraints.base import NUMBERS, End, expressions_in, fields_of, numbers_in
+from kempe.constraints.tape import TEXT_LIMIT, Tape
 from kempe.description.constrain import BETWEEN
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Declared, Frame, Joint
@@ -125,18 +126,22 @@ def _constraint(constraint: Declared, dim: int) -> dict[str, Any]:
     for key, how in fields_of(type(constraint.of)).items():
         x = getattr(constraint.of, key)
         if x is not None and not (isinstance(x, (str, bool, int, float, tuple)) and x == usual[key]):
-            out[key] = _field(x, how, dim)
+            out[key] = _field(x, how, dim, f"constraint {constraint.name!r}")
     return out
 
 
-def _field(x: Any, how: str, dim: int) -> Any:
+def _field(x: Any, how: str, dim: int, what: str) -> Any:
     """A field of a constraint as TOML can hold it."""
     if isinstance(x, End):
         return {"body": x.body, **_placement(x.X, dim)}
     if how in NUMBERS and not isinstance(x, (str, Expression)):
         return x if isinstance(x, (list, tuple)) and expressions_in(x) else np.asarray(x).tolist()
     if callable(x):
-        raise UnsupportedError(f"a file cannot hold the Python function {x!r}; write it as text")
+        why = f" cannot be recorded: {x.reason}" if hasattr(x, "reason") else ""
+        raise UnsupportedError(f"{what}: a file cannot hold the Python function {x!r}{', which' if why else ''}{why}; write "
+                               "it as text")  # fmt: skip
+    if isinstance(x, Tape):
+        raise UnsupportedError(f"{what}: a file cannot hold an expression of more than {TEXT_LIMIT} characters")
     return str(x) if isinstance(x, (Body, Frame)) else x
 
 

@@ -15,7 +15,7 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.forward import fk
 from kempe.kinematics.task import GROUND, Centred, Goals, Placed, Task
 from kempe.kinematics.tasks_whole import Called, Coordinates
-from kempe.model.loop_plan import POSE
+from kempe.kinematics.written import Written, pose_inputs
 from kempe.model.loops import Tie
 from kempe.model.program import ties
 from kempe.model.table import Table
@@ -101,12 +101,6 @@ class Expressed(Task):
         return np.sqrt(squares["m"]), np.sqrt(squares["rad"])
 
 
-def pose_inputs(X: Array) -> dict[str, Array]:
-    """The inputs of expressions that a pose (..., 4, 4) gives: its place, and its rotation row by row."""
-    values = [X[..., i, 3] for i in range(3)] + [X[..., i, j] for i in range(3) for j in range(3)]
-    return dict(zip(POSE, values, strict=True))
-
-
 FAMILIES: dict[Op, type[Task]] = {Op.COORDINATE: Coordinates, Op.CALL: Called, Op.TAPE: Expressed}
 """Which class asks for rows of an operation; `Placed` for all others."""
 
@@ -120,5 +114,7 @@ def task_of(constraint: Any, dim: int) -> Task:
     if any(r.velocity for r in rows):
         raise InputError(f"{constraint.label} is about velocities, which no configuration has: declare it by "
                          "Mechanism.constrain")  # fmt: skip
+    if hasattr(constraint, "of"):  # it reads coordinates, which may follow others
+        return Written(constraint, dim)
     family = FAMILIES.get(rows[0].op) or (Centred if hasattr(constraint, "masses") else Placed)
     return family(constraint, dim)

@@ -101,9 +101,6 @@ class Packed:
         self.stages: dict[Hashable, Any] = {}
         """What solvers have worked out of weights and priorities."""
         self.scale: Array = self.loops.weights[L.SCALES : L.SCALES + system.nv]
-        for tie in self.loops.ties:
-            if tie.function is not None:
-                tie.function.scale = self.scale
         self.slots = [owner.get(id(t), (-1, 0)) for t in self.loops.ties]
         self.owner = np.array([i for i, _ in self.slots], dtype=np.int64)
         self.rows = np.repeat(self.owner, [len(t.rows) for t in self.loops.ties])

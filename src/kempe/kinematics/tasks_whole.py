@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q, circles
 from kempe.kinematics.task import GROUND, Goals, Task
 from kempe.kinematics.zoo import UserConstraint, user_constraint
+from kempe.model.callback import Callback
 from kempe.model.loops import Tie
 from kempe.model.table import Table
 from kempe.reals import named, reals
@@ -96,37 +96,6 @@ class Coordinates(Task):
         balls = [np.linalg.norm(d[..., v : v + 3], axis=-1) for _, _, v, ball in items if ball]
         angle = np.max(np.stack([d[..., turns].max(axis=-1, initial=0.0), *balls]), axis=0)
         return d[..., slides].max(axis=-1, initial=0.0), angle
-
-
-class Callback:
-    """A function of q (nq,) that gives values (rows,) and derivatives (rows, nv), as kernels call it.
-
-    See `kempe.model.loops.Function`. What it raises is kept in `error`, for no exception passes through a kernel.
-    `scale` (nv,) are the units of the velocities.
-    """
-
-    def __init__(self, system: System, rows: int, function: Callable[[Array], tuple[Any, Array]]):
-        number = ctypes.POINTER(ctypes.c_double)
-        kind = ctypes.CFUNCTYPE(None, number, number, number, ctypes.c_int64)
-        self.rows, self.error, self.scale = rows, None, np.ones(system.nv)
-        nq, shape = system.nq, (system.nv, rows)
-
-        def work(q: Any, value: Any, columns: Any, _: int) -> None:
-            out = np.ctypeslib.as_array(value, (rows,))
-            out[:] = np.nan  # what stays where it raises
-            with self:
-                found, J = function(np.ctypeslib.as_array(q, (nq,)).copy())
-                np.ctypeslib.as_array(columns, shape)[:] = (J * self.scale).T
-                out[:] = found
-
-        self._kept = kind(work)
-        self.address = int(ctypes.cast(self._kept, ctypes.c_void_p).value or 0)
-
-    def __enter__(self) -> None: ...
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool:
-        self.error = self.error or error
-        return True
 
 
 class Called(Task):

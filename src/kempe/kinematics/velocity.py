@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.calls import explained
-from kempe.constraints.base import numbers_in
 from kempe.description.constrain import resolved
 from kempe.description.parts import Declared
 from kempe.errors import UnsupportedError
@@ -21,7 +20,7 @@ from kempe.kinematics.recorded import TIME, RowName, Rows
 from kempe.model.lengths import characteristic_length
 from kempe.model.loop_plan import Tie
 from kempe.model.loops import held_ties
-from kempe.model.program import ends_of
+from kempe.model.program import ends_of, numbers_of
 from kempe.model.table import Table, lower
 from kempe.reals import reals
 from kempe.spatial import Array
@@ -93,6 +92,12 @@ class _Recording:
         self.rates: dict[str, Form] = {n: {("v", iv): 1.0} for n, (_, iv) in first.items()}
         for iq, iv in zip(system.layout.quaternion_q, system.layout.quaternion_v, strict=True):
             self._quaternion(int(iq), int(iv))
+        numbers = self.recorder.numbers
+        for name, f in system.couplings.items():
+            self.known[name], self.rates[name] = float(f.offset), {}
+            if f.source is not None:
+                self.known[name] = numbers.add(numbers.mul(f.multiplier, self.known[f.source]), float(f.offset))
+                self.rates[name] = {("v", first[f.source][1]): f.multiplier}
         self.known.setdefault(CLOCK, self.recorder.time)
 
     def _quaternion(self, iq: int, iv: int) -> None:
@@ -153,7 +158,7 @@ class _Recording:
             return
         a, b = ends_of(system, self.recorder.table, declared)
         seen = self.recorder.seen(a, b) if made.ends[1] is not None else None
-        numbers = {k: float(x) for k, x in numbers_in(made).items() if np.ndim(x) == 0 and x is not None}
+        numbers = numbers_of(made)
         known: dict[str, Num] = {**self.known, **numbers}
         speeds = {n + RATE: form for n, form in self.rates.items()}
         known |= dict.fromkeys(speeds, 0.0)

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.constraints.base import Op
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
-from kempe.errors import DescriptionError, Problem, UnknownNameError
+from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError
 from kempe.joints import P, Primitive, Q, R
 from kempe.model.layout import Layout, layout_of
 from kempe.values import Expression, evaluate
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
 
 HELD_TOLERANCE = 1e-9
 """How far a coordinate that follows a locked one may be outside its limits: rounding of the multiplier."""
@@ -90,6 +96,7 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
             if p.kind == Q:
                 balls |= {_full(joint.name, n) for n in names[p.coordinate : p.coordinate + 4]}
     followers, relations = _resolve(mechanism, every, balls)
+    _check_written(mechanism, every, balls)
     names, velocity_names, first, triples = [], [], {}, []
     for joint in mechanism.joints.values():
         particle = mechanism.bodies[joint.child].particle
@@ -153,6 +160,36 @@ def _resolve(
             source = next(iter(flat), None)
             followers[of] = Follower(source, flat[source] if source is not None else 0.0, offset)
     return followers, tuple(relations)
+
+
+def _check_written(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> None:
+    """Refuse coordinates in equations that do not exist, or that equations cannot read."""
+    for c in (c for c in mechanism.constraints.values() if getattr(c.of, "of", ())):
+        reads = [n for n in c.of.of if n not in mechanism.parameters]  # type: ignore[attr-defined]
+        operations = {r.op for r in c.of.rows(mechanism.dim)}
+        for name in reads:
+            subject = f"constraint {c.name!r}"
+            if name not in every:
+                _refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), c.where)
+            if name in balls and Op.VELOCITY not in operations:
+                _refuse(subject, PART_OF_BALL.format(name), c.where, OF_BALL)
+        both = [n for n in mechanism.parameters if n in every and n in getattr(c.of, "words", ())]
+        if both:
+            _refuse(f"constraint {c.name!r}", f"{both[0]!r} is a coordinate and a parameter", c.where, "rename one")
+
+
+PART_OF_BALL = "{!r} is part of a quaternion, which equations of positions do not read"
+OF_BALL = "use a joint with angles=True, or a constraint on a frame"
+
+
+def check_read(system: System, names: Iterable[str], what: str) -> None:
+    """Refuse coordinates that do not exist or are parts of quaternions. Errors: `UnknownNameError`, `InputError`."""
+    known = [*system.coordinate_names, *system.couplings]
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("coordinate", name, known, what)
+        if name not in system.couplings and name not in system.velocity_names:
+            raise InputError(f"{what}: {PART_OF_BALL.format(name)}: {OF_BALL}")
 
 
 def _in_order(mechanism: Mechanism, pending: dict[str, tuple[dict[str, float], float]]) -> list[str]:

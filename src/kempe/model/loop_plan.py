@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from kempe.constraints.builder import substituted
 from kempe.constraints.tape import Tape
 from kempe.description.parts import Joint
 from kempe.joints import P, Q, R
@@ -32,13 +34,17 @@ ONE_ROW = {L.DISTANCE: "distance", L.LINEAR: "relation"}
 class Function(Protocol):
     """A function of q in compiled form: `address` of void(double* q, double* value, double* columns, int64 flag).
 
-    It writes its `rows` values at q, and with the flag the columns (nv, rows) of its Jacobian in scaled velocities.
+    It writes its `rows` values at q, and with the flag the columns (n, rows) of its Jacobian in scaled velocities.
     """
 
     rows: int
     address: int
     scale: np.ndarray
     """Units (nv,) of the velocities: radians, or the length that equations are measured in."""
+    support: tuple[int, ...]
+    """The velocities that it depends on: its columns."""
+    error: BaseException | None
+    """What it raised."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +93,11 @@ class Recorded:
         return tuple(n for n in self.tape.inputs if self.input(n) == L.COORDINATE)
 
 
+    def over(self, sources: Mapping[str, tuple[str | None, float, float]]) -> Recorded:
+        """The same where coordinates follow others: source, multiplier, offset."""
+        return replace(self, tape=substituted(self.tape, {n: sources[n] for n in self.coordinates if n in sources}))
+
+
 @dataclass(frozen=True, eq=False)
 class Tie:
     """One constraint: what it is called, its frames (row, placement, particle), what it holds of B in A, a number."""
@@ -112,6 +123,17 @@ class Tie:
     ball: bool = False
     function: Function | None = None
     tape: Recorded | None = None
+
+    @property
+    def written(self) -> bool:
+        """Whether its equations are an expression or a function."""
+        return self.tape is not None or self.function is not None
+
+    @property
+    def plain(self) -> bool:
+        """Whether its equations are plain numbers, neither metres nor radians of a pose."""
+        return self.relation is not None or self.function is not None or (
+            self.tape is not None and self.tape.unit not in ("m", "rad"))  # fmt: skip
 
     @property
     def rows(self) -> list[str]:
@@ -151,6 +173,12 @@ class Loops:
         lengths = self.plan[at : at + L.TIE_INTS * len(self.ties) : L.TIE_INTS].tolist()
         return tuple("m" if i < n else "rad" if t.tape is None else t.tape.unit
                      for t, n in zip(self.ties, lengths, strict=True) for i in range(len(t.rows)))  # fmt: skip
+
+    def columns(self, k: int) -> list[int]:
+        """Velocity coordinates that tie k depends on."""
+        tie = self.plan[self.plan[L.AT_TIES] + L.TIE_INTS * k :]
+        at = int(self.plan[L.AT_LOCALS] + tie[L.LOCAL])
+        return self.plan[at : at + int(tie[L.LOCALS])].tolist()
 
 
 def _readings(system: System, joint: Joint) -> list[tuple[int, int]]:
@@ -231,7 +259,7 @@ class Plan:
         elif tie.turns == L.OWN:
             columns.update({tie.own + n: n for n in range(3 if tie.ball else 1)})
         elif tie.function is not None:
-            columns.update({v: v for v in range(self.system.nv)})
+            columns.update({v: n for n, v in enumerate(tie.function.support)})
         else:
             for sign, row in self._rows(k, tie) if tie.tape is None or tie.tape.moved else ():
                 kind, iv = int(self.rows[row, 0]), int(self.rows[row, 3])

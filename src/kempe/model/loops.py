@@ -95,6 +95,9 @@ def pack(
     every = range(len(table.kind)) if any(t.centre for t in ties) else None  # a centre is moved by all that has mass
     ints, floats = table.pack([("tie", k, end) for k in range(len(ties)) for end in (0, 1)], every)
     plan, weights = Plan(system, ties, ints, held, size, length is None, wide).arrays()
+    for tie in ties:
+        if tie.function is not None:
+            tie.function.scale = weights[L.SCALES : L.SCALES + system.nv]
     names = tuple((t.name, row) for t in ties for row in t.rows)
     unknown = np.array([i for i, n in enumerate(system.velocity_names) if n not in held], dtype=np.int64)
     return Loops(tuple(ties), names, ints, floats, plan, weights, unknown, size, origin)
@@ -209,7 +212,9 @@ def _movers(tie: Tie, table: Table, first: Places) -> set[int]:
     """Velocity coordinates that a tie shares with others; a relation is said to have none."""
     if tie.own >= 0:
         return {tie.own}
-    if tie.centre is not None or tie.function is not None:
+    if tie.function is not None:
+        return set(tie.function.support)
+    if tie.centre is not None:
         return set(table.iv.tolist())
     if tie.tape is not None:
         own = {first[name][1] for name in tie.tape.coordinates}

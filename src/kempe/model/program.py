@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kempe.constraints.base import Constraint, Op, Row, held, numbers_in, one_sided
+from kempe.constraints.recording import TIME as CLOCK
 from kempe.description.constrain import resolved
 from kempe.description.parts import Declared
 from kempe.kernels import loop_layout as L
+from kempe.model.callback import Callback
 from kempe.model.loop_plan import Recorded, Tie
 from kempe.model.table import Table
 
@@ -33,7 +36,7 @@ def declared_ties(system: System, table: Table, one_sided: bool = False) -> list
 def ties_of(system: System, table: Table, declared: Declared) -> list[Tie]:
     """The ties of a declared constraint, one-sided ones with their bounds."""
     made = resolved(declared, system.mechanism.parameters, system.dim)
-    return list(ties(declared.name, made, system.dim, *ends_of(system, table, declared)))
+    return every_tie(system, declared.name, made, *ends_of(system, table, declared))
 
 
 def ends_of(system: System, table: Table, declared: Declared) -> tuple[End, End]:
@@ -52,27 +55,48 @@ def ties(name: str, made: Constraint, dim: int, a: End, b: End, given: bool = Fa
         own = [r for r in rows if one_sided(made, r) == sided]
         axes = [r for r in own if r.op is Op.POINT]
         turns = next((TURNS[r.op][dim] for r in own if r.op in TURNS), L.NO_TURN)
-        bounds = tuple(_between(made, r) for r in axes) if sided else ()
+        bounds = tuple(between(made, r) for r in axes) if sided else ()
         if axes or turns != L.NO_TURN:
             yield Tie(name, a, b, sum(1 << r.args[0] for r in axes), turns, bounds=bounds)
         for row in (r for r in own if r.op is Op.DISTANCE):
             field = held(made, row)
             number = 0.0 if sided else float(getattr(made, field))
-            yield Tie(name, a, b, turns=L.DISTANCE, number=number, bounds=(_between(made, row),) if sided else ())
+            yield Tie(name, a, b, turns=L.DISTANCE, number=number, bounds=(between(made, row),) if sided else ())
         for tape, unit in dict.fromkeys((r.args[0], r.unit) for r in own if r.op is Op.TAPE):
             alike = [r for r in own if r.op is Op.TAPE and (r.args[0], r.unit) == (tape, unit)]
-            bounds = tuple(_between(made, r) for r in alike) if sided else ()
+            bounds = tuple(between(made, r) for r in alike) if sided else ()
             yield Tie(name, a, b, turns=L.TAPE, bounds=bounds, tape=recorded(made, alike, given))
+
+
+def every_tie(system: System, name: str, made: Constraint, a: End, b: End) -> list[Tie]:
+    """The ties of the rows of position, functions among them, over coordinates that are in q."""
+    found = list(ties(name, made, system.dim, a, b))
+    for sided in (False, True):
+        own = [r for r in made.rows(system.dim) if r.op is Op.CALL and one_sided(made, r) == sided]
+        for what in dict.fromkeys(r.args[0] for r in own):
+            alike = [r for r in own if r.args[0] == what]
+            bounds = tuple(between(made, r) for r in alike) if sided else ()
+            call = Callback.of_call(system, what, [r.args[1] for r in alike], numbers_of(made))
+            found.append(Tie(name, a, b, turns=L.FUNCTION, bounds=bounds, function=call))
+    sources = {n: (f.source, f.multiplier, f.offset) for n, f in system.couplings.items()}
+    return [t if t.tape is None else replace(t, tape=t.tape.over(sources)) for t in found]
 
 
 def recorded(made: Constraint, rows: list[Row], given: bool = False) -> Recorded:
     """Rows of one expression, with the numbers of the constraint put in; `given`: they come with the call."""
     tape = rows[0].args[0].part([r.args[1] for r in rows])
-    numbers = {k: x for k, x in numbers_in(made).items() if k in tape.inputs}
     names, unit, posed = tuple(r.name for r in rows), rows[0].unit, made.ends[1] is not None
     if given:
-        return Recorded(tape, names, unit, posed, tuple(numbers))
-    return Recorded(tape.fixed({k: float(x) for k, x in numbers.items()}), names, unit, posed)
+        return Recorded(tape, names, unit, posed, tuple(k for k in numbers_in(made) if k in tape.inputs))
+    numbers = numbers_of(made) | ({CLOCK: 0.0} if getattr(made, "time", False) else {})
+    return Recorded(tape.fixed({k: x for k, x in numbers.items() if k in tape.inputs}), names, unit, posed)
+
+
+def numbers_of(made: Constraint) -> dict[str, float]:
+    """The numbers of a constraint, parameters among them, by the names that expressions have for them."""
+    own = {k: x for k, x in numbers_in(made).items() if x is not None and np.ndim(x) == 0 and not isinstance(x, str)}
+    given = {**(getattr(made, "parameters", None) or {}), **own}
+    return {k: float(x) for k, x in given.items() if k not in coordinates_of(made)}
 
 
 def coordinates_of(made: Constraint) -> tuple[str, ...]:
@@ -80,7 +104,7 @@ def coordinates_of(made: Constraint) -> tuple[str, ...]:
     return tuple(getattr(made, "of", ()))
 
 
-def _between(made: Constraint, row: Row) -> tuple[float, float]:
+def between(made: Constraint, row: Row) -> tuple[float, float]:
     """Between what a one-sided row holds."""
     ends = []
     for field, infinity in ((row.low, -np.inf), (row.high, np.inf)):

@@ -105,9 +105,10 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
 
     system, length = bound.system, bound.loops.length
     parts: dict[tuple[str, bool], list[float]] = {}
-    for (name, row), value in zip(row_names(system), residual(system, q).tolist(), strict=True):
-        part = parts.setdefault((name, row == "relation"), [0.0, 0.0])
-        kind = int(row.startswith("r"))
+    plain = [tie.plain for tie in loops.full(system, False).ties for _ in tie.rows]
+    for (name, row), off, value in zip(row_names(system), plain, residual(system, q).tolist(), strict=True):
+        part = parts.setdefault((name, off), [0.0, 0.0])
+        kind = int(row.startswith("r") or off)
         part[kind] = math.hypot(part[kind], value)
     worst, text = 0.0, "nothing is open"
     if bound.further:
@@ -121,7 +122,8 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
             continue
         worst = size
         if related:
-            text = f"the relation of {name!r} is off by {turned:.6g}"
+            what = "constraint" if name in system.mechanism.constraints else "the relation of"
+            text = f"{what} {name!r} is off by {turned:.6g}"
             continue
         text = f"the loop of joint {name!r}" if name in system.joints else f"constraint {name!r}"
         text += f" stays open by {apart:.6g} m" + (f" and {turned:.3g} rad" if turned > 1e-9 else "")

@@ -1,0 +1,366 @@
+"""Kinds that the user writes: equations, inequalities and velocity equations of coordinates, as text or as functions.
+
+A function is recorded once and kept as text, so that it can be written to files and compared. Where it branches on
+values it stays a function (`Call`): it can be called, but has no series.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, ClassVar, TypeAlias
+
+import numpy as np
+
+from kempe.constraints.base import Constraint, Op, Row, kind
+from kempe.constraints.builder import renamed
+from kempe.constraints.recording import TIME, NotRecorded, at, called, probe, record
+from kempe.constraints.tape import Tape, quoted
+from kempe.constraints.text import from_text, read
+from kempe.errors import InputError, UnknownNameError, shown
+from kempe.values import Expression
+
+Told: TypeAlias = Any
+"""A field of an expression: text, several, or a function of named inputs."""
+Names: TypeAlias = Any
+"""A field of names of coordinates."""
+Parameters: TypeAlias = "Mapping[str, float] | None"
+"""Parameters of the mechanism by name; None where they are not known yet."""
+
+RATE = "'"
+"""What follows the name of a coordinate in the name of its velocity."""
+
+
+@dataclass(frozen=True)
+class Call:
+    """A Python function of named inputs that cannot be recorded, because of the `reason`; it gives `size` numbers.
+
+    It reads `inputs`, which are the coordinates and parameters `of` here.
+    """
+
+    function: Callable
+    inputs: tuple[str, ...]
+    of: tuple[str, ...]
+    time: bool
+    size: int
+    reason: str
+    what: str
+
+    def __call__(self, values: Mapping[str, float]) -> np.ndarray:
+        """Its numbers (size,) at values of `of`, and of the time "t". Errors: `InputError` with the call."""
+        given = {own: float(values[name]) for own, name in zip(self.inputs, self.of, strict=True)}
+        if self.time:
+            given[TIME] = float(values.get(TIME, 0.0))
+        found, _ = called(self.function, given, self.time, self.what)
+        if len(found) != self.size:
+            raise InputError(f"{self.what} gives {len(found)} numbers at {at(given)}, but gave {self.size} before")
+        return found
+
+    def __repr__(self) -> str:
+        return getattr(self.function, "__qualname__", repr(self.function))
+
+    def __reduce__(self) -> Any:
+        try:
+            pickle.dumps(self.function)
+        except Exception:
+            raise InputError(f"{self.what} is {self!r}, which cannot be pickled, and cannot be recorded: "
+                             f"{self.reason}") from None  # fmt: skip
+        return Call, (self.function, self.inputs, self.of, self.time, self.size, self.reason, self.what)
+
+
+@lru_cache(maxsize=1024)
+def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str, ...]) -> Tape:
+    return from_text(texts, names, parameters)
+
+
+@lru_cache(maxsize=1024)
+def words_of(texts: tuple[str, ...]) -> tuple[str, ...]:
+    """The names in expressions, in the order in which they occur. Errors: `InputError`."""
+    found: dict[str, None] = {}
+    for text in texts:
+        expression, meant = read(text)
+        found |= dict.fromkeys(meant.get(word, word) for word in expression.names)
+    return tuple(found)
+
+
+def as_text(x: Any, what: str) -> str:
+    """An expression as text; numbers are allowed. Errors: `InputError`."""
+    if isinstance(x, Expression):
+        return x.text
+    if isinstance(x, (int, float, np.integer, np.floating)) and not isinstance(x, bool):
+        number = float(x)
+        return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
+    if not isinstance(x, str):
+        raise InputError(f"{what} is {shown(x)}; it must be text, a number, or a function of named coordinates")
+    return x
+
+
+class _Written(Constraint):
+    """A kind whose rows the user writes, over coordinates `of` and parameters."""
+
+    needs: ClassVar[str] = "a number or a list of numbers"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "of", self._names(self.of))  # type: ignore[attr-defined]
+
+    @property
+    def what(self) -> str:
+        """How messages call it."""
+        return f"{self.kind.replace('_', ' ')} {self.name!r}" if self.name else f"the {self.kind.replace('_', ' ')}"
+
+    @property
+    def about(self) -> str:
+        """Its coordinates."""
+        return ", ".join(self.of or self.words)  # type: ignore[attr-defined]
+
+    def _names(self, given: Any) -> tuple[str, ...]:
+        names = (given,) if isinstance(given, str) else tuple(str(n) for n in given)
+        twice = [n for n in names if names.count(n) > 1]
+        if twice:
+            raise InputError(f"{self.what} names the coordinate {twice[0]!r} twice")
+        return names
+
+    def _recorded(self, function: Callable, shape_of: Callable[[tuple[int, ...]], None]) -> tuple[Any, tuple[int, ...]]:
+        """The texts of a function, or the tape where they would be too long, or a `Call`; and its shape."""
+        of, time = self.of, self.time  # type: ignore[attr-defined]
+        if not of:
+            raise InputError(f"{self.what} is given a function; name the coordinates that it reads: of=(...)")
+        try:
+            tape, shape = record(function, of, time=time, what=self.what)
+        except NotRecorded as error:
+            inputs = [*of, TIME] if time else of
+            shape_of(shape := probe(function, inputs, time, self.what))
+            reason = str(error).removeprefix(f"{self.what} cannot be recorded: ")
+            return Call(function, of, of, time, int(np.prod(shape)), reason, self.what), shape
+        shape_of(shape)
+        try:
+            return tape.texts(), shape
+        except InputError:
+            return tape, shape
+
+    def _tape_of(self, told: Any) -> Tape:
+        """The tape of texts, over coordinates, the time and parameters. Errors: `InputError`, `UnknownNameError`."""
+        of, time, known = self.of, self.time, self.parameters  # type: ignore[attr-defined]
+        if isinstance(told, Tape):
+            return told
+        clock = (TIME,) if time else ()
+        if time and TIME in of:
+            raise InputError(f"{self.what} has a coordinate {TIME!r} besides the time, which is called so")
+        words = [w for w in words_of(told) if w not in clock]
+        parameters = tuple(words if known is None else known)
+        names = of or tuple(w for w in words if known is None or w not in known)
+        try:
+            return _tape(told, (*names, *clock), tuple(p for p in parameters if p not in names))
+        except UnknownNameError as error:
+            more = "; for the time say time=True" if error.name == TIME and not time else ""
+            raise InputError(f"{self.what}: {error}{more}") from None
+
+    def knowing(self, parameters: Collection[str]) -> Constraint:
+        """The same where names in it that are no parameters are coordinates, named in `of`."""
+        names = self.of or tuple(w for w in self.words if w != TIME or not self.time)  # type: ignore[attr-defined]
+        return replace(self, of=tuple(n for n in names if n not in parameters))  # type: ignore[attr-defined]
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The names in its expressions."""
+        raise NotImplementedError
+
+
+class _Valued(_Written):
+    """A kind on values of an expression."""
+
+    sense: ClassVar[dict[str, str]] = {}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        told = self.expression  # type: ignore[attr-defined]
+        if callable(told) and not isinstance(told, (Call, Tape)):
+            told, _ = self._recorded(told, self._fits)
+        elif isinstance(told, (list, tuple)):
+            told = tuple(as_text(x, self.what) for x in told)
+            self._fits((len(told),))
+        elif not isinstance(told, (Call, Tape)):
+            told = (as_text(told, self.what),)
+        alone = isinstance(told, tuple) and len(told) == 1
+        object.__setattr__(self, "expression", told[0] if alone else told)
+
+    def _fits(self, shape: tuple[int, ...]) -> None:
+        """Refuse what is no list of numbers."""
+        if len(shape) > 1 or 0 in shape:
+            raise InputError(f"{self.what} returns numbers of the shape {shape}; it must return {self.needs}")
+
+    @property
+    def _texts(self) -> Any:
+        told = self.expression  # type: ignore[attr-defined]
+        return (told,) if isinstance(told, str) else told
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The names in its expressions."""
+        told = self._texts
+        return told.inputs if isinstance(told, Tape) else told.of if isinstance(told, Call) else words_of(told)
+
+    def rows(self, dim: int) -> tuple[Row, ...]:
+        """One for each number."""
+        told = self._texts
+        if isinstance(told, Call):
+            op, of, n = Op.CALL, told, told.size
+        else:
+            op, of = Op.TAPE, self._tape_of(told)
+            n = len(of.outputs)
+        return tuple(Row(op, (of, k), "value" if n == 1 else f"value {k + 1}", "1", **self.sense) for k in range(n))
+
+    def prefixed(self, prefix: str) -> Constraint:
+        """The same where coordinates have a prefix."""
+        told, new = self.expression, {n: prefix + n for n in self.of}  # type: ignore[attr-defined]
+        if isinstance(told, Call):
+            told = replace(told, of=tuple(new.get(n, n) for n in told.of))
+        elif isinstance(told, Tape):
+            told = renamed(told, new)
+        else:
+            told = renamed(self._tape_of(self._texts), new).texts()
+        return replace(self, expression=told, of=tuple(new.values()))  # type: ignore[call-arg]
+
+
+@kind("equation", says="{expression} is zero")
+class Equation(_Valued):
+    """An equation f = 0 over coordinates, or several: text such as ``"A = 2*B"``, or a function.
+
+    A function is called with a mapping from the names `of` to numbers, with `time` also with the time t, and gives a
+    number or a list. Text finds its coordinates itself; other names are parameters of the mechanism.
+    """
+
+    expression: Told
+    of: Names = ()
+    time: bool = False
+    parameters: Parameters = field(default=None, repr=False, kw_only=True)
+
+
+@kind("inequality", "contact", "{expression} is not negative")
+class Inequality(_Valued):
+    """An inequality f >= 0 over coordinates, or several; see `Equation`. Text may not hold a sign of equality."""
+
+    expression: Told
+    of: Names = ()
+    time: bool = False
+    parameters: Parameters = field(default=None, repr=False, kw_only=True)
+
+    sense: ClassVar[dict[str, str]] = {"low": "zero"}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for text in self._texts if isinstance(self._texts, tuple) else ():
+            if "=" in text:
+                raise InputError(f"{self.what} is {text!r}: give what is not negative, such as '1.2 - A'")
+
+
+@kind("velocity_equation", says="the velocities of {of} obey {matrix}")
+class VelocityEquation(_Written):
+    """Rows A(q) v = b(q, t) over the velocities of the coordinates `of`: numbers, texts, or a function of these.
+
+    `matrix` has a row for each equation and a column for each of `of`; `b` is one number, or one for each row.
+    """
+
+    matrix: Told
+    of: Names = ()
+    b: Told = 0
+    time: bool = False
+    parameters: Parameters = field(default=None, repr=False, kw_only=True)
+
+    needs: ClassVar[str] = "rows of numbers, one for each coordinate"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.of:
+            raise InputError(f"{self.what} needs the coordinates whose velocities it is about: of=(...)")
+        A = self._entries(self.matrix, self._fits)
+        A = (A,) if A and not isinstance(A[0], tuple) else A
+        self._fits((len(A), len(A[0])) if A else (0, 0))
+        b = self._entries(self.b, lambda shape: self._as_many(shape, len(A)))
+        b = b if len(b) == len(A) else b * len(A)
+        self._as_many((len(b),), len(A))
+        object.__setattr__(self, "matrix", A)
+        object.__setattr__(self, "b", b[0] if len(set(b)) == 1 else b)
+
+    def _entries(self, told: Any, fits: Callable[[tuple[int, ...]], None]) -> Any:
+        """Texts, or rows of texts."""
+        if callable(told) and not isinstance(told, Expression):
+            found, shape = self._recorded(told, fits)
+            if not isinstance(found, tuple):
+                why = found.reason if isinstance(found, Call) else "as text it is too long"
+                raise InputError(f"{self.what} cannot be recorded: {why}; rows of velocities need derivatives of "
+                                 "their entries: write them as expressions")  # fmt: skip
+            n = shape[-1] if len(shape) == 2 else 0
+            return tuple(found[i : i + n] for i in range(0, len(found), n)) if n else found
+        if isinstance(told, np.ndarray):
+            told = told.tolist()
+        if not isinstance(told, (list, tuple)):
+            return (as_text(told, self.what),)
+        if any(isinstance(x, (list, tuple)) for x in told):
+            if len({len(x) if isinstance(x, (list, tuple)) else -1 for x in told}) > 1:
+                raise InputError(f"{self.what} has rows of different lengths")
+            return tuple(tuple(as_text(x, self.what) for x in row) for row in told)
+        return tuple(as_text(x, self.what) for x in told)
+
+    def _fits(self, shape: tuple[int, ...]) -> None:
+        """Refuse what is no matrix with a column for each coordinate."""
+        if len(shape) not in (1, 2) or shape[-1] != len(self.of) or 0 in shape:
+            raise InputError(f"{self.what} has a matrix of the shape {shape}; each of its rows must have "
+                             f"{len(self.of)} entries, for {', '.join(self.of)}")  # fmt: skip
+
+    def _as_many(self, shape: tuple[int, ...], rows: int) -> None:
+        if shape not in ((), (1,), (rows,)):
+            raise InputError(f"b of {self.what} has the shape {shape}; it must be one number, or {rows}")
+
+    def _row_texts(self) -> tuple[str, ...]:
+        """Each row as an expression in velocities, A v - b."""
+        b = self.b if isinstance(self.b, tuple) else (self.b,) * len(self.matrix)
+        rates = [quoted(n + RATE) for n in self.of]
+        rows = [" + ".join(f"({a})*{v}" for a, v in zip(row, rates, strict=True)) for row in self.matrix]
+        return tuple(row if y == "0" else f"{row} - ({y})" for row, y in zip(rows, b, strict=True))
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The names in its expressions, and its coordinates."""
+        b = self.b if isinstance(self.b, tuple) else (self.b,)
+        return tuple(dict.fromkeys([*self.of, *words_of((*(x for row in self.matrix for x in row), *b))]))
+
+    def knowing(self, parameters: Collection[str]) -> Constraint:
+        """The same: its coordinates are named."""
+        return self
+
+    def rows(self, dim: int) -> tuple[Row, ...]:
+        """One for each row of the matrix."""
+        rates = tuple(n + RATE for n in self.of)
+        tape = self.velocity_tape(rates)
+        n = len(tape.outputs)
+        return tuple(
+            Row(Op.VELOCITY, (tape, k), "velocity" if n == 1 else f"velocity {k + 1}", "1/s") for k in range(n)
+        )
+
+    def velocity_tape(self, rates: tuple[str, ...]) -> Tape:
+        """The rows A v - b over coordinates and the velocities `rates`."""
+        texts, clock = self._row_texts(), (TIME,) if self.time else ()
+        inputs = (*self.of, *rates, *clock)
+        words = [w for w in words_of(texts) if w not in inputs]
+        known = tuple(words if self.parameters is None else self.parameters)
+        try:
+            return _tape(texts, inputs, tuple(p for p in known if p not in inputs))
+        except UnknownNameError as error:
+            more = "; for the time say time=True" if error.name == TIME and not self.time else ""
+            raise InputError(f"{self.what}: {error}{more}") from None
+
+    def prefixed(self, prefix: str) -> Constraint:
+        """The same where coordinates have a prefix."""
+        new = {n: prefix + n for n in self.of}
+        clock = (TIME,) if self.time else ()
+
+        def moved(text: str) -> str:
+            words = [w for w in words_of((text,)) if w not in self.of and w not in clock]
+            return renamed(_tape((text,), (*self.of, *clock), tuple(words)), new).texts()[0]
+
+        b = tuple(map(moved, self.b)) if isinstance(self.b, tuple) else moved(self.b)
+        matrix = tuple(tuple(map(moved, row)) for row in self.matrix)
+        return replace(self, matrix=matrix, b=b, of=tuple(new.values()))
