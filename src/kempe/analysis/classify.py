@@ -15,14 +15,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.analysis.brackets import growth
-from kempe.analysis.generic import close, find_closed
+from kempe.analysis.generic import NEAR, close, find_closed
 from kempe.analysis.one_sided import OneSidedReport, if_any
 from kempe.analysis.reach import Place, Reach, random_place, reach
 from kempe.calls import explained, explained_methods, generator
 from kempe.description.parts import Fixed
-from kempe.errors import InputError
-from kempe.kinematics.configuration import as_q
+from kempe.errors import InputError, shown
+from kempe.kinematics.configuration import one
 from kempe.kinematics.velocity import tangent_rows
+from kempe.reals import is_real
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -45,6 +46,8 @@ class ConstraintKind:
     integrable: int = 0
     reaches: int | None = None
     growth: tuple[int, ...] | None = None
+    touching: bool = False
+    """Whether its rows of velocity hold only while it touches something."""
 
     @property
     def sentence(self) -> str:
@@ -85,6 +88,8 @@ class Classification:
     why: str = ""
     one_sided: OneSidedReport | None = field(default=None, repr=False)
     """Which one-sided constraints are closed at `q` and what they still allow; None where there are none."""
+    moved: float = 0.0
+    """How far `q` is from the configuration that was given, where that was not closed."""
     reachable_around: int | None = None
     """The dimension that motions reach from configurations drawn at random."""
 
@@ -124,23 +129,29 @@ class Classification:
 
 @explained
 def classify(
-    system: System, q: Any = None, *, t: float = 0.0, rng: np.random.Generator | int = 0
+    system: System, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0
 ) -> Classification:  # fmt: skip
     """Which kind each constraint of a system is, and how far velocities that are free reach, with the reasoning.
 
     `q` (nq,) or a dict by coordinate name (default: as for `mobility`), `t` the time where constraints depend on it.
+    A `q` that misses what holds positions by more than rounding is refused, or with `project` replaced by the nearest
+    closed one that is found; `moved` says how far that is.
     `rng` draws letters of brackets and configurations around. Ranks are decided by the size of singular values against
     an estimate of rounding; `doubtful` says that one is not clearly on either side. Errors: `InputError`;
     `UnsupportedError` for constraints that are no recorded expressions, by name.
     """
-    given = None if q is None else as_q(system, q)
-    if given is not None and given.ndim != 1:
-        raise InputError(f"q has shape {given.shape}; constraints are classified at one configuration ({system.nq},)")
+    if not is_real(t):
+        raise InputError(f"t is {shown(t)}; it must be one number")
+    given = None if q is None else one(system, q)
     at = find_closed(system) if given is None else close(system, given)
     if not at.closed:
         raise InputError(f"the mechanism cannot be closed here (residual {at.residual:.2g}): {at.why}")
+    moved = 0.0 if given is None else float(system.distance(given, at.q))
+    if at.given > NEAR and given is not None and not project:
+        raise InputError(f"q misses what holds positions by {at.given:.3g} (radians and characteristic lengths); the "
+                         f"nearest closed configuration found is {moved:.3g} away: project=True takes it")  # fmt: skip
     found = _Classifier(system, at.q, float(t), generator(rng)).found()
-    return replace(found, one_sided=if_any(system, at.q))
+    return replace(found, one_sided=if_any(system, at.q), moved=moved)
 
 
 class _Classifier:
@@ -224,5 +235,5 @@ class _Classifier:
         extra = place.extra
         return ConstraintKind(
             name, kind, names, whole - alone.dimension, whole - found[-1], found[-1] - extra,
-            tuple(d - extra for d in found),
+            tuple(d - extra for d in found), any(rows[i].sided for i in own),
         )  # fmt: skip

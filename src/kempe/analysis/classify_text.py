@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 SHOWN = 24
 """Constraints that are listed one by one."""
+SEEN = 1e-9
+"""Distance above which it is told that the configuration is not the one that was given."""
 
 
 def vector(growth: tuple[int, ...], open_end: bool = False) -> str:
@@ -37,6 +39,10 @@ def sentence(c: Classification) -> str:
 
 def of_one(c: ConstraintKind) -> str:
     """What one constraint is, and why."""
+    return _of_one(c) + ("; all this while it touches" if c.touching else "")
+
+
+def _of_one(c: ConstraintKind) -> str:
     count = counted(len(c.rows), "row")
     if c.kind == "unilateral":
         return f"unilateral: {count} held on one side, which takes no freedom while it does not touch"
@@ -90,6 +96,8 @@ def proof(c: Classification) -> list[str]:
 def lines(c: Classification) -> list[tuple[str, list[str]]]:
     """The report as (title, lines)."""
     out = [("growth", reasons(c)), ("known by", proof(c))]
+    if c.moved > SEEN:
+        out.insert(0, ("start", [f"q is {c.moved:.3g} away from what was given, which was not closed"]))
     each = [str(x) for x in c.constraints.values()]
     out.append(("constraints", each if len(each) <= SHOWN else [*each[:SHOWN], f"... and {len(each) - SHOWN} more"]))
     if c.one_sided is not None:
@@ -123,7 +131,8 @@ def data(c: Classification) -> dict[str, Any]:
         "velocity_dof": c.velocity_dof, "growth": None if c.growth is None else list(c.growth),
         "growth_around": None if c.growth_around is None else list(c.growth_around), "degree": c.degree,
         "reachable_dimension": c.reachable_dimension, "reachable_around": c.reachable_around, "singular": c.singular,
-        "doubtful": c.doubtful, "why": c.why, "one_sided": None if c.one_sided is None else c.one_sided.data(),
+        "doubtful": c.doubtful, "why": c.why, "moved": c.moved,
+        "one_sided": None if c.one_sided is None else c.one_sided.data(),
         "constraints": {
             k: {"kind": x.kind, "rows": list(x.rows), "independent": x.independent, "integrable": x.integrable,
                 "reaches": x.reaches, "growth": None if x.growth is None else list(x.growth), "sentence": x.sentence}

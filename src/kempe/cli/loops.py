@@ -97,6 +97,28 @@ def dof(
 
 @app.command(rich_help_panel=CLOSED)
 @guarded
+def classify(
+    file: File, q: At = None, posture: Posture = None,
+    project: Annotated[bool, option("--project", "Take the nearest closed configuration where q is not closed.")] = False,
+    deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
+    xacro: Xacro = False, lenient_limits: Lenient = False,
+) -> None:  # fmt: skip
+    """Say which kind each constraint is, and how far motions reach.
+
+    Example: kempe classify car
+    """
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    from kempe.views import given, loop_report
+
+    at, closing = given.configuration(system, q, posture, deg)
+    if closing is not None and not closing:
+        _open(closing, deg, json)
+    answer = system.classify(at, project=project)
+    print_json(loop_report.classify_facts(system, answer, deg)) if json else show(loop_report.classify(answer))
+
+
+@app.command(rich_help_panel=CLOSED)
+@guarded
 def assemble(
     file: File, known: Known = None, near: Near = None,
     branch: Annotated[

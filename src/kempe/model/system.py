@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
+    from kempe.analysis.classify import Classification
     from kempe.analysis.drive import Drive
     from kempe.analysis.manoeuvre_path import Manoeuvre
     from kempe.analysis.mobility import Mobility
@@ -301,6 +302,14 @@ class System(Compiled):
         from kempe.analysis.mobility import mobility
 
         return mobility(self, q, actuated, **options)
+
+    def classify(
+        self, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0
+    ) -> Classification:  # fmt: skip
+        """Which kind each constraint is, and how far free velocities reach; see `kempe.analysis.classify`."""
+        from kempe.analysis.classify import classify
+
+        return classify(self, q, t=t, project=project, rng=rng)
 
     def trace(self, driver: str | None = None, start: Any = None, **options: Any) -> Motion:
         """The whole branch of a mechanism with one freedom, as a `Path`; see `kempe.analysis.motion.trace`."""

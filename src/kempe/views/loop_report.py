@@ -17,6 +17,7 @@ from kempe.kinematics.tabular import write_table
 from kempe.views import facts, report
 
 if TYPE_CHECKING:
+    from kempe.analysis.classify import Classification
     from kempe.analysis.mobility import Mobility
     from kempe.analysis.path import Event, Path
     from kempe.model.system import System
@@ -37,17 +38,38 @@ def mobility(answer: Mobility) -> RenderableType:
     from kempe.analysis.mobility_text import lines, sentence
 
     style = "bold green" if answer.closed and answer.certain else "bold red" if not answer.closed else "bold yellow"
-    grid = Table.grid(padding=(0, 2, 0, 0))
-    grid.add_column(style="bold", no_wrap=True)
-    grid.add_column(overflow="fold")
-    for title, own in lines(answer):
-        for k, line in enumerate(x for x in own if x):
-            grid.add_row(title if k == 0 else "", Text(report.clean(line)))
-    return Group(Text(report.clean(f"{answer.name}: {sentence(answer)}"), style=style), "", grid)
+    return _by_topic(f"{answer.name}: {sentence(answer)}", lines(answer), style)
 
 
 def mobility_facts(system: System, answer: Mobility, degrees: bool = False) -> dict[str, Any]:
     """Degrees of freedom as plain data."""
+    return _facts(system, answer, degrees)
+
+
+def classify(answer: Classification) -> RenderableType:
+    """What constraints are: the sentence, and the reasoning by topic."""
+    from kempe.analysis.classify_text import lines, sentence
+
+    style = "bold green" if not answer.why and not answer.doubtful else "bold yellow"
+    return _by_topic(f"{answer.name}: {sentence(answer)}", lines(answer), style)
+
+
+def classify_facts(system: System, answer: Classification, degrees: bool = False) -> dict[str, Any]:
+    """What constraints are as plain data."""
+    return _facts(system, answer, degrees)
+
+
+def _by_topic(headline: str, topics: list[tuple[str, list[str]]], style: str) -> RenderableType:
+    grid = Table.grid(padding=(0, 2, 0, 0))
+    grid.add_column(style="bold", no_wrap=True)
+    grid.add_column(overflow="fold")
+    for title, own in topics:
+        for k, line in enumerate(x for x in own if x):
+            grid.add_row(title if k == 0 else "", Text(report.clean(line)))
+    return Group(Text(report.clean(headline), style=style), "", grid)
+
+
+def _facts(system: System, answer: Mobility | Classification, degrees: bool) -> dict[str, Any]:
     data = facts.jsonable(answer.data())
     for side in (data["one_sided"] or {"sides": []})["sides"] if degrees else ():
         if side["unit"] == "rad":

@@ -1,0 +1,420 @@
+"""Which kind constraints of mechanisms are: literature, symbols, exact forms, what is one-sided, bad input."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+import sympy
+from hunts import Hunt
+from pfaffian import SYSTEMS, Pfaffian, growth_by_symbols
+from wheeled import KNOWN, close_by, on_plane, steered_car, trailers, two_axles
+
+from kempe import Mechanism
+from kempe.errors import InputError, UnsupportedError
+from kempe.kinematics.velocity import rates
+from kempe.model.system import System
+from kempe.spatial import Array
+
+
+def sliding(names: tuple[str, ...], rows: Any, b: Any = 0, time: bool = False) -> System:
+    """Bodies on slides in turn along x, y and z, with rows of velocity over the slides."""
+    m = Mechanism("slides")
+    last = m.ground
+    for i, name in enumerate(names):
+        body = m.body(f"B{i}")
+        m.joint(name, "prismatic", last, body, axis=np.eye(3)[i % 3])
+        last = body
+    m.velocity_equation("law", rows, names, b, time)
+    return System(m)
+
+
+# ---- the literature
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_mechanisms_of_the_literature(name: str, hunt: Hunt) -> None:
+    """Growth, degree, what is reached and the kind, at random configurations."""
+    make, growth, positions = KNOWN[name]
+    system, rng = make(), hunt.rng()
+    for _ in range(hunt.cases(2)):
+        found = system.classify(close_by(system, rng), project=True)
+        assert (found.growth, found.growth_around) == (growth, growth)
+        assert (found.position_dof, found.velocity_dof) == (positions, growth[0])
+        assert (found.reachable_dimension, found.degree) == (growth[-1], len(growth))
+        assert found.integrals == positions - growth[-1]
+        assert found.kind == ("integrable" if len(growth) == 1 else "nonholonomic")
+        assert found.velocity_dof == system.mobility(found.q, local=False).velocity_dof
+
+
+@pytest.mark.parametrize("name", [n for n in KNOWN if n not in ("five trailers", "four trailers")])
+def test_reached_by_motions(name: str) -> None:
+    """The dimension reached is the rank of the end of a motion by what is chosen on the way, by differences.
+
+    Motions follow the velocities that the rows leave free by steps of Runge and Kutta, which shares nothing with
+    brackets but the rows.
+    """
+    make, growth, _ = KNOWN[name]
+    system, rng = make(), np.random.default_rng(3)
+    start = system.classify(close_by(system, rng), project=True).q
+    wishes = rng.normal(size=(9, system.nv))
+
+    def end(wishes: Array) -> Array:
+        q = start
+        for wish in wishes:
+            for _ in range(6):
+                q = step(q, wish)
+        return q
+
+    def slope(q: Array, wish: Array) -> Array:
+        A = holding(system, q)
+        return wish - np.linalg.pinv(A, rcond=1e-9) @ (A @ wish)
+
+    def step(q: Array, wish: Array, h: float = 0.15) -> Array:
+        k1 = slope(q, wish)
+        k2 = slope(system.integrate(q, 0.5 * h * k1), wish)
+        k3 = slope(system.integrate(q, 0.5 * h * k2), wish)
+        k4 = slope(system.integrate(q, h * k3), wish)
+        return system.integrate(q, h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+
+    middle, columns = end(wishes), []
+    for i, j in np.ndindex(*wishes.shape):
+        change = np.zeros_like(wishes)
+        change[i, j] = 1e-4
+        columns.append(system.difference(end(wishes - change), end(wishes + change)) / 2e-4)
+    assert middle.shape == (system.nq,)
+    values = np.linalg.svd(np.array(columns), compute_uv=False)
+    assert values[growth[-1] - 1] > 1e-3
+    assert np.all(values[growth[-1] :] < 2e-4)
+
+
+def holding(system: System, q: Array) -> Array:
+    """Rows of velocities, and the change of what holds positions by differences."""
+    A = [rates(system, q)[0]]
+    if system.closures or any(c.equations(3) for c in system.mechanism.constraints.values()):
+        steps = 1e-6 * np.eye(system.nv)
+        A.append(np.array([
+            np.ravel(system.closure_error(system.integrate(q, s)) - system.closure_error(system.integrate(q, -s)))
+            for s in steps
+        ]).T / 2e-6)  # fmt: skip
+    return np.concatenate(A)
+
+
+@pytest.mark.parametrize("name", [n for n in SYSTEMS if n not in ("two trailers", "three trailers")])
+def test_equations_of_velocity_against_symbols(name: str, hunt: Hunt) -> None:
+    """Systems of rows that are written, on slides: the growth of all brackets by sympy, at a random point."""
+    given, rng = SYSTEMS[name], hunt.rng()
+    system = sliding(given.names, given.text)
+    q = rng.uniform(0.2, 1.2, size=len(given.names))
+    found = system.classify(q)
+    free = [i for i in range(len(q)) if i >= len(given.text)]
+    try:
+        growth = growth_by_symbols(given, q, free, len(found.growth or ()))
+    except Exception:  # these columns do not determine the others
+        free = list(range(len(q) - len(given.text)))
+        growth = growth_by_symbols(given, q, free, len(found.growth or ()))
+    assert found.growth == growth[: len(found.growth or ())]
+    assert (found.kind == "integrable") == (len(set(growth)) == 1)
+
+
+# ---- hunts
+
+
+def polynomial(names: list[str], rng: np.random.Generator) -> str:
+    """A polynomial of degree two with few small whole coefficients."""
+    a, b, c = rng.choice(names, size=3)
+    return f"{rng.integers(1, 4)} + {rng.integers(-3, 4)}*{a} + {rng.integers(-2, 3)}*{b}*{c}"
+
+
+@pytest.mark.parametrize("n", [3, 4])
+def test_random_rows_against_symbols(n: int, hunt: Hunt) -> None:
+    """Random polynomials: growth by sympy, at a random point, and what is integrable."""
+    rng, names = hunt.rng(), [f"u{i}" for i in range(n)]
+    for _ in range(hunt.cases(6)):
+        m = int(rng.integers(1, n - 1))
+        text = tuple(tuple(polynomial(names, rng) for _ in names) for _ in range(m))
+        q = rng.uniform(0.3, 1.0, size=n)
+        values = np.array([[float(sympy.sympify(x).subs(dict(zip(names, q, strict=True)))) for x in r] for r in text])
+        if min(np.linalg.svd(values[:, :m], compute_uv=False)) < 0.2:
+            continue
+        found = sliding(tuple(names), text).classify(q)
+        growth = growth_by_symbols(Pfaffian(" ".join(names), text), q, list(range(m, n)), len(found.growth or ()))
+        assert found.growth == growth
+        assert found.reachable_dimension == growth[-1]
+
+
+def exact_rows(names: list[str], m: int, rng: np.random.Generator) -> list[list[str]]:
+    """Differentials of m random functions, mixed by a random matrix of functions."""
+    symbols = sympy.symbols(names)
+    rows = []
+    for i in range(m):
+        a, b, c, d = rng.choice(len(symbols), size=4)
+        f = symbols[i] + rng.integers(1, 4) * symbols[a] * symbols[b] / 3
+        f += sympy.sin(symbols[c]) / 2 + symbols[d] ** 2 * symbols[a] / 4
+        rows.append([sympy.diff(f, s) for s in symbols])
+    x, y = (symbols[i] for i in rng.choice(len(symbols), size=2))
+    factors = [[(2 + sympy.cos(x * y) if i == j else (x - y * (i + j)) / 3) for j in range(m)] for i in range(m)]
+    mixed = sympy.Matrix(factors) * sympy.Matrix(rows)
+    return [[str(mixed[i, j]) for j in range(len(symbols))] for i in range(m)]
+
+
+def test_random_exact_forms_are_integrable(hunt: Hunt) -> None:
+    """With integrating factors, and mixed: motions stay in leaves, of the dimension of the free velocities."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(25)):
+        n = int(rng.integers(2, 7))
+        m = int(rng.integers(1, n))
+        names = [f"u{i}" for i in range(n)]
+        system = sliding(tuple(names), exact_rows(names, m, rng))
+        q = rng.uniform(-0.6, 0.6, size=n)
+        found = system.classify(q)
+        if min(np.linalg.svd(rates(system, q)[0], compute_uv=False)) < 1e-2:
+            continue
+        assert (found.kind, found.growth, found.integrals) == ("integrable", (n - m,), m)
+        assert found.constraints["law"].kind == "integrable"
+
+
+def test_exact_forms_beside_one_that_is_not(hunt: Hunt) -> None:
+    """m exact forms and one that turns in what they leave: m functions keep their value, all else is reached."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(15)):
+        n = int(rng.integers(4, 7))
+        m = int(rng.integers(1, n - 2))
+        names = [f"u{i}" for i in range(n)]
+        turns = [f"{x} + sin({x})" if i == n - 2 else "1" if i == n - 1 else "0"
+                 for i, x in zip(range(n), [*names[-1:], *names[:-1]], strict=True)]  # fmt: skip
+        free = names[: n - 1]
+        rows = [[*row, "0"] for row in exact_rows(free, m, rng)]
+        system = sliding(tuple(names), [*rows, turns])
+        q = rng.uniform(-0.6, 0.6, size=n)
+        if min(np.linalg.svd(rates(system, q)[0], compute_uv=False)) < 1e-2:
+            continue
+        found = system.classify(q)
+        assert found.kind == "nonholonomic"
+        assert (found.reachable_around, found.integrals) == (n - m, m)
+
+
+# ---- alone and together
+
+
+def test_each_alone_and_all_together() -> None:
+    """dz = y dx is not integrable, dy = 0 is; together they are (z - y x keeps its value)."""
+    m = Mechanism("slides")
+    last = m.ground
+    for i, name in enumerate("xyz"):
+        body = m.body(f"B{i}")
+        m.joint(name, "prismatic", last, body, axis=np.eye(3)[i])
+        last = body
+    m.velocity_equation("twisted", [["-y", 0, 1]], "xyz")
+    m.velocity_equation("straight", [[0, 1, 0]], "xyz")
+    found = System(m).classify({"x": 0.3, "y": 0.4, "z": 0.1})
+    kinds = {n: (c.kind, c.growth, c.reaches) for n, c in found.constraints.items()}
+    assert kinds == {"twisted": ("nonholonomic", (2, 3), 3), "straight": ("integrable", (2,), 2)}
+    assert (found.kind, found.growth, found.integrals) == ("integrable", (1,), 2)
+
+
+def test_two_axles_go_straight_ahead() -> None:
+    """Each alone reaches everything, together one line."""
+    found = two_axles().classify()
+    assert [c.growth for c in found.constraints.values()] == [(2, 3), (2, 3)]
+    assert "2 functions of position keep their values" in found.sentence
+
+
+def test_wheels_on_one_axle_are_harmless() -> None:
+    """The second wheel of an axle takes nothing: all numbers are those of the car with one."""
+    one, two = trailers(2), trailers(2, second=True)
+    q = close_by(one, np.random.default_rng(1))
+    a, b = one.classify(q), two.classify(q)
+    assert (a.growth, a.degree, a.velocity_dof, a.kind) == (b.growth, b.degree, b.velocity_dof, b.kind)
+    assert b.constraints["left wheel 0"].growth == b.constraints["wheel 0"].growth
+
+
+def test_a_wheel_that_never_moves_takes_nothing() -> None:
+    """Of a slide along its heading a wheel takes nothing, across it all."""
+    for axis, free, kind in (((1.0, 0.0), 1, "integrable"), ((0.0, 1.0), 0, "integrable")):
+        m = Mechanism("slide", dim=2)
+        body = m.body("B")
+        m.joint("S", "prismatic", m.ground, body, axis=axis)
+        m.no_sideslip("wheel", body)
+        found = System(m).classify()
+        assert (found.velocity_dof, found.kind, found.growth) == (free, kind, (free,))
+        assert found.constraints["wheel"].independent == 1 - free
+
+
+def test_kinds_of_all_sorts_beside_each_other() -> None:
+    """A rod is holonomic, a wheel nonholonomic, a contact unilateral; `data` is plain and says the same."""
+    m = Mechanism("all", dim=2)
+    car, mass = m.body("car"), m.body("mass")
+    m.joint("P", "planar", m.ground, car)
+    m.joint("M", "planar", m.ground, mass)
+    m.distance("rod", car, mass, 2.0)
+    m.no_sideslip("wheel", car)
+    m.contact("floor", mass)
+    found = System(m).classify({"M.x": 1.2, "M.y": 1.6})
+    kinds = {n: c.kind for n, c in found.constraints.items()}
+    assert kinds == {"rod": "holonomic", "wheel": "nonholonomic", "floor": "unilateral"}
+    assert (found.position_dof, found.velocity_dof, found.reachable_dimension) == (5, 4, 5)
+    assert found.constraints["rod"].independent == 1
+    data = json.loads(json.dumps(found.data(), allow_nan=False))
+    assert data["constraints"]["wheel"]["kind"] == "nonholonomic" and data["growth"] == [4, 5]
+    assert data["sentence"] in str(found) and found._repr_html_().count("<tr>") == str(found).count("\n  ") - sum(
+        line.startswith(" " * 18) for line in str(found).splitlines()
+    )
+
+
+def test_contact_is_closed_or_open() -> None:
+    """A ball that may jump: rows of rolling count while it touches, and the report says whether it does."""
+    system = on_plane(one_sided=True)
+    touching, above = (system.classify({"F.z": z}) for z in (0.4, 0.9))
+    assert touching.one_sided is not None and touching.one_sided.active == ("rolling",)
+    assert above.one_sided is not None and above.one_sided.active == ()
+    assert "while it touches" in touching.constraints["rolling"].sentence
+    assert "while it touches" not in on_plane().classify({"F.z": 0.4}).constraints["rolling"].sentence
+
+
+def test_only_contacts_are_unilateral() -> None:
+    """A ball above the ground has all freedoms."""
+    m = Mechanism("ball")
+    ball = m.body("ball")
+    m.joint("F", "free", m.ground, ball)
+    m.contact("floor", ball, radius=0.1)
+    found = System(m).classify({"F.z": 0.1})
+    assert (found.kind, found.position_dof, found.velocity_dof) == ("unilateral", 6, 6)
+    assert found.constraints["floor"].kind == "unilateral"
+    assert "up but not down" in str(found)
+
+
+def test_loops_alone_are_holonomic() -> None:
+    """A four-bar has no rows of velocity."""
+    found = steered_car(True)
+    assert found.classify().constraints["C"].kind == "holonomic"
+    assert found.lock({"car.x": 0.0, "car.y": 0.0, "car.rz": 0.0}).nq == 4
+
+
+# ---- time
+
+
+def test_speed_along_the_axle_drifts() -> None:
+    """A wheel dragged aside at constant speed: the freedoms, and what is reached in space and time, as symbols say.
+
+    With the clock as a coordinate T, and speed u, the rows are sin(t) dx - cos(t) dy + u dT = 0.
+    """
+    m = Mechanism("car", dim=2)
+    car = m.body("car")
+    m.joint("P", "planar", m.ground, car)
+    m.no_sideslip("wheel", car, speed=0.5)
+    found = System(m).classify({"P.rz": 0.7})
+    clock = Pfaffian("x y t T", (("sin(t)", "-cos(t)", "0", "1/2"),))
+    q = np.array([0.0, 0.0, 0.7, 0.0])
+    whole = growth_by_symbols(clock, q, [0, 2, 3], 2)
+    assert found.growth == tuple(d - 1 for d in whole)
+    assert (found.velocity_dof, found.reachable_dimension, found.kind) == (2, 3, "nonholonomic")
+
+
+@pytest.mark.parametrize("b", ["sin(t)", "3*t^2", 2])
+def test_prescribed_velocities_are_integrable(b: Any) -> None:
+    """x' = b(t) is the rate of a function of x and t."""
+    found = sliding(("x", "y"), [[1, 0]], b, time=True).classify(t=0.4)
+    assert (found.kind, found.growth, found.integrals) == ("integrable", (1,), 1)
+
+
+def test_rows_that_turn_with_time() -> None:
+    """cos(t) dx + sin(t) dy = 0 is integrable at every moment, yet with the time that goes on it is not."""
+    found = sliding(("x", "y"), [["cos(t)", "sin(t)"]], time=True).classify(t=0.4)
+    whole = growth_by_symbols(
+        Pfaffian("x y T", (("cos(T)", "sin(T)", "0"),)), np.array([0.1, 0.2, 0.4]), [1, 2], 2
+    )  # fmt: skip
+    assert found.growth == tuple(d - 1 for d in whole)
+    assert found.kind == "nonholonomic"
+
+
+def test_velocities_that_contradict_each_other() -> None:
+    """x' = 0 and x' = 1: said, not computed with."""
+    found = sliding(("x", "y"), [[1, 0], [1, 0]], [0, 1]).classify()
+    assert "contradict each other" in found.sentence and found.growth is None
+
+
+# ---- singular places
+
+
+def test_trailer_across() -> None:
+    """The second trailer's car stands across: one more letter is needed, and said so."""
+    system = trailers(2)
+    found = system.classify({"H0": np.pi / 2, "H1": 0.2})
+    assert (found.growth, found.growth_around) == ((2, 3, 4, 4, 5), (2, 3, 4, 5))
+    assert found.singular and "q is singular" in str(found)
+
+
+def test_leaf() -> None:
+    """On the leaf z = 0 motions stay there though they reach everything from places around."""
+    system = sliding(("x", "y", "z"), [["0", "-x*z", "1"]])
+    found = system.classify({"x": 0.3, "y": 0.2, "z": 0.0})
+    assert (found.growth, found.reachable_dimension, found.reachable_around) == ((2, 2), 2, 3)
+    assert "motions reach 2 dimensions of 3" in found.sentence
+
+
+def test_turn_and_place_do_not_matter(hunt: Hunt) -> None:
+    """The same car elsewhere, turned otherwise."""
+    system, rng = trailers(2), hunt.rng()
+    inner = {"H0": 0.4, "H1": -0.7}
+    found = [system.classify({**inner, "car.x": x, "car.y": y, "car.rz": z}) for x, y, z in 3 * rng.normal(size=(3, 3))]
+    assert {(f.growth, f.degree, f.doubtful) for f in found} == {((2, 3, 4, 5), 4, False)}
+
+
+# ---- bad input
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"q": [0.0, 0.0]}, "q has 2 numbers|shape"), ({"q": np.zeros((2, 4))}, "shape"),
+        ({"q": [np.nan] * 4}, "finite"), ({"q": "home"}, "q"), ({"t": "noon"}, "t is 'noon'"),
+        ({"t": [0.0, 1.0]}, "one number"), ({"q": {"steerin": 0.1}}, "did you mean 'steering'"),
+        ({"rng": "x"}, "rng"),
+    ],
+)  # fmt: skip
+def test_bad_input(arguments: dict, said: str) -> None:
+    """Refused, with what is wrong."""
+    with pytest.raises((InputError, KeyError), match=said):
+        steered_car().classify(**arguments)
+
+
+def test_starts_that_are_not_closed() -> None:
+    """Refused with the distance, or projected when asked; rounding is no trouble."""
+    system = on_plane()
+    with pytest.raises(InputError, match=re.escape("0.3 away: project=True takes it")):
+        system.classify({"F.z": 0.7} | {n: float(n.endswith("qw")) for n in system.coordinate_names if n != "F.z"})
+    q = system.neutral.copy()
+    q[2] = 0.7
+    found = system.classify(q, project=True)
+    assert found.moved == pytest.approx(0.3)
+    assert found.q[2] == pytest.approx(0.4)
+    assert "q is 0.3 away from what was given" in str(found)
+    q[2] = 0.4 + 1e-9
+    assert system.classify(q).growth == (3, 5)
+
+
+def test_what_cannot_be_closed_is_refused() -> None:
+    """No configuration at all."""
+    m = Mechanism("far", dim=2)
+    a, b = m.body("a"), m.body("b")
+    m.joint("A", "revolute", m.ground, a)
+    m.joint("B", "revolute", a, b, at=(1.0, 0.0))
+    m.distance("rod", m.ground, b, 5.0, child_at=(1.0, 0.0))
+    m.no_sideslip("wheel", b)
+    with pytest.raises(InputError, match="cannot be closed"):
+        System(m).classify()
+
+
+def test_functions_that_cannot_be_recorded_are_named() -> None:
+    """Their series are needed."""
+    m = Mechanism("bent", dim=2)
+    body = m.body("B")
+    m.joint("P", "planar", m.ground, body)
+    m.equation("kink", lambda q: q["P.x"] if q["P.y"] > 0 else q["P.x"] * 2, of=("P.x", "P.y"))
+    m.no_sideslip("wheel", body)
+    with pytest.raises(UnsupportedError, match="'kink'"):
+        System(m).classify()
