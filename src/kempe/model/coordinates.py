@@ -333,4 +333,15 @@ def returning(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
     for relation in c.relations:
         for name in (relation.of, *relation.sources):
             back[number[name]] = False
-    return back
+    return back & ~told_apart(mechanism, c)
+
+
+def told_apart(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
+    """Velocity coordinates (nv,) that declared laws of positions read themselves: these may tell whole turns apart."""
+    out, number = np.zeros(len(c.velocity_names), dtype=bool), {name: i for i, name in enumerate(c.velocity_names)}
+    for declared in mechanism.constraints.values():
+        for name in getattr(declared.of, "of", ()) if declared.positions(mechanism.dim) else ():
+            source = c.followers[name].source if name in c.followers else name
+            if source in number:
+                out[number[source]] = True
+    return out
