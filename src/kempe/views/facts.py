@@ -127,9 +127,8 @@ def _constraint(system: System, c: Declared) -> dict[str, Any]:
     length = c.length(system.parameters) if c.rod else None
     return {
         "name": c.name, "type": c.kind, "parent": c.parent, "child": c.child, "length": length,
-        "of": list(getattr(c.of, "of", ())),
         "equations": c.equations(system.dim), "one_sided": c.bounds(system.dim),
-    }  # fmt: skip
+    } | ({"of": list(reads)} if (reads := getattr(c.of, "of", ())) else {})  # fmt: skip
 
 
 def largest_gap(system: System, q: Any) -> str:

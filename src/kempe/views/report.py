@@ -217,7 +217,7 @@ def _constraints(data: dict[str, Any]) -> Table | None:
         length = "" if c["length"] is None else f"{c['length']:g} m"
         sided = ", one-sided" if c["one_sided"] else ""
         what = [f"{c['parent']} - {c['child']}"] if c["parent"] else []
-        lines.append((c["name"], f"{c['type']}{sided}", ", ".join([*what, *c["of"]]), length))
+        lines.append((c["name"], f"{c['type']}{sided}", ", ".join([*what, *c.get("of", [])]), length))
     return table(("constraint", "=type", "of", ">length"), lines, "Declared constraints") if lines else None
 
 
