@@ -561,7 +561,7 @@ TOML_CASES = [
         toml(A, B, toml_joint("C", "at = [1, 0]", child="b")),
         holds=lambda m: len(m.build().closures) == 1,
     ),
-    Case("a rod", toml(A, B, ROD, "length = 1.5"), holds=lambda m: m.constraints["R"].length == 1.5),
+    Case("a rod", toml(A, B, ROD, "length = 1.5"), holds=lambda m: m.constraints["R"].of.value == 1.5),
     Case("a rod without a length", toml(A, B, ROD), ("constraint 'R'", "no length", "length of the rod"), 18),
     Case("a rod of length zero", toml(A, B, ROD, "length = 0"), ("constraint 'R'", "length is 0", "above zero"), 23),
     Case("a length that is negative", toml(A, B, ROD, "length = -1"), ("length is -1", "above zero"), 23),

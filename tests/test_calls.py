@@ -221,7 +221,7 @@ def test_the_centre_of_mass_needs_no_number_that_does_not_count():
     arm.revolute("a", arm.ground, arm.body("u", mass=1.0, center=(0.2, 0, 0)))
     arm.revolute("b", "u", arm.body("v", mass=1.0, center=(0.2, 0, 0)), at=(0.5, 0, 0), axis=(0, 1, 0))
     arm = arm.build()
-    goal = tasks.CentreOfMass([0.0, 0.0, 0.0]).place(arm, arm.q({"a": 0.3, "b": 0.4}))[:3, 3]
+    goal = tasks.error(arm, tasks.CentreOfMass([0.0, 0.0, 0.0]), arm.q({"a": 0.3, "b": 0.4}))
     short, whole = (arm.ik([tasks.CentreOfMass(p, axes="xy")]) for p in (goal[:2], [*goal[:2], 7.0]))
     assert short and np.array_equal(short.q, whole.q)
     with pytest.raises(InputError, match=r"\(2,\); it must be \(..., 3\), or \(..., 1\) for axes='z'"):

@@ -250,14 +250,15 @@ def test_names_cannot_reach_the_terminal(tmp_path):
 def test_info_shows_declared_constraints(rodded):
     data = Result("info", rodded, "--json").json()
     assert data["constraints"] == [
-        {"name": "rod", "type": "distance", "parent": "crank", "child": "slider", "length": 2.0, "equations": 1},
-        {"name": "guide", "type": "point_on_line", "parent": "ground", "child": "slider", "length": None,
-         "equations": 1},
+        {"name": "rod", "type": "distance", "parent": "crank", "child": "slider", "length": 2.0, "equations": 1,
+         "one_sided": 0},
+        {"name": "guide", "type": "on_line", "parent": "ground", "child": "slider", "length": None,
+         "equations": 1, "one_sided": 0},
     ]  # fmt: skip
     shown = Result("info", rodded).out
     assert "4 of all joints less 2 equations of 2 constraints: at least 2; kempe dof" in shown
     assert [line.split() for line in shown.splitlines() if line.startswith(("rod ", "guide "))] == [
-        ["rod", "distance", "crank", "-", "slider", "2", "m"], ["guide", "point_on_line", "ground", "-", "slider"],
+        ["rod", "distance", "crank", "-", "slider", "2", "m"], ["guide", "on_line", "ground", "-", "slider"],
     ]  # fmt: skip
     assert "kempe dof" in Result("info", "bennett").out and "kempe dof" not in Result("info", "puma560").out
 

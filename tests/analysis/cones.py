@@ -15,19 +15,19 @@ def dot(a: Row, b: Row) -> Fraction:
 
 def reduced(rows: list[Row]) -> tuple[list[Row], list[int]]:
     """Reduced echelon form and its pivots."""
-    rows, pivots, at = [list(r) for r in rows], [], 0
-    for c in range(len(rows[0]) if rows else 0):
-        p = next((i for i in range(at, len(rows)) if rows[i][c]), None)
+    m, pivots, at = [list(r) for r in rows], list[int](), 0
+    for c in range(len(m[0]) if m else 0):
+        p = next((i for i in range(at, len(m)) if m[i][c]), None)
         if p is None:
             continue
-        rows[at], rows[p] = rows[p], rows[at]
-        rows[at] = [x / rows[at][c] for x in rows[at]]
-        for i in range(len(rows)):
-            if i != at and rows[i][c]:
-                rows[i] = [x - rows[i][c] * y for x, y in zip(rows[i], rows[at], strict=True)]
+        m[at], m[p] = m[p], m[at]
+        m[at] = [x / m[at][c] for x in m[at]]
+        for i in range(len(m)):
+            if i != at and m[i][c]:
+                m[i] = [x - m[i][c] * y for x, y in zip(m[i], m[at], strict=True)]
         pivots.append(c)
         at += 1
-    return [tuple(r) for r in rows[:at]], pivots
+    return [tuple(r) for r in m[:at]], pivots
 
 
 def rank(rows: list[Row]) -> int:

@@ -10,8 +10,10 @@ from reference import twist_between
 
 import kempe
 from kempe import Mechanism, System
+from kempe.constraints import OnSurface
 from kempe.joints import TYPES, JointType, P, joint_type
 from kempe.kinematics import loops
+from kempe.kinematics.maximal import maximal_q
 
 TABLE = [kind(**options) for kind in TYPES.values() for options in variants(kind, 0.3)]
 EVERY = [*TABLE, *map(joint_type, PRODUCTS), *(kind() for kind in OWN)]
@@ -167,3 +169,63 @@ def test_holding_a_slider_at_its_dead_centre(slider, rank_dof):
 def test_sarrus_counts_to_nothing_and_moves():
     m = kempe.load("sarrus").maximal.mobility()
     assert (m.counting.free, m.counting.taken, m.counting.free - m.rank_dof, m.dof) == (30, 30, 29, 1)
+
+
+# ------------------------------------------------------------------ expressions count as other constraints do
+
+
+def rods(count: int, recorded: bool, rng: np.random.Generator, twice: bool = False) -> System:
+    """A body on rods, or on as many spheres that are said as expressions; at home when nothing is moved."""
+    m = Mechanism("rods")
+    m.free("P", m.ground, m.body("b"))
+    for k in range(count):
+        a, b = rng.uniform(-1, 1, (2, 3))
+        if recorded:
+            x, y, z = (f"({v} - {c})^2" for v, c in zip("xyz", a.tolist(), strict=True))
+            for copy in range(1 + twice):
+                law = OnSurface("b", f"{x} + {y} + {z} - {float((b - a) @ (b - a))}", b)
+                m.constrain(law, f"rod {k} {copy}")
+        else:
+            for copy in range(1 + twice):
+                m.distance(f"rod {k} {copy}", m.ground, "b", float(np.linalg.norm(b - a)), at=a, child_at=b)
+    return m.build()
+
+
+@pytest.mark.parametrize("twice", [False, True])
+@pytest.mark.parametrize("count", range(1, 7))
+def test_expressions_count_as_rods_do(count, twice):
+    found = [rods(count, recorded, np.random.default_rng(count), twice) for recorded in (False, True)]
+    reports = [s.mobility(s.neutral) for s in found]
+    numbers = [(m.gruebler, m.rank_dof, m.dof, m.redundant, m.redundant_here) for m in reports]
+    assert numbers[0] == numbers[1] == (6 - count * (1 + twice), 6 - count, 6 - count, count * twice, count * twice)
+    said = reports[1].redundancy
+    assert said is not None and said.number == count * twice
+    assert not reports[1].certain  # nothing bounds second derivatives of expressions
+    q = found[1].neutral
+    assert found[1].maximal.mobility(maximal_q(found[1], q), local=False).rank_dof == 6 - count
+
+
+@pytest.mark.parametrize(
+    ("law", "at", "numbers"),
+    [
+        ("(x/2)^2 + y^2 + z^2 = 1", (2.0, 0.0, 0.0), (2, 2, 2, False)),
+        ("x^2 + y^2 - z^2", (1.0, 0.0, 1.0), (2, 2, 2, False)),
+        ("x^2 + y^2 - z^2", (0.0, 0.0, 0.0), (2, 3, 2, True)),  # the apex of a cone
+        ("x^2 + y^2", (0.0, 0.0, 0.5), (2, 3, 1, True)),  # one equation, but a line
+    ],
+)
+def test_points_on_surfaces(law, at, numbers):
+    m = Mechanism("point")
+    m.translation("P", m.ground, m.particle("p"))
+    m.constrain(OnSurface("p", law), "surface")
+    found = m.build().mobility(at)
+    assert (found.gruebler, found.rank_dof, found.dof, found.singular) == numbers
+
+
+def test_a_ball_that_rolls_is_held_at_its_height():
+    m = Mechanism("ball")
+    m.free("P", m.ground, m.body("ball"))
+    m.rolls("r", "ball", 0.1)
+    s = m.build()
+    found = s.mobility(s.q({"P.z": 0.1}))
+    assert (found.gruebler, found.dof, found.velocity_dof) == (5, 5, 3)

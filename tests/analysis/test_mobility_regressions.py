@@ -366,7 +366,7 @@ def test_counts_are_sentences():
     m = kempe.load("four_bar").mechanism
     m.lock({"A": m.postures["closed"]["A"]})
     assert "1 locked coordinate takes away one" in mobility(m.build()).counting.steps[-1]
-    assert "5 point-on-line constraints x 1" in look(trammel(5)).counting.steps[1]
+    assert "5 on-line constraints x 1" in look(trammel(5)).counting.steps[1]
 
 
 def test_control_says_that_it_counts_to_first_order():

@@ -73,6 +73,57 @@ def test_states_and_slacks():
     assert "closed, down but not up" in str(side["upper limit of q1"])
 
 
+def test_a_gradient_that_is_not_defined_says_nothing():
+    """A coin that lies flat: its height above the plane has a corner there."""
+    m = kempe.Mechanism("coin")
+    m.free("F", m.ground, m.body("coin"))
+    m.contact("table", "coin", radius=0.1, shape="disc")
+    found = one_sided(m.build(), [0, 0, 0, 0.5, 0.5, 0.5, 0.5])
+    assert (found.active, found.dimension, found.lineality, found.cone.exact) == (("table",), 6, 6, False)
+    assert "nothing is known to first order" in str(found)
+
+
+def test_a_contact_at_the_lowest_point_of_a_circle_says_nothing_to_first_order():
+    m = kempe.Mechanism("pendulum", dim=2)
+    m.revolute("A", m.ground, m.body("link"))
+    m.frame("tip", "link", at=(1, 0))
+    m.frame("low", m.ground, at=(0, -1))
+    m.contact("floor", "tip", on="low")
+    system = m.build()
+    found = one_sided(system, [-np.pi / 2])
+    assert (found.active, found.dimension, found.lineality, found.cone.exact) == (("floor",), 1, 1, False)
+    assert system.trace("A", {"A": 0.0}).closed  # it touches, and goes on
+
+
+def test_opposite_contacts_hold_each_other():
+    m = kempe.Mechanism("plates")
+    m.free("F", m.ground, m.body("ball"))
+    m.frame("top", m.ground, at=(0, 0, 0.2), rpy=(np.pi, 0, 0))
+    m.contact("floor", "ball", radius=0.1)
+    m.contact("ceiling", "ball", on="top", radius=0.1)
+    system = m.build()
+    found = one_sided(system, [0, 0, 0.1, 1, 0, 0, 0])
+    assert (found.dimension, found.lineality) == (5, 5)
+    assert "floor: closed, neither up nor down (held by ceiling)" in str(found)
+    assert found.frame("ball")["z"] == (False, False)
+    assert found.frame("ball")["x"] == (True, True)
+    assert system.mobility([0, 0, 0.1, 1, 0, 0, 0]).dof == 6
+
+
+def test_rolling_is_obeyed_in_the_corner():
+    """A ball that rolls on the floor, held against a wall: it may roll along it, spin, go away from it, and lift."""
+    m = kempe.Mechanism("corner")
+    m.free("F", m.ground, m.body("ball"))
+    m.rolls("roll", "ball", 0.1, one_sided=True)
+    m.frame("face", m.ground, at=(1, 0, 0), rpy=(0, -np.pi / 2, 0))
+    m.contact("wall", "ball", on="face", radius=0.1)
+    found = one_sided(m.build(), [0.9, 0, 0.1, 1, 0, 0, 0])
+    assert (set(found.active), found.dimension, found.lineality) == ({"roll", "wall"}, 4, 2)
+    assert found.coordinates["F.x"] == (True, False)
+    assert found.coordinates["F.wy"] == (True, False)
+    assert found.coordinates["F.wx"] == (True, True)
+
+
 def test_mobility_tells_which_limits_are_reached():
     system = kempe.load("two_link").with_limits({"q1": (0.5, 1.0)})
     assert system.mobility([0.7, 0.2]).one_sided is None

@@ -38,6 +38,9 @@ EXAMPLES: dict[str, Callable[[int], c.Constraint]] = {
     "posture": lambda dim: c.Posture({"Ja.x": 0.3}),
     "centre_of_mass": lambda dim: c.CentreOfMass([0.1, 0.2, 0.3][:dim]),
     "centre_of_points": lambda dim: c.CentreOfPoints(["tip", "eye"], [0.1, 0.2, 0.3][:dim]),
+    "equation": lambda dim: c.Equation("`Ja.x` - 2*`Jb.x` = 0.1"),
+    "inequality": lambda dim: c.Inequality("1 - `Ja.x`^2"),
+    "velocity_equation": lambda dim: c.VelocityEquation([["`Ja.y`", "0", "1"]], of=("Ja.x", "Ja.y", "Jb.x")),
     "function": lambda dim: c.Function(lambda q: q[0] - 0.3),
 }
 """An example of each kind, for a planar (2) and a spatial (3) system."""
@@ -98,7 +101,7 @@ def asked(made: c.Constraint, s: System) -> None:
 def declared(made: c.Constraint, s: System, dim: int) -> None:
     """Closed, with as many equations as its rows are, and their Jacobian by differences."""
     q = s.random(5)
-    held = sum(r.count(dim) for r in position_rows(made, dim))
+    held = sum(r.size(dim) for r in position_rows(made, dim))
     r, J = loops.residual(s, q), loops.jacobian(s, q)
     assert r.shape == (held,) or made.kind in ("pointing", "look_at")
     h = 1e-6

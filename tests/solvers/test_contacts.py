@@ -205,6 +205,11 @@ def test_a_blocked_target_says_by_what():
         assert answer.success == (free.fk(q)[3, 2, 3] >= 0.25)
 
 
+def test_the_analytic_method_is_refused_by_name():
+    with pytest.raises(kempe.KempeError, match="'floor'"):
+        arm().ik([0.5, 0.5], "tip", method="analytic")
+
+
 def test_rank_and_freedoms_do_not_see_them():
     m = ball().mobility([0, 0, 0.1, 1, 0, 0, 0])
     assert (m.dof, m.rank_dof, m.gruebler, m.certain) == (6, 6, 6, True)
@@ -253,6 +258,44 @@ def test_a_path_stops_where_the_rope_ends():
     inside = np.hypot(0.3 + 0.9 * t, 1.2 - 1.2 * t - 1.5) <= 1.5
     assert np.array_equal(held, inside)
     assert (arm_beyond(path.q[held]) < 2e-9).all()
+
+
+# ---- laws of coordinates
+
+
+def with_law(kind, text, limits=(-np.inf, np.inf)):
+    m = Mechanism("law", dim=2)
+    m.revolute("A", m.ground, m.body("one"), limits=limits)
+    m.revolute("B", m.ground, m.body("two"), at=(1, 0))
+    m.frame("tip", "one", at=(1, 0))
+    getattr(m, kind)("law", text, of=("A", "B"))
+    return m.build()
+
+
+@pytest.mark.parametrize("kind", ["equation", "inequality"])
+def test_laws_tell_turns_apart(kind, hunt):
+    system, rng = with_law(kind, "1.2 - A + B/2"), hunt.rng()
+    q = system.assemble(near=rng.uniform(-20.0, 20.0, (hunt.cases(100), 2)))
+    law = 1.2 - q.q[:, 0] + q.q[:, 1] / 2
+    assert q.success.all()
+    assert (law > -1e-8).all()
+    if kind == "equation":
+        assert (law < 1e-8).all()
+
+
+def test_targets_are_reached_in_the_turn_that_a_law_allows(hunt):
+    """Limits of two turns, of which the law leaves one."""
+    system = with_law("inequality", "1.2 - A + 0*B", (-2.0 * np.pi, 2.0 * np.pi))
+    for angle in hunt.rng().uniform(-np.pi, np.pi, hunt.cases(50)):
+        answer = system.ik([np.cos(angle), np.sin(angle)], "tip", [3.0, 0.0])
+        assert answer.success
+        assert answer.q[0] <= 1.2 + 1e-9
+
+
+def test_a_trace_does_not_come_back_by_a_turn_that_a_law_tells_apart():
+    path = with_law("inequality", "1.2 - A + 0*B").trace("A", [0.0, 0.1], hold={"B": 0.5})
+    assert path.ends[0].startswith("infinity")
+    assert path.ends[1] == "the one-sided constraint 'law'"
 
 
 # ---- motions

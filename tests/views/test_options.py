@@ -26,6 +26,8 @@ NOT_OF_COMMANDS = {
     "analysis/path.py": "trace(start=path.elsewhere[0])",  # the command names --start and its value
     "analysis/transmission.py": "coupler=...",
     "analysis/elsewhere.py": "",
+    "analysis/wheeled.py": "(system.interpolate)",
+    "constraints/recording.py": "(float(), or a function of math: use that of numpy)",
     "description/compose.py": "`at` cannot be given",
     "description/mechanism.py": "kempe.read first",
     "solvers/analytic/names.py": "`branch` has their numbers",

@@ -13,7 +13,8 @@ from kempe.analysis.continuation import RANK, Closure, Node, close, node
 from kempe.analysis.crossings import branch_lines, locate
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.joints import R
-from kempe.kinematics.configuration import as_q, home_of
+from kempe.kinematics.configuration import as_q, home_of, random
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.coordinates import coordinate_names
 from kempe.reals import is_real
 from kempe.spatial import Array
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 MOST_TURNS = 1000
 """Turns of a coordinate after which those that follow it must be where they were, for that to count as coming back."""
+SAME_VALUE = 1e-9
+"""Difference of values that is rounding."""
 SAME_RATIO = 1e-12
 """How near a factor must be to a ratio of whole numbers to be that ratio."""
 LONGEST = 0.1
@@ -144,7 +147,20 @@ def _turning(system: System, limits: bool) -> tuple[Array, list[Follower]]:
             elif whole[i] or any(f.source == i for f in never):
                 whole[i] = 0
                 never.append(Follower(names[p.coordinate], i, factor, p.kind == R))
-    return 2.0 * math.pi * whole.astype(float), never
+    found = 2.0 * math.pi * whole.astype(float)
+    return np.where(_told_apart(system, found), 0.0, found), never
+
+
+def _told_apart(system: System, period: Array) -> np.ndarray:
+    """Which velocity coordinates (nv,) declared one-sided rows have other values of after a period."""
+    rows, out = one_sided_rows(system), np.zeros(system.nv, dtype=bool)
+    if rows.declared:
+        q = random(system, np.random.default_rng(0), 3)
+        before = rows.values(q, declared=True)
+        for i in np.flatnonzero(period):
+            after = rows.values(system.integrate(q, period[i] * np.eye(system.nv)[i]), declared=True)
+            out[i] = np.any(np.abs(after - before) > SAME_VALUE * (1.0 + np.abs(before)))
+    return out
 
 
 def first_node(

@@ -89,9 +89,10 @@ class Cone:
 def tangent_cone(equal: Array, one_sided: Array, ignore: float = NOTHING) -> Cone:
     """The cone of the velocities v (n,) with `equal` (m, n) @ v = 0 and `one_sided` (k, n) @ v >= 0.
 
-    Rows below `ignore` count as zero; others are scaled to unit length. Errors: none; rows must be finite.
+    Rows below `ignore` count as zero, one-sided ones that are not finite, too; others are scaled to unit length.
     """
     E, G = np.asarray(equal, dtype=float), np.asarray(one_sided, dtype=float)
+    G = np.where(np.isfinite(G).all(axis=1, keepdims=True), G, 0.0)
     n = E.shape[1]
     rank, N = _kernel(_unit(E, ignore)[0])
     full = rank == len(E)

@@ -23,8 +23,10 @@ from kempe.analysis.motion import Progress
 from kempe.analysis.path import Configurations, Event
 from kempe.analysis.rolling_drive import Driven, driven
 from kempe.calls import explained, explained_methods, flag
+from kempe.constraints.tape import TIME
 from kempe.errors import InputError
 from kempe.kinematics.tabular import write_table
+from kempe.model.clocked import clocked, timed
 from kempe.reals import reals
 from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, TimeUp, partial
 from kempe.solvers.slip import rolls
@@ -148,6 +150,8 @@ def drive(
     Where there are velocity constraints, what is not driven rolls along (from the first values of the inputs on), and
     the motion ends before it slips: `status` says where, and by how much. `toward` and `step` do not count there.
 
+    Equations that depend on time are driven by `times`, too, and `inputs` may then be empty.
+
     Errors: `UnsupportedError` where the inputs leave freedoms or fight each other; `UnknownNameError`; `InputError`.
 
     >>> from kempe import Mechanism
@@ -164,6 +168,11 @@ def drive(
     if not isinstance(inputs, Mapping):
         raise InputError(f"inputs is {type(inputs).__name__}; it must be a dict of values by coordinate name")
     flag(limits, "limits")
+    if timed(system) and not rolls(system):
+        clock, _ = _samples({**inputs, TIME: 0.0}, times)
+        found = drive(clocked(system), {**inputs, TIME: clock}, clock, _with_time(system, start, clock), hold=hold,
+                      toward=toward, limits=limits, step=step, time_limit=time_limit, progress=progress)  # fmt: skip
+        return _without_time(found, system)
     names = list(inputs)
     index = [angle_or_slide(system, n) for n in names]
     if hold and set(hold) & set(names):
@@ -186,6 +195,21 @@ def drive(
     wish = wish_of(system, toward)
     course = Course(closure, index, longest, Limits(closure, limits), wish / closure.unit)
     return _run(course, q, names, clock, samples, progress)
+
+
+def _with_time(system: System, start: Any, clock: Array) -> Any:
+    """The start with the first time, where it is a configuration."""
+    if start is None or isinstance(start, str) or not clock.size:
+        return start
+    return {**start, TIME: clock[0]} if isinstance(start, Mapping) else np.append(np.asarray(start, float), clock[0])
+
+
+def _without_time(found: Drive, system: System) -> Drive:
+    """The motion in the coordinates of the system itself."""
+    inputs = {n: x for n, x in found.inputs.items() if n != TIME}
+    toggles = tuple(replace(toggle, q=toggle.q[:-1]) for toggle in found.toggles)
+    events = tuple(replace(event, q=event.q[:-1]) for event in found.singular_points)
+    return replace(found, system=system, q=found.q[:, :-1], inputs=inputs, toggles=toggles, singular_points=events)
 
 
 def _rolled(

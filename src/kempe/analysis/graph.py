@@ -18,7 +18,7 @@ from kempe.description.parts import Declared, Joint
 from kempe.joints import P, Primitive, Q
 from kempe.kinematics.loops import full
 from kempe.model.coordinates import Relation
-from kempe.model.loop_plan import Loops, Tie
+from kempe.model.ties import Loops, Tie
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -298,7 +298,7 @@ def _laws(system: System) -> tuple[Law, ...]:
     loops, first = full(system, True), 0
     found: dict[tuple[int, int], tuple[Relation | Declared, list[int], list[Tie]]] = {}
     order = {c.name: i for i, c in enumerate(system.mechanism.constraints.values())}
-    for k, tie in enumerate(loops.ties):
+    for tie in loops.ties:
         places = list(range(first, first + len(tie.rows)))
         first += len(tie.rows)
         if tie.relation is not None:

@@ -223,8 +223,8 @@ def _arrive(car: Wheeled, course: Course, x: Array, q: Array, goal: Array, free:
     if off.max() > 1e-12 * scale:
         name = system.velocity_names[int(np.argmax(off))]
         if int(np.argmax(off)) not in car.driven:
-            raise UnsupportedError(f"{system.name}: {name!r} would miss the goal by {off.max():.3g}: this radius is too "
-                                   "large beside the distance for the digits of numbers")  # fmt: skip
+            raise UnsupportedError(f"{system.name}: {name!r} would miss the goal by {off.max():.3g}: this radius is "
+                                   "too large beside the distance for the digits of numbers")  # fmt: skip
         raise UnsupportedError(f"{system.name}: with this radius {name!r} ends {off.max():.6g} away from the goal: let "
                                f"it end anywhere (free={[name]!r}), or turn on the spot (radius=0)")  # fmt: skip
     x[0], x[-1] = q, end

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 
 
 
+BLIND = "its gradient vanishes or is not defined here: nothing is known to first order"
+"""What is said of a row that does not tell what it allows."""
+
+
 @dataclass(frozen=True)
 class Side:
     """One end of a one-sided row: `value` must not be below `bound`, or with `upper` not above it, in `unit`.
@@ -107,19 +111,27 @@ class OneSidedReport:
     @property
     def sentence(self) -> str:
         """The result in one sentence."""
-        closed, bad = len(self.active), [s for s in self.sides if s.state == "violated"]
-        if bad:
-            which = ", ".join(f"{s.name} by {abs(s.slack):.6g} {s.unit}".removesuffix(" 1") for s in bad)
+        bad = (s for s in self.sides if s.state == "violated")
+        if which := ", ".join(f"{s.name} by {abs(s.slack):.6g} {s.unit}".removesuffix(" 1") for s in bad):
             return f"violated: {which}"
-        if not closed:
-            return f"{counted(len(self.sides), 'one-sided constraint')}, none closed" if self.sides else "none"
-        one_way = self.dimension - self.lineality
-        are = "is" if closed == 1 else "are"
-        text = f"{closed} of {counted(len(self.sides), 'one-sided constraint')} {are} closed: "
+        declared = [s for s in self.sides if not s.limit]
+        touching = sum(s.state == "closed" for s in declared)
+        parts, reached = [], len(self.active) - touching
+        if declared:
+            verb = "are" if touching > 1 else "is"
+            parts.append(f"{touching or 'none'} of {counted(len(declared), 'one-sided constraint')} {verb} closed")
+        if reached:
+            parts.append(f"{counted(reached, 'limit')} {'is' if reached == 1 else 'are'} reached")
+        text = " and ".join(parts) or "no limit is reached"
+        return text + (f": {self._left()}" if self.active else "")
+
+    def _left(self) -> str:
+        """What closed sides leave, in words."""
         if self.dimension == 0:
-            return text + "nothing can move"
+            return "nothing can move"
+        one_way = self.dimension - self.lineality
         how = f"{self.lineality} both ways and {one_way} one way only" if one_way else "all both ways"
-        return text + f"what may move has {counted(self.dimension, 'dimension')}, {how}"
+        return f"what may move has {counted(self.dimension, 'dimension')}, {how}"
 
     def data(self) -> dict[str, Any]:
         """All numbers and texts as plain Python, ready for JSON."""
@@ -205,7 +217,7 @@ def _sides(rows: OneSided, values: Array, J: Array, tolerance: float) -> tuple[l
 def _with_ways(side: Side, place: int, cone: Cone, inward: Array, names: list[str]) -> Side:
     """A closed side with what it still allows."""
     if place in cone.vanishing:
-        return replace(side, ways=Ways(True, True), why="its gradient vanishes here: nothing is known to first order")
+        return replace(side, ways=Ways(True, True), why=BLIND)
     if place in cone.implied:
         return replace(side, ways=Ways(False, False), why="the equations keep it closed")
     ways = cone.ways(-inward if side.upper else inward)

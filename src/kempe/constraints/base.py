@@ -10,9 +10,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
-from enum import Enum, auto
+from enum import IntEnum, auto
 from functools import cached_property
-from typing import Any, ClassVar, TypeAlias, TypeVar, dataclass_transform
+from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar, dataclass_transform
 
 import numpy as np
 
@@ -36,7 +36,7 @@ Rotation: TypeAlias = Any
 """A field of a rotation (..., 3, 3)."""
 
 
-class Op(Enum):
+class Op(IntEnum):
     """What a row reads: of the pose of frame B seen from frame A, of coordinates, or of the twist of B against A."""
 
     POINT = auto()
@@ -63,8 +63,7 @@ COUNTS = {Op.ROTATION: {2: 1, 3: 3}, Op.TILT: {2: 1, 3: 2}, Op.LOOK: {2: 1, 3: 2
 """How many equations an operation is, by the dimension, where that is not one."""
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """One equation, or a group that cannot be split: structure without numbers that may vary.
 
     `equal`, `low` and `high` name fields of the constraint; without them the value is held at zero. Where the field of
@@ -81,7 +80,7 @@ class Row:
     high: str = ""
     part: int | None = None
 
-    def count(self, dim: int) -> int:
+    def size(self, dim: int) -> int:
         """Number of equations."""
         return COUNTS.get(self.op, {}).get(dim, 1)
 
@@ -132,8 +131,8 @@ class Constraint(ABC):
         """Its rows in the plane (2) or in space (3). Errors: `InputError` where its fields do not fit together."""
 
     def check(self, dim: int) -> None:
-        """Refuse numbers that it cannot have. Errors: `InputError`."""
-        self.goal(dim)
+        """Refuse numbers that it cannot have, besides those that its goal refuses. Errors: `InputError`."""
+        return
 
     # ---- its ends
 
@@ -163,8 +162,10 @@ class Constraint(ABC):
     @property
     def about(self) -> str:
         """What it is about: the frames."""
-        ends = [str(e) for e in reversed(self.ends) if e is not None]
-        return " and ".join(map(repr, ends)) or "the system"
+        a, b = self.ends
+        if b is None:
+            return "the system"
+        return repr(str(b)) if a is None else f"{str(b)!r} and {str(a)!r}"
 
     @cached_property
     def label(self) -> str:

@@ -16,8 +16,7 @@ import numpy as np
 
 from kempe.constraints.base import Constraint, Op, Row, kind
 from kempe.constraints.builder import renamed
-from kempe.constraints.recording import TIME, NotRecorded, at, called, probe, record
-from kempe.constraints.tape import Tape, quoted
+from kempe.constraints.tape import TIME, Tape, quoted
 from kempe.constraints.text import from_text, read
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.values import Expression
@@ -50,6 +49,8 @@ class Call:
 
     def __call__(self, values: Mapping[str, float]) -> np.ndarray:
         """Its numbers (size,) at values of `of`, and of the time "t". Errors: `InputError` with the call."""
+        from kempe.constraints.recording import at, called
+
         given = {own: float(values[name]) for own, name in zip(self.inputs, self.of, strict=True)}
         if self.time:
             given[TIME] = float(values.get(TIME, 0.0))
@@ -64,7 +65,7 @@ class Call:
     def __reduce__(self) -> Any:
         try:
             pickle.dumps(self.function)
-        except Exception:
+        except (pickle.PicklingError, AttributeError, TypeError):
             raise InputError(f"{self.what} is {self!r}, which cannot be pickled, and cannot be recorded: "
                              f"{self.reason}") from None  # fmt: skip
         return Call, (self.function, self.inputs, self.of, self.time, self.size, self.reason, self.what)
@@ -124,6 +125,8 @@ class _Written(Constraint):
 
     def _recorded(self, function: Callable, shape_of: Callable[[tuple[int, ...]], None]) -> tuple[Any, tuple[int, ...]]:
         """The texts of a function, or the tape where they would be too long, or a `Call`; and its shape."""
+        from kempe.constraints.recording import NotRecorded, probe, record
+
         of, time = self.of, self.time  # type: ignore[attr-defined]
         if not of:
             raise InputError(f"{self.what} is given a function; name the coordinates that it reads: of=(...)")

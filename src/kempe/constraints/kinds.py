@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import field
+from functools import lru_cache
 
 import numpy as np
 
@@ -46,11 +47,18 @@ from kempe.spatial import Array
 ORIGIN, Z = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
 
+@lru_cache
 def points(dim: int, axes: str = "xyz", **held: str) -> tuple[Row, ...]:
     """Rows that hold the origin of B along axes of A."""
     return tuple(
         Row(Op.POINT, ("xyz".index(a),), a, "m", part=k if held else None, **held) for k, a in enumerate(axes[:dim])
     )
+
+
+@lru_cache
+def whole(dim: int) -> tuple[Row, ...]:
+    """Rows that hold all of a frame."""
+    return (*points(dim), ROTATION)
 
 
 ROTATION, TILT, LOOK = (Row(op, (), name, "rad") for op, name in ((Op.ROTATION, "r"), (Op.TILT, "r"), (Op.LOOK, "r")))
@@ -84,7 +92,7 @@ class Pose(_Placed):
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """All of the frame."""
-        return (*points(dim), ROTATION)
+        return whole(dim)
 
     def goal(self, dim: int) -> Array:
         """The target."""

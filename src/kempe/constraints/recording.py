@@ -9,12 +9,9 @@ import numpy as np
 
 from kempe.calls import FOREIGN
 from kempe.constraints.builder import Builder
-from kempe.constraints.tape import Tape
+from kempe.constraints.tape import TIME, Tape
 from kempe.errors import InputError, KempeError, UnknownNameError, shown
 from kempe.kernels import tape_layout as L
-
-TIME = "t"
-"""The name of the time among the inputs."""
 
 POINTS = 12
 """Points at which a recorded function is compared with its tape."""

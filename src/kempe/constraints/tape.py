@@ -23,6 +23,9 @@ from kempe.values import CONSTANTS, FUNCTIONS
 Node = tuple[int, int, int]
 """Operation, left, right, as `tape_layout` says."""
 
+TIME = "t"
+"""The name of the time among the inputs."""
+
 TEXT_LIMIT = 20_000
 """Characters of the text of one output: shared parts are written out wherever they are used."""
 

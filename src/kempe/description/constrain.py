@@ -71,6 +71,8 @@ def between(
         checks.refuse(subject, str(UnknownNameError("kind of constraint", kind, BETWEEN)), where)
     A, B = (_placed(mechanism, p, subject, where) for p in (parent, child))
     rod = BETWEEN[kind] is Distance
+    if A.body == B.body:
+        checks.refuse(subject, f"it ties body {A.body!r} to itself", where, "it must tie two bodies")
     if mechanism.dim == 2 and BETWEEN[kind] is OnPlane:
         checks.refuse(subject, f"{kind} does not exist in the plane", where,
                       "planar systems take distance and point_on_line")  # fmt: skip
@@ -80,8 +82,10 @@ def between(
         checks.refuse(subject, f"{kind} takes no length", where, "only a distance must have one")
     if rod:
         try:
-            length = value(length, "length")
+            length = _checked(mechanism, value(length, "length"), "length", subject, where)
         except InputError as error:
+            if isinstance(error, DescriptionError):
+                raise
             checks.refuse(subject, str(error), where)
         return declare(mechanism, Distance(B, A, length), name, where)
     direction: Any = (0.0, 0.0, 1.0)
@@ -129,18 +133,27 @@ def _with_values(mechanism: Mechanism, given: Constraint, subject: str, where: W
     for key, x in numbers_in(given).items():
         if isinstance(x, str) and x in AXES:
             continue
-        try:
-            read = _read(x, key)
-            for e in expressions_in(read):
-                for name in e.names:
-                    if name not in mechanism.parameters:
-                        raise UnknownNameError("parameter", name, mechanism.parameters)
-        except (InputError, UnknownNameError) as error:
-            text = str(error) if isinstance(error, InputError) else f"{key} is {x!s}: {error}"
-            checks.refuse(subject, text, where)
+        read = _checked(mechanism, x, key, subject, where)
         if read is not x:
             changed[key] = read
     return replace(given, **changed) if changed else given
+
+
+def _checked(mechanism: Mechanism, x: Any, what: str, subject: str, where: Where | None) -> Any:
+    """Numbers, or expressions in known parameters that are finite with their values."""
+    try:
+        read = _read(x, what)
+        for e in expressions_in(read):
+            for name in e.names:
+                if name not in mechanism.parameters:
+                    raise UnknownNameError("parameter", name, mechanism.parameters)
+            number = e.evaluate(mechanism.parameters)
+            if not math.isfinite(number):
+                raise InputError(f"{what} is {float(number)} ({what} = {e}); it must be finite")
+    except (InputError, UnknownNameError) as error:
+        text = str(error) if isinstance(error, InputError) else f"{what} is {x!s}: {error}"
+        checks.refuse(subject, text, where)
+    return read
 
 
 def _read(x: Any, what: str) -> Any:
@@ -163,7 +176,7 @@ def check(mechanism: Mechanism, made: Declared) -> None:
     if not made.parent:
         if not getattr(made.of, "of", ()):
             checks.refuse(subject, f"{made.of.label} is asked for in one call of ik, not held always", where,
-                          "hold coordinates by lock, couple or equation, frames by the kinds that name them")  # fmt: skip
+                          "hold coordinates by lock, couple or equation, frames by kinds that name them")  # fmt: skip
         return
     a, b = (mechanism.bodies[n] for n in (made.parent, made.child))
     if a.particle and any(r.op is not Op.DISTANCE for r in rows):

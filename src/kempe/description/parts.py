@@ -131,11 +131,19 @@ class Declared:
 
     def equations(self, dim: int) -> int:
         """How many equations f(q) = 0 it is, in the plane (2) or in space (3)."""
-        return sum(r.count(dim) for r in position_rows(self.of, dim))
+        return sum(r.size(dim) for r in position_rows(self.of, dim))
+
+    def positions(self, dim: int) -> int:
+        """How many rows it has that are not of velocity, in the plane (2) or in space (3)."""
+        return self.equations(dim) + self.bounds(dim)
 
     def bounds(self, dim: int) -> int:
         """How many rows it has that hold on one side, or between two ends, in the plane (2) or in space (3)."""
-        return sum(r.count(dim) for r in self.of.rows(dim) if not r.velocity and one_sided(self.of, r))
+        return sum(r.size(dim) for r in self.of.rows(dim) if not r.velocity and one_sided(self.of, r))
+
+    def of_pose(self, dim: int) -> int:
+        """How many of these are directions, turns and distances, which no expression says."""
+        return sum(r.size(dim) for r in position_rows(self.of, dim) if r.op not in (Op.TAPE, Op.CALL))
 
     def of_pose(self, dim: int) -> int:
         """How many of these are directions, turns and distances, which no expression says."""

@@ -137,9 +137,8 @@ def _field(x: Any, how: str, dim: int, what: str) -> Any:
     if how in NUMBERS and not isinstance(x, (str, Expression)):
         return x if isinstance(x, (list, tuple)) and expressions_in(x) else np.asarray(x).tolist()
     if callable(x):
-        why = f" cannot be recorded: {x.reason}" if hasattr(x, "reason") else ""
-        raise UnsupportedError(f"{what}: a file cannot hold the Python function {x!r}{', which' if why else ''}{why}; write "
-                               "it as text")  # fmt: skip
+        why = f", which cannot be recorded: {x.reason}" if hasattr(x, "reason") else ""
+        raise UnsupportedError(f"{what}: a file cannot hold the Python function {x!r}{why}; write it as text")
     if isinstance(x, Tape):
         raise UnsupportedError(f"{what}: a file cannot hold an expression of more than {TEXT_LIMIT} characters")
     return str(x) if isinstance(x, (Body, Frame)) else x

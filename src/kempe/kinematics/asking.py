@@ -105,13 +105,11 @@ FAMILIES: dict[Op, type[Task]] = {Op.COORDINATE: Coordinates, Op.CALL: Called, O
 """Which class asks for rows of an operation; `Placed` for all others."""
 
 
-def task_of(constraint: Any, dim: int) -> Task:
-    """The constraint as a task. Errors: `InputError` where it is none, or cannot be asked of a configuration."""
-    if not isinstance(constraint, Constraint):
-        raise InputError(f"{constraint!r} is no constraint; see kempe.constraints")
+def task_of(constraint: Constraint, dim: int) -> Task:
+    """The constraint as a task. Errors: `InputError` where it cannot be asked of a configuration."""
     rows = constraint.rows(dim)
     constraint.check(dim)
-    if any(r.velocity for r in rows):
+    if Op.VELOCITY in [r.op for r in rows]:
         raise InputError(f"{constraint.label} is about velocities, which no configuration has: declare it by "
                          "Mechanism.constrain")  # fmt: skip
     if hasattr(constraint, "of"):  # it reads coordinates, which may follow others

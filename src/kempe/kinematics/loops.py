@@ -59,6 +59,7 @@ def evaluate(
     columns = np.empty((len(flat) if with_jacobian else 0, m, system.nv))
     pins = np.zeros((1, 0))
     equations.equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat, with_jacobian, out, columns)
+    loops.check()
     return out.reshape(*lead, m), columns.reshape(*lead, m, system.nv) if with_jacobian else columns
 
 

@@ -16,6 +16,7 @@ from kempe.kinematics.asking import task_of
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.task import GROUND, TILTS, Goals, Task
+from kempe.model.coordinates import told_apart
 from kempe.model.loops import Loops, Tie, pack
 from kempe.model.own_tree import own_tree
 from kempe.model.table import Table
@@ -61,6 +62,7 @@ def _wide(system: System, tasks: Sequence[Task]) -> np.ndarray:
     bound = {n for r in system.relations for n in (r.of, *r.sources)}
     for task in tasks:
         bound |= task.coordinates(system)
+    wide = wide & ~told_apart(system.mechanism, c)
     return wide & np.array([name not in bound for name in system.velocity_names], dtype=bool)
 
 
@@ -162,6 +164,7 @@ class Packed:
             pins = self.pins(goals, lead if lead_of(goals) else ())
         out, J = np.empty((len(flat_q), m)), np.empty((len(flat_q), m, self.system.nv))
         equations.equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J)
+        loops.check()
         use = self.rows == -1 if closures else self.rows >= 0
         out, J = out[:, use], J[:, use]
         return out.reshape(*lead, out.shape[1]), J.reshape(*lead, *J.shape[1:])

@@ -144,6 +144,7 @@ class Placed(Task):
         """Whether it holds the orientation."""
         self.number = held(of, row) if row.op is Op.DISTANCE else ""
         self.bounded = one_sided(of, row)
+        self._holds: list[Hold] | None = None
         self.point &= not self.bounded
 
     # ---- what is held
@@ -179,6 +180,11 @@ class Placed(Task):
 
     def holds(self, system: System) -> list[Hold]:
         """One tie, or one for each end that is finite anywhere and differs from target to target."""
+        if self._holds is None:
+            self._holds = self._all_holds(system)
+        return self._holds
+
+    def _all_holds(self, system: System) -> list[Hold]:
         h, ends = self.hold(system), self.ends()
         if ends is None:
             return [h]
@@ -246,19 +252,22 @@ class Placed(Task):
     def measure(self, system: System, q: Array, goals: Goals | None = None) -> tuple[Array, Array]:
         """How far (...) it is missed at q (..., nq), in metres and in radians, by the forward model."""
         holds, goals = self.holds(system), self.goals(system) if goals is None else goals
-        X, square = self.place(system, q, holds[0]), np.zeros(())
-        angle = np.zeros(())
+        X = self.place(system, q, holds[0])
         with np.errstate(invalid="ignore", over="ignore"):  # of goals that are not finite
-            for h, (goal, number) in zip(holds, goals, strict=True):
-                assert goal is not None
-                if h.a is not None:
-                    goal = fk(system, q, h.a) @ goal
-                size, angle = self._apart(h, goal, X, number)
-                square = size if len(holds) == 1 else np.sqrt(square * square + size * size)
-        return square, angle
+            misses = [self._apart(system, q, h, X, *g) for h, g in zip(holds, goals, strict=True)]
+            if len(misses) == 1:
+                return misses[0]
+            return np.sqrt(sum(size * size for size, _ in misses)), misses[0][1]
 
-    def _apart(self, h: Hold, goal: Array, X: Array, number: Array | None) -> tuple[Array, Array]:
-        """How far (...) the frame at X (..., 4, 4) misses the goal, both seen from the ground."""
+    def _apart(
+        self, system: System, q: Array, h: Hold, X: Array, goal: Array | None, number: Array | None
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """How far (...) the frame at X (..., 4, 4) misses a goal."""
+        assert goal is not None
+        if h.a is not None:
+            goal = fk(system, q, h.a) @ goal
+        if self.point and self.turned:
+            return _size(X[..., :3, 3] - goal[..., :3, 3]), _between(X[..., :3, :3], goal[..., :3, :3])
         none = np.zeros(np.broadcast_shapes(goal.shape[:-2], X.shape[:-2]))
         if not h.bounds and h.turns != L.DISTANCE:
             whole, full = self.point, self.turned

@@ -18,10 +18,10 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.record import Form, Num, Recorder
 from kempe.kinematics.recorded import TIME, RowName, Rows
 from kempe.model.lengths import characteristic_length
-from kempe.model.loop_plan import Tie
 from kempe.model.loops import held_ties
 from kempe.model.program import ends_of, numbers_of
 from kempe.model.table import Table, lower
+from kempe.model.ties import Tie
 from kempe.reals import reals
 from kempe.spatial import Array
 

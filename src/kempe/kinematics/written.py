@@ -14,10 +14,10 @@ from kempe.kinematics.constraints import coordinate_value
 from kempe.kinematics.forward import fk
 from kempe.kinematics.task import GROUND, Goals, Task
 from kempe.model.coordinates import check_read
-from kempe.model.loop_plan import POSE
 from kempe.model.loops import Tie
 from kempe.model.program import between, coordinates_of, every_tie, numbers_of
 from kempe.model.table import Table
+from kempe.model.ties import POSE
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

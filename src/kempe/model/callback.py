@@ -23,13 +23,13 @@ WEIGHTS = ((1, 45.0 / 60.0), (2, -9.0 / 60.0), (3, 1.0 / 60.0))
 class Callback:
     """A function of q (nq,) that gives values (rows,) and derivatives (rows, n), as kernels call it.
 
-    See `kempe.model.loops.Function`. What it raises is kept in `error`, for no exception passes through a kernel.
+    `alone` gives the values only. See `kempe.model.ties.Function`. What it raises is kept in `error`, for no exception passes through a kernel.
     `scale` (nv,) are the units of the velocities, `support` the n of them that it depends on, by default all.
     """
 
     def __init__(
         self, system: System, rows: int, function: Callable[[Array], tuple[Any, Array]],
-        support: Sequence[int] | None = None,
+        support: Sequence[int] | None = None, alone: Callable[[Array], Any] | None = None,
     ):  # fmt: skip
         number = ctypes.POINTER(ctypes.c_double)
         kind = ctypes.CFUNCTYPE(None, number, number, number, ctypes.c_int64)
@@ -37,11 +37,15 @@ class Callback:
         self.support = tuple(range(system.nv)) if support is None else tuple(support)
         nq, own, shape = system.nq, list(self.support), (len(self.support), rows)
 
-        def work(q: Any, value: Any, columns: Any, _: int) -> None:
+        def work(q: Any, value: Any, columns: Any, flag: int) -> None:
             out = np.ctypeslib.as_array(value, (rows,))
             out[:] = np.nan  # what stays where it raises
             with self:
-                found, J = function(np.ctypeslib.as_array(q, (nq,)).copy())
+                x = np.ctypeslib.as_array(q, (nq,)).copy()
+                if alone is not None and not flag:
+                    out[:] = alone(x)
+                    return
+                found, J = function(x)
                 if shape[0]:
                     np.ctypeslib.as_array(columns, shape)[:] = (J * self.scale[own]).T
                 out[:] = found
@@ -73,7 +77,7 @@ class Callback:
             return call({**numbers, **given})[own]
 
         def both(q: Array) -> tuple[Array, Array]:
-            J = np.empty((len(own), len(used)))
+            found, J = values(q), np.empty((len(own), len(used)))
             for k, i in enumerate(used):
                 unit, x, total = STEP * made.scale[places[i]], q[i], np.zeros(len(own))
                 for n, weight in WEIGHTS:
@@ -83,7 +87,7 @@ class Callback:
                     total -= weight * values(q)
                 q[i] = x
                 J[:, k] = total / unit
-            return values(q), J
+            return found, J
 
-        made = cls(system, len(own), both, [places[i] for i in used])
+        made = cls(system, len(own), both, [places[i] for i in used], values)
         return made

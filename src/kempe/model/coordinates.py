@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.constraints.base import Op
+from kempe.constraints.tape import TIME
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
 from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError
@@ -170,7 +171,8 @@ def _check_written(mechanism: Mechanism, every: dict[str, Joint], balls: set[str
         for name in reads:
             subject = f"constraint {c.name!r}"
             if name not in every:
-                _refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), c.where)
+                allowed = "for the time say time=True" if name == TIME else ""
+                _refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), c.where, allowed)
             if name in balls and Op.VELOCITY not in operations:
                 _refuse(subject, PART_OF_BALL.format(name), c.where, OF_BALL)
         both = [n for n in mechanism.parameters if n in every and n in getattr(c.of, "words", ())]
@@ -331,4 +333,15 @@ def returning(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
     for relation in c.relations:
         for name in (relation.of, *relation.sources):
             back[number[name]] = False
-    return back
+    return back & ~told_apart(mechanism, c)
+
+
+def told_apart(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
+    """Velocity coordinates (nv,) that declared laws of positions read themselves: these may tell whole turns apart."""
+    out, number = np.zeros(len(c.velocity_names), dtype=bool), {name: i for i, name in enumerate(c.velocity_names)}
+    for declared in mechanism.constraints.values():
+        for name in getattr(declared.of, "of", ()) if declared.positions(mechanism.dim) else ():
+            source = c.followers[name].source if name in c.followers else name
+            if source in number:
+                out[number[source]] = True
+    return out

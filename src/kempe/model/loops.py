@@ -19,10 +19,11 @@ import numpy as np
 from kempe.description.parts import Joint
 from kempe.kernels import loop_layout as L
 from kempe.model.lengths import characteristic_length, moved, origin_of
-from kempe.model.loop_plan import Centre, Function, Loops, Plan, Tie, moving
+from kempe.model.loop_plan import Plan, moving
 from kempe.model.program import coordinates_of, declared_ties
 from kempe.model.reduced import Reduced, reduced, slides_along_z
 from kempe.model.table import Table, lower
+from kempe.model.ties import Centre, Function, Loops, Tie
 
 if TYPE_CHECKING:
     from kempe.model.system import System

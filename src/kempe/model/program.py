@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.constraints.base import Constraint, Op, Row, held, numbers_in, one_sided
-from kempe.constraints.recording import TIME as CLOCK
+from kempe.constraints.tape import TIME
 from kempe.description.constrain import resolved
 from kempe.description.parts import Declared
 from kempe.kernels import loop_layout as L
 from kempe.model.callback import Callback
-from kempe.model.loop_plan import Recorded, Tie
 from kempe.model.table import Table
+from kempe.model.ties import Recorded, Tie
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -88,7 +88,7 @@ def recorded(made: Constraint, rows: list[Row], given: bool = False) -> Recorded
     names, unit, posed = tuple(r.name for r in rows), rows[0].unit, made.ends[1] is not None
     if given:
         return Recorded(tape, names, unit, posed, tuple(k for k in numbers_in(made) if k in tape.inputs))
-    numbers = numbers_of(made) | ({CLOCK: 0.0} if getattr(made, "time", False) else {})
+    numbers = numbers_of(made) | ({TIME: 0.0} if getattr(made, "time", False) else {})
     return Recorded(tape.fixed({k: x for k, x in numbers.items() if k in tape.inputs}), names, unit, posed)
 
 

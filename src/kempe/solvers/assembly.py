@@ -160,6 +160,7 @@ class Assembler:
             work(0, n)
         else:
             over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+        loops.check()
         return q, residual, info
 
     def _ask(

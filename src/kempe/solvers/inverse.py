@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from kempe.calls import explained
 from kempe.constraints.targets import of_target
-from kempe.errors import InputError, NoSolutionError
+from kempe.errors import InputError, NoSolutionError, UnsupportedError
 from kempe.kernels.compiled import maker, search
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, STATUS
@@ -73,7 +73,7 @@ def ik(
     """
     name = system.frame_name(frame)
     asked, targets, lead = _asked(system, name, target, _task_name(task, position_only), axis)
-    if method != "analytic" and (obstacle(system, name) or one_sided_rows(system).declared):
+    if _bounded(system, method) or (method != "analytic" and obstacle(system, name)):
         from kempe.solvers.tasks import reach
 
         wanted = of_target(name, *asked, targets.reshape(*lead, 4, 4))
@@ -136,6 +136,15 @@ def _judged(
     if not lead and code[0] == BAD_INPUT:
         raise InputError(not_a_pose(targets[0], "seed"))
     return _answer(question, full, code, residual, info, lead)
+
+
+def _bounded(system: System, method: str) -> bool:
+    """Whether declared one-sided constraints have to be held. Errors: `UnsupportedError` where the method cannot."""
+    bounds = one_sided_rows(system)
+    if bounds.declared and method == "analytic":
+        raise UnsupportedError(f"method 'analytic' does not hold one-sided constraints, such as {bounds.names[0]!r}; "
+                               "leave it out, or take one of the solutions of ik_all, which do")  # fmt: skip
+    return bounds.declared > 0
 
 
 def _task_name(task: str | None, position_only: bool) -> str | None:

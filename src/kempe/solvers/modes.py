@@ -266,7 +266,7 @@ def _answer(
     keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
     if bounds.declared:
         beyond = bounds.beyond(q, declared=True) > 0.0
-        holds = ~beyond.any(axis=1)
+        holds = np.logical_not(beyond.any(axis=1))
         inside, left_out, keep = inside & holds, int(np.sum(~holds)), keep[holds[keep]]
         status += bounds.left_out(beyond)
     if question.near is not None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe.errors import InputError
 from kempe.kinematics.derivatives import REAL_STEP, checked_value, jacobian_of, way_of
-from kempe.kinematics.tasks_whole import Callback
+from kempe.model.callback import Callback
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

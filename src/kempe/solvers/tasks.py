@@ -20,7 +20,7 @@ from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.packed import Packed, lead_of, refuse
 from kempe.kinematics.parallel import over_chunks
 from kempe.kinematics.task import Goals, Task
-from kempe.kinematics.tasks_whole import Callback
+from kempe.model.callback import Callback
 from kempe.reals import is_whole
 from kempe.solvers import effort
 from kempe.solvers.apart import apart
@@ -279,7 +279,7 @@ def _home(system: System) -> Array:
 def _distinct(wanted: Any, dim: int) -> tuple[Task, ...]:
     """The tasks, checked, with labels that differ."""
     given = (wanted,) if isinstance(wanted, Constraint) else tuple(wanted) if isinstance(wanted, (list, tuple)) else ()
-    if not given or not all(isinstance(t, Constraint) for t in given):
+    if not given or not all([isinstance(t, Constraint) for t in given]):
         what = "an empty list" if isinstance(wanted, (list, tuple)) and not wanted else shown(wanted)
         raise InputError(f"without a frame the target must be a task of kempe.tasks or a list of them; it is {what}")
     out: dict[str, Task] = {}

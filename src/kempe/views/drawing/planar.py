@@ -166,6 +166,9 @@ def _rods(sheet: Sheet) -> None:
         sheet.labels.append((name, p.mean(axis=0), 1.2 * r, {"gid": f"label:{name}", "color": INK}))
         for end in p:
             sheet.patch(shapes.circle(end, 0.7 * r), f"rod:{name}:end", style.PINS, fc=PAPER, ec=INK, lw=1.2)
+    for name, _, point in sheet.scene.marks:
+        sheet.patch(shapes.circle(flat(point), 0.6 * r), f"mark:{name}", style.PINS, fc=PAPER, ec=INK, lw=1.2)
+        sheet.labels.append((name, flat(point), 1.2 * r, {"gid": f"label:{name}", "color": INK}))
     for name, links, A, point in sheet.scene.lines:
         along, c = A[:2, 2], flat(point)
         at = float(along @ (c - flat(A)))

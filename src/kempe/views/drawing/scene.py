@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.constraints.base import Op, position_rows
 from kempe.joints import Primitive
 from kempe.kinematics.constraints import closure_error, coordinate_value
 from kempe.kinematics.forward import fk
@@ -69,7 +70,8 @@ class Scene:
     """All that there is to draw; link 0 is the ground.
 
     `rods` are distance constraints: name, links, ends (2, 3), what the ends are too far apart [m]. `lines` are points
-    on lines and planes: name, links, pose (4, 4) of the line's or plane's frame, position of the point.
+    on lines and planes: name, links, pose (4, 4) of the line's or plane's frame, position of the point. `marks` are
+    where other constraints take hold: name, link, position.
     """
 
     system: System
@@ -78,12 +80,14 @@ class Scene:
     joints: tuple[SeenJoint, ...]
     rods: tuple[tuple[str, tuple[int, int], Array, float], ...] = ()
     lines: tuple[tuple[str, tuple[int, int], Array, Array], ...] = ()
+    marks: tuple[tuple[str, int, Array], ...] = ()
 
     def points(self, link: SeenLink) -> Array:
         """Distinct joint centres, ends of rods and frames (k, 3) of a link, in that order."""
         found = [self.joints[j].on(link.number)[:3, 3] for j in link.joints]
         found += [ends[k] for _, links, ends, _ in self.rods for k in (0, 1) if links[k] == link.number]
         found += [p for _, links, _, p in self.lines if links[1] == link.number]
+        found += [p for _, n, p in self.marks if n == link.number]
         found += [X[:3, 3] for X in link.frames.values()]
         return distinct(np.array(found).reshape(-1, 3))
 
@@ -189,10 +193,10 @@ def _links(system: System) -> dict[str, int]:
     return {b: heads.index(find(b)) for b in system.body_names}
 
 
-def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]) -> tuple[Any, Any]:
-    """Rods and lines of the constraints that are no joints, where the mechanism has any."""
+def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]) -> tuple[Any, ...]:
+    """Rods, lines and marks of the constraints that are no joints, where the mechanism has any."""
     mechanism = system.mechanism
-    rods, lines = [], []
+    rods, lines, marks = [], [], []
     for c in (c for c in mechanism.constraints.values() if c.parent):
         X_A, X_B = c.frames(mechanism.parameters, system.dim)
         A, B = poses[c.parent] @ X_A, poses[c.child] @ X_B
@@ -200,9 +204,11 @@ def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]
         if c.rod:
             p = np.stack([A[:3, 3], B[:3, 3]])
             rods.append((c.name, ends, p, float(np.linalg.norm(p[1] - p[0])) - c.length(mechanism.parameters)))
-        else:
+        elif {r.op for r in position_rows(c.of, system.dim)} == {Op.POINT}:
             lines.append((c.name, ends, A, B[:3, 3]))
-    return tuple(rods), tuple(lines)
+        else:
+            marks.append((c.name, number[c.child], B[:3, 3]))
+    return tuple(rods), tuple(lines), tuple(marks)
 
 
 def travel(scene: Scene, joint: SeenJoint, configurations: Array | None) -> tuple[float, float]:

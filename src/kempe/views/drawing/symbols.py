@@ -48,6 +48,8 @@ def build(solids: Solids, scene: Scene, r: float, configurations: Array | None) 
         for end in ends:
             solids.ball(f"rod:{name}", end, 0.8 * r, JOINT)
         skeleton.append(ends)
+    for name, _, point in scene.marks:
+        solids.ball(f"mark:{name}", point, 0.8 * r, JOINT)
     for name, _, A, point in scene.lines:
         along = A[:3, 2] * 6 * r
         solids.tube(f"line:{name}", point - along, point + along, 0.2 * r, GROUND)
@@ -69,7 +71,8 @@ def _lines(scene: Scene, link: SeenLink) -> list[Array]:
     joints = [scene.joints[j] for j in link.joints]
     centres = distinct(np.array([j.on(link.number)[:3, 3] for j in joints]
                                 + [e[k] for _, n, e, _ in scene.rods for k in (0, 1) if n[k] == link.number]
-                                + [p for _, n, _, p in scene.lines if n[1] == link.number]).reshape(-1, 3))  # fmt: skip
+                                + [p for _, n, _, p in scene.lines if n[1] == link.number]
+                                + [p for _, n, p in scene.marks if n == link.number]).reshape(-1, 3))  # fmt: skip
     ends = [X[:3, 3] for X in link.frames.values()]
     out: list[Array] = []
     if len(joints) == 2 and len(centres) <= 2:

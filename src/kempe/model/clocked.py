@@ -1,0 +1,83 @@
+"""Systems whose equations depend on time: the time as a number, or as a coordinate that can be driven."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.calls import numbers
+from kempe.constraints.base import Constraint
+from kempe.constraints.equations import Call
+from kempe.constraints.tape import TIME
+from kempe.errors import InputError
+
+if TYPE_CHECKING:
+    from kempe.description.mechanism import Mechanism
+    from kempe.model.system import System
+
+
+def timed(system: System) -> tuple[str, ...]:
+    """Names of the constraints on positions that depend on time."""
+    held = system.mechanism.constraints.values()
+    return tuple(c.name for c in held if getattr(c.of, "time", False) and not any(
+        r.velocity for r in c.of.rows(system.dim)))  # fmt: skip
+
+
+def at_time(system: System, t: float) -> System:
+    """The system as it is at the time t, with the same coordinates. Errors: `InputError`."""
+    if np.ndim(t) or not np.isfinite(numbers(t, "t")):
+        raise InputError(f"t is {t!r}; it must be one time, a finite number: many are for drive(times=...)")
+    if not t or not timed(system):
+        return system
+    found = system._queries.get("at time")
+    if found is None:
+        m = _plain(system, ())
+        m.parameter(TIME, 0.0)
+        found = system._queries["at time"] = m.build()
+    return found.with_parameters(**{TIME: float(t)})
+
+
+def clocked(system: System) -> System:
+    """The system with the time as its last coordinate, a slide that nothing but equations reads."""
+    found = system._queries.get("clocked")
+    if found is None:
+        m = _plain(system, (TIME,))
+        m.prismatic(TIME, m.ground, m.body(_free(m, "clock")), axis="x")
+        found = system._queries["clocked"] = m.build()
+    return found
+
+
+def _free(m: Mechanism, name: str) -> str:
+    while name in m.bodies or name in m.frames:
+        name += "_"
+    return name
+
+
+def _plain(system: System, more: tuple[str, ...]) -> Mechanism:
+    """The mechanism with the time as an ordinary name in its equations, and among their coordinates `more`."""
+    m, names = system.mechanism.copy(), timed(system)
+    if TIME in m.parameters or TIME in m.joints or TIME in m.constraints:
+        raise InputError(f"constraint {names[0]!r} depends on the time {TIME!r}, and something else is called so: "
+                         "rename that")  # fmt: skip
+    m.constraints = {n: replace(c, of=_untimed(c.of, more)) if n in names else c for n, c in m.constraints.items()}
+    return m
+
+
+def _untimed(of: Any, more: tuple[str, ...]) -> Constraint:
+    told = of.expression
+    if isinstance(told, Call):
+        names = (*told.inputs, TIME)
+        told = replace(told, function=_with_time(told.function), inputs=names, of=(*told.of, TIME), time=False)
+    return replace(of, expression=told, of=(*of.of, *more), time=False)
+
+
+def _with_time(function: Callable) -> Callable:
+    """The function with the time among its named inputs."""
+
+    def called(x: Mapping[str, float]) -> Any:
+        return function({n: v for n, v in x.items() if n != TIME}, x[TIME])
+
+    return called
