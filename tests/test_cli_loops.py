@@ -132,12 +132,12 @@ class Terminal(io.StringIO):
 
 def test_help_lists_the_commands_in_order():
     shown = Result("--help").out
-    order = ("info", "check", "convert", "fk", "ik", "dof", "assemble", "trace", "plot", "library", "bench")
+    order = ("info", "check", "convert", "fk", "ik", "dof", "classify", "assemble", "trace", "plot", "library", "bench")
     places = [next(i for i, x in enumerate(shown.splitlines()) if x.startswith(f"│ {name} ")) for name in order]
     assert places == sorted(places)
     for title in ("Describe and convert", "Positions", "Closed loops", "Models and this machine"):
         assert f" {title} " in shown
-    for name in ("dof", "assemble", "trace", "plot"):
+    for name in ("dof", "classify", "assemble", "trace", "plot"):
         asked = Result(name, "--help")
         assert asked.code == 0 and f"Example: kempe {name} " in asked.out
 
@@ -274,6 +274,26 @@ def test_fk_says_where_loops_are_open(engine, rodded):
     q = ",".join(f"{x:.6f}" for x in kempe.load("four_bar").assemble({"A": 0.3}).q)
     assert note(engine, "--frame", "slider", "--posture", "closed") == ""
     assert note("four_bar", "--frame", "rocker", "--q", q) == note("puma560", "--frame", "tool") == ""
+
+
+# ---- classify
+
+
+def test_classify():
+    """The report, and the same as data."""
+    shown, data = Result("classify", "car"), Result("classify", "car", "--q", "0,0,30", "--deg", "--json").json()
+    assert shown.code == 0 and "nonholonomic" in shown.out and "(2, 3) at q, degree 2" in shown.out
+    assert (data["growth"], data["kind"], data["reachable_dimension"]) == ([2, 3], "nonholonomic", 3)
+    assert data["q"]["drive.rz"] == pytest.approx(30.0) and data["angle_unit"] == "deg"
+    assert data["constraints"]["rear axle"]["sentence"] in " ".join(shown.out.split())
+
+
+def test_classify_where_loops_are_open():
+    """Refused with the distance, or projected."""
+    asked = ("classify", "four_bar", "--q", "0.5,0.1,0.2,0.3")
+    done, projected = Result(*asked), Result(*asked, "--project")
+    assert done.code == 2 and "project" in done.err
+    assert projected.code == 0 and "away from what was given" in " ".join(projected.out.split())
 
 
 # ---- dof

@@ -140,9 +140,9 @@ KNOWN: dict[str, tuple[Callable[[], System], tuple[int, ...], int]] = {
     "ball that may jump": (lambda: on_plane(one_sided=True), (3, 5), 5),
     "two balls, 1 : 2": (lambda: two_balls(1.0, 2.0), (2, 3, 5), 5),
     "two balls, 1 : 3": (lambda: two_balls(1.0, 3.0), (2, 3, 5), 5),
-    "two equal balls": (lambda: two_balls(0.7, 0.7), (2,), 5),
+    "two equal balls": (lambda: two_balls(0.7, 0.7), (2, 2), 5),
     "blade in space": (blade_in_space, (5, 6), 6),
-    "two axles": (two_axles, (1,), 3),
+    "two axles": (two_axles, (1, 1), 3),
 }
 """Growth vector at random configurations, and the freedoms of position. Ball on plane and disc: Murray, Li, Sastry
 (1994), *A Mathematical Introduction to Robotic Manipulation*, chapter 7, and Bloch (2003), *Nonholonomic Mechanics and

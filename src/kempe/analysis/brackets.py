@@ -229,7 +229,9 @@ def _growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bo
         found.append(found[-1] + grown)
         if not grown and not patient:
             break
-    return Growth(tuple(found), limit, span.doubtful, span.basis)
+    if m <= 1 and m < enough:  # one field and itself have no bracket
+        found.append(m)
+    return Growth(tuple(found), limit, bool(span.doubtful), span.basis)
 
 
 def _most(m: int, length: int) -> int:

@@ -143,6 +143,8 @@ def classify(
     if not is_real(t):
         raise InputError(f"t is {shown(t)}; it must be one number")
     given = None if q is None else one(system, q)
+    if given is not None and not np.all(np.isfinite(given)):
+        raise InputError("q must be finite numbers")
     at = find_closed(system) if given is None else close(system, given)
     if not at.closed:
         raise InputError(f"the mechanism cannot be closed here (residual {at.residual:.2g}): {at.why}")

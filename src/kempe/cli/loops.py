@@ -113,7 +113,7 @@ def _under(system: System, equations: list[str]) -> System:
 @guarded
 def classify(
     file: File, q: At = None, posture: Posture = None,
-    project: Annotated[bool, option("--project", "Take the nearest closed configuration where q is not closed.")] = False,
+    project: Annotated[bool, option("--project", "Where q is not closed, take the nearest that is.")] = False,
     deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
     xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
