@@ -204,3 +204,10 @@ def test_time_and_inputs_together():
 def test_many_times_are_for_drive():
     with pytest.raises(kempe.errors.InputError, match="drive"):
         cam().build().assemble(t=np.array([0.0, 1.0]))
+
+
+def test_time_and_rolling_are_refused_by_name():
+    m = cam()
+    m.velocity_equation("blade", [[1, 0]], of=("A", "y"))
+    with pytest.raises(UnsupportedError, match="'motor' depends on time"):
+        m.build().drive({"y": [0.0, 0.1]})

@@ -24,7 +24,7 @@ from kempe.analysis.path import Configurations, Event
 from kempe.analysis.rolling_drive import Driven, driven
 from kempe.calls import explained, explained_methods, flag
 from kempe.constraints.tape import TIME
-from kempe.errors import InputError
+from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.tabular import write_table
 from kempe.model.clocked import clocked, timed
 from kempe.reals import reals
@@ -166,7 +166,7 @@ def drive(
     if not isinstance(inputs, Mapping):
         raise InputError(f"inputs is {type(inputs).__name__}; it must be a dict of values by coordinate name")
     flag(limits, "limits")
-    if timed(system) and not rolls(system):
+    if timed(system):
         return _in_time(system, inputs, times, start, hold, toward, limits, step, time_limit, progress)
     names = list(inputs)
     index = [angle_or_slide(system, n) for n in names]
@@ -197,6 +197,9 @@ def _in_time(
     time_limit: float | None, progress: Progress | None,
 ) -> Drive:  # fmt: skip
     """The motion where equations depend on time, which is driven as a coordinate of its own."""
+    if rolls(system):
+        raise UnsupportedError(f"constraint {timed(system)[0]!r} depends on time, which motions of what rolls do not "
+                               "follow yet: give its coordinate as an input")  # fmt: skip
     clock, _ = _samples({**inputs, TIME: 0.0}, times)
     found = drive(clocked(system), {**inputs, TIME: clock}, clock, _with_time(system, start, clock), hold=hold,
                   toward=toward, limits=limits, step=step, time_limit=time_limit, progress=progress)  # fmt: skip

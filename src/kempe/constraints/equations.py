@@ -232,7 +232,8 @@ class Equation(_Valued):
     """An equation f = 0 over coordinates, or several: text such as ``"A = 2*B"``, or a function.
 
     A function is called with a mapping from the names `of` to numbers, with `time` also with the time t, and gives a
-    number or a list. Text finds its coordinates itself; other names are parameters of the mechanism.
+    number or a list. Text finds its coordinates itself; other names are parameters of the mechanism. `drive` and
+    `assemble` are told the time; for all other verbs it is 0.
     """
 
     expression: Told
