@@ -27,6 +27,8 @@ NOT_OF_COMMANDS = {
     "analysis/transmission.py": "coupler=...",
     "analysis/elsewhere.py": "",
     "analysis/wheeled.py": "(system.interpolate)",
+    "constraints/equations.py": "of=(...)",
+    "model/coordinates.py": "time=True",
     "constraints/recording.py": "(float(), or a function of math: use that of numpy)",
     "description/compose.py": "`at` cannot be given",
     "description/mechanism.py": "kempe.read first",

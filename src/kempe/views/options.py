@@ -24,6 +24,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r": system\.manoeuvre\(start, q\)", ""),
     (r"; drive or hold more, or give velocities \(system\.simulate\)", "; drive or hold more"),
     (r": see nearest\(\)", ""),
+    (r"\bproject=True takes it", "--project takes it"),
     (r"; closed_form\(.*?\)\.describe\(\) tells", "; --modes tells"),
     (r"\baxis=\(x, y\)", "axis = [x, y]"),
 )
