@@ -479,7 +479,7 @@ SAID = {
         "(0, 1, 2, 1, 4, 4, 2)", "(0, 1, 2, 1, 4, 4, 2) ('J6',)", "says 2, the truth is 5: 3 constraints are redundant",
         "('J1', 'J2', 'J3', 'J7', 'J8')", "[0. 0. 0. 1.]",
         "elbow up [ 1.0988 -1.4706] elbow down [-0.1715  1.4706]", "q2 = -1.4706", "q2 = 1.4706",
-        "outside the workspace", "3 equations", "3 DoF", "growth          (2, 3)", "1 m in reverse", "violating 'ground plane'", "bounce on 'ground plane'",
+        "outside the workspace", "3 equations", "3 DoF", "growth          (2, 3)", "no cusps", "violating 'ground plane'", "bounce on 'ground plane'",
     ],
     "dof": [
         "4 x (3 - 2) - 2 = 2", "in space: -1", "18 - 20 = -2", "4 coordinates - rank 3 of 6 equations = 1 freedom",

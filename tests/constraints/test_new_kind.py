@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from on_ellipse import OnEllipse
 
 import kempe
 from kempe.analysis.classify import classify
-from on_ellipse import OnEllipse
 
 A, B = 1.5, 1.0
 

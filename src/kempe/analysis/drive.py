@@ -24,7 +24,7 @@ from kempe.analysis.path import Configurations, Event
 from kempe.analysis.rolling_drive import Driven, driven
 from kempe.calls import explained, explained_methods, flag
 from kempe.constraints.tape import TIME
-from kempe.errors import InputError
+from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.tabular import write_table
 from kempe.model.clocked import clocked, timed
 from kempe.reals import reals
@@ -147,10 +147,8 @@ def drive(
     now and then; an interrupt from the keyboard, or the `time_limit` [s] of the whole call (600; None: none), leaves
     the samples that were done.
 
-    Where there are velocity constraints, what is not driven rolls along (from the first values of the inputs on), and
-    the motion ends before it slips: `status` says where, and by how much. `toward` and `step` do not count there.
-
-    Equations that depend on time are driven by `times`, too, and `inputs` may then be empty.
+    With velocity constraints, what is not driven rolls along (from the first values of the inputs on), and the motion
+    ends before it slips: `status` says where. `toward` and `step` do not count there. Equations in time follow `times`.
 
     Errors: `UnsupportedError` where the inputs leave freedoms or fight each other; `UnknownNameError`; `InputError`.
 
@@ -168,11 +166,8 @@ def drive(
     if not isinstance(inputs, Mapping):
         raise InputError(f"inputs is {type(inputs).__name__}; it must be a dict of values by coordinate name")
     flag(limits, "limits")
-    if timed(system) and not rolls(system):
-        clock, _ = _samples({**inputs, TIME: 0.0}, times)
-        found = drive(clocked(system), {**inputs, TIME: clock}, clock, _with_time(system, start, clock), hold=hold,
-                      toward=toward, limits=limits, step=step, time_limit=time_limit, progress=progress)  # fmt: skip
-        return _without_time(found, system)
+    if timed(system):
+        return _in_time(system, inputs, times, start, hold, toward, limits, step, time_limit, progress)
     names = list(inputs)
     index = [angle_or_slide(system, n) for n in names]
     if hold and set(hold) & set(names):
@@ -195,6 +190,20 @@ def drive(
     wish = wish_of(system, toward)
     course = Course(closure, index, longest, Limits(closure, limits), wish / closure.unit)
     return _run(course, q, names, clock, samples, progress)
+
+
+def _in_time(
+    system: System, inputs: Mapping[str, Any], times: Any, start: Any, hold: Any, toward: Any, limits: bool, step: Any,
+    time_limit: float | None, progress: Progress | None,
+) -> Drive:  # fmt: skip
+    """The motion where equations depend on time, which is driven as a coordinate of its own."""
+    if rolls(system):
+        raise UnsupportedError(f"constraint {timed(system)[0]!r} depends on time, which motions of what rolls do not "
+                               "follow yet: give its coordinate as an input")  # fmt: skip
+    clock, _ = _samples({**inputs, TIME: 0.0}, times)
+    found = drive(clocked(system), {**inputs, TIME: clock}, clock, _with_time(system, start, clock), hold=hold,
+                  toward=toward, limits=limits, step=step, time_limit=time_limit, progress=progress)  # fmt: skip
+    return _without_time(found, system)
 
 
 def _with_time(system: System, start: Any, clock: Array) -> Any:

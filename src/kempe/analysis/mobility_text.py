@@ -99,6 +99,8 @@ def _of_velocity(m: Mobility) -> list[str]:
     """Freedoms of position and of velocity, where some constraints are of velocity."""
     if m.velocity_dof is None or m.rank_dof is None:
         return []
+    if m.velocity_dof < 0:
+        return ["no velocity satisfies all constraints of velocity here: they contradict each other"]
     taken = m.rank_dof - m.velocity_dof
     return [f"{counted(m.rank_dof, 'freedom')} of position, {m.velocity_dof} of velocity: constraints of velocity take "
             f"{taken} of them at every moment; what motions reach all the same says `classify`"]  # fmt: skip

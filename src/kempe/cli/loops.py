@@ -57,6 +57,10 @@ At = Annotated[
     str | None,
     option("--q", "name=value,... (the loops are closed around these), or all of q as a,b,c.", "VALUES"),
 ]
+Where = Annotated[
+    list[str] | None,
+    option("--where", "An equation that holds, too, in radians and metres: 'A = 2*B'. May be repeated.", "EQUATION"),
+]
 Near = Annotated[str | None, option("--near", "Where the search starts: a posture or values, as --q of fk.", "START")]
 Picture = Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")]
 Curves = Annotated[list[str] | None, option("--frame", "Frame whose curve is wanted; can be repeated.", "NAME")]
@@ -95,6 +99,16 @@ def dof(
         raise typer.Exit(INCOMPLETE)
 
 
+def _under(system: System, equations: list[str]) -> System:
+    """The system under further equations, which are called as they are written."""
+    if not equations:
+        return system
+    mechanism = system.mechanism.copy()
+    for text in equations:
+        mechanism.equation(text, text)
+    return mechanism.build()
+
+
 @app.command(rich_help_panel=CLOSED)
 @guarded
 def classify(
@@ -120,7 +134,7 @@ def classify(
 @app.command(rich_help_panel=CLOSED)
 @guarded
 def assemble(
-    file: File, known: Known = None, near: Near = None,
+    file: File, known: Known = None, near: Near = None, where: Where = None,
     branch: Annotated[
         str | None, option("--branch", "A branch by its signs (see --modes), or a posture.", "+-...")
     ] = None,
@@ -131,7 +145,7 @@ def assemble(
     deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
     xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
-    """Close all loops: known coordinates in, all others out.
+    """Close all loops: known coordinates in, all others out; with --where, under further equations.
 
     Example: kempe assemble four_bar A=30 --deg
     """
@@ -139,7 +153,7 @@ def assemble(
         raise InputError("--modes gives all branches: leave --branch, --nearest and --continuous out")
     if time_limit is not None and not modes:
         raise InputError("--time-limit is for --modes: one assembly takes milliseconds")
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = _under(load(file, base, root, package_dir, xacro, lenient_limits), where or [])
     from kempe.views import given, loop_report
 
     results(out)

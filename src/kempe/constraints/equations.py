@@ -14,6 +14,7 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
+from kempe.calls import listed
 from kempe.constraints.base import Constraint, Op, Row, kind
 from kempe.constraints.builder import renamed
 from kempe.constraints.tape import TIME, Tape, quoted
@@ -117,7 +118,7 @@ class _Written(Constraint):
         return ", ".join(self.of or self.words)  # type: ignore[attr-defined]
 
     def _names(self, given: Any) -> tuple[str, ...]:
-        names = (given,) if isinstance(given, str) else tuple(str(n) for n in given)
+        names = listed(given, f"of of {self.what}")
         twice = [n for n in names if names.count(n) > 1]
         if twice:
             raise InputError(f"{self.what} names the coordinate {twice[0]!r} twice")
@@ -174,7 +175,7 @@ class _Written(Constraint):
 class _Valued(_Written):
     """A kind on values of an expression."""
 
-    sense: ClassVar[dict[str, str]] = {}
+    sense: ClassVar[dict[str, Any]] = {}
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -186,8 +187,7 @@ class _Valued(_Written):
             self._fits((len(told),))
         elif not isinstance(told, (Call, Tape)):
             told = (as_text(told, self.what),)
-        alone = isinstance(told, tuple) and len(told) == 1
-        object.__setattr__(self, "expression", told[0] if alone else told)
+        object.__setattr__(self, "expression", told[0] if isinstance(told, tuple) and len(told) == 1 else told)
 
     def _fits(self, shape: tuple[int, ...]) -> None:
         """Refuse what is no list of numbers."""
@@ -232,7 +232,8 @@ class Equation(_Valued):
     """An equation f = 0 over coordinates, or several: text such as ``"A = 2*B"``, or a function.
 
     A function is called with a mapping from the names `of` to numbers, with `time` also with the time t, and gives a
-    number or a list. Text finds its coordinates itself; other names are parameters of the mechanism.
+    number or a list. Text finds its coordinates itself; other names are parameters of the mechanism. `drive` and
+    `assemble` are told the time; for all other verbs it is 0.
     """
 
     expression: Told
@@ -250,7 +251,7 @@ class Inequality(_Valued):
     time: bool = False
     parameters: Parameters = field(default=None, repr=False, kw_only=True)
 
-    sense: ClassVar[dict[str, str]] = {"low": "zero"}
+    sense: ClassVar[dict[str, Any]] = {"low": "zero"}
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -145,10 +145,6 @@ class Declared:
         """How many of these are directions, turns and distances, which no expression says."""
         return sum(r.size(dim) for r in position_rows(self.of, dim) if r.op not in (Op.TAPE, Op.CALL))
 
-    def of_pose(self, dim: int) -> int:
-        """How many of these are directions, turns and distances, which no expression says."""
-        return sum(r.count(dim) for r in position_rows(self.of, dim) if r.op not in (Op.TAPE, Op.CALL))
-
     @property
     def links(self) -> bool:
         """Whether it takes freedoms from the motion of one body against another, by rows that are no expressions."""

@@ -23,8 +23,9 @@ WEIGHTS = ((1, 45.0 / 60.0), (2, -9.0 / 60.0), (3, 1.0 / 60.0))
 class Callback:
     """A function of q (nq,) that gives values (rows,) and derivatives (rows, n), as kernels call it.
 
-    `alone` gives the values only. See `kempe.model.ties.Function`. What it raises is kept in `error`, for no exception passes through a kernel.
-    `scale` (nv,) are the units of the velocities, `support` the n of them that it depends on, by default all.
+    `alone` gives the values only. What it raises is kept in `error`, for no exception passes through a kernel. `scale`
+    (nv,) are the units of the velocities, `support` the n of them that it depends on, by default all. See
+    `kempe.model.ties.Function`.
     """
 
     def __init__(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.calls import numbers
+from kempe.calls import explained, numbers
 from kempe.constraints.base import Constraint
 from kempe.constraints.equations import Call
 from kempe.constraints.tape import TIME
@@ -26,13 +26,14 @@ def timed(system: System) -> tuple[str, ...]:
         r.velocity for r in c.of.rows(system.dim)))  # fmt: skip
 
 
+@explained
 def at_time(system: System, t: float) -> System:
     """The system as it is at the time t, with the same coordinates. Errors: `InputError`."""
     if np.ndim(t) or not np.isfinite(numbers(t, "t")):
         raise InputError(f"t is {t!r}; it must be one time, a finite number: many are for drive(times=...)")
     if not t or not timed(system):
         return system
-    found = system._queries.get("at time")
+    found: Any = system._queries.get("at time")
     if found is None:
         m = _plain(system, ())
         m.parameter(TIME, 0.0)

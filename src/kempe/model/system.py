@@ -234,16 +234,10 @@ class System(Compiled):
 
     # ---- closed loops
 
-    def assemble(
-        self, known: Mapping[str, Any] | None = None, near: Any = None, t: float = 0.0, **options: Any
-    ) -> Assembly:  # fmt: skip
-        """A configuration that closes all loops at the time t, with the `known` given; see `solvers.assembly`."""
+    def assemble(self, known: Mapping[str, Any] | None = None, near: Any = None, **options: Any) -> Assembly:
+        """A configuration that closes all loops, with the `known` given; see `kempe.solvers.assembly.assemble`."""
         from kempe.solvers.assembly import assemble
 
-        if t.__class__ is not float or t:
-            from kempe.model.clocked import at_time
-
-            return assemble(at_time(self, t), known, near, **options)
         return assemble(self, known, near, **options)
 
     def assembler(self, known: Iterable[str] = ()) -> Assembler:

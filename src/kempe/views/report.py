@@ -216,8 +216,9 @@ def _constraints(data: dict[str, Any]) -> Table | None:
     for c in data["constraints"]:
         length = "" if c["length"] is None else f"{c['length']:g} m"
         sided = ", one-sided" if c["one_sided"] else ""
-        lines.append((c["name"], f"{c['type']}{sided}", f"{c['parent']} - {c['child']}", length))
-    return table(("constraint", "=type", "bodies", ">length"), lines, "Declared constraints") if lines else None
+        what = [f"{c['parent']} - {c['child']}"] if c["parent"] else []
+        lines.append((c["name"], f"{c['type']}{sided}", ", ".join([*what, *c.get("of", [])]), length))
+    return table(("constraint", "=type", "of", ">length"), lines, "Declared constraints") if lines else None
 
 
 def _couplings(data: dict[str, Any]) -> RenderableType | None:
