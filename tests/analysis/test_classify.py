@@ -329,6 +329,24 @@ def test_velocities_that_contradict_each_other() -> None:
     assert "contradict each other" in found.sentence and found.growth is None
 
 
+# ---- what is beyond the digits of numbers
+
+
+def test_long_trains_are_right_or_doubtful(hunt: Hunt) -> None:
+    """Each trailer adds one dimension by brackets one letter longer: if that is not found it is not denied."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(8)):
+        n = int(rng.integers(6, 12))
+        system = trailers(n)
+        found = system.classify(close_by(system, rng))
+        assert found.kind == "nonholonomic"
+        if found.reachable_dimension != n + 3:
+            assert found.doubtful or found.degree is None
+            assert "at least" in found.sentence or "beyond" in str(found)
+        else:
+            assert found.growth == tuple(range(2, n + 4))
+
+
 # ---- singular places
 
 

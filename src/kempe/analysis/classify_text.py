@@ -26,6 +26,9 @@ def sentence(c: Classification) -> str:
     both = f"{counted(c.position_dof, 'freedom')} of position, {c.velocity_dof} of velocity"
     if c.kind in ("", "unilateral") or (c.kind == "holonomic" and c.position_dof == c.velocity_dof):
         return both + (f"; {c.why}" if c.why else "")
+    if c.doubtful and c.reachable_dimension is not None and c.reachable_dimension < c.position_dof:
+        least = f"motions reach at least {counted(c.reachable_dimension, 'dimension')} of {c.position_dof}"
+        return f"{both}: {least}, whether more is beyond the digits of numbers"
     if c.kind == "integrable":
         lost = c.integrals or 0
         keep = "keeps its value" if lost == 1 else "keep their values"
@@ -69,7 +72,7 @@ def reasons(c: Classification) -> list[str]:
     out = []
     if c.growth is not None:
         out.append(f"{vector(c.growth, c.degree is None)} at q" + (f", degree {c.degree}" if c.degree else ""))
-    if c.growth != c.growth_around:
+    if c.singular:
         out.append(f"{vector(c.growth_around)} at configurations around: q is singular")
     if c.why:
         out.append(c.why)
@@ -81,12 +84,12 @@ def proof(c: Classification) -> list[str]:
     if c.growth_around is None or c.position_dof == c.velocity_dof:
         return []
     out = []
-    if c.kind == "integrable":
+    if c.kind == "integrable" and not c.doubtful:
         out.append("brackets of two velocities add nothing at a configuration drawn at random, so nowhere around: "
                    "motions stay on surfaces (Frobenius, 1877)")  # fmt: skip
     elif c.reachable_dimension is not None:
         out.append("what brackets span is tangent to what motions reach (Chow, 1939; Nagano, 1966; Sussmann, 1973)")
-        if c.reachable_dimension < c.position_dof:
+        if c.reachable_dimension < c.position_dof and not c.doubtful:
             out.append("longer brackets add nothing at a configuration drawn at random among those that motions reach")
     out.append("ranks are decided by singular values against an estimate of rounding"
                + ("; one of them is doubtful" if c.doubtful else ""))  # fmt: skip

@@ -149,6 +149,8 @@ def reach(place: Place, around: Place | None, which: Sequence[int], rng: np.rand
         doubtful |= near.doubtful
     found = near.dimensions
     degree = found.index(least) + 1 if least in found else None
+    if doubtful and least < whole:  # what is decided is that so many are reached, not that no more are
+        degree = None
     found = found[:degree] + (least,) * (least < whole) if degree else found
     return Reach(
         here.dimension - extra, tuple(d - extra for d in found), _less(far, extra), least - extra, most - extra, degree,
