@@ -12,7 +12,8 @@ from kempe.calls import explained, numbers
 from kempe.constraints.base import Constraint
 from kempe.constraints.equations import Call
 from kempe.constraints.tape import TIME
-from kempe.errors import InputError
+from kempe.constraints.base import Constraint
+from kempe.errors import InputError, shown
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
@@ -39,6 +40,24 @@ def at_time(system: System, t: float) -> System:
         m.parameter(TIME, 0.0)
         found = system._queries["at time"] = m.build()
     return found.with_parameters(**{TIME: float(t)})
+
+
+def also_holding(system: System, further: Any) -> System:
+    """The system with further constraints of `kempe.constraints`, with the same coordinates.
+
+    Errors: `InputError` for what is none, `DescriptionError` for what does not fit the system.
+    """
+    given = (further,) if isinstance(further, Constraint) else tuple(further)
+    m, taken = system.mechanism, {*system.mechanism.constraints, *system.mechanism.joints}
+    for c in given:
+        if not isinstance(c, Constraint):
+            raise InputError(f"also holds {shown(c)}, which is no constraint of kempe.constraints")
+        name = c.name or c.label
+        while name in taken:
+            name += " again"
+        taken.add(name)
+        m.constrain(c, name)
+    return type(system)(m, system.topology)
 
 
 def clocked(system: System) -> System:

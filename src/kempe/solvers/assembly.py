@@ -19,7 +19,7 @@ from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.loops import freedoms_left
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
-from kempe.model.clocked import at_time
+from kempe.model.clocked import also_holding, at_time
 from kempe.model.loops import Loops, loops_of, must_carry
 from kempe.model.own_tree import own_tree
 from kempe.reals import reals
@@ -341,7 +341,7 @@ def assemble(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, branch: str | None = None,
     nearest: bool = False, limits: bool = True, continuous: bool = False, starts: int = STARTS,
     rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None, throw: bool = False,
-    constraints: Sequence[Constraint] = (), t: float = 0.0,
+    constraints: Sequence[Constraint] = (), t: float = 0.0, also: Any = (),
 ) -> Assembly:  # fmt: skip
     """A configuration that closes all loops, with the `known` given and everything else found.
 
@@ -359,11 +359,13 @@ def assemble(
     `throw=True` raises `NoSolutionError`. Redundant constraints are no obstacle. Method: damped least squares with
     steps of minimum norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
 
-    `constraints` are further ones of `kempe.kinematics.zoo`, solved in numpy. `t`: the time of equations with one.
+    `also` are further constraints of `kempe.constraints`, which hold in this call; `constraints` those of
+    `kempe.kinematics.zoo`, solved in numpy. `t`: the time of equations with one.
     """
     given = {} if known is None else known
     if not isinstance(given, Mapping):
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
+    system = also_holding(system, also) if also else system
     system = system if t.__class__ is float and not t else at_time(system, t)
     bound = system._queries.get(("assembler", tuple(given))) or assembler(system, given)
     if branch is not None:
