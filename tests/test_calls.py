@@ -88,7 +88,6 @@ VERBS = [
     ("ik_step", (PUMA.mid, np.zeros(6), "tool", 0.01), "damping"), ("self_motion", (PUMA.mid, "tool"), "step"),
     ("assembly_modes", ({},), "starts"), ("from_maximal", (PUMA.fk(PUMA.mid)[1:],), "tolerance"),
     ("mobility", (), "local"), ("trace", (), "max_points"), ("drive", ({"q1": [0.0, 0.1]},), "times"),
-    ("classify", (), "project"),
     ("loop_jacobian", (PUMA.mid, ["q1"], ["tool"]), "in_frame"), ("plot", (), "labels"),
     ("mechanical_advantage", (PUMA.mid, "q1", "q2"), "direction"), ("transmission_angle", (PUMA.mid, "q2"), "joint"),
 ]  # fmt: skip
