@@ -87,7 +87,7 @@ VERBS = [
     ("ik_sweep", (X, "tool"), "axis"), ("ik_path", (X[None], "tool"), "max_step"), ("assemble", ({},), "branch"),
     ("ik_step", (PUMA.mid, np.zeros(6), "tool", 0.01), "damping"), ("self_motion", (PUMA.mid, "tool"), "step"),
     ("assembly_modes", ({},), "starts"), ("from_maximal", (PUMA.fk(PUMA.mid)[1:],), "tolerance"),
-    ("mobility", (), "local"), ("classify", (), "project"), ("trace", (), "max_points"), ("drive", ({"q1": [0.0, 0.1]},), "times"),
+    ("mobility", (), "local"), ("trace", (), "max_points"), ("drive", ({"q1": [0.0, 0.1]},), "times"),
     ("loop_jacobian", (PUMA.mid, ["q1"], ["tool"]), "in_frame"), ("plot", (), "labels"),
     ("mechanical_advantage", (PUMA.mid, "q1", "q2"), "direction"), ("transmission_angle", (PUMA.mid, "q2"), "joint"),
 ]  # fmt: skip

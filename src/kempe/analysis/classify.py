@@ -69,7 +69,8 @@ class Classification:
     that all constraints leave free there. `growth` is their growth vector at `q`: dimensions of what brackets of up to
     1, 2, ... of them span; `growth_around` that at configurations drawn at random. `degree` is the length of brackets
     after which nothing is added (None where it is beyond the limit of work), and `reachable_dimension` the dimension of
-    the set that motions from `q` reach, where `doubtful` at least so many. `kind` says what the constraints of velocity are together.
+    the set that motions from `q` reach, where `doubtful` at least so many. `kind` says what the constraints of velocity
+    are together.
     `constraints[name].kind` is "holonomic", "integrable" (of velocity, but positions in disguise), "nonholonomic" or
     "unilateral". Where `why` says why not, growth and what is reached are None.
     """
