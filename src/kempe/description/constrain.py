@@ -42,7 +42,8 @@ def declare(mechanism: Mechanism, given: object, name: str, where: Where | None 
     """Add a constraint to a mechanism; see `Mechanism.constrain`."""
     if not isinstance(given, Constraint):
         raise InputError(f"{shown(given)} is no constraint; see kempe.constraints")
-    name = name or given.name or given.label
+    if isinstance(name, str):
+        name = name or given.name or given.label
     subject = f"constraint {name!r}"
     mechanism._free_joint_name(checks.name(name, "constraint"), subject, where)
     demands = [f for f in ("weight", "priority", "tolerance") if getattr(given, f) != getattr(Constraint, f)]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import explained
 from kempe.constraints.base import Constraint
 from kempe.constraints.reading import LARGEST, RIGID
 from kempe.errors import InputError
@@ -173,21 +174,25 @@ class Packed:
 # ---- one constraint at configurations
 
 
+@explained
 def error(system: System, constraint: Constraint, q: Any) -> Array:
     """Equations (..., m) of a constraint at q (..., nq), in metres and radians, before bounds; zero where they hold."""
     return _alone(system, constraint).evaluate(q)[0]
 
 
+@explained
 def jacobian(system: System, constraint: Constraint, q: Any) -> Array:
     """Derivatives (..., m, nv) of `error` by the velocity coordinates, exact."""
     return _alone(system, constraint).evaluate(q)[1]
 
 
+@explained
 def count(system: System, constraint: Constraint) -> int:
     """Number of equations of a constraint, inequalities included."""
     return _alone(system, constraint).count([0], True)
 
 
+@explained
 def miss(system: System, constraint: Constraint, q: Any) -> tuple[Array, Array]:
     """How far (...) a constraint is missed at q (..., nq), in metres and in radians, judged by the forward model.
 

@@ -48,6 +48,8 @@ def also_holding(system: System, further: Any) -> System:
     Errors: `InputError` for what is none, `DescriptionError` for what does not fit the system.
     """
     given = (further,) if isinstance(further, Constraint) else tuple(further)
+    if not given:
+        return system
     m, taken = system.mechanism, {*system.mechanism.constraints, *system.mechanism.joints}
     for c in given:
         if not isinstance(c, Constraint):

@@ -358,15 +358,13 @@ def assemble(
     never a success: the answer then says which loop is open, by how much, and `q` is the nearest to closing;
     `throw=True` raises `NoSolutionError`. Redundant constraints are no obstacle. Method: damped least squares with
     steps of minimum norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
-
-    `also` are further constraints of `kempe.constraints`, which hold in this call; `constraints` those of
-    `kempe.kinematics.zoo`, solved in numpy. `t`: the time of equations with one.
+    `also` are constraints of `kempe.constraints` for this call, `constraints` those of `zoo`; `t` is a time.
     """
     given = {} if known is None else known
     if not isinstance(given, Mapping):
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
-    system = also_holding(system, also) if also else system
-    system = system if t.__class__ is float and not t else at_time(system, t)
+    if also or t.__class__ is not float or t:
+        system = at_time(also_holding(system, also), t)
     bound = system._queries.get(("assembler", tuple(given))) or assembler(system, given)
     if branch is not None:
         if branch in system.posture_names:
