@@ -189,6 +189,8 @@ def robots() -> dict[str, kempe.System]:
 QS = ("q", "q0", "q1")
 PLACES = [(n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n not in NOT_ASKED]
 ARM_ONLY = {"self_motion", "arm_angle"}
+ONE_Q = {"plot", "mobility", "self_motion", "ik_step", "q_dict", "local_dimension", "classify"}
+"""Verbs that take one configuration."""
 
 
 def test_the_reference_names_the_verbs():
@@ -228,7 +230,7 @@ def test_tables_are_read_by_name(name, place, robots):
     system = robots[arms.get(short, "ur5")]
     q = np.array(system.random(5, 2))
     for kind, (plain, table) in tables(q, system.coordinate_names).items():
-        if plain.ndim == 2 and short in ("plot", "mobility", "self_motion", "ik_step", "q_dict", "local_dimension"):
+        if plain.ndim == 2 and short in ONE_Q:
             with pytest.raises(InputError):
                 call(function, system, {place: table})
             continue
