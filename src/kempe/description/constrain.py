@@ -102,7 +102,7 @@ def _placed(mechanism: Mechanism, placed: Placed, subject: str, where: Where | N
     thing, at, turn = placed
     frame = mechanism.frames.get(str(thing)) if isinstance(thing, (Frame, str)) else None
     if frame is None:
-        on = mechanism._body(thing, subject, where)
+        on = mechanism._body(thing, subject, where)  # type: ignore[arg-type]
         return End(on.name, mechanism._place(at, turn, subject, where, on))
     if isinstance(at, (Frame, str)):
         checks.refuse(subject, f"its point is given twice, by frames {frame.name!r} and {str(at)!r}", where,

@@ -9,7 +9,7 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Hashable
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -85,7 +85,8 @@ class Task(ABC):
     """Whether its ties can be kept for the next task of the same structure."""
 
     def __init__(self, of: Constraint, dim: int):
-        self.of, self.dim, self.rows = of, dim, of.rows(dim)
+        self.of: Any = of
+        self.dim, self.rows = dim, of.rows(dim)
         self.weight, self.priority, self.tolerance, self.name = of.weight, of.priority, of.tolerance, of.name
         self.label = of.label
 

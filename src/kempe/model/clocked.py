@@ -12,7 +12,6 @@ from kempe.calls import explained, numbers
 from kempe.constraints.base import Constraint
 from kempe.constraints.equations import Call
 from kempe.constraints.tape import TIME
-from kempe.constraints.base import Constraint
 from kempe.errors import InputError, shown
 
 if TYPE_CHECKING:

@@ -28,13 +28,14 @@ def beside(problem: Problem, home: Array) -> Array:
     """
     system = own_tree(problem.system)
     base = _slides(system)
+    if not len(base) or problem.packed.loops.plan[L.BASE_TIE] >= 0:
+        return home[None]
     for k, task in enumerate(problem.tasks):
-        whole = isinstance(task, Placed) and task.point and not isinstance(task, Centred)
-        placed = whole and task.weight is None and task.hold(system).a is None
-        at = problem.packed.owner.tolist().index(k) if placed and len(base) else -1
-        if at < 0 or problem.packed.loops.plan[L.BASE_TIE] >= 0:
+        if not isinstance(task, Placed) or isinstance(task, Centred):
             continue
-        assert isinstance(task, Placed)
+        placed = task.point and task.weight is None and task.hold(system).a is None
+        if not placed:
+            continue
         J = system.jacobian(home, task.hold(system).b)[:3, base]
         away = task.goal(system)[..., :3, 3] - task.place(system, home)[:3, 3]
         far = np.linalg.norm(away, axis=-1, keepdims=True) > FAR * problem.packed.loops.length

@@ -93,7 +93,7 @@ class Kempe(WholeBody):
 
     def solve(self, goal: Any, start: Array | None) -> Any:
         """One public call, tasks and all."""
-        held = [tasks.Pose(name, X) for name, X in zip(self.body.frames, goal, strict=False)]
+        held: list[tasks.Task] = [tasks.Pose(name, X) for name, X in zip(self.body.frames, goal, strict=False)]
         if self.mass:
             held.append(tasks.CentreOfMass(goal[-1, :3, 3]))
         answer = self.system.ik(held, seed=start, tolerance=self.tolerance, starts=self.starts)
