@@ -30,7 +30,7 @@ def beside(problem: Problem, home: Array) -> Array:
     base = _slides(system)
     if not len(base) or problem.packed.loops.plan[L.BASE_TIE] >= 0:
         return home[None]
-    for k, task in enumerate(problem.tasks):
+    for task in problem.tasks:
         if not isinstance(task, Placed) or isinstance(task, Centred):
             continue
         placed = task.point and task.weight is None and task.hold(system).a is None

@@ -11,6 +11,7 @@ from kempe.views.benchmark import (
     cranks,
     forward,
     freedoms,
+    holding,
     inverse,
     loops,
     numeric,
@@ -31,6 +32,7 @@ SECTIONS: dict[str, Callable[[Bench], Table | None]] = {
     "closed": analytic.closed, "general": analytic.general,
     "assembly": loops.assembly, "success": loops.success,
     "dyads": cranks.dyads, "row": cranks.row, "dof": freedoms.dof, "mobility": freedoms.mobility,
+    "classify": holding.classify, "laws": holding.laws,
     "startup": process.startup, "memory": process.memory,
 }  # fmt: skip
 """The parts of the benchmark, in their order."""
