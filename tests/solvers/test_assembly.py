@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import kempe
-from kempe import Mechanism
+from kempe import Mechanism, constraints
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kinematics import loops
 from kempe.solvers.assembly import CLOSED, OUTSIDE, Assembler
@@ -380,3 +380,18 @@ def test_further_constraints():
     assert not s.assemble(constraints=[never], starts=2)
     held = s.assemble({"A": 0.4}, constraints=[zoo.gear("C", "D", 0.5, 0.0)], starts=2)
     assert not held and held.q[0] == 0.4
+
+
+def test_constraints_of_one_call():
+    """They hold in this call, by the formula for the rocker's pin, and the system stays as it is."""
+    s = kempe.load("four_bar")
+    answer = s.assemble(also=[constraints.Equation("A + D = 2")])
+    assert answer and answer.q[0] + answer.q[3] == pytest.approx(2.0, abs=1e-12)
+    assert np.abs(s.closure_error(answer.q)).max() < 1e-12 and not s.mechanism.constraints
+    rockers = rocker_angles(0.1, 0.5, 0.4, 0.4, answer.q[0])
+    assert min(abs(math.remainder(answer.q[3] - r, 2 * math.pi)) for r in rockers) < 1e-12
+    rope = constraints.Distance("coupler_point", "ground", at_most=0.01)
+    far = s.assemble({"A": 0.4}, also=rope)
+    assert not far and "is violated by" in far.status
+    with pytest.raises(InputError, match="no constraint of kempe.constraints"):
+        s.assemble(also=["rod"])
