@@ -14,7 +14,7 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from kempe.calls import listed
+from kempe.calls import flag, listed
 from kempe.constraints.base import Constraint, Op, Row, kind
 from kempe.constraints.builder import renamed
 from kempe.constraints.tape import TIME, Tape, quoted
@@ -106,6 +106,7 @@ class _Written(Constraint):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "of", self._names(self.of))  # type: ignore[attr-defined]
+        object.__setattr__(self, "time", flag(self.time, f"time of {self.what}"))  # type: ignore[attr-defined]
 
     @property
     def what(self) -> str:

@@ -46,7 +46,7 @@ def also_holding(system: System, further: Any) -> System:
 
     Errors: `InputError` for what is none, `DescriptionError` for what does not fit the system.
     """
-    given = (further,) if isinstance(further, Constraint) else tuple(further)
+    given = tuple(further) if isinstance(further, (list, tuple)) else (further,)
     if not given:
         return system
     m, taken = system.mechanism, {*system.mechanism.constraints, *system.mechanism.joints}

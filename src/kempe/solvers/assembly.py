@@ -363,7 +363,7 @@ def assemble(
     given = {} if known is None else known
     if not isinstance(given, Mapping):
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
-    if also or t.__class__ is not float or t:
+    if also.__class__ is not tuple or also or t.__class__ is not float or t:
         system = at_time(also_holding(system, also), t)
     bound = system._queries.get(("assembler", tuple(given))) or assembler(system, given)
     if branch is not None:
