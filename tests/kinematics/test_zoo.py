@@ -22,14 +22,14 @@ from kempe.model.reduced import reduced
 STEP = 1e-6
 
 
-def by_differences(constraint: zoo.Constraint, s: System, q: np.ndarray) -> np.ndarray:
+def by_differences(constraint: zoo.SystemConstraint, s: System, q: np.ndarray) -> np.ndarray:
     """Jacobian by central differences along the manifold."""
     steps = STEP * np.eye(s.nv)
     ends = [[constraint.residual(s, s.integrate(q, x * e)) for x in (1, -1)] for e in steps]
     return np.stack([(a - b) / (2 * STEP) for a, b in ends], axis=-1)
 
 
-def check(constraint: zoo.Constraint, s: System, q: np.ndarray, atol: float = 2e-7) -> None:
+def check(constraint: zoo.SystemConstraint, s: System, q: np.ndarray, atol: float = 2e-7) -> None:
     """The battery for one constraint at configurations (n, nq): shapes, one and many, derivatives."""
     r, J = constraint.residual(s, q), constraint.jacobian(s, q)
     assert r.shape == (*q.shape[:-1], constraint.size) and J.shape == (*r.shape, s.nv)
@@ -115,7 +115,7 @@ def loop(kind: str, options: dict, dim: int = 3, particle: bool = False, backwar
     return s
 
 
-def closure_of(s: System, joint: str, own: bool = False) -> zoo.Constraint:
+def closure_of(s: System, joint: str, own: bool = False) -> zoo.SystemConstraint:
     """The constraint of a joint that closes a loop; one with no rows where it has none."""
     return next((c for c in zoo.of_system(s, own) if c.name == joint and c.names != ("relation",)),
                 zoo.Tied(joint, loops.full(s, False), ()))  # fmt: skip

@@ -12,7 +12,7 @@ from kempe import spatial
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import fk
 from kempe.kinematics.forward import jacobian as frame_jacobian
-from kempe.kinematics.zoo import Constraint
+from kempe.kinematics.zoo import SystemConstraint
 from kempe.spatial import Array
 from oracles import pairs
 
@@ -23,7 +23,7 @@ _EYE = np.eye(4)
 
 
 @dataclass(frozen=True, eq=False)
-class Pair(Constraint):
+class Pair(SystemConstraint):
     """A constraint on where frame B is in frame A: `X_A` on the body or frame `a`, `X_B` on `b`."""
 
     name: str

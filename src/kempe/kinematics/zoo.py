@@ -40,7 +40,7 @@ _EYE = np.eye(4)
 # ---- the zoo
 
 
-class Constraint(ABC):
+class SystemConstraint(ABC):
     """A holonomic constraint f(q) = 0."""
 
     name: str
@@ -65,7 +65,7 @@ class Constraint(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Tied(Constraint):
+class Tied(SystemConstraint):
     """A constraint that a system has, by its rows of the packed equations."""
 
     name: str
@@ -87,7 +87,7 @@ class Tied(Constraint):
 
 
 @dataclass(frozen=True, eq=False)
-class Pair(Constraint):
+class Pair(SystemConstraint):
     """A constraint on where frame B is in frame A: `X_A` on the body or frame `a`, `X_B` on `b`."""
 
     name: str
@@ -199,7 +199,7 @@ class PointOnCurve(Pair):
 
 
 @dataclass(frozen=True, eq=False)
-class Coupling(Constraint):
+class Coupling(SystemConstraint):
     """A linear relation of coordinates: value of `of` = sum of multiplier * source + `offset`; a gear has one source.
 
     Coordinates may be ones that follow others or are held, so that they are not in q.
@@ -274,7 +274,7 @@ def check_coordinates(system: System, names: Iterable[str]) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class UserConstraint(Constraint):
+class UserConstraint(SystemConstraint):
     """A function of q that must be zero. `how` says where derivatives come from; see `user_constraint`."""
 
     name: str
@@ -336,7 +336,7 @@ def user_constraint(
 
 
 @explained
-def of_system(system: System, own: bool = True) -> list[Constraint]:
+def of_system(system: System, own: bool = True) -> list[SystemConstraint]:
     """The constraints of a system: its closures, the declared ones, the relations of several coordinates.
 
     With `own=False` the coordinates of the joints that close loops are left out where nothing else depends on them.

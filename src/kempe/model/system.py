@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
     from kempe.kinematics.space import ConfigurationSpace
-    from kempe.kinematics.zoo import Constraint
+    from kempe.kinematics.zoo import SystemConstraint
     from kempe.solvers.analytic.describe import Recognised
     from kempe.solvers.analytic.solutions import Solutions
     from kempe.solvers.analytic.sweep import Sweep
@@ -264,7 +264,7 @@ class System(Compiled):
 
         return independent(self, q, prefer)
 
-    def constraints(self) -> list[Constraint]:
+    def constraints(self) -> list[SystemConstraint]:
         """The constraints of the system: closures, declared ones, relations; see `kempe.kinematics.zoo`."""
         from kempe.kinematics.zoo import of_system
 

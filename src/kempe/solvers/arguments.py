@@ -92,7 +92,7 @@ def place_of(system: System, frame: str, place: Any, whole: bool) -> Array:
 
 def check_constraints(constraints: object) -> None:
     """Refuse what is no list of constraints of `kempe.kinematics.zoo`."""
-    from kempe.kinematics.zoo import Constraint
+    from kempe.kinematics.zoo import SystemConstraint
 
-    if not isinstance(constraints, (list, tuple)) or not all(isinstance(c, Constraint) for c in constraints):
+    if not isinstance(constraints, (list, tuple)) or not all(isinstance(c, SystemConstraint) for c in constraints):
         raise InputError(f"constraints is {constraints!r}; it must be a list of constraints of kempe.kinematics.zoo")

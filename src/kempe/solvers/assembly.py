@@ -28,7 +28,7 @@ from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, As
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.kinematics.zoo import Constraint
+    from kempe.kinematics.zoo import SystemConstraint
     from kempe.model.system import System
 
 STARTS = 20
@@ -167,7 +167,7 @@ class Assembler:
     def _ask(
         self, values: Any = (), near: Any = None, *, nearest: bool = False, limits: bool = True, starts: int = STARTS,
         rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None,
-        follow: bool = False, constraints: Sequence[Constraint] = (),
+        follow: bool = False, constraints: Sequence[SystemConstraint] = (),
     ) -> Assembly:  # fmt: skip
         """As `assemble`, with `values` (..., k) of the known coordinates in their order, or a dict with all of them."""
         given = values if isinstance(values, Mapping) else self._by_name(values)
@@ -196,7 +196,7 @@ class Assembler:
     __call__ = explained(_ask)
 
     def _custom(
-        self, constraints: Sequence[Constraint], base: Array, lead: tuple[int, ...], limits: bool,
+        self, constraints: Sequence[SystemConstraint], base: Array, lead: tuple[int, ...], limits: bool,
         starts: int, rng: int, tolerance: float,
     ) -> Assembly:  # fmt: skip
         """The answer under further constraints; places of frames become constraints, too."""
@@ -341,7 +341,7 @@ def assemble(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, branch: str | None = None,
     nearest: bool = False, limits: bool = True, continuous: bool = False, starts: int = STARTS,
     rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None, throw: bool = False,
-    constraints: Sequence[Constraint] = (), t: float = 0.0, also: Any = (),
+    constraints: Sequence[SystemConstraint] = (), t: float = 0.0, also: Any = (),
 ) -> Assembly:  # fmt: skip
     """A configuration that closes all loops, with the `known` given and everything else found.
 

@@ -17,14 +17,14 @@ from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.kinematics.zoo import Constraint
+    from kempe.kinematics.zoo import SystemConstraint
     from kempe.model.system import System
 
 SMALL = 1e-13
 """Singular values below this part of the largest are rounding of dependent rows."""
 
 
-def rows_of(system: System, constraints: Sequence[Constraint], q: Array) -> tuple[Array, Array]:
+def rows_of(system: System, constraints: Sequence[SystemConstraint], q: Array) -> tuple[Array, Array]:
     """Residual (m,) and Jacobian (m, nv) of the loops and of further constraints, in characteristic lengths."""
     error, J = evaluate(system, q, True, True)
     scale = scales(system)
@@ -41,7 +41,8 @@ def scales(system: System) -> Array:
 
 
 def close(
-    system: System, constraints: Sequence[Constraint], start: Array, held: np.ndarray, steps: int, tolerance: float
+    system: System, constraints: Sequence[SystemConstraint], start: Array, held: np.ndarray, steps: int,
+    tolerance: float,
 ) -> tuple[Array, float, int]:  # fmt: skip
     """The configuration (nq,) reached from `start`, its residual and the steps; `held` (nv,) marks what stays."""
     low, high, at_q, at_v = system.lower, system.upper, system.layout.vector_q, system.layout.vector_v
@@ -76,7 +77,7 @@ def close(
 
 
 def assemble_each(
-    system: System, constraints: Sequence[Constraint], starts: Array, held: np.ndarray, tries: int, steps: int,
+    system: System, constraints: Sequence[SystemConstraint], starts: Array, held: np.ndarray, tries: int, steps: int,
     tolerance: float, rng: int,
 ) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
     """As the kernel: configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3)."""

@@ -71,7 +71,8 @@ def _symbols(n: int) -> tuple[int, ...]:
     x, y, h = sp.symbols("x y h")
     hitches = sp.symbols(f"a:{n}") if n else ()
     q = [x, y, h, *hitches]
-    ahead, turn = [sp.cos(h), sp.sin(h), 0], [0, 0, 1]
+    ahead: list[Any] = [sp.cos(h), sp.sin(h), 0]
+    turn: list[Any] = [0, 0, 1]
     speed, rate_before, rate_turn = sp.Integer(1), sp.Integer(0), sp.Integer(1)
     for a in hitches:  # the axle of a trailer, one metre behind its hitch on the axle before, does not slip
         rate = -speed * sp.sin(a)
@@ -109,6 +110,6 @@ def laws(bench: Bench) -> Grid:
         known = {"A": rng.uniform(-0.5, 0.5, CLOSURES)}
         timed.append(Case("Kempe", who, "s.assemble(known, threads=1)", {"s": s, "known": known}))
     table.rows += measure(timed, 1.0)
-    table.at_most("text beside built in, at most 3 times", table.value("Kempe", "text") / table.value(
-        "Kempe", "built in"), 3.0)  # fmt: skip
+    built_in, text = (row.value for row in table.rows)
+    table.at_most("text beside built in, at most 3 times", text / built_in, 3.0)
     return table
