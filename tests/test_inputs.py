@@ -131,6 +131,8 @@ NOT_ASKED = {
     "kempe.kinematics.curves.curve_of", "kempe.kinematics.zoo.user_constraint",  # functions
     "kempe.analysis.transmission.pressure_angle",  # by bodies, see test_transmission.py
     "System.manoeuvre", "System.simulate",  # of what rolls and bounces, see test_manoeuvre.py and test_simulate.py
+    "kempe.analysis.manoeuvre.manoeuvre", "kempe.analysis.simulate.simulate",
+    "kempe.tasks.error", "kempe.tasks.jacobian", "kempe.tasks.count", "kempe.tasks.miss",  # see test_task_zoo.py
 }  # fmt: skip
 
 
@@ -189,7 +191,7 @@ def robots() -> dict[str, kempe.System]:
 QS = ("q", "q0", "q1")
 PLACES = [(n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n not in NOT_ASKED]
 ARM_ONLY = {"self_motion", "arm_angle"}
-ONE_Q = {"plot", "mobility", "self_motion", "ik_step", "q_dict", "local_dimension", "classify"}
+ONE_Q = {"plot", "mobility", "self_motion", "ik_step", "q_dict", "local_dimension", "classify", "one_sided"}
 """Verbs that take one configuration."""
 
 
