@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from kempe.solvers.words import counted
+from kempe.solvers.words import by_topic, counted, cut, topics_html
 
 if TYPE_CHECKING:
     from kempe.analysis.classify import Classification, ConstraintKind
@@ -102,7 +102,7 @@ def lines(c: Classification) -> list[tuple[str, list[str]]]:
     if c.moved > SEEN:
         out.insert(0, ("start", [f"q is {c.moved:.3g} away from what was given, which was not closed"]))
     each = [str(x) for x in c.constraints.values()]
-    out.append(("constraints", each if len(each) <= SHOWN else [*each[:SHOWN], f"... and {len(each) - SHOWN} more"]))
+    out.append(("constraints", cut(each, SHOWN)))
     if c.one_sided is not None:
         out.append(("one-sided", [c.one_sided.sentence, *c.one_sided.lines]))
     return [(title, own) for title, own in out if own]
@@ -110,21 +110,12 @@ def lines(c: Classification) -> list[tuple[str, list[str]]]:
 
 def text(c: Classification) -> str:
     """The whole report."""
-    out = [f"{c.name}: {sentence(c)}"]
-    for title, own in lines(c):
-        for k, line in enumerate(own):
-            out.append(f"  {title if k == 0 else '':<16}{line}")
-    return "\n".join(out)
+    return by_topic(f"{c.name}: {sentence(c)}", lines(c))
 
 
 def html(c: Classification) -> str:
     """The report as a paragraph and a table."""
-    rows = "".join(
-        f"<tr><th style='text-align:left;vertical-align:top'>{escape(title)}</th>"
-        f"<td style='text-align:left'>{'<br>'.join(escape(x) for x in own)}</td></tr>"
-        for title, own in lines(c)
-    )
-    return f"<p><b>{escape(c.name)}</b>: {escape(sentence(c))}</p><table>{rows}</table>"
+    return f"<p><b>{escape(c.name)}</b>: {escape(sentence(c))}</p>{topics_html(lines(c))}"
 
 
 def data(c: Classification) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from kempe.analysis.graph import NO_SERIES
-from kempe.solvers.words import counted
+from kempe.solvers.words import by_topic, counted, cut, topics_html
 
 if TYPE_CHECKING:
     from kempe.analysis.mobility import Mobility
@@ -112,9 +112,9 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
     if m.dim == 2 and m.gruebler_spatial != m.gruebler:
         out[0][1].append(f"Built in space, the same count is {m.gruebler_spatial}.")
     if m.loops:
-        out.append(("loops", _cut([str(x) for x in m.loops])))
+        out.append(("loops", cut([str(x) for x in m.loops], SHOWN)))
     if len(m.clusters) > 1:
-        out.append(("groups of loops", _cut([_cluster(c) for c in m.clusters])))
+        out.append(("groups of loops", cut([_cluster(c) for c in m.clusters], SHOWN)))
     if not m.closed:
         out.append(("open", [m.why_open or f"residual {m.residual:.2g}"]))
         return out
@@ -135,11 +135,11 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         if m.dof is not None and (m.generic_rank_dof or 0) > m.dof:
             out[-1][1].append("redundant to first order only: such a release would set something free")
     if m.idle:
-        out.append((f"idle: {m.idle}", _cut([str(f) for f in m.idle_freedoms])))
+        out.append((f"idle: {m.idle}", cut([str(f) for f in m.idle_freedoms], SHOWN)))
     if m.singular:
         out.append(("singular", [m.kind]))
     if m.one_sided is not None:
-        out.append(("one-sided", _cut([m.one_sided.sentence, *m.one_sided.lines])))
+        out.append(("one-sided", cut([m.one_sided.sentence, *m.one_sided.lines], SHOWN)))
     if m.control is not None:
         out.append(("control", str(m.control).split("\n")))
         if m.dof is not None and (m.rank_dof or 0) > m.dof:
@@ -149,21 +149,12 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
 
 def text(m: Mobility) -> str:
     """The whole report."""
-    out = [f"{m.name}: {sentence(m)}"]
-    for title, own in lines(m):
-        for k, line in enumerate(x for x in own if x):
-            out.append(f"  {title if k == 0 else '':<16}{line}")
-    return "\n".join(out)
+    return by_topic(f"{m.name}: {sentence(m)}", lines(m))
 
 
 def html(m: Mobility) -> str:
     """The report as a paragraph and a table."""
-    rows = "".join(
-        f"<tr><th style='text-align:left;vertical-align:top'>{escape(title)}</th>"
-        f"<td style='text-align:left'>{'<br>'.join(escape(x) for x in own if x)}</td></tr>"
-        for title, own in lines(m)
-    )
-    return f"<p><b>{escape(m.name)}</b>: {escape(sentence(m))}</p><table>{rows}</table>"
+    return f"<p><b>{escape(m.name)}</b>: {escape(sentence(m))}</p>{topics_html(lines(m))}"
 
 
 def data(m: Mobility) -> dict[str, Any]:
@@ -199,10 +190,6 @@ def _cluster(c: Any) -> str:
     known = "" if c.rank_dof is None else f", by rank {c.rank_dof}"
     known += f", {c.redundant} redundant" if c.redundant else ""
     return f"{name}: count {c.gruebler}{known}"
-
-
-def _cut(own: list[str]) -> list[str]:
-    return own if len(own) <= SHOWN else [*own[:SHOWN], f"... and {len(own) - SHOWN} more"]
 
 
 def dimensions(dims: Sequence[int]) -> str:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.analysis.continuation import Closure
+from kempe.constraints.tape import TWIST
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity import rates
@@ -25,7 +26,6 @@ from kempe.spatial import Array, quat_wxyz_multiply, unit
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 RANK = 1e-8
 """Singular values below this count as zero, of rows of size 1."""
 MISS = 1e-9

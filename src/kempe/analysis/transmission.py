@@ -18,6 +18,7 @@ from kempe.analysis.beginning import angle_or_slide
 from kempe.analysis.continuation import RANK, Closure
 from kempe.analysis.path import Event, Path
 from kempe.calls import brief, explained, explained_methods, listed
+from kempe.constraints.tape import TWIST
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import P, R
 from kempe.kinematics.configuration import as_q
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
 OPEN = 1e-8
 """Residual, in radians and characteristic lengths, above which a configuration is not closed."""
-TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 EXACT, DEAD, LOOSE = 0, 1, 2
 """Codes of `LoopJacobian.code`; `status` has the sentences."""

@@ -182,12 +182,6 @@ class Constraint(ABC):
         """The same with what only `ik` reads: `weight`, `priority`, `tolerance`, `name`."""
         return replace(self, **more)
 
-    @property
-    def demands(self) -> tuple[str, ...]:
-        """What it says that only `ik` reads."""
-        usual = {f.name: f.default for f in fields(self)}
-        return tuple(n for n in ("weight", "priority", "tolerance") if getattr(self, n) != usual[n])
-
 
 EYE = np.eye(4)
 EYE.setflags(write=False)

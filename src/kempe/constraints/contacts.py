@@ -9,13 +9,9 @@ from typing import Any
 
 from kempe.constraints.base import Constraint, Frame, Number, Op, Row, kind
 from kempe.constraints.reading import positive
+from kempe.constraints.tape import POSE, TWIST
 from kempe.constraints.text import from_text
 from kempe.errors import InputError, UnknownNameError
-
-POSE = ("x", "y", "z", "xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")
-"""Inputs of expressions: the place of frame B in A, and of its rotation the component by row, the axis by column."""
-TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
-"""Inputs of rows of velocities: the velocity of the origin of B against A and its angular velocity, in axes of A."""
 
 SPACE = {
     "ball": ("z - radius", ("vx - radius*wy", "vy + radius*wx"), "wz"),

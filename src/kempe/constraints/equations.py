@@ -17,7 +17,7 @@ import numpy as np
 from kempe.calls import flag, listed
 from kempe.constraints.base import Constraint, Op, Row, kind
 from kempe.constraints.builder import renamed
-from kempe.constraints.tape import TIME, Tape, quoted
+from kempe.constraints.tape import RATE, TIME, Tape, quoted
 from kempe.constraints.text import from_text, read
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.values import Expression
@@ -28,9 +28,6 @@ Names: TypeAlias = Any
 """A field of names of coordinates."""
 Parameters: TypeAlias = "Mapping[str, float] | None"
 """Parameters of the mechanism by name; None where they are not known yet."""
-
-RATE = "'"
-"""What follows the name of a coordinate in the name of its velocity."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +67,6 @@ class Call:
             raise InputError(f"{self.what} is {self!r}, which cannot be pickled, and cannot be recorded: "
                              f"{self.reason}") from None  # fmt: skip
         return Call, (self.function, self.inputs, self.of, self.time, self.size, self.reason, self.what)
-
-
-@lru_cache(maxsize=1024)
-def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str, ...]) -> Tape:
-    return from_text(texts, names, parameters)
 
 
 @lru_cache(maxsize=1024)
@@ -157,7 +149,7 @@ class _Written(Constraint):
         parameters = tuple(words if known is None else known)
         names = of or tuple(w for w in words if known is None or w not in known)
         try:
-            return _tape(told, (*names, *clock), tuple(p for p in parameters if p not in names))
+            return from_text(told, (*names, *clock), tuple(p for p in parameters if p not in names))
         except UnknownNameError as error:
             more = "; for the time say time=True" if error.name == TIME and not time else ""
             raise InputError(f"{self.what}: {error}{more}") from None
@@ -352,7 +344,7 @@ class VelocityEquation(_Written):
         words = [w for w in words_of(texts) if w not in inputs]
         known = tuple(words if self.parameters is None else self.parameters)
         try:
-            return _tape(texts, inputs, tuple(p for p in known if p not in inputs))
+            return from_text(texts, inputs, tuple(p for p in known if p not in inputs))
         except UnknownNameError as error:
             more = "; for the time say time=True" if error.name == TIME and not self.time else ""
             raise InputError(f"{self.what}: {error}{more}") from None
@@ -364,7 +356,7 @@ class VelocityEquation(_Written):
 
         def moved(text: str) -> str:
             words = [w for w in words_of((text,)) if w not in self.of and w not in clock]
-            return renamed(_tape((text,), (*self.of, *clock), tuple(words)), new).texts()[0]
+            return renamed(from_text((text,), (*self.of, *clock), tuple(words)), new).texts()[0]
 
         b = tuple(map(moved, self.b)) if isinstance(self.b, tuple) else moved(self.b)
         matrix = tuple(tuple(map(moved, row)) for row in self.matrix)

@@ -25,6 +25,12 @@ Node = tuple[int, int, int]
 
 TIME = "t"
 """The name of the time among the inputs."""
+POSE = ("x", "y", "z", "xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")
+"""Inputs between frames: the place of frame B in A, and of its rotation the component by row, the axis by column."""
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+"""Inputs of rows of velocities: the velocity of the origin of B against A and its angular velocity, in axes of A."""
+RATE = "'"
+"""What follows the name of a coordinate in the name of its velocity."""
 
 TEXT_LIMIT = 20_000
 """Characters of the text of one output: shared parts are written out wherever they are used."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from functools import lru_cache
 
 from kempe.constraints.builder import Builder
 from kempe.constraints.tape import TEXT_LIMIT, Tape, is_plain, quoted
@@ -74,14 +75,23 @@ def from_text(
     Errors: `InputError` for what is no expression, constants that are not finite, and a name that is both;
     `UnknownNameError` for names that are neither, with near ones.
     """
-    names, parameters = list(names), list(parameters)
+    listed = tuple(texts) if isinstance(texts, (list, tuple)) else (texts,)
+    for text in listed:
+        if not isinstance(text, str):  # what is no text cannot be looked up either
+            read(text)
+    return _tape(listed, tuple(names), tuple(parameters))
+
+
+@lru_cache(maxsize=1024)
+def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str, ...]) -> Tape:
+    """The tape, made once: kinds ask for that of their text whenever they declare their rows."""
     for name in names:
         if name in parameters:
             raise InputError(f"{name!r} is the name of a coordinate and of a parameter; rename one of them")
     builder = Builder([*names, *parameters], parameters)
     place = {name: Place(builder, i) for i, name in enumerate([*names, *parameters])}
     outputs = []
-    for text in texts if isinstance(texts, (list, tuple)) else [texts]:
+    for text in texts:
         expression, meant = read(text)
         for word in expression.names:
             if meant.get(word, word) not in place:

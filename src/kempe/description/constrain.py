@@ -20,8 +20,8 @@ from kempe.constraints.base import (
     numbers_in,
     with_numbers,
 )
-from kempe.constraints.contacts import POSE, TWIST
 from kempe.constraints.kinds import Distance, OnLine, OnPlane
+from kempe.constraints.tape import POSE, TWIST
 from kempe.description import checks
 from kempe.description.parts import Body, Declared, Frame
 from kempe.errors import DescriptionError, InputError, UnknownNameError, Where, shown
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
 
 BETWEEN = {"distance": Distance, "point_on_line": OnLine, "point_on_plane": OnPlane}
-"""Kinds that `Mechanism.constraint` and files of format 1 place on bodies, by the names that they have there."""
+"""Kinds that are placed on bodies, by their names as methods of `Mechanism` and in files of format 1."""
 
 Placed = tuple[Any, object, Mapping[str, object]]
 """A body or frame, a place on it, and how it is turned there."""
@@ -65,7 +65,7 @@ def declare(mechanism: Mechanism, given: object, name: str, where: Where | None 
 def between(
     mechanism: Mechanism, name: str, kind: str, parent: Placed, child: Placed, length: object, where: Where | None
 ) -> Declared:  # fmt: skip
-    """Add a constraint of `BETWEEN` with its ends placed on bodies; see `Mechanism.constraint`."""
+    """Add a constraint of `BETWEEN` with its ends placed on bodies; see `Mechanism.point_on_line`."""
     subject = f"constraint {name!r}"
     mechanism._free_joint_name(checks.name(name, "constraint"), subject, where)
     if kind not in BETWEEN:

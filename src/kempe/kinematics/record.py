@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from kempe.constraints.builder import Builder
-from kempe.constraints.tape import BINARY, Tape
+from kempe.constraints.tape import BINARY, POSE, TWIST, Tape
 from kempe.joints import P, Q
 from kempe.kernels import tape_layout as L
 from kempe.model.loop_plan import moving
@@ -25,9 +25,7 @@ Num = float | int
 Form = dict[Any, Num]
 """What is linear in velocities: coefficients by twist component (0 ... 5) or by ("v", velocity coordinate)."""
 
-TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 PLACE = {"x": 0, "y": 1, "z": 2}
-POSE = frozenset({*"xyz", *(i + j for i in "xyz" for j in "xyz")})
 
 
 class Numbers:

@@ -14,7 +14,7 @@ from kempe.kernels.compiled import tape
 from kempe.model.layout import Layout
 from kempe.spatial import Array
 
-TIME = ""
+CLOCK = ""
 """The name of the time among the inputs of the tape, which is no coordinate's."""
 
 
@@ -56,13 +56,13 @@ class Rows:
     @cached_property
     def inputs(self) -> np.ndarray:
         """For each input of the tape its place in (q, t)."""
-        place = {name: i for i, name in enumerate((*self.coordinates, TIME))}
+        place = {name: i for i, name in enumerate((*self.coordinates, CLOCK))}
         return np.array([place[name] for name in self.tape.inputs], dtype=np.int64)
 
     @cached_property
     def steady(self) -> bool:
         """Whether neither A nor b depends on the time, and b is zero: no column nv is needed."""
-        return TIME not in self.tape.inputs and not bool(np.any(self.entries[:, 1] == self.layout.nv))
+        return CLOCK not in self.tape.inputs and not bool(np.any(self.entries[:, 1] == self.layout.nv))
 
     def values(self, q: Array, t: Array | float = 0.0) -> tuple[Array, Array]:
         """A (..., m, nv) and b (..., m) at configurations (..., nq) and times (...)."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.calls import explained
+from kempe.constraints.tape import RATE, TIME
 from kempe.description.constrain import resolved
 from kempe.description.parts import Declared
 from kempe.errors import UnsupportedError
@@ -16,7 +17,7 @@ from kempe.joints import P, Q
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.record import Form, Num, Recorder
-from kempe.kinematics.recorded import TIME, RowName, Rows
+from kempe.kinematics.recorded import CLOCK, RowName, Rows
 from kempe.model.lengths import characteristic_length
 from kempe.model.loops import held_ties
 from kempe.model.program import ends_of, numbers_of
@@ -28,10 +29,6 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-CLOCK = "t"
-"""The name of the time in expressions, unless a coordinate is called so."""
-RATE = "'"
-"""What follows the name of a coordinate in the name of its velocity, in expressions."""
 
 
 @explained
@@ -86,7 +83,7 @@ class _Recording:
 
     def __init__(self, system: System, table: Table, parameters: Mapping[str, float]):
         self.system, self.parameters, self.names = system, parameters, list[RowName]()
-        self.recorder = Recorder(table, system.coordinate_names, TIME)
+        self.recorder = Recorder(table, system.coordinate_names, CLOCK)
         first = system.coordinates.first
         self.known: dict[str, Num] = {n: i for i, n in enumerate(system.coordinate_names)}
         self.rates: dict[str, Form] = {n: {("v", iv): 1.0} for n, (_, iv) in first.items()}
@@ -98,7 +95,7 @@ class _Recording:
             if f.source is not None:
                 self.known[name] = numbers.add(numbers.mul(f.multiplier, self.known[f.source]), float(f.offset))
                 self.rates[name] = {("v", first[f.source][1]): f.multiplier}
-        self.known.setdefault(CLOCK, self.recorder.time)
+        self.known.setdefault(TIME, self.recorder.time)  # unless a coordinate is called so
 
     def _quaternion(self, iq: int, iv: int) -> None:
         """The rates of the entries of a quaternion: q' = q (0, w) / 2."""
@@ -119,7 +116,7 @@ class _Recording:
         r, turns = self.recorder, tie.turns
         seen = r.seen(tie.a, tie.b)
         if tie.tape is not None:
-            known, rates = {**self.known}, {CLOCK: {("v", r.table.nv): 1.0}, **self.rates}
+            known, rates = {**self.known}, {TIME: {("v", r.table.nv): 1.0}, **self.rates}
             for k in range(len(tie.tape.names)):
                 yield r.linear(tie.tape.tape, seen if tie.tape.posed else None, known, rates, k)[1]
             return

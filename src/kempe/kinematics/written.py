@@ -9,6 +9,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.constraints.base import Constraint, Op, numbers_in, one_sided, with_numbers
+from kempe.constraints.tape import POSE
 from kempe.errors import InputError
 from kempe.kinematics.constraints import coordinate_value
 from kempe.kinematics.forward import fk
@@ -17,7 +18,6 @@ from kempe.model.coordinates import check_read
 from kempe.model.loops import Tie
 from kempe.model.program import between, coordinates_of, every_tie, numbers_of
 from kempe.model.table import Table
-from kempe.model.ties import POSE
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

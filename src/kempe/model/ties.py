@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from kempe.constraints.builder import substituted
-from kempe.constraints.tape import Tape
+from kempe.constraints.tape import POSE, Tape
 from kempe.description.parts import Joint
 from kempe.kernels import loop_layout as L
 from kempe.model.coordinates import Relation
@@ -47,10 +47,6 @@ class Centre:
 
     rows: np.ndarray
     rest: np.ndarray
-
-
-POSE = ("x", "y", "z", "xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")
-"""Inputs of recorded expressions between frames: the place of B in A, and its rotation row by row."""
 
 
 @dataclass(frozen=True, eq=False)

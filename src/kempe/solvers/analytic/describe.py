@@ -17,6 +17,7 @@ from kempe.solvers.analytic.describe_path import METHODS, most, path
 from kempe.solvers.analytic.ik_all import chain_lines, plan_for
 from kempe.solvers.analytic.question import held
 from kempe.solvers.targets import Z_AXIS, axis_for, task_of
+from kempe.solvers.words import topics_html
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -72,13 +73,8 @@ class Recognised:
         return "\n".join(out)
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><th style='text-align:left;vertical-align:top'>{escape(title)}</th>"
-            f"<td style='text-align:left'>{'<br>'.join(map(escape, texts))}</td></tr>"
-            for title, texts in self.lines()
-        )
         head = f"inverse model of {escape(self.frame)} of {escape(self.system)}, task {escape(self.task)}"
-        return f"<p><b>{head}</b></p><table>{rows}</table>"
+        return f"<p><b>{head}</b></p>{topics_html(self.lines())}"
 
 
 @explained
