@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import reprlib
+import sys
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -56,6 +58,10 @@ class KempeError(Exception):
 
     def __str__(self) -> str:
         return self.args[0] if self.args else ""
+
+
+class RoundedWarning(UserWarning):
+    """Numbers were taken as what they nearly are, such as a rotation with few digits."""
 
 
 class DescriptionError(KempeError, ValueError):
@@ -140,6 +146,14 @@ def requirement(package: str) -> str:
         if name == package and versions:
             return f"{name}>={versions}"
     return package
+
+
+def warn(message: str) -> None:
+    """Warn that numbers were taken as what they nearly are, at the line that called Kempe."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "kempe":
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, RoundedWarning, stacklevel=level)
 
 
 def shown(x: object) -> str:

@@ -14,6 +14,7 @@ from kempe import spatial
 from kempe.calls import explained
 from kempe.calls import numbers as numbers_of
 from kempe.errors import InputError
+from kempe.rigid import arrays, sound
 from kempe.values import Expression, Value, evaluate, negate, value, values
 
 Step = tuple[str, tuple[Value, ...]]
@@ -29,7 +30,7 @@ AXES = {
 """Directions by name: 'x', '-z'."""
 
 ROTATION_TOLERANCE = 1e-9
-"""How far a matrix given by the user may be from a rotation before it is refused."""
+"""How far a matrix may be from a rotation and be taken as it is."""
 
 
 @dataclass(frozen=True)
@@ -74,15 +75,17 @@ def place(
 ) -> Placement:  # fmt: skip
     """Placement with the origin `at` (2 or 3 lengths) and an orientation given in at most one way.
 
-    `at` can also be a pose (4, 4) or a `Placement`, which are turned further by the rest. `rpy` are fixed-axis angles
-    x, y, z; `angle` turns about z (planar systems); `quat_wxyz` and `matrix` as named. `axis` finally turns z to this
-    direction, read in the axes that the rest describes; it need not have unit length, and can be a name: "x", "-z".
+    `at` can also be a pose in any form that `kempe.rigid.arrays` reads, or a `Placement`, which are turned further
+    by the rest. `rpy` are fixed-axis angles x, y, z; `angle` turns about z (planar systems); `quat_wxyz` and
+    `matrix` as named. `axis` finally turns z to this direction, read in the axes that the rest describes; it need
+    not have unit length, and can be a name: "x", "-z".
     Errors: `InputError` for wrong counts, numbers that are not finite, a zero axis, a matrix that does not rotate.
     """
     if isinstance(at, Placement):
         return at @ place(rpy=rpy, angle=angle, axis=axis, quat_wxyz=quat_wxyz, matrix=matrix)
     if angle is None and quat_wxyz is None and matrix is None and _floats(at) and _floats(rpy) and _floats(axis):
         return _plain(*(None if x is None else tuple(x) for x in (at, rpy, axis)))  # type: ignore[arg-type]
+    at = arrays(at, "at")
     if (at.__class__ is not tuple or len(at) == 4) and _is_pose(at):  # type: ignore[arg-type]
         return place(placement_of_pose(at), rpy, angle, axis, quat_wxyz, matrix)
     steps: list[Step] = [(n, (x,)) for n, x in zip("xyz", values(at, (2, 3), "at"), strict=False)]
@@ -98,15 +101,20 @@ def place(
     if quat_wxyz is not None:
         steps.append(("quat_wxyz", values(quat_wxyz, 4, "quat_wxyz")))
     if matrix is not None:
-        R = numbers_of(matrix, "matrix")
+        R = numbers_of(arrays(matrix, "matrix"), "matrix")
         if R.shape == (4, 4):
             raise InputError("matrix is a pose (4, 4); it must be a rotation (3, 3), and a pose is given as at")
-        steps.append(("matrix", values(R.reshape(-1), 9, "matrix")))
+        steps.append(("matrix", values(_rotation(R).reshape(-1), 9, "matrix")))
     for step in steps:
         check_step(*step)
     if axis is not None:
         steps += axis_steps(axis)
     return Placement(tuple(steps)).simplified()
+
+
+def _rotation(R: spatial.Array) -> spatial.Array:
+    """A rotation (3, 3), the nearest one where its numbers are rounded; what is none stays."""
+    return sound(R, "matrix", ROTATION_TOLERANCE) if R.shape == (3, 3) else R
 
 
 def _floats(x: object) -> bool:
@@ -255,7 +263,10 @@ def steps_from_data(data: Iterable[object]) -> Placement:
     for item in data:
         if not isinstance(item, (list, tuple)) or not item or not isinstance(item[0], str):
             raise InputError(f"step {item!r} must be a list of a motion and its numbers, such as ['rx', 0.5]")
-        step = (item[0], tuple(value(x, item[0]) for x in item[1:]))
+        numbers = tuple(value(x, item[0]) for x in item[1:])
+        if item[0] == "matrix" and len(numbers) == 9 and not any(isinstance(x, Expression) for x in numbers):
+            numbers = tuple(_rotation(np.array(numbers, dtype=float).reshape(3, 3)).ravel().tolist())
+        step = (item[0], numbers)
         check_step(*step)
         steps.append(step)
     return Placement(tuple(steps))

@@ -42,6 +42,7 @@ from kempe.constraints.reading import (
 from kempe.constraints.tape import Tape
 from kempe.constraints.text import from_text
 from kempe.errors import InputError
+from kempe.rigid import arrays
 from kempe.spatial import Array
 
 ORIGIN, Z = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
@@ -131,7 +132,7 @@ class Orientation(_Placed):
 
     def goal(self, dim: int) -> Array:
         """The target."""
-        X = numbers_of(self.target, what := f"target of {self.label}")
+        X = numbers_of(arrays(self.target, what := f"target of {self.label}"), what)
         return poses_of(spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X, dim, what)
 
 

@@ -10,11 +10,11 @@ from kempe import spatial
 from kempe.calls import numbers
 from kempe.errors import InputError
 from kempe.placement import direction
+from kempe.rigid import EXACT as RIGID
+from kempe.rigid import arrays, sound
 from kempe.spatial import Array
 
 LAST = np.array([0.0, 0.0, 0.0, 1.0])
-RIGID = 1e-6
-"""How far a pose may be from a rigid motion."""
 LARGEST = 1e100
 """Numbers above this are too large for the kernels."""
 
@@ -26,7 +26,7 @@ MEETS = 1e-12
 
 def poses_of(x: Any, dim: int, what: str) -> Array:
     """Poses (..., 4, 4) as given, in the plane also (..., 3, 3); kernels check rotations. Errors: `InputError`."""
-    X = numbers_of(x, what)
+    X = numbers_of(arrays(x, what), what)
     if dim == 2 and X.ndim >= 2 and X.shape[-2:] == (3, 3):
         flat, X = X, np.zeros((*X.shape[:-2], 4, 4))
         X[..., :2, :2], X[..., :2, 3], X[..., 2, 2], X[..., 3, 3] = flat[..., :2, :2], flat[..., :2, 2], 1.0, 1.0
@@ -37,7 +37,7 @@ def poses_of(x: Any, dim: int, what: str) -> Array:
         raise InputError(f"{what} is no pose: its last row is {X[..., 3, :].tolist()}; it must be 0 0 0 1")
     if dim == 2 and (np.any(np.abs(X[..., 2, 3]) > RIGID) or np.any(1.0 - X[..., 2, 2] > RIGID)):
         raise InputError(f"{what} leaves the plane of the system")
-    return X
+    return sound(X, what)
 
 
 def numbers_of(x: Any, what: str) -> Array:

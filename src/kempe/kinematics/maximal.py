@@ -19,6 +19,7 @@ from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q, home_of
 from kempe.kinematics.forward import fk
 from kempe.model.lengths import origin_of
+from kempe.rigid import arrays, sound
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -93,9 +94,9 @@ def coordinates_of_pose(X: Array, dim: int, particle: bool) -> list[Array]:
 
 def as_poses(system: System, poses: ArrayLike) -> Array:
     """Poses as an array. Errors: `InputError` where they are not of all bodies but the ground."""
-    array, n = numbers(poses, "poses"), len(system.body_names) - 1
+    array, n = numbers(arrays(poses, "poses"), "poses"), len(system.body_names) - 1
     if array.ndim < 3 or array.shape[-3:] != (n, 4, 4):
         raise InputError(
             f"poses have shape {array.shape}; {system.name} needs (..., {n}, 4, 4): all bodies but the ground"
         )
-    return array
+    return sound(array, "poses")

@@ -10,7 +10,7 @@ import numpy as np
 
 from kempe.calls import explained
 from kempe.constraints.base import Constraint
-from kempe.constraints.reading import LARGEST, RIGID
+from kempe.constraints.reading import LARGEST
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.asking import task_of
@@ -21,6 +21,7 @@ from kempe.model.coordinates import told_apart
 from kempe.model.loops import Loops, Tie, pack
 from kempe.model.own_tree import own_tree
 from kempe.model.table import Table
+from kempe.rigid import EXACT, rotation_error
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -34,10 +35,7 @@ def refuse(goals: Goals, what: str) -> None:
     """Say what is wrong with goals that a kernel refused. Errors: `InputError`."""
     for pose, number in goals:
         if pose is not None and np.isfinite(pose).all():
-            R = pose[..., :3, :3]
-            if np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0.0) > RIGID or np.any(
-                np.linalg.det(R) < 0.0
-            ):
+            if not np.all(rotation_error(pose[..., :3, :3]) <= EXACT):
                 raise InputError(f"the goal of {what} is no pose: its rotation must be orthonormal with determinant +1")
         if any(x is not None and not np.all(np.abs(x) < LARGEST) for x in (pose, number)):
             raise InputError(f"the goal of {what} has entries that are not finite, or too large")

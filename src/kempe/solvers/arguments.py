@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.constraints.reading import refuse_rotations
+from kempe.constraints.reading import poses_of, refuse_rotations
 from kempe.errors import InputError
 from kempe.reals import is_whole, reals
+from kempe.rigid import EXACT, arrays, rotation_error
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-RIGID = 1e-6
-"""How far the place of a frame may be from a rigid motion, or from the plane."""
 
 
 def start_count(starts: object) -> int:
@@ -66,27 +66,28 @@ def tolerances(tolerance: Any) -> tuple[float, float]:
     raise InputError(f"tolerance is {tolerance!r}; it must be one or two positive numbers, in metres and radians")
 
 
+def with_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[str, Any]:
+    """Known values by name, the places of frames as arrays. Errors: `InputError`."""
+    if not frames:
+        return given
+    return {k: arrays(x, f"the place of frame {k!r}") if k in frames else x for k, x in given.items()}
+
+
 def place_of(system: System, frame: str, place: Any, whole: bool) -> Array:
     """Positions (..., 2 or 3) of a frame, or its poses (..., 4, 4); what is not finite is let through.
 
     Errors: `InputError` for what are no numbers, no poses, or leaves the plane of a planar system.
     """
-    x = reals(place, f"the place of frame {frame!r}", "numbers")
-    if not whole:
-        refuse_rotations(x, f"the place of frame {frame!r}")
-    fine = np.isfinite(x).all(axis=(-1, -2) if whole else -1)
-    tilt, height = np.zeros(1), np.zeros(1)
+    what = f"the place of frame {frame!r}"
     if whole:
-        R = x[fine][..., :3, :3]
-        off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0.0)
-        last = np.abs(x[fine][..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max(initial=0.0)
-        if max(off, last) > RIGID or np.any(np.linalg.det(R) < 0.0):
-            raise InputError(f"the place of frame {frame!r} is no pose: rotation with determinant +1, last row 0 0 0 1")
-        tilt, height = 1.0 - R[..., 2, 2], x[fine][..., 2, 3]
-    elif x.shape[-1] == 3:
-        height = x[fine][..., 2]
-    if system.dim == 2 and max(np.abs(tilt).max(initial=0.0), np.abs(height).max(initial=0.0)) > RIGID:
-        raise InputError(f"the place of frame {frame!r} leaves the plane")
+        X = poses_of(place, 3, what)
+        if np.any(rotation_error(X[..., :3, :3]) > EXACT):
+            raise InputError(f"{what} is no pose: rotation with determinant +1, last row 0 0 0 1")
+        return poses_of(X, system.dim, what)
+    x = reals(place, what, "numbers")
+    refuse_rotations(x, what)
+    if system.dim == 2 and x.shape[-1] == 3 and np.any(np.abs(x[..., 2]) > EXACT):
+        raise InputError(f"{what} leaves the plane")
     return x
 
 

@@ -23,7 +23,7 @@ from kempe.model.clocked import also_holding, at_time
 from kempe.model.loops import Loops, loops_of, must_carry
 from kempe.model.own_tree import own_tree
 from kempe.reals import reals
-from kempe.solvers.arguments import check_constraints, place_of, seed_number, start_count
+from kempe.solvers.arguments import check_constraints, place_of, seed_number, start_count, with_places
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
 from kempe.spatial import Array
 
@@ -170,7 +170,7 @@ class Assembler:
         follow: bool = False, constraints: Sequence[SystemConstraint] = (),
     ) -> Assembly:  # fmt: skip
         """As `assemble`, with `values` (..., k) of the known coordinates in their order, or a dict with all of them."""
-        given = values if isinstance(values, Mapping) else self._by_name(values)
+        given = with_places(values, self.frames) if isinstance(values, Mapping) else self._by_name(values)
         if given.keys() != self.names:
             said = ", ".join(map(repr, given)) or "nothing"
             raise InputError(f"values are given for {said}; needed are {self.known}")

@@ -17,6 +17,7 @@ from kempe.kernels.search_layout import BAD_INPUT
 from kempe.kinematics.packed import refuse
 from kempe.kinematics.tabular import Tabular
 from kempe.reals import reals
+from kempe.rigid import arrays, sound
 from kempe.solvers.apart import apart
 from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, partial
 from kempe.solvers.slip import rolls
@@ -134,7 +135,8 @@ def ik_path(
 
 
 def _held(system: System, targets: Any, frame: FrameLike) -> Constraint:
-    poses, lead, is_position = parse_targets(system, targets)
+    poses, lead, is_position = parse_targets(system, arrays(targets, "targets"))
+    poses = sound(poses, "targets")
     for i in np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2)))[:1]:
         raise InputError(f"target {i} is not finite, or no pose, whose last row must be 0 0 0 1")
     poses = poses.reshape(*lead, 4, 4)

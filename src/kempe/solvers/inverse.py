@@ -18,6 +18,7 @@ from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, STATUS
 from kempe.kinematics.configuration import as_start
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
+from kempe.rigid import arrays, sound
 from kempe.solvers import rounds
 from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.solvers.chain import Chain, chain_of, inside, obstacle
@@ -51,10 +52,11 @@ def ik(
     """A configuration in which `frame` reaches `target` (the inverse geometric model), always inside the limits.
 
     `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)), or a position (..., 3)
-    (in planar systems also (..., 2)). `task` says what of it counts: "pose", "position" (also by `position_only`),
-    "orientation", "direction" (of the tool's `axis`), "position_axis" (both). `tolerance` is the largest position error
-    [m] and rotation angle [rad]. `seed` (nq,) or (..., nq), or a dict by name, is the first start; what the chain does
-    not move keeps its value there, else the neutral one, inside the limits.
+    (in planar systems also (..., 2)), or an object or words that say one (`kempe.rigid.arrays`).
+    `task` says what of it counts: "pose", "position" (also by `position_only`), "orientation", "direction" (of the
+    tool's `axis`), "position_axis" (both). `tolerance` is the largest position error [m] and rotation angle [rad].
+    `seed` (nq,) or (..., nq), or a dict by name, is the first start; what the chain does not move keeps its value
+    there, else the neutral one, inside the limits.
 
     Starts are tried in order, the seed or the middle of the limits first, up to `starts` of them, the others drawn from
     `rng`; the first that reaches the target is the answer: the same for the same arguments, whatever the `threads`.
@@ -71,7 +73,7 @@ def ik(
     Lawrence, 1988); "analytic", of all solutions that `ik_all` finds the one nearest to `seed`; "auto", that where the
     chain allows it, else numeric. Targets that have no analytic solution inside the limits get the numeric answer.
     """
-    name = system.frame_name(frame)
+    name, target = system.frame_name(frame), arrays(target, "target")
     asked, targets, lead = _asked(system, name, target, _task_name(task, position_only), axis)
     if _bounded(system, method) or (method != "analytic" and obstacle(system, name)):
         from kempe.solvers.tasks import reach
@@ -92,16 +94,29 @@ def ik(
         from kempe.solvers.analytic import hand_over
 
         plan = hand_over.plan_of(question, method)
-    if plan is None:
-        q, residual, info = run(question, seeds, threads, postpone=bool(lead) and time_limit is None)
-    else:
-        q, residual, info = hand_over.answer(question, plan, base, seeds, threads)
+    question, (q, residual, info) = _run(question, plan, base, seeds, threads, lead)
     solution = _judged(question, base, q, residual, info, lead, seeds, threads)
     if not lead:
         _bind(question, _task_name(task, position_only), np.shape(target))
     if throw and not solution:
         raise NoSolutionError(solution)
     return solution
+
+
+def _run(
+    question: Task, plan: Any, base: Array, seeds: Array, threads: int | None, lead: tuple[int, ...]
+) -> tuple[Task, tuple[Array, Array, np.ndarray]]:  # fmt: skip
+    """The question and what `run`, or the closed form of a plan, finds; rotations that were rounded are mended."""
+    if plan is None:
+        found = run(question, seeds, threads, postpone=bool(lead) and question.time_limit is None)
+    else:
+        from kempe.solvers.analytic import hand_over
+
+        found = hand_over.answer(question, plan, base, seeds, threads)
+    targets = question.targets
+    if lead and (found[2][:, 0] == BAD_INPUT).any() and (mended := sound(targets, "target")) is not targets:
+        return _run(replace(question, targets=mended), plan, base, seeds, threads, lead)
+    return question, found
 
 
 def _nearest(

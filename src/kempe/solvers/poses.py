@@ -23,6 +23,7 @@ from kempe.kinematics.loops import evaluate, full, row_names
 from kempe.kinematics.maximal import as_poses, coordinates_of_pose, maximal, maximal_q
 from kempe.model.reduced import flat_frame, reduced, screw, slides_along_z
 from kempe.placement import Placement, place
+from kempe.rigid import rotation_error
 from kempe.solvers.assembly import LOOSEST, TOLERANCE, assembler
 from kempe.spatial import Array
 
@@ -254,14 +255,14 @@ def _within(off: Array, turns: bool) -> Array:
 
 def _refuse_no_poses(system: System, poses: Array, tolerance: float) -> None:
     R, p = poses[..., :3, :3], poses[..., :3, 3]
-    off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-1, -2))
+    off = rotation_error(R)
     tilt = np.hypot(R[..., 2, 0], R[..., 2, 1]) + (R[..., 2, 2] < 0.0)
     bodies = system.mechanism.bodies
     for i, body in enumerate(system.body_names[1:]):
         subject = f"pose of body {body!r}"
         if not np.isfinite(poses[..., i, :, :]).all():
             raise InputError(f"{subject} is not finite")
-        if np.any(off[..., i] > tolerance) or np.any(np.linalg.det(R[..., i, :, :]) < 0.0):
+        if np.any(off[..., i] > tolerance):
             raise InputError(f"{subject}: its rotation is none (orthonormal, determinant +1)")
         if bodies[body].particle and np.any(np.abs(R[..., i, :, :] - np.eye(3)) > tolerance):
             raise InputError(f"{subject}: a particle has no orientation; its rotation must be the identity")

@@ -17,6 +17,7 @@ from kempe.kinematics.forward import refuse_bad
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.own_tree import own_tree
 from kempe.reals import reals
+from kempe.rigid import arrays, sound
 from kempe.solvers.chain import chain_of, obstacle
 from kempe.solvers.least_squares import NEAR, damped, scaled
 from kempe.solvers.servo_pose import Approach, chain_length, error
@@ -238,16 +239,21 @@ def _part(had: Array, asked: Array) -> float:
 
 def _motion(wanted: Any) -> Array:
     """The twist (6,) or pose (4, 4) that is wanted, checked."""
-    x = reals(wanted, "the wanted motion", "a twist (6,) or a pose (4, 4)")
-    sound = x.shape == (6,) and math.isfinite(x.dot(x))
-    if x.shape == (4, 4):
-        R = x[:3, :3]
-        off = math.fsum(np.abs((R @ R.T - EYE).ravel())) + abs(float(x[3, 3]) - 1.0)
-        sound = off < SKEW and math.isfinite(x[:3, 3].sum()) and float(R[2] @ np.cross(R[0], R[1])) > 0.0
-    if not sound:
+    x = reals(arrays(wanted, "the wanted motion"), "the wanted motion", "a twist (6,) or a pose (4, 4)")
+    good = x.shape == (6,) and math.isfinite(x.dot(x))
+    if x.shape == (4, 4) and not (good := _is_pose(x)):
+        x = sound(x, "the wanted motion")
+        good = _is_pose(x)
+    if not good:
         raise InputError(f"the wanted motion has shape {x.shape}; it must be a twist (6,) or a pose (4, 4), finite, "
                          f"the rotation of a pose orthonormal with determinant +1")  # fmt: skip
     return x
+
+
+def _is_pose(x: Array) -> bool:
+    R = x[:3, :3]
+    off = math.fsum(np.abs((R @ R.T - EYE).ravel())) + abs(float(x[3, 3]) - 1.0)
+    return off < SKEW and math.isfinite(x[:3, 3].sum()) and float(R[2] @ np.cross(R[0], R[1])) > 0.0
 
 
 def speeds(system: System) -> Array:

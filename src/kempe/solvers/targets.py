@@ -11,9 +11,10 @@ from kempe.calls import numbers
 from kempe.constraints.reading import refuse_rotations
 from kempe.constraints.targets import AXIS_TASKS
 from kempe.errors import InputError
-from kempe.kernels.search_layout import LARGEST, ROTATION_TOLERANCE
+from kempe.kernels.search_layout import LARGEST
 from kempe.placement import direction
 from kempe.reals import reals
+from kempe.rigid import EXACT, rotation_error, sound
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -156,6 +157,8 @@ def parse_targets(
         is_pose = True
     if is_pose:
         lead = array.shape[:-2]
+        if not lead:  # of many, the kernels tell those that need a closer look
+            array = sound(array, "target")
         out = array.reshape(math.prod(lead), 4, 4)
         bad = np.any(out[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=-1)  # a transposed pose would pass for another one
         if bad.any():
@@ -194,8 +197,8 @@ def not_a_pose(target: Array, other: str = "target") -> str:
     largest = np.abs(target).max()
     if largest >= LARGEST:
         return f"target has an entry of {largest:.3g}; allowed are numbers below {LARGEST:g}"
-    off = max(float(np.abs(R.T @ R - np.eye(3)).max()), 2.0 if np.linalg.det(R) < 0.0 else 0.0)
-    if off > ROTATION_TOLERANCE:
+    off = float(rotation_error(R))
+    if off > EXACT:
         text = "target is not a pose: its rotation part must be orthonormal with determinant +1"
         return f"{text}; R'R differs from 1 by {off:.1g}" if np.linalg.det(R) > 0.0 else text
     return f"{other} has entries that are not finite or too large, or a quaternion that is zero"

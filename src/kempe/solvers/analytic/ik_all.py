@@ -17,6 +17,7 @@ from kempe.kernels.layout import SLIDE
 from kempe.kernels.search_layout import LARGEST
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
+from kempe.rigid import arrays, sound
 from kempe.solvers.analytic.choice import choose
 from kempe.solvers.analytic.lines import Lines, lines_of
 from kempe.solvers.analytic.obeying import obeying
@@ -66,6 +67,7 @@ def ik_all(
     Method: see `ik_plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
     """
     name = system.frame_name(frame)
+    target = arrays(target, "target")
     if system.dim == 2 and points_along(task):
         target, task = in_plane(target, task, axis)
     direction = axis_for(axis, task)
@@ -84,6 +86,8 @@ def ik_all(
     if plain and single and task == "pose" and plan.side_by_side and ("all", name) not in system._queries:
         bind(system, name)
     answer = solve(question, plan, near_of(system, near, question.lead), values, threads)
+    if not single and (answer._counts[:, 0] < 0).any() and (mended := sound(targets, "target")) is not targets:
+        answer = solve(replace(question, targets=mended), plan, near_of(system, near, question.lead), values, threads)
     if single and answer._counts[0, 0] < 0:
         if np.abs(targets).max() >= LARGEST:
             raise InputError(f"target has an entry of {np.abs(targets).max():.3g}; allowed are below {LARGEST:g}")

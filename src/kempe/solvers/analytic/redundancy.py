@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.reals import is_whole, reals
+from kempe.rigid import EXACT, arrays, rotation_error
 from kempe.solvers.analytic.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, required_arm
 from kempe.solvers.analytic.choice import domains
 from kempe.solvers.analytic.ik_all import chain_lines, ik_all, plan_for
@@ -28,9 +29,6 @@ if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
 ARM_ANGLE = "arm_angle"
-
-ROTATION_TOLERANCE = 1e-6
-"""Largest entry of R^T R - 1 that a target's rotation may have, as in `ik_all`."""
 
 SAMPLES = 256
 """Values of a joint at which all solutions are asked for, as starts of the curves between them."""
@@ -65,7 +63,7 @@ def ik_sweep(
     """
     name = system.frame_name(frame)
     direction = axis_for(axis, task)
-    targets, lead, is_position = targets_of(system, target, task, direction)
+    targets, lead, is_position = targets_of(system, arrays(target, "target"), task, direction)
     if lead != () or not np.isfinite(targets).all():
         raise InputError("a sweep needs one target, of finite numbers")
     task = task_of(task, is_position, bool(system.table.at[name][2]))
@@ -90,7 +88,7 @@ def ik_sweep(
 
 
 def _refuse_no_rotation(R: Array) -> None:
-    if np.abs(R.T @ R - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0.0:
+    if rotation_error(R) > EXACT:
         raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
 
 

@@ -1,0 +1,168 @@
+"""Poses and rotations as people have them: arrays, pairs, words, and the objects of other libraries."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.errors import InputError, shown, warn
+from kempe.reals import PLAIN, is_plain, reals
+from kempe.spatial import Array
+
+EXACT = 1e-6
+"""How far R'R may be from 1 for R to be taken as it is: the kernels allow this, too."""
+ROUNDED = 5e-4
+"""How far R'R may be from 1 for R to be taken as a rotation whose entries are off by 1e-4: the nearest one counts."""
+
+PARTS = ("homogeneous", "A", "as_matrix", "GetAsMatrix4", "matrix")
+"""Where objects have their matrix: Pinocchio's SE3, the Spatial Math Toolbox, SciPy and jaxlie, Drake, Sophus."""
+ROS = (("position", "orientation"), ("translation", "rotation"))
+"""Parts of the messages Pose and Transform of ROS, whose quaternion is x y z w."""
+WORDS = ("at", "rpy", "angle", "quat_wxyz", "quat_xyzw", "matrix")
+"""What a pose in words can have: its place, and its orientation in one way."""
+
+
+def arrays(x: Any, what: str) -> Any:
+    """What can be read as an array of poses (..., 4, 4), in the plane (..., 3, 3), rotations, or positions.
+
+    Objects that have a matrix, pairs of a position and a rotation, poses in words, ``{"at": (1, 0, 0), "quat_xyzw":
+    (0, 0, 0, 1)}``, and lists of these become arrays; all else is given back as it is. Errors: `InputError`.
+    """
+    if x.__class__ is np.ndarray or x.__class__ in PLAIN or is_plain(x):
+        return x
+    if isinstance(x, Mapping):
+        return _in_words(x, what)
+    if isinstance(x, (list, tuple)):
+        if (pair := _of_pair(x, what)) is not None:
+            return pair
+        if not any(isinstance(e, (Mapping, list, tuple)) or _matrix(e) is not None for e in x):
+            return x
+        parts = [arrays(e, what) for e in x]
+        if all(a is b for a, b in zip(parts, x, strict=True)):
+            return x
+        shapes = {np.shape(p) for p in parts}
+        if len(shapes) > 1:
+            raise InputError(f"{what} is a list of poses of different shapes, {sorted(shapes)}; all must have one")
+        return np.array(parts)
+    found = _matrix(x)
+    return x if found is None else found
+
+
+def sound(X: Array, what: str, exact: float = EXACT) -> Array:
+    """Poses or rotations (..., n, n) of which those that are off by rounding are the nearest rotations, with a warning.
+
+    Those that are off by at most `exact` stay as they are, and what is further off than `ROUNDED`, for the caller to
+    refuse. The array is copied where it changes.
+    """
+    if X.ndim == 2:  # the usual case, without the cost of arrays
+        a, b, c = X[:3, :3].tolist()
+        off = max(abs(a[i] * a[j] + b[i] * b[j] + c[i] * c[j] - (i == j)) for i, j in _PAIRS)
+        if not exact < off <= ROUNDED:
+            return X
+    R = X[..., :3, :3]
+    off = rotation_error(R)
+    rounded = (off > exact) & (off <= ROUNDED)
+    if not rounded.any():
+        return X
+    U, _, Vt = np.linalg.svd(R[rounded])
+    out = X.copy()
+    out[rounded, :3, :3] = U @ Vt
+    some = "" if off.ndim == 0 else f" in {np.count_nonzero(rounded)} of {off.size} cases"
+    warn(f"the rotation of {what} is off by {off[rounded].max():.1g} (R'R - 1){some}; the nearest rotation was taken")
+    return out
+
+
+def rotation_error(R: Array) -> Array:
+    """How far (...) matrices (..., 3, 3) are from rotations: the largest entry of R'R - 1, at least 2 for mirrors."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
+        return np.where(np.linalg.det(R) < 0.0, np.maximum(off, 2.0), off)
+
+
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+def _matrix(x: Any) -> Any:
+    """The matrix that an object has, or the matrices; None where it has none."""
+    if x.__class__ in PLAIN or isinstance(x, (str, np.ndarray)):
+        return None
+    for position, orientation in ROS:
+        p, q = getattr(x, position, None), getattr(x, orientation, None)
+        if all(hasattr(p, n) for n in "xyz") and all(hasattr(q, n) for n in "wxyz"):
+            R = spatial.quat_wxyz_to_matrix([getattr(q, n) for n in "wxyz"])
+            return spatial.pose(R, [getattr(p, n) for n in "xyz"])
+    for name in PARTS:
+        part = getattr(x, name, None)
+        try:
+            found = np.asarray(part() if callable(part) else part, dtype=float)
+        except (TypeError, ValueError):
+            continue
+        if found.ndim >= 2 and found.shape[-2:] in ((3, 3), (4, 4)):
+            return found
+    return None
+
+
+def _of_pair(x: Any, what: str) -> Array | None:
+    """The poses of a pair of positions (..., n) and rotations (..., n, n), in either order; None for all else."""
+    if len(x) != 2:
+        return None
+    first, second = (_shaped(e) for e in x)
+    if first is None or second is None:
+        return None
+    if first.shape[:-1] == second.shape[:-1] and {first.shape[-1:], second.shape[-1:]} == {(3,), (4,)}:
+        raise InputError(f"{what} has a quaternion whose order is not named; give {{'at': p, 'quat_wxyz': q}}, "
+                         "or 'quat_xyzw'")  # fmt: skip
+    p, R = (first, second) if first.ndim < second.ndim else (second, first)
+    n = p.shape[-1] if p.ndim else 0
+    if n not in (2, 3) or R.ndim != p.ndim + 1 or R.shape[-2:] != (n, n):
+        return None
+    lead = np.broadcast_shapes(p.shape[:-1], R.shape[:-2])
+    out = np.zeros((*lead, n + 1, n + 1))
+    out[..., :n, :n], out[..., :n, n], out[..., n, n] = R, p, 1.0
+    return out
+
+
+def _shaped(x: Any) -> Array | None:
+    """Numbers as an array; None for what is ragged or no numbers."""
+    found = _matrix(x)
+    try:
+        return reals(x if found is None else found, "")
+    except InputError:
+        return None
+
+
+def _in_words(x: Mapping[str, Any], what: str) -> Array:
+    unknown = [n for n in x if n not in WORDS]
+    ways = [n for n in x if n != "at"]
+    if unknown or len(ways) > 1 or not x:
+        wrong = f"has {unknown[0]!r}" if unknown else f"has {' and '.join(ways)}" if ways else "is empty"
+        raise InputError(f"{what} {wrong}; a pose in words has 'at' and one of {', '.join(WORDS[1:])}")
+    at = reals(x.get("at", (0.0, 0.0, 0.0)), f"'at' of {what}")
+    if not at.ndim or at.shape[-1] not in (2, 3):
+        raise InputError(f"'at' of {what} has shape {at.shape}; it must be (..., 3), in the plane also (..., 2)")
+    p = np.zeros((*at.shape[:-1], 3))
+    p[..., : at.shape[-1]] = at
+    return spatial.pose(_rotation(ways[0], x[ways[0]], what) if ways else np.eye(3), p)
+
+
+def _rotation(way: str, given: Any, what: str) -> Array:
+    if way == "matrix":
+        found = _shaped(given)
+        if found is None or found.shape[-2:] != (3, 3):
+            raise InputError(f"'matrix' of {what} is {shown(given)}; it must be rotations (..., 3, 3)")
+        return found
+    x = reals(given, f"{way!r} of {what}")
+    if way == "angle":
+        return spatial.rot_z(x)
+    n = 3 if way == "rpy" else 4
+    if not x.ndim or x.shape[-1] != n:
+        raise InputError(f"{way!r} of {what} has shape {x.shape}; it must be (..., {n})")
+    if n == 3:
+        return spatial.rpy_to_matrix(x)
+    q = x if way == "quat_wxyz" else np.roll(x, 1, axis=-1)
+    if not np.all(np.linalg.norm(q, axis=-1) > 0.0):
+        raise InputError(f"{way!r} of {what} is {shown(given)}; it must not be zero")
+    return spatial.quat_wxyz_to_matrix(q)
