@@ -117,7 +117,7 @@ def test_help_and_version():
     assert Result("--version").out == f"kempe {kempe.__version__}, kernels {VARIANT}\n"
     alone, asked = Result(), Result("--help")
     assert alone.code == asked.code == 0
-    for name in ("info", "check", "fk", "ik", "convert", "bench", "library"):
+    for name in ("info", "check", "fk", "ik", "convert", "library"):
         assert name in alone.out and name in asked.out
         assert Result(name, "--help").code == 0
 
@@ -478,12 +478,6 @@ def test_commands_take_shipped_models():
         assert len(Result("fk", name, "--json").json()["bodies"]) == len(data["bodies"])
 
 
-
-
-def test_bench_refuses_unknown_names():
-    for option, said in (("--only", "batch"), ("--peer", "pin")):
-        result = Result("bench", option, f"{said}x")
-        assert result.code == 2 and f"did you mean '{said}'" in result.err
 
 
 # ---- the page of the documentation

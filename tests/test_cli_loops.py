@@ -132,10 +132,10 @@ class Terminal(io.StringIO):
 
 def test_help_lists_the_commands_in_order():
     shown = Result("--help").out
-    order = ("info", "check", "convert", "fk", "ik", "dof", "classify", "assemble", "trace", "plot", "library", "bench")
+    order = ("info", "check", "convert", "fk", "ik", "dof", "classify", "assemble", "trace", "plot", "library")
     places = [next(i for i, x in enumerate(shown.splitlines()) if x.startswith(f"│ {name} ")) for name in order]
     assert places == sorted(places)
-    for title in ("Describe and convert", "Positions", "Closed loops", "Models and this machine"):
+    for title in ("Describe and convert", "Positions", "Closed loops", "Models"):
         assert f" {title} " in shown
     for name in ("dof", "classify", "assemble", "trace", "plot"):
         asked = Result(name, "--help")

@@ -12,10 +12,10 @@ import sys
 from kempe.cli import systems  # isort: skip, the commands are listed in this order
 from kempe.cli import inverse  # isort: skip
 from kempe.cli import loops  # isort: skip
-from kempe.cli import machine  # isort: skip
+from kempe.cli import library  # isort: skip
 from kempe.cli.app import app
 
-__all__ = ["app", "inverse", "loops", "machine", "main", "systems"]
+__all__ = ["app", "inverse", "library", "loops", "main", "systems"]
 
 
 def main() -> None:

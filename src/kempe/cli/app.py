@@ -36,7 +36,7 @@ def option(flags: str, help: str, metavar: str | None = None, panel: str | None 
     return typer.Option(*flags.split(","), help=help, metavar=metavar or "", rich_help_panel=panel)
 
 
-DESCRIBE, OPEN, CLOSED, REST = "Describe and convert", "Positions", "Closed loops", "Models and this machine"
+DESCRIBE, OPEN, CLOSED, MODELS = "Describe and convert", "Positions", "Closed loops", "Models"
 """Titles over the commands in the help."""
 
 TimeLimit = Annotated[
@@ -162,11 +162,6 @@ def results(path: Path | None) -> None:
 
     rows.output(path)
     writable(path)
-
-
-def progress(text: str) -> None:
-    """Say on standard error how far the work is."""
-    print(text, file=sys.stderr, flush=True)
 
 
 def remark(text: str) -> None:

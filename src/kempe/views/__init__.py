@@ -1,1 +1,1 @@
-"""What people look at: reports, data for JSON, the benchmark."""
+"""What people look at: reports, data for JSON, drawings."""

@@ -21,9 +21,9 @@ from kempe.views import facts
 from kempe.views.options import in_options
 
 if TYPE_CHECKING:
+
     from kempe.model.system import System
     from kempe.solvers.answer import Answer
-    from kempe.views import benchmark
 
 WIDE = 100_000
 """Columns of an output that is not a terminal: nothing is cut or wrapped there."""
@@ -374,15 +374,3 @@ def _value(x: float, coordinate: dict[str, Any]) -> str:
 def count(n: int, one: str, many: str = "") -> str:
     """'1 joint', '2 joints', '2 bodies'."""
     return f"{n} {one if n == 1 else many or one + 's'}"
-
-
-# ---- benchmark
-
-
-def measured(result: benchmark.Table) -> RenderableType:
-    """A table of the benchmark with its goals and remarks."""
-    header, cells = result.columns()
-    goals = [Text(f"  {goal}", style="green" if goal.met else "red") for goal in result.goals]
-    remarks = [Text(f"  {remark}") for remark in result.remarks]
-    names = [*header[: result.words], *(f">{name}" for name in header[result.words :])]
-    return Group(table(names, cells, result.title), *goals, *remarks, "")

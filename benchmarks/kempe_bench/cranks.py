@@ -1,0 +1,103 @@
+"""Mechanisms of many positions or many loops: a crank's turn in closed form, and long rows of four-bars."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kempe.description.mechanism import Mechanism
+from kempe.model.system import System
+from kempe_bench.bench import Bench
+from kempe_bench.crank_peers import DRIVES, angles, linkage
+from kempe_bench.loop_solvers import SparseMujoco
+from kempe_bench.loop_trees import Tree
+from kempe_bench.timing import Case, Grid, cases, measure
+
+STEPS, SINGLE_STEPS = 10_000, 200
+"""Steps of the crank in one call, and of a loop in Python."""
+ROWS = (10, 100, 1000)
+NOISE = 0.1
+SWEEP, ONE = "Kempe, array of angles", "Kempe, one angle"
+
+_PYLINKAGE_LOOP = """
+reset()
+for _ in step(iterations=steps):
+    pass
+"""
+
+
+def dyads(bench: Bench) -> Grid:
+    """Steps of a crank, placed dyad after dyad in closed form."""
+    import kempe
+    from kempe.solvers.dyads import Plan, closed_form
+
+    table = Grid("Dyads in closed form: time of a step of the crank", "us")
+    for name, drive in DRIVES.items():
+        system = kempe.load(name)
+        plan = closed_form(system, (drive.crank,))
+        assert isinstance(plan, Plan), f"{name} is made of dyads"
+        start = system.assemble({drive.crank: drive.start}, near=system.posture("closed"))
+        values = angles(drive, STEPS)[:, None]
+        names = {"solve": plan.solve, "values": values, "one": values[0], "branch": plan.branch_of(start.q)}
+        timed = [
+            Case(SWEEP, name, "solve(values, branch, threads=1)", names, STEPS),
+            Case(ONE, name, "solve(one, branch)", names),
+        ]
+        if "pylinkage" in bench.versions:
+            told = linkage(system, STEPS)
+            names = {"reset": told.reset, "fast": told.model.step_fast, "step": told.model.step}
+            timed += [
+                Case("pylinkage, step_fast", name, "reset(); fast(iterations=steps)", names | {"steps": STEPS}, STEPS),
+                Case("pylinkage, step", name, _PYLINKAGE_LOOP, names | {"steps": SINGLE_STEPS}, SINGLE_STEPS),
+            ]
+        table.rows += measure(timed, 1e6)
+        table.at_most(f"{name}, array of angles, at most 0.3 us a step", table.best(SWEEP, name), 0.3)
+    table.remarks += [
+        f"{STEPS:,} steps a call, one thread; step: a loop in Python. Kempe answers joint angles, pylinkage points",
+        "peaucellier: the crank swings from -1.2 to 1.2, since it cannot turn fully",
+    ]
+    return table
+
+
+def row(bench: Bench) -> Grid:
+    """Rows of four-bars whose first crank is known, each solved as one system."""
+    table = Grid("Row of four-bars in one solve, by their number", "ms")
+    for n in ROWS:
+        system = four_bars(n)
+        q = system.integrate(system.neutral, _noise(system))
+        line, timed = f"{n:,}", cases("Kempe", {"row": system, "q": q}, (f"{n:,}", "row.assemble({'A0': 0.2}, near=q)"))
+        answer = system.assemble({"A0": 0.2}, near=q)
+        if not answer:
+            table.remarks.append(f"{line} four-bars: Kempe did not close: {answer.status}")
+        if "mujoco" in bench.versions:
+            peer = SparseMujoco(Tree(system), ("A0",))
+            q = q.copy()
+            q[system.coordinate_names.index("A0")] = 0.2
+            guess = peer.ready(q[None])[0]
+            if peer.opening([peer.call(guess)])[0] <= peer.tolerance:
+                timed += cases("MuJoCo, SciPy", {"solve": peer.call, "guess": guess}, (line, "solve(guess)"))
+            else:
+                table.remarks.append(f"{line} four-bars: Gauss-Newton on MuJoCo's constraints did not close")
+        table.rows += measure(timed, 1e3)
+    table.at_most(f"{ROWS[-1]:,} four-bars under 20 ms", table.best("Kempe", f"{ROWS[-1]:,}"), 20)
+    table.remarks.append(
+        f"from {NOISE} rad of noise, the first crank known; MuJoCo: Gauss-Newton on its sparse constraints, with the "
+        "sparse factorisation of SciPy"
+    )
+    return table
+
+
+def _noise(system: System) -> np.ndarray:
+    return NOISE * np.random.default_rng(0).normal(size=system.nv)
+
+
+def four_bars(n: int) -> System:
+    """A row of n four-bars: n + 1 cranks on the ground, neighbours joined by couplers; one freedom."""
+    out = Mechanism(f"row of {n} four-bars", dim=2)
+    for i in range(n + 1):
+        out.body(f"crank{i}")
+        out.revolute(f"A{i}", out.ground, f"crank{i}", at=(i, 0))
+    for i in range(n):
+        out.body(f"coupler{i}")
+        out.revolute(f"B{i}", f"crank{i}", f"coupler{i}", at=(0, 0.5))
+        out.revolute(f"C{i}", f"coupler{i}", f"crank{i + 1}", at=(1, 0), child_at=(0, 0.5))
+    return out.build()
