@@ -13,6 +13,7 @@ from kempe.description.parts import Joint
 from kempe.joints import Q
 from kempe.kinematics.configuration import as_start
 from kempe.kinematics.constraints import coordinate_value
+from kempe.model.kept import kept
 from kempe.spatial import Array
 from oracles import pairs
 from oracles.carried import Carried
@@ -65,15 +66,9 @@ class Form(NamedTuple):
     said: dict[str, str]
 
 
+@kept
 def form_of(system: System) -> Form:
-    """The equations of a system, compiled once."""
-    found = system._queries.get("oracle of maximal coordinates")
-    if found is None:
-        found = system._queries["oracle of maximal coordinates"] = _compiled(system)
-    return found
-
-
-def _compiled(system: System) -> Form:
+    """The equations of a system."""
     mechanism, followers = system.mechanism, system.couplings
     every = [closure_of(system, name, own=True) for name in mechanism.joints]
     joints = [j for j in every if isinstance(j, Closure)]

@@ -10,6 +10,7 @@ import pytest
 import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.errors import InputError
+from kempe.solvers.levels import packed_for
 from kempe.solvers.solution import NOT_FOUND, OUT_OF_REACH, SOLVED
 
 HAND = "panda_link7"
@@ -209,7 +210,7 @@ def test_caches_are_bounded():
     same = tasks.Position("tip", [1.0, 1.0])
     for k in range(200):
         s.ik([same, tasks.Posture(np.zeros(3), weight=1.0 + k)])
-    kept = list(s._queries["tasks"].values())
+    kept = list(s._kept[packed_for].values())
     assert len(kept) <= 64 and max(len(p.stages) for p in kept) <= 64
 
 

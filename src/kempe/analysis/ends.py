@@ -14,6 +14,7 @@ import numpy as np
 from kempe.analysis.graph import Structure
 from kempe.analysis.screws import Screws
 from kempe.analysis.series import Ring, Star, rings, stars
+from kempe.model.kept import keep
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -67,10 +68,10 @@ def pairs_of(system: System, s: Structure, at: Screws, driven: frozenset[int]) -
 
     Where axes meet in a part that two joints share, they do so at every closed configuration, such as that of `at`.
     """
-    key = ("analysis pairs", driven)
-    found = system._queries.get(key)
+    answers = system._kept.setdefault(pairs_of, {})
+    found = answers.get(driven)
     if found is None:
-        found = system._queries[key] = [p for ring in rings(system, driven) for p in _of_ring(s, at, ring)]
+        found = keep(answers, driven, [p for ring in rings(system, driven) for p in _of_ring(s, at, ring)])
     return found
 
 
@@ -92,10 +93,10 @@ def _of_ring(s: Structure, at: Screws, ring: Ring) -> Iterator[Pair]:
 
 def held(system: System, s: Structure, at: Screws, driven: frozenset[int]) -> list[Held]:
     """Stars with their ends, which do not depend on the configuration either; nor does, without slides, their line."""
-    key = ("analysis stars", driven)
-    found = system._queries.get(key)
+    answers = system._kept.setdefault(held, {})
+    found = answers.get(driven)
     if found is None:
-        found = system._queries[key] = []
+        found = keep(answers, driven, [])
         for star in stars(system, driven):
             holds = []
             if not (star.chains or star.points):  # nothing holds it

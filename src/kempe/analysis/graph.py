@@ -18,6 +18,7 @@ from kempe.description.parts import Declared, Joint
 from kempe.joints import P, Primitive, Q
 from kempe.kinematics.loops import full
 from kempe.model.coordinates import Relation
+from kempe.model.kept import kept
 from kempe.model.ties import Loops, Tie
 from kempe.spatial import Array
 
@@ -197,12 +198,10 @@ class Structure:
         return sum(x.rows for x in (*self.loops, *self.laws))
 
 
+@kept
 def structure(system: System) -> Structure:
-    """Edges, loops and clusters of a system, found once."""
-    found = system._queries.get("analysis structure")
-    if found is None:
-        found = system._queries["analysis structure"] = _structure(system)
-    return found
+    """Edges, loops and clusters of a system."""
+    return _structure(system)
 
 
 def called(system: System) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from kempe.analysis.reduction import Split
 from kempe.errors import InputError
 from kempe.kinematics.ball_angles import back, regular_chart
 from kempe.kinematics.configuration import as_q
+from kempe.model.kept import kept
 from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
@@ -198,13 +199,10 @@ def _doubts(at: Split) -> list[str]:
     return []
 
 
+@kept
 def _equations(system: System) -> Equations:
-    """The packed equations of a system, kept with it."""
-    key = ("smooth equations",)  # no name of a frame
-    found = system._queries.get(key)
-    if found is None:
-        found = system._queries[key] = Equations(system)
-    return found
+    """The packed equations of a system."""
+    return Equations(system)
 
 
 def _closed(equations: Equations, q: Array) -> Array:

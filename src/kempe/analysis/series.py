@@ -16,6 +16,7 @@ import numpy as np
 from kempe.analysis.graph import Edge, Structure, structure
 from kempe.description.parts import Declared
 from kempe.joints import P, Primitive, Q
+from kempe.model.kept import kept
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -63,13 +64,10 @@ def _ends(edge: Edge, sign: float) -> tuple[int, int]:
     return (edge.parent, edge.child) if sign > 0 else (edge.child, edge.parent)
 
 
+@kept
 def rings(system: System, driven: frozenset[int]) -> tuple[Ring, ...]:
     """All rings of at least two edges in which something can turn; `driven` are velocities that a motor holds."""
-    key = ("analysis rings", driven)
-    found = system._queries.get(key)
-    if found is None:
-        found = system._queries[key] = _rings(system, structure(system), driven)
-    return found
+    return _rings(system, structure(system), driven)
 
 
 def _uses(system: System, s: Structure) -> np.ndarray:
@@ -212,49 +210,44 @@ def rigid(edge: Edge) -> bool:
     return edge.joint and all(c.index < 0 for c in edge.columns)
 
 
+@kept
 def parts(system: System) -> np.ndarray:
     """For each body the number of its part: bodies that joints without a velocity hold together are one part."""
-    found = system._queries.get("analysis parts")
-    if found is None:
-        found = np.arange(len(system.body_names))
-        for edge in structure(system).edges:
-            if rigid(edge):
-                found[found == found[edge.child]] = found[edge.parent]
-        system._queries["analysis parts"] = found
+    found = np.arange(len(system.body_names))
+    for edge in structure(system).edges:
+        if rigid(edge):
+            found[found == found[edge.child]] = found[edge.parent]
     return found
 
 
+@kept
 def in_loop(system: System) -> np.ndarray:
     """For each edge whether it is part of a loop (mask)."""
-    found = system._queries.get("analysis in loop")
-    if found is None:
-        s = structure(system)
-        found = system._queries["analysis in loop"] = np.zeros(len(s.edges), dtype=bool)
-        found[[i for c in s.clusters for i in c.edges]] = True
+    s = structure(system)
+    found = np.zeros(len(s.edges), dtype=bool)
+    found[[i for c in s.clusters for i in c.edges]] = True
     return found
 
 
 def edges_at(system: System, bodies: frozenset[int]) -> set[int]:
     """Numbers of the edges that some of these bodies are connected by."""
-    found = system._queries.get("analysis edges at")
-    if found is None:
-        found = system._queries["analysis edges at"] = [[] for _ in system.body_names]
-        for i, edge in enumerate(structure(system).edges):
-            found[edge.parent].append(i)
-            found[edge.child].append(i)
+    found = _edges_of_bodies(system)
     return {i for body in bodies for i in found[body]}
 
 
-def between(system: System, i: int, k: int) -> frozenset[int]:
-    """Numbers of the bodies that two joints in series part from the ground."""
-    key = ("analysis between", i, k)
-    found = system._queries.get(key)
-    if found is None:
-        found = system._queries[key] = _between(system, structure(system), i, k)
+@kept
+def _edges_of_bodies(system: System) -> list[list[int]]:
+    found: list[list[int]] = [[] for _ in system.body_names]
+    for i, edge in enumerate(structure(system).edges):
+        found[edge.parent].append(i)
+        found[edge.child].append(i)
     return found
 
 
-def _between(system: System, s: Structure, i: int, k: int) -> frozenset[int]:
+@kept
+def between(system: System, i: int, k: int) -> frozenset[int]:
+    """Numbers of the bodies that two joints in series part from the ground."""
+    s = structure(system)
     links: dict[int, list[int]] = {}
     for n, e in enumerate(s.edges):
         if n not in (i, k):

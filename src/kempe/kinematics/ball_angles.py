@@ -15,6 +15,7 @@ import numpy as np
 from kempe import spatial
 from kempe.description.parts import Joint
 from kempe.joints import R
+from kempe.model.kept import kept
 from kempe.model.reduced import plain
 from kempe.placement import place
 from kempe.spatial import Array
@@ -61,21 +62,19 @@ def back(system: System, q: Array, turned: dict[str, Array]) -> Array:
     return q
 
 
+@kept
 def _balls(system: System) -> dict[str, list[int]]:
-    """Places in q of the three angles of each ball that has its own, found once."""
-    found = system._queries.get("ball angles")
-    if found is None:
-        names = {n: i for i, n in enumerate(system.coordinate_names)}
-        related = {f.source for f in system.couplings.values()} | set(system.couplings)
-        related |= {n for r in system.relations for n in (r.of, *r.sources)}
-        found = {}
-        for joint in system.joints.values():
-            particle = system.mechanism.bodies[joint.child].particle
-            own, steps = joint.type.layout(system.dim, particle)
-            last = steps[-3:] if plain(steps) else ()
-            angles = [f"{joint.name}.{own[p.coordinate]}" for p in last if p.kind == R]
-            if [p.axis for p in last] == ["z", "y", "x"] and len(angles) == 3:
-                if set(angles) <= set(names) and not related & set(angles):
-                    found[joint.name] = [names[n] for n in angles]
-        system._queries["ball angles"] = found
+    """Places in q of the three angles of each ball that has its own."""
+    names = {n: i for i, n in enumerate(system.coordinate_names)}
+    related = {f.source for f in system.couplings.values()} | set(system.couplings)
+    related |= {n for r in system.relations for n in (r.of, *r.sources)}
+    found = {}
+    for joint in system.joints.values():
+        particle = system.mechanism.bodies[joint.child].particle
+        own, steps = joint.type.layout(system.dim, particle)
+        last = steps[-3:] if plain(steps) else ()
+        angles = [f"{joint.name}.{own[p.coordinate]}" for p in last if p.kind == R]
+        if [p.axis for p in last] == ["z", "y", "x"] and len(angles) == 3:
+            if set(angles) <= set(names) and not related & set(angles):
+                found[joint.name] = [names[n] for n in angles]
     return found

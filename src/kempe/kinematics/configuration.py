@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from kempe.calls import explained, generator, numbers, together
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.coordinates import returning
+from kempe.model.kept import kept
 from kempe.model.topology import natural
 from kempe.reals import PLAIN, converted, is_plain, named, reals, rows_of
 from kempe.spatial import Array
@@ -58,14 +59,11 @@ def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]]
     return array
 
 
+@kept
 def has_loops(system: System) -> bool:
     """Whether equations tie the coordinates: of loops, of declared constraints, or relations of several coordinates."""
-    found = system._queries.get("has loops")  # looked up once
-    if found is None:
-        tied = system.closures or system.relations
-        declared = system._mechanism.constraints.values()
-        found = system._queries["has loops"] = bool(tied) or any(c.equations(system.dim) for c in declared)
-    return found
+    tied = system.closures or system.relations
+    return bool(tied) or any(c.equations(system.dim) for c in system._mechanism.constraints.values())
 
 
 def home_of(system: System) -> Array:
@@ -103,15 +101,18 @@ def closed_from(system: System, coordinates: Mapping[str, Any], near: Any = None
                      f"coordinates must close them: {why} (an array of all {system.nq} is taken as it is)")  # fmt: skip
 
 
+@kept
+def _places(system: System) -> dict[str, int]:
+    return {n: i for i, n in enumerate(system.coordinate_names)}
+
+
 @explained
 def q_from_dict(system: System, coordinates: Mapping[str, Any], base: ArrayLike | None = None) -> Array:
     """Configuration (..., nq) from values by coordinate name; the others are neutral, or as in `base` (..., nq)."""
     given = named(coordinates)
     if given is None:
         raise InputError(f"coordinates are {type(coordinates).__name__}; they must be a dict by coordinate name")
-    index = system._queries.get("places")  # made once
-    if index is None:
-        index = system._queries["places"] = {n: i for i, n in enumerate(system.coordinate_names)}
+    index = _places(system)
     values, single = [], True
     for name, number in given.items():
         if name not in index:

@@ -16,6 +16,7 @@ from kempe.kernels.layout import BODY, WORLD, WORLD_ALIGNED, fuse
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.gauge import regauge
+from kempe.model.kept import kept
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -180,6 +181,11 @@ def _query(system: System, frame: FrameLike) -> Any:
     return found
 
 
+@kept
+def _packed(system: System, frames: tuple[str, ...] | None) -> tuple[np.ndarray, Array]:
+    return system.table.pack(system.body_names if frames is None else frames)
+
+
 @explained
 def fk(
     system: System, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
@@ -198,11 +204,7 @@ def fk(
     if frame is not None and not isinstance(frame, (list, tuple)):
         return _query(system, frame)(None, q, out, threads)
     key = None if frame is None else tuple(system.frame_name(f) for f in frame)
-    packed = system._queries.get(("poses", key))
-    if packed is None:
-        packed = system.table.pack(system.body_names if key is None else key)
-        system._queries[("poses", key)] = packed
-    ints, floats = packed
+    ints, floats = _packed(system, key)
     q = as_q(system, q)
     k = len(system.body_names) if key is None else len(key)
     out, q = _out(out, (*q.shape[:-1], k, 4, 4)), _apart(q, out)

@@ -18,6 +18,7 @@ from kempe.calls import explained, numbers
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q, home_of
 from kempe.kinematics.forward import fk
+from kempe.model.kept import kept
 from kempe.model.lengths import origin_of
 from kempe.rigid import arrays, sound
 from kempe.spatial import Array
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 
+@kept
 def maximal(system: System) -> System:
     """The system in maximal coordinates: each body hangs on a free joint from the ground, and all joints are cut.
 
@@ -35,13 +37,6 @@ def maximal(system: System) -> System:
     Couplings, locks, limits, declared constraints and parameters are those of the system; so are the
     postures, and where there is none 'closed' is home, bodies in place.
     """
-    found = system._queries.get("maximal")
-    if found is None:
-        found = system._queries["maximal"] = _taken_apart(system)
-    return found
-
-
-def _taken_apart(system: System) -> System:
     m = system.mechanism.copy()
     joints, m.joints, m.name = m.joints, {}, f"{m.name}, maximal"
     m.bodies = {body: m.bodies[body] for body in system.body_names}

@@ -15,6 +15,7 @@ import numpy as np
 
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.loops import full
+from kempe.model.kept import kept
 from kempe.model.loops import Loops, loops_of
 from kempe.spatial import Array
 
@@ -133,15 +134,9 @@ class OneSided:
         return f"{self.names[k]}, {end} end" if both else self.names[k]
 
 
+@kept
 def one_sided_rows(system: System) -> OneSided:
-    """The one-sided rows of a system, packed once."""
-    found = system._queries.get("one-sided")
-    if found is None:
-        found = system._queries["one-sided"] = _made(system)
-    return found
-
-
-def _made(system: System) -> OneSided:
+    """The one-sided rows of a system, packed."""
     at, v = system.layout.vector_q, system.layout.vector_v
     limited = np.isfinite(system.lower[v]) | np.isfinite(system.upper[v])
     at, v = at[limited], v[limited]

@@ -19,6 +19,7 @@ from kempe.constraints.reading import numbers_of, tilt_of
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.forward import fk
+from kempe.model.kept import kept
 from kempe.model.loops import Centre, Tie
 from kempe.model.table import Table
 from kempe.spatial import Array
@@ -330,14 +331,17 @@ class Centred(Placed):
     def place(self, system: System, q: Array, hold: Hold | None = None) -> Array:
         """The centre, by the forward model."""
         points = self._points(system)
-        found = system._queries.get(("centre", points))
-        if found is None:
-            frames = [f for f, _, _ in points]
-            names = list(dict.fromkeys([*system.body_names, *frames]))  # all bodies at once are quicker than some
-            moments = np.zeros((len(names), 4))
-            for f, p, mass in points:
-                moments[names.index(f)] += *(mass * x for x in p), mass
-            found = None if len(names) == len(system.body_names) else names, moments
-            system._queries["centre", points] = found
-        X = fk(system, q, found[0])
-        return spatial.pose(p=np.einsum("...kij,kj->...i", X[..., :3, :], found[1]))
+        names, moments = _moments(system, points)
+        return spatial.pose(p=np.einsum("...kij,kj->...i", fk(system, q, names)[..., :3, :], moments))
+
+
+@kept
+def _moments(
+    system: System, points: tuple[tuple[str, tuple[float, ...], float], ...]
+) -> tuple[list[str] | None, Array]:  # fmt: skip
+    """Frames, None for all bodies, and for each of them what its pose is multiplied by to give its part of a centre."""
+    names = list(dict.fromkeys([*system.body_names, *(f for f, _, _ in points)]))  # all bodies are quicker than some
+    moments = np.zeros((len(names), 4))
+    for f, p, mass in points:
+        moments[names.index(f)] += *(mass * x for x in p), mass
+    return None if len(names) == len(system.body_names) else names, moments

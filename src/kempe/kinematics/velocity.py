@@ -18,6 +18,7 @@ from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.record import Form, Num, Recorder
 from kempe.kinematics.recorded import CLOCK, RowName, Rows
+from kempe.model.kept import kept
 from kempe.model.lengths import characteristic_length
 from kempe.model.loops import held_ties
 from kempe.model.program import ends_of, numbers_of
@@ -46,26 +47,22 @@ def row_names(system: System) -> tuple[tuple[str, str], ...]:
     return tuple((r.of, r.name) for r in velocity_rows(system).names)
 
 
+@kept
 def velocity_rows(system: System) -> Rows:
-    """The rows of the declared velocity constraints, recorded once."""
-    found = system._queries.get("velocity rows")
-    if found is None:
-        found = system._queries["velocity rows"] = _recorded(system, system.table, False)
-    return found
+    """The rows of the declared velocity constraints, recorded."""
+    return _recorded(system, system.table, False)
 
 
+@kept
 def tangent_rows(system: System) -> Rows:
-    """The rows of all constraints, recorded once: tangents of what holds positions, and velocity constraints.
+    """The rows of all constraints, recorded: tangents of what holds positions, and velocity constraints.
 
     Joints that the tree left out are led on through their own motion, so that all coordinates count. One-sided rows are
     there, as if they were active.
     """
-    found = system._queries.get("tangent rows")
-    if found is None:
-        m = system.mechanism
-        table = lower(m, system.topology, system.coordinates, m.parameters, dict.fromkeys(system.closures, True))
-        found = system._queries["tangent rows"] = _recorded(system, table, True)
-    return found
+    m = system.mechanism
+    table = lower(m, system.topology, system.coordinates, m.parameters, dict.fromkeys(system.closures, True))
+    return _recorded(system, table, True)
 
 
 def _recorded(system: System, table: Table, positions: bool) -> Rows:

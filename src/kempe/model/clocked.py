@@ -13,6 +13,7 @@ from kempe.constraints.base import Constraint
 from kempe.constraints.equations import Call
 from kempe.constraints.tape import TIME
 from kempe.errors import InputError, shown
+from kempe.model.kept import kept
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
@@ -33,12 +34,14 @@ def at_time(system: System, t: float) -> System:
         raise InputError(f"t is {t!r}; it must be one time, a finite number: many are for drive(times=...)")
     if not t or not timed(system):
         return system
-    found: Any = system._queries.get("at time")
-    if found is None:
-        m = _plain(system, ())
-        m.parameter(TIME, 0.0)
-        found = system._queries["at time"] = m.build()
-    return found.with_parameters(**{TIME: float(t)})
+    return _at_zero(system).with_parameters(**{TIME: float(t)})
+
+
+@kept
+def _at_zero(system: System) -> Any:
+    m = _plain(system, ())
+    m.parameter(TIME, 0.0)
+    return m.build()
 
 
 def also_holding(system: System, further: Any) -> System:
@@ -61,14 +64,12 @@ def also_holding(system: System, further: Any) -> System:
     return type(system)(m, system.topology)
 
 
+@kept
 def clocked(system: System) -> System:
     """The system with the time as its last coordinate, a slide that nothing but equations reads."""
-    found = system._queries.get("clocked")
-    if found is None:
-        m = _plain(system, (TIME,))
-        m.prismatic(TIME, m.ground, m.body(_free(m, "clock")), axis="x")
-        found = system._queries["clocked"] = m.build()
-    return found
+    m = _plain(system, (TIME,))
+    m.prismatic(TIME, m.ground, m.body(_free(m, "clock")), axis="x")
+    return m.build()
 
 
 def _free(m: Mechanism, name: str) -> str:

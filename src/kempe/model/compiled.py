@@ -27,7 +27,10 @@ class Compiled:
     _topology: Topology
     _coordinates: Coordinates
     _table: Table
-    _queries: dict[object, Any]
+    _queries: dict[Any, Any]
+    """Bound forms of single calls, by what they are bound to."""
+    _kept: dict[Any, dict[Any, Any]]
+    """Answers of functions that are `kempe.model.kept.kept`."""
 
     def __init__(self, mechanism: Mechanism, topology: Topology | None = None, table: Table | None = None):
         own = vars(self)  # attributes cannot be set: the system is frozen
@@ -37,7 +40,7 @@ class Compiled:
         own["_table"] = (
             lower(mechanism, self._topology, self._coordinates, mechanism.parameters) if table is None else table
         )
-        own["_queries"] = {}
+        own["_queries"], own["_kept"] = {}, {}
         self._check()
 
     def __setattr__(self, name: str, value: object) -> None:

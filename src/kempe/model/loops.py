@@ -18,6 +18,7 @@ import numpy as np
 
 from kempe.description.parts import Joint
 from kempe.kernels import loop_layout as L
+from kempe.model.kept import kept
 from kempe.model.lengths import characteristic_length, moved, origin_of
 from kempe.model.loop_plan import Plan, moving
 from kempe.model.program import coordinates_of, declared_ties
@@ -61,11 +62,15 @@ def loops_of(
     frames that are held in place (with their orientation where the flag says so). Equations and unknowns are scaled by
     `length` (default: the characteristic length); with length 1 they are in metres.
     """
-    key = ("loops", carried, held, pins, length, one_sided)
-    found = system._queries.get(key)
-    if found is None:
-        found = system._queries[key] = pack(system, carried, held, pins, length, one_sided=one_sided)
-    return found
+    return _packed(system, carried, held, pins, length, one_sided)
+
+
+@kept
+def _packed(
+    system: System, carried: frozenset[str], held: frozenset[str], pins: tuple[tuple[str, bool], ...],
+    length: float | None, one_sided: bool,
+) -> Loops:  # fmt: skip
+    return pack(system, carried, held, pins, length, one_sided=one_sided)
 
 
 def pack(

@@ -11,25 +11,22 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from kempe.model.kept import kept
 from kempe.model.topology import Topology, spanning_tree
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
 
+@kept
 def own_tree(system: System) -> System:
     """The system itself, or, where marks `cut` change its tree, the same without marks; coordinates are the same."""
-    found = system._queries.get("own tree")
-    if found is None:
-        found = system
-        if any(joint.cut for joint in system._mechanism.joints.values()):
-            mechanism = system.mechanism
-            mechanism.joints |= {name: replace(joint, cut=False) for name, joint in mechanism.joints.items()}
-            tree = spanning_tree(mechanism)
-            if tree != system.topology and not _keeps_free(system, tree):
-                found = type(system)(mechanism, tree)
-        system._queries["own tree"] = found
-    return found
+    if not any(joint.cut for joint in system._mechanism.joints.values()):
+        return system
+    mechanism = system.mechanism
+    mechanism.joints |= {name: replace(joint, cut=False) for name, joint in mechanism.joints.items()}
+    tree = spanning_tree(mechanism)
+    return system if tree == system.topology or _keeps_free(system, tree) else type(system)(mechanism, tree)
 
 
 def _keeps_free(system: System, tree: Topology) -> bool:

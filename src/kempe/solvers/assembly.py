@@ -20,6 +20,7 @@ from kempe.kinematics.loops import freedoms_left
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.clocked import also_holding, at_time
+from kempe.model.kept import kept
 from kempe.model.loops import Loops, loops_of, must_carry
 from kempe.model.own_tree import own_tree
 from kempe.reals import reals
@@ -317,23 +318,18 @@ def limitless(system: System, loops: Loops) -> Array:
 
 @explained
 def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
-    """The bound form of `assemble` for these known names, made once. Errors: `UnknownNameError`, `InputError`."""
-    key = ("assembler", listed(known, "known"))
-    found = system._queries.get(key)
-    if found is None:
-        found = system._queries[key] = Assembler(system, key[1])
-    return found
+    """The bound form of `assemble` for these known names. Errors: `UnknownNameError`, `InputError`."""
+    return _assembler(system, listed(known, "known"), True)
+
+
+@kept
+def _assembler(system: System, known: tuple[str, ...], one_sided: bool) -> Assembler:
+    return Assembler(system, listed(known, "known"), one_sided=one_sided)
 
 
 def of_equations(system: System, known: Iterable[str] = ()) -> Assembler:
     """As `assembler`, but one-sided constraints do not count: what they leave out is looked at elsewhere."""
-    if not one_sided_rows(system).declared:
-        return assembler(system, known)
-    key = ("assembler of equations", listed(known, "known"))
-    found = system._queries.get(key)
-    if found is None:
-        found = system._queries[key] = Assembler(system, key[1], one_sided=False)
-    return found
+    return _assembler(system, listed(known, "known"), not one_sided_rows(system).declared)
 
 
 @explained
@@ -365,7 +361,7 @@ def assemble(
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
     if also.__class__ is not tuple or also or t.__class__ is not float or t:
         system = at_time(also_holding(system, also), t)
-    bound = system._queries.get(("assembler", tuple(given))) or assembler(system, given)
+    bound = _assembler(system, tuple(given), True)
     if branch is not None:
         if branch in system.posture_names:
             near = system.posture(branch) if near is None else near

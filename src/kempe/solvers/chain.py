@@ -12,6 +12,7 @@ from kempe.errors import UnsupportedError
 from kempe.kernels.layout import HEADER, KIND, MULTIPLIER, N_ROWS, ROW_FLOATS, ROW_INTS, SLIDE, TURN, V_INDEX
 from kempe.kernels.search_layout import LARGEST
 from kempe.model.gauge import regauge
+from kempe.model.kept import kept
 from kempe.model.table import local_chain
 from kempe.solvers.span import Span, span_of
 from kempe.solvers.targets import Z_AXIS, frame_of
@@ -53,15 +54,16 @@ class Chain:
 
 
 def chain_of(system: System, name: str, axis: tuple[float, float, float] = Z_AXIS) -> Chain:
-    """The packed chain of a frame, its z axis turned to `axis`, made once.
+    """The packed chain of a frame, its z axis turned to `axis`.
 
     Errors: `UnsupportedError` where loops or relations move it.
     """
-    key = ("ik", name, axis)
-    chain = system._queries.get(key)
-    if chain is None:
-        chain = system._queries[key] = _chain(system, name) if axis == Z_AXIS else _turned(chain_of(system, name), axis)
-    return chain
+    return _packed(system, name, axis)
+
+
+@kept
+def _packed(system: System, name: str, axis: tuple[float, float, float]) -> Chain:
+    return _chain(system, name) if axis == Z_AXIS else _turned(chain_of(system, name), axis)
 
 
 def _turned(chain: Chain, axis: tuple[float, float, float]) -> Chain:
@@ -102,16 +104,10 @@ def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     return turns, slides
 
 
+@kept
 def obstacle(system: System, name: str) -> str | None:
-    """Why no chain of its own leads to a frame: a loop or a relation that moves it; None if one does. Found once."""
-    key = ("obstacle", name)
-    if key not in system._queries:
-        _, _, v_index = local_chain(system.table, name)
-        system._queries[key] = _obstacle(system, name, {system.velocity_names[i] for i in v_index})
-    return system._queries[key]
-
-
-def _obstacle(system: System, name: str, used: set[str]) -> str | None:
+    """Why no chain of its own leads to a frame: a loop or a relation that moves it; None if one does."""
+    used = {system.velocity_names[i] for i in local_chain(system.table, name)[2]}
     for closure in system.closures:
         if used & loop_coordinates(system, closure):
             return f"frame {name!r} moves with the loop that joint {closure!r} closes: no chain of its own leads there"

@@ -11,6 +11,7 @@ import numpy as np
 from kempe.joints import R
 from kempe.kinematics.forward import fk
 from kempe.model.coordinates import coordinate_names
+from kempe.model.kept import kept
 from kempe.model.loops import characteristic_length
 from kempe.spatial import Array, unit
 
@@ -80,12 +81,10 @@ class Metric:
         return q
 
 
+@kept
 def metric_of(system: System) -> Metric:
-    """The metric of a system, made once."""
-    found = system._queries.get("metric")
-    if found is None:
-        found = system._queries["metric"] = Metric(system)
-    return found
+    """The metric of a system."""
+    return Metric(system)
 
 
 def _periods(system: System) -> Array:

@@ -16,6 +16,7 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q, as_start
 from kempe.kinematics.forward import fk
 from kempe.kinematics.parallel import over_chunks
+from kempe.model.kept import kept
 from kempe.reals import reals
 from kempe.solvers.decompose import Dyad, End, parts_of
 from kempe.solvers.rings import Decomposition
@@ -225,11 +226,7 @@ def closed_form(system: System, known: Sequence[str] | str) -> Plan | Incomplete
     followers, and rings of three rigid clusters (dyads, or Assur groups of the second class). Errors:
     `UnknownNameError` for the names, `InputError` for one that is not in q.
     """
-    names = listed(known, "known")
-    key = ("dyads", names)
-    if key not in system._queries:
-        system._queries[key] = _closed_form(system, names)
-    return system._queries[key]
+    return _closed_form(system, listed(known, "known"))
 
 
 def source_values(system: System, known: Mapping[str, Any]) -> dict[str, Any]:
@@ -267,6 +264,7 @@ def on_branch(system: System, known: Mapping[str, Any], branch: Any, near: Any =
     return plan.solve(stacked, branch, near)[0]
 
 
+@kept
 def _closed_form(system: System, names: tuple[str, ...]) -> Plan | Incomplete:
     slots = {c: i for i, c in enumerate(system.coordinate_names)}
     for name in names:

@@ -10,6 +10,7 @@ from kempe.joints import P
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import sampling_box
 from kempe.kinematics.task import Centred, Placed
+from kempe.model.kept import kept
 from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
@@ -50,11 +51,9 @@ def beside(problem: Problem, home: Array) -> Array:
     return home[None]
 
 
+@kept
 def _slides(system: System) -> list[int]:
-    """Velocity coordinates without limits that slide along axes that nothing turns, looked up once."""
-    found = system._queries.get("slides")
-    if found is not None:
-        return found
+    """Velocity coordinates without limits that slide along axes that nothing turns."""
     table, out = system.table, []
     straight: set[int] = {-1}
     for row, (kind, parent, v) in enumerate(zip(table.kind, table.parent, table.iv, strict=True)):
@@ -62,7 +61,6 @@ def _slides(system: System) -> list[int]:
             straight.add(row)
             if np.isinf(system.lower[v]) and np.isinf(system.upper[v]) and np.sum(table.iv == v) == 1:
                 out.append(int(v))
-    system._queries["slides"] = out
     return out
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from kempe.description.parts import Declared
 from kempe.kinematics.forward import fk
+from kempe.model.kept import kept
 from kempe.model.loops import characteristic_length
 from kempe.solvers.poses import coordinates_at
 from kempe.spatial import Array
@@ -50,12 +51,10 @@ def mixed(system: System, q: Array, n: int, rng: np.random.Generator) -> Array:
     return np.where((rng.random((n, len(joints))) < 0.5)[:, place], q[first], q[second])
 
 
+@kept
 def _points(system: System) -> list[Array]:
     """For each body the points (k, 3) of joints and constraints on it, in its axes; of hinges and slides a second one
     on their axis, which a mirror image must keep as well."""  # fmt: skip
-    found = system._queries.get("points of bodies")
-    if found is not None:
-        return found
     m, number, length = system.mechanism, {b: i for i, b in enumerate(system.body_names)}, characteristic_length(system)
     points: list[list[Array]] = [[] for _ in system.body_names]
     for owner in (*m.joints.values(), *(c for c in m.constraints.values() if c.parent)):
@@ -77,24 +76,20 @@ def _points(system: System) -> list[Array]:
             along = X[:3, "xyz".index(letter)] if letter else np.zeros(3)
             if system.dim == 3 or np.abs(along[2]) < 0.5:
                 points[number[body]].append(X[:3, 3] + length * along)
-    out = [np.array(p).reshape(-1, 3) for p in points]
-    system._queries["points of bodies"] = out
-    return out
+    return [np.array(p).reshape(-1, 3) for p in points]
 
 
+@kept
 def _plane(system: System) -> tuple[Array, Array] | None:
-    """A point and the normal of the plane, in a planar system of the line, that the ground's points lie in; kept."""
-    found = system._queries.get("plane of the ground", ())
-    if found != ():
-        return found
-    points, dim, found = _points(system)[0], system.dim, None
-    if len(points):
-        center = points.mean(axis=0)
-        _, sizes, V = np.linalg.svd((points - center)[:, :dim])
-        if len(sizes) < dim or sizes[-1] <= FLAT * characteristic_length(system):
-            found = center, np.append(V[-1], np.zeros(3 - dim))
-    system._queries["plane of the ground"] = found
-    return found
+    """A point and the normal of the plane, in a planar system of the line, that the ground's points lie in."""
+    points, dim = _points(system)[0], system.dim
+    if not len(points):
+        return None
+    center = points.mean(axis=0)
+    _, sizes, V = np.linalg.svd((points - center)[:, :dim])
+    if len(sizes) == dim and sizes[-1] > FLAT * characteristic_length(system):
+        return None
+    return center, np.append(V[-1], np.zeros(3 - dim))
 
 
 def _fitted(system: System, body: int, points: Array, image: Array, poses: Array) -> Array:

@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from kempe.kernels import loop_layout as L
 from kempe.kernels import search_layout as S
 from kempe.kinematics.packed import Packed, lead_of
 from kempe.kinematics.task import Task
+from kempe.model.kept import keep
 from kempe.solvers import effort
 from kempe.spatial import Array
 
@@ -50,21 +51,13 @@ def packed_for(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
         if any(soft for _, soft in order[:-1]):
             levels = tuple(order.index(level_of(t)) for t in tasks)
     key = (turns, levels, *((type(t), t.label, t.structure(system)) for t in tasks))
-    kept = system._queries.setdefault("tasks", {})
-    found = kept.get(key)
+    answers = system._kept.setdefault(packed_for, {})
+    found = answers.get(key)
     if found is None:
         found = Packed(system, tasks, turns=turns, levels=levels)
         if all(t.lasting for t in tasks):
-            keep(kept, key, found)
+            keep(answers, key, found, KEPT)
     return found
-
-
-def keep(kept: dict[Any, Any], key: Any, value: Any) -> Any:
-    """The value, kept in place of the oldest where there are many."""
-    while len(kept) >= KEPT:
-        kept.pop(next(iter(list(kept)), None), None)
-    kept[key] = value
-    return value
 
 
 def solve(
@@ -143,7 +136,7 @@ def _cut(problem: Problem, where: Callable[[Problem, Level], bool]) -> Level | N
     ends = problem.packed.stages.get(asked)
     if ends is None:
         order = sorted(set(levels))
-        ends = keep(problem.packed.stages, asked, [end for end in order[:-1] if where(problem, end)][-1:])
+        ends = keep(problem.packed.stages, asked, [end for end in order[:-1] if where(problem, end)][-1:], KEPT)
     return ends[0] if ends else None
 
 
@@ -174,7 +167,7 @@ def _part(problem: Problem, end: Level) -> Problem:
     if packed is None:
         chosen = tuple(i for i, level in enumerate(levels) if level <= end)
         packed = packed_for(problem.system, tuple(problem.tasks[i] for i in chosen), problem.packed.turns)
-        keep(problem.packed.stages, asked, (chosen, packed))
+        keep(problem.packed.stages, asked, (chosen, packed), KEPT)
     tasks, goals = tuple([problem.tasks[i] for i in chosen]), tuple([problem.goals[i] for i in chosen])
     pins = packed.pins(goals, problem.lead if lead_of(goals) else ())
     use = (True,) * len(tasks)

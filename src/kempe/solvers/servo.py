@@ -15,6 +15,7 @@ from kempe.kernels.layout import BALL, TURN
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import refuse_bad
 from kempe.kinematics.one_sided import one_sided_rows
+from kempe.model.kept import kept
 from kempe.model.own_tree import own_tree
 from kempe.reals import reals
 from kempe.rigid import arrays, sound
@@ -165,9 +166,7 @@ def ik_step(
     name = system.frame_name(frame)
     if rolls(system) or obstacle(system, name) or one_sided_rows(system).declared:
         return _held_step(system, q, wanted, name, dt, speed, damping, keep_direction, w)
-    servo = system._queries.get(("step", name))
-    if servo is None:
-        servo = system._queries[("step", name)] = Servo(system, name)
+    servo = _servo(system, name)
     pose, J = servo.query.pose_and_jacobian(q)
     J = J[:, servo.v]
     x = _motion(wanted)
@@ -184,18 +183,19 @@ def ik_step(
     return IkStep(servo.after(q, velocity, dt), velocity, J @ own, _part(A @ own, b), tuple(servo.names[i] for i in at))
 
 
+@kept
+def _servo(system: System, frame: str) -> Servo:
+    return Servo(system, frame)
+
+
 def _held_step(
     system: System, q: Array, wanted: Any, frame: str | None, dt: float, speed: Array, damping: float, direction: bool,
     weights: Array | None,
 ) -> IkStep:  # fmt: skip
     """A step for a frame, or for tasks, while the system's loops and relations stay closed."""
-    from kempe.solvers.servo_closed import Closed
-
     if not np.isfinite(q).all():
         refuse_bad(system, q)
-    closed = system._queries.get(("step", None))
-    if closed is None:
-        closed = system._queries[("step", None)] = Closed(system)
+    closed = _closed(system)
     at, J = _asked(system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights)
     low, high = closed.box(q, dt, speed)
     stages = at(q)
@@ -231,6 +231,13 @@ def _asked(
     return at, query.jacobian(q)
 
 
+@kept
+def _closed(system: System) -> Any:
+    from kempe.solvers.servo_closed import Closed
+
+    return Closed(system)
+
+
 def _part(had: Array, asked: Array) -> float:
     """Which part of what is asked is had."""
     square = float(asked @ asked)
@@ -256,21 +263,19 @@ def _is_pose(x: Array) -> bool:
     return off < SKEW and math.isfinite(x[:3, 3].sum()) and float(R[2] @ np.cross(R[0], R[1])) > 0.0
 
 
+@kept
 def speeds(system: System) -> Array:
     """Largest speeds (nv,) that steps keep: those of the system, and where it has none `TURNING` and `SLIDING`.
 
     What follows a coordinate counts, too: nothing that it turns or slides is faster than that.
     """
-    found = system._queries.get(("step", "speeds"))
-    if found is None:
-        table, given = own_tree(system).table, system.velocity_limits
-        usual = np.where(system.coordinates.turning, TURNING, SLIDING)
-        usual[system.layout.quaternion_v[:, None] + np.arange(3)] = TURNING
-        for kind, v, m in zip(table.kind.tolist(), table.iv.tolist(), table.multiplier.tolist(), strict=True):
-            if kind != BALL:
-                usual[v] = min(usual[v], (TURNING if kind == TURN else SLIDING) / abs(m))
-        found = system._queries[("step", "speeds")] = np.where(np.isfinite(given), given, usual)
-    return found
+    table, given = own_tree(system).table, system.velocity_limits
+    usual = np.where(system.coordinates.turning, TURNING, SLIDING)
+    usual[system.layout.quaternion_v[:, None] + np.arange(3)] = TURNING
+    for kind, v, m in zip(table.kind.tolist(), table.iv.tolist(), table.multiplier.tolist(), strict=True):
+        if kind != BALL:
+            usual[v] = min(usual[v], (TURNING if kind == TURN else SLIDING) / abs(m))
+    return np.where(np.isfinite(given), given, usual)
 
 
 def _numbers(x: Any, n: int, what: str) -> Array:

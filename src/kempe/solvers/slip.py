@@ -8,6 +8,7 @@ import numpy as np
 
 from kempe.errors import InputError
 from kempe.kinematics.velocity import rates, row_names, velocity_rows
+from kempe.model.kept import kept
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -23,12 +24,10 @@ CONTRADICTION = 1e-9
 """By how much velocity rows may contradict loops, of rows of size 1."""
 
 
+@kept
 def rolls(system: System) -> bool:
     """Whether the system has velocity constraints."""
-    found = system._queries.get("rolls")  # looked up once
-    if found is None:
-        found = system._queries["rolls"] = bool(row_names(system))
-    return found
+    return bool(row_names(system))
 
 
 def way_there(system: System) -> str:

@@ -21,6 +21,7 @@ from kempe.kinematics.packed import Packed, lead_of, refuse
 from kempe.kinematics.parallel import over_chunks
 from kempe.kinematics.task import Goals, Task
 from kempe.model.callback import Callback
+from kempe.model.kept import keep, kept
 from kempe.reals import is_whole
 from kempe.solvers import effort
 from kempe.solvers.apart import apart
@@ -33,7 +34,7 @@ from kempe.solvers.contradictions import contradictory
 from kempe.solvers.effort import most_starts
 from kempe.solvers.home import beside
 from kempe.solvers.lengths import unreachable
-from kempe.solvers.levels import keep, level_of, packed_for, solve
+from kempe.solvers.levels import KEPT, level_of, packed_for, solve
 from kempe.solvers.reached import Reached
 from kempe.solvers.solution import BAD_INPUT, CONTRADICTORY, NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED
 from kempe.spatial import Array
@@ -162,7 +163,7 @@ class Problem:
         if found is None:
             hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
             allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
-            found = keep(self.packed.stages, asked, (*self._staged(), hard, allowed))
+            found = keep(self.packed.stages, asked, (*self._staged(), hard, allowed), KEPT)
         return found
 
     def _staged(self) -> tuple[np.ndarray, Array]:
@@ -268,12 +269,10 @@ def pose_problem(
     return problem, np.ascontiguousarray(starts_at)
 
 
+@kept
 def _home(system: System) -> Array:
-    """Where one starts who is told nothing, looked up once."""
-    found = system._queries.get("tasks home")
-    if found is None:
-        found = system._queries["tasks home"] = home_of(system)
-    return found
+    """Where a search starts by default."""
+    return home_of(system)
 
 
 def _distinct(wanted: Any, dim: int) -> tuple[Task, ...]:

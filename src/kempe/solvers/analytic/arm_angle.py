@@ -33,6 +33,7 @@ from kempe.calls import explained
 from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.layout import TURN
 from kempe.kinematics.configuration import as_q
+from kempe.model.kept import kept
 from kempe.reals import reals
 from kempe.solvers.analytic.ik_all import chain_lines
 from kempe.solvers.analytic.intervals import arcs, joined
@@ -128,13 +129,15 @@ def _reference(lines: Lines, given: ArrayLike | None) -> Array:
 
 
 def find_arm(system: System, frame: str, reference: ArrayLike | None = None) -> Arm | str:
-    """The arm that moves a frame, made once for the usual reference, or why there is none. Errors: `InputError`."""
+    """The arm that moves a frame, or why there is none. Errors: `InputError`."""
     if reference is not None:
         return arm_of(chain_lines(system, frame, Z_AXIS), reference)
-    arm = system._queries.get(("arm", frame))
-    if arm is None:
-        arm = system._queries["arm", frame] = arm_of(chain_lines(system, frame, Z_AXIS))
-    return arm
+    return _usual_arm(system, frame)
+
+
+@kept
+def _usual_arm(system: System, frame: str) -> Arm | str:
+    return arm_of(chain_lines(system, frame, Z_AXIS))
 
 
 def required_arm(system: System, frame: str, reference: ArrayLike | None = None) -> Arm:

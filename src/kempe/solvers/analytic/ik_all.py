@@ -17,6 +17,7 @@ from kempe.kernels.layout import SLIDE
 from kempe.kernels.search_layout import LARGEST
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
+from kempe.model.kept import kept
 from kempe.rigid import arrays, sound
 from kempe.solvers.analytic.choice import choose
 from kempe.solvers.analytic.lines import Lines, lines_of
@@ -148,31 +149,28 @@ def attainable(targets: Array, lines: Lines) -> float:
     return 16.0 * EPSILON * (far + lines.length * (1.0 + float(np.abs(lines.tip[:3, 3]).max())))
 
 
+@kept
 def chain_lines(system: System, frame: str, axis: tuple[float, float, float]) -> Lines:
-    """The lines of the frame's chain, its tip turned so that its z axis is the tool's `axis`; made once."""
-    key = ("lines", frame, axis)
-    lines = system._queries.get(key)
-    if lines is None:
-        lines = lines_of(system, frame)
-        if axis != Z_AXIS:
-            tip = lines.tip.copy()
-            tip[:3, :3] = tip[:3, :3] @ frame_of(np.array(axis))
-            lines = replace(lines, tip=tip)
-        system._queries[key] = lines
-    return lines
+    """The lines of the frame's chain, its tip turned so that its z axis is the tool's `axis`."""
+    lines = lines_of(system, frame)
+    if axis == Z_AXIS:
+        return lines
+    tip = lines.tip.copy()
+    tip[:3, :3] = tip[:3, :3] @ frame_of(np.array(axis))
+    return replace(lines, tip=tip)
 
 
 def plan_for(
     system: System, frame: str, lines: Lines, task: str, axis: tuple[float, float, float], fixed: tuple[str, ...]
 ) -> Plan:
-    """The plan for a task with these joints held, made once; of redundant chains more are held, by choice."""
-    key = ("ik_all", frame, task, axis, tuple(sorted(fixed)))
-    plan = system._queries.get(key)
-    if plan is None:
-        at = tuple(sorted(lines.names.index(n) for n in fixed))
-        planar = system.dim == 2
-        plan = system._queries[key] = replace(choose(lines, task, at, planar), fixed=at, planar=planar)
-    return plan
+    """The plan for a task with these joints held; of redundant chains more are held, by choice."""
+    return _plan(system, frame, task, axis, tuple(sorted(lines.names.index(n) for n in fixed)))
+
+
+@kept
+def _plan(system: System, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]) -> Plan:
+    planar = system.dim == 2
+    return replace(choose(chain_lines(system, frame, axis), task, at, planar), fixed=at, planar=planar)
 
 
 def solve(

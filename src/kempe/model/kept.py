@@ -1,0 +1,38 @@
+"""What follows from a system, and a few keys, alone is worked out once and kept with the system."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+MOST = 256
+"""Answers of one function that are kept with a system; the oldest go first."""
+
+Keys = ParamSpec("Keys")
+T = TypeVar("T")
+
+
+def kept(function: Callable[Concatenate[System, Keys], T]) -> Callable[Concatenate[System, Keys], T]:
+    """The function of a system and keys, which gives the same answer again where it was asked the same before."""
+
+    @wraps(function)
+    def call(system: System, *keys: Any) -> T:
+        answers = system._kept.get(function)
+        if answers is None:
+            answers = system._kept[function] = {}
+        found = answers.get(keys, answers)  # it never holds itself
+        return keep(answers, keys, function(system, *keys)) if found is answers else found  # type: ignore[call-arg]
+
+    return call  # type: ignore[return-value]
+
+
+def keep(answers: dict[Any, Any], key: Any, answer: T, most: int = MOST) -> T:
+    """The answer, kept; where there are too many, the oldest is dropped."""
+    while len(answers) >= most:
+        answers.pop(next(iter(list(answers)), None), None)
+    answers[key] = answer
+    return answer

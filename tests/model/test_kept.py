@@ -1,0 +1,66 @@
+"""What follows from a system is worked out once, and no list of kept answers grows without end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe.model.kept import MOST, keep, kept
+
+
+def test_once_for_each_system_and_keys():
+    calls = []
+
+    @kept
+    def answer(system, *keys):
+        calls.append((system, *keys))
+        return [*keys]
+
+    a, b = kempe.load("four_bar"), kempe.load("four_bar")
+    assert answer(a, 1) is answer(a, 1) and answer(a, 1) is not answer(b, 1) and answer(a) == []
+    assert calls == [(a, 1), (b, 1), (a,)]
+
+
+def test_none_and_errors():
+    calls = []
+
+    @kept
+    def nothing(system):
+        calls.append(system)
+
+    @kept
+    def failing(system):
+        raise ValueError("no")
+
+    s = kempe.load("four_bar")
+    assert nothing(s) is None and nothing(s) is None and len(calls) == 1
+    for _ in range(2):
+        with pytest.raises(ValueError, match="no") as caught:
+            failing(s)
+        assert caught.value.__context__ is None
+
+
+def test_the_oldest_go_first():
+    answers: dict = {}
+    for k in range(10):
+        assert keep(answers, k, -k, 4) == -k
+    assert answers == {6: -6, 7: -7, 8: -8, 9: -9}
+
+
+def test_a_system_does_not_grow_with_what_it_is_asked(hunt):
+    arm, rng = kempe.load("puma560"), hunt.rng()
+    X = arm.fk(arm.mid, "tool")
+    for _ in range(MOST + 50):
+        axis = rng.normal(size=3)
+        arm.ik(X, "tool", task="direction", axis=axis)
+    assert max(map(len, arm._kept.values())) <= MOST
+    assert len(arm._queries) < 10
+
+
+def test_copies_keep_nothing_of_the_original():
+    s = kempe.load("four_bar")
+    s.assemble({"A": 0.3})
+    other = s.with_parameters(a=0.2) if "a" in s.parameters else s.mechanism.build()
+    assert s._kept and not other._kept
+    assert np.all(np.isfinite(other.assemble({"A": 0.3}).q))
