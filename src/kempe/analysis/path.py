@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from kempe.analysis.continuation import Closure, least_squares_of_many
 from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError, shown
+from kempe.kinematics.measure import Judgement, judge
 from kempe.kinematics.tabular import Tabular, write_table
 from kempe.model.immovable import immovable
 from kempe.reals import is_whole
@@ -243,6 +244,16 @@ class Path(Configurations):
         return replace(self, q=q, s=s, closed=False, ends=ends, success=False, late=late, interrupted=interrupted,
                        remark=more)  # fmt: skip
 
+    @cached_property
+    def judged(self) -> Judgement:
+        """How far `q` misses what is declared, by poses multiplied out in numpy; see `kempe.kinematics.measure`."""
+        return judge(self.system, self.q)
+
+    @property
+    def verdict(self) -> str:
+        """What the judge says of the path, in one sentence; '' where there is nothing to judge."""
+        return str(self.judged) if len(self) and self.judged.names else ""
+
     def table(self, frames: Iterable[FrameLike] | None = None) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default: `self.frames`)."""
         return self._columns("s", self.s, self.frames if frames is None else frames)
@@ -270,6 +281,7 @@ class Path(Configurations):
         lines += [f"  {event}" for event in (*self.turning_points, *self.singular_points)]
         lines += [f"  another branch: {path.status}" for path in self.others]
         lines += [f"  {said}: trace(start=path.elsewhere[0])"] if (said := self.hint) else []
+        lines += [f"  {said}"] if (said := self.verdict) else []
         return "\n".join(lines)
 
     @cached_property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,9 +14,10 @@ from kempe.constraints.base import Constraint, Op, numbers_in
 from kempe.constraints.reading import numbers_of
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.forward import fk
-from kempe.kinematics.task import GROUND, Centred, Goals, Placed, Task
+from kempe.kinematics.measure import pose_inputs
+from kempe.kinematics.task import GROUND, At, Centred, Goals, Placed, Task
 from kempe.kinematics.tasks_whole import Called, Coordinates
-from kempe.kinematics.written import Written, pose_inputs
+from kempe.kinematics.written import Written
 from kempe.model.loops import Tie
 from kempe.model.program import ties
 from kempe.model.table import Table
@@ -81,8 +83,11 @@ class Expressed(Task):
             out.append((goal, np.stack(np.broadcast_arrays(*given), axis=-1) if given else None))
         return out
 
-    def measure(self, system: System, q: Array, goals: Goals | None = None) -> tuple[Array, Array]:
+    def measure(
+        self, system: System, q: Array, goals: Goals | None = None, at: At | None = None
+    ) -> tuple[Array, Array]:  # fmt: skip
         """The sizes of its values, those that are lengths and the others."""
+        at = at or partial(fk, system, q)
         squares = {"m": np.zeros(q.shape[:-1]), "rad": np.zeros(q.shape[:-1])}
         for tie, (goal, numbers) in zip(self.made, self.goals(system) if goals is None else goals, strict=True):
             assert tie.tape is not None
@@ -90,8 +95,8 @@ class Expressed(Task):
             inputs |= {} if numbers is None else {n: numbers[..., k] for k, n in enumerate(tie.tape.given)}
             if goal is not None:
                 a, b = self.names(system)
-                A = goal if a is None else fk(system, q, a) @ goal
-                X = spatial.inverse(A) @ fk(system, q, b) @ np.reshape(self.of.tool(self.dim), (4, 4))
+                A = goal if a is None else at(a) @ goal
+                X = spatial.inverse(A) @ at(b) @ np.reshape(self.of.tool(self.dim), (4, 4))
                 inputs |= pose_inputs(X)
             with np.errstate(all="ignore"):
                 value = tie.tape.tape.evaluate(inputs)

@@ -7,18 +7,19 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Hashable
-from functools import lru_cache
+from collections.abc import Callable, Hashable
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from kempe import spatial
-from kempe.constraints.base import HERE, Constraint, Op, Row, held, one_sided
-from kempe.constraints.reading import numbers_of, tilt_of
+from kempe.constraints.base import HERE, Constraint, Op, held, one_sided
+from kempe.constraints.reading import numbers_of
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.forward import fk
+from kempe.kinematics.measure import apart, shape_of
 from kempe.model.kept import kept
 from kempe.model.loops import Centre, Tie
 from kempe.model.table import Table
@@ -38,28 +39,8 @@ ABOVE, BELOW = (0.0, np.inf), (-np.inf, 0.0)
 """Bounds of what is measured from an end."""
 FAR = 1e6
 """Where an end is put that only some targets have, in metres."""
-
-
-class Shape(NamedTuple):
-    """What rows hold of a pose: directions, what of the rotation, and whether the distance."""
-
-    mask: int
-    turns: int
-    lengths: bool
-    angles: bool
-    axes: tuple[int, ...]
-
-
-@lru_cache(maxsize=512)
-def shape_of(rows: tuple[Row, ...], dim: int) -> Shape:
-    """What rows of one frame hold of its pose."""
-    turned = {
-        Op.ROTATION: L.ANGLE if dim == 2 else L.FULL, Op.TILT: L.ALIGN, Op.LOOK: L.LOOK, Op.DISTANCE: L.DISTANCE,
-    }  # fmt: skip
-    axes = tuple(r.args[0] for r in rows if r.op is Op.POINT)
-    turns = next((turned[r.op] for r in rows if r.op in turned), L.NO_TURN)
-    units = {r.unit for r in rows}
-    return Shape(sum(1 << a for a in axes), turns, "m" in units, "rad" in units, axes)
+At = Callable[[Any], Array]
+"""Poses (..., 4, 4) of a frame by name; of a list of names, or of all bodies for None, (..., n, 4, 4)."""
 
 
 class Hold(NamedTuple):
@@ -114,22 +95,13 @@ class Task(ABC):
         return set()
 
     @abstractmethod
-    def measure(self, system: System, q: Array, goals: Goals | None = None) -> tuple[Array, Array]:
+    def measure(
+        self, system: System, q: Array, goals: Goals | None = None, at: At | None = None
+    ) -> tuple[Array, Array]:  # fmt: skip
         """How far (...) it is missed at q (..., nq), in metres and in radians, by the forward model.
 
-        `goals` are its own, where they are at hand.
+        `goals` are its own, where they are at hand; `at` gives the poses of frames in place of the forward model.
         """
-
-
-def _size(p: Array) -> Array:
-    return np.sqrt(np.vecdot(p, p))
-
-
-def _between(R: Array, S: Array) -> Array:
-    """Angle (...) between two rotations, by how far their entries are apart: sqrt(8) times the sine of its half."""
-    d = R - S
-    d = d.reshape(*d.shape[:-2], 9)
-    return 2.0 * np.arcsin(np.minimum(np.sqrt(np.vecdot(d, d) / 8.0), 1.0))
 
 
 class Placed(Task):
@@ -245,51 +217,33 @@ class Placed(Task):
 
     # ---- how far it is missed
 
-    def place(self, system: System, q: Array, hold: Hold | None = None) -> Array:
-        """Where (..., 4, 4) the frame is in the ground, by the forward model."""
+    def place(self, system: System, at: At, hold: Hold | None = None) -> Array:
+        """Where (..., 4, 4) the frame is in the ground."""
         h = hold or self.hold(system)
-        X = fk(system, q, h.b)
+        X = at(h.b)
         return X if h.X_B is HERE else X @ np.reshape(h.X_B, (4, 4))
 
-    def measure(self, system: System, q: Array, goals: Goals | None = None) -> tuple[Array, Array]:
+    def measure(
+        self, system: System, q: Array, goals: Goals | None = None, at: At | None = None
+    ) -> tuple[Array, Array]:  # fmt: skip
         """How far (...) it is missed at q (..., nq), in metres and in radians, by the forward model."""
         holds, goals = self.holds(system), self.goals(system) if goals is None else goals
-        X = self.place(system, q, holds[0])
+        at = at or partial(fk, system, q)
+        X = self.place(system, at, holds[0])
         with np.errstate(invalid="ignore", over="ignore"):  # of goals that are not finite
-            misses = [self._apart(system, q, h, X, *g) for h, g in zip(holds, goals, strict=True)]
+            misses = [self._apart(at, h, X, *g) for h, g in zip(holds, goals, strict=True)]
             if len(misses) == 1:
                 return misses[0]
             return np.sqrt(sum(size * size for size, _ in misses)), misses[0][1]
 
     def _apart(
-        self, system: System, q: Array, h: Hold, X: Array, goal: Array | None, number: Array | None
+        self, at: At, h: Hold, X: Array, goal: Array | None, number: Array | None
     ) -> tuple[Array, Array]:  # fmt: skip
         """How far (...) the frame at X (..., 4, 4) misses a goal."""
         assert goal is not None
         if h.a is not None:
-            goal = fk(system, q, h.a) @ goal
-        if self.point and self.turned:
-            return _size(X[..., :3, 3] - goal[..., :3, 3]), _between(X[..., :3, :3], goal[..., :3, :3])
-        none = np.zeros(np.broadcast_shapes(goal.shape[:-2], X.shape[:-2]))
-        if not h.bounds and h.turns != L.DISTANCE:
-            whole, full = self.point, self.turned
-            if (whole or not h.mask) and (full or h.turns == L.NO_TURN):
-                size = _size(X[..., :3, 3] - goal[..., :3, 3]) if whole else none
-                return size, _between(X[..., :3, :3], goal[..., :3, :3]) if full else none
-        seen = spatial.inverse(goal) @ X
-        p = seen[..., :3, 3]
-        if h.turns == L.ALIGN:
-            return none, tilt_of(seen[..., :3, 2])
-        if h.turns == L.LOOK:
-            return none, tilt_of(np.einsum("...ji,...j->...i", seen[..., :3, :3], -p))
-        values = p[..., list(self.shape.axes)]
-        if h.turns == L.DISTANCE:
-            values = _size(p)[..., None]
-            values = values if number is None else values - number
-        if h.bounds:
-            low, high = np.array(h.bounds).T
-            values = values - np.clip(values, low, high)
-        return np.sqrt(np.vecdot(values, values)), none
+            goal = at(h.a) @ goal
+        return apart(goal, X, self.shape, self.point, number, h.bounds)
 
 
 def _sides(low: Array, high: Array) -> list[tuple[tuple[float, float], Array]]:
@@ -328,11 +282,11 @@ class Centred(Placed):
                 rows[row] += mass, *(mass * p)
         return Centre(rows, rest)
 
-    def place(self, system: System, q: Array, hold: Hold | None = None) -> Array:
-        """The centre, by the forward model."""
+    def place(self, system: System, at: At, hold: Hold | None = None) -> Array:
+        """The centre."""
         points = self._points(system)
         names, moments = _moments(system, points)
-        return spatial.pose(p=np.einsum("...kij,kj->...i", fk(system, q, names)[..., :3, :], moments))
+        return spatial.pose(p=np.einsum("...kij,kj->...i", at(names)[..., :3, :], moments))
 
 
 @kept

@@ -12,7 +12,7 @@ from kempe.constraints.reading import ends_of, numbers_of
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q, circles
-from kempe.kinematics.task import GROUND, Goals, Task
+from kempe.kinematics.task import GROUND, At, Goals, Task
 from kempe.kinematics.zoo import UserConstraint, user_constraint
 from kempe.model.callback import Callback
 from kempe.model.loops import Tie
@@ -79,7 +79,9 @@ class Coordinates(Task):
             out.append((None, x / np.linalg.norm(x, axis=-1, keepdims=True) if ball else x))
         return out
 
-    def measure(self, system: System, q: Array, goals: Goals | None = None) -> tuple[Array, Array]:
+    def measure(
+        self, system: System, q: Array, goals: Goals | None = None, at: At | None = None
+    ) -> tuple[Array, Array]:  # fmt: skip
         """The largest difference of a slide and of a turn."""
         values, items = self._values(system)
         if goals is not None:  # of one row of a batch, it may be
@@ -135,7 +137,9 @@ class Called(Task):
         """None."""
         return [(None, None)]
 
-    def measure(self, system: System, q: Array, goals: Goals | None = None) -> tuple[Array, Array]:
+    def measure(
+        self, system: System, q: Array, goals: Goals | None = None, at: At | None = None
+    ) -> tuple[Array, Array]:  # fmt: skip
         """How far its values are from where they must be."""
         lead = q.shape[:-1]
         out = np.zeros(lead)

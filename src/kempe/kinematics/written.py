@@ -1,54 +1,27 @@
-"""Constraints whose rows are written, as expressions or functions: as tasks, and their values in plain numpy."""
+"""Constraints whose rows are written, as expressions or functions: as tasks."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kempe import spatial
 from kempe.constraints.base import Constraint, Op, numbers_in, one_sided, with_numbers
-from kempe.constraints.tape import POSE
 from kempe.errors import InputError
-from kempe.kinematics.constraints import coordinate_value
 from kempe.kinematics.forward import fk
-from kempe.kinematics.task import GROUND, Goals, Task
+from kempe.kinematics.measure import written_apart
+from kempe.kinematics.task import GROUND, At, Goals, Task
 from kempe.model.coordinates import check_read
 from kempe.model.loops import Tie
-from kempe.model.program import between, coordinates_of, every_tie, numbers_of
+from kempe.model.program import coordinates_of, every_tie
 from kempe.model.table import Table
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-
-
-def pose_inputs(X: Array) -> dict[str, Array]:
-    """The inputs of expressions that a pose (..., 4, 4) gives: its place, and its rotation row by row."""
-    values = [X[..., i, 3] for i in range(3)] + [X[..., i, j] for i in range(3) for j in range(3)]
-    return dict(zip(POSE, values, strict=True))
-
-
-def written_values(system: System, made: Constraint, q: Array, X_AB: Array | None = None) -> Array:
-    """Values (..., rows) of the written rows of a constraint at q (..., nq), by plain numpy.
-
-    `made` has its numbers; `X_AB` (..., 4, 4) is where its frame B is in A, where it has frames.
-    """
-    rows = [r for r in made.rows(system.dim) if r.op in (Op.TAPE, Op.CALL)]
-    given: dict[str, Array] = {k: np.asarray(x) for k, x in numbers_of(made).items()}
-    given |= {n: coordinate_value(system, q, n) for n in coordinates_of(made)}
-    if X_AB is not None:
-        given |= pose_inputs(X_AB)
-    out = np.empty((*q.shape[:-1], len(rows)))
-    for k, row in enumerate(rows):
-        what, n = row.args
-        if row.op is Op.TAPE:
-            out[..., k] = what.evaluate(given)[..., n]
-            continue
-        for index in np.ndindex(q.shape[:-1]):
-            out[(*index, k)] = what({m: np.broadcast_to(x, q.shape[:-1])[index] for m, x in given.items()})[n]
-    return out
 
 
 class Written(Task):
@@ -103,16 +76,14 @@ class Written(Task):
         kinds = dict.fromkeys((one_sided(self.of, r), r.op, r.args[0], r.unit) for r in self.rows)
         return [(None, None)] * len(kinds)
 
-    def measure(self, system: System, q: Array, goals: Goals | None = None) -> tuple[Array, Array]:
+    def measure(
+        self, system: System, q: Array, goals: Goals | None = None, at: At | None = None
+    ) -> tuple[Array, Array]:  # fmt: skip
         """How far its values are from where they must be, by the forward model and plain numpy."""
-        made = self._made(system)
+        made, at = self._made(system), at or partial(fk, system, q)
         a, b = self._ends(system, made)
         X_AB = None
         if b is not None:
-            A, B = fk(system, q, a or system.body_names[0]), fk(system, q, b)
+            A, B = at(a or system.body_names[0]), at(b)
             X_AB = spatial.inverse(A @ made.goal(self.dim)) @ B @ np.reshape(made.tool(self.dim), (4, 4))
-        values = written_values(system, made, q, X_AB)
-        low, high = np.array([between(made, r) if one_sided(made, r) else (0.0, 0.0) for r in self.rows]).T
-        off = values - np.clip(values, low, high)
-        metres = np.array([r.unit == "m" for r in self.rows])
-        return np.linalg.norm(off[..., metres], axis=-1), np.linalg.norm(off[..., ~metres], axis=-1)
+        return written_apart(system, made, q, X_AB)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from kempe.calls import explained_methods, place_in
+from kempe.kinematics.measure import Judgement, judge
 from kempe.kinematics.tabular import Tabular
 from kempe.spatial import Array
 
@@ -46,6 +48,36 @@ class Answer(Tabular):
             out[index] = self._sentence(index)
         return out
 
+    @cached_property
+    def judged(self) -> Judgement:
+        """How far `q` misses what is declared and asked for, by poses multiplied out in numpy, when first asked for.
+
+        It shares nothing with the equations by which kernels say `success`.
+        """
+        return judge(self.system, self.q, self._asked(), self._left())
+
+    def _asked(self) -> Sequence[tuple[Any, Any, Any]]:
+        """The tasks that must hold, with their goals and tolerances."""
+        return ()
+
+    def _left(self) -> Any:
+        """What (...) solvers say is left of the equations."""
+        return 0.0
+
+    @property
+    def verdict(self) -> str:
+        """What the judge says of a success, in one sentence; '' where nothing succeeded, or there is nothing to judge.
+
+        Of a batch only what contradicts a success is said.
+        """
+        success = np.asarray(self.success)
+        if not success.any() or not self.judged.names:
+            return ""
+        if success.ndim == 0:
+            return str(self.judged)
+        false = success & ~np.asarray(self.judged.holds)
+        return f"{int(false.sum())} are contradicted by poses multiplied out in numpy: see `judged`" if false.any() else ""
+
     def table(self) -> tuple[list[str], Array]:
         """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and metres."""
         return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
@@ -61,6 +93,7 @@ class Answer(Tabular):
             return f"{int(np.sum(self.success))} of {np.size(self.success)} {self.what}"
         lines = [self.status]
         lines += [f"  {name} = {x:.9g}" for name, x in zip(self.system.coordinate_names, self.q, strict=True)]
+        lines += [f"  {said}"] if (said := self.verdict) else []
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -72,4 +105,5 @@ class Answer(Tabular):
             f"<tr><td>{escape(n)}</td><td>{x:.9g}</td></tr>"
             for n, x in zip(self.system.coordinate_names, self.q, strict=True)
         )
-        return f"<p>{escape(self.status)}</p><table>{rows}</table>"
+        said = f"<p>{escape(said)}</p>" if (said := self.verdict) else ""
+        return f"<p>{escape(self.status)}</p><table>{rows}</table>{said}"

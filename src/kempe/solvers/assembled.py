@@ -47,6 +47,9 @@ class Assembly(Answer):
         """The system that was asked."""
         return self.assembler.system
 
+    def _left(self) -> Any:
+        return self.residual
+
     def table(self) -> tuple[list[str], Array]:
         """Names and columns (n, nq) for a file: the coordinates of each configuration, NaN where it is not closed."""
         names, q = super().table()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from kempe.joints import P
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import sampling_box
+from kempe.kinematics.forward import fk
 from kempe.kinematics.task import Centred, Placed
 from kempe.model.kept import kept
 from kempe.model.own_tree import own_tree
@@ -38,7 +40,7 @@ def beside(problem: Problem, home: Array) -> Array:
         if not placed:
             continue
         J = system.jacobian(home, task.hold(system).b)[:3, base]
-        away = task.goal(system)[..., :3, 3] - task.place(system, home)[:3, 3]
+        away = task.goal(system)[..., :3, 3] - task.place(system, partial(fk, system, home))[:3, 3]
         far = np.linalg.norm(away, axis=-1, keepdims=True) > FAR * problem.packed.loops.length
         if not J.any() or not far.any():
             continue

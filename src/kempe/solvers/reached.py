@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -34,6 +35,11 @@ class Reached(Solution):
 
     def _analysed(self) -> tuple[int, int, int, Array]:
         return analyse(self.asked, self.q)
+
+    def _asked(self) -> Sequence[tuple[Any, Any, Any]]:
+        p = self.asked
+        every = zip(p.tasks, p.goals, p.use, strict=True)
+        return [(task, goals, p.tolerance_of(task)) for task, goals, used in every if used and task.weight is None]
 
     def _shut_out(self, index: tuple[int, ...]) -> bool:
         return False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -170,6 +170,15 @@ class Solution(Answer):
     def self_motion(self) -> Array:
         """Orthonormal basis (nv, k) of velocities that keep loops and tasks, in radians and characteristic lengths."""
         return self._local[3]
+
+    def _asked(self) -> Sequence[tuple[Any, Any, Any]]:
+        from kempe.constraints.targets import of_target
+        from kempe.kinematics.asking import task_of
+
+        task = self.task
+        X = np.reshape(task.targets, (*np.shape(self.success), 4, 4))
+        made = of_target(task.frame, task.name, task.axis, X)
+        return [(task_of(c, task.system.dim), None, task.tolerance) for c in made]
 
     @cached_property
     def derivative(self) -> Any:

@@ -18,10 +18,13 @@ from kempe.kinematics.configuration import has_loops
 from kempe.model.coordinates import Follower, relation_text
 
 if TYPE_CHECKING:
+    from kempe.analysis.path import Path
     from kempe.model.system import System
     from kempe.solvers.answer import Answer
 
 DEGREE = math.pi / 180.0
+MOST_JUDGED = 1_000_000
+"""Coordinates in a batch up to which it is judged for a report."""
 CLOSED = 1e-5
 """Metres and radians that a loop may be open by before it is mentioned: numbers with six decimals count as closed."""
 _NUMBERS = re.compile(r"\[\n\s+(?:[-+.\deE]+|null)(?:,\n\s+(?:[-+.\deE]+|null))*\n\s+\]")
@@ -192,8 +195,14 @@ def solution_facts(system: System, answer: Answer, degrees: bool = False) -> dic
         "system": system.name,
         "angle_unit": "deg" if degrees else "rad",
         **out,
+        **judged(answer),
         "q": by_name if batch else by_name[0],
     }
+
+
+def judged(answer: Answer | Path) -> dict[str, Any]:
+    """What the judge says of the configurations of an answer, under "judged"; empty where there are too many."""
+    return {"judged": jsonable(answer.judged.data())} if answer.q.size <= MOST_JUDGED else {}
 
 
 def models() -> dict[str, str]:

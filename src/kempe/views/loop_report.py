@@ -106,7 +106,7 @@ def assembly(answer: Assembly, degrees: bool = False, given: Mapping[str, Any] |
     if answer and lines:
         copy = f"--q {','.join(report.number(x, 9).rstrip('0').rstrip('.') for x in q.tolist())}"
         shown += ["", Text(copy, style="dim", no_wrap=True, overflow="ignore")]
-    return Group(*shown)
+    return Group(*shown, *report.verdict(answer))
 
 
 def _place(value: Any, dim: int) -> spatial.Array:
@@ -124,7 +124,8 @@ def _assemblies(answer: Assembly, degrees: bool) -> RenderableType:
     q = _shown(answer.system, answer.q, degrees)
     cells = [(i, "yes" if good else "no", *map(report.number, row))
              for i, (good, row) in enumerate(zip(answer.success, q.tolist(), strict=True))]  # fmt: skip
-    return Group(head, "", report.table((">row", "closed", *_heads(answer.system, degrees)), cells))
+    heads = (">row", "closed", *_heads(answer.system, degrees))
+    return Group(head, *report.verdict(answer), "", report.table(heads, cells))
 
 
 def assembly_facts(answer: Assembly, degrees: bool = False) -> dict[str, Any]:
@@ -132,7 +133,7 @@ def assembly_facts(answer: Assembly, degrees: bool = False) -> dict[str, Any]:
     fields = ("success", "status", "residual", "iterations", "starts")
     out = {name: facts.jsonable(np.asarray(getattr(answer, name)).tolist()) for name in fields}
     q = by_name(answer.system, answer.q, degrees)
-    return {"system": answer.system.name, "angle_unit": _angle(degrees), **out, "q": q}
+    return {"system": answer.system.name, "angle_unit": _angle(degrees), **out, **facts.judged(answer), "q": q}
 
 
 def closed_only(answer: Assembly) -> spatial.Array:
@@ -206,7 +207,7 @@ def path(answer: Path, degrees: bool = False) -> RenderableType:
         lines = [(c["name"], report.number(x.min()), report.number(x.max()), c["unit"])
                  for c, x in zip(facts.coordinates(system, degrees), q.T, strict=True)]  # fmt: skip
         shown += ["", report.table(("coordinate", ">least", ">largest", "=unit"), lines)]
-    return Group(*shown)
+    return Group(*shown, *report.verdict(answer))
 
 
 def _event(event: Event, unit: dict[str, str], degrees: bool) -> tuple[str, ...]:
@@ -228,7 +229,8 @@ def path_facts(answer: Path, degrees: bool = False) -> dict[str, Any]:
     names, columns = path_table(answer, degrees)
     return {
         "system": answer.system.name, "angle_unit": _angle(degrees), "driver": answer.driver,
-        "held": list(answer.held), **_motion(answer, degrees), "columns": names, "rows": facts.jsonable(columns),
+        "held": list(answer.held), **_motion(answer, degrees), **facts.judged(answer), "columns": names,
+        "rows": facts.jsonable(columns),
         "others": [{**_motion(o, degrees), "rows": facts.jsonable(path_table(o, degrees)[1])} for o in answer.others],
     }  # fmt: skip
 

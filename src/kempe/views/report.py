@@ -21,7 +21,7 @@ from kempe.views import facts
 from kempe.views.options import in_options
 
 if TYPE_CHECKING:
-
+    from kempe.analysis.path import Path
     from kempe.model.system import System
     from kempe.solvers.answer import Answer
 
@@ -324,7 +324,7 @@ def solution(system: System, answer: Answer, degrees: bool = False) -> Renderabl
     coordinates = facts.coordinates(system, degrees)
     q = facts.in_degrees(answer.q, system.coordinate_names, facts.units(system), degrees)
     if np.ndim(answer.success):
-        return Group(outcome(answer), "", _configurations(coordinates, q, answer))
+        return Group(outcome(answer), *verdict(answer), "", _configurations(coordinates, q, answer))
     lines = []
     for c, x in zip(coordinates, q.tolist(), strict=True):
         limits = f"[{_bound(c['lower'], '-inf')}, {_bound(c['upper'], 'inf')}]"
@@ -334,7 +334,15 @@ def solution(system: System, answer: Answer, degrees: bool = False) -> Renderabl
     if answer.success and lines:
         copy = f"--q {','.join(number(x, 9).rstrip('0').rstrip('.') for x in q.tolist())}"
         shown += ["", Text(copy, style="dim", no_wrap=True, overflow="ignore")]
-    return Group(*shown)
+    return Group(*shown, *verdict(answer))
+
+
+def verdict(answer: Answer | Path) -> list[Text]:
+    """What the judge says of configurations that were found, as a line; none where there are too many to look at."""
+    if answer.q.size > facts.MOST_JUDGED or not (said := answer.verdict):
+        return []
+    bad = np.any(np.asarray(getattr(answer, "success", True)) & ~np.asarray(answer.judged.holds))
+    return [Text(clean(said), style="bold red" if bad else "dim")]
 
 
 def outcome(answer: Answer) -> Text:

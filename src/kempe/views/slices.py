@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
+from kempe.kinematics.measure import Judgement, judge
 from kempe.solvers.answer import Answer
 from kempe.spatial import Array
 
@@ -42,6 +44,13 @@ class Slices(Answer):
     def system(self) -> System:
         """The system that was asked."""
         return self._system
+
+    @cached_property
+    def judged(self) -> Judgement:
+        """The judgements of all slices."""
+        parts = [a.judged for a in self.answers] or [judge(self.system, self.q)]
+        errors, allowed = (np.concatenate([getattr(p, n) for p in parts], axis=1) for n in ("errors", "allowed"))
+        return Judgement(parts[0].names, errors, allowed)
 
     def _sentence(self, index: tuple[int, ...]) -> str:
         k = int(np.searchsorted(self.first, index[0], side="right")) - 1

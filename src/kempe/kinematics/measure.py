@@ -1,0 +1,325 @@
+"""The judge: how far constraints are missed, by plain numpy from poses. It shares nothing with the kernels.
+
+Each operation of a row has one measure here. Tasks of `ik` are judged by it at poses of the forward model; `judge`
+measures all that a system declares (joints that the tree left out, constraints, couplings) at poses that are multiplied
+out joint by joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+
+from kempe import spatial
+from kempe.constraints.base import Constraint, Op, Row, held, one_sided
+from kempe.constraints.reading import tilt_of
+from kempe.constraints.tape import POSE, TIME
+from kempe.description.constrain import resolved
+from kempe.description.parts import Declared, Joint
+from kempe.joints import P, Primitive, R
+from kempe.kernels import loop_layout as L
+from kempe.kinematics.configuration import as_q
+from kempe.kinematics.constraints import coordinate_value
+from kempe.model.lengths import characteristic_length
+from kempe.model.program import between, coordinates_of, numbers_of
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+WITHIN = 1e-6
+"""Error in radians, or as a part of the characteristic length, up to which what is declared counts as held."""
+ROUNDING = 1e-12
+"""Error as a part of the largest coordinate of a point, that rounding alone may make."""
+SHOWN = 4
+"""Names that a sentence lists."""
+
+
+class Shape(NamedTuple):
+    """What rows hold of a pose: directions, what of the rotation, and whether the distance."""
+
+    mask: int
+    turns: int
+    lengths: bool
+    angles: bool
+    axes: tuple[int, ...]
+
+
+@lru_cache(maxsize=512)
+def shape_of(rows: tuple[Row, ...], dim: int) -> Shape:
+    """What rows of one frame hold of its pose."""
+    turned = {
+        Op.ROTATION: L.ANGLE if dim == 2 else L.FULL, Op.TILT: L.ALIGN, Op.LOOK: L.LOOK, Op.DISTANCE: L.DISTANCE,
+    }  # fmt: skip
+    axes = tuple(r.args[0] for r in rows if r.op is Op.POINT)
+    turns = next((turned[r.op] for r in rows if r.op in turned), L.NO_TURN)
+    units = {r.unit for r in rows}
+    return Shape(sum(1 << a for a in axes), turns, "m" in units, "rad" in units, axes)
+
+
+def size_of(p: Array) -> Array:
+    """Lengths (...) of vectors (..., k)."""
+    return np.sqrt(np.vecdot(p, p))
+
+
+def angle_between(R: Array, S: Array) -> Array:
+    """Angle (...) between two rotations, by how far their entries are apart: sqrt(8) times the sine of its half."""
+    d = R - S
+    d = d.reshape(*d.shape[:-2], 9)
+    return 2.0 * np.arcsin(np.minimum(np.sqrt(np.vecdot(d, d) / 8.0), 1.0))
+
+
+def apart(
+    A: Array, B: Array, shape: Shape, whole: bool, number: Array | float | None = None,
+    bounds: Sequence[tuple[float, float]] = (),
+) -> tuple[Array, Array]:  # fmt: skip
+    """How far (...) rows of a pose are missed by frame B (..., 4, 4) against A (..., 4, 4), in metres and in radians.
+
+    `whole`: their directions are all there are. A distance is compared with `number`; with `bounds`, values between
+    these are no miss.
+    """
+    turned = shape.turns in (L.FULL, L.ANGLE)
+    if whole and turned:
+        return size_of(B[..., :3, 3] - A[..., :3, 3]), angle_between(B[..., :3, :3], A[..., :3, :3])
+    none = np.zeros(np.broadcast_shapes(A.shape[:-2], B.shape[:-2]))
+    if not bounds and shape.turns != L.DISTANCE:
+        if (whole or not shape.mask) and (turned or shape.turns == L.NO_TURN):
+            size = size_of(B[..., :3, 3] - A[..., :3, 3]) if whole else none
+            return size, angle_between(B[..., :3, :3], A[..., :3, :3]) if turned else none
+    seen = spatial.inverse(A) @ B
+    p = seen[..., :3, 3]
+    if shape.turns == L.ALIGN:
+        return none, tilt_of(seen[..., :3, 2])
+    if shape.turns == L.LOOK:
+        return none, tilt_of(np.einsum("...ji,...j->...i", seen[..., :3, :3], -p))
+    values = p[..., list(shape.axes)]
+    if shape.turns == L.DISTANCE:
+        values = size_of(p)[..., None]
+        values = values if number is None else values - number
+    if bounds:
+        low, high = np.array(bounds).T
+        values = values - np.clip(values, low, high)
+    return np.sqrt(np.vecdot(values, values)), none
+
+
+# ---- rows that are expressions or functions
+
+
+def pose_inputs(X: Array) -> dict[str, Array]:
+    """The inputs of expressions that a pose (..., 4, 4) gives: its place, and its rotation row by row."""
+    values = [X[..., i, 3] for i in range(3)] + [X[..., i, j] for i in range(3) for j in range(3)]
+    return dict(zip(POSE, values, strict=True))
+
+
+def written_values(system: System, made: Constraint, q: Array, X_AB: Array | None = None) -> Array:
+    """Values (..., rows) of the written rows of a constraint at q (..., nq).
+
+    `made` has its numbers; `X_AB` (..., 4, 4) is where its frame B is in A, where it has frames.
+    """
+    rows = [r for r in made.rows(system.dim) if r.op in (Op.TAPE, Op.CALL)]
+    given: dict[str, Array] = {k: np.asarray(x) for k, x in numbers_of(made).items()}
+    given |= {TIME: np.zeros(())} if getattr(made, "time", False) else {}
+    given |= {n: coordinate_value(system, q, n) for n in coordinates_of(made)}
+    if X_AB is not None:
+        given |= pose_inputs(X_AB)
+    out = np.empty((*q.shape[:-1], len(rows)))
+    for k, row in enumerate(rows):
+        what, n = row.args
+        if row.op is Op.TAPE:
+            out[..., k] = what.evaluate(given)[..., n]
+            continue
+        for index in np.ndindex(q.shape[:-1]):
+            out[(*index, k)] = what({m: np.broadcast_to(x, q.shape[:-1])[index] for m, x in given.items()})[n]
+    return out
+
+
+def written_apart(system: System, made: Constraint, q: Array, X_AB: Array | None = None) -> tuple[Array, Array]:
+    """How far (...) the written rows of a constraint are missed, in metres and in radians or plain numbers."""
+    rows = [r for r in made.rows(system.dim) if r.op in (Op.TAPE, Op.CALL)]
+    values = written_values(system, made, q, X_AB)
+    low, high = np.array([between(made, r) if one_sided(made, r) else (0.0, 0.0) for r in rows]).reshape(-1, 2).T
+    off = values - np.clip(values, low, high)
+    metres = np.array([r.unit == "m" for r in rows], dtype=bool)
+    return np.linalg.norm(off[..., metres], axis=-1), np.linalg.norm(off[..., ~metres], axis=-1)
+
+
+# ---- poses, joint by joint
+
+
+def motion(primitives: Sequence[Primitive], values: Array) -> Array:
+    """Pose X_FM (..., 4, 4) of a product of primitives at coordinates `values` (..., k)."""
+    X = np.broadcast_to(np.eye(4), (*values.shape[:-1], 4, 4))
+    for p in primitives:
+        if p.kind == P:
+            shift = np.zeros((*values.shape[:-1], 3))
+            shift[..., "xyz".index(p.axis)] = p.multiplier * values[..., p.coordinate]
+            step = spatial.pose(p=shift)
+        elif p.kind == R:
+            turn = (spatial.rot_x, spatial.rot_y, spatial.rot_z)["xyz".index(p.axis)]
+            step = spatial.pose(turn(p.multiplier * values[..., p.coordinate]))
+        else:
+            step = spatial.pose(spatial.quat_wxyz_to_matrix(values[..., p.coordinate : p.coordinate + 4]))
+        X = X @ step
+    return X
+
+
+class Poses:
+    """Poses of the bodies and frames of a system at q (..., nq): the joints of its tree, multiplied out."""
+
+    def __init__(self, system: System, q: Array):
+        self.system, self.q, m, tree = system, q, system.mechanism, system.topology
+        self.bodies = {tree.bodies[0]: np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))}
+        for body, parent, name, back in zip(
+            tree.bodies[1:], tree.parent, tree.parent_joints, tree.reversed_, strict=True
+        ):
+            F, M = self.frames(m.joints[name])
+            X = F @ spatial.inverse(M)
+            self.bodies[body] = self.bodies[tree.bodies[parent]] @ (spatial.inverse(X) if back else X)
+
+    def frames(self, joint: Joint) -> tuple[Array, Array]:
+        """Frame M (..., 4, 4) of a joint on its parent body, where its coordinates put it, and (4, 4) on its child."""
+        system, m = self.system, self.system.mechanism
+        names, primitives = joint.type.layout(m.dim, m.bodies[joint.child].particle)
+        whole = [f"{joint.name}.{n}" if n else joint.name for n in names]
+        own = [coordinate_value(system, self.q, n) for n in whole]
+        values = np.stack(own, axis=-1) if own else self.q[..., :0]
+        return joint.X_PF.evaluate(m.parameters) @ motion(primitives, values), joint.X_CM.evaluate(m.parameters)
+
+    def __call__(self, name: str | Sequence[str] | None) -> Array:
+        """The pose (..., 4, 4) of a body or frame; of several, or for None of all bodies, (..., n, 4, 4)."""
+        if not isinstance(name, str):
+            return np.stack([self(n) for n in (self.bodies if name is None else name)], axis=-3)
+        frame = self.system.mechanism.frames.get(name)
+        if frame is None:
+            return self.bodies[name]
+        return self.bodies[frame.body] @ frame.X_BF.evaluate(self.system.mechanism.parameters)
+
+    def joint(self, joint: Joint) -> tuple[Array, Array]:
+        """How far (...) a joint is open, in metres and radians; of a particle the angle is zero."""
+        F, M = self.frames(joint)
+        A, B = self.bodies[joint.parent] @ F, self.bodies[joint.child] @ M
+        size = size_of(B[..., :3, 3] - A[..., :3, 3])
+        if self.system.mechanism.bodies[joint.child].particle:
+            return size, np.zeros_like(size)
+        return size, angle_between(A[..., :3, :3], B[..., :3, :3])
+
+    def declared(self, declared: Declared) -> tuple[Array, Array]:
+        """How far (...) the rows of position of a declared constraint are missed, in metres and in radians."""
+        m, dim = self.system.mechanism, self.system.dim
+        made, X_AB, total = resolved(declared, m.parameters, dim), None, np.zeros((2, *self.q.shape[:-1]))
+        A = B = np.eye(4)
+        if declared.parent:
+            F, M = declared.frames(m.parameters, dim)
+            A, B = self.bodies[declared.parent] @ F, self.bodies[declared.child] @ M
+            X_AB = spatial.inverse(A) @ B
+        for row in made.rows(dim):
+            if row.velocity or row.op in (Op.TAPE, Op.CALL):
+                continue
+            sided = one_sided(made, row)
+            number = None if sided or row.op is not Op.DISTANCE else float(getattr(made, held(made, row)))
+            bounds = (between(made, row),) if sided else ()
+            total += np.square(apart(A, B, shape_of((row,), dim), False, number, bounds))
+        total += np.square(written_apart(self.system, made, self.q, X_AB))
+        return np.sqrt(total[0]), np.sqrt(total[1])
+
+    def relation(self, of: str, sources: dict[str, float], offset: float) -> tuple[Array, Array]:
+        """How far (...) a coupling with several sources is missed, as a part of its largest factor."""
+        off = coordinate_value(self.system, self.q, of) - offset
+        for name, factor in sources.items():
+            off = off - factor * coordinate_value(self.system, self.q, name)
+        off = np.abs(off) / max(1.0, *map(abs, sources.values()))
+        turning = self.system.coordinates.turning[self.system.coordinates.first[of][1]]
+        return (np.zeros_like(off), off) if turning else (off, np.zeros_like(off))
+
+
+# ---- all of it
+
+
+class Asked(Protocol):
+    """A task, as `kempe.kinematics.task.Task` is."""
+
+    label: str
+
+    def measure(
+        self, system: System, q: Array, goals: Any = None, at: Callable[[Any], Array] | None = None
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """How far it is missed, with frames `at` these places."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """How far all that is declared, or asked for, is missed, by poses multiplied out in numpy.
+
+    `errors` (n, ..., 2) are by `names`, in metres and in radians (or plain numbers, of an equation); those above
+    `allowed` are `missed`.
+    """
+
+    names: tuple[str, ...]
+    errors: Array
+    allowed: Array = field(repr=False)
+
+    @property
+    def missed(self) -> np.ndarray:
+        """Whether (n, ...) something is missed by more than is allowed, or is no number."""
+        return np.asarray(~(self.errors <= self.allowed).all(axis=-1))
+
+    @property
+    def holds(self) -> Any:
+        """Whether (...) all of it holds."""
+        out = ~self.missed.any(axis=0)
+        return bool(out) if out.ndim == 0 else out
+
+    def __bool__(self) -> bool:
+        return bool(np.all(self.holds))
+
+    def __str__(self) -> str:
+        """What is missed most, and by how much, or that all holds."""
+        n = len(self.names)
+        if not n:
+            return "nothing is declared or asked for that poses could miss"
+        each = self.errors.reshape(n, -1, 2)
+        if self:
+            names = ", ".join(map(repr, self.names[:SHOWN])) + (f", ... ({n} in all)" if n > SHOWN else "")
+            most = "{:.1g} m and {:.1g} rad".format(*each.max(axis=(0, 1), initial=0.0))
+            return f"judged by poses multiplied out in numpy: {names} {'holds' if n == 1 else 'hold'} to {most}"
+        share = (each / self.allowed.reshape(n, -1, 2)).max(axis=-1)
+        k, row = np.unravel_index(int(np.argmax(np.where(np.isnan(share), np.inf, share))), share.shape)
+        far = "{:.3g} m and {:.3g} rad".format(*each[k, row])
+        return f"contradicted by poses multiplied out in numpy: {self.names[k]!r} is missed by {far}"
+
+    def data(self) -> dict[str, Any]:
+        """The largest error of each, by name, in metres and in radians; whether all hold, and the sentence."""
+        worst = self.errors.reshape(len(self.names), -1, 2).max(axis=1, initial=0.0) if self.names else np.zeros((0, 2))
+        return {"holds": np.asarray(self.holds).tolist(), "errors": dict(zip(self.names, worst.tolist(), strict=True)),
+                "text": str(self)}  # fmt: skip
+
+
+def judge(
+    system: System, q: Any, asked: Sequence[tuple[Asked, Any, Any]] = (), more: Array | float = 0.0
+) -> Judgement:  # fmt: skip
+    """The judgement of all that a system declares, and of what is asked, at q (..., nq).
+
+    That is: joints that the tree left out, rows of position of constraints, couplings with several sources. `asked` has
+    tasks with their goals (or None) and what (2,) each may be missed by; `more` (...) is what solvers left of others,
+    in radians and characteristic lengths. Rows of velocity are about motions, not about a configuration.
+    """
+    q, m = as_q(system, q), system.mechanism
+    at = Poses(system, q)
+    found = [(name, at.joint(m.joints[name])) for name in system.closures]
+    found += [(c.name, at.declared(c)) for c in m.constraints.values() if c.positions(system.dim)]
+    found += [(r.of, at.relation(r.of, r.sources, r.offset)) for r in system.relations]
+    far = max((float(np.abs(X[..., :3, 3]).max(initial=0.0)) for X in at.bodies.values()), default=0.0)
+    within = (WITHIN + 10.0 * np.asarray(more, dtype=float))[..., None] * [characteristic_length(system), 1.0]
+    within = within + ROUNDING * np.array([far, 1.0])
+    lead = (*q.shape[:-1], 2)
+    allowed = [np.broadcast_to(within, lead) for _ in found]
+    for task, goals, most in asked:
+        found.append((task.label, task.measure(system, q, goals, at)))
+        allowed.append(np.broadcast_to(np.asarray(most) * (1.0 + 1e-3) + ROUNDING * np.array([far, 1.0]), lead))
+    errors = np.array([np.stack(np.broadcast_arrays(*e), axis=-1) for _, e in found]).reshape(len(found), *lead)
+    return Judgement(tuple(n for n, _ in found), errors, np.array(allowed).reshape(len(found), *lead))
