@@ -252,7 +252,9 @@ class Path(Configurations):
     @property
     def verdict(self) -> str:
         """What the judge says of the path, in one sentence; '' where there is nothing to judge."""
-        return str(self.judged) if len(self) and self.judged.names else ""
+        if not len(self) or not self.judged.names:
+            return ""
+        return str(self.judged) if self.judged else f"what was found is contradicted, {self.judged}"
 
     def table(self, frames: Iterable[FrameLike] | None = None) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default: `self.frames`)."""

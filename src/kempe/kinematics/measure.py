@@ -290,7 +290,7 @@ class Judgement:
         share = (each / self.allowed.reshape(n, -1, 2)).max(axis=-1)
         k, row = np.unravel_index(int(np.argmax(np.where(np.isnan(share), np.inf, share))), share.shape)
         far = "{:.3g} m and {:.3g} rad".format(*each[k, row])
-        return f"contradicted by poses multiplied out in numpy: {self.names[k]!r} is missed by {far}"
+        return f"judged by poses multiplied out in numpy: {self.names[k]!r} is missed by {far}"
 
     def data(self) -> dict[str, Any]:
         """The largest error of each, by name, in metres and in radians; whether all hold, and the sentence."""

@@ -61,7 +61,7 @@ class Answer(Tabular):
         return ()
 
     def _left(self) -> Any:
-        """What (...) solvers say is left of the equations."""
+        """What (...) is left of the equations of a success, as solvers say."""
         return 0.0
 
     @property
@@ -74,9 +74,9 @@ class Answer(Tabular):
         if not success.any() or not self.judged.names:
             return ""
         if success.ndim == 0:
-            return str(self.judged)
-        false = success & ~np.asarray(self.judged.holds)
-        return f"{int(false.sum())} are contradicted by poses multiplied out in numpy: see `judged`" if false.any() else ""
+            return f"success is contradicted, {self.judged}" if not self.judged else str(self.judged)
+        false = int((success & ~np.asarray(self.judged.holds)).sum())
+        return f"{false} are contradicted by poses multiplied out in numpy: see `judged`" if false else ""
 
     def table(self) -> tuple[list[str], Array]:
         """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and metres."""

@@ -48,7 +48,7 @@ class Assembly(Answer):
         return self.assembler.system
 
     def _left(self) -> Any:
-        return self.residual
+        return np.where(self.success, self.residual, 0.0)
 
     def table(self) -> tuple[list[str], Array]:
         """Names and columns (n, nq) for a file: the coordinates of each configuration, NaN where it is not closed."""

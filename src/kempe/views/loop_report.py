@@ -103,10 +103,11 @@ def assembly(answer: Assembly, degrees: bool = False, given: Mapping[str, Any] |
         if missed > facts.CLOSED:
             text += f", {missed:.6g} m from where it should be"
         shown.append(Text(report.clean(text)))
+    shown += report.verdict(answer)
     if answer and lines:
         copy = f"--q {','.join(report.number(x, 9).rstrip('0').rstrip('.') for x in q.tolist())}"
         shown += ["", Text(copy, style="dim", no_wrap=True, overflow="ignore")]
-    return Group(*shown, *report.verdict(answer))
+    return Group(*shown)
 
 
 def _place(value: Any, dim: int) -> spatial.Array:

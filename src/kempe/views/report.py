@@ -331,10 +331,11 @@ def solution(system: System, answer: Answer, degrees: bool = False) -> Renderabl
         lines.append((c["name"], _value(x, c), c["unit"], "" if c["lower"] is c["upper"] is None else limits))
     title = "coordinate" if answer.success else "nearest found"
     shown: list[RenderableType] = [outcome(answer), "", table((title, ">value", "=unit", "=limits"), lines)]
+    shown += verdict(answer)
     if answer.success and lines:
         copy = f"--q {','.join(number(x, 9).rstrip('0').rstrip('.') for x in q.tolist())}"
         shown += ["", Text(copy, style="dim", no_wrap=True, overflow="ignore")]
-    return Group(*shown, *verdict(answer))
+    return Group(*shown)
 
 
 def verdict(answer: Answer | Path) -> list[Text]:

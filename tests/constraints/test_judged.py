@@ -1,0 +1,61 @@
+"""Every kind as the judge measures it from poses, against the rows of the kernels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from kinds_battery import ASKED_ONLY, EXAMPLES, two_bodies
+
+from kempe import System, tasks
+from kempe.constraints.base import position_rows
+from kempe.kinematics import loops
+from kempe.kinematics.measure import judge
+from kempe.kinematics.one_sided import one_sided_rows
+
+HELD = [n for n in EXAMPLES if n not in ASKED_ONLY]
+
+
+def apart(system: System, q: np.ndarray) -> np.ndarray:
+    """How far (..., n, 2) each constraint is missed by the kernels: the norms of its rows in metres, and of others."""
+    packed = loops.full(system, False)
+    values, names = loops.residual(system, q), [n for n, _ in packed.names]
+    metres = np.array([u == "m" for u in packed.units])
+    out = []
+    for name in judge(system, q).names:
+        own = np.array([n == name for n in names])
+        out.append([np.linalg.norm(values[..., own & unit], axis=-1) for unit in (metres, ~metres)])
+    return np.moveaxis(np.array(out), 1, -1)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("name", HELD)
+def test_each_kind(name, dim, hunt):
+    """Where the kernels close it, it holds; elsewhere the miss is that of the kernels' rows, or zero with them."""
+    m, rng = two_bodies(dim), hunt.rng()
+    m.constrain(made := EXAMPLES[name](dim), "it")
+    system = m.build()
+    rows = [r for r in made.rows(dim) if not r.velocity]
+    equal = position_rows(made, dim)
+    q = np.stack([system.random(rng) for _ in range(hunt.cases(20))])
+    there = judge(system, q)
+    closed = system.assemble(near=q)
+    assert closed.success.all() and closed.judged.holds.all() and there.names == (("it",) if rows else ())
+    if rows and len(equal) == len(rows):
+        rows_ = apart(system, q)
+        if made.kind in ("pointing", "look_at"):  # the kernels' rows are the chord between directions
+            rows_[..., 1] = 2.0 * np.arcsin(np.minimum(rows_[..., 1] / 2.0, 1.0))
+        np.testing.assert_allclose(there.errors, rows_, atol=1e-7)
+        assert not there.holds.any()
+    if rows and not equal:
+        beyond = one_sided_rows(system).beyond(q, declared=True)
+        np.testing.assert_allclose(np.linalg.norm(there.errors[0], axis=-1), np.linalg.norm(beyond, axis=-1), atol=1e-9)
+        assert there.holds.tolist() == (beyond == 0.0).all(axis=-1).tolist() and there.holds.any()
+
+
+@pytest.mark.parametrize("name", [n for n in HELD if not any(r.velocity for r in EXAMPLES[n](3).rows(3))])
+def test_asked_and_declared_are_judged_alike(name, hunt):
+    m, rng = two_bodies(3), hunt.rng()
+    m.constrain(made := EXAMPLES[name](3), "it")
+    system = m.build()
+    q = np.stack([system.random(rng) for _ in range(20)])
+    np.testing.assert_allclose(judge(system, q).errors[0].T, tasks.miss(system, made, q), atol=1e-9)
