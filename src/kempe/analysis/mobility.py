@@ -19,6 +19,7 @@ from kempe.analysis.passive import IdleFreedom, idle_freedoms, may_idle
 from kempe.analysis.rank import Rank, rank_at
 from kempe.analysis.reach import velocity_freedoms
 from kempe.analysis.redundancy import Redundancy, redundancy
+from kempe.analysis.wrenches import Wrenches
 from kempe.calls import explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.ball_angles import regular_chart
@@ -89,6 +90,8 @@ class Mobility:
     """
     called: tuple[str, ...] = ()
     """Constraints that are functions without series, because of which `dof` is not known."""
+    wrenches: Wrenches | None = field(default=None, repr=False)
+    """What joints and constraints transmit at `q`, their self-stresses among it; None where it cannot be closed."""
 
     @property
     def gruebler(self) -> int:
@@ -215,7 +218,7 @@ def _found(
         loop_counts(shown, rank.screws), _clusters(s, rank), _outside(system, s), rank, best.nullity, truth, dof,
         redundancy(system, best), idle, control(system, rank, generic, idle, actuated), singular, kind,
         velocity_freedoms(system, at.q), sure, if_any(shown, at.q),
-        called(system) if dof is None and local else (),
+        called(system) if dof is None and local else (), Wrenches(system, at.q),
     )  # fmt: skip
 
 

@@ -134,6 +134,8 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         out.append(("redundant", [*str(m.redundancy).split("\n")]))
         if m.dof is not None and (m.generic_rank_dof or 0) > m.dof:
             out[-1][1].append("redundant to first order only: such a release would set something free")
+    if m.redundant_here and m.wrenches is not None:
+        out.append(("self-stress", m.wrenches.lines()))
     if m.idle:
         out.append((f"idle: {m.idle}", cut([str(f) for f in m.idle_freedoms], SHOWN)))
     if m.singular:
@@ -176,6 +178,7 @@ def data(m: Mobility) -> dict[str, Any]:
         "releases": [] if m.redundancy is None else [
             {"joint": x.joint, "reactions": list(x.reactions), "pair": x.pair} for x in m.redundancy.releases],
         "stressed": {} if m.redundancy is None else {k: list(v) for k, v in m.redundancy.stressed},
+        "self_stress": [] if not m.redundant_here or m.wrenches is None else m.wrenches.data(),
         "idle_freedoms": [{"bodies": list(f.bodies), "joints": list(f.joints), "point": list(f.point),
                            "direction": list(f.direction)} for f in m.idle_freedoms],
         "one_sided": None if m.one_sided is None else m.one_sided.data(),
