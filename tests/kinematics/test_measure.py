@@ -11,7 +11,7 @@ import pytest
 import reference
 
 import kempe
-from kempe import Mechanism
+from kempe import Mechanism, library
 from kempe.joints import TYPES, joint_type
 from kempe.kinematics.measure import Poses, judge, motion
 from kempe.solvers import assembly
@@ -39,7 +39,7 @@ def test_motions_of_joints(name, hunt):
             np.testing.assert_allclose(motion(primitives, q), wanted.astype(float), atol=1e-14)
 
 
-@pytest.mark.parametrize("name", kempe.library.names())
+@pytest.mark.parametrize("name", library.names())
 def test_poses_are_those_of_the_forward_model(name):
     system = kempe.load(name)
     q = np.stack([system.random(k) for k in range(5)])
