@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe import Mechanism, library
+from kempe import Mechanism, constraints, library
 from kempe.errors import InputError, UnknownNameError
+from kempe.kinematics.configuration import home_of
+from kempe.kinematics.measure import judge
 
 pytest.importorskip("matplotlib")
 from kempe.views import plots
@@ -612,3 +614,43 @@ def test_without_matplotlib_the_error_names_the_extra():
         "try:\n    import kempe.views.plots\nexcept kempe.errors.MissingExtraError as e:\n    print(e.package, e.extra)"
     )
     assert run(code) == "matplotlib view"
+
+
+# ---- where constraints hold
+
+
+@pytest.mark.parametrize("name", library.names())
+def test_what_is_drawn_unless_told_holds(name):
+    """The default configuration satisfies all that is declared, where assembling from home can."""
+    system = kempe.load(name)
+    q = plots._configuration(system, None, None)
+    assert judge(system, q) or not system.assemble(near=home_of(system))
+
+
+def test_a_ball_rests_on_its_ground():
+    solids = kempe.load("ball").plot()
+    assert solids.get_zlim()[0] <= 1e-9 and solids.get_zlim()[1] >= 0.2 - 1e-9
+    q = plots._configuration(kempe.load("ball"), None, None)
+    assert q[2] >= 0.1 - 1e-9
+
+
+def test_wheels_of_a_car_stand_along_it():
+    found = artists(kempe.load("car").plot(kempe.load("car").q({"drive.rz": 0.5})))
+    for k in (0, 1):
+        (wheel,) = found[f"mark:rear axle:wheel{k}"]
+        p = wheel.get_path().vertices[:4]
+        long = max((p[i] - p[i - 1] for i in range(1, 4)), key=lambda d: float(np.hypot(*d)))
+        assert abs(long @ (-np.sin(0.5), np.cos(0.5))) < 1e-9 * np.hypot(*long)
+    assert "mark:rear axle:axle" in found
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_what_rolls_stands_on_its_plane(dim):
+    m = Mechanism("coin", dim)
+    m.free("J", m.ground, m.body("coin"))
+    m.constrain(constraints.Rolls("coin", radius=0.3, shape="disc"), "rolls")
+    scene = look(system := m.build(), plots._configuration(system, None, None))
+    (mark,) = scene.marks
+    assert mark.symbol == "wheel" and mark.disc and mark.radius == 0.3
+    np.testing.assert_allclose(np.linalg.norm(mark.point - mark.plane[0]), 0.3, atol=1e-8)
+    system.plot()

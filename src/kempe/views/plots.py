@@ -15,6 +15,7 @@ from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q, distance, home_of
 from kempe.kinematics.forward import fk
+from kempe.kinematics.measure import judge
 from kempe.reals import reals
 from kempe.spatial import Array
 from kempe.views.drawing import page, planar, style
@@ -34,12 +35,13 @@ def plot(
 ) -> Axes:  # fmt: skip
     """Axes with a drawing of the system at a configuration; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
 
-    `q` (nq,) or dict: the configuration; without it, the posture 'closed' if there is one, else `mid`, and with a
-    `path` the configuration of the path nearest to that. `frames`: names of frames or bodies whose axes are drawn, None
-    for all of them: x red, y green, z blue. `path`: configurations (n, nq), or an answer that has them as `.q`; in
-    place of the axes, the curves of the named `frames` are drawn over it (without names: those of the path's `.frames`,
-    else all named frames of moving bodies), and `ghosts` earlier positions, evenly spread. Driven joints (`actuated`,
-    or the path's `.driver`) are marked, and loops that are not closed are shown in red.
+    `q` (nq,) or dict: the configuration; without it, the posture 'closed' if there is one, else `mid`, brought to where
+    loops are closed and constraints hold if that can be; with a `path` its configuration nearest to home. `frames`:
+    names of frames or bodies whose axes are drawn, None for all of them: x red, y green, z blue. `path`: configurations
+    (n, nq), or an answer that has them as `.q`; in place of the axes, the curves of the named `frames` are drawn over
+    it (without names: those of the path's `.frames`, else all named frames of moving bodies), and `ghosts` earlier
+    positions, evenly spread. Driven joints (`actuated`, or the path's `.driver`) are marked, and loops that are not
+    closed are shown in red.
     Errors: `InputError` for shapes, `UnknownNameError` for frames.
     """
     configurations, drivers = _path(system, path)
@@ -147,7 +149,8 @@ def _configuration(system: System, q: Any, configurations: Array | None) -> Arra
         return q
     q = home_of(system)
     if configurations is None:
-        return q
+        closed = None if judge(system, q) else system.assemble(near=q)
+        return closed.q if closed else q
     finite = configurations[np.isfinite(configurations).all(axis=1)]
     return finite[int(np.argmin(distance(system, finite, q)))]
 

@@ -13,7 +13,7 @@ from matplotlib.patches import PathPatch
 
 from kempe.joints import P, R
 from kempe.spatial import Array
-from kempe.views.drawing import shapes, style
+from kempe.views.drawing import shapes, style, touches
 from kempe.views.drawing.labels import Obstacles
 from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, distinct, travel
 from kempe.views.drawing.style import BAR, BLOCK, DRIVER, GROUND, INK, OPEN, PAPER, WRONG
@@ -166,9 +166,8 @@ def _rods(sheet: Sheet) -> None:
         sheet.labels.append((name, p.mean(axis=0), 1.2 * r, {"gid": f"label:{name}", "color": INK}))
         for end in p:
             sheet.patch(shapes.circle(end, 0.7 * r), f"rod:{name}:end", style.PINS, fc=PAPER, ec=INK, lw=1.2)
-    for name, _, point in sheet.scene.marks:
-        sheet.patch(shapes.circle(flat(point), 0.6 * r), f"mark:{name}", style.PINS, fc=PAPER, ec=INK, lw=1.2)
-        sheet.labels.append((name, flat(point), 1.2 * r, {"gid": f"label:{name}", "color": INK}))
+    for mark in sheet.scene.marks:
+        touches.draw(sheet, mark)
     for name, links, A, point in sheet.scene.lines:
         along, c = A[:2, 2], flat(point)
         at = float(along @ (c - flat(A)))

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.constraints.base import Op, position_rows
+from kempe.constraints.base import Op, position_rows, with_numbers
+from kempe.description.parts import Declared
 from kempe.joints import Primitive
 from kempe.kinematics.constraints import closure_error, coordinate_value
 from kempe.kinematics.forward import fk
@@ -66,12 +67,34 @@ class SeenLink:
 
 
 @dataclass(frozen=True)
+class SeenMark:
+    """Where a constraint that is no joint, rod or line takes hold: frame B (4, 4) on a link, and how it is drawn.
+
+    `symbol` is that of its kind. `plane` is the foot (3,) of B on the plane that it touches, with the normal, and
+    `radius` that of what touches it, `disc` whether that is flat, with y of B as its axle.
+    """
+
+    name: str
+    link: int
+    B: Array
+    symbol: str
+    plane: tuple[Array, Array] | None = None
+    radius: float = 0.0
+    disc: bool = False
+
+    @property
+    def point(self) -> Array:
+        """Its place (3,)."""
+        return self.B[:3, 3]
+
+
+@dataclass(frozen=True)
 class Scene:
     """All that there is to draw; link 0 is the ground.
 
     `rods` are distance constraints: name, links, ends (2, 3), what the ends are too far apart [m]. `lines` are points
     on lines and planes: name, links, pose (4, 4) of the line's or plane's frame, position of the point. `marks` are
-    where other constraints take hold: name, link, position.
+    where other constraints take hold.
     """
 
     system: System
@@ -80,14 +103,14 @@ class Scene:
     joints: tuple[SeenJoint, ...]
     rods: tuple[tuple[str, tuple[int, int], Array, float], ...] = ()
     lines: tuple[tuple[str, tuple[int, int], Array, Array], ...] = ()
-    marks: tuple[tuple[str, int, Array], ...] = ()
+    marks: tuple[SeenMark, ...] = ()
 
     def points(self, link: SeenLink) -> Array:
         """Distinct joint centres, ends of rods and frames (k, 3) of a link, in that order."""
         found = [self.joints[j].on(link.number)[:3, 3] for j in link.joints]
         found += [ends[k] for _, links, ends, _ in self.rods for k in (0, 1) if links[k] == link.number]
         found += [p for _, links, _, p in self.lines if links[1] == link.number]
-        found += [p for _, n, p in self.marks if n == link.number]
+        found += [m.point for m in self.marks if m.link == link.number]
         found += [X[:3, 3] for X in link.frames.values()]
         return distinct(np.array(found).reshape(-1, 3))
 
@@ -207,8 +230,19 @@ def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]
         elif {r.op for r in position_rows(c.of, system.dim)} == {Op.POINT}:
             lines.append((c.name, ends, A, B[:3, 3]))
         else:
-            marks.append((c.name, number[c.child], B[:3, 3]))
+            marks.append(_mark(system, c, number[c.child], A, B))
     return tuple(rods), tuple(lines), tuple(marks)
+
+
+def _mark(system: System, c: Declared, link: int, A: Array, B: Array) -> SeenMark:
+    """A constraint that is no rod or line, with the plane that it touches, if it touches one."""
+    made, plane = with_numbers(c.of, system.parameters), None
+    rows = [r for r in made.rows(system.dim) if not r.velocity]
+    if made.symbol in ("contact", "wheel") and len(rows) == 1:
+        normal = A[:3, 1 if system.dim == 2 and rows[0].op is not Op.POINT else 2]
+        plane = B[:3, 3] - normal * float(normal @ (B - A)[:3, 3]), normal
+    radius = float(getattr(made, "radius", None) or 0.0)
+    return SeenMark(c.name, link, B, made.symbol, plane, radius, getattr(made, "shape", "") == "disc")
 
 
 def travel(scene: Scene, joint: SeenJoint, configurations: Array | None) -> tuple[float, float]:

@@ -6,10 +6,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from kempe import spatial
 from kempe.joints import P, Q
 from kempe.spatial import Array
 from kempe.views.drawing import style
-from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, distinct, travel
+from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, SeenMark, distinct, travel
 from kempe.views.drawing.solids import Solids, flat_hull
 from kempe.views.drawing.style import DRIVER, GROUND, INK, OPEN, WRONG
 
@@ -48,13 +49,33 @@ def build(solids: Solids, scene: Scene, r: float, configurations: Array | None) 
         for end in ends:
             solids.ball(f"rod:{name}", end, 0.8 * r, JOINT)
         skeleton.append(ends)
-    for name, _, point in scene.marks:
-        solids.ball(f"mark:{name}", point, 0.8 * r, JOINT)
+    for mark in scene.marks:
+        _constraint(solids, mark, r)
     for name, _, A, point in scene.lines:
         along = A[:3, 2] * 6 * r
         solids.tube(f"line:{name}", point - along, point + along, 0.2 * r, GROUND)
         solids.ball(f"line:{name}", point, 0.8 * r, JOINT)
     return skeleton
+
+
+def _constraint(solids: Solids, mark: SeenMark, r: float) -> None:
+    """An axle with wheels, a wheel or ball on the plane that it touches, or a point."""
+    name, c, axle, colour = f"mark:{mark.name}", mark.point, mark.B[:3, 1], style.link_colour(mark.link)
+    if mark.plane is not None:
+        X = np.eye(4)
+        X[:3, :3], X[:3, 3] = spatial.align_z(mark.plane[1]), mark.plane[0]
+        solids.plate(f"{name}:plane", _square(X, max(2.0 * mark.radius, 6.0 * r)), GROUND, 0.25, GROUND)
+    if mark.radius > 0.0 and mark.disc:
+        half = 0.08 * mark.radius * axle
+        solids.tube(name, c - half, c + half, mark.radius, colour, 1, sides=24)
+    elif mark.radius > 0.0:
+        solids.ball(name, c, mark.radius, colour)
+    elif mark.symbol == "wheel":
+        solids.tube(name, c - 6.0 * r * axle, c + 6.0 * r * axle, 0.4 * r, INK)
+        for end in (c - 6.0 * r * axle, c + 6.0 * r * axle):
+            solids.tube(name, end - 0.5 * r * axle, end + 0.5 * r * axle, 2.4 * r, INK, 1)
+    else:
+        solids.ball(name, c, 0.8 * r, JOINT)
 
 
 # ---- links
@@ -72,7 +93,7 @@ def _lines(scene: Scene, link: SeenLink) -> list[Array]:
     centres = distinct(np.array([j.on(link.number)[:3, 3] for j in joints]
                                 + [e[k] for _, n, e, _ in scene.rods for k in (0, 1) if n[k] == link.number]
                                 + [p for _, n, _, p in scene.lines if n[1] == link.number]
-                                + [p for _, n, p in scene.marks if n == link.number]).reshape(-1, 3))  # fmt: skip
+                                + [m.point for m in scene.marks if m.link == link.number]).reshape(-1, 3))  # fmt: skip
     ends = [X[:3, 3] for X in link.frames.values()]
     out: list[Array] = []
     if len(joints) == 2 and len(centres) <= 2:
