@@ -251,14 +251,15 @@ def test_info_shows_declared_constraints(rodded):
     data = Result("info", rodded, "--json").json()
     assert data["constraints"] == [
         {"name": "rod", "type": "distance", "parent": "crank", "child": "slider", "length": 2.0, "equations": 1,
-         "one_sided": 0},
+         "one_sided": 0, "says": "slider and crank are 2 m apart"},
         {"name": "guide", "type": "on_line", "parent": "ground", "child": "slider", "length": None,
-         "equations": 1, "one_sided": 0},
+         "equations": 1, "one_sided": 0, "says": "slider is on a line of ground"},
     ]  # fmt: skip
     shown = Result("info", rodded).out
     assert "4 of all joints less 2 equations of 2 constraints: at least 2; kempe dof" in shown
     assert [line.split() for line in shown.splitlines() if line.startswith(("rod ", "guide "))] == [
-        ["rod", "distance", "crank", "-", "slider", "2", "m"], ["guide", "on_line", "ground", "-", "slider"],
+        "rod distance crank - slider slider and crank are 2 m apart".split(),
+        "guide on_line ground - slider slider is on a line of ground".split(),
     ]  # fmt: skip
     assert "kempe dof" in Result("info", "bennett").out and "kempe dof" not in Result("info", "puma560").out
 

@@ -120,9 +120,9 @@ class Constraint(ABC):
     kind: ClassVar[str] = ""
     """Its name in files and tables."""
     symbol: ClassVar[str] = "mark"
-    """How it is drawn: "rod", "line", "wheel", "contact", "mark"."""
+    """How it is drawn where its rows do not say it, as those of rods and slots do: "wheel", "contact", "mark"."""
     says: ClassVar[str] = ""
-    """What it asks, as a sentence over its fields."""
+    """What it asks, as a sentence over its fields; `sentence` has it filled in."""
     zero: ClassVar[float] = 0.0
     """What `low` or `high` of a row may name."""
 
@@ -171,6 +171,20 @@ class Constraint(ABC):
     def label(self) -> str:
         """How answers call it."""
         return self.name or f"{type(self).__name__} of {self.about}"
+
+    @property
+    def sentence(self) -> str:
+        """What it asks, in one plain sentence with its frames and numbers."""
+        said = self.says.format_map({f.name: self.in_words(f.name) for f in fields(self)})
+        other = getattr(self, "other", None)
+        return said if other is None or "{other}" in self.says else f"{said}, seen from {other}"
+
+    def in_words(self, name: str) -> str:
+        """What a field holds, as its sentence says it."""
+        x, sort = getattr(self, name), next(f.type for f in fields(self) if f.name == name)
+        if x is None:
+            return "the ground" if sort in FRAMES else "what is given"
+        return SQUARE[sort] if sort in SQUARE and np.ndim(x) >= 2 else plainly(x)
 
     # ---- what only `ik` reads
 
@@ -246,6 +260,8 @@ def content(constraint: Constraint) -> tuple[Any, ...]:
 
 FRAMES = ("Frame", "Frame | None")
 """Annotations of fields that name a frame."""
+SQUARE = {"Matrix": "a given pose", "Rotation": "a given rotation"}
+"""Annotations of fields of numbers that are too many for a sentence, and what it says of them."""
 NUMBERS = ("Number", "Point", "Direction", "Matrix", "Rotation")
 """Annotations of fields of numbers, which in a description may be expressions in parameters."""
 PARAMETERS = "Parameters"
@@ -280,6 +296,15 @@ def _evaluated(x: Any, parameters: Mapping[str, float]) -> Any:
     if isinstance(x, (list, tuple)):
         return [_evaluated(item, parameters) for item in x]
     return x.evaluate(parameters) if isinstance(x, Expression) else x
+
+
+def plainly(x: Any) -> str:
+    """A name, a number or some of them, as a sentence has it."""
+    if isinstance(x, (np.ndarray, list, tuple, np.generic)):
+        x = np.asarray(x, dtype=object).tolist()
+    if isinstance(x, list):
+        return f"({', '.join(map(plainly, x))})"
+    return f"{x:g}" if isinstance(x, (int, float)) else getattr(x, "__name__", None) or str(x)
 
 
 def fields_of(kind: type[Constraint]) -> dict[str, str]:

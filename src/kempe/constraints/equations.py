@@ -198,6 +198,14 @@ class _Valued(_Written):
         told = self._texts
         return told.inputs if isinstance(told, Tape) else told.of if isinstance(told, Call) else words_of(told)
 
+    def in_words(self, name: str) -> str:
+        """Its expressions, compared with zero."""
+        if name != "expression":
+            return super().in_words(name)
+        told, tail = self._texts, " >= 0" if self.sense else " = 0"
+        texts = told if isinstance(told, tuple) else (f"f({', '.join(self.of)})",)  # type: ignore[attr-defined]
+        return ", ".join(t if "=" in t else t + tail for t in texts)
+
     def rows(self, dim: int) -> tuple[Row, ...]:
         """One for each number."""
         told = self._texts
@@ -220,7 +228,7 @@ class _Valued(_Written):
         return replace(self, expression=told, of=tuple(new.values()))  # type: ignore[call-arg]
 
 
-@kind("equation", says="{expression} is zero")
+@kind("equation", says="{expression}")
 class Equation(_Valued):
     """An equation f = 0 over coordinates, or several: text such as ``"A = 2*B"``, or a function.
 
@@ -235,7 +243,7 @@ class Equation(_Valued):
     parameters: Parameters = field(default=None, repr=False, kw_only=True)
 
 
-@kind("inequality", "contact", "{expression} is not negative")
+@kind("inequality", says="{expression}")
 class Inequality(_Valued):
     """An inequality f >= 0 over coordinates, or several; see `Equation`. Text may not hold a sign of equality."""
 
@@ -253,7 +261,7 @@ class Inequality(_Valued):
                 raise InputError(f"{self.what} is {text!r}: give what is not negative, such as '1.2 - A'")
 
 
-@kind("velocity_equation", says="the velocities of {of} obey {matrix}")
+@kind("velocity_equation", says="the velocities v of {of} obey {matrix} v = {b}")
 class VelocityEquation(_Written):
     """Rows A(q) v = b(q, t) over the velocities of the coordinates `of`: numbers, texts, or a function of these.
 

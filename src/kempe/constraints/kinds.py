@@ -26,6 +26,7 @@ from kempe.constraints.base import (
     Rotation,
     Row,
     kind,
+    plainly,
 )
 from kempe.constraints.reading import (
     along,
@@ -180,7 +181,7 @@ class LookAt(_Axis):
         return self._at(dim, "target")
 
 
-@kind("on_line", "line", "{frame} is on a line of {other}")
+@kind("on_line", says="{frame} is on a line of {other}")
 class OnLine(_Placed):
     """A point of a frame on the line through `origin` (..., 3) along `direction` (..., 3)."""
 
@@ -199,7 +200,7 @@ class OnLine(_Placed):
         return self._along(dim, "direction")
 
 
-@kind("on_plane", "line", "{frame} is on a plane of {other}")
+@kind("on_plane", says="{frame} is on a plane of {other}")
 class OnPlane(_Placed):
     """A point of a frame on the plane through `origin` (..., 3) with the normal `normal` (..., 3)."""
 
@@ -234,7 +235,7 @@ class HalfSpace(OnPlane):
         return X @ spatial.pose(p=margin[..., None] * np.array(Z)) if np.any(margin) else X
 
 
-@kind("on_sphere", "rod", "{frame} is {radius} away from a point of {other}")
+@kind("on_sphere", says="{frame} is {radius} m away from a point of {other}")
 class OnSphere(_Placed):
     """A point of a frame at the distance `radius` (...) from `center` (..., 3): on a sphere, in the plane a circle."""
 
@@ -323,7 +324,7 @@ class RelativePosition(_TwoFrames):
     rows, goal = Position.rows, Position.goal
 
 
-@kind("distance", "rod", "{frame} and {other} are {value} apart")
+@kind("distance", says="{frame} and {other} are {value} m apart")
 class Distance(_TwoFrames):
     """The distance of a `point` of a frame from `other_point` of another: `value` (...), or between bounds (...).
 
@@ -344,6 +345,13 @@ class Distance(_TwoFrames):
             raise InputError(f"{self.label} needs a value, or at_least or at_most")
         return (Row(Op.DISTANCE, (), "distance", equal="value", low="at_least", high="at_most"),)
 
+    def in_words(self, name: str) -> str:
+        """Bounds in place of the value, where they are given."""
+        if name != "value" or self.value is not None:
+            return super().in_words(name)
+        given = (("at least", self.at_least), ("at most", self.at_most))
+        return " and ".join(f"{word} {plainly(x)}" for word, x in given if x is not None)
+
     def check(self, dim: int) -> None:
         """Distances are not negative, and bounds leave something between them."""
         for name in ("value", "at_least", "at_most"):
@@ -358,7 +366,7 @@ class Distance(_TwoFrames):
         return EYE if self.other_point is ORIGIN else self._at(dim, "other_point")
 
 
-@kind("on_surface", "line", "{frame} is on {surface} of {other}")
+@kind("on_surface", says="{frame} is on {surface} of {other}")
 class OnSurface(_Placed):
     """A point of a frame on the surface f(x, y, z) = 0, in the plane on the curve f(x, y) = 0.
 

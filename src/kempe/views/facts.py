@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import library, spatial
+from kempe.constraints.base import with_numbers
 from kempe.description.parts import Declared, Joint
 from kempe.errors import DescriptionError, KempeError, Problem
 from kempe.joints import P, R
@@ -131,6 +132,7 @@ def _constraint(system: System, c: Declared) -> dict[str, Any]:
     return {
         "name": c.name, "type": c.kind, "parent": c.parent, "child": c.child, "length": length,
         "equations": c.equations(system.dim), "one_sided": c.bounds(system.dim),
+        "says": with_numbers(c.of, system.parameters).sentence,
     } | ({"of": list(reads)} if (reads := getattr(c.of, "of", ())) else {})  # fmt: skip
 
 

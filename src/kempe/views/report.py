@@ -214,11 +214,10 @@ def _loops(data: dict[str, Any]) -> Table | None:
 def _constraints(data: dict[str, Any]) -> Table | None:
     lines = []
     for c in data["constraints"]:
-        length = "" if c["length"] is None else f"{c['length']:g} m"
         sided = ", one-sided" if c["one_sided"] else ""
         what = [f"{c['parent']} - {c['child']}"] if c["parent"] else []
-        lines.append((c["name"], f"{c['type']}{sided}", ", ".join([*what, *c.get("of", [])]), length))
-    return table(("constraint", "=type", "of", ">length"), lines, "Declared constraints") if lines else None
+        lines.append((c["name"], f"{c['type']}{sided}", ", ".join([*what, *c.get("of", [])]), c["says"]))
+    return table(("constraint", "=type", "of", "what it asks"), lines, "Declared constraints") if lines else None
 
 
 def _couplings(data: dict[str, Any]) -> RenderableType | None:
