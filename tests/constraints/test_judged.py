@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from kinds_battery import ASKED_ONLY, EXAMPLES, two_bodies
@@ -59,3 +61,16 @@ def test_asked_and_declared_are_judged_alike(name, hunt):
     system = m.build()
     q = np.stack([system.random(rng) for _ in range(20)])
     np.testing.assert_allclose(judge(system, q).errors[0].T, tasks.miss(system, made, q), atol=1e-9)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("name", [n for n in EXAMPLES if not any(r.velocity for r in EXAMPLES[n](3).rows(3))])
+def test_answers_of_ik_are_judged(name, dim):
+    """What is asked is judged at poses that are multiplied out; another configuration is not what was asked."""
+    system, made = two_bodies(dim).build(), EXAMPLES[name](dim)
+    answer = system.ik(made.demand(weight=None), seed=system.random(3))
+    assert answer.success and answer.judged and answer.judged.names == (made.label,)
+    np.testing.assert_allclose(answer.judged.errors[0], tasks.miss(system, made, answer.q), atol=1e-12)
+    elsewhere = replace(answer, q=answer.q + np.linspace(0.7, 1.9, system.nq))
+    one_sided = name in ("half_space", "contact", "in_box", "inequality")
+    assert one_sided or (not elsewhere.judged and "success is contradicted" in elsewhere.verdict)

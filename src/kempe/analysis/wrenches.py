@@ -26,6 +26,7 @@ from kempe.solvers.words import cut
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.description.mechanism import Mechanism
     from kempe.model.system import System
 
 BALANCED = 1e-8
@@ -199,6 +200,10 @@ class Wrenches:
     # ---- equations in maximal coordinates
 
     @cached_property
+    def _mechanism(self) -> Mechanism:
+        return self.system.mechanism  # a copy
+
+    @cached_property
     def _maximal(self) -> tuple[System, Array]:
         return maximal(self.system), maximal_q(self.system, self.q)
 
@@ -209,7 +214,7 @@ class Wrenches:
     @cached_property
     def _bodies(self) -> list[tuple[str, int]]:
         """The bodies, each with the first of its velocities; last, under '', that of the first of the joints."""
-        m, at, out = self.system.mechanism, 0, []
+        m, at, out = self._mechanism, 0, []
         for body in self.system.body_names[1:]:
             out.append((body, at))
             at += self.system.dim if m.bodies[body].particle else 6 if self.system.dim == 3 else 3
@@ -233,7 +238,7 @@ class Wrenches:
             name = tie.name if tie.relation is None else f"coupling of {tie.relation.of}"
             out += [_Row(name, row, packed.units[k + i], True, J[k + i]) for i, row in enumerate(tie.rows)]
             k += len(tie.rows)
-        order = {n: i for i, n in enumerate((*self.system.joints, *self.system.mechanism.constraints))}
+        order = {n: i for i, n in enumerate((*self.system.joints, *self._mechanism.constraints))}
         out.sort(key=lambda r: order.get(r.of, len(order)))
         rates = velocity_rows(M)
         A = rates.values(Q, np.zeros(()))[0]
@@ -290,7 +295,7 @@ class Wrenches:
         for body, at in self._bodies[:-1]:
             R, J = self._poses[body][:3, :3], system.jacobian(self.q, body)
             motion = np.vstack([J[:3], R.T @ J[3:]]) if system.dim == 3 else J[[0, 1, 5]]
-            n = system.dim if system.mechanism.bodies[body].particle else len(motion)
+            n = system.dim if self._mechanism.bodies[body].particle else len(motion)
             out[at : at + n] = motion[:n]
         out[self._bodies[-1][1] :] = np.eye(system.nv)
         return out
@@ -301,7 +306,7 @@ class Wrenches:
         """The wrench (6,) on a body, at its origin in axes of the ground, of a multiplier of an equation."""
         system, at = self.system, self._first[body]
         out = np.zeros(6)
-        if system.mechanism.bodies[body].particle:
+        if self._mechanism.bodies[body].particle:
             out[: system.dim] = rates[at : at + system.dim]
         elif system.dim == 2:
             out[[0, 1, 5]] = rates[at : at + 3]
@@ -313,7 +318,7 @@ class Wrenches:
     @cached_property
     def _ends(self) -> dict[str, tuple[str, float, Array]]:
         """Of each joint and constraint of bodies: a body that is not the ground, the sign of its wrench, the point."""
-        m, ground, out = self.system.mechanism, self.system.body_names[0], {}
+        m, ground, out = self._mechanism, self.system.body_names[0], {}
         for of in (*m.joints.values(), *m.constraints.values()):
             if of.parent:
                 joint = of.name in m.joints
@@ -346,7 +351,7 @@ class Wrenches:
             return out
         X = self._poses[body]
         wrench[3:] += np.cross(system.fk(self.q, name)[:3, 3] - X[:3, 3], wrench[:3])
-        if system.mechanism.bodies[body].particle:
+        if self._mechanism.bodies[body].particle:
             out[at : at + system.dim] = wrench[: system.dim]
         elif system.dim == 2:
             out[at : at + 3] = wrench[[0, 1, 5]]

@@ -171,18 +171,18 @@ class Poses:
     """Poses of the bodies and frames of a system at q (..., nq): the joints of its tree, multiplied out."""
 
     def __init__(self, system: System, q: Array):
-        self.system, self.q, m, tree = system, q, system.mechanism, system.topology
+        self.system, self.q, self.mechanism, tree = system, q, system.mechanism, system.topology
         self.bodies = {tree.bodies[0]: np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))}
         for body, parent, name, back in zip(
             tree.bodies[1:], tree.parent, tree.parent_joints, tree.reversed_, strict=True
         ):
-            F, M = self.frames(m.joints[name])
+            F, M = self.frames(self.mechanism.joints[name])
             X = F @ spatial.inverse(M)
             self.bodies[body] = self.bodies[tree.bodies[parent]] @ (spatial.inverse(X) if back else X)
 
     def frames(self, joint: Joint) -> tuple[Array, Array]:
         """Frame M (..., 4, 4) of a joint on its parent body, where its coordinates put it, and (4, 4) on its child."""
-        system, m = self.system, self.system.mechanism
+        system, m = self.system, self.mechanism
         names, primitives = joint.type.layout(m.dim, m.bodies[joint.child].particle)
         whole = [f"{joint.name}.{n}" if n else joint.name for n in names]
         own = [coordinate_value(system, self.q, n) for n in whole]
@@ -193,23 +193,23 @@ class Poses:
         """The pose (..., 4, 4) of a body or frame; of several, or for None of all bodies, (..., n, 4, 4)."""
         if not isinstance(name, str):
             return np.stack([self(n) for n in (self.bodies if name is None else name)], axis=-3)
-        frame = self.system.mechanism.frames.get(name)
+        frame = self.mechanism.frames.get(name)
         if frame is None:
             return self.bodies[name]
-        return self.bodies[frame.body] @ frame.X_BF.evaluate(self.system.mechanism.parameters)
+        return self.bodies[frame.body] @ frame.X_BF.evaluate(self.mechanism.parameters)
 
     def joint(self, joint: Joint) -> tuple[Array, Array]:
         """How far (...) a joint is open, in metres and radians; of a particle the angle is zero."""
         F, M = self.frames(joint)
         A, B = self.bodies[joint.parent] @ F, self.bodies[joint.child] @ M
         size = size_of(B[..., :3, 3] - A[..., :3, 3])
-        if self.system.mechanism.bodies[joint.child].particle:
+        if self.mechanism.bodies[joint.child].particle:
             return size, np.zeros_like(size)
         return size, angle_between(A[..., :3, :3], B[..., :3, :3])
 
     def declared(self, declared: Declared) -> tuple[Array, Array]:
         """How far (...) the rows of position of a declared constraint are missed, in metres and in radians."""
-        m, dim = self.system.mechanism, self.system.dim
+        m, dim = self.mechanism, self.system.dim
         made, X_AB, total = resolved(declared, m.parameters, dim), None, np.zeros((2, *self.q.shape[:-1]))
         A = B = np.eye(4)
         if declared.parent:
@@ -308,8 +308,9 @@ def judge(
     tasks with their goals (or None) and what (2,) each may be missed by; `more` (...) is what solvers left of others,
     in radians and characteristic lengths. Rows of velocity are about motions, not about a configuration.
     """
-    q, m = as_q(system, q), system.mechanism
+    q = as_q(system, q)
     at = Poses(system, q)
+    m = at.mechanism
     found = [(name, at.joint(m.joints[name])) for name in system.closures]
     found += [(c.name, at.declared(c)) for c in m.constraints.values() if c.positions(system.dim)]
     found += [(r.of, at.relation(r.of, r.sources, r.offset)) for r in system.relations]
