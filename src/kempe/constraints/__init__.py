@@ -6,6 +6,7 @@
 
 from kempe.constraints.base import KINDS, Constraint, End, Op, Row, kind
 from kempe.constraints.contacts import Contact, NoSideslip, Rolls
+from kempe.constraints.curves import OnCurve
 from kempe.constraints.equations import Equation, Inequality, VelocityEquation
 from kempe.constraints.kinds import (
     Distance,
@@ -27,7 +28,7 @@ from kempe.constraints.whole import CentreOfMass, CentreOfPoints, Function, Post
 
 __all__ = [
     "KINDS", "CentreOfMass", "CentreOfPoints", "Constraint", "Contact", "Distance", "End", "Equation", "Function",
-    "HalfSpace", "InBox", "Inequality", "LookAt", "NoSideslip", "OnLine", "OnPlane", "OnSphere", "OnSurface", "Op",
+    "HalfSpace", "InBox", "Inequality", "LookAt", "NoSideslip", "OnCurve", "OnLine", "OnPlane", "OnSphere", "OnSurface", "Op",
     "Orientation", "Pointing", "Pose", "Position", "Posture", "RelativePose", "RelativePosition", "Rolls", "Row",
     "VelocityEquation", "kind",
 ]  # fmt: skip

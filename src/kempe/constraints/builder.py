@@ -6,13 +6,14 @@ Every tape is finished in one order, that of a walk from its outputs, so that eq
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from kempe.constraints.tape import BINARY, UNARY, WHOLE_POWERS, Tape
+from kempe.constraints.pieces import nearest_rates
+from kempe.constraints.tape import BINARY, UNARY, WHOLE_POWERS, Node, Tape
 from kempe.errors import InputError
 from kempe.kernels import tape_layout as L
 
@@ -37,6 +38,14 @@ class Builder:
         if key not in self._known:
             self._numbers.append(x)
             self._known[key] = self._append(L.NUMBER, len(self._numbers) - 1, -1, False)
+        return self._known[key]
+
+    def table(self, numbers: tuple[float, ...]) -> int:
+        """The place of a list of numbers."""
+        key = (L.TABLE, numbers, -1)
+        if key not in self._known:
+            self._numbers += numbers
+            self._known[key] = self._append(L.TABLE, len(self._numbers) - len(numbers), len(numbers), False)
         return self._known[key]
 
     def _append(self, op: int, left: int, right: int, varies: bool) -> int:
@@ -79,6 +88,10 @@ class Builder:
                 return self._whole_power(base, m + n)
         if op == L.POW:
             return self._power(left, right, b)
+        if op == L.AT:
+            return self._with_partials(op, left, right)
+        if op == L.NEAREST:
+            return self._nearest(left, right)
         if op in (L.ATAN2, L.HYPOT):
             return self._of_two(op, left, right)
         return self._shared(op, left, right)
@@ -121,16 +134,61 @@ class Builder:
     def _of_two(self, op: int, left: int, right: int) -> int:
         if (op, left, right) in self._known:
             return self._known[op, left, right]
-        place = self._append(op, left, right, self._varies[left] or self._varies[right])
-        self._known[op, left, right] = place
-        partials = self._append(L.PARTIALS, -1, -1, False)
+        place = self._known[op, left, right] = self._with_partials(op, left, right)
         if op == L.HYPOT:
             by = self.binary(L.DIV, left, place), self.binary(L.DIV, right, place)
         else:
             square = self.binary(L.ADD, self._square(right), self._square(left))
             by = self.binary(L.DIV, right, square), self.unary(L.NEG, self.binary(L.DIV, left, square))
-        self._nodes[partials - len(self.inputs)] = (L.PARTIALS, *by)
+        return self._moves(place, *by)
+
+    def _with_partials(self, op: int, left: int, right: int) -> int:
+        """The place of a function of two operands, whose derivatives `_moves` is to tell."""
+        place = self._append(op, left, right, self._varies[left] or self._varies[right])
+        self._append(L.PARTIALS, -1, -1, False)
         return place
+
+    def _moves(self, place: int, by_left: int, by_right: int) -> int:
+        self._nodes[place + 1 - len(self.inputs)] = (L.PARTIALS, by_left, by_right)
+        return place
+
+    def _nearest(self, way: int, z: int) -> int:
+        """The place of the parameter of the nearest point of a curve."""
+        _, before, y = self._nodes[way - len(self.inputs)]
+        _, table, x = self._nodes[before - len(self.inputs)]
+        key = (L.NEAREST, (table, x, y), z)
+        if key not in self._known:
+            place = self._known[key] = self._with_partials(L.NEAREST, way, z)
+            zero, one = self.number(0.0), self.number(1.0)
+            by = nearest_rates(self, self._listed(table), place, (x, y, z))
+            for k, left, rate in zip((before, way, place), (zero, one, one), by, strict=True):
+                self._moves(k, left, rate)
+        return self._known[key]
+
+    def entry(self, s: int, numbers: Sequence[float]) -> int:
+        """The place of the entry of a list that belongs to a parameter."""
+        if len(set(numbers)) == 1:
+            return self.number(numbers[0])
+        return self.binary(L.LOOKUP, s, self.table(tuple(numbers)))
+
+    def nearest(self, table: tuple[float, ...], p: Sequence[int]) -> int:
+        """The place of the parameter of the point of a curve (`tape_layout`) that is nearest to p."""
+        way = self.table(table)
+        for op, x in zip((L.AT, L.AT, L.NEAREST), p, strict=True):
+            way = self.binary(op, way, x)
+        return way
+
+    def rates_of(self, place: int) -> list[int]:
+        """The places of the derivatives of the parameter of a nearest point by x, y, z."""
+        found, n = list[int](), len(self.inputs)
+        for _ in range(3):
+            found.insert(0, self._nodes[place + 1 - n][2])
+            place = self._nodes[place - n][1]
+        return found
+
+    def _listed(self, table: int) -> tuple[float, ...]:
+        _, first, count = self._nodes[table - len(self.inputs)]
+        return tuple(self._numbers[first : first + count])
 
     def _square(self, place: int) -> int:
         return self.binary(L.MUL, place, place)
@@ -184,14 +242,17 @@ class Builder:
         place = {old: new for new, old in enumerate(kept)}
         for i in self._walk(outputs):
             if i >= n:
-                op, left, right = self._nodes[i - n]
-                if op == L.NUMBER:
-                    place[i] = fresh.number(self._numbers[left])
-                elif op in BINARY:
-                    place[i] = fresh.binary(op, place[left], place[right])
-                else:
-                    place[i] = fresh.unary(op, place[left])
+                place[i] = fresh.again(self._nodes[i - n], self._numbers, place)
         return Tape(fresh.inputs, tuple(fresh._nodes), tuple(fresh._numbers), tuple(place[i] for i in outputs))
+
+    def again(self, node: Node, numbers: Sequence[float], place: Mapping[int, int]) -> int:
+        """The place of a node of another tape with these numbers, whose operands are at `place` here."""
+        op, left, right = node
+        if op == L.NUMBER:
+            return self.number(numbers[left])
+        if op == L.TABLE:
+            return self.table(tuple(numbers[left : left + right]))
+        return self.binary(op, place[left], place[right]) if op in BINARY else self.unary(op, place[left])
 
     def _walk(self, outputs: list[int]) -> list[int]:
         """Places that the values at `outputs` need, operands before what is made of them."""
@@ -216,13 +277,7 @@ class Builder:
         """The places of the outputs of a tape whose inputs are at the places `leaves`."""
         place = dict(enumerate(leaves))
         for i in tape._needed():
-            op, left, right = tape.nodes[i - len(tape.inputs)]
-            if op == L.NUMBER:
-                place[i] = self.number(tape.numbers[left])
-            elif op in BINARY:
-                place[i] = self.binary(op, place[left], place[right])
-            else:
-                place[i] = self.unary(op, place[left])
+            place[i] = self.again(tape.nodes[i - len(tape.inputs)], tape.numbers, place)
         return [place[i] for i in tape.outputs]
 
 

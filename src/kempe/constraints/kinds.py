@@ -66,7 +66,7 @@ def whole(dim: int) -> tuple[Row, ...]:
 ROTATION, TILT, LOOK = (Row(op, (), name, "rad") for op, name in ((Op.ROTATION, "r"), (Op.TILT, "r"), (Op.LOOK, "r")))
 
 
-class _Placed(Constraint):
+class Placed(Constraint):
     """A kind with a `target`, or an `origin`, and a `point` of the frame."""
 
     def tool(self, dim: int) -> tuple[float, ...]:
@@ -85,7 +85,7 @@ class _Placed(Constraint):
 
 
 @kind("pose", says="{frame} is at {target}")
-class Pose(_Placed):
+class Pose(Placed):
     """A frame at a pose: `target` (..., 4, 4), in planar systems also (..., 3, 3)."""
 
     frame: Frame
@@ -102,7 +102,7 @@ class Pose(_Placed):
 
 
 @kind("position", says="{frame} is at {target}")
-class Position(_Placed):
+class Position(Placed):
     """A point of a frame at a position `target` (..., 3), in planar systems also (..., 2)."""
 
     frame: Frame
@@ -120,7 +120,7 @@ class Position(_Placed):
 
 
 @kind("orientation", says="{frame} is turned as {target}")
-class Orientation(_Placed):
+class Orientation(Placed):
     """A frame turned as `target` (..., 3, 3), or as a pose (..., 4, 4), wherever it is."""
 
     frame: Frame
@@ -137,7 +137,7 @@ class Orientation(_Placed):
         return poses_of(spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X, dim, what)
 
 
-class _Axis(_Placed):
+class _Axis(Placed):
     """A kind on an `axis` of a frame."""
 
     def tool(self, dim: int) -> tuple[float, ...]:
@@ -182,7 +182,7 @@ class LookAt(_Axis):
 
 
 @kind("on_line", says="{frame} is on a line of {other}")
-class OnLine(_Placed):
+class OnLine(Placed):
     """A point of a frame on the line through `origin` (..., 3) along `direction` (..., 3)."""
 
     frame: Frame
@@ -201,7 +201,7 @@ class OnLine(_Placed):
 
 
 @kind("on_plane", says="{frame} is on a plane of {other}")
-class OnPlane(_Placed):
+class OnPlane(Placed):
     """A point of a frame on the plane through `origin` (..., 3) with the normal `normal` (..., 3)."""
 
     frame: Frame
@@ -236,7 +236,7 @@ class HalfSpace(OnPlane):
 
 
 @kind("on_sphere", says="{frame} is {radius} m away from a point of {other}")
-class OnSphere(_Placed):
+class OnSphere(Placed):
     """A point of a frame at the distance `radius` (...) from `center` (..., 3): on a sphere, in the plane a circle."""
 
     frame: Frame
@@ -259,7 +259,7 @@ class OnSphere(_Placed):
 
 
 @kind("in_box", "contact", "{frame} is in a box of {other}")
-class InBox(_Placed):
+class InBox(Placed):
     """A point of a frame between the corners `low` and `high` (..., 3) of a box that is at `pose` (..., 4, 4)."""
 
     frame: Frame
@@ -297,7 +297,7 @@ class InBox(_Placed):
         return self._corners()[1]
 
 
-class _TwoFrames(_Placed):
+class _TwoFrames(Placed):
     """A kind on a frame and another one, which is named second."""
 
 
@@ -367,7 +367,7 @@ class Distance(_TwoFrames):
 
 
 @kind("on_surface", says="{frame} is on {surface} of {other}")
-class OnSurface(_Placed):
+class OnSurface(Placed):
     """A point of a frame on the surface f(x, y, z) = 0, in the plane on the curve f(x, y) = 0.
 
     `surface` is text such as ``"x^2/4 + y^2 = 1"``, in metres along the axes of the ground or of `other`.

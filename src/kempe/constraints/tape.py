@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from kempe.constraints.pieces import entries, nearest
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels import tape_layout as L
 from kempe.values import CONSTANTS, FUNCTIONS
@@ -40,7 +41,8 @@ WHOLE_POWERS = 64
 
 BINARY: dict[int, Callable] = {
     L.ADD: np.add, L.SUB: np.subtract, L.MUL: np.multiply, L.DIV: np.divide, L.POW: np.power,
-    L.ATAN2: np.arctan2, L.HYPOT: np.hypot,
+    L.ATAN2: np.arctan2, L.HYPOT: np.hypot, L.LOOKUP: entries, L.NEAREST: nearest,
+    L.AT: lambda way, x: (*way, x) if isinstance(way, tuple) else (way, x),
 }  # fmt: skip
 UNARY: dict[int, Callable] = {
     L.NEG: np.negative, L.EXP: np.exp, L.LOG: np.log, L.SQRT: np.sqrt, L.SIN: np.sin, L.COS: np.cos, L.TAN: np.tan,
@@ -87,6 +89,8 @@ class Tape:
                 op, left, right = self.nodes[i - len(self.inputs)]
                 if op == L.NUMBER:
                     found[i] = np.float64(self.numbers[left])
+                elif op == L.TABLE:
+                    found[i] = np.array(self.numbers[left : left + right])
                 elif op in BINARY:
                     found[i] = BINARY[op](found[left], found[right])
                 else:
@@ -131,7 +135,7 @@ class Tape:
 
         def moved(node: Node) -> Node:
             op, left, right = node
-            if op == L.NUMBER:
+            if op in (L.NUMBER, L.TABLE):
                 return op, left + len(bound), right
             return op, place.get(left, left), place.get(right, right)
 

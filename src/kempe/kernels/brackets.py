@@ -26,10 +26,11 @@ from kempe.kernels.tape_layout import (
     ADD,
     ATAN2,
     DIV,
-    HYPOT,
+    LOOKUP,
     MUL,
     N_INPUTS,
     N_NODES,
+    NEAREST,
     NEG,
     NODE_INTS,
     NUMBER,
@@ -92,10 +93,10 @@ def tops(ints, order, n_order, work, n, width, top, step):
             for s in range(n):
                 work[y + s] += work[a + s]
             quotient(work, n, y, width * right)
-        elif op == ATAN2 or op == HYPOT:
+        elif ATAN2 <= op <= NEAREST:
             product(work, n, width * ints[p + NODE_INTS + 1], a, y, 1.0)
             product(work, n, width * ints[p + NODE_INTS + 2], b, y, 1.0)
-        elif op != NEG and op != NUMBER and op != PARTIALS:
+        elif op > NEAREST:
             product(work, n, width * right, a, y, 1.0)
 
 
@@ -249,7 +250,7 @@ def magnitudes(f, n_inputs):
         i = f.order[o]
         p = node_at(ints, 0, i)
         op, left, right = ints[p], ints[p + 1], ints[p + 2]
-        if op == NUMBER or op == PARTIALS:
+        if op == NUMBER or PARTIALS <= op <= LOOKUP:
             work[out + i] = 0.0
             continue
         first, second = work[out + left], 0.0
@@ -260,7 +261,7 @@ def magnitudes(f, n_inputs):
         elif op == DIV:
             by = abs(work[width * right])
             first, second = first / by, work[out + right] * abs(work[width * i]) / by
-        elif op == ATAN2 or op == HYPOT:
+        elif ATAN2 <= op <= NEAREST:
             first *= abs(work[width * ints[p + NODE_INTS + 1]])
             second = work[out + right] * abs(work[width * ints[p + NODE_INTS + 2]])
         elif op != NEG:

@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from kempe.kernels._jit import device, kernel, routine
+from kempe.kernels.curves import entry_of, nearest_on_curve
 from kempe.kernels.declare import INT, OUT, F, I
 from kempe.kernels.tape_layout import (
     ACOS,
@@ -21,6 +22,7 @@ from kempe.kernels.tape_layout import (
     ADD,
     ASIN,
     ASINH,
+    AT,
     ATAN,
     ATAN2,
     ATANH,
@@ -30,10 +32,12 @@ from kempe.kernels.tape_layout import (
     EXP,
     HYPOT,
     LOG,
+    LOOKUP,
     MUL,
     N_INPUTS,
     N_NODES,
     N_OUTPUTS,
+    NEAREST,
     NEG,
     NODE_INTS,
     NUMBER,
@@ -43,6 +47,7 @@ from kempe.kernels.tape_layout import (
     SINH,
     SQRT,
     SUB,
+    TABLE,
     TAN,
     TANH,
     TAPE_HEAD,
@@ -93,15 +98,32 @@ def function_value(op, x):
 
 
 @routine
+def leaf_value(ints, at, floats, fat, i, width, work):
+    """The value of what has no rates of its own, or of the node NEAREST; operands are at `width` times their place."""
+    k = node_at(ints, at, i)
+    op, left, right = ints[k], ints[k + 1], ints[k + 2]
+    if op == NUMBER:
+        return floats[fat + left]
+    if op == LOOKUP:
+        table = node_at(ints, at, right)
+        return entry_of(floats, fat + ints[table + 1], ints[table + 2], work[width * left])
+    if op != NEAREST:
+        return 0.0
+    second = node_at(ints, at, left)
+    first = node_at(ints, at, ints[second + 1])
+    table = node_at(ints, at, ints[first + 1])
+    x, y, z = work[width * ints[first + 2]], work[width * ints[second + 2]], work[width * right]
+    return nearest_on_curve(floats, fat + ints[table + 1], ints[table + 2], x, y, z)
+
+
+@routine
 def tape_values(ints, at, floats, fat, work):
     """Fill work[: n_nodes] with the values of all nodes; work[: n_inputs] holds the inputs."""
     n = ints[at + N_INPUTS]
     for i in range(n, ints[at + N_NODES]):
         k = node_at(ints, at, i)
         op, left, right = ints[k], ints[k + 1], ints[k + 2]
-        if op == NUMBER:
-            work[i] = floats[fat + left]
-        elif op == ADD:
+        if op == ADD:
             work[i] = work[left] + work[right]
         elif op == SUB:
             work[i] = work[left] - work[right]
@@ -117,10 +139,10 @@ def tape_values(ints, at, floats, fat, work):
             work[i] = math.atan2(work[left], work[right])
         elif op == HYPOT:
             work[i] = math.hypot(work[left], work[right])
-        elif op == PARTIALS:
-            work[i] = 0.0
-        else:
+        elif op > NEAREST:
             work[i] = function_value(op, work[left])
+        else:
+            work[i] = leaf_value(ints, at, floats, fat, i, 1, work)
 
 
 @routine
@@ -147,10 +169,10 @@ def tape_gradient(ints, at, floats, fat, output, work, adjoint):
         k = node_at(ints, at, i)
         op, left, right = ints[k], ints[k + 1], ints[k + 2]
         a = adjoint[i]
-        if adjoint[marks + i] == 0.0 or op == NUMBER:
+        if adjoint[marks + i] == 0.0 or op == NUMBER or op == TABLE or op == LOOKUP:
             continue
         adjoint[marks + left] = 1.0
-        if op < NEG or op == ATAN2 or op == HYPOT:
+        if op < NEG or ATAN2 <= op <= NEAREST:
             adjoint[marks + right] = 1.0
         if op == ADD:
             adjoint[left] += a
@@ -170,7 +192,7 @@ def tape_gradient(ints, at, floats, fat, output, work, adjoint):
             adjoint[right] += a * by_exponent
         elif op == NEG:
             adjoint[left] -= a
-        elif op == ATAN2 or op == HYPOT:
+        elif op <= NEAREST:
             adjoint[left] += a * work[ints[k + NODE_INTS + 1]]
             adjoint[right] += a * work[ints[k + NODE_INTS + 2]]
         else:
@@ -235,9 +257,7 @@ def tape_order(ints, at, floats, fat, k, width, series):
         op, left, right = ints[p], ints[p + 1], ints[p + 2]
         y = width * i + k
         a, b = width * left + k, width * right + k
-        if op == NUMBER:
-            series[y] = floats[fat + left] if k == 0 else 0.0
-        elif op == ADD:
+        if op == ADD:
             series[y] = series[a] + series[b]
         elif op == SUB:
             series[y] = series[a] - series[b]
@@ -250,16 +270,18 @@ def tape_order(ints, at, floats, fat, k, width, series):
             for j in range(1, k + 1):
                 total -= series[width * right + j] * series[y - j]
             series[y] = total / series[width * right]
-        elif op == PARTIALS:
-            series[y] = 0.0
         elif op == POW:
             if k == 0:
                 series[y] = series[a] ** series[b]
             else:
                 series[y] = power_order(k, width, series, i, left, right)
-        elif op == ATAN2 or op == HYPOT:
+        elif k == 0 and (op == ATAN2 or op == HYPOT):
+            series[y] = math.atan2(series[a], series[b]) if op == ATAN2 else math.hypot(series[a], series[b])
+        elif op <= NEAREST:
             if k == 0:
-                series[y] = math.atan2(series[a], series[b]) if op == ATAN2 else math.hypot(series[a], series[b])
+                series[y] = leaf_value(ints, at, floats, fat, i, width, series)
+            elif op < ATAN2:
+                series[y] = 0.0
             else:
                 first, second = ints[p + NODE_INTS + 1], ints[p + NODE_INTS + 2]
                 series[y] = chain_order(k, width, series, left, first) + chain_order(k, width, series, right, second)

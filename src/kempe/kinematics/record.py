@@ -249,6 +249,8 @@ class Recorder:
                 value, form = zero, {}
             elif op == L.NUMBER:
                 value, form = tape.numbers[left], {}
+            elif op == L.TABLE:
+                value, form = self.builder.table(tape.numbers[left : left + right]), {}
             elif op in BINARY:
                 value, form = self._two(op, values[left], values[right], forms[left], forms[right])
             else:
@@ -278,6 +280,8 @@ class Recorder:
         if op == L.MUL:
             return n.mul(a, b), self.sum_of(f, b, g, a)
         value = 0.0 if op == L.DIV and isinstance(a, float) and a == 0.0 else n.of(op, a, b)
+        if op in (L.AT, L.NEAREST, L.LOOKUP):
+            return value, self._nearest(op, value, f, g)
         if not f and not g:
             return value, {}
         if op == L.DIV:
@@ -290,6 +294,19 @@ class Recorder:
             return value, self.sum_of(f, n.of(L.DIV, a, value), g, n.of(L.DIV, b, value))
         square = n.add(n.mul(a, a), n.mul(b, b))
         return value, self.sum_of(f, n.of(L.DIV, b, square), g, n.neg(n.of(L.DIV, a, square)))
+
+    def _nearest(self, op: int, place: Any, f: Form, g: Form) -> Form:
+        """The rate of the parameter of a nearest point; before it, the rates of x and y by which of them it is."""
+        n, build = self.numbers, self.builder
+        if op == L.LOOKUP:
+            return {}
+        if op == L.AT:
+            return f | {(len({i for i, _ in f}), k): x for k, x in g.items()}
+        rates, out = build.rates_of(place), {}
+        for i, key, x in [*((*k, x) for k, x in f.items()), *((2, k, x) for k, x in g.items())]:
+            known = build._constant(rates[i])
+            out[key] = n.add(out.get(key, 0.0), n.mul(rates[i] if known is None else known, x))
+        return out
 
     def _slope(self, op: int, x: Num, y: Num) -> Num:
         """The derivative of y = f(x)."""

@@ -92,7 +92,7 @@ class Rows:
                 todo += [left] if op == L.NEG else [left, right]
             elif op in BINARY:
                 todo += [left, right]
-            if op in (L.ATAN2, L.HYPOT):
+            if L.ATAN2 <= op <= L.NEAREST:
                 todo += nodes[place + 1 - n][1:]
         return np.array(sorted(seen), dtype=np.int64)
 

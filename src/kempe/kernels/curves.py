@@ -1,0 +1,92 @@
+"""Points of curves made of cubic pieces: the nearest to a place, and entries of tables (`tape_layout`)."""
+
+from __future__ import annotations
+
+import math
+
+from kempe.kernels._jit import device, routine
+from kempe.kernels.tape_layout import PIECE
+
+SAMPLES = 4
+"""Points of a piece that are compared before the nearest one is refined."""
+REFINEMENTS = 60
+"""Most steps of the refinement."""
+
+
+@device
+def piece_of(n, s):
+    """The piece of a parameter; the first or last beyond them."""
+    return 0 if not s > 0.0 else n - 1 if s >= n else int(s)
+
+
+@routine
+def entry_of(floats, at, n, s):
+    """The entry of a table of n numbers for a parameter."""
+    return floats[at + piece_of(n, s)]
+
+
+@device
+def cubic(floats, at, u):
+    """A polynomial, and its first two derivatives."""
+    a, b, c, d = floats[at], floats[at + 1], floats[at + 2], floats[at + 3]
+    return a + u * (b + u * (c + u * d)), b + u * (2.0 * c + u * (3.0 * d)), 2.0 * c + 6.0 * d * u
+
+
+@routine
+def square_to(floats, at, u, x, y, z):
+    """Square of the distance from the point of a piece, and half its first two derivatives."""
+    cx, dx, ddx = cubic(floats, at, u)
+    cy, dy, ddy = cubic(floats, at + 4, u)
+    cz, dz, ddz = cubic(floats, at + 8, u)
+    ex, ey, ez = x - cx, y - cy, z - cz
+    slope = -(ex * dx + ey * dy + ez * dz)
+    return (ex * ex + ey * ey + ez * ez, slope,
+            dx * dx + dy * dy + dz * dz - (ex * ddx + ey * ddy + ez * ddz))  # fmt: skip
+
+
+@routine
+def nearest_sample(floats, at, n, endless, x, y, z):
+    """The parameter of the nearest of some points of all pieces; on straight ends the nearest itself."""
+    best, found = math.inf, 0.0
+    for i in range(n):
+        p = at + PIECE * i
+        if endless and (i == 0 or i == n - 1):
+            _, slope, bend = square_to(floats, p, 0.0, x, y, z)
+            u = -slope / bend
+            u = min(u, 1.0) if i == 0 else max(u, 0.0)
+            far, _, _ = square_to(floats, p, u, x, y, z)
+            if far < best:
+                best, found = far, i + u
+            continue
+        ex, ey, ez = x - floats[p], y - floats[p + 4], z - floats[p + 8]
+        away = math.sqrt(ex * ex + ey * ey + ez * ez) - floats[p + 12]
+        if away > 0.0 and away * away >= best:
+            continue
+        for k in range(SAMPLES):
+            far, _, _ = square_to(floats, p, k / SAMPLES, x, y, z)
+            if far < best:
+                best, found = far, i + k / SAMPLES
+    return found
+
+
+@routine
+def nearest_on_curve(floats, first, count, x, y, z):
+    """The parameter of the point of a curve nearest to (x, y, z), its table being floats[first : first + count]."""
+    at, n, endless = first + 1, (count - 1) // PIECE, floats[first] != 0.0
+    s = nearest_sample(floats, at, n, endless, x, y, z)
+    low, high = s - 1.0 / SAMPLES, s + 1.0 / SAMPLES
+    for _ in range(REFINEMENTS):  # Newton's method within a shrinking interval
+        round_ = 0.0 if endless else n * math.floor(s / n)
+        i = piece_of(n, s - round_)
+        _, slope, bend = square_to(floats, at + PIECE * i, s - round_ - i, x, y, z)
+        if slope < 0.0:
+            low = s
+        else:
+            high = s
+        new = s - slope / bend if bend > 0.0 else math.inf
+        if slope == 0.0 or not (low <= new <= high):
+            new = s if slope == 0.0 else 0.5 * (low + high)
+        step, s = abs(new - s), new
+        if step <= 1e-16 * (1.0 + abs(s)):
+            break
+    return s if endless else min(max(s - n * math.floor(s / n), 0.0), n * (1.0 - 1e-16))
