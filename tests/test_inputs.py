@@ -128,7 +128,6 @@ def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
 NO_ARRAYS = {"self", "system", "options", "numbers", "frame", "joint", "input", "output", "inputs", "outputs", "driver"}
 NOT_ASKED = {
     "System.save", "System.subchain", "System.frame_name", "System.coordinates_of_joint",  # no numbers
-    "kempe.kinematics.curves.curve_of", "kempe.kinematics.zoo.user_constraint",  # functions
     "kempe.analysis.transmission.pressure_angle",  # by bodies, see test_transmission.py
     "System.manoeuvre", "System.simulate",  # of what rolls and bounces, see test_manoeuvre.py and test_simulate.py
     "kempe.analysis.manoeuvre.manoeuvre", "kempe.analysis.simulate.simulate",

@@ -33,7 +33,7 @@ from kempe.description.toml import read_toml
 from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError, InputError, UnknownNameError, UnsupportedError
 from kempe.joints import TYPES, Cylindrical, Free, JointType, P, Planar, Primitive, Q, R, Revolute, joint_type
-from kempe.kinematics import loops, zoo
+from kempe.kinematics import loops
 from kempe.model.reduced import reduced
 from kempe.views.drawing import symbols
 from kempe.views.drawing.scene import look
@@ -108,7 +108,7 @@ def test_closures_in_numpy(kind, dim):
     steps = 1e-6 * np.eye(s.nv)
     for own in (False, True):
         judge = closures.closure_of(s, "j2", own or reduced(kind, dim) is None)
-        for closure in [c for c in zoo.of_system(s, own) if c.name == "j2"]:
+        for closure in [c for c in loops.of_system(s, own) if c.name == "j2"]:
             q = s.random(3)
             ends = [[closure.residual(s, s.integrate(q, x * e)) for x in (1, -1)] for e in steps]
             by_differences = np.stack([(a - b) / 2e-6 for a, b in ends], axis=-1)

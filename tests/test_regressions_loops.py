@@ -261,19 +261,19 @@ def test_a_search_among_thousands_of_modes_ends():
 
 
 def test_bad_further_constraints_are_refused_and_violated_ones_named():
-    from kempe.kinematics import zoo
+    from kempe import constraints
 
     s = kempe.load("five_bar")
     for bad in (3, ["x"]):
-        with pytest.raises(InputError, match="constraints is"):
-            s.assemble(constraints=bad)
+        with pytest.raises(InputError, match="also holds"):
+            s.assemble(also=bad)
     for wrong in (lambda q: "x", lambda q: np.nan):
         with pytest.raises(InputError, match="must give a number"):
-            zoo.user_constraint(s, "mine", wrong)
+            s.assemble(also=wrong)
     with pytest.raises(InputError, match=r"its Jacobian has shape \(1, 3\)"):
-        zoo.user_constraint(s, "mine", lambda q: q[0], lambda q: np.zeros(3))
+        s.assemble(also=constraints.Function(lambda q: q[0], lambda q: np.zeros(3)))
     a, b = s.body_names[1], s.body_names[-1]
-    answer = s.assemble(constraints=[zoo.Distance("far rod", a, b, length=99.0)])
+    answer = s.assemble(also=constraints.Distance(a, b, 99.0, name="far rod"))
     assert not answer and "'far rod'" in answer.status
 
 

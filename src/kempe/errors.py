@@ -94,12 +94,18 @@ class InputError(KempeError, ValueError):
     """An argument that cannot be used: wrong shape, wrong count, NaN where a number is needed."""
 
 
+FORMER = {("assemble", "constraints"): "also"}
+"""Options under another name, by function and name."""
+
+
 class CallError(KempeError, TypeError):
     """A call with an argument that the function does not have (`name`; `allowed` are kept), or without one it needs."""
 
     def __init__(self, function: str, name: str, allowed: Iterable[str] = ()):
         self.function, self.name, self.allowed = function, name, tuple(allowed)
-        wrong = f" has no option {name!r}{hint(name, self.allowed)}" if self.allowed else f": {name}"
+        own = FORMER.get((function, name))
+        said = f"; they are given as {own!r}" if own else hint(name, self.allowed)
+        wrong = f" has no option {name!r}{said}" if self.allowed else f": {name}"
         super().__init__(function + wrong)
 
     def __reduce__(self):

@@ -15,6 +15,7 @@ from kempe.errors import DescriptionError
 from kempe.kinematics import loops
 
 X = np.array([[0.0, -1.0, 0.0, 0.3], [1.0, 0.0, 0.0, 0.1], [0.0, 0.0, 1.0, 0.2], [0.0, 0.0, 0.0, 1.0]])
+RING = np.array([[np.cos(t), 0.7 * np.sin(t), 0.2 * np.sin(2.0 * t)] for t in np.linspace(0.0, 2.0 * np.pi, 20)])
 FLAT = np.array([[0.0, -1.0, 0.3], [1.0, 0.0, 0.1], [0.0, 0.0, 1.0]])
 
 EXAMPLES: dict[str, Callable[[int], c.Constraint]] = {
@@ -32,6 +33,7 @@ EXAMPLES: dict[str, Callable[[int], c.Constraint]] = {
     "relative_position": lambda dim: c.RelativePosition("tip", "eye", [0.3, 0.1, 0.2][:dim]),
     "distance": lambda dim: c.Distance("tip", "eye", 0.9),
     "on_surface": lambda dim: c.OnSurface("tip", "x^2/4 + y^2 = 1", other="eye"),
+    "on_curve": lambda dim: c.OnCurve("tip", RING[:, :dim], closed=True, other="eye"),
     "contact": lambda dim: c.Contact("tip", radius=0.1),
     "no_sideslip": lambda dim: c.NoSideslip("tip"),
     "rolls": lambda dim: c.Rolls("tip", radius=0.1),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,6 @@ from kempe import spatial
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import fk
 from kempe.kinematics.forward import jacobian as frame_jacobian
-from kempe.kinematics.zoo import SystemConstraint
 from kempe.spatial import Array
 from oracles import pairs
 
@@ -23,7 +22,7 @@ _EYE = np.eye(4)
 
 
 @dataclass(frozen=True, eq=False)
-class Pair(SystemConstraint):
+class Pair(ABC):
     """A constraint on where frame B is in frame A: `X_A` on the body or frame `a`, `X_B` on `b`."""
 
     name: str
@@ -31,6 +30,16 @@ class Pair(SystemConstraint):
     b: str
     X_A: Array = field(default_factory=lambda: _EYE, kw_only=True)
     X_B: Array = field(default_factory=lambda: _EYE, kw_only=True)
+
+    @property
+    @abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """A name for each row."""
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return len(self.names)
 
     @abstractmethod
     def rows(self, X: Array) -> pairs.Rows:

@@ -367,19 +367,19 @@ def test_a_branch_by_its_signs():
 
 
 def test_further_constraints():
-    from kempe.kinematics import zoo
-
     s = kempe.load("four_bar")
-    linear = zoo.user_constraint(s, "sum", lambda q: q[0] + q[3] - 2.0)
-    answer = s.assemble(constraints=[linear])
+    answer = s.assemble(also=lambda q: q[0] + q[3] - 2.0)
     assert answer and answer.q[0] + answer.q[3] == pytest.approx(2.0, abs=1e-12)
     assert np.abs(s.closure_error(answer.q)).max() < 1e-12
     rockers = rocker_angles(0.1, 0.5, 0.4, 0.4, answer.q[0])
     assert min(abs(math.remainder(answer.q[3] - r, 2 * math.pi)) for r in rockers) < 1e-12
-    never = zoo.user_constraint(s, "never", lambda q: q[0] * 0.0 + 1.0)
-    assert not s.assemble(constraints=[never], starts=2)
-    held = s.assemble({"A": 0.4}, constraints=[zoo.gear("C", "D", 0.5, 0.0)], starts=2)
+    never = constraints.Function(lambda q: q[0] * 0.0 + 1.0, name="never")
+    answer = s.assemble(also=[never], starts=2)
+    assert not answer and "'never' is off by 1" in answer.status
+    held = s.assemble({"A": 0.4}, also=constraints.Equation("C = 0.5*D"), starts=2)
     assert not held and held.q[0] == 0.4
+    with pytest.raises(TypeError, match="no option 'constraints'; they are given as 'also'"):
+        s.assemble(constraints=[never])
 
 
 def test_constraints_of_one_call():

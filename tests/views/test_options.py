@@ -35,8 +35,6 @@ NOT_OF_COMMANDS = {
     "solvers/analytic/names.py": "`branch` has their numbers",
     "solvers/analytic/question.py": "near=q sorts the solutions",
     "solvers/analytic/redundancy.py": "`ik_all`",
-    "solvers/arguments.py": "kempe.kinematics.zoo",
-    "solvers/assembly.py": "`constraints`",
     "solvers/charts.py": "no choice of angles",
     "solvers/self_motion.py": "`direction`",
     "solvers/servo_closed.py": "robot.assemble(near=q)",

@@ -28,7 +28,7 @@ from kempe.constraints.whole import CentreOfMass, CentreOfPoints, Function, Post
 
 __all__ = [
     "KINDS", "CentreOfMass", "CentreOfPoints", "Constraint", "Contact", "Distance", "End", "Equation", "Function",
-    "HalfSpace", "InBox", "Inequality", "LookAt", "NoSideslip", "OnCurve", "OnLine", "OnPlane", "OnSphere", "OnSurface", "Op",
-    "Orientation", "Pointing", "Pose", "Position", "Posture", "RelativePose", "RelativePosition", "Rolls", "Row",
-    "VelocityEquation", "kind",
+    "HalfSpace", "InBox", "Inequality", "LookAt", "NoSideslip", "OnCurve", "OnLine", "OnPlane", "OnSphere",
+    "OnSurface", "Op", "Orientation", "Pointing", "Pose", "Position", "Posture", "RelativePose", "RelativePosition",
+    "Rolls", "Row", "VelocityEquation", "kind",
 ]  # fmt: skip

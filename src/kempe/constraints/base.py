@@ -32,6 +32,8 @@ Direction: TypeAlias = Any
 """A field of a direction (..., 3), or its name: "x", "-z"."""
 Matrix: TypeAlias = Any
 """A field of a pose (..., 4, 4)."""
+Names: TypeAlias = Any
+"""A field of names of coordinates, or of frames."""
 Rotation: TypeAlias = Any
 """A field of a rotation (..., 3, 3)."""
 

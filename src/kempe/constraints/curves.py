@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from kempe.calls import flag
-from kempe.constraints.base import Constraint, Frame, Op, Point, Row, kind
+from kempe.constraints.base import Frame, Op, Point, Row, kind
 from kempe.constraints.builder import Builder
 from kempe.constraints.kinds import ORIGIN, Placed
 from kempe.constraints.pieces import dot, frames_of, on_pieces, spline, table_of
@@ -44,17 +44,17 @@ class OnCurve(Placed):
         if given.ndim != 2 or given.shape[1] not in (2, 3) or not np.isfinite(given).all():
             raise InputError(f"{what} have the shape {given.shape}; they must be (n, 2) or (n, 3), and finite")
         object.__setattr__(self, "points", tuple(map(tuple, given.tolist())))
-        self._tape(given.shape[1])
+        across(self.points, self.closed, given.shape[1], what)
+
+    def check(self, dim: int) -> None:
+        """The points are in the plane of a planar system, and have three numbers in space."""
+        points_of(self.points, dim, f"points of {self.label}")
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """Across the curve: two directions, in the plane one."""
-        tape = self._tape(dim)
+        tape = across(self.points, self.closed, dim, f"points of {self.label}")
         names = ("across",) if dim == 2 else ("across 1", "across 2")
         return tuple(Row(Op.TAPE, (tape, k), name, "m") for k, name in enumerate(names))
-
-    def _tape(self, dim: int) -> Tape:
-        what = f"points of {self.label}"
-        return across(tuple(map(tuple, points_of(self.points, dim, what).tolist())), self.closed, dim, what)
 
 
 @lru_cache(maxsize=256)
@@ -64,7 +64,7 @@ def across(points: tuple[tuple[float, ...], ...], closed: bool, dim: int, what: 
     In space the directions are the two of `frames_of`, turned as the smallest turn takes its third to the tangent t:
     a - (a.t) (z + t) / (1 + z.t), where (p - c).t = 0.
     """
-    pieces = spline(points, closed, what)
+    pieces = spline(tuple((*p, 0.0)[:3] for p in points), closed, what)
     build = Builder("xyz"[:dim])
     b = build.binary
     p = [i if i < dim else build.number(0.0) for i in range(3)]

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 
 from kempe.calls import flag, listed
-from kempe.constraints.base import Constraint, Op, Row, kind
+from kempe.constraints.base import Constraint, Names, Op, Row, kind
 from kempe.constraints.builder import renamed
 from kempe.constraints.tape import RATE, TIME, Tape, quoted
 from kempe.constraints.text import from_text, read
@@ -24,8 +24,6 @@ from kempe.values import Expression
 
 Told: TypeAlias = Any
 """A field of an expression: text, several, or a function of named inputs."""
-Names: TypeAlias = Any
-"""A field of names of coordinates."""
 Parameters: TypeAlias = "Mapping[str, float] | None"
 """Parameters of the mechanism by name; None where they are not known yet."""
 

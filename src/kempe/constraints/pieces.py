@@ -168,7 +168,7 @@ def _nearest(rows: Array, endless: bool, p: Array) -> float:
         may[[0, -1]] = True
     best, found = np.inf, 0.0
     for i in np.flatnonzero(may):
-        slope = sum(np.convolve(x, x[1:] * [1.0, 2.0, 3.0]) for x in c[i])
+        slope = np.sum([np.convolve(x, x[1:] * [1.0, 2.0, 3.0]) for x in c[i]], axis=0)
         low, high = -np.inf if endless and i == 0 else 0.0, np.inf if endless and i == n - 1 else 1.0
         us = np.polynomial.polynomial.polyroots(np.trim_zeros(slope, "b"))
         us = np.clip(us[np.abs(us.imag) < 1e-6].real, low, high).tolist()

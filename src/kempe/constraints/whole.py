@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kempe import spatial
-from kempe.constraints.base import Constraint, Number, Op, Point, Row, kind
+from kempe.constraints.base import Constraint, Names, Number, Op, Point, Row, kind
 from kempe.constraints.reading import fixed, numbers_of, points_of
 from kempe.errors import InputError
 from kempe.reals import named
@@ -161,14 +161,16 @@ class CentreOfPoints(_Centred):
 class Function(Constraint):
     """A function of q (nq,), a number or (m,), at zero, or between `low` and `high` (m,).
 
-    `derivative` gives its derivatives (m, nv) by the velocity coordinates, and is checked; else they are by complex
-    steps or central differences. Its error is compared with the tolerance of angles.
+    With `frames` it is called with their poses (4, 4) in the ground, one after the other, in place of q. `derivative`
+    gives its derivatives (m, nv) by the velocity coordinates, and is checked; else they are by complex steps or
+    differences. Its error is compared with the tolerance of angles.
     """
 
     function: Callable[[Array], Any]
     derivative: Callable[[Array], Any] | None = None
     low: Any = 0.0
     high: Any = 0.0
+    frames: Names = ()
 
     @property
     def about(self) -> str:

@@ -45,8 +45,34 @@ def square_to(floats, at, u, x, y, z):
 
 
 @routine
+def apart(floats, p, x, y, z):
+    """What no point of a piece is nearer than: the distance to a ball that contains it; negative inside."""
+    ex, ey, ez = x - floats[p], y - floats[p + 4], z - floats[p + 8]
+    return math.sqrt(ex * ex + ey * ey + ez * ez) - floats[p + 12]
+
+
+@routine
+def refined(floats, p, low, high, x, y, z):
+    """Where the distance from a piece is least between two parameters, at which it falls and grows."""
+    u = 0.5 * (low + high)
+    for _ in range(REFINEMENTS):  # Newton's method within a shrinking interval
+        _, slope, bend = square_to(floats, p, u, x, y, z)
+        if slope < 0.0:
+            low = u
+        else:
+            high = u
+        new = u - slope / bend if bend > 0.0 else math.inf
+        if not (low <= new <= high):
+            new = 0.5 * (low + high)
+        step, u = abs(new - u), new
+        if step <= 1e-16:
+            break
+    return u
+
+
+@routine
 def nearest_sample(floats, at, n, endless, x, y, z):
-    """The parameter of the nearest of some points of all pieces; on straight ends the nearest itself."""
+    """The parameter of the nearest of some points of all pieces, and its square; on straight ends the nearest point."""
     best, found = math.inf, 0.0
     for i in range(n):
         p = at + PIECE * i
@@ -58,35 +84,33 @@ def nearest_sample(floats, at, n, endless, x, y, z):
             if far < best:
                 best, found = far, i + u
             continue
-        ex, ey, ez = x - floats[p], y - floats[p + 4], z - floats[p + 8]
-        away = math.sqrt(ex * ex + ey * ey + ez * ez) - floats[p + 12]
+        away = apart(floats, p, x, y, z)
         if away > 0.0 and away * away >= best:
             continue
         for k in range(SAMPLES):
             far, _, _ = square_to(floats, p, k / SAMPLES, x, y, z)
             if far < best:
                 best, found = far, i + k / SAMPLES
-    return found
+    return found, best
 
 
 @routine
 def nearest_on_curve(floats, first, count, x, y, z):
     """The parameter of the point of a curve nearest to (x, y, z), its table being floats[first : first + count]."""
     at, n, endless = first + 1, (count - 1) // PIECE, floats[first] != 0.0
-    s = nearest_sample(floats, at, n, endless, x, y, z)
-    low, high = s - 1.0 / SAMPLES, s + 1.0 / SAMPLES
-    for _ in range(REFINEMENTS):  # Newton's method within a shrinking interval
-        round_ = 0.0 if endless else n * math.floor(s / n)
-        i = piece_of(n, s - round_)
-        _, slope, bend = square_to(floats, at + PIECE * i, s - round_ - i, x, y, z)
-        if slope < 0.0:
-            low = s
-        else:
-            high = s
-        new = s - slope / bend if bend > 0.0 else math.inf
-        if slope == 0.0 or not (low <= new <= high):
-            new = s if slope == 0.0 else 0.5 * (low + high)
-        step, s = abs(new - s), new
-        if step <= 1e-16 * (1.0 + abs(s)):
-            break
-    return s if endless else min(max(s - n * math.floor(s / n), 0.0), n * (1.0 - 1e-16))
+    s, best = nearest_sample(floats, at, n, endless, x, y, z)
+    for i in range(1 if endless else 0, n - 1 if endless else n):
+        p = at + PIECE * i
+        away = apart(floats, p, x, y, z)
+        if away > 0.0 and away * away >= best:
+            continue
+        _, before, _ = square_to(floats, p, 0.0, x, y, z)
+        for k in range(SAMPLES):
+            _, after, _ = square_to(floats, p, (k + 1) / SAMPLES, x, y, z)
+            if before < 0.0 and after > 0.0:
+                u = refined(floats, p, k / SAMPLES, (k + 1) / SAMPLES, x, y, z)
+                far, _, _ = square_to(floats, p, u, x, y, z)
+                if far < best:
+                    best, s = far, i + u
+            before = after
+    return s

@@ -8,13 +8,16 @@ nullity of the Jacobian is the number of freedoms that the rank sees.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.calls import explained
+from kempe.kernels import loop_layout as L
 from kempe.kernels.compiled import equations
 from kempe.kinematics.configuration import as_q
-from kempe.model.loops import Loops, characteristic_length, loops_of
+from kempe.model.loops import Loops, characteristic_length, loops_of, must_carry
 from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
@@ -24,7 +27,10 @@ if TYPE_CHECKING:
 RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero."""
 
-__all__ = ["characteristic_length", "evaluate", "freedoms_left", "jacobian", "residual", "row_names"]
+__all__ = [
+    "SystemConstraint", "characteristic_length", "evaluate", "freedoms_left", "jacobian", "of_system", "residual",
+    "row_names", "scales",
+]  # fmt: skip
 
 
 def residual(system: System, q: Any) -> Array:
@@ -72,6 +78,53 @@ def full(system: System, scaled: bool) -> Loops:
     """The packed loops in full form, in metres or `scaled`."""
     tree = own_tree(system) if scaled else system
     return loops_of(tree, frozenset(tree.closures), length=None if scaled else 1.0)
+
+
+def scales(system: System) -> Array:
+    """The unit (nv,) of each velocity coordinate: a radian, or the characteristic length for a slide."""
+    return full(system, True).weights[L.SCALES : L.SCALES + system.nv]
+
+
+@dataclass(frozen=True, eq=False)
+class SystemConstraint:
+    """A constraint f(q) = 0 that a system has, by its rows of the packed equations."""
+
+    name: str
+    loops: Loops
+    rows: tuple[int, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each row holds: 'x', 'rz', 'distance', ..."""
+        return tuple(self.loops.names[i][1] for i in self.rows)
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return len(self.rows)
+
+    def residual(self, system: System, q: Any) -> Array:
+        """How far it is violated (..., size), in metres and radians."""
+        return evaluate(system, q, False, loops=self.loops)[0][..., list(self.rows)]
+
+    def jacobian(self, system: System, q: Any) -> Array:
+        """Derivatives (..., size, nv) of the residual by the velocity coordinates, exact where it is violated, too."""
+        return evaluate(system, q, loops=self.loops)[1][..., list(self.rows), :]
+
+
+@explained
+def of_system(system: System, own: bool = True) -> list[SystemConstraint]:
+    """The constraints of a system: its closures, the declared ones, the relations of several coordinates.
+
+    With `own=False` the coordinates of the joints that close loops are left out where nothing else depends on them.
+    """
+    loops = full(system, False) if own else loops_of(system, must_carry(system), length=1.0)
+    rows: dict[tuple[str, bool], list[int]] = {}
+    for i, (name, what) in enumerate(loops.names):
+        rows.setdefault((name, what == "relation"), []).append(i)
+    order = [(n, False) for n in (*system.closures, *system.mechanism.constraints)]
+    order += [(r.of, True) for r in system.relations]
+    return [SystemConstraint(key[0], loops, tuple(rows[key])) for key in order if key in rows]
 
 
 def freedoms_left(system: System, q: Array, held: frozenset[str] = frozenset()) -> int:

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.constraints.reading import ends_of, numbers_of
+from kempe.calls import listed
+from kempe.constraints.reading import numbers_of
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q, circles
+from kempe.kinematics.functions import Whole
 from kempe.kinematics.task import GROUND, At, Goals, Task
-from kempe.kinematics.zoo import UserConstraint, user_constraint
-from kempe.model.callback import Callback
 from kempe.model.loops import Tie
 from kempe.model.table import Table
-from kempe.reals import named, reals
+from kempe.reals import named
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -104,29 +103,24 @@ class Called(Task):
     """A constraint on the values of a Python function of the configuration."""
 
     lengths, angles, lasting = False, True, False
+    _whole: Whole | None = None
+
+    def whole(self, system: System) -> Whole:
+        """The function, of this system."""
+        if self._whole is None or self._whole.system is not system:
+            self._whole = Whole(system, self.of)
+        return self._whole
 
     def structure(self, system: System) -> Hashable:
-        """The function itself."""
-        return self.of.function
+        """The function itself, and what it is called with."""
+        return self.of.function, tuple(listed(self.of.frames, f"frames of {self.label}"))
 
     def ties(self, system: System, table: Table) -> list[Tie]:
         """The function, as kernels call it."""
-        if not callable(self.of.function):
-            raise InputError(f"{self.label} is given {self.of.function!r}; it must be a function of q ({system.nq},)")
-        rows: UserConstraint = user_constraint(system, self.label, self.of.function, self.of.derivative)
-        if not rows.count:
-            raise InputError(f"{self.label} gives no numbers at all; it must give one or more")
-
-        def steady(q: Array) -> Any:
-            found = self.of.function(q)
-            if np.size(found) != rows.count:
-                raise InputError(f"{self.label} gives {np.size(found)} numbers, but gave {rows.count} before")
-            return found
-
-        rows = replace(rows, function=steady)
-        call = Callback(system, rows.count, lambda q: (rows.residual(system, q.copy()), rows.jacobian(system, q)))
-        low, high = ends_of(self.of.low, self.of.high, f"bounds of {self.label}", rows.count)
-        bounds = tuple(zip(low.tolist(), high.tolist(), strict=True)) if np.any(low) or np.any(high) else ()
+        whole = self._whole = Whole(system, self.of)
+        bounds = tuple(zip(whole.low.tolist(), whole.high.tolist(), strict=True))
+        bounds = bounds if np.any(whole.low) or np.any(whole.high) else ()
+        call = whole.callback(range(whole.count))
         return [Tie(self.label, GROUND, GROUND, turns=L.FUNCTION, function=call, bounds=bounds)]
 
     def coordinates(self, system: System) -> set[str]:
@@ -141,9 +135,5 @@ class Called(Task):
         self, system: System, q: Array, goals: Goals | None = None, at: At | None = None
     ) -> tuple[Array, Array]:  # fmt: skip
         """How far its values are from where they must be."""
-        lead = q.shape[:-1]
-        out = np.zeros(lead)
-        for index in np.ndindex(lead):
-            value = np.atleast_1d(reals(self.of.function(q[index].copy()), f"the value of {self.label}"))
-            out[index] = np.linalg.norm(value - np.clip(value, self.of.low, self.of.high))
-        return np.zeros(lead), out
+        off = self.whole(system).off(q)
+        return np.zeros(q.shape[:-1]), np.linalg.norm(off, axis=-1)

@@ -76,7 +76,9 @@ def every_tie(system: System, name: str, made: Constraint, a: End, b: End) -> li
         for what in dict.fromkeys(r.args[0] for r in own):
             alike = [r for r in own if r.args[0] == what]
             bounds = tuple(between(made, r) for r in alike) if sided else ()
-            call = Callback.of_call(system, what, [r.args[1] for r in alike], numbers_of(made))
+            numbers, which = numbers_of(made), [r.args[1] for r in alike]
+            bound = getattr(what, "callback", None)  # a function of the whole configuration
+            call = bound(which) if bound else Callback.of_call(system, what, which, numbers)
             found.append(Tie(name, a, b, turns=L.FUNCTION, bounds=bounds, function=call))
     sources = {n: (f.source, f.multiplier, f.offset) for n, f in system.couplings.items()}
     return [t if t.tape is None else replace(t, tape=t.tape.over(sources)) for t in found]

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from kempe.analysis.transmission import LoopJacobian
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
+    from kempe.kinematics.loops import SystemConstraint
     from kempe.kinematics.space import ConfigurationSpace
-    from kempe.kinematics.zoo import SystemConstraint
     from kempe.solvers.analytic.describe import Recognised
     from kempe.solvers.analytic.solutions import Solutions
     from kempe.solvers.analytic.sweep import Sweep
@@ -265,8 +265,8 @@ class System(Compiled):
         return independent(self, q, prefer)
 
     def constraints(self) -> list[SystemConstraint]:
-        """The constraints of the system: closures, declared ones, relations; see `kempe.kinematics.zoo`."""
-        from kempe.kinematics.zoo import of_system
+        """The constraints of the system: closures, declared ones, relations; see `kempe.kinematics.loops`."""
+        from kempe.kinematics.loops import of_system
 
         return of_system(self)
 

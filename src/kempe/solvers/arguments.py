@@ -89,11 +89,3 @@ def place_of(system: System, frame: str, place: Any, whole: bool) -> Array:
     if system.dim == 2 and x.shape[-1] == 3 and np.any(np.abs(x[..., 2]) > EXACT):
         raise InputError(f"{what} leaves the plane")
     return x
-
-
-def check_constraints(constraints: object) -> None:
-    """Refuse what is no list of constraints of `kempe.kinematics.zoo`."""
-    from kempe.kinematics.zoo import SystemConstraint
-
-    if not isinstance(constraints, (list, tuple)) or not all(isinstance(c, SystemConstraint) for c in constraints):
-        raise InputError(f"constraints is {constraints!r}; it must be a list of constraints of kempe.kinematics.zoo")

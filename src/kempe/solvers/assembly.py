@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from copy import copy
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -16,20 +15,20 @@ from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kernels import loop_layout as L
 from kempe.kernels.compiled import assembly as kernel
 from kempe.kinematics.configuration import as_start, home_of
+from kempe.kinematics.functions import held_too
 from kempe.kinematics.loops import freedoms_left
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
-from kempe.model.clocked import also_holding, at_time
+from kempe.model.clocked import at_time
 from kempe.model.kept import kept
 from kempe.model.loops import Loops, loops_of, must_carry
 from kempe.model.own_tree import own_tree
 from kempe.reals import reals
-from kempe.solvers.arguments import check_constraints, place_of, seed_number, start_count, with_places
+from kempe.solvers.arguments import place_of, seed_number, start_count, with_places
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.kinematics.zoo import SystemConstraint
     from kempe.model.system import System
 
 STARTS = 20
@@ -58,7 +57,7 @@ class Assembler:
     def __init__(self, system: System, known: Iterable[str] = (), one_sided: bool = True):
         self.system, self.known, self.tree = system, tuple(known), own_tree(system)
         self.one_sided = one_sided_rows(system) if one_sided and one_sided_rows(system).declared else None
-        self.names, self.further = set(self.known), ()
+        self.names = set(self.known)
         coordinates = [k for k in self.known if k not in system.frame_names or k in system.coordinate_names]
         self.frames = tuple(k for k in self.known if k not in coordinates)
         self._places(coordinates)
@@ -168,7 +167,7 @@ class Assembler:
     def _ask(
         self, values: Any = (), near: Any = None, *, nearest: bool = False, limits: bool = True, starts: int = STARTS,
         rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None,
-        follow: bool = False, constraints: Sequence[SystemConstraint] = (),
+        follow: bool = False,
     ) -> Assembly:  # fmt: skip
         """As `assemble`, with `values` (..., k) of the known coordinates in their order, or a dict with all of them."""
         given = with_places(values, self.frames) if isinstance(values, Mapping) else self._by_name(values)
@@ -186,8 +185,6 @@ class Assembler:
         pins = self._pins(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if nearest and self.freedoms != 0 else 0
         number = rng if isinstance(rng, int) and 0 <= rng < 2**62 else seed_number(rng)
-        if constraints.__class__ is not tuple or constraints:
-            return self._custom(constraints, base, lead, limits, start_count(starts), int(number), tolerance)
         q, residual, info = self.run(
             base, pins, start_count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
             self._loops(turned, steps > 0) if turned or steps else None,
@@ -195,25 +192,6 @@ class Assembler:
         return self._answer(base, lead, q, residual, info, limits)
 
     __call__ = explained(_ask)
-
-    def _custom(
-        self, constraints: Sequence[SystemConstraint], base: Array, lead: tuple[int, ...], limits: bool,
-        starts: int, rng: int, tolerance: float,
-    ) -> Assembly:  # fmt: skip
-        """The answer under further constraints; places of frames become constraints, too."""
-        from kempe.solvers.custom import assemble_each
-
-        if self.frames:
-            raise InputError("give places of frames as constraints here: they cannot be mixed with `constraints`")
-        if not limits:
-            raise InputError("with `constraints` the limits always hold")
-        check_constraints(constraints)
-        held = np.isin(np.arange(self.system.nv), [self.system.velocity_names.index(n) for n in self.held])
-        q, residual, info = assemble_each(self.system, constraints, base, held, starts, STEPS, tolerance, rng)
-        other = copy(self)
-        other.further = tuple(c.name for c in constraints)
-        other.freedoms = -1  # the constraints take freedoms away, which the loops do not know of
-        return other._answer(base, lead, q, residual, info, limits)
 
     def _answer(
         self, base: Array, lead: tuple[int, ...], q: Array, residual: Array, info: np.ndarray, limits: bool
@@ -337,7 +315,7 @@ def assemble(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, branch: str | None = None,
     nearest: bool = False, limits: bool = True, continuous: bool = False, starts: int = STARTS,
     rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None, throw: bool = False,
-    constraints: Sequence[SystemConstraint] = (), t: float = 0.0, also: Any = (),
+    t: float = 0.0, also: Any = (),
 ) -> Assembly:  # fmt: skip
     """A configuration that closes all loops, with the `known` given and everything else found.
 
@@ -354,13 +332,13 @@ def assemble(
     never a success: the answer then says which loop is open, by how much, and `q` is the nearest to closing;
     `throw=True` raises `NoSolutionError`. Redundant constraints are no obstacle. Method: damped least squares with
     steps of minimum norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
-    `also` are constraints of `kempe.constraints` for this call, `constraints` those of `zoo`; `t` is a time.
+    `also` are constraints of `kempe.constraints`, or functions of q (nq,) that are zero, for this call; `t` is a time.
     """
     given = {} if known is None else known
     if not isinstance(given, Mapping):
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
     if also.__class__ is not tuple or also or t.__class__ is not float or t:
-        system = at_time(also_holding(system, also), t)
+        system = at_time(held_too(system, also), t)
     bound = _assembler(system, tuple(given), True)
     if branch is not None:
         if branch in system.posture_names:
@@ -369,7 +347,7 @@ def assemble(
             return _on_branch(system, bound, given, near, branch, limits, throw)
     answer = bound._ask(
         given, near, nearest=nearest, limits=limits, starts=starts, rng=rng, tolerance=tolerance, threads=threads,
-        follow=continuous, constraints=constraints,
+        follow=continuous,
     )  # fmt: skip
     if throw and not answer:
         raise NoSolutionError(answer)

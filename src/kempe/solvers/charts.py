@@ -17,9 +17,8 @@ import numpy as np
 from kempe.calls import explained, explained_methods, listed, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.loops import RANK_TOLERANCE, evaluate
+from kempe.kinematics.loops import RANK_TOLERANCE, evaluate, scales
 from kempe.solvers.assembly import TOLERANCE, Assembly, assemble
-from kempe.solvers.custom import scales
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

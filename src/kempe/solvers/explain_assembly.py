@@ -50,7 +50,7 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
 
 def _left(bound: Assembler, q: Array) -> str:
     """How many freedoms are left open, with a warning where these are more than the mechanism is for."""
-    if bound.frames or bound.further or len(bound.loops.names) > MOST:
+    if bound.frames or len(bound.loops.names) > MOST:
         return ""
     system = bound.system
     left = loops.freedoms_left(system, q, bound.held)
@@ -111,8 +111,6 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
         kind = int(row.startswith("r") or off)
         part[kind] = math.hypot(part[kind], value)
     worst, text = 0.0, "nothing is open"
-    if bound.further:
-        worst, text = 0.1 * missed, f"one of {', '.join(map(repr, bound.further))} is violated by {missed:.6g}"
     if bound.frames:  # loops that are open by next to nothing are not the reason
         worst = 0.1 * missed
         text = f"the place of {' or '.join(map(repr, bound.frames))} is missed by {missed * length:.6g} m"

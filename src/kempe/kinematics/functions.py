@@ -1,0 +1,185 @@
+"""Python functions of configurations and of poses as constraints of one system."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from inspect import signature
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.calls import listed
+from kempe.constraints.base import Constraint, Op, Row
+from kempe.constraints.reading import ends_of
+from kempe.constraints.whole import Function
+from kempe.description.parts import Declared
+from kempe.errors import InputError
+from kempe.kinematics.derivatives import SUPPLIED, check_supplied, checked_value, jacobian_of, way_of
+from kempe.kinematics.forward import fk
+from kempe.kinematics.forward import jacobian as frame_jacobian
+from kempe.model.callback import STEP, WEIGHTS, Callback
+from kempe.model.clocked import also_holding
+from kempe.model.loops import characteristic_length
+from kempe.reals import reals
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+
+class Whole:
+    """A function of q (nq,), or of the poses (4, 4) of some frames, of one system, with derivatives (m, nv).
+
+    It is called first at `system.random(0)`, which finds how many numbers it gives and checks a Jacobian that is given.
+    Errors: `InputError` for what is no function, a wrong Jacobian, with its worst entry, values that are not finite.
+    """
+
+    def __init__(self, system: System, of: Function):
+        self.system, self.label, self.given, self.supplied = system, of.label, of.function, of.derivative
+        self.frames = tuple(system.frame_name(f) for f in listed(of.frames, f"frames of {of.label}"))
+        takes = f"of {len(self.frames)} poses (4, 4)" if self.frames else f"of q ({system.nq},)"
+        if not callable(of.function):
+            raise InputError(f"{of.label} is given {of.function!r}; it must be a function {takes}")
+        if self.frames and not _takes(of.function, len(self.frames)):
+            raise InputError(f"{of.label} is called with {len(self.frames)} poses, of {', '.join(self.frames)}, which "
+                             "it does not take")  # fmt: skip
+        found = checked_value(self.label, self.raw, q := system.random(0))
+        self.count = found.size
+        if not self.count:
+            raise InputError(f"{of.label} gives no numbers at all; it must give one or more")
+        self.how = ""
+        if self.supplied is not None:
+            rows = self.derivative if found.ndim else lambda x: np.atleast_2d(self.derivative(x))
+            check_supplied(self.label, self.raw, rows, system.layout, q, system.velocity_names)
+            self.how = SUPPLIED
+        elif not self.frames:
+            self.how = way_of(of.function, system.layout, q)
+        self.low, self.high = ends_of(of.low, of.high, f"bounds of {of.label}", self.count)
+
+    def raw(self, q: Array) -> Any:
+        """What the function gives at q."""
+        return self.given(*(fk(self.system, q, f) for f in self.frames)) if self.frames else self.given(q)
+
+    def derivative(self, q: Array) -> Any:
+        """What the supplied derivative gives at q."""
+        assert self.supplied is not None
+        return self.supplied(*(fk(self.system, q, f) for f in self.frames)) if self.frames else self.supplied(q)
+
+    def values(self, q: Array) -> Array:
+        """The numbers (m,) at q. Errors: `InputError` for another count."""
+        return self._checked(self.raw(q.copy()))
+
+    def _checked(self, found: Any) -> Array:
+        if np.size(found) != self.count:
+            raise InputError(f"{self.label} gives {np.size(found)} numbers, but gave {self.count} before")
+        return reals(found, f"the value of {self.label}").reshape(self.count)
+
+    def jacobian(self, q: Array) -> Array:
+        """The derivatives (m, nv) at q: through poses by differences of the function alone, six for each."""
+        shape = (self.count, self.system.nv)
+        if self.how:
+            return reals(jacobian_of(self.raw, self.supplied and self.derivative, self.how, self.system.layout, q),
+                         f"the Jacobian of {self.label}").reshape(shape)  # fmt: skip
+        poses, J = [fk(self.system, q, f) for f in self.frames], np.zeros(shape)
+        steps = STEP * np.repeat([characteristic_length(self.system), 1.0], 3)
+        for k, frame in enumerate(self.frames):
+            by = np.empty((self.count, 6))  # world-aligned twists at the origin of the frame
+            for i, step in enumerate(steps):
+                ends = [(n * sign * step, w * sign) for n, w in WEIGHTS for sign in (1, -1)]
+                by[:, i] = sum(w * self._checked(self.given(*_displaced(poses, k, i, x))) for x, w in ends) / step
+            J += by @ frame_jacobian(self.system, q, frame)
+        return J
+
+    def callback(self, rows: Sequence[int], offset: Array | float = 0.0) -> Callback:
+        """Some of its numbers, as kernels call them."""
+        own = list(rows)
+        return Callback(self.system, len(own), lambda q: (self.values(q)[own] - offset, self.jacobian(q)[own]),
+                        alone=lambda q: self.values(q)[own] - offset)  # fmt: skip
+
+    def off(self, q: Array) -> Array:
+        """How far (..., m) its numbers are from where they must be, at q (..., nq)."""
+        out = np.empty((*q.shape[:-1], self.count))
+        for index in np.ndindex(q.shape[:-1]):
+            value = self.values(q[index])
+            out[index] = value - np.clip(value, self.low, self.high)
+        return out
+
+
+def _takes(function: Callable, n: int) -> bool:
+    """Whether a function can be called with so many arguments."""
+    try:
+        signature(function).bind(*range(n))
+    except TypeError:
+        return False
+    except ValueError:  # it has no signature
+        return True
+    return True
+
+
+def _displaced(poses: list[Array], k: int, axis: int, step: float) -> list[Array]:
+    """The poses, one of them moved along or turned about an axis of the ground through its origin."""
+    X = poses[k].copy()
+    if axis < 3:
+        X[axis, 3] += step
+    else:
+        X[:3, :3] = spatial.exp_so3(step * np.eye(3)[axis - 3]) @ X[:3, :3]
+    return [*poses[:k], X, *poses[k + 1 :]]
+
+
+@dataclass(frozen=True, eq=False)
+class OfSystem(Constraint):
+    """A function that a system holds for one call."""
+
+    whole: Whole = field(kw_only=True)
+
+    @property
+    def about(self) -> str:
+        """The function."""
+        return self.whole.label
+
+    def rows(self, dim: int) -> tuple[Row, ...]:
+        """One for each number; where both ends are the same it is held there."""
+        of, fixed = self.whole, self.whole.low == self.whole.high
+        sided = {"low": "low", "high": "high"}
+        return tuple(
+            Row(Op.CALL, (self, k), str(k), "1", part=None if same else k, **({} if same else sided))
+            for k, same in enumerate(fixed[: of.count])
+        )
+
+    def callback(self, rows: Sequence[int]) -> Callback:
+        """Some of its rows, as kernels call them."""
+        low, high = self.whole.low, self.whole.high
+        return self.whole.callback(rows, np.where(low == high, low, 0.0)[list(rows)])
+
+    @property
+    def low(self) -> Array:
+        """Lower bounds."""
+        return self.whole.low
+
+    @property
+    def high(self) -> Array:
+        """Upper bounds."""
+        return self.whole.high
+
+
+def held_too(system: System, further: Any) -> System:
+    """The system with further constraints, or functions of q, for one call; see `also_holding`."""
+    given = tuple(further) if isinstance(further, (list, tuple)) else (further,)
+    given = tuple(c if isinstance(c, Constraint) or not callable(c) else Function(c) for c in given)
+    functions = [c for c in given if isinstance(c, Function)]
+    system_ = also_holding(system, [c for c in given if not isinstance(c, Function)])
+    if not functions:
+        return system_
+    m = system_.mechanism
+    taken = {*m.constraints, *m.joints}
+    for c in functions:
+        if c.weight is not None:
+            raise InputError(f"{c.label} has a weight, which ik reads of a wish: what also holds, holds")
+        name = c.name or c.about
+        while name in taken:
+            name += " again"
+        taken.add(name)
+        m.constraints[name] = Declared(name, OfSystem(whole=Whole(system, c)), "", "")
+    return type(system)(m, system.topology)
