@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.constraints import coordinate_row, coordinate_value
+from kempe.kinematics.constraints import coordinate_value
 from kempe.spatial import Array
 from oracles import pairs
 from oracles.frames import Pair
@@ -16,6 +16,18 @@ from oracles.motion import FLAT, Motion
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+
+
+def coordinate_row(system: System, name: str) -> np.ndarray:
+    """Derivatives (nv,) of any coordinate that is an angle or a length, also of one that is not in q."""
+    row, factor = np.zeros(system.nv), 1.0
+    follower = system.couplings.get(name)
+    if follower is not None:
+        if follower.source is None:
+            return row
+        name, factor = follower.source, follower.multiplier
+    row[system.coordinates.first[name][1]] = factor
+    return row
 
 
 @dataclass(frozen=True, eq=False)

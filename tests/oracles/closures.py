@@ -10,11 +10,11 @@ import numpy as np
 from kempe import System
 from kempe.errors import UnknownNameError
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.constraints import coordinate_row, coordinate_value
+from kempe.kinematics.constraints import coordinate_value
 from kempe.model.reduced import slides_along_z
 from kempe.spatial import Array
 from oracles import pairs
-from oracles.carried import Carried
+from oracles.carried import Carried, coordinate_row
 from oracles.frames import Pair
 from oracles.motion import motion_of
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from kempe.constraints.pieces import nearest_rates
 from kempe.constraints.tape import BINARY, UNARY, WHOLE_POWERS, Node, Tape
 from kempe.errors import InputError
 from kempe.kernels import tape_layout as L
@@ -303,3 +302,33 @@ def substituted(tape: Tape, sources: Mapping[str, tuple[str | None, float, float
             place = builder.binary(L.ADD, factor, place)
         leaves.append(place)
     return builder.finish(builder.replayed(tape, leaves))
+
+
+def on_pieces(build: Builder, pieces: np.ndarray, s: int, p: Sequence[int]) -> tuple[list[int], list[int], int]:
+    """Places of a builder of tapes: of what leads from the point c(s) to p, of c'(s), and of c'.c' - (p - c).c''."""
+    b = build.binary
+    entry = lambda column: build.entry(s, column.tolist())  # noqa: E731
+    u = b(L.SUB, s, entry(np.arange(len(pieces), dtype=float)))
+    two, three = build.number(2.0), build.number(3.0)
+    off, first, second = [], [], []
+    for i in range(3):
+        k = [entry(pieces[:, i, j]) for j in range(4)]
+        slope = b(L.ADD, k[2], b(L.MUL, u, k[3]))
+        off.append(b(L.SUB, p[i], b(L.ADD, k[0], b(L.MUL, u, b(L.ADD, k[1], b(L.MUL, u, slope))))))
+        cubed = b(L.MUL, three, b(L.MUL, u, k[3]))
+        first.append(b(L.ADD, k[1], b(L.MUL, u, b(L.ADD, b(L.MUL, two, k[2]), cubed))))
+        second.append(b(L.MUL, two, b(L.ADD, k[2], cubed)))
+    return off, first, b(L.SUB, dot(build, first, first), dot(build, off, second))
+
+
+def dot(build: Builder, a: Sequence[int], b: Sequence[int]) -> int:
+    """The place of a sum of products."""
+    x, y, z = (build.binary(L.MUL, i, k) for i, k in zip(a, b, strict=True))
+    return build.binary(L.ADD, build.binary(L.ADD, x, y), z)
+
+
+def nearest_rates(build: Builder, table: tuple[float, ...], s: int, p: Sequence[int]) -> list[int]:
+    """Places of the derivatives of the parameter of the nearest point by p: (p - c) . c' = 0, differentiated."""
+    pieces = np.reshape(table[1:], (-1, L.PIECE))[:, :12].reshape(-1, 3, 4)
+    _, first, bend = on_pieces(build, pieces, s, p)
+    return [build.binary(L.DIV, x, bend) for x in first]

@@ -1,4 +1,4 @@
-"""A kind that holds a point on a curve through given points."""
+"""A kind that holds a point on a curve through given points, and cubic splines as polynomial pieces."""
 
 from __future__ import annotations
 
@@ -8,16 +8,25 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from kempe import spatial
 from kempe.calls import flag
 from kempe.constraints.base import Frame, Op, Point, Row, kind
-from kempe.constraints.builder import Builder
+from kempe.constraints.builder import Builder, dot, on_pieces
 from kempe.constraints.kinds import ORIGIN, Placed
-from kempe.constraints.pieces import dot, frames_of, on_pieces, spline, table_of
 from kempe.constraints.reading import points_of
 from kempe.constraints.tape import Tape
 from kempe.errors import InputError
 from kempe.kernels import tape_layout as L
 from kempe.reals import reals
+from kempe.spatial import Array
+
+SAME_POINT = 1e-9
+"""Distance, in parts of the extent of a curve, of points that are one."""
+TURN = 0.5
+"""Cosine of the most that a piece turns from its middle; sharper ones are halved."""
+HALVINGS = 24
+"""Most halvings: a curve that still turns is taken to have a cusp."""
+
 
 Points: TypeAlias = Any
 """A field of a list of points, which are structure: numbers, the same for all targets."""
@@ -78,3 +87,85 @@ def across(points: tuple[tuple[float, ...], ...], closed: bool, dim: int, what: 
     x, y, z = ([build.entry(s, axes[:, k, i].tolist()) for i in range(3)] for k in range(3))
     share = b(L.DIV, dot(build, off, z), b(L.ADD, build.number(1.0), dot(build, z, t)))
     return build.finish([b(L.SUB, dot(build, off, a), b(L.MUL, dot(build, a, t), share)) for a in (x, y)])
+
+
+@lru_cache(maxsize=256)
+def spline(points: tuple[tuple[float, ...], ...], closed: bool, what: str) -> Array:
+    """The pieces (n, 3, 4) of the cubic spline through points, by the length of its chords, for u from 0 to 1 each.
+
+    An open one goes on straight at both ends, in a first and a last piece. Errors: `InputError` for fewer than 4 points
+    (3 of a closed curve), neighbours that are equal, and cusps.
+    """
+    from scipy.interpolate import CubicSpline
+
+    given = np.array(points)
+    same = SAME_POINT * np.max(np.ptp(given, axis=0), initial=0.0)
+    if closed and len(given) > 1 and np.linalg.norm(given[0] - given[-1]) <= same:
+        given = given[:-1]
+    least, which = (3, "a closed") if closed else (4, "an open")
+    if len(given) < least:
+        raise InputError(f"{what} are {len(given)}; {which} curve needs {least} at least")
+    if closed:
+        given = np.concatenate([given, given[:1]])
+    chords = np.linalg.norm(np.diff(given, axis=0), axis=1)
+    if chords.min() <= same:
+        i = int(np.argmin(chords))
+        raise InputError(f"{what}: the points {i} and {(i + 1) % len(points)} are equal; neighbours must differ")
+    size = float(chords.max())
+    found = CubicSpline(np.r_[0.0, np.cumsum(chords / size)], given, bc_type="periodic" if closed else "not-a-knot")
+    powers = (chords / size)[:, None, None] ** np.arange(4)
+    pieces = np.moveaxis(found.c[::-1], 0, -1) * powers  # (n, 3, 4)
+    made = [half for i, piece in enumerate(pieces) for half in _gentle(piece, HALVINGS, f"{what}: near point {i}")]
+    if not closed:
+        first, last = made[0], made[-1]
+        slope = last @ [0.0, 1.0, 2.0, 3.0]
+        zero = np.zeros(3)
+        made.insert(0, np.stack([first[:, 0] - first[:, 1], first[:, 1], zero, zero], axis=1))
+        made.append(np.stack([last.sum(axis=1), slope, zero, zero], axis=1))
+    return np.array(made)
+
+
+def _gentle(piece: Array, left: int, what: str) -> list[Array]:
+    """A piece in parts of which none turns far: the directions of its derivative's control points are near."""
+    a, b, c = piece[:, 1], 2.0 * piece[:, 2], 3.0 * piece[:, 3]
+    ends, middle = np.stack([a, a + 0.5 * b, a + b + c]), a + 0.5 * b + 0.25 * c
+    sizes = np.linalg.norm(ends, axis=1) * np.linalg.norm(middle)
+    if np.all(ends @ middle > TURN * sizes):
+        return [piece]
+    if not left:
+        raise InputError(f"{what} the curve has a cusp; it must have a direction everywhere")
+    half = 0.5 ** np.arange(4)
+    moved = np.array([[1, 1, 1, 1], [0, 1, 2, 3], [0, 0, 1, 3], [0, 0, 0, 1]]) * half  # p((1 + u) / 2)
+    return _gentle(piece * half, left - 1, what) + _gentle(piece @ moved.T, left - 1, what)
+
+
+def table_of(pieces: Array, closed: bool) -> tuple[float, ...]:
+    """Pieces as kernels read them (`tape_layout`)."""
+    b, c = pieces[..., 1], pieces[..., 2]
+    control = np.stack([b / 3.0, (2.0 * b + c) / 3.0, pieces[..., 1:].sum(axis=-1)])  # Bezier's points less the first
+    radius = np.linalg.norm(control, axis=-1).max(axis=0)
+    rows = np.concatenate([pieces.reshape(len(pieces), 12), radius[:, None]], axis=1)
+    return (float(not closed), *rows.ravel().tolist())
+
+
+def frames_of(pieces: Array) -> Array:
+    """Axes (n, 3, 3) of each piece: two across its middle, and its direction there; no turn about the curve is added.
+
+    Where pieces meet, the smallest turns from both middles lead the axes across into the same.
+    """
+    middle = spatial.unit(pieces @ [0.0, 1.0, 1.0, 0.75])
+    start = spatial.unit(pieces[..., 1])
+    k = int(np.argmin(np.abs(middle[0])))
+    x = spatial.unit(np.eye(3)[k] - middle[0, k] * middle[0])
+    out = np.empty((len(pieces), 3, 3))
+    for i, z in enumerate(middle):
+        if i:
+            x = _led(_led(x, middle[i - 1], start[i]), start[i], z)
+            x = spatial.unit(x - (x @ z) * z)
+        out[i] = x, np.cross(z, x), z
+    return out
+
+
+def _led(x: Array, a: Array, b: Array) -> Array:
+    """A vector across a, turned as the smallest turn takes a to b."""
+    return x - (x @ b) / (1.0 + a @ b) * (a + b)

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kempe.constraints.pieces import entries, nearest
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels import tape_layout as L
 from kempe.values import CONSTANTS, FUNCTIONS
@@ -38,6 +37,49 @@ TEXT_LIMIT = 20_000
 
 WHOLE_POWERS = 64
 """Whole exponents up to this size become products, which are exact in every order of a series and at zero."""
+
+
+def entries(s: Any, table: NDArray) -> NDArray:
+    """The entries of a table at parameters."""
+    return table[np.clip(np.floor(s), 0, len(table) - 1).astype(np.int64)]
+
+
+def nearest(way: Any, z: Any) -> NDArray:
+    """The parameters of the points of a curve nearest to places: all critical points of all pieces that may be it.
+
+    `way` has the table of the curve, and x and y.
+    """
+    table, *xy = way
+    endless, rows = table[0] != 0.0, np.reshape(table[1:], (-1, L.PIECE))
+    p = np.stack(np.broadcast_arrays(*xy, z), axis=-1)
+    out = np.empty(p.shape[:-1])
+    for index in np.ndindex(out.shape):
+        out[index] = _nearest(rows, endless, p[index])
+    return out
+
+
+def _nearest(rows: NDArray, endless: bool, p: NDArray) -> float:
+    """The nearest of one place: roots of the derivative of the squared distance, polynomials of degree 5."""
+    if not np.isfinite(p).all():
+        return 0.0
+    c, n = rows[:, :12].reshape(-1, 3, 4).copy(), len(rows)
+    c[..., 0] -= p
+    away = np.linalg.norm(c[..., 0], axis=-1)
+    may = away - rows[:, 12] <= away.min()
+    if endless:
+        may[[0, -1]] = True
+    best, found = np.inf, 0.0
+    for i in np.flatnonzero(may):
+        slope = np.sum([np.convolve(x, x[1:] * [1.0, 2.0, 3.0]) for x in c[i]], axis=0)
+        low, high = -np.inf if endless and i == 0 else 0.0, np.inf if endless and i == n - 1 else 1.0
+        us = np.polynomial.polynomial.polyroots(np.trim_zeros(slope, "b"))
+        us = np.clip(us[np.abs(us.imag) < 1e-6].real, low, high).tolist()
+        for u in [*us, *(x for x in (low, high) if np.isfinite(x))]:
+            far = float(np.sum((c[i] @ [1.0, u, u * u, u**3]) ** 2))
+            if far < best:
+                best, found = far, float(i + u)
+    return found
+
 
 BINARY: dict[int, Callable] = {
     L.ADD: np.add, L.SUB: np.subtract, L.MUL: np.multiply, L.DIV: np.divide, L.POW: np.power,

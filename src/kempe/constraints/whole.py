@@ -166,8 +166,8 @@ class Function(Constraint):
     differences. Its error is compared with the tolerance of angles.
     """
 
-    function: Callable[[Array], Any]
-    derivative: Callable[[Array], Any] | None = None
+    function: Callable[..., Any]
+    derivative: Callable[..., Any] | None = None
     low: Any = 0.0
     high: Any = 0.0
     frames: Names = ()

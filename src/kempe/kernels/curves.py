@@ -8,7 +8,7 @@ from kempe.kernels._jit import device, routine
 from kempe.kernels.tape_layout import PIECE
 
 SAMPLES = 4
-"""Points of a piece that are compared before the nearest one is refined."""
+"""Parts of a piece in which the nearest point is looked for."""
 REFINEMENTS = 60
 """Most steps of the refinement."""
 
@@ -45,13 +45,6 @@ def square_to(floats, at, u, x, y, z):
 
 
 @routine
-def apart(floats, p, x, y, z):
-    """What no point of a piece is nearer than: the distance to a ball that contains it; negative inside."""
-    ex, ey, ez = x - floats[p], y - floats[p + 4], z - floats[p + 8]
-    return math.sqrt(ex * ex + ey * ey + ez * ez) - floats[p + 12]
-
-
-@routine
 def refined(floats, p, low, high, x, y, z):
     """Where the distance from a piece is least between two parameters, at which it falls and grows."""
     u = 0.5 * (low + high)
@@ -71,46 +64,29 @@ def refined(floats, p, low, high, x, y, z):
 
 
 @routine
-def nearest_sample(floats, at, n, endless, x, y, z):
-    """The parameter of the nearest of some points of all pieces, and its square; on straight ends the nearest point."""
-    best, found = math.inf, 0.0
-    for i in range(n):
-        p = at + PIECE * i
-        if endless and (i == 0 or i == n - 1):
-            _, slope, bend = square_to(floats, p, 0.0, x, y, z)
-            u = -slope / bend
-            u = min(u, 1.0) if i == 0 else max(u, 0.0)
-            far, _, _ = square_to(floats, p, u, x, y, z)
-            if far < best:
-                best, found = far, i + u
-            continue
-        away = apart(floats, p, x, y, z)
-        if away > 0.0 and away * away >= best:
-            continue
-        for k in range(SAMPLES):
-            far, _, _ = square_to(floats, p, k / SAMPLES, x, y, z)
-            if far < best:
-                best, found = far, i + k / SAMPLES
-    return found, best
-
-
-@routine
 def nearest_on_curve(floats, first, count, x, y, z):
     """The parameter of the point of a curve nearest to (x, y, z), its table being floats[first : first + count]."""
-    at, n, endless = first + 1, (count - 1) // PIECE, floats[first] != 0.0
-    s, best = nearest_sample(floats, at, n, endless, x, y, z)
-    for i in range(1 if endless else 0, n - 1 if endless else n):
-        p = at + PIECE * i
-        away = apart(floats, p, x, y, z)
+    n, endless, best, s = (count - 1) // PIECE, floats[first] != 0.0, math.inf, 0.0
+    for i in range(n):
+        p = first + 1 + PIECE * i
+        far, before, bend = square_to(floats, p, 0.0, x, y, z)
+        if endless and (i == 0 or i == n - 1):
+            u = min(-before / bend, 1.0) if i == 0 else max(-before / bend, 0.0)
+            far, _, _ = square_to(floats, p, u, x, y, z)
+            if far < best:
+                best, s = far, i + u
+            continue
+        away = math.sqrt(far) - floats[p + 12]  # no point is nearer than the ball that contains the piece
         if away > 0.0 and away * away >= best:
             continue
-        _, before, _ = square_to(floats, p, 0.0, x, y, z)
         for k in range(SAMPLES):
-            _, after, _ = square_to(floats, p, (k + 1) / SAMPLES, x, y, z)
+            if far < best:
+                best, s = far, i + k / SAMPLES
+            far, after, _ = square_to(floats, p, (k + 1) / SAMPLES, x, y, z)
             if before < 0.0 and after > 0.0:
                 u = refined(floats, p, k / SAMPLES, (k + 1) / SAMPLES, x, y, z)
-                far, _, _ = square_to(floats, p, u, x, y, z)
-                if far < best:
-                    best, s = far, i + u
+                least, _, _ = square_to(floats, p, u, x, y, z)
+                if least < best:
+                    best, s = least, i + u
             before = after
     return s

@@ -28,18 +28,6 @@ def coordinate_value(system: System, q: spatial.Array, name: str) -> spatial.Arr
     return np.broadcast_to(follower.multiplier * source + follower.offset, q.shape[:-1])
 
 
-def coordinate_row(system: System, name: str) -> spatial.Array:
-    """Derivatives (nv,) of any coordinate that is an angle or a length, also of one that is not in q."""
-    row, factor = np.zeros(system.nv), 1.0
-    follower = system.couplings.get(name)
-    if follower is not None:
-        if follower.source is None:
-            return row
-        name, factor = follower.source, follower.multiplier
-    row[system.coordinates.first[name][1]] = factor
-    return row
-
-
 @explained
 def closure_error(system: System, q: Any) -> spatial.Array:
     """How far each loop is open (..., len(closures), 6).

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from inspect import signature
 from typing import TYPE_CHECKING, Any
 
@@ -15,12 +15,11 @@ from kempe.constraints.base import Constraint, Op, Row
 from kempe.constraints.reading import ends_of
 from kempe.constraints.whole import Function
 from kempe.description.parts import Declared
-from kempe.errors import InputError
+from kempe.errors import InputError, shown
 from kempe.kinematics.derivatives import SUPPLIED, check_supplied, checked_value, jacobian_of, way_of
 from kempe.kinematics.forward import fk
 from kempe.kinematics.forward import jacobian as frame_jacobian
 from kempe.model.callback import STEP, WEIGHTS, Callback
-from kempe.model.clocked import also_holding
 from kempe.model.loops import characteristic_length
 from kempe.reals import reals
 from kempe.spatial import Array
@@ -60,12 +59,15 @@ class Whole:
 
     def raw(self, q: Array) -> Any:
         """What the function gives at q."""
-        return self.given(*(fk(self.system, q, f) for f in self.frames)) if self.frames else self.given(q)
+        return self.given(*self._inputs(q))
+
+    def _inputs(self, q: Array) -> list[Array]:
+        return [fk(self.system, q, f) for f in self.frames] or [q]
 
     def derivative(self, q: Array) -> Any:
         """What the supplied derivative gives at q."""
         assert self.supplied is not None
-        return self.supplied(*(fk(self.system, q, f) for f in self.frames)) if self.frames else self.supplied(q)
+        return self.supplied(*self._inputs(q))
 
     def values(self, q: Array) -> Array:
         """The numbers (m,) at q. Errors: `InputError` for another count."""
@@ -82,7 +84,7 @@ class Whole:
         if self.how:
             return reals(jacobian_of(self.raw, self.supplied and self.derivative, self.how, self.system.layout, q),
                          f"the Jacobian of {self.label}").reshape(shape)  # fmt: skip
-        poses, J = [fk(self.system, q, f) for f in self.frames], np.zeros(shape)
+        poses, J = self._inputs(q), np.zeros(shape)
         steps = STEP * np.repeat([characteristic_length(self.system), 1.0], 3)
         for k, frame in enumerate(self.frames):
             by = np.empty((self.count, 6))  # world-aligned twists at the origin of the frame
@@ -132,54 +134,44 @@ def _displaced(poses: list[Array], k: int, axis: int, step: float) -> list[Array
 class OfSystem(Constraint):
     """A function that a system holds for one call."""
 
-    whole: Whole = field(kw_only=True)
-
-    @property
-    def about(self) -> str:
-        """The function."""
-        return self.whole.label
+    whole: Whole
+    low: Array
+    high: Array
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """One for each number; where both ends are the same it is held there."""
-        of, fixed = self.whole, self.whole.low == self.whole.high
-        sided = {"low": "low", "high": "high"}
         return tuple(
-            Row(Op.CALL, (self, k), str(k), "1", part=None if same else k, **({} if same else sided))
-            for k, same in enumerate(fixed[: of.count])
+            Row(Op.CALL, (self, k), str(k), "1") if same else Row(Op.CALL, (self, k), str(k), "1", "", "low", "high", k)
+            for k, same in enumerate(self.low == self.high)
         )
 
     def callback(self, rows: Sequence[int]) -> Callback:
         """Some of its rows, as kernels call them."""
-        low, high = self.whole.low, self.whole.high
-        return self.whole.callback(rows, np.where(low == high, low, 0.0)[list(rows)])
-
-    @property
-    def low(self) -> Array:
-        """Lower bounds."""
-        return self.whole.low
-
-    @property
-    def high(self) -> Array:
-        """Upper bounds."""
-        return self.whole.high
+        return self.whole.callback(rows, np.where(self.low == self.high, self.low, 0.0)[list(rows)])
 
 
 def held_too(system: System, further: Any) -> System:
-    """The system with further constraints, or functions of q, for one call; see `also_holding`."""
+    """The system with further constraints, or functions of q, with the same coordinates.
+
+    Errors: `InputError` for what is none, `DescriptionError` for what does not fit the system.
+    """
     given = tuple(further) if isinstance(further, (list, tuple)) else (further,)
-    given = tuple(c if isinstance(c, Constraint) or not callable(c) else Function(c) for c in given)
-    functions = [c for c in given if isinstance(c, Function)]
-    system_ = also_holding(system, [c for c in given if not isinstance(c, Function)])
-    if not functions:
-        return system_
-    m = system_.mechanism
-    taken = {*m.constraints, *m.joints}
-    for c in functions:
-        if c.weight is not None:
-            raise InputError(f"{c.label} has a weight, which ik reads of a wish: what also holds, holds")
-        name = c.name or c.about
+    if not given:
+        return system
+    m, taken = system.mechanism, {*system.mechanism.constraints, *system.mechanism.joints}
+    for c in given:
+        made = Function(c) if callable(c) and not isinstance(c, Constraint) else c
+        if not isinstance(made, Constraint):
+            raise InputError(f"also holds {shown(c)}, which is no constraint of kempe.constraints and no function")
+        name = made.name or (made.about if made is not c else made.label)
         while name in taken:
             name += " again"
         taken.add(name)
-        m.constraints[name] = Declared(name, OfSystem(whole=Whole(system, c)), "", "")
+        if not isinstance(made, Function):
+            m.constrain(made, name)
+            continue
+        if made.weight is not None:
+            raise InputError(f"{made.label} has a weight, which ik reads of a wish: what also holds, holds")
+        whole = Whole(system, made)
+        m.constraints[name] = Declared(name, OfSystem(whole, whole.low, whole.high), "", "")
     return type(system)(m, system.topology)

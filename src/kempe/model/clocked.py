@@ -12,8 +12,7 @@ from kempe.calls import explained, numbers
 from kempe.constraints.base import Constraint
 from kempe.constraints.equations import Call
 from kempe.constraints.tape import TIME
-from kempe.errors import InputError, shown
-from kempe.model.kept import kept
+@kept
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
@@ -44,6 +43,7 @@ def _at_zero(system: System) -> Any:
     return m.build()
 
 
+<<<<<<< HEAD
 def also_holding(system: System, further: Any) -> System:
     """The system with further constraints of `kempe.constraints`, with the same coordinates.
 
@@ -65,6 +65,8 @@ def also_holding(system: System, further: Any) -> System:
 
 
 @kept
+=======
+>>>>>>> 33ecc8e (Curves in one module, functions in one; what only oracles read stands with them)
 def clocked(system: System) -> System:
     """The system with the time as its last coordinate, a slide that nothing but equations reads."""
     m = _plain(system, (TIME,))
