@@ -56,8 +56,10 @@ def distance(points, closed: bool, p: np.ndarray) -> float:
     fine = np.linspace(0.0, spline.x[-1], 4001)
     squares = np.sum((spline(fine) - p) ** 2, axis=1)
     i, best = int(np.argmin(squares)), squares.min()
-    found: Any = minimize_scalar(lambda s: float(np.sum((spline(s) - p) ** 2)), method="bounded", options={"xatol": 1e-12},
-                                 bounds=(fine[max(i - 1, 0)], fine[min(i + 1, 4000)]))  # fmt: skip
+    ends = fine[max(i - 1, 0)], fine[min(i + 1, 4000)]
+    found: Any = minimize_scalar(
+        lambda s: float(np.sum((spline(s) - p) ** 2)), method="bounded", options={"xatol": 1e-12}, bounds=ends
+    )
     best = min(best, found.fun)
     if not closed:
         for s, way in ((0.0, -1.0), (spline.x[-1], 1.0)):
@@ -177,7 +179,7 @@ def test_in_assembly_for_one_call_and_in_ik():
     s = crank_and_arm().build()
     held = c.OnCurve("tip", circle(60), closed=True, other="base")
     closed = s.assemble({"A": 0.9}, also=held)
-    asked = s.ik([held, c.Posture({"A": 0.9}).demand(weight=None)], seed=closed.q)
+    asked = s.ik([held, c.Posture(q={"A": 0.9}, weight=None)], seed=closed.q)
     for q in (closed.q, asked.q):
         p = np.linalg.inv(s.fk(q, "base")) @ s.fk(q, "tip")
         assert distance(circle(60), True, p[:2, 3]) < 1e-6

@@ -12,7 +12,8 @@ from kempe.calls import explained, numbers
 from kempe.constraints.base import Constraint
 from kempe.constraints.equations import Call
 from kempe.constraints.tape import TIME
-@kept
+from kempe.errors import InputError
+from kempe.model.kept import kept
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
@@ -43,30 +44,7 @@ def _at_zero(system: System) -> Any:
     return m.build()
 
 
-<<<<<<< HEAD
-def also_holding(system: System, further: Any) -> System:
-    """The system with further constraints of `kempe.constraints`, with the same coordinates.
-
-    Errors: `InputError` for what is none, `DescriptionError` for what does not fit the system.
-    """
-    given = tuple(further) if isinstance(further, (list, tuple)) else (further,)
-    if not given:
-        return system
-    m, taken = system.mechanism, {*system.mechanism.constraints, *system.mechanism.joints}
-    for c in given:
-        if not isinstance(c, Constraint):
-            raise InputError(f"also holds {shown(c)}, which is no constraint of kempe.constraints")
-        name = c.name or c.label
-        while name in taken:
-            name += " again"
-        taken.add(name)
-        m.constrain(c, name)
-    return type(system)(m, system.topology)
-
-
 @kept
-=======
->>>>>>> 33ecc8e (Curves in one module, functions in one; what only oracles read stands with them)
 def clocked(system: System) -> System:
     """The system with the time as its last coordinate, a slide that nothing but equations reads."""
     m = _plain(system, (TIME,))
