@@ -147,7 +147,15 @@ class OfSystem(Constraint):
 
     def callback(self, rows: Sequence[int]) -> Callback:
         """Some of its rows, as kernels call them."""
-        return self.whole.callback(rows, np.where(self.low == self.high, self.low, 0.0)[list(rows)])
+        return self.whole.callback(rows, self._held[list(rows)])
+
+    @property
+    def _held(self) -> Array:
+        return np.where(self.low == self.high, self.low, 0.0)
+
+    def at(self, q: Array) -> Array:
+        """The values of its rows (m,) at q (nq,)."""
+        return self.whole.values(q) - self._held
 
 
 def held_too(system: System, further: Any) -> System:

@@ -132,8 +132,10 @@ def written_values(system: System, made: Constraint, q: Array, X_AB: Array | Non
         if row.op is Op.TAPE:
             out[..., k] = what.evaluate(given)[..., n]
             continue
+        whole = getattr(what, "at", None)  # a function of the whole configuration
         for index in np.ndindex(q.shape[:-1]):
-            out[(*index, k)] = what({m: np.broadcast_to(x, q.shape[:-1])[index] for m, x in given.items()})[n]
+            at = {m: np.broadcast_to(x, q.shape[:-1])[index] for m, x in given.items()}
+            out[(*index, k)] = (whole(q[index]) if whole else what(at))[n]
     return out
 
 
