@@ -76,7 +76,7 @@ class Answer(Tabular):
         if success.ndim == 0:
             return f"success is contradicted, {self.judged}" if not self.judged else str(self.judged)
         false = int((success & ~np.asarray(self.judged.holds)).sum())
-        return f"{false} are contradicted by poses multiplied out in numpy: see `judged`" if false else ""
+        return f"{false} are contradicted by poses multiplied out in numpy" if false else ""
 
     def table(self) -> tuple[list[str], Array]:
         """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and metres."""
