@@ -12,7 +12,7 @@ from kempe import spatial
 from kempe.calls import flag
 from kempe.constraints.base import Frame, Op, Point, Row, kind
 from kempe.constraints.builder import Builder, dot, on_pieces
-from kempe.constraints.kinds import ORIGIN, Placed
+from kempe.constraints.placed import LEAST, ORIGIN, Measured
 from kempe.constraints.reading import points_of
 from kempe.constraints.tape import Tape
 from kempe.errors import InputError
@@ -32,13 +32,13 @@ Points: TypeAlias = Any
 """A field of a list of points, which are structure: numbers, the same for all targets."""
 
 
-@kind("on_curve", "line", "{frame} is on a curve of {other}")
-class OnCurve(Placed):
+@kind("on_curve", says="{frame} is on a curve of {other}")
+class OnCurve(Measured):
     """A point of a frame on the curve through `points` (n, 3), in planar systems also (n, 2).
 
     The curve is the cubic spline by the length of its chords. A `closed` one ends where it starts, and its first point
     need not be repeated; an open one goes on straight beyond its ends. Its equations are the distances across the curve
-    from its nearest point.
+    from its nearest point. `at_least`, `at_most`: its distance from there.
     """
 
     frame: Frame
@@ -56,31 +56,42 @@ class OnCurve(Placed):
         across(self.points, self.closed, given.shape[1], what)
 
     def check(self, dim: int) -> None:
-        """The points are in the plane of a planar system, and have three numbers in space."""
+        """The points are in the plane of a planar system, and have three numbers in space; bounds fit together."""
+        super().check(dim)
         points_of(self.points, dim, f"points of {self.label}")
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """Across the curve: two directions, in the plane one."""
-        tape = across(self.points, self.closed, dim, f"points of {self.label}")
+        """Across the curve: two directions, in the plane one; or the distance from it."""
+        what = f"points of {self.label}"
+        if self.bounded:
+            given = [bound for bound in ("at_least", "at_most") if getattr(self, bound) is not None]
+            tapes = [across(self.points, self.closed, dim, what, bound) for bound in given]
+            return tuple(Row(Op.TAPE, (tape, 0), "distance", "m", low="zero") for tape in tapes)
+        tape = across(self.points, self.closed, dim, what)
         names = ("across",) if dim == 2 else ("across 1", "across 2")
         return tuple(Row(Op.TAPE, (tape, k), name, "m") for k, name in enumerate(names))
 
 
 @lru_cache(maxsize=256)
-def across(points: tuple[tuple[float, ...], ...], closed: bool, dim: int, what: str) -> Tape:
-    """The distances of (x, y, z) from a curve across it. Errors: `InputError`, see `spline`.
+def across(points: tuple[tuple[float, ...], ...], closed: bool, dim: int, what: str, bound: str = "") -> Tape:
+    """The distances of (x, y, z) from a curve across it; or by how much the distance keeps "at_least" or "at_most".
+
+    Errors: `InputError`, see `spline`.
 
     In space the directions are the two of `frames_of`, turned as the smallest turn takes its third to the tangent t:
     a - (a.t) (z + t) / (1 + z.t), where (p - c).t = 0.
     """
     pieces = spline(tuple((*p, 0.0)[:3] for p in points), closed, what)
-    build = Builder("xyz"[:dim])
+    build = Builder([*"xyz"[:dim], *([bound] if bound else [])])
     b = build.binary
     p = [i if i < dim else build.number(0.0) for i in range(3)]
     s = build.nearest(table_of(pieces, closed), p)
     off, first, _ = on_pieces(build, pieces, s, p)
     speed = build.unary(L.SQRT, dot(build, first, first))
     t = [b(L.DIV, x, speed) for x in first]
+    if bound:
+        d = build.unary(L.SQRT, b(L.ADD, dot(build, off, off), build.number(float(LEAST))))
+        return build.finish([b(L.SUB, d, dim) if bound == "at_least" else b(L.SUB, dim, d)])
     if dim == 2:
         return build.finish([b(L.SUB, b(L.MUL, t[0], off[1]), b(L.MUL, t[1], off[0]))])
     axes = frames_of(pieces)

@@ -6,17 +6,14 @@ leading axes where `System.ik` is asked: they make a batch. `point` is a point o
 
 from __future__ import annotations
 
-import math
 from dataclasses import field
-from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 
 from kempe import spatial
 from kempe.constraints.base import (
     EYE,
-    HERE,
-    Constraint,
     Direction,
     Frame,
     Matrix,
@@ -26,62 +23,35 @@ from kempe.constraints.base import (
     Rotation,
     Row,
     kind,
-    plainly,
+)
+from kempe.constraints.placed import (
+    AWAY,
+    LEAST,
+    LOOK,
+    ORIGIN,
+    ROTATION,
+    TILT,
+    TILTED,
+    TURNED,
+    Measured,
+    Placed,
+    Z,
+    points,
+    whole,
 )
 from kempe.constraints.reading import (
     along,
-    at_point,
     corners_of,
     directions_of,
     numbers_of,
     pair,
-    points_of,
     poses_of,
-    positive,
     with_axis,
 )
 from kempe.constraints.tape import Tape
 from kempe.constraints.text import from_text
-from kempe.errors import InputError
 from kempe.rigid import arrays
 from kempe.spatial import Array
-
-ORIGIN, Z = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-
-
-@lru_cache
-def points(dim: int, axes: str = "xyz", **held: str) -> tuple[Row, ...]:
-    """Rows that hold the origin of B along axes of A."""
-    return tuple(
-        Row(Op.POINT, ("xyz".index(a),), a, "m", part=k if held else None, **held) for k, a in enumerate(axes[:dim])
-    )
-
-
-@lru_cache
-def whole(dim: int) -> tuple[Row, ...]:
-    """Rows that hold all of a frame."""
-    return (*points(dim), ROTATION)
-
-
-ROTATION, TILT, LOOK = (Row(op, (), name, "rad") for op, name in ((Op.ROTATION, "r"), (Op.TILT, "r"), (Op.LOOK, "r")))
-
-
-class Placed(Constraint):
-    """A kind with a `target`, or an `origin`, and a `point` of the frame."""
-
-    def tool(self, dim: int) -> tuple[float, ...]:
-        """The point."""
-        point = getattr(self, "point", ORIGIN)
-        return HERE if point is ORIGIN else at_point(point, dim, f"point of {self.label}")
-
-    def _at(self, dim: int, name: str) -> Array:
-        """A pose at the point that a field holds."""
-        return spatial.pose(p=points_of(getattr(self, name), dim, f"{name} of {self.label}"))
-
-    def _along(self, dim: int, name: str) -> Array:
-        """A pose at `origin` whose z is along the direction that a field holds."""
-        z = directions_of(getattr(self, name), dim, f"{name} of {self.label}")
-        return spatial.pose(along(z, dim), points_of(self.origin, dim, f"origin of {self.label}"))  # type: ignore[attr-defined]
 
 
 @kind("pose", says="{frame} is at {target}")
@@ -102,8 +72,11 @@ class Pose(Placed):
 
 
 @kind("position", says="{frame} is at {target}")
-class Position(Placed):
-    """A point of a frame at a position `target` (..., 3), in planar systems also (..., 2)."""
+class Position(Measured):
+    """A point of a frame at a position `target` (..., 3), in planar systems also (..., 2), or near it.
+
+    `at_least`, `at_most`: its distance from the target.
+    """
 
     frame: Frame
     target: Point
@@ -111,8 +84,8 @@ class Position(Placed):
     other: Frame | None = field(default=None, kw_only=True)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The point."""
-        return points(dim)
+        """The point, or how far it is."""
+        return self.between(Op.DISTANCE) if self.bounded else points(dim)
 
     def goal(self, dim: int) -> Array:
         """The target."""
@@ -120,16 +93,21 @@ class Position(Placed):
 
 
 @kind("orientation", says="{frame} is turned as {target}")
-class Orientation(Placed):
-    """A frame turned as `target` (..., 3, 3), or as a pose (..., 4, 4), wherever it is."""
+class Orientation(Measured):
+    """A frame turned as `target` (..., 3, 3), or as a pose (..., 4, 4), wherever it is.
+
+    `at_least`, `at_most`: the angle of the rotation between them.
+    """
 
     frame: Frame
     target: Rotation
     other: Frame | None = field(default=None, kw_only=True)
 
+    measured: ClassVar[str] = "angle"
+
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The rotation."""
-        return (ROTATION,)
+        """The rotation, or its angle."""
+        return self.beyond(TURNED) if self.bounded else (ROTATION,)
 
     def goal(self, dim: int) -> Array:
         """The target."""
@@ -137,8 +115,10 @@ class Orientation(Placed):
         return poses_of(spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X, dim, what)
 
 
-class _Axis(Placed):
+class _Axis(Measured):
     """A kind on an `axis` of a frame."""
+
+    measured: ClassVar[str] = "angle"
 
     def tool(self, dim: int) -> tuple[float, ...]:
         """A turn that brings z to the axis."""
@@ -147,7 +127,10 @@ class _Axis(Placed):
 
 @kind("pointing", says="an axis of {frame} is along {direction}")
 class Pointing(_Axis):
-    """An `axis` of a frame (default z, in the plane x) along a `direction` (..., 3) of the ground, or of `other`."""
+    """An `axis` of a frame (default z, in the plane x) along a `direction` (..., 3) of the ground, or of `other`.
+
+    `at_least`, `at_most`: the angle between them, as of a glass that must not spill.
+    """
 
     frame: Frame
     direction: Direction
@@ -155,8 +138,8 @@ class Pointing(_Axis):
     other: Frame | None = field(default=None, kw_only=True)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The axis."""
-        return (TILT,)
+        """The axis, or its angle."""
+        return self.beyond(TILTED) if self.bounded else (TILT,)
 
     def goal(self, dim: int) -> Array:
         """A frame whose z is the direction."""
@@ -165,7 +148,10 @@ class Pointing(_Axis):
 
 @kind("look_at", says="an axis of {frame} points at {target}")
 class LookAt(_Axis):
-    """An `axis` of a frame (default z, in the plane x) towards a point `target` (..., 3), as a camera looks at it."""
+    """An `axis` of a frame (default z, in the plane x) towards a point `target` (..., 3), as a camera looks at it.
+
+    `at_least`, `at_most`: the angle between the axis and the line of sight, as of what must stay in view.
+    """
 
     frame: Frame
     target: Point
@@ -173,8 +159,8 @@ class LookAt(_Axis):
     other: Frame | None = field(default=None, kw_only=True)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The axis."""
-        return (LOOK,)
+        """The axis, or its angle."""
+        return self.beyond(AWAY) if self.bounded else (LOOK,)
 
     def goal(self, dim: int) -> Array:
         """The point."""
@@ -182,8 +168,11 @@ class LookAt(_Axis):
 
 
 @kind("on_line", says="{frame} is on a line of {other}")
-class OnLine(Placed):
-    """A point of a frame on the line through `origin` (..., 3) along `direction` (..., 3)."""
+class OnLine(Measured):
+    """A point of a frame on the line through `origin` (..., 3) along `direction` (..., 3).
+
+    `at_least`, `at_most`: its distance from the line, outside or inside a tube.
+    """
 
     frame: Frame
     origin: Point = ORIGIN
@@ -192,8 +181,8 @@ class OnLine(Placed):
     other: Frame | None = field(default=None, kw_only=True)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """What is across the line; in the plane only within it."""
-        return points(3, "y" if dim == 2 else "xy")
+        """What is across the line, in the plane only within it; or the distance from it."""
+        return self.beyond(f"sqrt(x^2 + y^2 + {LEAST})") if self.bounded else points(3, "y" if dim == 2 else "xy")
 
     def goal(self, dim: int) -> Array:
         """A frame on the line, z along it."""
@@ -201,8 +190,11 @@ class OnLine(Placed):
 
 
 @kind("on_plane", says="{frame} is on a plane of {other}")
-class OnPlane(Placed):
-    """A point of a frame on the plane through `origin` (..., 3) with the normal `normal` (..., 3)."""
+class OnPlane(Measured):
+    """A point of a frame on the plane through `origin` (..., 3) with the normal `normal` (..., 3).
+
+    `at_least`, `at_most`: its height over the plane, along the normal.
+    """
 
     frame: Frame
     origin: Point = ORIGIN
@@ -210,9 +202,11 @@ class OnPlane(Placed):
     point: Point = ORIGIN
     other: Frame | None = field(default=None, kw_only=True)
 
+    measured: ClassVar[str] = "height"
+
     def rows(self, dim: int) -> tuple[Row, ...]:
         """What is along the normal."""
-        return points(3, "z")
+        return self.between(Op.POINT, 2) if self.bounded else points(3, "z")
 
     def goal(self, dim: int) -> Array:
         """A frame on the plane, z along the normal."""
@@ -220,10 +214,15 @@ class OnPlane(Placed):
 
 
 @kind("half_space", "contact", "{frame} is on one side of a plane of {other}")
-class HalfSpace(OnPlane):
+class HalfSpace(Placed):
     """A point of a frame on that side of a plane to which its `normal` points, at least `margin` (...) m from it."""
 
+    frame: Frame
+    origin: Point = ORIGIN
+    normal: Direction = Z
+    point: Point = ORIGIN
     margin: Number = 0.0
+    other: Frame | None = field(default=None, kw_only=True)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """Above the plane."""
@@ -231,27 +230,28 @@ class HalfSpace(OnPlane):
 
     def goal(self, dim: int) -> Array:
         """A frame that far from the plane, z along the normal."""
-        X, margin = super().goal(dim), numbers_of(self.margin, f"margin of {self.label}")
+        X, margin = self._along(dim, "normal"), numbers_of(self.margin, f"margin of {self.label}")
         return X @ spatial.pose(p=margin[..., None] * np.array(Z)) if np.any(margin) else X
 
 
 @kind("on_sphere", says="{frame} is {radius} m away from a point of {other}")
-class OnSphere(Placed):
-    """A point of a frame at the distance `radius` (...) from `center` (..., 3): on a sphere, in the plane a circle."""
+class OnSphere(Measured):
+    """A point of a frame at the distance `radius` (...) from `center` (..., 3): on a sphere, in the plane a circle.
+
+    `at_least`, `at_most`, in place of the radius: outside or inside a sphere.
+    """
 
     frame: Frame
     center: Point
-    radius: Number
+    radius: Number = None
     point: Point = ORIGIN
     other: Frame | None = field(default=None, kw_only=True)
 
+    instead: ClassVar[str] = "radius"
+
     def rows(self, dim: int) -> tuple[Row, ...]:
         """The distance."""
-        return (Row(Op.DISTANCE, (), "distance", equal="radius"),)
-
-    def check(self, dim: int) -> None:
-        """A radius is not negative."""
-        positive(self.radius, f"radius of {self.label}")
+        return self.apart()
 
     def goal(self, dim: int) -> Array:
         """The center."""
@@ -297,12 +297,8 @@ class InBox(Placed):
         return self._corners()[1]
 
 
-class _TwoFrames(Placed):
-    """A kind on a frame and another one, which is named second."""
-
-
 @kind("relative_pose", says="{frame} is at {target}, seen from {other}")
-class RelativePose(_TwoFrames):
+class RelativePose(Placed):
     """A frame at a pose `target` (..., 4, 4) seen from the frame `other`."""
 
     frame: Frame
@@ -313,8 +309,8 @@ class RelativePose(_TwoFrames):
 
 
 @kind("relative_position", says="{frame} is at {target}, seen from {other}")
-class RelativePosition(_TwoFrames):
-    """A point of a frame at a position `target` (..., 3) seen from the frame `other`, in its axes."""
+class RelativePosition(Measured):
+    """A point of a frame at a position `target` (..., 3) seen from the frame `other`, in its axes, or near it."""
 
     frame: Frame
     other: Frame
@@ -325,7 +321,7 @@ class RelativePosition(_TwoFrames):
 
 
 @kind("distance", says="{frame} and {other} are {value} m apart")
-class Distance(_TwoFrames):
+class Distance(Measured):
     """The distance of a `point` of a frame from `other_point` of another: `value` (...), or between bounds (...).
 
     A rod with a ball at each end has a `value`, a rope only `at_most`.
@@ -334,32 +330,14 @@ class Distance(_TwoFrames):
     frame: Frame
     other: Frame
     value: Number = None
-    at_least: Number = None
-    at_most: Number = None
     point: Point = ORIGIN
     other_point: Point = ORIGIN
 
+    instead: ClassVar[str] = "value"
+
     def rows(self, dim: int) -> tuple[Row, ...]:
         """The distance."""
-        if (self.value is None) == (self.at_least is None and self.at_most is None):
-            raise InputError(f"{self.label} needs a value, or at_least or at_most")
-        return (Row(Op.DISTANCE, (), "distance", equal="value", low="at_least", high="at_most"),)
-
-    def in_words(self, name: str) -> str:
-        """Bounds in place of the value, where they are given."""
-        if name != "value" or self.value is not None:
-            return super().in_words(name)
-        given = (("at least", self.at_least), ("at most", self.at_most))
-        return " and ".join(f"{word} {plainly(x)}" for word, x in given if x is not None)
-
-    def check(self, dim: int) -> None:
-        """Distances are not negative, and bounds leave something between them."""
-        for name in ("value", "at_least", "at_most"):
-            if (x := getattr(self, name)) is not None:
-                positive(x, f"{name} of {self.label}" if name == "value" else f"a bound of {self.label}")
-        if self.value is None:
-            pair(0.0 if self.at_least is None else self.at_least, math.inf if self.at_most is None else self.at_most,
-                 f"at_least and at_most of {self.label}")  # fmt: skip
+        return self.apart()
 
     def goal(self, dim: int) -> Array:
         """The point of the other frame."""
@@ -367,8 +345,10 @@ class Distance(_TwoFrames):
 
 
 @kind("on_surface", says="{frame} is on {surface} of {other}")
-class OnSurface(Placed):
+class OnSurface(Measured):
     """A point of a frame on the surface f(x, y, z) = 0, in the plane on the curve f(x, y) = 0.
+
+    `at_least`, `at_most`: the value of f, as of what is outside or inside.
 
     `surface` is text such as ``"x^2/4 + y^2 = 1"``, in metres along the axes of the ground or of `other`.
     """
@@ -378,9 +358,14 @@ class OnSurface(Placed):
     point: Point = ORIGIN
     other: Frame | None = field(default=None, kw_only=True)
 
+    measured: ClassVar[str] = "value"
+
     def rows(self, dim: int) -> tuple[Row, ...]:
         """The equation of the surface."""
-        return (Row(Op.TAPE, (self._tape(dim), 0), "surface", "1"),)
+        tape = self._tape(dim)
+        left, _, right = self.surface.partition("=")
+        value = f"({left}) - ({right or 0})"
+        return self.beyond(value) if self.bounded else (Row(Op.TAPE, (tape, 0), "surface", "1"),)
 
     def _tape(self, dim: int) -> Tape:
         return from_text([self.surface], tuple("xyz"[:dim]), {})

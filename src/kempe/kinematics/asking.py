@@ -102,7 +102,8 @@ class Expressed(Task):
                 value = tie.tape.tape.evaluate(inputs)
             low, high = np.array(tie.bounds).T if tie.bounds else (0.0, 0.0)
             off = value - np.clip(value, low, high)
-            squares["m" if tie.tape.unit == "m" else "rad"] = np.vecdot(off, off)
+            unit = "m" if tie.tape.unit == "m" else "rad"
+            squares[unit] = squares[unit] + np.vecdot(off, off)
         return np.sqrt(squares["m"]), np.sqrt(squares["rad"])
 
 

@@ -1,0 +1,148 @@
+"""What kinds that hold a frame share: their rows, where they are held, and bounds on how far they are from there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, ClassVar
+
+from kempe import spatial
+from kempe.constraints.base import (
+    HERE,
+    Constraint,
+    Number,
+    Op,
+    Row,
+    plainly,
+)
+from kempe.constraints.reading import (
+    along,
+    at_point,
+    directions_of,
+    pair,
+    points_of,
+    positive,
+)
+from kempe.constraints.tape import POSE
+from kempe.constraints.text import from_text
+from kempe.errors import InputError
+from kempe.spatial import Array
+
+ORIGIN, Z = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+
+
+@lru_cache
+def points(dim: int, axes: str = "xyz", **held: str) -> tuple[Row, ...]:
+    """Rows that hold the origin of B along axes of A."""
+    return tuple(
+        Row(Op.POINT, ("xyz".index(a),), a, "m", part=k if held else None, **held) for k, a in enumerate(axes[:dim])
+    )
+
+
+@lru_cache
+def whole(dim: int) -> tuple[Row, ...]:
+    """Rows that hold all of a frame."""
+    return (*points(dim), ROTATION)
+
+
+ROTATION, TILT, LOOK = (Row(op, (), name, "rad") for op, name in ((Op.ROTATION, "r"), (Op.TILT, "r"), (Op.LOOK, "r")))
+
+
+class Placed(Constraint):
+    """A kind with a `target`, or an `origin`, and a `point` of the frame."""
+
+    def tool(self, dim: int) -> tuple[float, ...]:
+        """The point."""
+        point = getattr(self, "point", ORIGIN)
+        return HERE if point is ORIGIN else at_point(point, dim, f"point of {self.label}")
+
+    def _at(self, dim: int, name: str) -> Array:
+        """A pose at the point that a field holds."""
+        return spatial.pose(p=points_of(getattr(self, name), dim, f"{name} of {self.label}"))
+
+    def _along(self, dim: int, name: str) -> Array:
+        """A pose at `origin` whose z is along the direction that a field holds."""
+        z = directions_of(getattr(self, name), dim, f"{name} of {self.label}")
+        return spatial.pose(along(z, dim), points_of(self.origin, dim, f"origin of {self.label}"))  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True, eq=False)
+class Measured(Placed):
+    """A kind of which one number says how far it is from where it would hold: a distance, a height, an angle.
+
+    With `at_least` (...) or `at_most` (...), or both, this number stays within these bounds, in place of being zero or
+    a value that the kind has.
+    """
+
+    at_least: Number = field(default=None, kw_only=True)
+    at_most: Number = field(default=None, kw_only=True)
+
+    measured: ClassVar[str] = "distance"
+    """What the number is, one of `UNITS`."""
+    instead: ClassVar[str] = ""
+    """The field in whose place the bounds are; '' where the number is zero without bounds."""
+
+    @property
+    def bounded(self) -> bool:
+        """Whether there are bounds."""
+        return self.at_least is not None or self.at_most is not None
+
+    def check(self, dim: int) -> None:
+        """Bounds leave something between them, and those of distances and angles are not negative."""
+        if not self.bounded:
+            return
+        what, signed = f"a bound of {self.label}", self.measured in SIGNED
+        for bound in (self.at_least, self.at_most):
+            if bound is not None and not signed:
+                positive(bound, what)
+        low, high = (-math.inf if signed else 0.0) if self.at_least is None else self.at_least, self.at_most
+        pair(low, math.inf if high is None else high, f"at_least and at_most of {self.label}")
+
+    def between(self, op: Op, *args: Any) -> tuple[Row, ...]:
+        """The row of an operation that measures the number."""
+        return (Row(op, args, self.measured, low="at_least", high="at_most"),)
+
+    def apart(self) -> tuple[Row, ...]:
+        """The row of a distance that is the number of the field `instead`, or within bounds. Errors: `InputError`."""
+        value = getattr(self, self.instead)
+        if (value is None) != self.bounded:
+            raise InputError(f"{self.label} needs a {self.instead}, or at_least or at_most")
+        if value is not None:
+            positive(value, f"{self.instead} of {self.label}")
+        return (Row(Op.DISTANCE, (), "distance", equal=self.instead, low="at_least", high="at_most"),)
+
+    def in_words(self, name: str) -> str:
+        """Bounds in place of a number, where they are given."""
+        return self._bounds() if name == self.instead and self.bounded else super().in_words(name)
+
+    def beyond(self, text: str) -> tuple[Row, ...]:
+        """A row for each bound, of an expression of the pose that is the number; bounds are inputs of it."""
+        unit, rows = UNITS[self.measured], []
+        for bound, row in (("at_least", f"{text} - at_least"), ("at_most", f"at_most - ({text})")):
+            if getattr(self, bound) is not None:
+                rows.append(Row(Op.TAPE, (from_text([row], (*POSE, bound), {}), 0), self.measured, unit, low="zero"))
+        return tuple(rows)
+
+    @property
+    def sentence(self) -> str:
+        """What it asks, with its bounds."""
+        said = super().sentence
+        if not self.bounded or self.instead:
+            return said
+        unit = UNITS[self.measured].replace("1", "")
+        return f"{said}, off by {self._bounds()} {unit}".rstrip()
+
+    def _bounds(self) -> str:
+        given = (("at least", self.at_least), ("at most", self.at_most))
+        return " and ".join(f"{word} {plainly(x)}" for word, x in given if x is not None)
+
+
+SIGNED, UNITS = ("height", "value"), {"distance": "m", "height": "m", "angle": "rad", "value": "1"}
+"""Numbers that may be negative, and the units of all."""
+LEAST = "1e-24"
+"""Added to squares under a root, so that the root has derivatives at zero, too."""
+TILTED = f"atan2(sqrt(xz^2 + yz^2 + {LEAST}), zz)"
+AWAY = f"atan2(sqrt((yz*z - zz*y)^2 + (zz*x - xz*z)^2 + (xz*y - yz*x)^2 + {LEAST}), -(xz*x + yz*y + zz*z))"
+TURNED = f"atan2(sqrt((zy - yz)^2 + (xz - zx)^2 + (yx - xy)^2 + {LEAST}), xx + yy + zz - 1)"
+"""Angles of z of B against z of A, of z of B against the direction from B to the origin of A, and of B against A."""

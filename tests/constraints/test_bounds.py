@@ -1,0 +1,140 @@
+"""`at_least` and `at_most`, alike for all kinds that measure one number: against that number computed by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from kinds_battery import EXAMPLES, RING, two_bodies
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
+from scipy.spatial.transform import Rotation
+
+import kempe
+from kempe import constraints as c
+from kempe.constraints.placed import Measured
+from kempe.description.toml import read_toml
+from kempe.description.toml_writer import write_toml
+from kempe.errors import CallError, InputError
+
+KINDS = [name for name, kind in c.KINDS.items() if issubclass(kind, Measured) and name in EXAMPLES]
+INSTEAD = {"on_sphere": "radius", "distance": "value"}
+
+
+def bounded(name: str, dim: int, **bounds) -> c.Constraint:
+    """The example of a kind with bounds in place of its value."""
+    none = {INSTEAD[name]: None} if name in INSTEAD else {}
+    return EXAMPLES[name](dim).demand(**none, **bounds)
+
+
+def _angle(a, b):
+    return math.atan2(np.linalg.norm(np.cross(a, b)), a @ b)
+
+
+def _curve(p, dim):
+    points = np.vstack([RING[:, :dim], RING[:1, :dim]]) if not np.allclose(RING[0], RING[-1]) else RING[:, :dim].copy()
+    points[-1] = points[0]
+    s = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
+    spline = CubicSpline(s, points, bc_type="periodic")
+    off = lambda t: np.linalg.norm(spline(t) - p[:dim])  # noqa: E731
+    grid = np.linspace(0.0, s[-1], 2001)
+    best = grid[np.argmin([off(t) for t in grid])]
+    return minimize_scalar(off, bounds=(best - 0.01, best + 0.01), method="bounded", options={"xatol": 1e-12}).fun
+
+
+def measured(name: str, dim: int, made, system, q) -> float:
+    """The number that a kind measures, from poses alone."""
+    eye, tip = system.fk(q, "eye"), system.fk(q, "tip")
+    X = np.linalg.inv(eye) @ tip if made.other == "eye" else tip
+    flat = lambda x: np.pad(np.asarray(x, float), (0, 3 - len(x)))  # noqa: E731
+    point = X[:3, 3] + X[:3, :3] @ flat(getattr(made, "point", np.zeros(3)))
+    axis = X[:3, 0 if dim == 2 else 2]
+    return {
+        "position": lambda: np.linalg.norm(point - flat(made.target)),
+        "relative_position": lambda: np.linalg.norm(point - flat(made.target)),
+        "orientation": lambda: Rotation.from_matrix(np.asarray(made.target).T @ X[:3, :3]).magnitude(),
+        "pointing": lambda: _angle(axis, flat(made.direction)),
+        "look_at": lambda: _angle(axis, flat(made.target) - X[:3, 3]),
+        "on_line": lambda: np.linalg.norm(
+            np.cross(point - flat(made.origin), flat(made.direction))) / np.linalg.norm(made.direction),
+        "on_plane": lambda: (point - flat(made.origin)) @ flat(made.normal) / np.linalg.norm(made.normal),
+        "on_sphere": lambda: np.linalg.norm(point - flat(made.center)),
+        "distance": lambda: np.linalg.norm(point),
+        "on_surface": lambda: point[0] ** 2 / 4.0 + point[1] ** 2 - 1.0,
+        "on_curve": lambda: _curve(point, dim),
+    }[name]()  # fmt: skip
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("bounds", [{"at_least": 0.4}, {"at_most": 0.3}, {"at_least": 0.3, "at_most": 0.35}], ids=str)
+def test_held_and_asked(name, dim, bounds, hunt):
+    if name in INSTEAD and "at_most" not in bounds:
+        bounds = {"at_least": 1.3}
+    made, rng = bounded(name, dim, **bounds), hunt.rng()
+    low, high = bounds.get("at_least", -math.inf), bounds.get("at_most", math.inf)
+    m = two_bodies(dim)
+    m.constrain(made, "it")
+    assert read_toml(write_toml(m)) == m
+    free, held = two_bodies(dim).build(), m.build()
+    assert held.mobility().dof == free.nv, "one-sided rows take no freedom"
+    moved = 0
+    for k in range(max(hunt.cases(6), 2)):  # from where the kind holds without bounds, and from far away
+        q = free.random(rng) if k % 2 else free.ik(EXAMPLES[name](dim), seed=free.random(rng)).q
+        q = free.integrate(q, rng.uniform(-1.0, 1.0, free.nv) * (6.0 if k % 2 else 0.05))
+        while k == 1 and low <= measured(name, dim, made, free, q) <= high:
+            q = free.integrate(q, rng.uniform(-1.0, 1.0, free.nv))
+        before = measured(name, dim, made, free, q)
+        for answer in (free.ik(made, seed=q), held.assemble({}, q)):
+            assert answer.success, answer.status
+            assert low - 1e-6 <= measured(name, dim, made, free, answer.q) <= high + 1e-6
+            if low <= before <= high:
+                assert np.allclose(free.difference(q, answer.q), 0.0), "nothing has to move"
+            else:
+                moved += 1
+    assert moved, "the bounds mattered somewhere"
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_bounds_from_target_to_target(name, hunt):
+    s = two_bodies(3).build()
+    most = np.linspace(0.2, 0.9, 5)
+    answer = s.ik(bounded(name, 3, at_most=most), seed=s.random(hunt.rng()))
+    assert answer.success.shape == (5,) and answer.success.all()
+    made = bounded(name, 3, at_most=1.0)
+    for q, bound in zip(answer.q, most, strict=True):
+        assert measured(name, 3, made, s, q) <= bound + 1e-6
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_bounds_that_leave_nothing(name):
+    m = two_bodies(3)
+    with pytest.raises(kempe.errors.KempeError, match="leave nothing"):
+        m.constrain(bounded(name, 3, at_least=0.5, at_most=0.4), "it")
+    if bounded(name, 3, at_most=1.0).measured not in ("height", "value"):
+        with pytest.raises(kempe.errors.KempeError, match="bound"):
+            m.constrain(bounded(name, 3, at_most=-0.1), "it")
+    with pytest.raises(kempe.errors.KempeError, match="bound|finite|number"):
+        m.constrain(bounded(name, 3, at_most=math.nan), "it")
+
+
+@pytest.mark.parametrize("name", sorted(set(INSTEAD)))
+def test_a_value_and_bounds(name):
+    with pytest.raises(InputError, match=f"needs a {INSTEAD[name]}, or at_least or at_most"):
+        two_bodies(3).build().ik(EXAMPLES[name](3).demand(at_most=1.0))
+
+
+def test_kinds_that_measure_no_number_say_so():
+    with pytest.raises(CallError, match="Pose has no option 'at_most'"):
+        c.Pose("tip", np.eye(4), at_most=0.1)
+
+
+def test_a_glass_that_must_not_spill():
+    """The axis of a wrist stays within 0.3 rad of the vertical while the hand goes elsewhere."""
+    arm = kempe.load("puma560")
+    q = np.array([0.2, -0.6, 2.4, 0.3, 0.5, 0.1])
+    X = arm.fk(q, "tool")
+    upright = c.Pointing("tool", X[:3, 2], at_most=0.3)
+    answer = arm.ik([c.Position("tool", X[:3, 3] + [0.1, -0.1, 0.05]), upright])
+    assert answer.success and _angle(arm.fk(answer.q, "tool")[:3, 2], X[:3, 2]) <= 0.3 + 1e-9
