@@ -352,17 +352,6 @@ def test_more_freedoms_are_refused_by_name_or_held():
     assert np.ptp(np.linalg.norm(C - B, axis=1)) < 1e-13 and np.ptp(np.linalg.norm(C - D, axis=1)) < 1e-13
 
 
-def test_an_idle_spin_is_refused_by_name():
-    m = Mechanism("RSSR")
-    crank, rod, rocker = m.body("crank"), m.body("rod"), m.body("rocker")
-    m.revolute("A", m.ground, crank)
-    m.revolute("D", m.ground, rocker, at=(2, 0, 0.5), rpy=(0.5, 1.2, 0))
-    m.spherical("B", crank, rod, at=(0.5, 0, 0))
-    m.spherical("C", rod, rocker, at=(2, 0, 0), child_at=(1, 0, 0), cut=True)
-    with pytest.raises(UnsupportedError, match=r"with 'A' held still, these still move: 'B\.wx', 'C\.wx'"):
-        trace(m.build(), "A", {"A": 0.3})
-
-
 def test_a_rigid_frame_cannot_move():
     rigid = linkage("triangle", {"A": (0.0, 0.0), "B": (1.0, 0.0), "C": (0.4, 0.9)},
                     {"ground": ("A", "B"), "a": ("A", "C"), "b": ("B", "C")})  # fmt: skip

@@ -11,6 +11,8 @@ import numpy as np
 
 from kempe.analysis.continuation import RANK, Closure, Node, close, node
 from kempe.analysis.crossings import branch_lines, locate
+from kempe.analysis.deflation import hold_rank
+from kempe.analysis.spins import hold_spins
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.joints import R
 from kempe.kinematics.configuration import as_q, home_of, random
@@ -173,6 +175,9 @@ def first_node(
     if not equations.n:
         return None
     here = node(equations, q)
+    asked = np.flatnonzero(wish).tolist() + ([angle_or_slide(system, driver)] if driver else [])
+    if here.nullity > 1 and hold_spins(equations, q, asked):
+        here = node(equations, q)
     if here.nullity == 0:
         return None
     if here.nullity > 1:
@@ -188,6 +193,8 @@ def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Ar
     polished = locate(equations, x, here.nullity, 1e-5)
     x = x if polished is None else polished
     lines = branch_lines(equations, x)
+    if not len(lines) and (curve := hold_rank(equations, x)) is not None:
+        return curve
     if not len(lines):
         raise UnsupportedError(too_free(equations, here.matrix, [driver] if driver else []))
     if np.linalg.norm(wish) > 0.0:

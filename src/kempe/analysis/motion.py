@@ -20,6 +20,7 @@ from kempe.analysis.continuation import Closure, Node, arc, node
 from kempe.analysis.endless import NO_RETURN, Endless
 from kempe.analysis.events import Stop, extreme, hidden_crossings, home, turns, walk
 from kempe.analysis.path import Event, Path, Track
+from kempe.analysis.spins import spins_held
 from kempe.calls import explained, flag
 from kempe.errors import InputError
 from kempe.reals import is_whole
@@ -123,6 +124,10 @@ def _followed(
     if first is None:
         return _failed(equations, options, "it cannot move: no degree of freedom is left", q, True)
     path = _trace(equations, first, options)
+    spins = spins_held(equations)
+    while spins is not None and spins.turned(path.q):  # held otherwise, what spins turns less
+        first = first_node(equations, q, options.driver, toward) or first
+        path = _trace(equations, first, options)
     if len(path) == 1 and path.success and path.ends[1].startswith("a point"):
         said = "it cannot move along a smooth curve: its first-order motion leads nowhere (shaky), or this is a cusp"
         return _failed(equations, options, said, q, True)
