@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.solvers.idle import spins_of
-from kempe.spatial import Array
+from kempe.spatial import Array, unit
 
 if TYPE_CHECKING:
     from kempe.analysis.continuation import Closure
@@ -53,8 +53,7 @@ class Spins:
     def _choose(self, ground: Iterable[Array]) -> None:
         """Hold the spins by these directions in the ground, as they are at the first configuration."""
         self.ground = np.array(list(ground))
-        across = np.cross(self.ground, self.at(self.q[None])[0])
-        across /= np.linalg.norm(across, axis=1)[:, None]
+        across = unit(np.cross(self.ground, self.at(self.q[None])[0]))
         self.along = np.array([query(self.q)[:3, :3].T @ v for query, v in zip(self._queries, across, strict=True)])
 
     def write(self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool) -> None:
@@ -106,8 +105,7 @@ def hold_spins(equations: Closure, q: Array, asked: Iterable[int]) -> bool:
 def _across(d: Array) -> Array:
     """A unit vector perpendicular to another."""
     e = np.eye(3)[int(np.argmin(np.abs(d)))]
-    v = np.cross(d, e)
-    return v / np.linalg.norm(v)
+    return unit(np.cross(d, e))
 
 
 def _sine(a: Array, b: Array) -> Array:

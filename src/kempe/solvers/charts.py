@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from kempe.kinematics.loops import RANK_TOLERANCE, evaluate, scales
 from kempe.solvers.assembled import NOT_CLOSED
 from kempe.solvers.assembly import TOLERANCE, Assembly, assemble
 from kempe.solvers.idle import Spin, idle_part, spins_of
+from kempe.solvers.shaky import moving
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -66,6 +68,11 @@ class Chart:
         """Number p of independent coordinates."""
         return len(self.independent)
 
+    @cached_property
+    def _plain(self) -> bool:
+        """Whether all are angles and lengths."""
+        return all(n in self.system.coordinate_names for n in self.independent)
+
     @property
     def useful(self) -> tuple[str, ...]:
         """The independent coordinates that are not idle."""
@@ -74,7 +81,7 @@ class Chart:
     def u(self, q: Any) -> Array:
         """The independent coordinates (..., p) of configurations (..., nq)."""
         q = as_q(self.system, q)
-        if not any(_is_exponential(self.system, n) for n in self.independent):
+        if self._plain:
             return q[..., [self.system.coordinate_names.index(n) for n in self.independent]]
         way = self.system.layout.difference(self.origin, q)
         way[..., self.system.layout.vector_v] = q[..., self.system.layout.vector_q]
@@ -87,13 +94,17 @@ class Chart:
         left out: what spins then stays about as it is at `near`.
         """
         u = numbers(u, "u")
-        given = self.useful if u.ndim and u.shape[-1] == len(self.useful) else self.independent
+        given = self.independent
         if u.ndim == 0 and 1 in (self.dim, len(self.useful)):
-            u, given = u[None], self.useful if len(self.useful) == 1 else self.independent
-        if u.ndim == 0 or u.shape[-1] != len(given):
+            u = u[None]
+        if u.shape[-1:] != (self.dim,):
+            given = self.useful
+        if u.shape[-1:] != (len(given),):
             names = ", ".join(self.useful) + (f" (and, idle, {', '.join(self.idle)})" if self.idle else "")
             raise InputError(f"u has shape {u.shape}; needed is (..., {self.dim}): {names}")
         near = self.origin if near is None else near
+        if self._plain:
+            return assemble(self.system, {n: u[..., i] for i, n in enumerate(given)}, near, starts=1)
         known = {n: u[..., i] for i, n in enumerate(given) if not _is_exponential(self.system, n)}
         if len(known) < len(given):
             near = self._led(u, given, near)
@@ -108,8 +119,8 @@ class Chart:
 
     def _rows(self, names: Iterable[str] | None = None) -> list[int]:
         """Velocity indices of the independent coordinates, or of others."""
-        number = _numbers(self.system)
-        return [number[n] for n in (self.independent if names is None else names)]
+        names, own = self.independent if names is None else tuple(names), self.system.velocity_names
+        return [own.index(n) if n in own else _numbers(self.system)[n] for n in names]
 
     def _rates(self, q: Array, names: tuple[str, ...]) -> Array:
         """Rates (len(names), nv) of some independent coordinates by the velocities, in units, at q (nq,)."""
@@ -145,8 +156,10 @@ class Chart:
 
     def tangent(self, q: Any) -> Array:
         """Rates (nv, p) of all velocity coordinates by the independent ones, at a closed configuration (nq,)."""
-        N, scale = tangent_space(self.system, q)
+        N, scale = tangent_space(self.system, q, self.dim)
         N = scale[:, None] * N
+        if self._plain:
+            return N @ np.linalg.inv(N[self._rows()])
         return N @ np.linalg.inv(self._rates(as_q(self.system, q), self.independent) @ N)
 
     def condition(self, q: Any) -> float:
@@ -154,7 +167,9 @@ class Chart:
 
         It is 0 where a ball with exponential coordinates has turned by nearly half a turn, where these jump.
         """
-        N, scale = tangent_space(self.system, q)
+        N, scale = tangent_space(self.system, q, self.dim)
+        if self._plain:
+            return _quality(N, self._rows())
         q = as_q(self.system, q)
         way = self.system.layout.difference(self.origin, q)
         own = {int(i) for i in self.system.layout.quaternion_v if {i, i + 1, i + 2} & {*self._rows()}}
@@ -196,12 +211,8 @@ def independent(system: System, q: Any = None, prefer: Iterable[str] = ()) -> Ch
         q = answer.q
     q = as_q(system, q)
     N, _ = tangent_space(system, q)
-    number, p = _numbers(system), N.shape[1]
-    wish = listed(prefer, "prefer")
-    for name in wish:
-        if name not in number:
-            raise UnknownNameError("coordinate", name, sorted(number), system.name)
-    rows = [number[n] for n in wish]
+    p, wish = N.shape[1], listed(prefer, "prefer")
+    rows = _wished(system, wish) if wish else []
     if len(set(rows)) < len(rows) or len(rows) > p:
         raise InputError(f"{len(rows)} coordinates are preferred; here {p} different ones are independent")
     least = _worst(p, system.nv)
@@ -210,21 +221,31 @@ def independent(system: System, q: Any = None, prefer: Iterable[str] = ()) -> Ch
             f"{', '.join(wish)} cannot be set independently here: conditioning {_quality(N, rows):.2g}, at least "
             f"{least:.2g} is needed; the best choice is {', '.join(independent(system, q).independent)}"
         )
-    plain = [v for v in range(system.nv) if v in {*system.layout.vector_v.tolist()}]
+    plain = sorted(system.layout.vector_v.tolist())
     found, idle = _extend(N, rows, plain), []
-    sure = len(found) == p and _quality(N, found) >= least
-    if not sure or (system.closures and system.dim == 3 and 1 < p and system.nv < MANY):
+    quality = _quality(N, found)
+    sure = len(found) == p and quality >= least
+    if not sure or (p > 1 and system.dim == 3 and system.closures and system.nv < MANY):
         spins = spins_of(system, q)
         if spins or not sure:
             found, idle = _in_turn(N, rows, plain, spins)
-    quality = _quality(N, found)
+            quality = _quality(N, found)
     if len(found) < p or (p and quality < least):
         raise InputError(f"no choice of coordinates is independent here: the best has conditioning {quality:.2g}")
-    name = {v: n for n, v in number.items()}
-    useful = [v for v in found if v not in idle]
-    chosen = [*sorted(useful), *sorted(idle)]
+    idle = sorted(idle)
+    chosen = [*sorted({*found} - {*idle}), *idle]
+    names = system.velocity_names if {*chosen} <= {*plain} else tuple(_numbers(system))
     rest = tuple(n for v, n in enumerate(system.velocity_names) if v not in chosen)
-    return Chart(system, tuple(name[v] for v in chosen), rest, q.copy(), quality, tuple(name[v] for v in sorted(idle)))
+    return Chart(system, tuple(names[v] for v in chosen), rest, q.copy(), quality, tuple(names[v] for v in idle))
+
+
+def _wished(system: System, names: Iterable[str]) -> list[int]:
+    """Velocity indices of coordinates. Errors: `UnknownNameError`."""
+    number = _numbers(system)
+    for name in names:
+        if name not in number:
+            raise UnknownNameError("coordinate", name, sorted(number), system.name)
+    return [number[n] for n in names]
 
 
 def _in_turn(N: Array, rows: list[int], plain: list[int], spins: tuple[Spin, ...]) -> tuple[list[int], list[int]]:
@@ -262,11 +283,14 @@ def _of_log(w: Array) -> Array:
         factor = 1.0 / 12.0 + angle**2 / 720.0
     else:
         factor = (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2
-    return np.eye(3) - 0.5 * K.T + factor * K @ K
+    return np.eye(3) + 0.5 * K + factor * K @ K
 
 
-def tangent_space(system: System, q: Any) -> tuple[Array, Array]:
+def tangent_space(system: System, q: Any, dim: int | None = None) -> tuple[Array, Array]:
     """Orthonormal basis (nv, p) of the velocities that keep all loops closed at q (nq,), and the scales (nv,).
+
+    Those are left out that lead to no motion, where the equations touch all along (`analysis.deflation`); this need not
+    be looked at where p is known (`dim`).
 
     Slides are measured in characteristic lengths: velocities in units are ``scale * N``. Errors: `InputError` if q
     is not closed.
@@ -277,9 +301,12 @@ def tangent_space(system: System, q: Any) -> tuple[Array, Array]:
     error, J = evaluate(system, q, True, True)
     if not np.linalg.norm(error) <= 10.0 * TOLERANCE:
         raise InputError(f"q is not closed: the loops' equations are off by {np.linalg.norm(error):.3g}; use assemble")
-    _, values, Vt = np.linalg.svd(J, full_matrices=True)
+    U, values, Vt = np.linalg.svd(J, full_matrices=True)
     rank = int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
-    return Vt[rank:].T, scales(system)
+    N, scale = Vt[rank:].T, scales(system)
+    if rank < len(J) and 1 < N.shape[1] != dim:
+        N = moving(system, q, U[:, rank:], N, scale)
+    return N, scale
 
 
 def _quality(N: Array, rows: list[int]) -> float:

@@ -1,0 +1,88 @@
+"""Motions along which the Jacobian has a larger kernel than there are freedoms: linkages that hang on bars in line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import Mechanism
+from kempe.errors import UnsupportedError
+
+STILL = {"SA": 0.0, "SB": 0.0, "SC": 0.0}
+
+
+def bars_in_line(m: Mechanism, lengths=(0.2, 0.3)) -> str:
+    """The first of two bars between fixed points: to first order they move, truly they do not."""
+    one, two = m.body("s1"), m.body("s2")
+    m.revolute("SA", m.ground, one)
+    m.revolute("SB", one, two, at=(lengths[0], 0))
+    m.revolute("SC", m.ground, two, at=(sum(lengths), 0), child_at=(lengths[1], 0))
+    return "s1"
+
+
+def four_bar(on_bars: bool, lengths=(0.1, 0.4, 0.3), base: float = 0.4) -> kempe.System:
+    """A four-bar linkage, on the ground or on bars in line."""
+    m = Mechanism("four-bar", dim=2)
+    ground = bars_in_line(m) if on_bars else m.ground
+    for body in ("crank", "coupler", "rocker"):
+        m.body(body)
+    a, b, c = lengths
+    m.revolute("A", ground, "crank")
+    m.revolute("B", "crank", "coupler", at=(a, 0))
+    m.revolute("C", "coupler", "rocker", at=(b, 0), child_at=(c, 0))
+    m.revolute("D", ground, "rocker", at=(base, 0))
+    return m.build()
+
+
+def test_a_pendulum_on_bars_in_line_turns_all_round():
+    """Its closed form: the angle runs, the bars rest."""
+    system = kempe.load("pendulum_dead_centre")
+    for path in (system.trace("P"), system.trace()):
+        assert path.closed and path.success and not path.singular_points
+        np.testing.assert_allclose(path.q[:, :3], 0.0, atol=1e-12)
+        np.testing.assert_allclose(path.q[:, 3] - path.q[0, 3], path.s, atol=1e-9)
+        assert path.s[-1] == pytest.approx(2 * np.pi, abs=1e-9)
+    start = system.q_dict(system.posture("closed"))["P"]
+    motion = system.drive({"P": start + np.linspace(0, 3, 9)})
+    assert motion.success
+    np.testing.assert_allclose(motion.q[:, :3], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("driver", ["A", "D"])
+def test_a_four_bar_on_bars_in_line_moves_as_on_the_ground(driver):
+    alone, hanging = four_bar(False), four_bar(True)
+    a = alone.trace(driver, alone.assemble({"A": 0.3}).q)
+    b = hanging.trace(driver, hanging.assemble({"A": 0.3, **STILL}).q)
+    assert a.closed and b.closed and b.s[-1] == pytest.approx(a.s[-1], abs=1e-9)
+    np.testing.assert_allclose(b.q[:, :3], 0.0, atol=1e-9)
+    np.testing.assert_allclose([e.value for e in b.turning_points], [e.value for e in a.turning_points], atol=1e-9)
+    here = np.linspace(0, a.s[-1], 20)
+    np.testing.assert_allclose(b.at(here)[:, 3:], a.at(here), atol=1e-8)
+
+
+def test_hunt_four_bars_on_bars_in_line(hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(3)):
+        lengths, base = rng.uniform(0.2, 1.0, 3), float(rng.uniform(0.2, 1.0))
+        alone, hanging = (four_bar(on, lengths, base) for on in (False, True))
+        start = alone.assemble(near={"A": float(rng.uniform(-3, 3))})
+        if not start:
+            continue
+        A = alone.q_dict(start.q)
+        a, b = alone.trace("A", start.q), hanging.trace("A", hanging.q({**A, **STILL}))
+        assert a.closed == b.closed and b.s[-1] == pytest.approx(a.s[-1], abs=1e-7)
+
+
+def test_two_freedoms_on_bars_in_line_are_refused():
+    m = Mechanism("two pendulums", dim=2)
+    on = bars_in_line(m)
+    m.revolute("P", on, m.body("one"), at=(0.1, 0))
+    m.revolute("Q", on, m.body("two"), at=(0.05, 0))
+    system = m.build()
+    with pytest.raises(UnsupportedError, match="more than are driven"):
+        system.trace("P")
+    assert system.trace("P", hold={"Q": 0.0}).closed
+    motion = system.drive({"P": [0.0, 1.0], "Q": [0.0, -1.0]})
+    assert motion.success
+    np.testing.assert_allclose(motion.q[-1], [0, 0, 0, 1.0, -1.0], atol=1e-12)
