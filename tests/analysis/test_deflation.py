@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,12 @@ def test_a_four_bar_on_bars_in_line_moves_as_on_the_ground(driver):
     np.testing.assert_allclose([e.value for e in b.turning_points], [e.value for e in a.turning_points], atol=1e-9)
     here = np.linspace(0, a.s[-1], 20)
     np.testing.assert_allclose(b.at(here)[:, 3:], a.at(here), atol=1e-8)
+
+
+def test_paths_are_pickled():
+    path = kempe.load("pendulum_dead_centre").trace("P")
+    again = pickle.loads(pickle.dumps(path))
+    np.testing.assert_array_equal(again.at(1.0), path.at(1.0))
 
 
 def test_hunt_four_bars_on_bars_in_line(hunt):

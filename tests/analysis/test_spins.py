@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from world_mechanisms import World, axes_with, unit
@@ -162,6 +164,13 @@ def test_directions_in_the_ground_stay_away_from_the_lines():
     assert held is not None
     away = np.linalg.norm(np.cross(held.ground[0], held.at(path.q)[:, 0]), axis=1)
     assert away.min() > 0.2
+
+
+def test_paths_of_what_spins_are_pickled():
+    path = kempe.load("rssr").trace("A")
+    again = pickle.loads(pickle.dumps(path))
+    np.testing.assert_array_equal(again.at(1.0), path.at(1.0))
+    assert np.abs(path.system.closure_error(path.resample(40).q)).max() < 1e-9
 
 
 def test_more_than_spins_is_still_refused():
