@@ -210,7 +210,7 @@ def independent(system: System, q: Any = None, prefer: Iterable[str] = ()) -> Ch
             raise InputError(f"{system.name} could not be assembled: {answer.status}")
         q = answer.q
     q = as_q(system, q)
-    N, _ = tangent_space(system, q)
+    N, scale = tangent_space(system, q)
     p, wish = N.shape[1], listed(prefer, "prefer")
     rows = _wished(system, wish) if wish else []
     if len(set(rows)) < len(rows) or len(rows) > p:
@@ -225,10 +225,10 @@ def independent(system: System, q: Any = None, prefer: Iterable[str] = ()) -> Ch
     found, idle = _extend(N, rows, plain), []
     quality = _quality(N, found)
     sure = len(found) == p and quality >= least
-    if not sure or (p > 1 and system.dim == 3 and system.closures and system.nv < MANY):
+    if not sure or (1 < p < system.nv < MANY and system.dim == 3):
         spins = spins_of(system, q)
         if spins or not sure:
-            found, idle = _in_turn(N, rows, plain, spins)
+            found, idle = _in_turn(N, rows, plain, spins, idle_part(system, q, N, scale, spins))
             quality = _quality(N, found)
     if len(found) < p or (p and quality < least):
         raise InputError(f"no choice of coordinates is independent here: the best has conditioning {quality:.2g}")
@@ -248,10 +248,11 @@ def _wished(system: System, names: Iterable[str]) -> list[int]:
     return [number[n] for n in names]
 
 
-def _in_turn(N: Array, rows: list[int], plain: list[int], spins: tuple[Spin, ...]) -> tuple[list[int], list[int]]:
+def _in_turn(
+    N: Array, rows: list[int], plain: list[int], spins: tuple[Spin, ...], idle: Array
+) -> tuple[list[int], list[int]]:  # fmt: skip
     """Rows of p coordinates, and which are idle: useful ones first, in each part angles and lengths first."""
     nv, p = N.shape
-    idle = idle_part(N, spins)
     moved = np.any([s.moves for s in spins], axis=0) if spins else np.zeros(nv, dtype=bool)
     others = [v for v in range(nv) if v not in plain]
     found, asked = list(rows), sum(bool(moved[v]) for v in rows)

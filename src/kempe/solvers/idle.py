@@ -10,14 +10,19 @@ from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.analysis.passive import IdleFreedom
     from kempe.model.system import System
+
+ZERO = 1e-8
+"""Singular values below this count as zero."""
 
 
 class Spin(NamedTuple):
-    """An idle spin: a body that spins, the direction (3,) of its line in the body's axes, velocities (nv,) it moves,
-    and the sentence that says it."""
+    """An idle spin: a body that spins, point and direction (3,) of its line in the body's axes, velocities (nv,) that
+    it moves, and the sentence that says it."""  # fmt: skip
 
     body: str
+    point: Array
     line: Array
     moves: np.ndarray
     text: str
@@ -28,20 +33,38 @@ def spins_of(system: System, q: Array) -> tuple[Spin, ...]:
     tree = own_tree(system)
     found = tree._queries.get("spins")
     if found is None:
-        idle = tree.mobility(q, local=False).idle_freedoms
-        found = tree._queries["spins"] = tuple(
-            Spin(f.bodies[0], tree.fk(q, f.bodies[0])[:3, :3].T @ np.array(f.direction), f.velocity != 0.0, str(f))
-            for f in idle
-        )
+        report = tree.mobility(q, local=False)
+        found = tree._queries["spins"] = tuple(_spin(tree, report.q, f) for f in report.idle_freedoms)
     return found
 
 
-def idle_part(N: Array, spins: tuple[Spin, ...]) -> Array:
-    """Of a basis (nv, p) of velocities, the combinations (p, k), orthonormal, that are idle spins."""
-    found = []
+def _spin(system: System, q: Array, found: IdleFreedom) -> Spin:
+    X = system.fk(q, found.bodies[0])
+    point, line = (X[:3, :3].T @ v for v in (np.array(found.point) - X[:3, 3], np.array(found.direction)))
+    return Spin(found.bodies[0], point, line, found.velocity != 0.0, str(found))
+
+
+def idle_part(system: System, q: Array, N: Array, scale: Array, spins: tuple[Spin, ...]) -> Array:
+    """Of a basis (nv, p) of scaled velocities at q (nq,), the combinations (p, k), orthonormal, that are idle spins."""
+    tree, found = own_tree(system), [np.zeros((0, N.shape[1]))]
     for spin in spins:
-        _, sizes, V = np.linalg.svd(N[~spin.moves], full_matrices=True)
-        found.append(V[int(np.sum(sizes > 1e-8)) :])
-    together = np.concatenate([np.zeros((0, N.shape[1])), *found])
-    _, sizes, V = np.linalg.svd(together, full_matrices=False)
-    return V[sizes > 1e-8].T
+        rows = _nothing(N[~spin.moves])
+        if len(rows) > 1:  # they move what is useful as well: the spin is what keeps the line
+            X, J = tree.fk(q, spin.body), tree.jacobian(q, spin.body)
+            line, arm = X[:3, :3] @ spin.line, X[:3, :3] @ spin.point
+            keeps = np.concatenate([J[:3] - _cross(arm) @ J[3:], _cross(line) @ J[3:]])
+            rows = _nothing(np.concatenate([N[~spin.moves], keeps @ (scale[:, None] * N)]))
+        found.append(rows)
+    _, sizes, V = np.linalg.svd(np.concatenate(found), full_matrices=False)
+    return V[sizes > ZERO].T
+
+
+def _nothing(A: Array) -> Array:
+    """A basis (k, p) of what a matrix (n, p) makes nothing of."""
+    _, sizes, V = np.linalg.svd(A, full_matrices=True)
+    return V[int(np.sum(sizes > ZERO)) :]
+
+
+def _cross(v: Array) -> Array:
+    """The matrix (3, 3) that a vector multiplies others by."""
+    return np.asarray(np.cross(np.eye(3), v), dtype=float)
