@@ -35,6 +35,8 @@ NONE = np.zeros((0, 0))
 SAME_POINT = 1e-6
 """Distance below which two singular points are the same."""
 
+AGAIN = 4
+"""How often a path is walked again, at most, with idle spins held by directions that are farther from their lines."""
 MOST_POINTS = 100_000
 """Points of a path unless the caller says otherwise."""
 
@@ -125,8 +127,10 @@ def _followed(
         return _failed(equations, options, "it cannot move: no degree of freedom is left", q, True)
     path = _trace(equations, first, options)
     spins = spins_held(equations)
-    while spins is not None and spins.turned(path.q):  # held otherwise, what spins turns less
-        first = first_node(equations, q, options.driver, toward) or first
+    for _ in range(AGAIN if spins is not None else 0):
+        if path.late or path.interrupted or not spins.turned(path.q):
+            break
+        first = first_node(equations, q, options.driver, toward) or first  # held otherwise, what spins turns less
         path = _trace(equations, first, options)
     if len(path) == 1 and path.success and path.ends[1].startswith("a point"):
         said = "it cannot move along a smooth curve: its first-order motion leads nowhere (shaky), or this is a cusp"

@@ -26,7 +26,7 @@ from kempe.solvers.assembled import NOT_CLOSED
 from kempe.solvers.assembly import TOLERANCE, Assembly, assemble
 from kempe.solvers.idle import Spin, idle_part, spins_of
 from kempe.solvers.shaky import moving
-from kempe.spatial import Array
+from kempe.spatial import Array, skew
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -279,7 +279,7 @@ def _numbers(system: System) -> dict[str, int]:
 def _of_log(w: Array) -> Array:
     """Rates (3, 3) of a rotation vector (3,) by the angular velocity in axes of what turns (Bullo, Murray, 1995)."""
     angle = float(np.linalg.norm(w))
-    K = np.cross(np.eye(3), w)
+    K = skew(w)
     if angle < 1e-4:
         factor = 1.0 / 12.0 + angle**2 / 720.0
     else:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kempe.model.own_tree import own_tree
-from kempe.spatial import Array
+from kempe.spatial import Array, skew
 
 if TYPE_CHECKING:
     from kempe.analysis.passive import IdleFreedom
@@ -52,7 +52,7 @@ def idle_part(system: System, q: Array, N: Array, scale: Array, spins: tuple[Spi
         if len(rows) > 1:  # they move what is useful as well: the spin is what keeps the line
             X, J = tree.fk(q, spin.body), tree.jacobian(q, spin.body)
             line, arm = X[:3, :3] @ spin.line, X[:3, :3] @ spin.point
-            keeps = np.concatenate([J[:3] - _cross(arm) @ J[3:], _cross(line) @ J[3:]])
+            keeps = np.concatenate([J[:3] - skew(arm) @ J[3:], skew(line) @ J[3:]])
             rows = _nothing(np.concatenate([N[~spin.moves], keeps @ (scale[:, None] * N)]))
         found.append(rows)
     _, sizes, V = np.linalg.svd(np.concatenate(found), full_matrices=False)
@@ -63,8 +63,3 @@ def _nothing(A: Array) -> Array:
     """A basis (k, p) of what a matrix (n, p) makes nothing of."""
     _, sizes, V = np.linalg.svd(A, full_matrices=True)
     return V[int(np.sum(sizes > ZERO)) :]
-
-
-def _cross(v: Array) -> Array:
-    """The matrix (3, 3) that a vector multiplies others by."""
-    return np.asarray(np.cross(np.eye(3), v), dtype=float)
