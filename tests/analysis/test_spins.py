@@ -6,12 +6,14 @@ import pickle
 
 import numpy as np
 import pytest
+from rods import Rods, engine, strut, tied
 from world_mechanisms import World, axes_with, unit
 
 import kempe
 from kempe.analysis.motion import Path
 from kempe.analysis.spins import spins_held
 from kempe.errors import UnsupportedError
+from kempe.kinematics import loops
 
 LEGS = tuple(f"leg{i}" for i in range(1, 7))
 
@@ -96,6 +98,46 @@ def test_hunt_rods_that_spin(hunt):
 @pytest.mark.slow
 def test_hunt_many_rods_that_spin(hunt):
     _hunt_rods(hunt, 70)
+
+
+SPINNING = (strut, tied, engine)
+
+
+def assert_spun_is_the_same(unit, rng: np.random.Generator) -> None:
+    """What does not spin takes the same places from starts that differ by spins, driven by the chart's coordinates."""
+    r = Rods(rng)
+    unit(r, "ground")
+    system = r.world.build()
+    q, report = system.neutral.copy(), system.mobility(system.neutral, local=False)
+    chart = system.independent(q)
+    assert chart.dim == report.rank_dof and len(chart.idle) == report.idle == len(r.idle) and chart.useful
+    spun = q
+    for f in report.idle_freedoms:
+        spun = system.integrate(spun, rng.uniform(-1, 1) * f.velocity / np.linalg.norm(f.velocity))
+    t, values = np.linspace(0.0, 0.02, 3), system.q_dict(q)
+    inputs = {n: values[n] + t * (-1) ** i for i, n in enumerate(chart.useful)}
+    spinning = {b for f in report.idle_freedoms for b in (*f.bodies, *f.links)}
+    rest = [b for b in system.body_names[1:] if b not in spinning]
+    starts = (system.assemble({n: values[n] for n in inputs}, near).q for near in (q, spun))
+    motions = [system.drive(inputs, start=start) for start in starts]
+    if all(motions):
+        np.testing.assert_allclose(*(system.fk(m.q, rest) for m in motions), atol=1e-8)
+        assert max(np.abs(loops.residual(system, m.q)).max() for m in motions) < 1e-9
+
+
+@pytest.mark.parametrize("unit", SPINNING, ids=lambda u: u.__name__)
+def test_hunt_what_spins_in_other_ways(unit, hunt):
+    """Telescopic legs, rods tied to rods, pistons that turn; balls as one joint or of hinges."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(4)):
+        assert_spun_is_the_same(unit, rng)
+
+
+@pytest.mark.slow
+def test_hunt_many_things_that_spin(hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(150)):
+        assert_spun_is_the_same(SPINNING[int(rng.integers(len(SPINNING)))], rng)
 
 
 def test_names_of_bodies_and_joints_do_not_matter(tmp_path):

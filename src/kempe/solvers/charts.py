@@ -11,7 +11,7 @@ rotation vector from where the chart was chosen (exponential coordinates, Murray
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 ENOUGH = 0.1
-"""Of the largest independent movement, the part that an angle or a length must have to be preferred to a ball's."""
+"""Of the movement of a ball, the part that an angle or a length must have to be preferred to it."""
 MANY = 300
 """Velocities from which idle spins are looked for only where there is no other choice."""
 TRIES, LONGEST = 60, 0.5
@@ -258,9 +258,10 @@ def _in_turn(
     found, asked = list(rows), sum(bool(moved[v]) for v in rows)
     for still in (True, False):
         most = min(p, p - idle.shape[1] + asked) if still else p
+        own = [v for v in range(nv) if moved[v] != still]
         for stage in (plain, others):
-            own = [v for v in stage if moved[v] != still and v not in found]
-            found = _extend(N, found, own, most, ENOUGH if stage is plain else 0.0)
+            usable = [v for v in stage if moved[v] != still and v not in found]
+            found = _extend(N, found, usable, most, own if stage is plain else ())
     spinning = [v for v in found if moved[v]]
     return found, spinning if len(spinning) == idle.shape[1] else []
 
@@ -320,9 +321,11 @@ def _worst(p: int, n: int) -> float:
     return WORST * min(1.0, 2.0 * np.sqrt(p / max(n, 1)))
 
 
-def _extend(N: Array, rows: list[int], usable: list[int], most: int | None = None, least: float = 0.0) -> list[int]:
-    """The rows, extended to p (or `most`), each time by that which is farthest from the span of those chosen, and not
-    nearer than `least` times the farthest of all."""  # fmt: skip
+def _extend(
+    N: Array, rows: list[int], usable: list[int], most: int | None = None, better: Sequence[int] = ()
+) -> list[int]:  # fmt: skip
+    """The rows, extended to p (or `most`), each time by that which is farthest from the span of those chosen; it ends
+    where one of the `better` rows is much farther."""  # fmt: skip
     rows, p = list(rows), N.shape[1] if most is None else most
     rest = N.copy()
     for row in rows:
@@ -330,7 +333,7 @@ def _extend(N: Array, rows: list[int], usable: list[int], most: int | None = Non
     while len(rows) < p and usable:
         size = np.linalg.norm(rest[usable], axis=1)
         row = usable[int(np.argmax(np.round(size, 9)))]  # rounding does not decide between equals: the first is taken
-        if least and size.max() < least * np.linalg.norm(rest, axis=1).max():
+        if better and size.max() < ENOUGH * np.linalg.norm(rest[better], axis=1).max():
             break
         rows.append(row)
         rest = _without(rest, rest[row])
