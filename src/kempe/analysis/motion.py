@@ -127,8 +127,8 @@ def _followed(
         return _failed(equations, options, "it cannot move: no degree of freedom is left", q, True)
     path = _trace(equations, first, options)
     spins = spins_held(equations)
-    for _ in range(AGAIN if spins is not None else 0):
-        if path.late or path.interrupted or not spins.turned(path.q):
+    for _ in range(AGAIN):
+        if spins is None or path.late or path.interrupted or not spins.turned(path.q):
             break
         first = first_node(equations, q, options.driver, toward) or first  # held otherwise, what spins turns less
         path = _trace(equations, first, options)

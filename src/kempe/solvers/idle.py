@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from kempe.model.kept import kept
 from kempe.model.own_tree import own_tree
 from kempe.spatial import Array, skew
 
 if TYPE_CHECKING:
+    from kempe.analysis.mobility import Mobility
     from kempe.analysis.passive import IdleFreedom
     from kempe.model.system import System
 
@@ -29,13 +31,21 @@ class Spin(NamedTuple):
 
 
 def spins_of(system: System, q: Array) -> tuple[Spin, ...]:
-    """The idle spins of a system, found at the first closed configuration (nq,) that they are asked for at."""
+    """The idle spins of a system: as at its posture `closed`, or at a closed configuration that is found; if there is
+    none, at q (nq,)."""  # fmt: skip
     tree = own_tree(system)
-    found = tree._queries.get("spins")
-    if found is None:
-        report = tree.mobility(q, local=False)
-        found = tree._queries["spins"] = tuple(_spin(tree, report.q, f) for f in report.idle_freedoms)
-    return found
+    found = _at_home(tree)
+    return _spins(tree, tree.mobility(q, local=False)) if found is None else found
+
+
+@kept
+def _at_home(system: System) -> tuple[Spin, ...] | None:
+    report = system.mobility(local=False)
+    return _spins(system, report) if report.closed else None
+
+
+def _spins(system: System, report: Mobility) -> tuple[Spin, ...]:
+    return tuple(_spin(system, report.q, f) for f in report.idle_freedoms)
 
 
 def _spin(system: System, q: Array, found: IdleFreedom) -> Spin:

@@ -67,8 +67,7 @@ def ik_all(
     reached has no solutions and a `status` that says why; `throw=True` raises `NoSolutionError` for it. Errors:
     `UnsupportedError` for chains with quaternions or shared coordinates, `InputError`, `UnknownNameError`.
 
-    Of a frame that moves with loops one pose or position is a place that is known of the mechanism: the answer is that
-    of `assembly_modes`, idle spins left out, not proven complete.
+    For one pose or position of a frame that moves with loops the answer is that of `assembly_modes` with it known.
 
     Method: see `ik_plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
     """
@@ -80,8 +79,8 @@ def ik_all(
     targets, lead, is_position = targets_of(system, target, task, direction)
     task = task_of(task, is_position, bool(system.table.at[name][2]))
     if system.closures and of_loops(system, name):
-        fixed = {**(fixed or {}), **fixed_by_name}
-        return _through_loops(system, name, targets, lead, task, near, fixed, expand_turns, inside_only, throw)
+        known = {**(fixed or {}), **fixed_by_name}
+        return _through_loops(system, name, targets, lead, task, near, known, expand_turns, inside_only, throw)
     lines = chain_lines(system, name, direction)
     values = held(name, lines.names, fixed, fixed_by_name)
     plan = plan_for(system, name, lines, task, direction, tuple(values))
