@@ -121,7 +121,8 @@ def assert_spun_is_the_same(unit, rng: np.random.Generator) -> None:
     starts = (system.assemble({n: values[n] for n in inputs}, near).q for near in (q, spun))
     motions = [system.drive(inputs, start=start) for start in starts]
     if all(motions):
-        np.testing.assert_allclose(*(system.fk(m.q, rest) for m in motions), atol=1e-8)
+        one, other = (system.fk(m.q, rest) for m in motions)
+        np.testing.assert_allclose(one, other, atol=1e-8)
         assert max(np.abs(loops.residual(system, m.q)).max() for m in motions) < 1e-9
 
 
