@@ -6,6 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
+from world_mechanisms import World, axes_with
 
 import kempe
 from kempe import Mechanism
@@ -94,3 +95,47 @@ def test_two_freedoms_on_bars_in_line_are_refused():
     motion = system.drive({"P": [0.0, 1.0], "Q": [0.0, -1.0]})
     assert motion.success
     np.testing.assert_allclose(motion.q[-1], [0, 0, 0, 1.0, -1.0], atol=1e-12)
+
+
+def rssr_on_bars(draw: np.random.Generator, on_bars: bool, form: str) -> kempe.System:
+    """A rod between two arms, on the ground or on bars in line; `form` says whether the rod spins (SS) or not (SU)."""
+    w, ground = World("rssr"), "ground"
+    if on_bars:
+        w.turn("ground", "s1", (0, 0, 0), name="SA")
+        w.turn("s1", "s2", (0.3, 0, 0), name="SB")
+        w.turn("ground", "s2", (0.8, 0, 0), name="SC")
+        ground = "s1"
+    b, c = draw.uniform(-1, 1, (2, 3))
+    x, y, _ = axes_with(c - b).T
+    w.turn(ground, "crank", draw.uniform(-1, 1, 3), draw.normal(size=3), name="A")
+    w.ball("crank", "rod", b, name="B")
+    if form == "SS":
+        w.ball("rod", "rocker", c, name="C")
+    else:
+        w.cross("rod", "rocker", c, x, y, name="C")
+    w.turn(ground, "rocker", draw.uniform(-1, 1, 3), draw.normal(size=3), name="D")
+    return w.build()
+
+
+def assert_moves_as_on_the_ground(seed: int, form: str) -> None:
+    hanging = rssr_on_bars(np.random.default_rng(seed), True, form)
+    alone = rssr_on_bars(np.random.default_rng(seed), False, "SU")
+    path, other = (s.trace("A", s.neutral.copy()) for s in (hanging, alone))
+    np.testing.assert_allclose(path.q[:, :3], 0.0, atol=1e-7)
+    assert path.closed == other.closed and len(path) > 1
+    ends = [np.sort([np.cos(e.value) for e in p.extremes if e.coordinate in "AD"]) for p in (path, other)]
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-6)
+    assert hanging.independent().dim == (2 if form == "SS" else 1)
+
+
+@pytest.mark.parametrize("form", ["SS", "SU"])
+def test_a_rod_on_bars_in_line_moves_as_on_the_ground(form):
+    """Both at once: the rod spins, and the rank is low along the motion."""
+    assert_moves_as_on_the_ground(2, form)
+
+
+@pytest.mark.slow
+def test_hunt_rods_on_bars_in_line(hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(10)):
+        assert_moves_as_on_the_ground(int(rng.integers(2**32)), str(rng.choice(["SS", "SU"])))

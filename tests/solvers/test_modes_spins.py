@@ -110,4 +110,4 @@ def test_hunt_platforms_on_balls(hunt):
 
 @pytest.mark.slow
 def test_hunt_many_platforms_on_balls(hunt):
-    _hunt_platforms(hunt, 25)
+    _hunt_platforms(hunt, 12)

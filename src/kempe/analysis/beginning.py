@@ -178,6 +178,8 @@ def first_node(
     asked = np.flatnonzero(wish).tolist() + ([angle_or_slide(system, driver)] if driver else [])
     if here.nullity > 1 and hold_spins(equations, q, asked):
         here = node(equations, q)
+    if here.nullity > 1 and hold_rank(equations, q, lambda: (equations, node(equations, q))):
+        here = node(equations, q)
     if here.nullity == 0:
         return None
     if here.nullity > 1:
@@ -193,8 +195,6 @@ def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Ar
     polished = locate(equations, x, here.nullity, 1e-5)
     x = x if polished is None else polished
     lines = branch_lines(equations, x)
-    if not len(lines) and (curve := hold_rank(equations, x)) is not None:
-        return curve
     if not len(lines):
         raise UnsupportedError(too_free(equations, here.matrix, [driver] if driver else []))
     if np.linalg.norm(wish) > 0.0:

@@ -179,16 +179,17 @@ class Course:
         spins = spins_held(self.closure)
         if spins is not None:
             spins.begin(state.q)
-        way = Driven(self.closure, self.index, state.u, direction)
-        here = node(way, np.append(state.q, 0.0))
+        way, here = self._way(state, direction)
         if here.nullity > 1 and spins is None and hold_spins(self.closure, state.q, self.index):
-            return self._begin(state, direction)
-        try:
-            return way, self._first(way, here, state)
-        except UnsupportedError:
-            if here.nullity > 1 and hold_rank(self.closure, state.q, len(self.index)) is not None:
-                return self._begin(state, direction)
-            raise
+            way, here = self._way(state, direction)
+        if here.nullity > 1 and hold_rank(self.closure, state.q, lambda: self._way(state, direction)):
+            way, here = self._way(state, direction)
+        return way, self._first(way, here, state)
+
+    def _way(self, state: State, direction: Array) -> tuple[Driven, Node]:
+        """The equations of a course, and the node where it begins."""
+        way = Driven(self.closure, self.index, state.u, direction)
+        return way, node(way, np.append(state.q, 0.0))
 
     def _first(self, way: Driven, here: Node, state: State) -> Node:
         """The node at the beginning of a course, on the branch of arrival where several meet."""

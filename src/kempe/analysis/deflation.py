@@ -7,10 +7,12 @@ together are regular if the kernel is cut down to a tangent to second order (def
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from kempe.analysis.continuation import RANK, Closure, Node, node
-from kempe.analysis.crossings import second_order
+from kempe.analysis.continuation import RANK, Closure, Node, step
+from kempe.analysis.crossings import PROBE, second_order
 from kempe.spatial import Array
 
 ALIGNED = 0.7
@@ -70,18 +72,20 @@ class _Before(Closure):
         return self._equations.both(x, True, self._further_ones)[1]
 
 
-def hold_rank(equations: Closure, x: Array, freedoms: int = 1) -> Node | None:
-    """The node at a point (nq,) once the rank is held; None, and it is not held, where that does not leave so many
-    freedoms."""  # fmt: skip
+def hold_rank(equations: Closure, x: Array, curve: Callable[[], tuple[Closure, Node]]) -> bool:
+    """Hold the rank at a point (nq,) from here on, where this leaves a curve that leads on to both sides; whether so.
+
+    `curve` gives the equations of the curve, these or what is made of them, and its node at the point.
+    """
     low = LowRank(equations, x)
     if not low.count or any(isinstance(m, LowRank) for m in equations.more):
-        return None
+        return False
     equations.add(low)
-    here = node(equations, x)
-    if here.nullity == freedoms:
-        return here
+    along, here = curve()
+    if here.nullity == 1 and all(step(along, n, PROBE) is not None for n in (here, here.reversed())):
+        return True
     equations.leave_out(low)
-    return None
+    return False
 
 
 def _least(A: Array) -> float:
