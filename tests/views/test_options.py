@@ -35,13 +35,7 @@ NOT_OF_COMMANDS = {
     "solvers/analytic/names.py": "`branch` has their numbers",
     "solvers/analytic/question.py": "near=q sorts the solutions",
     "solvers/analytic/redundancy.py": "`ik_all`",
-<<<<<<< HEAD
-    "solvers/charts.py": "no choice of angles",
-=======
-    "solvers/arguments.py": "kempe.kinematics.zoo",
-    "solvers/assembly.py": "`constraints`",
     "solvers/charts.py": "no choice of coordinates",
->>>>>>> c1222e3 (Tests of frames through loops and of motions that shaky bars carry)
     "solvers/self_motion.py": "`direction`",
     "solvers/servo_closed.py": "robot.assemble(near=q)",
     "solvers/tasks.py": "a task of kempe.tasks or a list",
