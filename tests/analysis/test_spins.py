@@ -201,6 +201,16 @@ def test_a_spin_can_be_asked_for():
         spins.trace("C.rx", spins.neutral.copy())
 
 
+def test_a_spin_is_no_answer_to_what_cannot_move():
+    """Two inputs for one useful freedom, and a driver whose motion is held."""
+    system = kempe.load("rssr")
+    q = system.posture("closed")
+    with pytest.raises(UnsupportedError, match="fewer freedoms than inputs: 'A', 'D'"):
+        system.drive({"A": [q[0], q[0] + 0.1], "D": [q[-1], q[-1]]})
+    path = system.trace("A", q, hold={"D": q[-1]})
+    assert len(path) == 1 and "cannot move" in path.status
+
+
 def test_directions_in_the_ground_stay_away_from_the_lines():
     path = kempe.load("rssr").trace("A")
     held = spins_held(path.track.equations)

@@ -30,6 +30,8 @@ SAME_VALUE = 1e-9
 """Difference of values that is rounding."""
 SAME_RATIO = 1e-12
 """How near a factor must be to a ratio of whole numbers to be that ratio."""
+RESTS = 1e-6
+"""Share of the driver in a direction below which it rests."""
 LONGEST = 0.1
 """Longest step unless the caller says otherwise, in radians and characteristic lengths over all coordinates."""
 
@@ -176,7 +178,8 @@ def first_node(
         return None
     here = node(equations, q)
     asked = np.flatnonzero(wish).tolist() + ([angle_or_slide(system, driver)] if driver else [])
-    if here.nullity > 1 and hold_spins(equations, q, asked):
+    rests = driver is not None and here.nullity == 1 and abs(here.t[asked[-1]]) < RESTS  # what moves may be but a spin
+    if (here.nullity > 1 or rests) and hold_spins(equations, q, asked):
         here = node(equations, q)
     if here.nullity > 1 and hold_rank(equations, q, lambda: (equations, node(equations, q))):
         here = node(equations, q)

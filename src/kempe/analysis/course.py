@@ -180,7 +180,8 @@ class Course:
         if spins is not None:
             spins.begin(state.q)
         way, here = self._way(state, direction)
-        if here.nullity > 1 and spins is None and hold_spins(self.closure, state.q, self.index):
+        loose = here.nullity > 1 or (here.nullity == 1 and abs(here.t[-1]) < FORWARD)  # what moves may be but a spin
+        if loose and spins is None and hold_spins(self.closure, state.q, self.index):
             way, here = self._way(state, direction)
         if here.nullity > 1 and hold_rank(self.closure, state.q, lambda: self._way(state, direction)):
             way, here = self._way(state, direction)
