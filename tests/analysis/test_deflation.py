@@ -42,7 +42,7 @@ def test_a_pendulum_on_bars_in_line_turns_all_round():
     """Its closed form: the angle runs, the bars rest."""
     system = kempe.load("pendulum_dead_centre")
     for path in (system.trace("P"), system.trace()):
-        assert path.closed and path.success and not path.singular_points
+        assert path.closed and path.success and not path.singular_points and "may be passed unseen" in path.status
         np.testing.assert_allclose(path.q[:, :3], 0.0, atol=1e-12)
         np.testing.assert_allclose(path.q[:, 3] - path.q[0, 3], path.s, atol=1e-9)
         assert path.s[-1] == pytest.approx(2 * np.pi, abs=1e-9)
@@ -57,7 +57,7 @@ def test_a_four_bar_on_bars_in_line_moves_as_on_the_ground(driver):
     alone, hanging = four_bar(False), four_bar(True)
     a = alone.trace(driver, alone.assemble({"A": 0.3}).q)
     b = hanging.trace(driver, hanging.assemble({"A": 0.3, **STILL}).q)
-    assert a.closed and b.closed and b.s[-1] == pytest.approx(a.s[-1], abs=1e-9)
+    assert a.closed and b.closed and b.s[-1] == pytest.approx(a.s[-1], abs=1e-9) and "unseen" not in a.status
     np.testing.assert_allclose(b.q[:, :3], 0.0, atol=1e-9)
     np.testing.assert_allclose([e.value for e in b.turning_points], [e.value for e in a.turning_points], atol=1e-9)
     here = np.linspace(0, a.s[-1], 20)
@@ -81,6 +81,15 @@ def test_hunt_four_bars_on_bars_in_line(hunt):
         A = alone.q_dict(start.q)
         a, b = alone.trace("A", start.q), hanging.trace("A", hanging.q({**A, **STILL}))
         assert a.closed == b.closed and b.s[-1] == pytest.approx(a.s[-1], abs=1e-7)
+
+
+def test_a_parallelogram_on_bars_in_line_goes_straight_on():
+    """It passes its change points, as on the ground; the other branch may be unseen there, which is said."""
+    alone, hanging = (four_bar(on, (1.0, 3.0, 1.0), 3.0) for on in (False, True))
+    a = alone.trace("A", alone.assemble({"A": 0.7}).q)
+    b = hanging.trace("A", hanging.assemble({"A": 0.7, **STILL}).q)
+    assert a.closed and b.closed and b.s[-1] == pytest.approx(a.s[-1], abs=1e-8)
+    assert len(a.singular_points) == 2 and "may be passed unseen" in b.status
 
 
 def test_two_freedoms_on_bars_in_line_are_refused():

@@ -78,7 +78,7 @@ def hold_rank(equations: Closure, x: Array, curve: Callable[[], tuple[Closure, N
     `curve` gives the equations of the curve, these or what is made of them, and its node at the point.
     """
     low = LowRank(equations, x)
-    if not low.count or any(isinstance(m, LowRank) for m in equations.more):
+    if not low.count or rank_held(equations):
         return False
     equations.add(low)
     along, here = curve()
@@ -86,6 +86,11 @@ def hold_rank(equations: Closure, x: Array, curve: Callable[[], tuple[Closure, N
         return True
     equations.leave_out(low)
     return False
+
+
+def rank_held(equations: Closure) -> bool:
+    """Whether the equations hold the rank."""
+    return any(isinstance(m, LowRank) for m in equations.more)
 
 
 def _least(A: Array) -> float:
