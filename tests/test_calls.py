@@ -180,7 +180,6 @@ CASES = {
     "text as a vector": (lambda: kempe.spatial.exp_so3("x"), InputError, "w is 'x'"),
     "vector of two": (lambda: kempe.spatial.exp_so3([1.0, 2.0]), InputError, r"w has shape \(2,\)"),
     "endless points": (lambda: FOUR_BAR.trace("A").resample(2**40), InputError, "at most 10000000"),
-    "only quaternions": (lambda: kempe.load("joint_spherical").independent(), InputError, "quaternions"),
     "a switch that is none": (
         lambda: PUMA.mechanism.joint("j", "fixed", "link6", "link1", cut="no"), InputError, "cut of joint 'j'"),
 }  # fmt: skip

@@ -225,7 +225,7 @@ def test_motions(name):
     for s in few((plain, *others)):
         got = s.trace(driver, home)
         same(got.q, want.q)
-        assert str(got) == str(want) and got.system is s
+        assert got.status == want.status and got.system is s
         same(s.drive({driver: values}, start=home).q, driven_.q)
 
 

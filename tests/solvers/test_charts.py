@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import kempe
+from kempe import library
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics import loops
 from kempe.solvers.charts import WORST, Chart, tangent_space
@@ -105,3 +106,96 @@ def test_open_chains_have_their_own_coordinates():
     chart = s.independent(s.mid)
     assert chart.independent == s.velocity_names and chart.quality == pytest.approx(1.0)
     assert str(chart).startswith("6 independent coordinates")
+
+
+# ---- balls and idle spins
+
+BALLS = {"ball": 6, "joint_free": 6, "joint_spherical": 3, "rssr": 2, "delta_ss": 9, "stewart_sps": 12}
+
+
+@pytest.mark.parametrize("name", library.names())
+def test_each_shipped_system_has_minimal_coordinates(name):
+    """Where it can be closed: as many as the true freedoms, but where first order has more (singular postures)."""
+    s = kempe.load(name)
+    start = s.assemble()
+    if not start:
+        pytest.skip(start.status)
+    chart = s.independent(start.q)
+    assert chart.quality > 0.0 and len(set(chart.independent)) == chart.dim
+    report = s.mobility(start.q, local=False)
+    if not report.redundant_here:
+        assert chart.dim == report.dof and len(chart.idle) in (0, report.idle)
+
+
+@pytest.mark.parametrize(("name", "p"), BALLS.items())
+def test_balls_have_rotation_vectors(name, p):
+    """There and back, and tangents against central differences, at another configuration than the origin."""
+    s, rng = kempe.load(name), np.random.default_rng(1)
+    chart = s.independent()
+    assert chart.dim == p and any(n[-3:] in (".ex", ".ey", ".ez") for n in chart.independent)
+    u = chart.u(chart.origin) + 0.03 * rng.normal(size=p)
+    at = chart.q(u)
+    assert at.success and np.abs(s.closure_error(at.q)).max(initial=0.0) < 1e-9
+    np.testing.assert_allclose(chart.u(at.q), u, atol=1e-12)
+    h = 1e-6
+    numeric = np.stack([s.difference(chart.q(u - h * e, at.q).q, chart.q(u + h * e, at.q).q) / (2 * h)
+                        for e in np.eye(p)], -1)  # fmt: skip
+    np.testing.assert_allclose(chart.tangent(at.q), numeric, atol=1e-7 * (1 + np.abs(numeric).max()))
+    many = chart.q(u + 0.003 * rng.normal(size=(4, p)), at.q)
+    assert many.q.shape == (4, s.nq) and many.success.all()
+
+
+def test_a_rotation_vector_is_that_of_the_closed_form():
+    """Rodrigues: the ball turned from the origin about an axis of the child by the vector's length."""
+    s = kempe.load("joint_spherical")
+    chart = s.independent()
+    w = np.array([0.4, -0.9, 0.7])
+    angle, k = np.linalg.norm(w), w / np.linalg.norm(w)
+    K = np.cross(np.eye(3), k)
+    R = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+    body = s.body_names[-1]
+    before = s.fk(chart.origin, body)[:3, :3]
+    np.testing.assert_allclose(before.T @ s.fk(chart.q(w).q, body)[:3, :3], R, atol=1e-12)
+    assert chart.valid(chart.q(w).q) and not chart.valid(chart.q(3.1 * k).q)
+    assert chart.next(chart.q(3.1 * k).q).valid(chart.q(3.1 * k).q)
+    assert not chart.q(3.5 * k).success, "a vector longer than half a turn is none of this chart"
+
+
+@pytest.mark.parametrize(
+    ("name", "useful"),
+    [("rssr", ("A",)), ("delta_ss", ("A1", "A2", "A3")), ("stewart_sps", tuple(f"leg{i}" for i in range(1, 7)))],
+)
+def test_useful_coordinates_come_first(name, useful):
+    """What is useful can be given alone; what is idle moves no body that does not spin."""
+    s = kempe.load(name)
+    chart, report = s.independent(), s.mobility()
+    assert chart.useful == useful and chart.independent == (*useful, *chart.idle) and len(chart.idle) == report.idle
+    u = chart.u(chart.origin)
+    u[: len(useful)] += 0.02
+    few, all_ = chart.q(u[: len(useful)]), chart.q(u)
+    spinning = {b for f in report.idle_freedoms for b in f.bodies}
+    rest = [b for b in s.body_names[1:] if b not in spinning]
+    assert few.success and all_.success
+    np.testing.assert_allclose(s.fk(few.q, rest), s.fk(all_.q, rest), atol=1e-9)
+    J = np.concatenate([s.jacobian(chart.origin, b) for b in rest])
+    assert np.abs(J @ chart.tangent(chart.origin)[:, len(useful) :]).max() < 1e-9
+    with pytest.raises(InputError, match="and, idle"):
+        chart.q(np.zeros(chart.dim + 1))
+
+
+def test_what_spins_can_be_preferred():
+    s = kempe.load("rssr")
+    assert s.independent(prefer=["D"]).useful == ("D",)
+    chart = s.independent(prefer=["C.ez"])
+    assert chart.useful == ("A",) and chart.idle == ("C.ez",)
+    with pytest.raises(InputError, match="cannot be set independently"):
+        s.independent(prefer=["A", "D"])
+    with pytest.raises(UnknownNameError):
+        s.independent(prefer=["C.wz"])
+
+
+def test_velocities_that_lead_nowhere_are_no_coordinates():
+    """A pendulum on bars in line: the pendulum alone; its truth is 1, its rank says 2."""
+    chart = kempe.load("pendulum_dead_centre").independent()
+    assert chart.independent == ("P",) and chart.quality == 1.0
+    assert chart.q(2.0).success and chart.tangent(chart.origin).shape == (4, 1)

@@ -35,7 +35,7 @@ NOT_OF_COMMANDS = {
     "solvers/analytic/names.py": "`branch` has their numbers",
     "solvers/analytic/question.py": "near=q sorts the solutions",
     "solvers/analytic/redundancy.py": "`ik_all`",
-    "solvers/charts.py": "no choice of angles",
+    "solvers/charts.py": "no choice of coordinates",
     "solvers/self_motion.py": "`direction`",
     "solvers/servo_closed.py": "robot.assemble(near=q)",
     "solvers/tasks.py": "a task of kempe.tasks or a list",
@@ -135,7 +135,7 @@ FAILING = [
     ["assemble", "four_bar", "A=0.3", "--branch", "+-+"],
     ["dof", "four_bar", "--q", "A=9,B=9,C=9,D=9"],
     ["plan", "four_bar", "--frame", "coupler"],
-    ["ik", "stewart", "--frame", "platform", "--target", "0,0,9", "--all"],
+    ["ik", "stewart", "--frame", "platform", "--target", "0,0,9,0,0,0", "--task", "orientation", "--all"],
 ]
 ROBOT = (
     '<robot name="r"><link name="a"/><link name="b"/><link name="c"/><joint name="j" type="revolute"><parent link="a"/>'

@@ -11,6 +11,8 @@ import numpy as np
 
 from kempe.analysis.continuation import RANK, Closure, Node, close, node
 from kempe.analysis.crossings import branch_lines, locate
+from kempe.analysis.deflation import hold_rank
+from kempe.analysis.spins import hold_spins
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.joints import R
 from kempe.kinematics.configuration import as_q, home_of, random
@@ -28,6 +30,8 @@ SAME_VALUE = 1e-9
 """Difference of values that is rounding."""
 SAME_RATIO = 1e-12
 """How near a factor must be to a ratio of whole numbers to be that ratio."""
+RESTS = 1e-6
+"""Share of the driver in a direction below which it rests."""
 LONGEST = 0.1
 """Longest step unless the caller says otherwise, in radians and characteristic lengths over all coordinates."""
 
@@ -173,6 +177,12 @@ def first_node(
     if not equations.n:
         return None
     here = node(equations, q)
+    asked = np.flatnonzero(wish).tolist() + ([angle_or_slide(system, driver)] if driver else [])
+    rests = driver is not None and here.nullity == 1 and abs(here.t[asked[-1]]) < RESTS  # what moves may be but a spin
+    if (here.nullity > 1 or rests) and hold_spins(equations, q, asked):
+        here = node(equations, q)
+    if here.nullity > 1 and hold_rank(equations, q, lambda: (equations, node(equations, q))):
+        here = node(equations, q)
     if here.nullity == 0:
         return None
     if here.nullity > 1:
@@ -211,14 +221,28 @@ def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     if drivers:
         _, s, Vt = np.linalg.svd(rows)
         kernel = Vt[int(np.sum(s > RANK)) :] @ kernel
-    moving = [n for n, size in zip(system.velocity_names, np.abs(kernel).max(axis=0), strict=True) if size > 1e-6]
-    shown = ", ".join(repr(n) for n in moving[:6]) + (", ..." if len(moving) > 6 else "")
-    still = " and ".join(repr(d) for d in drivers)
-    what = f"with {still} held still, these still move: {shown}" if drivers else f"these move: {shown}"
+    sizes = dict(zip(system.velocity_names, np.abs(kernel).max(axis=0), strict=True))
+    moving = [n for n, size in sizes.items() if size > 1e-6]
+    named = [n for n in moving if n in system.coordinate_names]
+    balls = list(dict.fromkeys(n.rpartition(".")[0] for n in moving if n not in named))
+    still = f"with {' and '.join(map(repr, drivers))} held still, these still move" if drivers else "these move"
     many = len(kernel) - (not drivers)
+    own = kernel[:, [n in named for n in system.velocity_names]]
+    enough = int(np.sum(np.linalg.svd(own, compute_uv=False) > 1e-6)) >= many if named else False
+    head = f"to first order {system.name} has {count} freedoms here, more than are driven; {still}: "
+    if not named:
+        return (
+            f"{head}{_listed(balls)}, which {'is a ball' if len(balls) == 1 else 'are balls'} without coordinates that "
+            "can be held: angles=True gives a ball angles"
+        )
+    which, them = ("one", "it") if many == 1 else (str(many), "them")
+    also = f" (and balls, which have angles to hold with angles=True: {_listed(balls)})" if balls and not enough else ""
     return (
-        f"to first order {system.name} has {count} freedoms here, more than are driven; {what}; "
-        f"hold {'one' if many == 1 else str(many)} of them (hold={{name: value}}), or lock "
-        f"{'it' if many == 1 else 'them'}; "
+        f"{head}{_listed(named)}{also}; hold {which} of them (hold={{name: value}}), or lock {them}; "
         "a singular point where branches of several freedoms meet is no place to start"
     )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names in quotes, the first six of them."""
+    return ", ".join(map(repr, names[:6])) + (", ..." if len(names) > 6 else "")

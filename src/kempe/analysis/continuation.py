@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -43,6 +43,20 @@ ANGLES = ("rx", "ry", "rz", "x.y")
 """Names of equations that are angles."""
 
 
+class Further(Protocol):
+    """Equations of a curve besides those of the loops."""
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        ...
+
+    def write(self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool) -> None:
+        """Write what is missing in each, and the derivatives, into F (., ) and J (., n) from row `at` on; rows before
+        it are written."""  # fmt: skip
+        ...
+
+
 class Closure:
     """The closure equations of a system, some of its coordinates held at the values of a configuration.
 
@@ -51,7 +65,7 @@ class Closure:
     """
 
     def __init__(self, system: System, held: Sequence[int] = (), at: Array | None = None):
-        self.system, self.held, self._tree = system, tuple(held), own_tree(system)
+        self.system, self.held, self.tree = system, tuple(held), own_tree(system)
         self._held = np.array(self.held, dtype=np.int64)
         layout, turning = system.layout, system.coordinates.turning
         length = loops.characteristic_length(system)
@@ -66,11 +80,26 @@ class Closure:
         self.weight = np.array([
             1.0 if row in ANGLES or (tie.plain and tie.relation is None)
             else 1.0 / (length if tie.relation is None else self.unit[index[tie.relation.of]])
-            for tie in loops.full(self._tree, False).ties for row in tie.rows
+            for tie in loops.full(self.tree, False).ties for row in tie.rows
         ])  # fmt: skip
         self.targets = np.zeros(0) if at is None else at[self.place[self._held]]
-        self.rows = max(len(self.weight) + len(self.held), self.n)
         self.budget = Budget(None)
+        self.more: tuple[Further, ...] = ()
+        self._count()
+
+    def _count(self) -> None:
+        self.real = len(self.weight) + len(self.held) + sum(m.count for m in self.more)
+        self.rows = max(self.real, self.n)
+
+    def add(self, further: Further) -> None:
+        """Let further equations hold from here on."""
+        self.more = (*self.more, further)
+        self._count()
+
+    def leave_out(self, further: Further) -> None:
+        """Let these equations hold no longer."""
+        self.more = tuple(m for m in self.more if m is not further)
+        self._count()
 
     def values(self, x: Array) -> Array:
         """What is missing in each equation (rows,) at `x`."""
@@ -80,18 +109,21 @@ class Closure:
         """Derivative (rows, n) of the equations at `x`, at least as many rows as columns (zeros where none is)."""
         return self.both(x)[1]
 
-    def both(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
-        """`values` and `matrix` in one pass; the latter is all zero unless asked for."""
+    def both(self, x: Array, with_matrix: bool = True, further: int | None = None) -> tuple[Array, Array]:
+        """`values` and `matrix` in one pass; the latter is all zero unless asked for. Of further equations only the
+        first so many are written, where their number is given."""  # fmt: skip
         self.budget.check()
         F, J, m = np.zeros(self.rows), np.zeros((self.rows, self.n)), len(self.weight)
         if m:
-            values, columns = loops.evaluate(self._tree, x, with_matrix)
+            values, columns = loops.evaluate(self.tree, x, with_matrix)
             F[:m] = self.weight * values
             if with_matrix:
                 J[:m] = self.weight[:, None] * columns * self.unit
         if self.held:
             F[m : m + len(self.held)] = (x[self.place[self._held]] - self.targets) / self.unit[self._held]
             J[m + np.arange(len(self.held)), self._held] = 1.0
+        if self.more:
+            self._further(x, F, J, with_matrix, further)
         return F, J
 
     def many(self, x: Array) -> tuple[Array, Array]:
@@ -100,12 +132,21 @@ class Closure:
         k, m = len(x), len(self.weight)
         F, J = np.zeros((k, self.rows)), np.zeros((k, self.rows, self.n))
         if m:
-            values, columns = loops.evaluate(self._tree, x)
+            values, columns = loops.evaluate(self.tree, x)
             F[:, :m], J[:, :m] = self.weight * values, self.weight[:, None] * columns * self.unit
         if self.held:
             F[:, m : m + len(self.held)] = (x[:, self.place[self._held]] - self.targets) / self.unit[self._held]
             J[:, m + np.arange(len(self.held)), self._held] = 1.0
+        for one, f, j in zip(x, F, J, strict=True) if self.more else ():
+            self._further(one, f, j, True, None)
         return F, J
+
+    def _further(self, x: Array, F: Array, J: Array, with_matrix: bool, most: int | None) -> None:
+        """Write the first so many of the further equations."""
+        at = len(self.weight) + len(self.held)
+        for more in self.more[:most]:
+            more.write(self, x, F, J, at, with_matrix)
+            at += more.count
 
     def tolerance(self, x: Array) -> float:
         """Residual below which the equations hold at `x`: angles of many turns are known less well."""
@@ -136,17 +177,16 @@ class Driven(Closure):
         self.base, self.inputs = closure, list(inputs)
         self.origin, self.direction = origin, direction
         self.n = closure.n + 1
-        self.real = len(closure.weight) + len(closure.held)
         self.rows = max(self.real + len(self.inputs), self.n)
 
     def at(self, length: float) -> Array:
         """Values of the inputs, in radians and metres, at a length of their line."""
         return self.origin + self.unit[self.inputs] * self.direction * length
 
-    def both(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
+    def both(self, x: Array, with_matrix: bool = True, further: int | None = None) -> tuple[Array, Array]:
         """`values` and `matrix` in one pass; the latter is all zero unless asked for."""
         F, J, k = np.zeros(self.rows), np.zeros((self.rows, self.n)), self.real
-        inner, columns = self.base.both(x[:-1], with_matrix)
+        inner, columns = self.base.both(x[:-1], with_matrix, further)
         F[:k], J[:k, :-1] = inner[:k], columns[:k]
         at, unit, place = x[self.place[self.inputs]], self.unit[self.inputs], k + np.arange(len(self.inputs))
         F[place] = (at - self.origin) / unit - self.direction * x[-1]

@@ -24,8 +24,10 @@ from kempe.analysis.continuation import (
     step,
 )
 from kempe.analysis.crossings import branch_lines, locate, singular_node
+from kempe.analysis.deflation import hold_rank
 from kempe.analysis.events import AWKWARD, LEAST_STEP, checked, next_step, root
 from kempe.analysis.path import Event
+from kempe.analysis.spins import hold_spins, spins_held
 from kempe.errors import UnsupportedError
 from kempe.spatial import Array
 
@@ -111,8 +113,7 @@ class Course:
         length = float(np.linalg.norm(change))
         if length < NO_CHANGE:
             return state, None
-        way = Driven(self.closure, self.index, state.u, change / length)
-        a = self._first(way, state)
+        way, a = self._begin(state, change / length)
         if a.t[-1] < FORWARD:  # it begins at a toggle
             ways = [n for n in (a, a.reversed()) if (b := step(way, n, self.longest)) is not None and b.x[-1] > 0.0]
             if not ways:
@@ -172,10 +173,28 @@ class Course:
         high = float(a.t @ way.between(a.x, far.x))
         return None, root(way, a, b, lambda n: float(n.x[-1]) - length, 0.0, high)
 
-    def _first(self, way: Driven, state: State) -> Node:
+    def _begin(self, state: State, direction: Array) -> tuple[Driven, Node]:
+        """The equations of a course and its first node; what spins idly is held, and so is the rank where it is low
+        all along."""  # fmt: skip
+        spins = spins_held(self.closure)
+        if spins is not None:
+            spins.begin(state.q)
+        way, here = self._way(state, direction)
+        loose = here.nullity > 1 or (here.nullity == 1 and abs(here.t[-1]) < FORWARD)  # what moves may be but a spin
+        if loose and spins is None and hold_spins(self.closure, state.q, self.index):
+            way, here = self._way(state, direction)
+        if here.nullity > 1 and hold_rank(self.closure, state.q, lambda: self._way(state, direction)):
+            way, here = self._way(state, direction)
+        return way, self._first(way, here, state)
+
+    def _way(self, state: State, direction: Array) -> tuple[Driven, Node]:
+        """The equations of a course, and the node where it begins."""
+        way = Driven(self.closure, self.index, state.u, direction)
+        return way, node(way, np.append(state.q, 0.0))
+
+    def _first(self, way: Driven, here: Node, state: State) -> Node:
         """The node at the beginning of a course, on the branch of arrival where several meet."""
-        x = np.append(state.q, 0.0)
-        here = node(way, x)
+        x = here.x
         if here.nullity == 1:
             return here if here.t[-1] >= 0.0 else here.reversed()
         if here.nullity == 0:

@@ -17,9 +17,11 @@ from numpy.typing import ArrayLike
 from kempe.analysis.beginning import angle_or_slide, begin, first_node, longest_step, periods, start_of
 from kempe.analysis.bounds import Limits
 from kempe.analysis.continuation import Closure, Node, arc, node
+from kempe.analysis.deflation import rank_held
 from kempe.analysis.endless import NO_RETURN, Endless
 from kempe.analysis.events import Stop, extreme, hidden_crossings, home, turns, walk
 from kempe.analysis.path import Event, Path, Track
+from kempe.analysis.spins import spins_held
 from kempe.calls import explained, flag
 from kempe.errors import InputError
 from kempe.reals import is_whole
@@ -34,6 +36,10 @@ NONE = np.zeros((0, 0))
 SAME_POINT = 1e-6
 """Distance below which two singular points are the same."""
 
+LOW = "the rank is low all along, so that crossings with other branches may be passed unseen"
+"""What is said of a path along which the equations touch."""
+AGAIN = 4
+"""How often a path is walked again, at most, with idle spins held by directions that are farther from their lines."""
 MOST_POINTS = 100_000
 """Points of a path unless the caller says otherwise."""
 
@@ -123,6 +129,14 @@ def _followed(
     if first is None:
         return _failed(equations, options, "it cannot move: no degree of freedom is left", q, True)
     path = _trace(equations, first, options)
+    spins = spins_held(equations)
+    for _ in range(AGAIN):
+        if spins is None or path.late or path.interrupted or not spins.turned(path.q):
+            break
+        first = first_node(equations, q, options.driver, toward) or first  # held otherwise, what spins turns less
+        path = _trace(equations, first, options)
+    if rank_held(equations):
+        path = replace(path, remark="; ".join(filter(None, [path.remark, LOW])))
     if len(path) == 1 and path.success and path.ends[1].startswith("a point"):
         said = "it cannot move along a smooth curve: its first-order motion leads nowhere (shaky), or this is a cusp"
         return _failed(equations, options, said, q, True)

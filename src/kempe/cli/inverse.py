@@ -47,6 +47,7 @@ from kempe.views.terminal import INCOMPLETE, UsageError, guarded, leave, print_j
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+    from kempe.solvers.modes import Modes
     from kempe.views.task_file import Asked
 
 SLICE, TASK_SLICE = 4096, 256
@@ -217,10 +218,14 @@ def _all(
     tolerance: str | None, deg: bool, out: Path | None, json: bool,
 ) -> None:  # fmt: skip
     """Print or write all solutions."""
+    from kempe.solvers.modes import Modes
     from kempe.views import ik_report
 
     more = {} if tolerance is None else {"tolerance": ik_report.tolerance(tolerance)}
     answer = system.ik_all(X, frame, near=near, **_held(system, hold, deg), **_asked(task, axis), **more)
+    if isinstance(answer, Modes):
+        _modes(answer, deg, out, json)
+        return
     if out is not None:
         ik_report.write(out, answer, deg)
     if json:
@@ -230,6 +235,22 @@ def _all(
         if out is not None:
             told(out, json)
     if not (answer if answer.single else answer.inside.any(axis=-1).all()):
+        raise typer.Exit(INCOMPLETE)
+
+
+def _modes(answer: Modes, deg: bool, out: Path | None, json: bool) -> None:
+    """Print or write all that was found of a frame that moves with loops."""
+    from kempe.views import loop_report, rows
+
+    if out is not None:
+        rows.write_configurations(out, answer.system, answer.q, deg)
+    if json:
+        print_json(loop_report.modes_facts(answer, deg))
+    else:
+        show(loop_report.modes(answer, deg))
+        if out is not None:
+            told(out, json)
+    if not answer:
         raise typer.Exit(INCOMPLETE)
 
 

@@ -180,7 +180,7 @@ class System(Compiled):
 
         return ik(self, target, frame, seed, **options)
 
-    def ik_all(self, target: Any, frame: FrameLike, **options: Any) -> Solutions:
+    def ik_all(self, target: Any, frame: FrameLike, **options: Any) -> Solutions | Modes:
         """Every configuration in which the frame reaches the target; see `kempe.solvers.analytic.ik_all.ik_all`."""
         if not options and target.__class__ is np.ndarray and target.shape == (4, 4) and self.dim == 3:
             try:

@@ -104,6 +104,11 @@ def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     return turns, slides
 
 
+def of_loops(system: System, name: str) -> bool:
+    """Whether a frame moves with a loop."""
+    return " moves with the loop " in (obstacle(system, name) or "")
+
+
 @kept
 def obstacle(system: System, name: str) -> str | None:
     """Why no chain of its own leads to a frame: a loop or a relation that moves it; None if one does."""

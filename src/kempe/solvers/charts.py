@@ -4,12 +4,16 @@ Near a regular configuration the closed configurations form a surface of dimensi
 coordinates can be its parameters: a *chart* (Haug, 1989, chapter 3; the lecture's generalised positions). It is as good
 as the smallest singular value of the tangent space's rows of these p coordinates: 1 where they are the tangent space, 0
 where they no longer move the others (a turning point of a driver).
+
+The three angles of a ball would be such coordinates, but are not part of q: their place take the components of the
+rotation vector from where the chart was chosen (exponential coordinates, Murray, Li, Sastry, 1994, section 2.2).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,12 +22,25 @@ from kempe.calls import explained, explained_methods, listed, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.loops import RANK_TOLERANCE, evaluate, scales
+from kempe.solvers.assembled import NOT_CLOSED
 from kempe.solvers.assembly import TOLERANCE, Assembly, assemble
-from kempe.spatial import Array
+from kempe.solvers.idle import Spin, idle_part, spins_of
+from kempe.solvers.shaky import moving
+from kempe.spatial import Array, skew
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
+ENOUGH = 0.1
+"""Of the movement of a ball, the part that an angle or a length must have to be preferred to it."""
+MANY = 300
+"""Velocities from which idle spins are looked for only where there is no other choice."""
+TRIES, LONGEST = 60, 0.5
+"""Steps of a search for rotation vectors, and the longest, in radians and characteristic lengths."""
+REACHED = 1e-9
+"""How far coordinates may be from what was asked for."""
+FARTHEST = 3.0
+"""Angle of a ball from the origin up to which its rotation vector is used."""
 WORST = 0.02
 """Conditioning below which a chart is given up, for up to four coordinates a freedom; with more, less is usual."""
 
@@ -34,7 +51,9 @@ class Chart:
     """Independent coordinates of a system about a closed configuration.
 
     `independent` are the names of the p coordinates chosen, `dependent` those of all others, `origin` (nq,) where it
-    was chosen, `quality` its conditioning there, from 0 (useless) to 1.
+    was chosen, `quality` its conditioning there, from 0 (useless) to 1. Names `B.ex`, `B.ey`, `B.ez` are those of the
+    rotation vector [rad] that leads the ball B from the origin to where it is, in axes of its child. The last of the
+    independent ones, `idle`, move nothing but bodies that spin idly.
     """
 
     system: System
@@ -42,40 +61,122 @@ class Chart:
     dependent: tuple[str, ...]
     origin: Array
     quality: float
+    idle: tuple[str, ...] = ()
 
     @property
     def dim(self) -> int:
         """Number p of independent coordinates."""
         return len(self.independent)
 
+    @cached_property
+    def _plain(self) -> bool:
+        """Whether all are angles and lengths."""
+        return all(n in self.system.coordinate_names for n in self.independent)
+
+    @property
+    def useful(self) -> tuple[str, ...]:
+        """The independent coordinates that are not idle."""
+        return self.independent[: self.dim - len(self.idle)]
+
     def u(self, q: Any) -> Array:
         """The independent coordinates (..., p) of configurations (..., nq)."""
         q = as_q(self.system, q)
-        return q[..., [self.system.coordinate_names.index(n) for n in self.independent]]
+        if self._plain:
+            return q[..., [self.system.coordinate_names.index(n) for n in self.independent]]
+        way = self.system.layout.difference(self.origin, q)
+        way[..., self.system.layout.vector_v] = q[..., self.system.layout.vector_q]
+        return way[..., self._rows()]
 
     def q(self, u: Any, near: Any = None) -> Assembly:
         """The configuration with these independent coordinates (..., p), reached by one search from `near`.
 
-        Default for `near`: the origin. From far away it may be on another branch: lead it in steps.
+        Default for `near`: the origin. From far away it may be on another branch: lead it in steps. Idle ones may be
+        left out: what spins then stays about as it is at `near`.
         """
         u = numbers(u, "u")
-        if u.ndim == 0 and self.dim == 1:
+        given = self.independent
+        if u.ndim == 0 and 1 in (self.dim, len(self.useful)):
             u = u[None]
-        if u.ndim == 0 or u.shape[-1] != self.dim:
-            raise InputError(f"u has shape {u.shape}; needed is (..., {self.dim}): {', '.join(self.independent)}")
-        known = {n: u[..., i] for i, n in enumerate(self.independent)}
-        return assemble(self.system, known, self.origin if near is None else near, starts=1)
+        if u.shape[-1:] != (self.dim,):
+            given = self.useful
+        if u.shape[-1:] != (len(given),):
+            names = ", ".join(self.useful) + (f" (and, idle, {', '.join(self.idle)})" if self.idle else "")
+            raise InputError(f"u has shape {u.shape}; needed is (..., {self.dim}): {names}")
+        near = self.origin if near is None else near
+        if self._plain:
+            return assemble(self.system, {n: u[..., i] for i, n in enumerate(given)}, near, starts=1)
+        known = {n: u[..., i] for i, n in enumerate(given) if not _is_exponential(self.system, n)}
+        if len(known) < len(given):
+            near = self._led(u, given, near)
+        answer = assemble(self.system, known, near, starts=1)
+        if len(known) == len(given):
+            return answer
+        off = np.abs(self.u(answer.q)[..., : len(given)] - u).max(axis=-1, initial=0.0)
+        success = np.logical_and(answer.success, off < REACHED)
+        code = np.where(np.logical_and(answer.success, ~success), NOT_CLOSED, answer.code)
+        single = not success.ndim
+        return replace(answer, success=bool(success) if single else success, code=int(code) if single else code)
+
+    def _rows(self, names: Iterable[str] | None = None) -> list[int]:
+        """Velocity indices of the independent coordinates, or of others."""
+        names, own = self.independent if names is None else tuple(names), self.system.velocity_names
+        return [own.index(n) if n in own else _numbers(self.system)[n] for n in names]
+
+    def _rates(self, q: Array, names: tuple[str, ...]) -> Array:
+        """Rates (len(names), nv) of some independent coordinates by the velocities, in units, at q (nq,)."""
+        system, rows = self.system, self._rows(names)
+        out, way = np.eye(system.nv), system.layout.difference(self.origin, q)
+        for i in system.layout.quaternion_v.tolist():
+            out[i : i + 3, i : i + 3] = _of_log(way[i : i + 3])
+        return out[rows]
+
+    def _led(self, u: Array, given: tuple[str, ...], near: Any) -> Array:
+        """Configurations (..., nq) near those that have such coordinates: Newton's method, of least movement."""
+        system, scale, rows = self.system, scales(self.system), self._rows(given)
+        start = as_q(system, near)
+        lead = np.broadcast_shapes(u.shape[:-1], start.shape[:-1])
+        starts = np.broadcast_to(start, (*lead, system.nq)).reshape(-1, system.nq)
+        wanted = np.broadcast_to(u, (*lead, len(given))).reshape(-1, len(given))
+        out = np.array(starts)
+        for k, target in enumerate(wanted):
+            q = out[k]
+            for _ in range(TRIES):
+                error, J = evaluate(system, q, True, True)
+                missing = (target - self.u(q)[: len(given)]) / scale[rows]
+                A = np.concatenate([J, self._rates(q, given) * scale / scale[rows, None]])
+                step = np.linalg.lstsq(A, np.append(-error, missing), rcond=RANK_TOLERANCE)[0]
+                size = float(np.linalg.norm(step))
+                if not np.isfinite(size):
+                    break
+                q = system.layout.integrate(q, scale * step * min(1.0, LONGEST / max(size, 1e-300)))
+                if size < 1e-14:
+                    break
+            out[k] = q
+        return out.reshape(*lead, system.nq)
 
     def tangent(self, q: Any) -> Array:
         """Rates (nv, p) of all velocity coordinates by the independent ones, at a closed configuration (nq,)."""
-        N, scale = tangent_space(self.system, q)
-        rows = [self.system.velocity_names.index(n) for n in self.independent]
-        return (scale[:, None] * N) @ np.linalg.inv(scale[rows, None] * N[rows])
+        N, scale = tangent_space(self.system, q, self.dim)
+        N = scale[:, None] * N
+        if self._plain:
+            return N @ np.linalg.inv(N[self._rows()])
+        return N @ np.linalg.inv(self._rates(as_q(self.system, q), self.independent) @ N)
 
     def condition(self, q: Any) -> float:
-        """How well the independent coordinates move all others at a closed q (nq,): 1 best, 0 not at all."""
-        N, _ = tangent_space(self.system, q)
-        return _quality(N, [self.system.velocity_names.index(n) for n in self.independent])
+        """How well the independent coordinates move all others at a closed q (nq,): 1 best, 0 not at all.
+
+        It is 0 where a ball with exponential coordinates has turned by nearly half a turn, where these jump.
+        """
+        N, scale = tangent_space(self.system, q, self.dim)
+        if self._plain:
+            return _quality(N, self._rows())
+        q = as_q(self.system, q)
+        way = self.system.layout.difference(self.origin, q)
+        own = {int(i) for i in self.system.layout.quaternion_v if {i, i + 1, i + 2} & {*self._rows()}}
+        if any(np.linalg.norm(way[i : i + 3]) > FARTHEST for i in own):
+            return 0.0
+        rates = self._rates(q, self.independent) * scale / scale[self._rows(), None]
+        return float(np.linalg.svd(rates @ N, compute_uv=False).min(initial=1.0)) if self.dim else 1.0
 
     def valid(self, q: Any) -> bool:
         """Whether the chart can still be used at the closed configuration q (nq,)."""
@@ -86,8 +187,9 @@ class Chart:
         return independent(self.system, q)
 
     def __str__(self) -> str:
+        idle = f"; idle: {', '.join(self.idle)}" if self.idle else ""
         return (
-            f"{self.dim} independent coordinates: {', '.join(self.independent) or 'none'} "
+            f"{self.dim} independent coordinates: {', '.join(self.useful) or 'none'}{idle} "
             f"(conditioning {self.quality:.2g}); dependent: {', '.join(self.dependent) or 'none'}"
         )
 
@@ -97,9 +199,10 @@ def independent(system: System, q: Any = None, prefer: Iterable[str] = ()) -> Ch
     """A chart at a closed configuration q (nq,): which p coordinates can be set, so that the others follow.
 
     Without a wish the best conditioned ones are taken, greedily (QR with column pivoting of the tangent space: Golub,
-    1965). `prefer` are names of coordinates that must be among them. Default for q: the closed configuration that
-    `assemble` finds. Errors: `InputError` if q is not closed, or if the preferred ones cannot be set independently,
-    with the reason; `UnknownNameError`.
+    1965): angles and lengths; where these cannot do, rotation vectors of balls from q on (`B.ex`, `B.ey`, `B.ez`); and
+    those that move idle spins only come last. `prefer` are names of coordinates that must be among them. Default for q:
+    the closed configuration that `assemble` finds. Errors: `InputError` if q is not closed, or if the preferred ones
+    cannot be set independently, with the reason; `UnknownNameError`.
     """
     if q is None:
         answer = assemble(system)
@@ -107,14 +210,9 @@ def independent(system: System, q: Any = None, prefer: Iterable[str] = ()) -> Ch
             raise InputError(f"{system.name} could not be assembled: {answer.status}")
         q = answer.q
     q = as_q(system, q)
-    N, _ = tangent_space(system, q)
-    names, p = system.velocity_names, N.shape[1]
-    wish = listed(prefer, "prefer")
-    usable = {names[v] for v in system.layout.vector_v}
-    for name in wish:
-        if name not in usable:
-            raise UnknownNameError("coordinate", name, sorted(usable), system.name)
-    rows = [names.index(n) for n in wish]
+    N, scale = tangent_space(system, q)
+    p, wish = N.shape[1], listed(prefer, "prefer")
+    rows = _wished(system, wish) if wish else []
     if len(set(rows)) < len(rows) or len(rows) > p:
         raise InputError(f"{len(rows)} coordinates are preferred; here {p} different ones are independent")
     least = _worst(p, system.nv)
@@ -123,20 +221,78 @@ def independent(system: System, q: Any = None, prefer: Iterable[str] = ()) -> Ch
             f"{', '.join(wish)} cannot be set independently here: conditioning {_quality(N, rows):.2g}, at least "
             f"{least:.2g} is needed; the best choice is {', '.join(independent(system, q).independent)}"
         )
-    rows = _extend(N, rows, [v for v in range(system.nv) if names[v] in usable])
-    quality = _quality(N, rows)
-    if len(rows) < p or (p and quality < least):
-        raise InputError(
-            "no choice of angles and lengths is independent here: quaternions would be needed; "
-            "joints with angles=True have angles in their place"
-        )
-    chosen = tuple(names[v] for v in sorted(rows))
-    rest = tuple(n for n in names if n not in chosen)
-    return Chart(system, chosen, rest, q.copy(), quality)
+    plain = sorted(system.layout.vector_v.tolist())
+    found, idle = _extend(N, rows, plain), []
+    quality = _quality(N, found)
+    sure = len(found) == p and quality >= least
+    if not sure or (1 < p < system.nv < MANY and system.dim == 3):
+        spins = spins_of(system, q)
+        if spins or not sure:
+            found, idle = _in_turn(N, rows, plain, spins, idle_part(system, q, N, scale, spins))
+            quality = _quality(N, found)
+    if len(found) < p or (p and quality < least):
+        raise InputError(f"no choice of coordinates is independent here: the best has conditioning {quality:.2g}")
+    idle = sorted(idle)
+    chosen = [*sorted({*found} - {*idle}), *idle]
+    names = system.velocity_names if {*chosen} <= {*plain} else tuple(_numbers(system))
+    rest = tuple(n for v, n in enumerate(system.velocity_names) if v not in chosen)
+    return Chart(system, tuple(names[v] for v in chosen), rest, q.copy(), quality, tuple(names[v] for v in idle))
 
 
-def tangent_space(system: System, q: Any) -> tuple[Array, Array]:
+def _wished(system: System, names: Iterable[str]) -> list[int]:
+    """Velocity indices of coordinates. Errors: `UnknownNameError`."""
+    number = _numbers(system)
+    for name in names:
+        if name not in number:
+            raise UnknownNameError("coordinate", name, sorted(number), system.name)
+    return [number[n] for n in names]
+
+
+def _in_turn(
+    N: Array, rows: list[int], plain: list[int], spins: tuple[Spin, ...], idle: Array
+) -> tuple[list[int], list[int]]:  # fmt: skip
+    """Rows of p coordinates, and which are idle: useful ones first, in each part angles and lengths first."""
+    nv, p = N.shape
+    moved = np.any([s.moves for s in spins], axis=0) if spins else np.zeros(nv, dtype=bool)
+    others = [v for v in range(nv) if v not in plain]
+    found, asked = list(rows), sum(bool(moved[v]) for v in rows)
+    for still in (True, False):
+        most = min(p, p - idle.shape[1] + asked) if still else p
+        own = [v for v in range(nv) if moved[v] != still]
+        for stage in (plain, others):
+            usable = [v for v in stage if moved[v] != still and v not in found]
+            found = _extend(N, found, usable, most, own if stage is plain else ())
+    spinning = [v for v in found if moved[v]]
+    return found, spinning if len(spinning) == idle.shape[1] else []
+
+
+def _is_exponential(system: System, name: str) -> bool:
+    """Whether this is the name of a component of a rotation vector."""
+    return name not in system.coordinate_names
+
+
+def _numbers(system: System) -> dict[str, int]:
+    """Velocity index of each name that a coordinate of a chart can have."""
+    names, vector = system.velocity_names, {*system.layout.vector_v.tolist()}
+    return {n if v in vector else f"{n[:-2]}e{n[-1]}": v for v, n in enumerate(names)}
+
+
+def _of_log(w: Array) -> Array:
+    """Rates (3, 3) of a rotation vector (3,) by the angular velocity in axes of what turns (Bullo, Murray, 1995)."""
+    angle = float(np.linalg.norm(w))
+    K = skew(w)
+    if angle < 1e-4:
+        factor = 1.0 / 12.0 + angle**2 / 720.0
+    else:
+        factor = (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2
+    return np.eye(3) + 0.5 * K + factor * K @ K
+
+
+def tangent_space(system: System, q: Any, dim: int | None = None) -> tuple[Array, Array]:
     """Orthonormal basis (nv, p) of the velocities that keep all loops closed at q (nq,), and the scales (nv,).
+
+    Those are left out that lead to no motion, where the equations touch all along (`analysis.deflation`); this need not
+    be looked at where p is known (`dim`).
 
     Slides are measured in characteristic lengths: velocities in units are ``scale * N``. Errors: `InputError` if q
     is not closed.
@@ -147,9 +303,12 @@ def tangent_space(system: System, q: Any) -> tuple[Array, Array]:
     error, J = evaluate(system, q, True, True)
     if not np.linalg.norm(error) <= 10.0 * TOLERANCE:
         raise InputError(f"q is not closed: the loops' equations are off by {np.linalg.norm(error):.3g}; use assemble")
-    _, values, Vt = np.linalg.svd(J, full_matrices=True)
+    U, values, Vt = np.linalg.svd(J, full_matrices=True)
     rank = int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
-    return Vt[rank:].T, scales(system)
+    N, scale = Vt[rank:].T, scales(system)
+    if rank < len(J) and 1 < N.shape[1] != dim:
+        N = moving(system, q, U[:, rank:], N, scale)
+    return N, scale
 
 
 def _quality(N: Array, rows: list[int]) -> float:
@@ -162,15 +321,20 @@ def _worst(p: int, n: int) -> float:
     return WORST * min(1.0, 2.0 * np.sqrt(p / max(n, 1)))
 
 
-def _extend(N: Array, rows: list[int], usable: list[int]) -> list[int]:
-    """The rows, extended to p of them, each time by that which is farthest from the span of those chosen."""
-    rows, p = list(rows), N.shape[1]
+def _extend(
+    N: Array, rows: list[int], usable: list[int], most: int | None = None, better: Sequence[int] = ()
+) -> list[int]:  # fmt: skip
+    """The rows, extended to p (or `most`), each time by that which is farthest from the span of those chosen; it ends
+    where one of the `better` rows is much farther."""  # fmt: skip
+    rows, p = list(rows), N.shape[1] if most is None else most
     rest = N.copy()
     for row in rows:
         rest = _without(rest, rest[row])
     while len(rows) < p and usable:
         size = np.linalg.norm(rest[usable], axis=1)
         row = usable[int(np.argmax(np.round(size, 9)))]  # rounding does not decide between equals: the first is taken
+        if better and size.max() < ENOUGH * np.linalg.norm(rest[better], axis=1).max():
+            break
         rows.append(row)
         rest = _without(rest, rest[row])
     return rows

@@ -19,6 +19,7 @@ from kempe.kinematics.tabular import Tabular
 from kempe.reals import reals
 from kempe.rigid import arrays, sound
 from kempe.solvers.apart import apart
+from kempe.solvers.chain import of_loops
 from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, partial
 from kempe.solvers.slip import rolls
 from kempe.solvers.solution import SOLVED
@@ -269,7 +270,7 @@ def _all(
     system: System, targets: Any, frame: FrameLike | None, row: Problem, begin: int, q: Array
 ) -> list[Array]:  # fmt: skip
     """What `ik_all` finds for target `begin`, inside the limits; what the target does not ask for is as in q (nq,)."""
-    if frame is None:
+    if frame is None or of_loops(system, system.frame_name(frame)):
         return []
     try:
         found = system.ik_all(reals(targets, "targets")[begin], frame)

@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe.errors import UnsupportedError
 from kempe.kernels.layout import HEADER, KIND, MULTIPLIER, N_ROWS, ROW_FLOATS, ROW_INTS, SLIDE, V_INDEX
-from kempe.solvers.chain import Chain, moved_by
+from kempe.solvers.chain import Chain, moved_by, of_loops
 from kempe.solvers.rounds import Task
 from kempe.spatial import Array
 
@@ -31,7 +31,10 @@ def _all_outside(task: Task, target: Array) -> str:
     if max(task.tolerance) > CLEAR * CLEAR or len(chain.q_index) != len(chain.v_index) or factors != [1.0] * n:
         return ""
     from kempe.solvers.analytic.ik_all import ik_all
+    from kempe.solvers.analytic.solutions import Solutions
 
+    if of_loops(system, task.frame):
+        return ""
     position = task.name == "position"
     goal = target[0, :3, 3] if position else target[0]
     if position and system.dim == 2:
@@ -40,7 +43,7 @@ def _all_outside(task: Task, target: Array) -> str:
         found = ik_all(system, goal, task.frame, task=task.name, axis=task.axis)
     except UnsupportedError:
         return ""
-    if not found.complete or not len(found.q) or found.families:
+    if not isinstance(found, Solutions) or not found.complete or not len(found.q) or found.families:
         return ""
     size = 1.0 + float(np.linalg.norm(target[0, :3, 3]))
     beyond = min(_beyond(chain, q[chain.q_index]) for q in found.q)

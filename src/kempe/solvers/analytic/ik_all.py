@@ -25,11 +25,13 @@ from kempe.solvers.analytic.obeying import obeying
 from kempe.solvers.analytic.plan import Plan, kernel_of, side_by_side_of
 from kempe.solvers.analytic.question import Question, held, near_of, within
 from kempe.solvers.analytic.solutions import Solutions
+from kempe.solvers.chain import of_loops
 from kempe.solvers.targets import Z_AXIS, axis_for, frame_of, in_plane, points_along, targets_of, task_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
+    from kempe.solvers.modes import Modes
 
 TOLERANCE = 1e-9
 """Largest position error [m] and rotation angle [rad] of a solution."""
@@ -49,7 +51,7 @@ def ik_all(
     axis: ArrayLike = Z_AXIS, inside_only: bool = False, expand_turns: bool = False,
     fixed: Mapping[str, Any] | None = None, tolerance: float = TOLERANCE, threads: int | None = None,
     throw: bool = False, **fixed_by_name: Any,
-) -> Solutions:  # fmt: skip
+) -> Solutions | Modes:  # fmt: skip
     """Every configuration in which `frame` reaches `target`: the inverse geometric model with all its solutions.
 
     `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)) or a position (..., 3)
@@ -63,7 +65,9 @@ def ik_all(
 
     Each solution is verified by the forward model to `tolerance` [m, rad] (or to rounding, far away). What is not
     reached has no solutions and a `status` that says why; `throw=True` raises `NoSolutionError` for it. Errors:
-    `UnsupportedError` for chains with loops, quaternions or shared coordinates, `InputError`, `UnknownNameError`.
+    `UnsupportedError` for chains with quaternions or shared coordinates, `InputError`, `UnknownNameError`.
+
+    For one pose or position of a frame that moves with loops the answer is that of `assembly_modes` with it known.
 
     Method: see `ik_plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
     """
@@ -74,6 +78,9 @@ def ik_all(
     direction = axis_for(axis, task)
     targets, lead, is_position = targets_of(system, target, task, direction)
     task = task_of(task, is_position, bool(system.table.at[name][2]))
+    if system.closures and of_loops(system, name):
+        known = {**(fixed or {}), **fixed_by_name}
+        return _through_loops(system, name, targets, lead, task, near, known, expand_turns, inside_only, throw)
     lines = chain_lines(system, name, direction)
     values = held(name, lines.names, fixed, fixed_by_name)
     plan = plan_for(system, name, lines, task, direction, tuple(values))
@@ -99,6 +106,21 @@ def ik_all(
     if throw and not answer:
         raise NoSolutionError(answer)
     return answer
+
+
+def _through_loops(
+    system: System, name: str, targets: Array, lead: tuple[int, ...], task: str, near: Any,
+    fixed: Mapping[str, Any], expand_turns: bool, inside_only: bool, throw: bool,
+) -> Modes:  # fmt: skip
+    """The answer for a frame that moves with loops."""
+    from kempe.solvers.analytic.through_loops import all_modes
+
+    if expand_turns:
+        raise InputError(f"frame {name!r} moves with loops: expand_turns is for chains")
+    found = all_modes(system, name, targets, lead, task, near, fixed, bool(inside_only))
+    if throw and not found:
+        raise NoSolutionError(found)
+    return found
 
 
 class Bound:
