@@ -7,6 +7,7 @@ differences of them.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,12 +27,12 @@ def of(name: str, digits: int, hunt) -> tuple[System, System, np.ndarray]:
 
 def moves_like(system: System, given: System, digits: int, tolerance: float | str | None) -> None:
     """One freedom, closed, traced round, velocities right: by all verbs."""
-    more = {} if tolerance is None else {"tolerance": tolerance}
+    more: dict[str, Any] = {} if tolerance is None else {"tolerance": tolerance}
     off, driver, other = 10.0**-digits, system.coordinate_names[0], system.coordinate_names[1]
-    m = given.mobility(**more)
+    m: Any = given.mobility(**more)
     assert m.dof == 1 and m.closed and not m.certain and "within" in m.sentence and m.within.tolerance < 3.0 * off
     start = system.posture("closed")[0] if "closed" in system.posture_names else system.assemble().q[0]
-    answer = given.assemble({driver: start + 0.1}, **more)
+    answer: Any = given.assemble({driver: start + 0.1}, **more)
     assert answer and answer.residual < 1e-12 and "within" in answer.status
     ideal = answer.within.system
     path = given.trace(driver, **more)
@@ -113,7 +114,7 @@ def spatial_four_bar(angle: float) -> System:
 
 def test_an_angle_near_a_right_one_is_made_one():
     given, right = spatial_four_bar(1.5708), spatial_four_bar(math.pi / 2)
-    found = given.idealised()
+    found: Any = given.idealised()
     assert "1.5708" in found.changes[0].old and found.changes[0].new == "roll pi/2" and len(found.changes) == 1
     assert found.tolerance == pytest.approx(1.5708 - math.pi / 2) and found.freedoms == 1
     assert set(found.absorbed) <= set(given.closures)

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,7 +26,7 @@ TURNS = ("rx", "ry", "rz")
 DIFFERENCE = 1e-6
 """Step of the central differences."""
 
-Values = Callable[[dict[tuple[str, str, str], Array]], Array]
+Values = Callable[[dict[tuple[str, str, str], Array]], Any]
 
 
 class Relations:
@@ -106,7 +106,8 @@ class Relations:
 def snapped(system: System, most: float) -> System | None:
     """The system with angles that are within `most` of simple fractions of pi made these; None where there is none."""
     m, found = system.mechanism, False
-    for table in (m.joints, m.constraints):
+    tables: tuple[dict[str, Any], ...] = (m.joints, m.constraints)
+    for table in tables:
         for name, part in table.items():
             for side in ("X_PF", "X_CM"):
                 old = getattr(part, side).steps
