@@ -246,7 +246,7 @@ class System(Compiled):
         """What its dimensions may be off by, in metres and radians; None: nothing but rounding."""
         return self._mechanism.tolerance
 
-    def idealised(self, tolerance: float | str = "measured") -> Idealised | None:
+    def idealised(self, tolerance: float | str | None = "measured") -> Idealised | None:
         """The nearest system that closes exactly and moves, with what differs; see `kempe.solvers.ideal`."""
         from kempe.solvers.ideal import idealised
 

@@ -185,7 +185,7 @@ def within(system: System, tolerance: Any = None) -> Idealised | None:
 
 
 @explained
-def idealised(system: System, tolerance: float | str = MEASURED) -> Idealised | None:
+def idealised(system: System, tolerance: float | str | None = MEASURED) -> Idealised | None:
     """The nearest system that closes exactly and moves, as a proposal: what differs, and by how much.
 
     None where the given one closes as it is, or where there is none within the `tolerance`: a number in metres and

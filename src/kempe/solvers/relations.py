@@ -106,7 +106,7 @@ class Relations:
 def snapped(system: System, most: float) -> System | None:
     """The system with angles that are within `most` of simple fractions of pi made these; None where there is none."""
     m, found = system.mechanism, False
-    tables: tuple[dict[str, Any], ...] = (m.joints, m.constraints)
+    tables: Any = (m.joints, m.constraints)
     for table in tables:
         for name, part in table.items():
             for side in ("X_PF", "X_CM"):
