@@ -31,6 +31,9 @@ MORE = 2
 """Brackets of a length that are tried besides those that may be independent."""
 WORK = 4e8
 """Products of series, in numbers, that the longest brackets may take."""
+VANISHED, ROUNDED = 1e-13, 1e-14
+"""Rows of a size below this part of the largest are rounding, as those are that say twice that a motion is flat;
+others have rounding of the other size."""
 CONDITION = 1e-9
 """Smallest singular value, as part of the largest of scaled rows, that counts for the rank of A."""
 
@@ -75,10 +78,11 @@ def distribution(
 def _kernel(rows: Rows, q: Array, t: float, which: np.ndarray, scaled: Array, error: float) -> Distribution:
     n = scaled.shape[1]
     sizes = np.linalg.norm(scaled, axis=1)
-    real = np.flatnonzero(sizes > 0.0)
+    real = np.flatnonzero(sizes > VANISHED * sizes.max(initial=0.0))
     scaled = scaled[real] / sizes[real, None]
     values, Vt = np.linalg.svd(scaled)[1:] if len(real) else (np.zeros(0), np.eye(n))
-    rank = int(np.sum(values > CONDITION * values[:1]))
+    small = float((sizes[real] / sizes.max(initial=1e-300)).min(initial=1.0))  # scaled up, with its rounding
+    rank = int(np.sum(values > max(CONDITION, ROUNDED / small) * values[:1]))
     gap = np.inf if rank == len(values) else float(values[rank - 1] / max(values[rank], 1e-300))
     independent = np.sort(_pivots(scaled.T, rank))
     chosen = which[real[independent]]

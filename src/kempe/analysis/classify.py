@@ -24,10 +24,12 @@ from kempe.errors import InputError, shown
 from kempe.kinematics.configuration import one
 from kempe.kinematics.velocity import tangent_rows
 from kempe.reals import is_real
+from kempe.solvers.ideal import tolerant
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+    from kempe.solvers.ideal import Idealised
 
 HOLONOMIC, INTEGRABLE, NONHOLONOMIC, UNILATERAL = "holonomic", "integrable", "nonholonomic", "unilateral"
 @dataclass(frozen=True)
@@ -93,6 +95,8 @@ class Classification:
     """How far `q` is from the configuration that was given, where that was not closed."""
     reachable_around: int | None = None
     """The dimension that motions reach from configurations drawn at random."""
+    within: Idealised | None = field(default=None, repr=False)
+    """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
 
     @property
     def singular(self) -> bool:
@@ -129,8 +133,10 @@ class Classification:
 
 
 @explained
+@tolerant("q")
 def classify(
-    system: System, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0
+    system: System, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0,
+    tolerance: float | str | None = None,
 ) -> Classification:  # fmt: skip
     """Which kind each constraint of a system is, and how far velocities that are free reach, with the reasoning.
 

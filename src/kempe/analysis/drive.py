@@ -29,6 +29,7 @@ from kempe.kinematics.tabular import write_table
 from kempe.model.clocked import clocked, timed
 from kempe.reals import reals
 from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, TimeUp, partial
+from kempe.solvers.ideal import said, tolerant
 from kempe.solvers.slip import rolls
 from kempe.solvers.words import counted
 from kempe.spatial import Array
@@ -115,7 +116,7 @@ class Drive(Configurations):
             text += f"; at {counted(count, 'sample')} the inputs cannot be reached and the last pose is held"
         if self.jumps:
             text += f"; it jumps at samples {', '.join(str(k) for k, _ in self.jumps)}"
-        return text + partial(self.interrupted, self.late)
+        return text + partial(self.interrupted, self.late) + said(self.within)
 
     def __str__(self) -> str:
         lines = [f"{self.system.name}: {self.status}"]
@@ -130,11 +131,12 @@ class Drive(Configurations):
 
 
 @explained
+@tolerant()
 def drive(
     system: System, inputs: Mapping[str, ArrayLike | Callable[[float], float]], times: ArrayLike | None = None,
     start: ArrayLike | Mapping[str, float] | str | None = None, *, hold: Mapping[str, float] | None = None,
     toward: Mapping[str, float] | None = None, limits: bool = True, step: float | None = None,
-    time_limit: float | None = LONG, progress: Progress | None = None,
+    time_limit: float | None = LONG, progress: Progress | None = None, tolerance: float | str | None = None,
 ) -> Drive:  # fmt: skip
     """The motion that follows prescribed inputs, as a `Drive`: continuous, on the branch of `start`.
 

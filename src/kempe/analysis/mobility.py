@@ -25,12 +25,14 @@ from kempe.errors import InputError
 from kempe.kinematics.ball_angles import regular_chart
 from kempe.kinematics.configuration import as_q
 from kempe.model.own_tree import own_tree
+from kempe.solvers.ideal import tolerant
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.analysis.branches import Branch
     from kempe.analysis.local import LocalDimension
     from kempe.model.system import System
+    from kempe.solvers.ideal import Idealised
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,8 @@ class Mobility:
     """Constraints that are functions without series, because of which `dof` is not known."""
     wrenches: Wrenches | None = field(default=None, repr=False)
     """What joints and constraints transmit at `q`, their self-stresses among it; None where it cannot be closed."""
+    within: Idealised | None = field(default=None, repr=False)
+    """The nearest mechanism that closes exactly, whose freedoms these are; None: those of the given one."""
 
     @property
     def gruebler(self) -> int:
@@ -135,8 +139,9 @@ class Mobility:
         Either the rank is full, the smallest singular value being above a bound of all rounding and an exactly closed
         configuration near by (Newton and Kantorovich), or a theorem about singular or overconstrained mechanisms
         holds, whose hypotheses were checked: see `kempe.analysis.certify`. Otherwise `dof` is known to an order only.
+        What is true `within` a tolerance only is not proven of the mechanism as given.
         """
-        return self.regular if self.local is None else self.local.certain
+        return self.within is None and (self.regular if self.local is None else self.local.certain)
 
     @property
     def unproven(self) -> str:
@@ -171,9 +176,10 @@ class Mobility:
 
 
 @explained
+@tolerant()
 def mobility(
     system: System, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
-    rng: np.random.Generator | int = 0,
+    rng: np.random.Generator | int = 0, tolerance: float | str | None = None,
 ) -> Mobility:  # fmt: skip
     """How many degrees of freedom a system has, by counting, by rank and truly, with the reasoning.
 

@@ -37,11 +37,13 @@ def sentence(m: Mobility) -> str:
         meet = "that meet here" if m.local.counted else "found here"
         why.append(f"the largest of {len(m.local.branches)} branches {meet} has {counted(m.dof, 'dimension')}")
     doubtful = m.local is None or m.local.doubts or m.local.more or (m.rank is not None and m.rank.doubtful)
-    sure = "probably " if not m.certain and doubtful else ""
-    order = "" if m.certain or m.local is None else f" to order {m.local.order}"
+    sure = "probably " if not m.certain and doubtful or m.within is not None else ""
+    order = "" if m.certain or m.local is None or m.within is not None else f" to order {m.local.order}"
     said = f"the truth is {sure}{m.dof}{order}" if m.gruebler != m.dof else f"which is {sure}the truth{order}"
     rank = _without_motion(m.generic_rank_dof or 0, false, m.generic_rank_dof != m.rank_dof) if false else ""
-    return f"Gruebler says {m.gruebler}, {said}" + (": " + ", ".join(why) if why else "") + rank
+    least = "" if m.within is None else f" {m.within.least}"
+    exactly = "" if m.within is None else f"; {m.within.exactly}"
+    return f"Gruebler says {m.gruebler}, {said}{least}" + (": " + ", ".join(why) if why else "") + rank + exactly
 
 
 def _without_motion(rank: int, false: int, nearby: bool) -> str:
@@ -120,6 +122,8 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         return out
     if m.given_residual > 1e-9:
         out.append(("closed", [f"given with residual {m.given_residual:.2g}; this is the nearest closed one"]))
+    if m.within is not None:
+        out.append(("within", cut(m.within.lines, SHOWN)))
     out.append(("rank", [rank_text(m)]))
     if m.dof is not None:
         useful = f", {m.useful or 'none'} of them useful" if m.idle else ""
@@ -166,7 +170,7 @@ def data(m: Mobility) -> dict[str, Any]:
         "name": m.name, "dim": m.dim, "sentence": sentence(m), "q": m.q.tolist(), "closed": m.closed,
         "residual": m.residual, "given_residual": m.given_residual, "dof": m.dof, "useful": m.useful, "idle": m.idle,
         "gruebler": m.gruebler, "gruebler_spatial": m.gruebler_spatial, "rank_dof": m.rank_dof,
-        "velocity_dof": m.velocity_dof,
+        "velocity_dof": m.velocity_dof, "within": None if m.within is None else m.within.data(),
         "generic_rank_dof": m.generic_rank_dof, "redundant": m.redundant, "redundant_here": m.redundant_here,
         "singular": m.singular, "kind": m.kind, "certain": m.certain, "how": how_known(m),
         "gap": None if r is None or r.gap == float("inf") else r.gap, "counting": list(m.counting.steps),

@@ -26,6 +26,7 @@ from kempe.calls import explained, flag
 from kempe.errors import InputError
 from kempe.reals import is_whole
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, TimeUp
+from kempe.solvers.ideal import tolerant
 from kempe.solvers.slip import slip_of
 from kempe.spatial import Array
 
@@ -62,12 +63,13 @@ class _Options:
 
 
 @explained
+@tolerant()
 def trace(
     system: System, driver: str | None = None, start: ArrayLike | Mapping[str, float] | str | None = None, *,
     both: bool = True, step: float | None = None, limits: bool = True, max_points: int = MOST_POINTS,
     frames: Iterable[FrameLike] = (), hold: Mapping[str, float] | None = None,
     toward: Mapping[str, float] | None = None, switch: bool = False, time_limit: float | None = TIME_LIMIT,
-    progress: Progress | None = None,
+    progress: Progress | None = None, tolerance: float | str | None = None,
 ) -> Path:  # fmt: skip
     """The `Path` of a mechanism with one degree of freedom: its whole branch through `start`.
 

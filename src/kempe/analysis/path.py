@@ -19,11 +19,13 @@ from kempe.kinematics.tabular import Tabular, write_table
 from kempe.model.immovable import immovable
 from kempe.reals import is_whole
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, TimeUp, partial
+from kempe.solvers.ideal import said
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
+    from kempe.solvers.ideal import Idealised
 
 MOST = 10**7
 """Points at most of a path that is resampled."""
@@ -104,6 +106,11 @@ class Configurations(Tabular):
 
     def __len__(self) -> int:
         return len(self.q)
+
+    @property
+    def within(self) -> Idealised | None:
+        """The nearest mechanism that closes exactly, which moves in place of the given one; None: it does itself."""
+        return self.system._queries.get("ideal")
 
     def curve(self, frame: FrameLike, poses: bool = False) -> Array:
         """Positions (n, 3) of a frame along the motion, or its poses (n, 4, 4)."""
@@ -276,7 +283,8 @@ class Path(Configurations):
         text += f", {', '.join(turning[:4])}{', ...' * (len(turning) > 4)}" if turning else ""
         if not self.closed:
             text += f"; it ends at {self.ends[0]} and at {self.ends[1]}"
-        return text + partial(self.interrupted, self.late) + (f"; {self.remark}" if self.remark else "")
+        text += partial(self.interrupted, self.late) + (f"; {self.remark}" if self.remark else "")
+        return text + said(self.within)
 
     def __str__(self) -> str:
         lines = [f"{self.system.name}: {self.status}"]

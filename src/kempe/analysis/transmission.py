@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,12 +23,14 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import P, R
 from kempe.kinematics.configuration import as_q
 from kempe.reals import reals
+from kempe.solvers.ideal import said, tolerant
 from kempe.solvers.slip import hard_rows, rolls
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+    from kempe.solvers.ideal import Idealised
 
 OPEN = 1e-8
 """Residual, in radians and characteristic lengths, above which a configuration is not closed."""
@@ -57,6 +59,8 @@ class LoopJacobian:
     nullity: Any
     margin: Any
     code: Any
+    within: Idealised | None = field(default=None, repr=False)
+    """The nearest mechanism that closes exactly, whose velocities these are; None: the given one's."""
 
     @property
     def success(self) -> Any:
@@ -68,7 +72,7 @@ class LoopJacobian:
     def status(self) -> Any:
         """The sentence for one configuration, an array of them for several."""
         if np.ndim(self.code) == 0:
-            return self._sentence(int(self.code), int(self.rank), int(self.nullity))
+            return self._sentence(int(self.code), int(self.rank), int(self.nullity)) + said(self.within)
         out = np.empty(np.shape(self.code), dtype=object)
         for i in np.ndindex(out.shape):
             out[i] = self._sentence(int(self.code[i]), int(self.rank[i]), int(self.nullity[i]))
@@ -102,8 +106,10 @@ class LoopJacobian:
 
 
 @explained
+@tolerant("q")
 def loop_jacobian(
-    system: System, q: ArrayLike, inputs: Sequence[str], outputs: Sequence[str], in_frame: str = "world_aligned"
+    system: System, q: ArrayLike, inputs: Sequence[str], outputs: Sequence[str], in_frame: str = "world_aligned", *,
+    tolerance: float | str | None = None,
 ) -> LoopJacobian:  # fmt: skip
     """The `LoopJacobian` of closed configurations `q` (..., nq): velocities of outputs by those of inputs.
 

@@ -65,6 +65,9 @@ Near = Annotated[str | None, option("--near", "Where the search starts: a postur
 Picture = Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")]
 Curves = Annotated[list[str] | None, option("--frame", "Frame whose curve is wanted; can be repeated.", "NAME")]
 Marks = Annotated[list[str] | None, option("--frame", "Body or frame whose axes are drawn; can be repeated.", "NAME")]
+Tolerance = Annotated[
+    str | None, option("--tolerance", "What dimensions may be off by, in metres and radians, or 'measured'.", "NUMBER")
+]
 NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 
 
@@ -78,13 +81,13 @@ def dof(
     fast: Annotated[bool, option("--fast", "Counting and rank only, not the true local dimension.")] = False,
     deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
     xacro: Xacro = False,
-    lenient_limits: Lenient = False,
+    lenient_limits: Lenient = False, tolerance: Tolerance = None,
 ) -> None:  # fmt: skip
     """Count the degrees of freedom: by formula, by rank and truly.
 
     Example: kempe dof bennett
     """
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = _within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance)
     from kempe.views import given, loop_report
 
     driven = None if actuated is None else [a.strip() for a in actuated.split(",") if a.strip()]
@@ -97,6 +100,21 @@ def dof(
     print_json(loop_report.mobility_facts(system, answer, deg)) if json else show(loop_report.mobility(answer))
     if not answer.closed:
         raise typer.Exit(INCOMPLETE)
+
+
+def _within(system: System, tolerance: str | None) -> System:
+    """The system with this tolerance. Errors: `InputError`."""
+    if tolerance is None:
+        return system
+    from kempe.solvers.ideal import MEASURED, tolerance_of
+
+    mechanism = system.mechanism
+    try:
+        mechanism.tolerance = tolerance if tolerance == MEASURED else float(tolerance)
+    except ValueError:
+        raise InputError(f"--tolerance is {tolerance!r}; it must be a number or {MEASURED!r}") from None
+    tolerance_of(system, mechanism.tolerance)
+    return mechanism.build()
 
 
 def _under(system: System, equations: list[str]) -> System:
@@ -115,13 +133,13 @@ def classify(
     file: File, q: At = None, posture: Posture = None,
     project: Annotated[bool, option("--project", "Where q is not closed, take the nearest that is.")] = False,
     deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
-    xacro: Xacro = False, lenient_limits: Lenient = False,
+    xacro: Xacro = False, lenient_limits: Lenient = False, tolerance: Tolerance = None,
 ) -> None:  # fmt: skip
     """Say which kind each constraint is, and how far motions reach.
 
     Example: kempe classify car
     """
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = _within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance)
     from kempe.views import given, loop_report
 
     at, closing = given.configuration(system, q, posture, deg)
@@ -143,7 +161,7 @@ def assemble(
     continuous: Annotated[bool, option("--continuous", "Rows of a file: each starts where the last two lead.")] = False,
     no_limits: NoLimits = False, time_limit: TimeLimit = None, plot: Picture = None, out: Out = None,
     deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
-    xacro: Xacro = False, lenient_limits: Lenient = False,
+    xacro: Xacro = False, lenient_limits: Lenient = False, tolerance: Tolerance = None,
 ) -> None:  # fmt: skip
     """Close all loops: known coordinates in, all others out; with --where, under further equations.
 
@@ -153,7 +171,7 @@ def assemble(
         raise InputError("--modes gives all branches: leave --branch, --nearest and --continuous out")
     if time_limit is not None and not modes:
         raise InputError("--time-limit is for --modes: one assembly takes milliseconds")
-    system = _under(load(file, base, root, package_dir, xacro, lenient_limits), where or [])
+    system = _under(_within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance), where or [])
     from kempe.views import given, loop_report
 
     results(out)
@@ -206,7 +224,7 @@ def trace(
     ] = None,
     no_limits: NoLimits = False, time_limit: TimeLimit = None, out: Out = None, plot: Picture = None,
     deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
-    xacro: Xacro = False, lenient_limits: Lenient = False,
+    xacro: Xacro = False, lenient_limits: Lenient = False, tolerance: Tolerance = None,
 ) -> None:  # fmt: skip
     """Follow a mechanism with one freedom through its whole motion.
 
@@ -217,7 +235,7 @@ def trace(
     """
     if points is not None and points < 2:
         raise InputError(f"--points is {points}; it must be at least 2")
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = _within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance)
     from kempe.views import given, loop_report, slices
 
     results(out)

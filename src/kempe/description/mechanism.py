@@ -55,6 +55,8 @@ class Mechanism(ConstraintMethods):
         self.locks: dict[str, float] = {}
         self.notes: list[str] = []
         self.roots: tuple[str, ...] = ()
+        self.tolerance: float | str | None = None
+        """What its dimensions may be off by: metres and radians, or "measured"; see `kempe.solvers.ideal`."""
         self._add_body(Body(checks.name(ground, "body")))
         self._ground = ground
 
@@ -291,7 +293,7 @@ class Mechanism(ConstraintMethods):
             tuple((j, tuple(j.limits.items()), tuple(j.velocity_limits.items())) for j in self.joints.values()),
             tuple(self.frames.values()), tuple((c, tuple(c.sources.items())) for c in self.couplings.values()),
             tuple(self.parameters.items()), tuple((k, tuple(v.items())) for k, v in self.postures.items()),
-            tuple(self.locks.items()), tuple(c.key() for c in self.constraints.values()),
+            tuple(self.locks.items()), tuple(c.key() for c in self.constraints.values()), self.tolerance,
         )  # fmt: skip
 
     # ---- checks

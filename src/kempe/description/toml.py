@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -36,11 +37,21 @@ def read_toml(text: str | bytes, source: str = "<text>", *, package_dirs: Iterab
         mechanism = Mechanism(head["name"], head["dim"], head["ground"])
     except InputError as error:
         raise fail(str(error), document.where("dim" if "dim" in str(error) else "ground")) from None
+    mechanism.tolerance = _tolerance(document)
     _Reader(document, mechanism).read()
     document.findings.finish()
     mechanism.notes = [*head["notes"], *mechanism.notes]
     mechanism.roots = tuple(str(d) for d in package_dirs)
     return mechanism
+
+
+def _tolerance(document: Document) -> float | str | None:
+    """What the dimensions may be off by, where the file says it."""
+    said = document.data.get("tolerance")
+    if said is None or said == "measured" or (type(said) in (int, float) and 0.0 < said < math.inf):
+        return said
+    text = f"tolerance is {said!r}; it must be a positive number of metres and radians, or 'measured'"
+    raise fail(text, document.where("tolerance"))
 
 
 class _Reader:

@@ -27,6 +27,7 @@ KEYS = {
         "name",
         "dim",
         "ground",
+        "tolerance",
         "notes",
         "parameters",
         "body",

@@ -36,6 +36,7 @@ def write_toml(mechanism: Mechanism) -> str:
     version = NEWEST if any("parent" not in table for table in constraints) else FORMAT
     head = {"format": version, "name": m.name, "dim": m.dim, "ground": m.ground.name, "notes": list(m.notes)}
     defaults = {"dim": 3, "ground": "ground", "notes": []}
+    head |= {} if m.tolerance is None else {"tolerance": m.tolerance}
     blocks = [_lines({k: v for k, v in head.items() if defaults.get(k) != v})]
     if m.parameters:
         blocks.append("[parameters]\n" + _lines(m.parameters))

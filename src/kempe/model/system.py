@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from kempe.solvers.charts import Chart
     from kempe.solvers.dyads import Incomplete, Plan
     from kempe.solvers.following import IkPath
+    from kempe.solvers.ideal import Idealised
     from kempe.solvers.modes import Modes
     from kempe.solvers.self_motion import SelfMotion
     from kempe.solvers.servo import IkStep
@@ -240,6 +241,17 @@ class System(Compiled):
 
         return assemble(self, known, near, **options)
 
+    @property
+    def tolerance(self) -> float | str | None:
+        """What its dimensions may be off by, in metres and radians; None: nothing but rounding."""
+        return self._mechanism.tolerance
+
+    def idealised(self, tolerance: float | str | None = "measured") -> Idealised | None:
+        """The nearest system that closes exactly and moves, with what differs; see `kempe.solvers.ideal`."""
+        from kempe.solvers.ideal import idealised
+
+        return idealised(self, tolerance)
+
     def assembler(self, known: Iterable[str] = ()) -> Assembler:
         """The bound form of `assemble`: names looked up once; see `kempe.solvers.assembly.Assembler`."""
         from kempe.solvers.assembly import assembler
@@ -258,11 +270,11 @@ class System(Compiled):
 
         return closed_form(self, known)
 
-    def independent(self, q: Any = None, prefer: Iterable[str] = ()) -> Chart:
+    def independent(self, q: Any = None, prefer: Iterable[str] = (), **options: Any) -> Chart:
         """Which coordinates can be set at a closed q, so that the others follow; see `kempe.solvers.charts`."""
         from kempe.solvers.charts import independent
 
-        return independent(self, q, prefer)
+        return independent(self, q, prefer, **options)
 
     def constraints(self) -> list[SystemConstraint]:
         """The constraints of the system: closures, declared ones, relations; see `kempe.kinematics.loops`."""
@@ -298,12 +310,13 @@ class System(Compiled):
         return mobility(self, q, actuated, **options)
 
     def classify(
-        self, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0
+        self, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0,
+        **options: Any,
     ) -> Classification:  # fmt: skip
         """Which kind each constraint is, and how far free velocities reach; see `kempe.analysis.classify`."""
         from kempe.analysis.classify import classify
 
-        return classify(self, q, t=t, project=project, rng=rng)
+        return classify(self, q, t=t, project=project, rng=rng, **options)
 
     def trace(self, driver: str | None = None, start: Any = None, **options: Any) -> Motion:
         """The whole branch of a mechanism with one freedom, as a `Path`; see `kempe.analysis.motion.trace`."""

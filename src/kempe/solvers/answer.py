@@ -15,6 +15,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+    from kempe.solvers.ideal import Idealised
 
 
 @explained_methods
@@ -31,6 +32,11 @@ class Answer(Tabular):
         """The system that was asked."""
         raise NotImplementedError
 
+    @property
+    def within(self) -> Idealised | None:
+        """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
+        return self.system._queries.get("ideal")
+
     def sentence(self, index: tuple[int, ...] | int = ()) -> str:
         """The sentence for one configuration, by its place in a batch. Errors: `InputError`."""
         return self._sentence(place_in(index, np.shape(self.success)))
@@ -41,11 +47,12 @@ class Answer(Tabular):
     @cached_property
     def status(self) -> Any:
         """The sentence for a single answer; an array of sentences for a batch. Made when asked for."""
+        more = "" if self.within is None else f"; {self.within.sentence}"
         if np.ndim(self.success) == 0:
-            return self._sentence(())
+            return self._sentence(()) + more
         out = np.empty(np.shape(self.success), dtype=object)
         for index in np.ndindex(out.shape):
-            out[index] = self._sentence(index)
+            out[index] = self._sentence(index) + more
         return out
 
     @cached_property

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +24,8 @@ from kempe.model.loops import Loops, loops_of, must_carry
 from kempe.model.own_tree import own_tree
 from kempe.reals import reals
 from kempe.solvers.arguments import place_of, seed_number, start_count, with_places
-from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
+from kempe.solvers.assembled import BAD_INPUT, CLOSED, OUTSIDE, Assembly
+from kempe.solvers.ideal import ideal_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -297,7 +297,18 @@ def limitless(system: System, loops: Loops) -> Array:
 @explained
 def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
     """The bound form of `assemble` for these known names. Errors: `UnknownNameError`, `InputError`."""
-    return _assembler(system, listed(known, "known"), True)
+    return _within(system, listed(known, "known"))
+
+
+@kept
+def _within(system: System, known: tuple[str, ...]) -> Assembler:
+    """Bound to the mechanism that answers for this one."""
+    return bare(ideal_of(system), known)
+
+
+def bare(system: System, known: Iterable[str] = ()) -> Assembler:
+    """As `assembler`, of the mechanism as it is given, without any tolerance."""
+    return _assembler(system, tuple(known), True)
 
 
 @kept
@@ -314,8 +325,8 @@ def of_equations(system: System, known: Iterable[str] = ()) -> Assembler:
 def assemble(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, branch: str | None = None,
     nearest: bool = False, limits: bool = True, continuous: bool = False, starts: int = STARTS,
-    rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None, throw: bool = False,
-    t: float = 0.0, also: Any = (),
+    rng: int | np.random.Generator = 0, tolerance: float | str | None = None, threads: int | None = None,
+    throw: bool = False, t: float = 0.0, also: Any = (),
 ) -> Assembly:  # fmt: skip
     """A configuration that closes all loops, with the `known` given and everything else found.
 
@@ -333,42 +344,28 @@ def assemble(
     `throw=True` raises `NoSolutionError`. Redundant constraints are no obstacle. Method: damped least squares with
     steps of minimum norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
     `also` are constraints of `kempe.constraints`, or functions of q (nq,) that are zero, for this call; `t` is a time.
+    `tolerance` is as in `kempe.solvers.ideal`; where no other mechanism closes, the largest residual of a success.
     """
     given = {} if known is None else known
     if not isinstance(given, Mapping):
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
     if also.__class__ is not tuple or also or t.__class__ is not float or t:
         system = at_time(held_too(system, also), t)
-    bound = _assembler(system, tuple(given), True)
-    if branch is not None:
-        if branch in system.posture_names:
-            near = system.posture(branch) if near is None else near
-        else:
-            return _on_branch(system, bound, given, near, branch, limits, throw)
-    answer = bound._ask(
-        given, near, nearest=nearest, limits=limits, starts=starts, rng=rng, tolerance=tolerance, threads=threads,
-        follow=continuous,
-    )  # fmt: skip
-    if throw and not answer:
-        raise NoSolutionError(answer)
-    return answer
+    if tolerance is not None:
+        from kempe.solvers.assembly_asked import allowing
 
+        system, tolerance = allowing(system, tolerance)
+    bound = _within(system, tuple(given))
+    if branch is not None and branch not in system.posture_names:
+        from kempe.solvers.assembly_asked import on_named_branch
 
-def _on_branch(
-    system: System, bound: Assembler, given: Mapping[str, Any], near: Any, branch: str, limits: bool, throw: bool
-) -> Assembly:  # fmt: skip
-    """The answer on a branch named by the signs of its dyads: closed form, polished and checked."""
-    from kempe.solvers.dyads import closed_form, on_branch
-
-    start = on_branch(system, given, branch, near)
-    answer = bound._ask(given, start, nearest=False, limits=limits, starts=1)
-    plan: Any = closed_form(system, tuple(bound.sources))
-    asked, found = plan.branch_of(start), plan.branch_of(answer.q)
-    strayed = np.any((found != asked) & (asked != 0) & (found != 0), axis=-1) & (answer.code == CLOSED)
-    if np.any(strayed):
-        code = np.where(strayed, OTHER_BRANCH, answer.code)
-        plain = (bool(code == CLOSED), int(code)) if np.ndim(answer.success) == 0 else (code == CLOSED, code)
-        answer = replace(answer, success=plain[0], code=plain[1])
+        answer = on_named_branch(bound, given, near, branch, limits)
+    else:
+        near = near if near is not None or branch is None else system.posture(branch)
+        answer = bound._ask(
+            given, near, nearest=nearest, limits=limits, starts=starts, rng=rng, tolerance=tolerance or TOLERANCE,
+            threads=threads, follow=continuous,
+        )  # fmt: skip
     if throw and not answer:
         raise NoSolutionError(answer)
     return answer

@@ -24,12 +24,14 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.loops import RANK_TOLERANCE, evaluate, scales
 from kempe.solvers.assembled import NOT_CLOSED
 from kempe.solvers.assembly import TOLERANCE, Assembly, assemble
+from kempe.solvers.ideal import said, tolerant
 from kempe.solvers.idle import Spin, idle_part, spins_of
 from kempe.solvers.shaky import moving
 from kempe.spatial import Array, skew
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+    from kempe.solvers.ideal import Idealised
 
 ENOUGH = 0.1
 """Of the movement of a ball, the part that an angle or a length must have to be preferred to it."""
@@ -62,6 +64,11 @@ class Chart:
     origin: Array
     quality: float
     idle: tuple[str, ...] = ()
+
+    @property
+    def within(self) -> Idealised | None:
+        """The nearest mechanism that closes exactly, whose chart it is; None: the given one's."""
+        return self.system._queries.get("ideal")
 
     @property
     def dim(self) -> int:
@@ -190,12 +197,15 @@ class Chart:
         idle = f"; idle: {', '.join(self.idle)}" if self.idle else ""
         return (
             f"{self.dim} independent coordinates: {', '.join(self.useful) or 'none'}{idle} "
-            f"(conditioning {self.quality:.2g}); dependent: {', '.join(self.dependent) or 'none'}"
+            f"(conditioning {self.quality:.2g}); dependent: {', '.join(self.dependent) or 'none'}{said(self.within)}"
         )
 
 
 @explained
-def independent(system: System, q: Any = None, prefer: Iterable[str] = ()) -> Chart:
+@tolerant("q")
+def independent(
+    system: System, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
+) -> Chart:  # fmt: skip
     """A chart at a closed configuration q (nq,): which p coordinates can be set, so that the others follow.
 
     Without a wish the best conditioned ones are taken, greedily (QR with column pivoting of the tangent space: Golub,

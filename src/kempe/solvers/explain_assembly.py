@@ -12,6 +12,7 @@ from kempe.kinematics.configuration import random
 from kempe.model.immovable import immovable
 from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
 from kempe.solvers.assembly import Assembler, assembler, of_equations
+from kempe.solvers.ideal import nearly
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 MOST = 1000
 """Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
+NEARLY = 0.05
+"""Residual up to which it is asked whether the loops close within a larger tolerance."""
 COINCIDE = 1e-6
 """Distance of joints, in characteristic lengths, below which they are at one place."""
 
@@ -43,6 +46,8 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     reason = _one_sided(bound, q) or _limits(bound, q) or _too_many(bound)
     reason = reason or "with these values no closed configuration was found"
     what = _open(bound, q, residual)
+    wider = nearly(bound.system) if residual < NEARLY else None
+    reason += f"; it closes {wider.least}: give a larger tolerance" if wider is not None else ""
     still = immovable(bound.system)
     reason += f"; {still}" if still else ""
     return f"not closed after {counted(starts, 'start')}: {what}; {reason}; q is the nearest to closing"

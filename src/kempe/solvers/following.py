@@ -21,6 +21,7 @@ from kempe.rigid import arrays, sound
 from kempe.solvers.apart import apart
 from kempe.solvers.chain import of_loops
 from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, partial
+from kempe.solvers.ideal import ideal_of
 from kempe.solvers.slip import rolls
 from kempe.solvers.solution import SOLVED
 from kempe.solvers.targets import Z_AXIS, parse_targets
@@ -102,6 +103,7 @@ def ik_path(
     """
     if not 0.0 < max_step < math.inf:
         raise InputError(f"max_step is {max_step!r}; it must be a positive number")
+    system = ideal_of(system)
     wanted = targets if frame is None else _held(system, targets, frame)
     problem, first = pose_problem(system, wanted, seed, tolerance, starts, rng)
     if not np.isfinite(first).all():

@@ -17,11 +17,13 @@ from kempe.reals import is_whole
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, partial
 from kempe.solvers.clusters import INSIDE, SAME, Clusters, metric_of
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
+from kempe.solvers.ideal import said, tolerant
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
+    from kempe.solvers.ideal import Idealised
 
 STARTS = 4096
 """Starts of a search, at most."""
@@ -62,6 +64,11 @@ class Modes(Tabular):
     left_out: int = 0
     """How many close the mechanism, but violate declared one-sided constraints."""
 
+    @property
+    def within(self) -> Idealised | None:
+        """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
+        return self.system._queries.get("ideal")
+
     def __len__(self) -> int:
         return len(self.q)
 
@@ -87,7 +94,7 @@ class Modes(Tabular):
 
     def __str__(self) -> str:
         count = f"{counted(len(self), 'configuration')} of {self.system.name}"
-        lines = [f"{count}; {self.status}"]
+        lines = [f"{count}; {self.status}{said(self.within)}"]
         heads, rows = self._table()
         for row in rows:
             lines.append(f"  {row[0]:>3s}  " + ", ".join(f"{n} = {x}" for n, x in zip(heads[1:], row[1:], strict=True)))
@@ -99,7 +106,8 @@ class Modes(Tabular):
         heads, rows = self._table()
         top = "".join(f"<th>{escape(h)}</th>" for h in heads)
         body = "".join("<tr>" + "".join(f"<td>{escape(x)}</td>" for x in row) + "</tr>" for row in rows)
-        return f"<p>{len(self)} configurations; {escape(self.status)}</p><table><tr>{top}</tr>{body}</table>"
+        said_of = escape(self.status + said(self.within))
+        return f"<p>{len(self)} configurations; {said_of}</p><table><tr>{top}</tr>{body}</table>"
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +126,12 @@ class Question:
 
 
 @explained
+@tolerant()
 def assembly_modes(
     system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, limits: bool = True,
     frame: FrameLike | None = None, rng: np.random.Generator | int | None = 0, starts: int = STARTS,
     time_limit: float | None = TIME_LIMIT, progress: Callable[[int, int], Any] | None = None,
+    tolerance: float | str | None = None,
 ) -> Modes:  # fmt: skip
     """All configurations found that close the mechanism with the `known` coordinates (or frames) held.
 

@@ -33,6 +33,7 @@ from kempe.solvers.clock import Clock
 from kempe.solvers.contradictions import contradictory
 from kempe.solvers.effort import most_starts
 from kempe.solvers.home import beside
+from kempe.solvers.ideal import ideal_of
 from kempe.solvers.lengths import unreachable
 from kempe.solvers.levels import KEPT, level_of, packed_for, solve
 from kempe.solvers.reached import Reached
@@ -247,6 +248,7 @@ def pose_problem(
 
     `starts` None are as many as it deserves.
     """
+    system = ideal_of(system)
     tasks = _distinct(wanted, system.dim)
     goals = tuple(t.goals(system) for t in tasks)
     base = _home(system) if seed is None else as_start(system, seed)

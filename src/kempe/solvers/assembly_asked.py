@@ -1,0 +1,43 @@
+"""What `assemble` is asked besides values: a branch by the signs of its dyads, a tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.solvers.assembled import CLOSED, OTHER_BRANCH, Assembly
+from kempe.solvers.assembly import LOOSEST, TOLERANCE
+from kempe.solvers.dyads import closed_form, on_branch
+from kempe.solvers.ideal import within
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.solvers.assembly import Assembler
+
+def allowing(system: System, tolerance: float | str) -> tuple[System, float]:
+    """The system to close within a tolerance, and the largest residual of a success.
+
+    Where another mechanism is nearest, it closes exactly; the given one has what is open for its residual.
+    """
+    found = within(system, tolerance)
+    if found is not None:
+        return found.system, TOLERANCE
+    return system, TOLERANCE if isinstance(tolerance, str) else min(float(tolerance), LOOSEST)
+
+
+def on_named_branch(bound: Assembler, given: Mapping[str, Any], near: Any, branch: str, limits: bool) -> Assembly:
+    """The answer on a branch named by the signs of its dyads: closed form, polished and checked."""
+    system = bound.system
+    start = on_branch(system, given, branch, near)
+    answer = bound._ask(given, start, nearest=False, limits=limits, starts=1)
+    plan: Any = closed_form(system, tuple(bound.sources))
+    asked, found = plan.branch_of(start), plan.branch_of(answer.q)
+    strayed = np.any((found != asked) & (asked != 0) & (found != 0), axis=-1) & (answer.code == CLOSED)
+    if np.any(strayed):
+        code = np.where(strayed, OTHER_BRANCH, answer.code)
+        plain = (bool(code == CLOSED), int(code)) if np.ndim(answer.success) == 0 else (code == CLOSED, code)
+        answer = replace(answer, success=plain[0], code=plain[1])
+    return answer

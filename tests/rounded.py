@@ -1,0 +1,66 @@
+"""Mechanisms as files from CAD hold them: frames of bodies anywhere, and every number rounded to so many decimals."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+import kempe
+from kempe import Mechanism, System
+from kempe.placement import Placement, place
+from kempe.spatial import rot_x, rot_y, rot_z, xyz_rpy_from_pose
+
+
+def rounded(system: System, digits: int, rng: np.random.Generator) -> System:
+    """The system with the frames of its bodies anywhere, and its numbers rounded to so many decimals."""
+    m, at = system.mechanism, {}
+    for body in m.bodies:
+        at[body] = np.eye(4)
+        if body != m.ground.name:
+            turn = rot_z(rng.uniform(-3, 3))
+            at[body][:3, :3] = turn if m.dim == 2 else turn @ rot_y(rng.uniform(-1, 1)) @ rot_x(rng.uniform(-3, 3))
+            at[body][: m.dim, 3] = rng.uniform(-0.3, 0.3, m.dim)
+
+    def new(X: Placement, body: str) -> Placement:
+        x = np.round(xyz_rpy_from_pose(np.linalg.inv(at[body]) @ X.evaluate(m.parameters)), digits).tolist()
+        return place(tuple(x[:2]), angle=x[5]) if m.dim == 2 else place(tuple(x[:3]), rpy=tuple(x[3:]))
+
+    for name, j in m.joints.items():
+        m.joints[name] = replace(j, X_PF=new(j.X_PF, j.parent), X_CM=new(j.X_CM, j.child))
+    return m.build()
+
+
+def perturbed(system: System, off: float, rng: np.random.Generator) -> System:
+    """The system with all placements of joints off by up to so many metres and radians."""
+    m = system.mechanism
+    for name, j in m.joints.items():
+        steps = tuple((k, (float(rng.uniform(-off, off)),)) for k in ("x", "y", "z", "rz", "ry", "rx"))
+        m.joints[name] = replace(j, X_PF=Placement(j.X_PF.steps + steps))
+    return m.build()
+
+
+def three_cranks(dim: int = 2) -> System:
+    """A coupler on three parallel cranks."""
+    m = Mechanism("three cranks", dim=dim)
+    cranks, coupler = [m.body(f"crank{i}") for i in range(3)], m.body("coupler")
+    pivots = [(0.0, 0.0), (0.41 / math.sqrt(2.0), 0.1 / 3.0), (0.9 / math.sqrt(3.0), -0.07 * math.pi)]
+    for i, (x, y) in enumerate(pivots):
+        rest = (0.0,) * (dim - 2)
+        m.revolute(f"A{i}", m.ground, cranks[i], at=(x, y, *rest))
+        m.revolute(f"B{i}", cranks[i], coupler, at=(0.2 * math.sqrt(1.7), 0.0, *rest), child_at=(x, y, *rest))
+    m.posture("closed", {f"{k}{i}": 0.9 if k == "A" else -0.9 for i in range(3) for k in "AB"})
+    return m.build()
+
+
+SHIPPED = ("bennett", "goldberg_5r", "schatz", "bricard_line_symmetric", "bricard_rectangular", "bricard_trihedral",
+           "sarrus", "four_bar_spatial", "double_parallelogram")  # fmt: skip
+
+
+def exact(name: str) -> System:
+    """A mechanism of one freedom by name, with the numbers of its construction."""
+    return three_cranks(2 if name == "three_cranks" else 3) if name.startswith("three_cranks") else kempe.load(name)
+
+
+NAMES = (*SHIPPED, "three_cranks", "three_cranks_3d")

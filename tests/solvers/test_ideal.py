@@ -1,0 +1,174 @@
+"""One tolerance: rounded overconstrained mechanisms move like the exact ones, by all verbs; locked ones do not.
+
+The judge is the mechanism with the exact numbers of its construction: its closed configurations, and its velocities by
+differences of them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from rounded import NAMES, exact, perturbed, rounded
+
+import kempe
+from kempe import Mechanism, System
+from kempe.errors import InputError
+
+CASES = pytest.mark.parametrize("name", NAMES)
+
+
+def of(name: str, digits: int, hunt) -> tuple[System, System, np.ndarray]:
+    system = exact(name)
+    return system, rounded(system, digits, hunt.rng()), system.posture("closed") if system.posture_names else system.mid
+
+
+def moves_like(system: System, given: System, digits: int, tolerance: float | str | None) -> None:
+    """One freedom, closed, traced round, velocities right: by all verbs."""
+    more: dict[str, Any] = {} if tolerance is None else {"tolerance": tolerance}
+    off, driver, other = 10.0**-digits, system.coordinate_names[0], system.coordinate_names[1]
+    m: Any = given.mobility(**more)
+    assert m.dof == 1 and m.closed and not m.certain and "within" in m.sentence and m.within.tolerance < 3.0 * off
+    start = system.posture("closed")[0] if "closed" in system.posture_names else system.assemble().q[0]
+    answer: Any = given.assemble({driver: start + 0.1}, **more)
+    assert answer and answer.residual < 1e-12 and "within" in answer.status
+    ideal = answer.within.system
+    path = given.trace(driver, **more)
+    assert path.success and path.closed and "within" in path.status
+    assert np.abs(ideal.closure_error(path.q)).max() < 1e-11
+    assert np.abs(given.closure_error(path.q)).max() < 30.0 * off
+    truth = system.assemble(near=path.q, nearest=True, limits=False)
+    assert np.all(truth.success) and np.abs(truth.q - path.q).max() < 100.0 * math.sqrt(off) and np.median(
+        np.abs(truth.q - path.q).max(axis=1)) < 100.0 * off  # fmt: skip
+    assert given.drive({driver: start + np.linspace(0.0, 0.2, 5)}, **more).success
+    assert given.independent(answer.q, **more).dim == 1 and given.classify(answer.q, **more).position_dof == 1
+    found = given.loop_jacobian(answer.q, [driver], [other], **more)
+    near, h = system.assemble({driver: start + 0.1}, near=answer.q).q, 1e-5
+    a, b = (system.assemble({driver: near[0] + s * h}, near=near).q[1] for s in (-1.0, 1.0))
+    assert found and abs(found.matrix[0, 0] - (b - a) / (2.0 * h)) < 1e3 * off + 1e-8
+    assert len(given.assembly_modes({driver: start + 0.1}, starts=64, **more)) >= 1
+
+
+@CASES
+def test_rounded_to_six_digits_moves_as_if_exact(name, hunt):
+    system, given, _ = of(name, 6, hunt)
+    moves_like(system, given, 6, None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("digits", [3, 4, 6, 8, 10, 12])
+@CASES
+def test_rounded_mechanisms_move_within_what_is_measured(name, digits, hunt):
+    system, given, _ = of(name, digits, hunt)
+    moves_like(system, given, digits, "measured")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_exact_mechanisms_are_left_alone(name):
+    system = exact(name)
+    assert system.idealised(None) is None and system.idealised() is None
+    assert system.assemble().within is None and system.mobility().within is None
+
+
+@pytest.mark.parametrize("name", ["bennett", "schatz", "bricard_trihedral", "sarrus", "four_bar_spatial"])
+def test_mechanisms_that_are_off_by_more_than_rounding_are_locked(name, hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(4)):
+        system = exact(name)
+        given = perturbed(system, 10.0 ** rng.uniform(-3, -2) * 0.3, rng)
+        m = given.mobility()
+        assert given.idealised(None) is None and m.dof in (0, None) and m.within is None
+
+
+def random_loop(rng: np.random.Generator) -> System:
+    """Hinges anywhere in a loop that is closed at zero angles."""
+    m, n = Mechanism("loop"), int(rng.integers(3, 7))
+    bodies = [m.ground, *(m.body(f"b{i}") for i in range(n - 1))]
+    for i in range(n):
+        place = {"at": rng.uniform(-0.5, 0.5, 3), "axis": rng.normal(size=3)}
+        more = {f"child_{k}": v for k, v in place.items()}
+        m.revolute(f"q{i}", bodies[i], bodies[(i + 1) % n], **place, **more)
+    return m.build()
+
+
+@pytest.mark.parametrize("tolerance", [None, pytest.param("measured", marks=pytest.mark.slow)])
+def test_random_loops_are_no_mechanisms_within_any_tolerance(tolerance, hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(20)):
+        system = random_loop(rng)
+        assert system.idealised(tolerance) is None and system.mobility().dof == 0
+
+
+def spatial_four_bar(angle: float) -> System:
+    """A four-bar of a plane in space, one pin of which is turned by an angle that should be a right one."""
+    m = Mechanism("four-bar")
+    a, b, c = (m.body(x) for x in "abc")
+    m.revolute("A", m.ground, a, rpy=(math.pi / 2, 0, 0))
+    m.revolute("B", a, b, at=(0.1, 0, 0))
+    m.revolute("C", b, c, at=(0.5, 0, 0), child_at=(0.4, 0, 0))
+    m.revolute("D", m.ground, c, at=(0.4, 0, 0), rpy=(angle, 0, 0))
+    return m.build()
+
+
+def test_an_angle_near_a_right_one_is_made_one():
+    given, right = spatial_four_bar(1.5708), spatial_four_bar(math.pi / 2)
+    found: Any = given.idealised()
+    assert "1.5708" in found.changes[0].old and found.changes[0].new == "roll pi/2" and len(found.changes) == 1
+    assert found.tolerance == pytest.approx(1.5708 - math.pi / 2) and found.freedoms == 1
+    assert set(found.absorbed) <= set(given.closures)
+    np.testing.assert_allclose(given.trace("A").length, right.trace("A").length, rtol=1e-9)
+    report = given.mobility()
+    assert "'D' on its parent" in str(report) and "would lock it" in report.sentence
+    assert report.data()["within"]["freedoms"] == 1
+
+
+@pytest.mark.parametrize("off", [1e-13, 1e-12, 1e-11, 1e-9])
+def test_all_verbs_agree_where_lengths_are_off_by_rounding(off):
+    m = kempe.load("bennett").mechanism
+    m.parameters["a"] *= 1.0 + off
+    joint = m.joints["q4"]
+    m.joints["q4"] = type(joint)(**{**vars(joint), "X_CM": exact("bennett").mechanism.joints["q4"].X_CM})
+    m = perturbed(m.build(), off, np.random.default_rng(0))
+    assert m.mobility().dof == 1 and m.assemble() and m.trace("q1").closed
+    assert m.drive({"q1": [1.0, 1.2]}).success and m.independent(m.assemble().q).dim == 1
+
+
+def test_an_inverse_model_through_rounded_loops(hunt):
+    _, given, _ = of("bennett", 8, hunt)
+    q = given.assemble({"q1": 0.7}).q
+    frame = given.body_names[2]
+    answer = given.ik(given.fk(q, frame), frame, seed=q)
+    assert answer and "within" in answer.status
+
+
+# ---- what was asked, and refused
+
+
+@pytest.mark.parametrize("tolerance", [1e-16, 0.1, -1.0, float("nan"), "small", True, [1e-5]])
+@pytest.mark.parametrize("verb", ["mobility", "assemble", "trace", "independent", "assembly_modes", "classify"])
+def test_a_tolerance_out_of_its_bounds_is_refused_with_both(verb, tolerance):
+    with pytest.raises(InputError, match=r"from 3\.9e-14 \(rounding\) to 0\.0039 \(a hundredth"):
+        getattr(kempe.load("bennett"), verb)(tolerance=tolerance)
+
+
+def test_what_is_open_by_more_says_at_which_tolerance_it_closes(hunt):
+    _, given, _ = of("bennett", 3, hunt)
+    answer = given.assemble()
+    assert not answer and "it closes within" in answer.status and "the loop of joint" in answer.status
+    assert given.mobility().dof is None and given.mobility(tolerance=2e-3).dof == 1
+    assert given.mobility(tolerance=1e-5).dof is None
+
+
+def test_a_tolerance_of_the_mechanism_holds_for_all_verbs_and_in_files(hunt, tmp_path):
+    _, given, _ = of("bennett", 3, hunt)
+    m = given.mechanism
+    m.tolerance = 2e-3
+    system = kempe.load(m.save(tmp_path / "rounded.toml"))
+    assert system.tolerance == 2e-3 and system.mobility().dof == 1 and system.trace("q1").closed
+    assert system == m.build() and system != given
+    path = tmp_path / "wrong.toml"
+    path.write_text('format = 1\ntolerance = "no"\n')
+    with pytest.raises(kempe.errors.DescriptionError, match="tolerance is 'no'"):
+        kempe.load(path)
