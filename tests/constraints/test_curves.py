@@ -26,7 +26,7 @@ CURVES = {"ring": (RING, True), "arc": (RING[:12], False), "eight": (EIGHT, True
 
 def tape_of(points, closed: bool, dim: int) -> Tape:
     made = c.OnCurve("tip", np.asarray(points)[:, :dim], closed)
-    return recorded(made, list(made.rows(dim))).tape
+    return recorded(made, list(made.rows(dim)), dim).tape
 
 
 def judged(t: Tape, p: np.ndarray) -> np.ndarray:

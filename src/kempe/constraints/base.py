@@ -92,6 +92,14 @@ class Row(NamedTuple):
         return self.op is Op.VELOCITY
 
 
+class Mass(NamedTuple):
+    """A share of a centre: a point of a frame, and its part of the whole."""
+
+    frame: str
+    point: tuple[float, ...]
+    part: float
+
+
 @dataclass(frozen=True)
 class End:
     """Where a constraint takes hold: a frame at `X` on a body."""
@@ -142,6 +150,15 @@ class Constraint(ABC):
     def ends(self) -> tuple[Any, Any]:
         """Ends A and B: frames by name, `End`s, or None for the ground (A) and for what is no frame."""
         return getattr(self, "other", None), getattr(self, "frame", None)
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Names of the coordinates that its rows read."""
+        return getattr(self, "of", ())
+
+    def masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
+        """The shares, whose sum is 1, of the centre that takes the place of a frame B that is None."""
+        raise NotImplementedError
 
     def goal(self, dim: int) -> Array:
         """The pose (..., 4, 4) of frame A on its end: numbers."""

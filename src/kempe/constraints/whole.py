@@ -4,26 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from kempe import spatial
-from kempe.constraints.base import Constraint, Names, Number, Op, Point, Row, kind
+from kempe.constraints.base import Constraint, Mass, Names, Number, Op, Point, Row, kind
 from kempe.constraints.reading import fixed, numbers_of, points_of
 from kempe.errors import InputError
 from kempe.reals import named
 from kempe.spatial import Array
 
 AXES = ("xyz", "xy", "xz", "yz", "x", "y", "z")
-
-
-class Mass(NamedTuple):
-    """A share of a centre: a point of a frame, and its part of the whole."""
-
-    frame: str
-    point: tuple[float, ...]
-    part: float
 
 
 @kind("posture", says="coordinates are near {q}")
@@ -55,10 +47,6 @@ class _Centred(Constraint):
     def ends(self) -> tuple[Any, Any]:
         """The ground; a centre is no frame."""
         return None, None
-
-    def masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
-        """The shares of the centre, whose sum is 1. Errors: `InputError` where there are none."""
-        raise NotImplementedError
 
     def places(self, dim: int) -> list[int]:
         """The axes that count."""

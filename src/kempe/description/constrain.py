@@ -175,7 +175,7 @@ def check(mechanism: Mechanism, made: Declared) -> None:
     numbers = resolved(made, mechanism.parameters, dim)
     rows, tool = numbers.rows(dim), numbers.tool(dim)
     if not made.parent:
-        if not getattr(made.of, "of", ()):
+        if not made.of.reads:
             checks.refuse(subject, f"{made.of.label} is asked for in one call of ik, not held always", where,
                           "hold coordinates by lock, couple or equation, frames by kinds that name them")  # fmt: skip
         return
@@ -183,7 +183,7 @@ def check(mechanism: Mechanism, made: Declared) -> None:
     if a.particle and any(r.op is not Op.DISTANCE for r in rows):
         checks.refuse(subject, f"its parent {a.name!r} is a particle, which has no axes", where,
                       "make the particle the child")  # fmt: skip
-    if b.particle and (any(map(_reads_axes, rows)) or any(tool[k] for k in (3, 7, 11))):
+    if b.particle and (any(map(reads_axes, rows)) or any(tool[k] for k in (3, 7, 11))):
         checks.refuse(subject, f"{b.name!r} is a particle, which has no axes and no extent", where, "")
     for on, X in ((a, made.X_PF), (b, made.X_CM)):
         if on.particle and X.steps:
@@ -220,7 +220,7 @@ def _not_a_number(x: Any) -> bool:
         return False
 
 
-def _reads_axes(row: Row) -> bool:
+def reads_axes(row: Row) -> bool:
     """Whether a row reads how frame B is turned."""
     if row.op in (Op.TAPE, Op.VELOCITY):
         tape, output = row.args

@@ -35,7 +35,7 @@ class Whole:
     Errors: `InputError` for what is no function, a wrong Jacobian, with its worst entry, values that are not finite.
     """
 
-    def __init__(self, system: System, of: Function):
+    def __init__(self, system: System, of: Any):
         self.system, self.label, self.given, self.supplied = system, of.label, of.function, of.derivative
         self.frames = tuple(system.frame_name(f) for f in listed(of.frames, f"frames of {of.label}"))
         takes = f"of {len(self.frames)} poses (4, 4)" if self.frames else f"of q ({system.nq},)"
@@ -158,6 +158,14 @@ class OfSystem(Constraint):
         return self.whole.values(q) - self._held
 
 
+def bound(system: System, made: Constraint) -> Constraint:
+    """The constraint as one of this system: of functions of its configurations, one whose rows are numbers of these."""
+    if not any(r.op is Op.CALL and len(r.args) == 1 for r in made.rows(system.dim)):
+        return made
+    whole = Whole(system, made)
+    return OfSystem(whole, whole.low, whole.high)
+
+
 def held_too(system: System, further: Any) -> System:
     """The system with further constraints, or functions of q, with the same coordinates.
 
@@ -175,11 +183,11 @@ def held_too(system: System, further: Any) -> System:
         while name in taken:
             name += " again"
         taken.add(name)
-        if not isinstance(made, Function):
+        own = bound(system, made)
+        if own is made:
             m.constrain(made, name)
-            continue
-        if made.weight is not None:
+        elif made.weight is not None:
             raise InputError(f"{made.label} has a weight, which ik reads of a wish: what also holds, holds")
-        whole = Whole(system, made)
-        m.constraints[name] = Declared(name, OfSystem(whole, whole.low, whole.high), "", "")
+        else:
+            m.constraints[name] = Declared(name, own, "", "")
     return type(system)(m, system.topology)

@@ -7,7 +7,7 @@ out joint by joint.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from kempe import spatial
-from kempe.constraints.base import Constraint, Op, Row, held, one_sided
+from kempe.constraints.base import Constraint, Op, Row, one_sided
 from kempe.constraints.reading import tilt_of
 from kempe.constraints.tape import POSE, TIME
 from kempe.description.constrain import resolved
@@ -25,7 +25,7 @@ from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.constraints import coordinate_value
 from kempe.model.lengths import characteristic_length
-from kempe.model.program import between, coordinates_of, numbers_of
+from kempe.model.program import TURNS, between, numbers_of, value_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -115,38 +115,44 @@ def pose_inputs(X: Array) -> dict[str, Array]:
     return dict(zip(POSE, values, strict=True))
 
 
-def written_values(system: System, made: Constraint, q: Array, X_AB: Array | None = None) -> Array:
-    """Values (..., rows) of the written rows of a constraint at q (..., nq).
+def missed(
+    system: System, made: Constraint, rows: Iterable[Row], q: Array, A: Array | None = None, B: Array | None = None,
+    given: Mapping[str, Array] | None = None,
+) -> tuple[Array, Array]:  # fmt: skip
+    """How far (...) rows of position are missed at q (..., nq), in metres, and in radians or plain numbers.
 
-    `made` has its numbers; `X_AB` (..., 4, 4) is where its frame B is in A, where it has frames.
+    `made` has its numbers, but for those `given`; A and B (..., 4, 4) are its frames, where it has any.
     """
-    rows = [r for r in made.rows(system.dim) if r.op in (Op.TAPE, Op.CALL)]
-    given: dict[str, Array] = {k: np.asarray(x) for k, x in numbers_of(made).items()}
-    given |= {TIME: np.zeros(())} if getattr(made, "time", False) else {}
-    given |= {n: coordinate_value(system, q, n) for n in coordinates_of(made)}
-    if X_AB is not None:
-        given |= pose_inputs(X_AB)
-    out = np.empty((*q.shape[:-1], len(rows)))
-    for k, row in enumerate(rows):
-        what, n = row.args
-        if row.op is Op.TAPE:
-            out[..., k] = what.evaluate(given)[..., n]
-            continue
-        whole = getattr(what, "at", None)  # a function of the whole configuration
-        for index in np.ndindex(q.shape[:-1]):
-            at = {m: np.broadcast_to(x, q.shape[:-1])[index] for m, x in given.items()}
-            out[(*index, k)] = (whole(q[index]) if whole else what(at))[n]
+    total, dim = [np.zeros(q.shape[:-1]), np.zeros(q.shape[:-1])], system.dim
+    X = None if A is None or B is None else spatial.inverse(A) @ B
+    known: dict[str, Any] = {TIME: 0.0} | numbers_of(made) | dict(given or {}) | ({} if X is None else pose_inputs(X))
+    for row in rows:
+        if row.op in TURNS:
+            assert A is not None and B is not None
+            size = apart(A, B, shape_of((row,), dim), False)
+        else:
+            value = _value(system, made, row, q, X, known)
+            low, high = between(made, row) if one_sided(made, row) else (number := value_of(made, row), number)
+            off = np.abs(value - np.clip(value, low, high))
+            size = (off, 0.0) if row.unit == "m" else (0.0, off)
+        total = [x + np.square(y) for x, y in zip(total, size, strict=True)]
+    return np.sqrt(total[0]), np.sqrt(total[1])
+
+
+def _value(system: System, made: Constraint, row: Row, q: Array, X: Array | None, known: Mapping[str, Any]) -> Array:
+    """The values (...) of a row that measures one number; X (..., 4, 4) is where frame B is in A."""
+    if row.op in (Op.POINT, Op.DISTANCE):
+        assert X is not None
+        return size_of(X[..., :3, 3]) if row.op is Op.DISTANCE else X[..., row.args[0], 3]
+    what, k = row.args
+    if row.op is Op.TAPE:
+        own = {n: coordinate_value(system, q, n) for n in what.inputs if n not in known or n in made.reads}
+        return what.evaluate({**known, **own})[..., k]
+    whole = getattr(what, "at", None)  # a function of the whole configuration
+    own, out = {n: coordinate_value(system, q, n) for n in made.reads}, np.empty(q.shape[:-1])
+    for index in np.ndindex(out.shape):
+        out[index] = (whole(q[index]) if whole else what({**known, **{n: x[index] for n, x in own.items()}}))[k]
     return out
-
-
-def written_apart(system: System, made: Constraint, q: Array, X_AB: Array | None = None) -> tuple[Array, Array]:
-    """How far (...) the written rows of a constraint are missed, in metres and in radians or plain numbers."""
-    rows = [r for r in made.rows(system.dim) if r.op in (Op.TAPE, Op.CALL)]
-    values = written_values(system, made, q, X_AB)
-    low, high = np.array([between(made, r) if one_sided(made, r) else (0.0, 0.0) for r in rows]).reshape(-1, 2).T
-    off = values - np.clip(values, low, high)
-    metres = np.array([r.unit == "m" for r in rows], dtype=bool)
-    return np.linalg.norm(off[..., metres], axis=-1), np.linalg.norm(off[..., ~metres], axis=-1)
 
 
 # ---- poses, joint by joint
@@ -212,21 +218,11 @@ class Poses:
     def declared(self, declared: Declared) -> tuple[Array, Array]:
         """How far (...) the rows of position of a declared constraint are missed, in metres and in radians."""
         m, dim = self.mechanism, self.system.dim
-        made, X_AB, total = resolved(declared, m.parameters, dim), None, np.zeros((2, *self.q.shape[:-1]))
-        A = B = np.eye(4)
+        made, A, B = resolved(declared, m.parameters, dim), None, None
         if declared.parent:
             F, M = declared.frames(m.parameters, dim)
             A, B = self.bodies[declared.parent] @ F, self.bodies[declared.child] @ M
-            X_AB = spatial.inverse(A) @ B
-        for row in made.rows(dim):
-            if row.velocity or row.op in (Op.TAPE, Op.CALL):
-                continue
-            sided = one_sided(made, row)
-            number = None if sided or row.op is not Op.DISTANCE else float(getattr(made, held(made, row)))
-            bounds = (between(made, row),) if sided else ()
-            total += np.square(apart(A, B, shape_of((row,), dim), False, number, bounds))
-        total += np.square(written_apart(self.system, made, self.q, X_AB))
-        return np.sqrt(total[0]), np.sqrt(total[1])
+        return missed(self.system, made, [r for r in made.rows(dim) if not r.velocity], self.q, A, B)
 
     def relation(self, of: str, sources: dict[str, float], offset: float) -> tuple[Array, Array]:
         """How far (...) a coupling with several sources is missed, as a part of its largest factor."""

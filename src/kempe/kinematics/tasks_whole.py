@@ -1,4 +1,4 @@
-"""Constraints on the whole configuration as tasks: coordinates, functions of the user."""
+"""Constraints on coordinates as tasks."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.calls import listed
 from kempe.constraints.reading import numbers_of
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
 from kempe.kinematics.configuration import as_q, circles
-from kempe.kinematics.functions import Whole
 from kempe.kinematics.task import GROUND, At, Goals, Task
 from kempe.model.loops import Tie
 from kempe.model.table import Table
@@ -97,43 +95,3 @@ class Coordinates(Task):
         balls = [np.linalg.norm(d[..., v : v + 3], axis=-1) for _, _, v, ball in items if ball]
         angle = np.max(np.stack([d[..., turns].max(axis=-1, initial=0.0), *balls]), axis=0)
         return d[..., slides].max(axis=-1, initial=0.0), angle
-
-
-class Called(Task):
-    """A constraint on the values of a Python function of the configuration."""
-
-    lengths, angles, lasting = False, True, False
-    _whole: Whole | None = None
-
-    def whole(self, system: System) -> Whole:
-        """The function, of this system."""
-        if self._whole is None or self._whole.system is not system:
-            self._whole = Whole(system, self.of)
-        return self._whole
-
-    def structure(self, system: System) -> Hashable:
-        """The function itself, and what it is called with."""
-        return self.of.function, tuple(listed(self.of.frames, f"frames of {self.label}"))
-
-    def ties(self, system: System, table: Table) -> list[Tie]:
-        """The function, as kernels call it."""
-        whole = self._whole = Whole(system, self.of)
-        bounds = tuple(zip(whole.low.tolist(), whole.high.tolist(), strict=True))
-        bounds = bounds if np.any(whole.low) or np.any(whole.high) else ()
-        call = whole.callback(range(whole.count))
-        return [Tie(self.label, GROUND, GROUND, turns=L.FUNCTION, function=call, bounds=bounds)]
-
-    def coordinates(self, system: System) -> set[str]:
-        """All."""
-        return set(system.velocity_names)
-
-    def goals(self, system: System) -> Goals:
-        """None."""
-        return [(None, None)]
-
-    def measure(
-        self, system: System, q: Array, goals: Goals | None = None, at: At | None = None
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """How far its values are from where they must be."""
-        off = self.whole(system).off(q)
-        return np.zeros(q.shape[:-1]), np.linalg.norm(off, axis=-1)

@@ -1,22 +1,25 @@
-"""Constraints whose rows are written, as expressions or functions: as tasks."""
+"""Constraints whose rows are expressions or functions, or of several kinds, as tasks."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe import spatial
-from kempe.constraints.base import Constraint, Op, numbers_in, one_sided, with_numbers
+from kempe.constraints.base import Constraint, Op, Row, with_numbers
+from kempe.constraints.reading import numbers_of
+from kempe.description.constrain import reads_axes
 from kempe.errors import InputError
 from kempe.kinematics.forward import fk
-from kempe.kinematics.measure import written_apart
-from kempe.kinematics.task import GROUND, At, Goals, Task
+from kempe.kinematics.functions import bound
+from kempe.kinematics.measure import missed
+from kempe.kinematics.task import FAR, GROUND, At, Goals, Task
 from kempe.model.coordinates import check_read
 from kempe.model.loops import Tie
-from kempe.model.program import coordinates_of, every_tie
+from kempe.model.program import every_tie, input_of, plain_rows
 from kempe.model.table import Table
 from kempe.spatial import Array
 
@@ -24,66 +27,98 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 
+class Made(NamedTuple):
+    """A constraint in a system: with its parameters and functions; its rows of position, and its ties on no frames."""
+
+    system: System
+    of: Constraint
+    rows: list[Row]
+    ties: list[Tie]
+
+
 class Written(Task):
-    """A constraint whose rows are expressions, of poses or of coordinates, or functions of named coordinates."""
+    """A constraint on values of expressions and functions: of poses, coordinates, parameters, and its own numbers.
+
+    The goal and the numbers come with each call; parameters, and what functions are, do not.
+    """
+
+    _made: Made | None = None
 
     def __init__(self, of: Constraint, dim: int):
         super().__init__(of, dim)
         units = {r.unit for r in self.rows}
         self.lengths, self.angles = "m" in units, units != {"m"}
-        self.lasting = all(r.op is Op.TAPE for r in self.rows)
+        self.lasting = all(r.op is not Op.CALL for r in self.rows)
+        self.tool = np.reshape(of.tool(dim), (4, 4))
+        self.posed = of.ends[1] is not None
 
-    def _made(self, system: System) -> Constraint:
-        """It with the parameters of the system. Errors: `UnknownNameError` for coordinates that do not exist."""
-        made = with_numbers(self.of.knowing(system.parameters), system.parameters)
-        check_read(system, coordinates_of(made), self.label)
-        return made
+    def made(self, system: System) -> Made:
+        """It in a system. Errors: `UnknownNameError` for coordinates that do not exist."""
+        if self._made is None or self._made.system is not system:
+            of = bound(system, with_numbers(self.of.knowing(system.parameters), system.parameters))
+            check_read(system, of.reads, self.label)
+            ties = every_tie(system, self.label, of, GROUND, GROUND, True)
+            check_read(system, [n for t in ties if t.tape for n in t.tape.coordinates], self.label)
+            self._made = Made(system, of, plain_rows(of, self.dim, True), ties)
+        return self._made
 
-    def _ends(self, system: System, made: Constraint) -> tuple[str | None, str | None]:
-        a, b = (None if e is None else system.frame_name(e) for e in made.ends)
+    def names(self, system: System) -> tuple[str | None, str | None]:
+        """The frames A and B. Errors: `UnknownNameError`."""
+        a, b = (None if e is None else system.frame_name(e) for e in self.of.ends)
         return a, b
 
     def structure(self, system: System) -> Hashable:
-        """Its frames and its expressions with their numbers."""
-        made = self._made(system)
-        rows = made.rows(self.dim)
-        numbers = tuple((k, repr(x)) for k, x in numbers_in(made).items())
-        return self._ends(system, made), rows, numbers, made.goal(self.dim).tobytes(), made.tool(self.dim)
+        """Its frames, and its expressions without the numbers of the call."""
+        each = ((t.mask, t.turns, t.bounds, t.tape and (t.tape.tape, t.tape.unit, t.tape.given))
+                for t in self.made(system).ties)  # fmt: skip
+        return self.names(system), self.tool.tobytes(), *each
 
     def ties(self, system: System, table: Table) -> list[Tie]:
-        """One for all its equations and one for what is one-sided."""
-        made = self._made(system)
-        a, b = self._ends(system, made)
-        if b is None:
-            return every_tie(system, self.label, made, GROUND, GROUND)
-        a, b = table.at[a or system.body_names[0]], table.at[b]
-        goal, tool = made.goal(self.dim), np.reshape(made.tool(self.dim), (4, 4))
-        if goal.ndim != 2:
-            raise InputError(f"{self.label} is one for all targets: where it holds cannot differ from target to target")
-        a, b = (a[0], a[1] @ goal, a[2]), (b[0], b[1] @ tool, b[2])
-        return every_tie(system, self.label, made, a, b)
+        """One for all equations of an expression and one for what is one-sided; pinned at the goal where it has one."""
+        if not self.posed:
+            return every_tie(system, self.label, self.made(system).of, GROUND, GROUND, True)
+        a, b = self.names(system)
+        A, (row, X, particle) = GROUND if a is None else table.at[a], table.at[b]
+        rows = self.made(system).rows
+        turned = particle and (any(map(reads_axes, rows)) or np.any(self.tool[:3, 3]))
+        if turned or (A[2] and any(r.op is not Op.DISTANCE for r in rows)):
+            name = b if turned else a
+            raise InputError(f"{name!r} is a particle, which has no axes: {self.label} cannot be asked of it")
+        found = every_tie(system, self.label, self.made(system).of, A, (row, X @ self.tool, particle), True)
+        return [t if t.function else replace(t, pin=True) for t in found]
 
     def coordinates(self, system: System) -> set[str]:
         """Those that it reads, or those that they follow."""
-        found = set()
-        for name in coordinates_of(self._made(system)):
-            f = system.couplings.get(name)
-            found.add(name if f is None else f.source or name)
-        return found
+        first, found = system.coordinates.first, set()
+        for t in self.made(system).ties:
+            found |= {first[n][1] for n in t.tape.coordinates} if t.tape else set()
+            found |= set(t.function.support) if t.function else set()
+        return {system.velocity_names[v] for v in found}
 
     def goals(self, system: System) -> Goals:
-        """None."""
-        kinds = dict.fromkeys((one_sided(self.of, r), r.op, r.args[0], r.unit) for r in self.rows)
-        return [(None, None)] * len(kinds)
+        """For each tie the goal, and its numbers; ends that only some targets have are far away."""
+        _, of, _, ties = self.made(system)
+        goal, out = of.goal(self.dim) if self.posed else None, []
+        for tie in ties:
+            given = [numbers_of(input_of(of, n), f"{n} of {self.label}") for n in (tie.tape.given if tie.tape else ())]
+            numbers = np.stack(np.broadcast_arrays(*given), axis=-1) if given else None
+            if numbers is not None and tie.bounds:
+                numbers = np.where(np.isinf(numbers), np.clip(numbers, -FAR, FAR), numbers)
+            out.append((None if tie.function else goal, numbers))
+        return out
 
     def measure(
         self, system: System, q: Array, goals: Goals | None = None, at: At | None = None
     ) -> tuple[Array, Array]:  # fmt: skip
         """How far its values are from where they must be, by the forward model and plain numpy."""
-        made, at = self._made(system), at or partial(fk, system, q)
-        a, b = self._ends(system, made)
-        X_AB = None
-        if b is not None:
-            A, B = at(a or system.body_names[0]), at(b)
-            X_AB = spatial.inverse(A @ made.goal(self.dim)) @ B @ np.reshape(made.tool(self.dim), (4, 4))
-        return written_apart(system, made, q, X_AB)
+        _, of, rows, ties = self.made(system)
+        goals, at = self.goals(system) if goals is None else goals, at or partial(fk, system, q)
+        given, A, B = {}, None, None
+        for tie, (goal, numbers) in zip(ties, goals, strict=True):
+            if numbers is not None and tie.tape:
+                given |= {n: numbers[..., k] for k, n in enumerate(tie.tape.given)}
+            A = goal if A is None else A
+        if A is not None:
+            a, b = self.names(system)
+            A, B = A if a is None else at(a) @ A, at(b) @ self.tool
+        return missed(system, of, rows, q, A, B, given)

@@ -165,8 +165,8 @@ def _resolve(
 
 def _check_written(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> None:
     """Refuse coordinates in equations that do not exist, or that equations cannot read."""
-    for c in (c for c in mechanism.constraints.values() if getattr(c.of, "of", ())):
-        reads = [n for n in c.of.of if n not in mechanism.parameters]  # type: ignore[attr-defined]
+    for c in (c for c in mechanism.constraints.values() if c.of.reads):
+        reads = [n for n in c.of.reads if n not in mechanism.parameters]
         operations = {r.op for r in c.of.rows(mechanism.dim)}
         for name in reads:
             subject = f"constraint {c.name!r}"
@@ -340,7 +340,7 @@ def told_apart(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
     """Velocity coordinates (nv,) that declared laws of positions read themselves: these may tell whole turns apart."""
     out, number = np.zeros(len(c.velocity_names), dtype=bool), {name: i for i, name in enumerate(c.velocity_names)}
     for declared in mechanism.constraints.values():
-        for name in getattr(declared.of, "of", ()) if declared.positions(mechanism.dim) else ():
+        for name in declared.of.reads if declared.positions(mechanism.dim) else ():
             source = c.followers[name].source if name in c.followers else name
             if source in number:
                 out[number[source]] = True

@@ -21,7 +21,7 @@ from kempe.kernels import loop_layout as L
 from kempe.model.kept import kept
 from kempe.model.lengths import characteristic_length, moved, origin_of
 from kempe.model.loop_plan import Plan, moving
-from kempe.model.program import coordinates_of, declared_ties
+from kempe.model.program import declared_ties
 from kempe.model.reduced import Reduced, reduced, slides_along_z
 from kempe.model.table import Table, lower
 from kempe.model.ties import Centre, Function, Loops, Tie
@@ -39,7 +39,7 @@ TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FU
 def must_carry(system: System, known: Iterable[str] = ()) -> frozenset[str]:
     """The joints left out of the tree that are carried: without a reduced form, or known, limited or coupled ones."""
     related = {n for r in system.relations for n in (r.of, *r.sources)} | set(known)
-    related |= {n for c in system.mechanism.constraints.values() for n in coordinates_of(c.of)}
+    related |= {n for c in system.mechanism.constraints.values() for n in c.of.reads}
     related |= {f.source for f in system.couplings.values() if f.source is not None}  # others move with them
     v_index = {n: i for i, n in enumerate(system.velocity_names)}
     limited = np.isfinite(system.lower) | np.isfinite(system.upper)

@@ -133,7 +133,7 @@ def _constraint(system: System, c: Declared) -> dict[str, Any]:
         "name": c.name, "type": c.kind, "parent": c.parent, "child": c.child, "length": length,
         "equations": c.equations(system.dim), "one_sided": c.bounds(system.dim),
         "says": with_numbers(c.of, system.parameters).sentence,
-    } | ({"of": list(reads)} if (reads := getattr(c.of, "of", ())) else {})  # fmt: skip
+    } | ({"of": list(reads)} if (reads := c.of.reads) else {})  # fmt: skip
 
 
 def largest_gap(system: System, q: Any) -> str:
