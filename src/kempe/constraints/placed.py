@@ -89,7 +89,10 @@ class Measured(Placed):
         return self.at_least is not None or self.at_most is not None
 
     def check(self, dim: int) -> None:
-        """Bounds leave something between them, and those of distances and angles are not negative."""
+        """Bounds leave something between them; distances and angles are not negative."""
+        value = getattr(self, self.instead) if self.instead else None
+        if value is not None:
+            positive(value, f"{self.instead} of {self.label}")
         if not self.bounded:
             return
         what, signed = f"a bound of {self.label}", self.measured in SIGNED
@@ -108,8 +111,6 @@ class Measured(Placed):
         value = getattr(self, self.instead)
         if (value is None) != self.bounded:
             raise InputError(f"{self.label} needs a {self.instead}, or at_least or at_most")
-        if value is not None:
-            positive(value, f"{self.instead} of {self.label}")
         return (Row(Op.DISTANCE, (), "distance", equal=self.instead, low="at_least", high="at_most"),)
 
     def in_words(self, name: str) -> str:
