@@ -34,7 +34,7 @@ PLANE = {"ball": ("y - radius", ("vx + radius*wz",), ""), "disc": ("y - radius",
 
 def touching(shape: Any, dim: int, what: str) -> tuple[str, tuple[str, ...], str]:
     """The gap, the slips and the spin of a shape. Errors: `UnknownNameError`."""
-    if shape not in SPACE:
+    if not isinstance(shape, str) or shape not in SPACE:
         raise UnknownNameError("shape", shape, SPACE, what)
     return (PLANE if dim == 2 else SPACE)[shape]
 
