@@ -58,9 +58,10 @@ def sound(X: Array, what: str, exact: float = EXACT) -> Array:
     refuse. The array is copied where it changes.
     """
     if X.ndim == 2:  # the usual case, without the cost of arrays
-        a, b, c = X[:3, :3].tolist()
-        off = max(abs(a[i] * a[j] + b[i] * b[j] + c[i] * c[j] - (i == j)) for i, j in _PAIRS)
-        if not exact < off <= ROUNDED:
+        (a, b, c), (d, e, f), (g, h, k) = X[:3, :3].tolist()
+        unit = max(abs(a * a + d * d + g * g - 1.0), abs(b * b + e * e + h * h - 1.0), abs(c * c + f * f + k * k - 1.0))
+        across = max(abs(a * b + d * e + g * h), abs(a * c + d * f + g * k), abs(b * c + e * f + h * k))
+        if max(unit, across) <= exact:
             return X
     R = X[..., :3, :3]
     off = rotation_error(R)
@@ -80,9 +81,6 @@ def rotation_error(R: Array) -> Array:
     with np.errstate(invalid="ignore", over="ignore"):
         off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
         return np.where(np.linalg.det(R) < 0.0, np.maximum(off, 2.0), off)
-
-
-_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def _matrix(x: Any) -> Any:
