@@ -58,15 +58,16 @@ def sound(X: Array, what: str, exact: float = EXACT) -> Array:
     refuse. The array is copied where it changes.
     """
     if X.ndim == 2:  # the usual case, without the cost of arrays
-        (a, b, c), (d, e, f), (g, h, k) = X[:3, :3].tolist()
-        unit = max(abs(a * a + d * d + g * g - 1.0), abs(b * b + e * e + h * h - 1.0), abs(c * c + f * f + k * k - 1.0))
-        across = max(abs(a * b + d * e + g * h), abs(a * c + d * f + g * k), abs(b * c + e * f + h * k))
-        if max(unit, across) <= exact:
+        (a, b, c), (d, e, f), (g, h, i) = X[:3, :3].tolist()
+        off = max(abs(a * a + d * d + g * g - 1.0), abs(b * b + e * e + h * h - 1.0), abs(c * c + f * f + i * i - 1.0),
+                  abs(a * b + d * e + g * h), abs(a * c + d * f + g * i), abs(b * c + e * f + h * i))  # fmt: skip
+        if not exact < off <= ROUNDED:
             return X
     R = X[..., :3, :3]
-    off = rotation_error(R)
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = _stretched(R)
     rounded = (off > exact) & (off <= ROUNDED)
-    if not rounded.any():
+    if not rounded.any() or not (rounded := rounded & (rotation_error(R) <= ROUNDED)).any():
         return X
     U, _, Vt = np.linalg.svd(R[rounded])
     out = X.copy()
@@ -76,10 +77,14 @@ def sound(X: Array, what: str, exact: float = EXACT) -> Array:
     return out
 
 
+def _stretched(R: Array) -> Array:
+    return np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
+
+
 def rotation_error(R: Array) -> Array:
     """How far (...) matrices (..., 3, 3) are from rotations: the largest entry of R'R - 1, at least 2 for mirrors."""
     with np.errstate(invalid="ignore", over="ignore"):
-        off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
+        off = _stretched(R)
         return np.where(np.linalg.det(R) < 0.0, np.maximum(off, 2.0), off)
 
 

@@ -7,6 +7,7 @@ leading axes where `System.ik` is asked: they make a batch. `point` is a point o
 from __future__ import annotations
 
 from dataclasses import field
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -278,23 +279,34 @@ class InBox(Placed):
         return poses_of(self.pose, dim, f"pose of {self.label}")
 
     def check(self, dim: int) -> None:
-        """The corners leave something between them."""
-        self._corners(dim)
+        """The corners leave something between them, and the box is in the plane, or has a height."""
+        if dim == self._given:
+            self._corners  # noqa: B018
+        else:
+            self._between(dim)
 
-    def _corners(self, dim: int = 0) -> tuple[Array, Array]:
+    @property
+    def _given(self) -> int:
+        """How many numbers the corners have."""
+        return 2 if (2,) in (np.shape(self.low)[-1:], np.shape(self.high)[-1:]) else 3
+
+    @cached_property
+    def _corners(self) -> tuple[Array, Array]:
+        return self._between(self._given)
+
+    def _between(self, dim: int) -> tuple[Array, Array]:
         what = f"corners of {self.label}"
-        flat = np.shape(self.low)[-1:] == (2,) or np.shape(self.high)[-1:] == (2,)
-        return pair(*corners_of(self.low, self.high, dim or (2 if flat else 3), what), what)
+        return pair(*corners_of(self.low, self.high, dim, what), what)
 
     @property
     def low_corner(self) -> Array:
         """The lower corner (..., 3), checked."""
-        return self._corners()[0]
+        return self._corners[0]
 
     @property
     def high_corner(self) -> Array:
         """The upper corner (..., 3), checked."""
-        return self._corners()[1]
+        return self._corners[1]
 
 
 @kind("relative_pose", says="{frame} is at {target}, seen from {other}")

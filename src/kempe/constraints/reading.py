@@ -14,7 +14,9 @@ from kempe.rigid import EXACT as RIGID
 from kempe.rigid import arrays, sound
 from kempe.spatial import Array
 
-LAST = np.array([0.0, 0.0, 0.0, 1.0])
+ROW = [0.0, 0.0, 0.0, 1.0]
+LAST = np.array(ROW)
+"""The last row of a pose."""
 LARGEST = 1e100
 """Numbers above this are too large for the kernels."""
 
@@ -33,7 +35,7 @@ def poses_of(x: Any, dim: int, what: str) -> Array:
     if X.ndim < 2 or X.shape[-2:] != (4, 4):
         raise InputError(f"{what} has shape {X.shape}; it must be a pose (..., 4, 4)")
     last = X[..., 3, :]
-    if not (last == LAST).all() and not np.all((last == LAST) | np.isnan(last)):
+    if (X.ndim > 2 or last.tolist() != ROW) and not np.all((last == LAST) | np.isnan(last)):
         raise InputError(f"{what} is no pose: its last row is {X[..., 3, :].tolist()}; it must be 0 0 0 1")
     if dim == 2 and (np.any(np.abs(X[..., 2, 3]) > RIGID) or np.any(1.0 - X[..., 2, 2] > RIGID)):
         raise InputError(f"{what} leaves the plane of the system")
@@ -161,8 +163,9 @@ def positive(x: Any, what: str) -> Array:
 
 def pair(low: Any, high: Any, what: str) -> tuple[Array, Array]:
     """Two ends as arrays of one shape. Errors: `InputError` where they do not fit together, or leave nothing."""
+    a, b = (numbers_of(x, f"an end of {what}") for x in (low, high))
     try:
-        a, b = np.broadcast_arrays(*(numbers_of(x, f"an end of {what}") for x in (low, high)))
+        a, b = (a, b) if a.shape == b.shape else np.broadcast_arrays(a, b)
     except ValueError:
         raise InputError(f"{what}: {low!r} and {high!r} have shapes that do not fit together") from None
     if np.any(a > b):

@@ -24,7 +24,7 @@ def task_of(constraint: Constraint, dim: int) -> Task:
                          "Mechanism.constrain")  # fmt: skip
     if family is Placed and constraint.ends[1] is None:  # a centre is no frame
         family = Centred
-    return family(constraint, dim)
+    return family(constraint, dim, rows)
 
 
 @lru_cache(maxsize=512)

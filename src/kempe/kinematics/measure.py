@@ -7,6 +7,7 @@ out joint by joint.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -47,28 +48,37 @@ class Shape(NamedTuple):
     lengths: bool
     angles: bool
     axes: tuple[int, ...]
+    point: bool
+    """Whether they hold a point of the frame, or the whole frame."""
+    turned: bool
+    """Whether they hold the orientation."""
 
 
 @lru_cache(maxsize=512)
 def shape_of(rows: tuple[Row, ...], dim: int) -> Shape:
     """What rows of one frame hold of its pose."""
-    turned = {
+    sorts = {
         Op.ROTATION: L.ANGLE if dim == 2 else L.FULL, Op.TILT: L.ALIGN, Op.LOOK: L.LOOK, Op.DISTANCE: L.DISTANCE,
     }  # fmt: skip
     axes = tuple(r.args[0] for r in rows if r.op is Op.POINT)
-    turns = next((turned[r.op] for r in rows if r.op in turned), L.NO_TURN)
-    units = {r.unit for r in rows}
-    return Shape(sum(1 << a for a in axes), turns, "m" in units, "rad" in units, axes)
+    turns = next((sorts[r.op] for r in rows if r.op in sorts), L.NO_TURN)
+    units, mask = {r.unit for r in rows}, sum(1 << a for a in axes)
+    whole, turned = mask == (3 if dim == 2 else 7), turns in (L.FULL, L.ANGLE)
+    return Shape(mask, turns, "m" in units, "rad" in units, axes, whole, turned)
 
 
 def size_of(p: Array) -> Array:
     """Lengths (...) of vectors (..., k)."""
+    if p.ndim == 1:
+        return math.sqrt(p.dot(p))  # type: ignore[return-value]
     return np.sqrt(np.vecdot(p, p))
 
 
 def angle_between(R: Array, S: Array) -> Array:
     """Angle (...) between two rotations, by how far their entries are apart: sqrt(8) times the sine of its half."""
     d = R - S
+    if d.ndim == 2:
+        return 2.0 * math.asin(min(size_of(d.ravel()) / math.sqrt(8.0), 1.0))  # type: ignore[return-value]
     d = d.reshape(*d.shape[:-2], 9)
     return 2.0 * np.arcsin(np.minimum(np.sqrt(np.vecdot(d, d) / 8.0), 1.0))
 
@@ -90,16 +100,16 @@ def apart(
         if (whole or not shape.mask) and (turned or shape.turns == L.NO_TURN):
             size = size_of(B[..., :3, 3] - A[..., :3, 3]) if whole else none
             return size, angle_between(B[..., :3, :3], A[..., :3, :3]) if turned else none
-    seen = spatial.inverse(A) @ B
-    p = seen[..., :3, 3]
-    if shape.turns == L.ALIGN:
-        return none, tilt_of(seen[..., :3, 2])
-    if shape.turns == L.LOOK:
-        return none, tilt_of(np.einsum("...ji,...j->...i", seen[..., :3, :3], -p))
-    values = p[..., list(shape.axes)]
+    if shape.turns in (L.ALIGN, L.LOOK):
+        seen = spatial.inverse(A) @ B
+        look = np.einsum("...ji,...j->...i", seen[..., :3, :3], -seen[..., :3, 3]) if shape.turns == L.LOOK else None
+        return none, tilt_of(seen[..., :3, 2] if look is None else look)
+    p = B[..., :3, 3] - A[..., :3, 3]
     if shape.turns == L.DISTANCE:
-        values = size_of(p)[..., None]
+        values = np.asarray(size_of(p))[..., None]
         values = values if number is None else values - number
+    else:
+        values = (p[..., None, :] @ A[..., :3, list(shape.axes)])[..., 0, :]
     if bounds:
         low, high = np.array(bounds).T
         values = values - np.clip(values, low, high)

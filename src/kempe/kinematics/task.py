@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe import spatial
-from kempe.constraints.base import HERE, Constraint, Op, held, one_sided
+from kempe.constraints.base import HERE, Constraint, Row, held, one_sided
 from kempe.constraints.reading import numbers_of
 from kempe.errors import InputError
 from kempe.kernels import loop_layout as L
@@ -66,11 +66,10 @@ class Task(ABC):
     lasting: bool = True
     """Whether its ties can be kept for the next task of the same structure."""
 
-    def __init__(self, of: Constraint, dim: int):
+    def __init__(self, of: Constraint, dim: int, rows: tuple[Row, ...]):
         self.of: Any = of
-        self.dim, self.rows = dim, of.rows(dim)
+        self.dim, self.rows, self.label = dim, rows, of.label
         self.weight, self.priority, self.tolerance, self.name = of.weight, of.priority, of.tolerance, of.name
-        self.label = of.label
 
     def exactly(self) -> Task:
         """The same without a tolerance of its own."""
@@ -107,19 +106,17 @@ class Task(ABC):
 class Placed(Task):
     """A constraint on where one frame, or a centre, is in the goal."""
 
-    def __init__(self, of: Constraint, dim: int):
-        super().__init__(of, dim)
-        self.shape = shape_of(self.rows, dim)
-        self.lengths, self.angles = self.shape.lengths, self.shape.angles
-        row, whole = self.rows[0], 3 if dim == 2 else 7
-        self.point = self.shape.mask == whole
+    _holds: list[Hold] | None = None
+    _ends: tuple[Array, Array] | None = None
+
+    def __init__(self, of: Constraint, dim: int, rows: tuple[Row, ...]):
+        super().__init__(of, dim, rows)
+        self.shape = shape = shape_of(rows, dim)
+        self.lengths, self.angles, self.turned = shape.lengths, shape.angles, shape.turned
+        self.number = held(of, rows[0])
+        self.bounded = one_sided(of, rows[0])
+        self.point = shape.point and not self.bounded
         """Whether it holds a point of the frame, or the whole frame."""
-        self.turned = self.shape.turns in (L.FULL, L.ANGLE)
-        """Whether it holds the orientation."""
-        self.number = held(of, row) if row.op is Op.DISTANCE else ""
-        self.bounded = one_sided(of, row)
-        self._holds: list[Hold] | None = None
-        self.point &= not self.bounded
 
     # ---- what is held
 
@@ -136,21 +133,24 @@ class Placed(Task):
 
     def ends(self) -> tuple[Array, Array] | None:
         """Low and high ends (n,), or (..., n) from target to target; None for an equality."""
-        if not self.bounded:
-            return None
-        sides = []
-        for side, infinity in (("low", -np.inf), ("high", np.inf)):
-            values = [self._end(getattr(row, side), row.part, infinity) for row in self.rows]
-            sides.append(np.stack(np.broadcast_arrays(*values), axis=-1))
-        low, high = np.broadcast_arrays(*sides)
-        return low, high
+        if self._ends is None and self.bounded:
+            low, high = self._side([r.low for r in self.rows], -np.inf), self._side([r.high for r in self.rows], np.inf)
+            self._ends = (low, high) if low.shape == high.shape else np.broadcast_arrays(low, high)
+        return self._ends
 
-    def _end(self, name: str, part: int | None, infinity: float) -> Array:
-        found = getattr(self.of, name) if name else None
-        if found is None:
-            return np.array(infinity)
-        x = numbers_of(found, f"{name} of {self.label}")
-        return x if part is None else x[..., part]
+    def _side(self, names: list[str], infinity: float) -> Array:
+        """The ends (..., n) of one side."""
+        given: dict[str, Array | None] = {}
+        for n in names:
+            if n not in given:
+                x = getattr(self.of, n) if n else None
+                given[n] = None if x is None else numbers_of(x, f"{n} of {self.label}")
+        one, parts = given[names[0]], [r.part for r in self.rows]
+        if one is not None and len(given) == 1 and None not in parts:
+            return one[..., np.array(parts)]
+        ends = [(given[n], k) for n, k in zip(names, parts, strict=True)]
+        values = [np.array(infinity) if x is None else x if k is None else x[..., k] for x, k in ends]
+        return values[0][..., None] if len(values) == 1 else np.stack(np.broadcast_arrays(*values), axis=-1)
 
     def holds(self, system: System) -> list[Hold]:
         """One tie, or one for each end that is finite anywhere and differs from target to target."""
@@ -255,16 +255,18 @@ def _sides(low: Array, high: Array) -> list[tuple[tuple[float, float], Array]]:
 class Centred(Placed):
     """A constraint on a centre of masses."""
 
+    _shares: tuple[tuple[str, tuple[float, ...], float], ...] | None = None
+
     def hold(self, system: System) -> Hold:
         """The axes that count."""
         return Hold(system.body_names[0], HERE, self.shape.mask)
 
     def _points(self, system: System) -> tuple[tuple[str, tuple[float, ...], float], ...]:
         """Frames, points on them and their masses, whose sum is 1."""
-        return tuple(
-            (system.frame_name(m.frame), m.point, m.part)
-            for m in self.of.masses(system.mechanism.bodies, system.name)  # type: ignore[attr-defined]
-        )
+        if self._shares is None:
+            shares = self.of.masses(system._mechanism.bodies, system.name)
+            self._shares = tuple((system.frame_name(m.frame), m.point, m.part) for m in shares)
+        return self._shares
 
     def structure(self, system: System) -> Hashable:
         """Its tie and its points."""

@@ -44,8 +44,8 @@ class Written(Task):
 
     _made: Made | None = None
 
-    def __init__(self, of: Constraint, dim: int):
-        super().__init__(of, dim)
+    def __init__(self, of: Constraint, dim: int, rows: tuple[Row, ...]):
+        super().__init__(of, dim, rows)
         units = {r.unit for r in self.rows}
         self.lengths, self.angles = "m" in units, units != {"m"}
         self.lasting = all(r.op is not Op.CALL for r in self.rows)

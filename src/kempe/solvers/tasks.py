@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.calls import explained
+from kempe.calls import explained, quickly_made
 from kempe.constraints.base import Constraint
 from kempe.errors import InputError, NoSolutionError, shown
 from kempe.kernels import search_layout as S
@@ -55,6 +55,7 @@ SLACK = 1.0 + 1e-6
 PREFER = ("nearest", "mid")
 
 
+@quickly_made
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What was asked: kept with the answer, so that it can say why it failed.
@@ -264,8 +265,8 @@ def pose_problem(
     use = (True,) * len(tasks)
     most = most_starts(system, packed) if starts is None else start_count(starts)
     problem = Problem(
-        system, tasks, packed, goals, pins, lead, tolerances(tolerance), most, seed_number(rng), use,
-        loose=seed is None,
+        system, tasks, packed, goals, pins, lead, TOLERANCE if tolerance is TOLERANCE else tolerances(tolerance), most,
+        seed_number(rng), use, loose=seed is None,
     )  # fmt: skip
     starts_at = beside(problem, base) if seed is None else base.reshape(math.prod(base.shape[:-1]), system.nq)
     return problem, np.ascontiguousarray(starts_at)
@@ -330,7 +331,8 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     """The answer, each configuration checked by the forward model, the limits and the loops."""
     system, lead, packed, status = problem.system, problem.lead, problem.packed, info[:, 0]
     bad = status == S.BAD_INPUT
-    sound = (np.where(bad[:, None], system.neutral, q) if bad.any() else q).reshape(*lead, system.nq)
+    some_bad = bad.any()
+    sound = (np.where(bad[:, None], system.neutral, q) if some_bad else q).reshape(*lead, system.nq)
     hard, allowed = problem.levels[2:]
     every = np.empty((len(problem.tasks), *lead, 2))
     for error, task, goals in zip(every, problem.tasks, problem.goals, strict=True):
@@ -350,10 +352,12 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     if packed.one_sided.declared and problem.one_sided:
         good &= ~packed.one_sided.beyond(sound, declared=True).any(axis=-1)
     late = status >= S.LATE
-    code = np.where(good.ravel(), SOLVED, np.where(late, OUT_OF_TIME, NOT_FOUND))
-    code[bad] = BAD_INPUT
-    if problem.limits and np.any(code == NOT_FOUND):
-        code = np.where((code == NOT_FOUND) & (problem.proofs > 0), problem.proofs, code)
+    code = np.full(len(status), SOLVED)
+    if some_bad or not good.all():
+        code = np.where(good.ravel(), SOLVED, np.where(late, OUT_OF_TIME, NOT_FOUND))
+        code[bad] = BAD_INPUT
+        if problem.limits and np.any(code == NOT_FOUND):
+            code = np.where((code == NOT_FOUND) & (problem.proofs > 0), problem.proofs, code)
     columns = (code == SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
     fields = [x.reshape(lead) if lead else x.item() for x in columns]
     errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}
