@@ -9,7 +9,6 @@ import pickle
 import re
 import traceback
 import warnings
-from dataclasses import FrozenInstanceError, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -261,50 +260,3 @@ def test_answers_print_little(name):
         ]
     for answer in (*large, *(a for _, a in wrong_calls.answers(system))):
         assert len(repr(answer)) < 1500 and len(str(answer)) < 5000
-
-
-@dataclass(frozen=True, eq=False)
-class Plain:
-    """Fields of all sorts that are set by arguments."""
-
-    a: int
-    own: str = "x"
-    self_: tuple = field(default=(), repr=False)
-    late: float | None = field(default=None, kw_only=True)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "own", self.own.upper())
-
-
-@pytest.mark.parametrize(("args", "options"), [
-    ((1,), {}), ((1, "y"), {"late": 2.0}), ((), {"a": 3, "self_": (1,)}), ((1, "y", (2,)), {}),
-    ((), {}), ((1, "y", (2,), 4.0), {}), ((1,), {"none": 1}), ((1,), {"a": 2}),
-])  # fmt: skip
-def test_a_class_that_is_quickly_made_is_as_it_was(args, options):
-    quick = calls.quickly_made(dataclass(frozen=True, eq=False)(type("Plain", (Plain,), {"__annotations__": {}})))
-    assert quick.__init__ is not Plain.__init__ and inspect.signature(quick) == inspect.signature(Plain)
-    try:
-        made = Plain(*args, **options)
-    except TypeError as error:
-        with pytest.raises(TypeError, match=re.escape(str(error).partition("(")[2])):
-            quick(*args, **options)
-        return
-    again = quick(*args, **options)
-    assert vars(again) == vars(made) and repr(replace(again, late=1.0)) == repr(replace(made, late=1.0))
-    with pytest.raises(FrozenInstanceError):
-        again.a = 2
-
-
-def test_classes_with_a_making_of_their_own_keep_it():
-    @dataclass(frozen=True)
-    class Listed:
-        a: list = field(default_factory=list)
-
-    class Own:
-        a: int
-
-        def __init__(self, a):
-            object.__setattr__(self, "a", a + 1)
-
-    assert calls.quickly_made(Listed)().a == [] and Listed().a is not Listed().a
-    assert calls.quickly_made(dataclass(frozen=True)(Own))(1).a == 2

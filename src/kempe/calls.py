@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar
@@ -54,29 +54,6 @@ def explained_methods(cls: Class) -> Class:
     for name, value in list(vars(cls).items()):
         if isinstance(value, FunctionType) and (name[0] != "_" or name == "__call__"):
             setattr(cls, name, explained(value))
-    return cls
-
-
-def quickly_made(cls: Class) -> Class:
-    """The frozen dataclass, whose making takes half the time: its fields are set without a call for each.
-
-    One with fields that are made anew, or are no arguments, or with a making of its own, is as it was.
-    """
-    made: Any = cls.__init__  # type: ignore[misc]
-    code, n = made.__code__, made.__code__.co_argcount
-    names = code.co_varnames[1 : n + code.co_kwonlyargcount]
-    plain = {f.name for f in fields(cls) if f.init and f.default_factory is MISSING}  # type: ignore[arg-type]
-    if code.co_filename != "<string>" or plain != set(names) or len(plain) < len(fields(cls)):  # type: ignore[arg-type]
-        return cls
-    given = [*names[: n - 1], *["*"] * (n <= len(names)), *names[n - 1 :]]
-    lines = [f"def __init__(self, {', '.join(given)}):", "  __own = self.__dict__"]
-    lines += [f"  __own[{name!r}] = {name}" for name in names]
-    lines += ["  self.__post_init__()"] * hasattr(cls, "__post_init__")
-    space: dict[str, Any] = {}
-    exec("\n".join(lines), space)  # names of fields only, as dataclass does it
-    quick = space["__init__"]
-    quick.__defaults__, quick.__kwdefaults__ = made.__defaults__, made.__kwdefaults__
-    cls.__init__ = functools.wraps(made)(quick)  # type: ignore[misc]
     return cls
 
 

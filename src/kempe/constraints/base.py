@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar, dataclass_tran
 
 import numpy as np
 
-from kempe.calls import explained_making, quickly_made
+from kempe.calls import explained_making
 from kempe.errors import InputError
 from kempe.placement import Placement
 from kempe.spatial import Array
@@ -241,7 +241,7 @@ def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _
         if taken is not None and taken.__qualname__ != made.__qualname__:
             raise InputError(f"the kind {name!r} of constraint exists already: {taken.__qualname__}")
         made.kind, made.symbol, made.says = name, symbol, says
-        explained_making(quickly_made(made))
+        explained_making(made)
         KINDS[name] = made
         return made
 

@@ -135,7 +135,9 @@ class Placed(Task):
         """Low and high ends (n,), or (..., n) from target to target; None for an equality."""
         if self._ends is None and self.bounded:
             low, high = self._side([r.low for r in self.rows], -np.inf), self._side([r.high for r in self.rows], np.inf)
-            self._ends = (low, high) if low.shape == high.shape else np.broadcast_arrays(low, high)
+            if low.shape != high.shape:
+                low, high = np.broadcast_arrays(low, high)
+            self._ends = low, high
         return self._ends
 
     def _side(self, names: list[str], infinity: float) -> Array:
