@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from kempe.calls import brief, explained_methods, quickly_made
+from kempe.calls import brief, explained_methods
 from kempe.solvers.freedoms import Local
 from kempe.solvers.solution import Solution
 from kempe.spatial import Array
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 
 @explained_methods
-@quickly_made
 @dataclass(frozen=True, eq=False)
 class Reached(Solution):
     """Answer of `System.ik` for tasks.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.calls import explained, quickly_made
+from kempe.calls import explained
 from kempe.constraints.base import Constraint
 from kempe.errors import InputError, NoSolutionError, shown
 from kempe.kernels import search_layout as S
@@ -55,7 +55,6 @@ SLACK = 1.0 + 1e-6
 PREFER = ("nearest", "mid")
 
 
-@quickly_made
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What was asked: kept with the answer, so that it can say why it failed.
