@@ -94,8 +94,8 @@ class InputError(KempeError, ValueError):
     """An argument that cannot be used: wrong shape, wrong count, NaN where a number is needed."""
 
 
-FORMER = {("assemble", "constraints"): "also"}
-"""Options under another name, by function and name."""
+INSTEAD = {("assemble", "constraints"): "they are given as 'also'"}
+"""What is said of options that a function does not have, by function and name."""
 
 
 class CallError(KempeError, TypeError):
@@ -103,8 +103,8 @@ class CallError(KempeError, TypeError):
 
     def __init__(self, function: str, name: str, allowed: Iterable[str] = ()):
         self.function, self.name, self.allowed = function, name, tuple(allowed)
-        own = FORMER.get((function, name))
-        said = f"; they are given as {own!r}" if own else hint(name, self.allowed)
+        own = INSTEAD.get((function, name))
+        said = f"; {own}" if own else hint(name, self.allowed)
         wrong = f" has no option {name!r}{said}" if self.allowed else f": {name}"
         super().__init__(function + wrong)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import kempe
 from kempe import constraints as c
+from kempe.constraints.base import Bounded
 from kempe.constraints.placed import Measured
 from kempe.description.toml import read_toml
 from kempe.description.toml_writer import write_toml
@@ -125,9 +127,90 @@ def test_a_value_and_bounds(name):
         two_bodies(3).build().ik(EXAMPLES[name](3).demand(at_most=1.0))
 
 
-def test_kinds_that_measure_no_number_say_so():
-    with pytest.raises(CallError, match="Pose has no option 'at_most'"):
-        c.Pose("tip", np.eye(4), at_most=0.1)
+def branching(q):
+    return 2.0 * q["Ja.x"] if q["Ja.x"] > 0.0 else q["Ja.x"]
+
+
+NUMBERS = {
+    "equation": (lambda **b: c.Equation("`Ja.x` - 2*`Jb.x`", **b), lambda s, q: q[0] - 2.0 * s.q_dict(q)["Jb.x"]),
+    "function of coordinates": (lambda **b: c.Equation(branching, of="Ja.x", **b), lambda s, q: q[0] + max(q[0], 0.0)),
+    "inequality": (lambda **b: c.Inequality("`Ja.x`^2", **b), lambda s, q: q[0] ** 2),
+    "centre_of_mass": (
+        lambda **b: c.CentreOfMass(axes="y", **b), lambda s, q: (s.fk(q, "a")[1, 3] + s.fk(q, "b")[1, 3]) / 2.0),
+    "centre_of_points": (
+        lambda **b: c.CentreOfPoints({"tip": 2.0, "eye": 1.0}, axes="x", **b),
+        lambda s, q: (2.0 * s.fk(q, "tip")[0, 3] + s.fk(q, "eye")[0, 3]) / 3.0),
+}  # fmt: skip
+"""Kinds of the whole configuration with bounds, and the number that they measure."""
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("bounds", [{"at_least": 0.4}, {"at_most": 0.3}, {"at_least": 0.3, "at_most": 0.35}], ids=str)
+def test_expressions_and_centres_have_bounds(name, bounds, hunt):
+    make, number = NUMBERS[name]
+    made, rng, free = make(**bounds), hunt.rng(), two_bodies(3).build()
+    low, high = bounds.get("at_least", -math.inf), bounds.get("at_most", math.inf)
+    solve = [lambda q: free.ik(made.demand(weight=None), seed=q).q]
+    if not name.startswith("centre"):
+        m = two_bodies(3)
+        m.constrain(made, "it")
+        assert name.startswith("function") or read_toml(write_toml(m)) == m
+        held = m.build()
+        assert held.mobility().dof == free.nv
+        solve.append(lambda q: held.assemble({}, q).q)
+    slack = set()
+    for _ in range(hunt.cases(10)):
+        q = free.integrate(free.neutral, rng.uniform(-1.0, 1.0, free.nv))
+        for f in solve:
+            assert low - 1e-6 <= number(free, found := f(q)) <= high + 1e-6
+            if low <= number(free, q) <= high:
+                assert np.allclose(free.difference(q, found), 0.0), "nothing has to move"
+            slack.add(bool(low <= number(free, q) <= high))
+    assert False in slack
+
+
+@pytest.mark.parametrize("name", [n for n in NUMBERS if not n.startswith("function")])
+def test_bounds_of_numbers_from_target_to_target(name, hunt):
+    (make, number), s = NUMBERS[name], two_bodies(3).build()
+    low, high = np.linspace(0.1, 0.8, 6), np.array([0.2, 0.3, 0.6, np.inf, np.inf, 0.9])
+    answer = s.ik(make(at_least=low, at_most=high), seed=s.random(hunt.rng()))
+    assert answer.success.all()
+    for q, a, b in zip(answer.q, low, high, strict=True):
+        assert a - 1e-6 <= number(s, q) <= b + 1e-6
+    with pytest.raises(InputError, match="0.5 and 0.4 leave nothing"):
+        s.ik(make(at_least=0.5, at_most=0.4))
+    with pytest.raises(InputError):
+        s.ik(make(at_most=math.nan))
+
+
+def test_bounds_of_each_of_several_values(hunt):
+    s, most = two_bodies(3).build(), np.array([[0.1, 0.2], [-0.3, 0.4], [0.5, -0.6]])
+    made = c.Equation(["`Ja.x`", "`Ja.y`"], at_least=-1.0, at_most=most)
+    q = s.ik(made, seed=s.integrate(s.neutral, np.full(s.nv, 0.9))).q
+    np.testing.assert_allclose(q[:, :2], most, atol=1e-6)
+    assert c.Equation(["x", "y"], at_most=[1.0, 2.0]).sentence == "x, y are at most (1, 2)"
+    for low, high, said in ((None, [1, 2, 3], "must be a number, or"), ([1, 2], [1, 0], "leave nothing")):
+        with pytest.raises(InputError, match=said):
+            s.ik(c.Equation(["`Ja.x`", "`Ja.y`"], at_least=low, at_most=high))
+
+
+@pytest.mark.parametrize("make", [
+    lambda: c.Equation("A = 2", at_most=1.0), lambda: two_bodies(3).build().ik(c.CentreOfMass([0, 0, 0], at_most=1.0)),
+    lambda: two_bodies(3).build().ik(c.CentreOfMass(at_most=1.0)), lambda: two_bodies(3).build().ik(c.CentreOfMass()),
+])  # fmt: skip
+def test_a_value_besides_bounds_or_none_at_all_is_refused(make):
+    with pytest.raises(InputError, match="within bounds|needs a target, or at_least or at_most along one of its axes"):
+        make()
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_every_kind_has_bounds_or_says_why_not(name):
+    if issubclass(c.KINDS[name], Bounded):
+        assert {"at_least", "at_most"} <= {f.name for f in fields(c.KINDS[name])}
+        return
+    given = {f.name: getattr(EXAMPLES[name](3), f.name) for f in fields(c.KINDS[name]) if f.init}
+    with pytest.raises(CallError, match="measures no single number|bounds|at least|never negative"):
+        c.KINDS[name](**given, at_most=0.1)
 
 
 def test_a_glass_that_must_not_spill():

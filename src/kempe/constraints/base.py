@@ -17,7 +17,8 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar, dataclass_tran
 import numpy as np
 
 from kempe.calls import explained_making
-from kempe.errors import InputError
+from kempe.constraints.reading import pair, positive
+from kempe.errors import INSTEAD, InputError
 from kempe.placement import Placement
 from kempe.spatial import Array
 from kempe.values import Expression
@@ -133,6 +134,8 @@ class Constraint(ABC):
     """How it is drawn where its rows do not say it, as those of rods and slots do: "wheel", "contact", "mark"."""
     says: ClassVar[str] = ""
     """What it asks, as a sentence over its fields; `sentence` has it filled in."""
+    unbounded: ClassVar[str] = "it measures no single number, which alone has bounds"
+    """What is said where it is given `at_least` or `at_most` and has none; see `Bounded`."""
     zero: ClassVar[float] = 0.0
     """What `low` or `high` of a row may name."""
 
@@ -216,6 +219,46 @@ class Constraint(ABC):
         return replace(self, **more)
 
 
+@dataclass(frozen=True, eq=False)
+class Bounded(Constraint):
+    """A kind that measures one number, or several alike.
+
+    With `at_least` (...) or `at_most` (...), or both, the number stays within these bounds, in place of being zero or
+    a value that the kind has.
+    """
+
+    at_least: Number = field(default=None, kw_only=True)
+    at_most: Number = field(default=None, kw_only=True)
+
+    measured: ClassVar[str] = "value"
+    """What the number is, one of `UNITS`."""
+
+    @property
+    def bounded(self) -> bool:
+        """Whether there are bounds."""
+        return self.at_least is not None or self.at_most is not None
+
+    def check(self, dim: int) -> None:
+        """Bounds leave something between them, and those of distances and angles are not negative."""
+        if not self.bounded:
+            return
+        signed = self.measured in SIGNED
+        for bound in (self.at_least, self.at_most):
+            if bound is not None and not signed:
+                positive(bound, f"a bound of {self.label}")
+        low, high = (-np.inf if signed else 0.0) if self.at_least is None else self.at_least, self.at_most
+        pair(low, np.inf if high is None else high, f"at_least and at_most of {self.label}")
+
+    @property
+    def bounds_in_words(self) -> str:
+        """Its bounds, as its sentence says them."""
+        given = (("at least", self.at_least), ("at most", self.at_most))
+        return " and ".join(f"{word} {plainly(x)}" for word, x in given if x is not None)
+
+
+SIGNED, UNITS = ("height", "value"), {"distance": "m", "height": "m", "angle": "rad", "value": "1"}
+"""Numbers that may be negative, and the units of all."""
+
 EYE = np.eye(4)
 EYE.setflags(write=False)
 HERE = tuple(EYE.ravel().tolist())
@@ -242,6 +285,8 @@ def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _
             raise InputError(f"the kind {name!r} of constraint exists already: {taken.__qualname__}")
         made.kind, made.symbol, made.says = name, symbol, says
         explained_making(made)
+        if not issubclass(made, Bounded):
+            INSTEAD.update({(made.__name__, word): made.unbounded for word in ("at_least", "at_most")})
         KINDS[name] = made
         return made
 

@@ -5,7 +5,7 @@ A plane is the xy-plane of a frame `other`; in planar systems it is the line of 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 from kempe.constraints.base import Constraint, Frame, Number, Op, Row, kind
 from kempe.constraints.reading import positive
@@ -47,6 +47,8 @@ class Contact(Constraint):
     other: Frame | None = None
     radius: Number = 0.0
     shape: str = "ball"
+
+    unbounded: ClassVar[str] = "its gap is never negative; OnPlane has bounds of a height"
 
     def check(self, dim: int) -> None:
         """A radius is not negative."""

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 
 from kempe.calls import flag, listed
-from kempe.constraints.base import Constraint, Names, Op, Row, kind
+from kempe.constraints.base import Bounded, Constraint, Names, Op, Row, kind
 from kempe.constraints.builder import renamed
 from kempe.constraints.tape import RATE, TIME, Tape, quoted
 from kempe.constraints.text import from_text, read
@@ -163,8 +163,8 @@ class _Written(Constraint):
         raise NotImplementedError
 
 
-class _Valued(_Written):
-    """A kind on values of an expression."""
+class _Valued(_Written, Bounded):
+    """A kind on values of an expression. Bounds are for all values alike, or (..., n) for the n values."""
 
     sense: ClassVar[dict[str, Any]] = {}
 
@@ -179,6 +179,18 @@ class _Valued(_Written):
         elif not isinstance(told, (Call, Tape)):
             told = (as_text(told, self.what),)
         object.__setattr__(self, "expression", told[0] if isinstance(told, tuple) and len(told) == 1 else told)
+        for text in told if isinstance(told, tuple) and (self.sense or self.bounded) else ():
+            if "=" in text:
+                what = "is within bounds" if self.bounded else "is not negative"
+                raise InputError(f"{self.what} is {text!r}: give what {what}, such as '1.2 - A'")
+
+    def check(self, dim: int) -> None:
+        """Bounds leave something between them, and fit the values."""
+        super().check(dim)
+        n = len(self.rows(dim))
+        for name in ("at_least", "at_most"):
+            if n > 1 and np.shape(x := getattr(self, name))[-1:] not in ((), (n,)):
+                raise InputError(f"{name} of {self.label} has shape {np.shape(x)}; it must be a number, or (..., {n})")
 
     def _fits(self, shape: tuple[int, ...]) -> None:
         """Refuse what is no list of numbers."""
@@ -202,6 +214,8 @@ class _Valued(_Written):
             return super().in_words(name)
         told, tail = self._texts, " >= 0" if self.sense else " = 0"
         texts = told if isinstance(told, tuple) else (f"f({', '.join(self.of)})",)  # type: ignore[attr-defined]
+        if self.bounded:
+            return f"{', '.join(texts)} {'is' if len(texts) == 1 else 'are'} {self.bounds_in_words}"
         return ", ".join(t if "=" in t else t + tail for t in texts)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
@@ -212,7 +226,10 @@ class _Valued(_Written):
         else:
             op, of = Op.TAPE, self._tape_of(told)
             n = len(of.outputs)
-        return tuple(Row(op, (of, k), "value" if n == 1 else f"value {k + 1}", "1", **self.sense) for k in range(n))
+        sense = {"low": "at_least", "high": "at_most"} if self.bounded else self.sense
+        part = n > 1 and self.bounded
+        return tuple(Row(op, (of, k), "value" if n == 1 else f"value {k + 1}", "1", part=k if part else None, **sense)
+                     for k in range(n))  # fmt: skip
 
     def prefixed(self, prefix: str) -> Constraint:
         """The same where coordinates have a prefix."""
@@ -232,7 +249,7 @@ class Equation(_Valued):
 
     A function is called with a mapping from the names `of` to numbers, with `time` also with the time t, and gives a
     number or a list. Text finds its coordinates itself; other names are parameters of the mechanism. `drive` and
-    `assemble` are told the time; for all other verbs it is 0.
+    `assemble` are told the time; for all other verbs it is 0. `at_least`, `at_most`: f within bounds, not zero.
     """
 
     expression: Told
@@ -243,7 +260,10 @@ class Equation(_Valued):
 
 @kind("inequality", says="{expression}")
 class Inequality(_Valued):
-    """An inequality f >= 0 over coordinates, or several; see `Equation`. Text may not hold a sign of equality."""
+    """An inequality f >= 0 over coordinates, or several; see `Equation`. Text may not hold a sign of equality.
+
+    `at_least`, `at_most`: f within these bounds, in place of 0 and above.
+    """
 
     expression: Told
     of: Names = ()
@@ -251,12 +271,6 @@ class Inequality(_Valued):
     parameters: Parameters = field(default=None, repr=False, kw_only=True)
 
     sense: ClassVar[dict[str, Any]] = {"low": "zero"}
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for text in self._texts if isinstance(self._texts, tuple) else ():
-            if "=" in text:
-                raise InputError(f"{self.what} is {text!r}: give what is not negative, such as '1.2 - A'")
 
 
 @kind("velocity_equation", says="the velocities v of {of} obey {matrix} v = {b}")

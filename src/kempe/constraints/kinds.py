@@ -225,6 +225,8 @@ class HalfSpace(Placed):
     margin: Number = 0.0
     other: Frame | None = field(default=None, kw_only=True)
 
+    unbounded: ClassVar[str] = "it is at least 'margin' away; OnPlane has both bounds of its height"
+
     def rows(self, dim: int) -> tuple[Row, ...]:
         """Above the plane."""
         return (Row(Op.POINT, (2,), "z", low="zero"),)
@@ -269,6 +271,8 @@ class InBox(Placed):
     pose: Matrix = field(default_factory=lambda: np.eye(4))
     point: Point = ORIGIN
     other: Frame | None = field(default=None, kw_only=True)
+
+    unbounded: ClassVar[str] = "its bounds are the corners 'low' and 'high'"
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """All directions."""

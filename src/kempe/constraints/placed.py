@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, ClassVar
 
 from kempe import spatial
 from kempe.constraints.base import (
     HERE,
+    UNITS,
+    Bounded,
     Constraint,
-    Number,
     Op,
     Row,
-    plainly,
 )
 from kempe.constraints.reading import (
     along,
     at_point,
     directions_of,
-    pair,
     points_of,
     positive,
 )
@@ -67,40 +64,19 @@ class Placed(Constraint):
         return spatial.pose(along(z, dim), points_of(self.origin, dim, f"origin of {self.label}"))  # type: ignore[attr-defined]
 
 
-@dataclass(frozen=True, eq=False)
-class Measured(Placed):
-    """A kind of which one number says how far it is from where it would hold: a distance, a height, an angle.
-
-    With `at_least` (...) or `at_most` (...), or both, this number stays within these bounds, in place of being zero or
-    a value that the kind has.
-    """
-
-    at_least: Number = field(default=None, kw_only=True)
-    at_most: Number = field(default=None, kw_only=True)
+class Measured(Placed, Bounded):
+    """A kind of which one number says how far it is from where it would hold: a distance, a height, an angle."""
 
     measured: ClassVar[str] = "distance"
-    """What the number is, one of `UNITS`."""
     instead: ClassVar[str] = ""
     """The field in whose place the bounds are; '' where the number is zero without bounds."""
-
-    @property
-    def bounded(self) -> bool:
-        """Whether there are bounds."""
-        return self.at_least is not None or self.at_most is not None
 
     def check(self, dim: int) -> None:
         """Bounds leave something between them; distances and angles are not negative."""
         value = getattr(self, self.instead) if self.instead else None
         if value is not None:
             positive(value, f"{self.instead} of {self.label}")
-        if not self.bounded:
-            return
-        what, signed = f"a bound of {self.label}", self.measured in SIGNED
-        for bound in (self.at_least, self.at_most):
-            if bound is not None and not signed:
-                positive(bound, what)
-        low, high = (-math.inf if signed else 0.0) if self.at_least is None else self.at_least, self.at_most
-        pair(low, math.inf if high is None else high, f"at_least and at_most of {self.label}")
+        super().check(dim)
 
     def between(self, op: Op, *args: Any) -> tuple[Row, ...]:
         """The row of an operation that measures the number."""
@@ -115,7 +91,7 @@ class Measured(Placed):
 
     def in_words(self, name: str) -> str:
         """Bounds in place of a number, where they are given."""
-        return self._bounds() if name == self.instead and self.bounded else super().in_words(name)
+        return self.bounds_in_words if name == self.instead and self.bounded else super().in_words(name)
 
     def beyond(self, text: str) -> tuple[Row, ...]:
         """A row for each bound, of an expression of the pose that is the number; bounds are inputs of it."""
@@ -132,15 +108,9 @@ class Measured(Placed):
         if not self.bounded or self.instead:
             return said
         unit = UNITS[self.measured].replace("1", "")
-        return f"{said}, off by {self._bounds()} {unit}".rstrip()
-
-    def _bounds(self) -> str:
-        given = (("at least", self.at_least), ("at most", self.at_most))
-        return " and ".join(f"{word} {plainly(x)}" for word, x in given if x is not None)
+        return f"{said}, off by {self.bounds_in_words} {unit}".rstrip()
 
 
-SIGNED, UNITS = ("height", "value"), {"distance": "m", "height": "m", "angle": "rad", "value": "1"}
-"""Numbers that may be negative, and the units of all."""
 LEAST = "1e-24"
 """Added to squares under a root, so that the root has derivatives at zero, too."""
 TILTED = f"atan2(sqrt(xz^2 + yz^2 + {LEAST}), zz)"

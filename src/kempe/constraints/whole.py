@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from kempe import spatial
-from kempe.constraints.base import Constraint, Mass, Names, Number, Op, Point, Row, kind
+from kempe.constraints.base import EYE, Bounded, Constraint, Mass, Names, Number, Op, Point, Row, kind
 from kempe.constraints.reading import fixed, numbers_of, points_of
 from kempe.errors import InputError
 from kempe.reals import named
@@ -28,6 +28,8 @@ class Posture(Constraint):
     q: Any
     weight: float | None = field(default=1.0, kw_only=True)
 
+    unbounded: ClassVar[str] = "Equation has bounds of a coordinate"
+
     @property
     def about(self) -> str:
         """What coordinates."""
@@ -40,13 +42,19 @@ class Posture(Constraint):
         return (Row(Op.COORDINATE, () if given is None else tuple(given), "value"),)
 
 
-class _Centred(Constraint):
-    """A kind on a centre, which takes the place of frame B."""
+class _Centred(Bounded):
+    """A kind on a centre, which takes the place of frame B; along a single axis it can be within bounds."""
 
     @property
     def ends(self) -> tuple[Any, Any]:
         """The ground; a centre is no frame."""
         return None, None
+
+    def in_words(self, name: str) -> str:
+        """Bounds in place of a target, where they are given."""
+        if name != "target" or not self.bounded:
+            return super().in_words(name)
+        return f"{self.axes} {self.bounds_in_words}"  # type: ignore[attr-defined]
 
     def places(self, dim: int) -> list[int]:
         """The axes that count."""
@@ -61,6 +69,11 @@ class _Centred(Constraint):
     def rows(self, dim: int) -> tuple[Row, ...]:
         """The axes that count, within bounds where given."""
         n = len(self.places(dim))
+        if self.bounded != (self.target is None) or (self.bounded and n > 1):  # type: ignore[attr-defined]
+            raise InputError(f"{self.label} needs a target, or at_least or at_most along one of its axes")
+        if self.bounded:
+            k = self.places(dim)[0]
+            return (Row(Op.POINT, (k,), "xyz"[k], low="at_least", high="at_most"),)
         w = numbers_of(self.within, f"within of {self.label}")  # type: ignore[attr-defined]
         if w.shape[-1:] not in ((), (1,), (n,)) or not np.all(w >= 0.0):
             raise InputError(f"within of {self.label} is {self.within!r}; it must be a distance, or (..., {n})")  # type: ignore[attr-defined]
@@ -83,6 +96,8 @@ class _Centred(Constraint):
 
     def goal(self, dim: int) -> Array:
         """The target: three numbers, or one for each axis that counts."""
+        if self.bounded:
+            return EYE
         what, axes = f"target of {self.label}", self.places(dim)
         p = numbers_of(self.target, what)  # type: ignore[attr-defined]
         if p.shape[-1:] == (len(axes),):
@@ -100,12 +115,15 @@ class CentreOfMass(_Centred):
 
     Where fewer axes count, `target` may have a number for each of these only.
     `within` is one number, or (..., n) for the n axes, from target to target where it has leading axes.
+    Along one axis, `at_least` and `at_most` are bounds in place of a target.
     Masses and centres are those of the bodies, as files give them.
     """
 
-    target: Point
+    target: Point = None
     axes: str = "xyz"
     within: Number = 0.0
+
+    measured: ClassVar[str] = "height"
 
     @property
     def about(self) -> str:
@@ -123,12 +141,17 @@ class CentreOfMass(_Centred):
 
 @kind("centre_of_points", says="the mean of {frames} is at {target}")
 class CentreOfPoints(_Centred):
-    """The mean of the origins of frames at a position `target` (..., 3); `frames` is a list, or a dict of weights."""
+    """The mean of the origins of frames at a position `target` (..., 3); `frames` is a list, or a dict of weights.
+
+    Along one axis, `at_least` and `at_most` are bounds in place of a target.
+    """
 
     frames: Sequence[str] | Mapping[str, float]
-    target: Point
+    target: Point = None
     axes: str = "xyz"
     within: Number = 0.0
+
+    measured: ClassVar[str] = "height"
 
     @property
     def about(self) -> str:
@@ -159,6 +182,8 @@ class Function(Constraint):
     low: Any = 0.0
     high: Any = 0.0
     frames: Names = ()
+
+    unbounded: ClassVar[str] = "its bounds are 'low' and 'high'"
 
     @property
     def about(self) -> str:

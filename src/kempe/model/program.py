@@ -162,7 +162,7 @@ def value_of(made: Constraint, row: Row) -> float:
 def number_of(made: Constraint, field: str, part: int | None = None) -> Any:
     """What a field gives, or one of several numbers that it holds."""
     x = getattr(made, field)
-    return x if part is None else np.asarray(x)[..., part]
+    return x if part is None or np.ndim(x) == 0 else np.asarray(x)[..., part]
 
 
 def input_of(made: Constraint, name: str) -> Any:
@@ -182,4 +182,6 @@ def between(made: Constraint, row: Row) -> tuple[float, float]:
     """Between what a one-sided row holds."""
     ends = (number_of(made, field, row.part) if field else None for field in (row.low, row.high))
     low, high = (infinity if x is None else float(x) for x, infinity in zip(ends, (-np.inf, np.inf), strict=True))
+    if np.isnan(low) or np.isnan(high):
+        raise InputError(f"{made.label} holds between {low} and {high}; these must be numbers")
     return low, high
