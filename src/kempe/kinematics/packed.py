@@ -113,7 +113,8 @@ class Packed:
         self.closed = bool(np.any(self.rows == -1))
         """Whether loops or relations hold, too."""
         at, v = system.layout.vector_q, system.layout.vector_v
-        self.limits = at, system.lower[v] - ROUNDING, system.upper[v] + ROUNDING
+        which = slice(len(at)) if np.array_equal(at, np.arange(len(at))) else at
+        self.limits = which, system.lower[v] - ROUNDING, system.upper[v] + ROUNDING
         """Places in q of what has limits, and these."""
         wide = self.wide[v]
         self._turning = list(zip(at[wide], system.lower[v][wide], system.upper[v][wide], strict=True))
