@@ -171,6 +171,15 @@ def test_rows_of_several_kinds_are_asked_together(hunt):
     np.testing.assert_allclose(X[:, 2, 3], height, atol=1e-6)
 
 
+def test_distances_straight_above_have_derivatives():
+    """Where x and y are zero, the distance in the plane of these has none."""
+    s = free()
+    q = s.q({"J.z": 0.5})
+    made = Apart("b", 1.0, 0.6)
+    np.testing.assert_allclose(tasks.jacobian(s, made, q)[:, :3], [[0.0, 0.0, 1.0]] * 2, atol=1e-12)
+    assert s.ik([Apart("b", np.full(3, 0.6), np.full(3, 0.6))], seed=q).success.all()
+
+
 @pytest.mark.parametrize("other", [None, "base", "arm"])
 def test_goals_of_expressions_are_seen_from_frames_far_away(other):
     """On an ellipse cylinder, and a frame above a plane, about the ground, a body that stands and one that moves."""

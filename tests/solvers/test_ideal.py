@@ -7,6 +7,7 @@ differences of them.
 from __future__ import annotations
 
 import math
+import pickle
 from typing import Any
 
 import numpy as np
@@ -122,6 +123,16 @@ def test_an_angle_near_a_right_one_is_made_one():
     report = given.mobility()
     assert "'D' on its parent" in str(report) and "would lock it" in report.sentence
     assert report.data()["within"]["freedoms"] == 1
+
+
+def test_answers_say_the_same_after_pickling():
+    s = spatial_four_bar(1.5708)
+    q = s.assemble({"A": 0.4}).q
+    for answer in (s.assemble({"A": 0.4}), s.trace("A", q), s.mobility(q), s.independent(q), s.idealised()):
+        again = pickle.loads(pickle.dumps(answer))
+        assert str(again) == str(answer) and "within" in str(again)
+        assert getattr(again, "within", again).tolerance == getattr(answer, "within", answer).tolerance
+    assert pickle.loads(pickle.dumps(s))._ideal is None
 
 
 @pytest.mark.parametrize("off", [1e-13, 1e-12, 1e-11, 1e-9])

@@ -110,7 +110,7 @@ class Configurations(Tabular):
     @property
     def within(self) -> Idealised | None:
         """The nearest mechanism that closes exactly, which moves in place of the given one; None: it does itself."""
-        return self.system._queries.get("ideal")
+        return self.system._ideal
 
     def curve(self, frame: FrameLike, poses: bool = False) -> Array:
         """Positions (n, 3) of a frame along the motion, or its poses (n, 4, 4)."""

@@ -17,7 +17,6 @@ import numpy as np
 from kempe.analysis.rank import decide
 from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels.loop_layout import SCALES
 from kempe.kinematics import loops
 from kempe.kinematics.maximal import maximal, maximal_q
 from kempe.kinematics.one_sided import one_sided_rows
@@ -268,8 +267,7 @@ class Wrenches:
     @cached_property
     def _scale(self) -> Array:
         """Units of the velocities."""
-        M = self._maximal[0]
-        return loops.full(M, True).weights[SCALES : SCALES + M.nv]
+        return loops.scales(self._maximal[0])
 
     @cached_property
     def _force_of(self) -> Array:

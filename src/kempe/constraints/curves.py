@@ -62,36 +62,30 @@ class OnCurve(Measured):
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """Across the curve: two directions, in the plane one; or the distance from it."""
-        what = f"points of {self.label}"
+        tape = across(self.points, self.closed, dim, f"points of {self.label}", self.bounded)
         if self.bounded:
-            given = [bound for bound in ("at_least", "at_most") if getattr(self, bound) is not None]
-            tapes = [across(self.points, self.closed, dim, what, bound) for bound in given]
-            return tuple(Row(Op.TAPE, (tape, 0), "distance", "m", low="zero") for tape in tapes)
-        tape = across(self.points, self.closed, dim, what)
+            return self.between(Op.TAPE, tape, 0)
         names = ("across",) if dim == 2 else ("across 1", "across 2")
         return tuple(Row(Op.TAPE, (tape, k), name, "m") for k, name in enumerate(names))
 
 
 @lru_cache(maxsize=256)
-def across(points: tuple[tuple[float, ...], ...], closed: bool, dim: int, what: str, bound: str = "") -> Tape:
-    """The distances of (x, y, z) from a curve across it; or by how much the distance keeps "at_least" or "at_most".
-
-    Errors: `InputError`, see `spline`.
+def across(points: tuple[tuple[float, ...], ...], closed: bool, dim: int, what: str, whole: bool = False) -> Tape:
+    """The distances of (x, y, z) from a curve across it, or the `whole` distance. Errors: `InputError`, see `spline`.
 
     In space the directions are the two of `frames_of`, turned as the smallest turn takes its third to the tangent t:
     a - (a.t) (z + t) / (1 + z.t), where (p - c).t = 0.
     """
     pieces = spline(tuple((*p, 0.0)[:3] for p in points), closed, what)
-    build = Builder([*"xyz"[:dim], *([bound] if bound else [])])
+    build = Builder("xyz"[:dim])
     b = build.binary
     p = [i if i < dim else build.number(0.0) for i in range(3)]
     s = build.nearest(table_of(pieces, closed), p)
     off, first, _ = on_pieces(build, pieces, s, p)
     speed = build.unary(L.SQRT, dot(build, first, first))
     t = [b(L.DIV, x, speed) for x in first]
-    if bound:
-        d = build.unary(L.SQRT, b(L.ADD, dot(build, off, off), build.number(float(LEAST))))
-        return build.finish([b(L.SUB, d, dim) if bound == "at_least" else b(L.SUB, dim, d)])
+    if whole:
+        return build.finish([build.unary(L.SQRT, b(L.ADD, dot(build, off, off), build.number(float(LEAST))))])
     if dim == 2:
         return build.finish([b(L.SUB, b(L.MUL, t[0], off[1]), b(L.MUL, t[1], off[0]))])
     axes = frames_of(pieces)

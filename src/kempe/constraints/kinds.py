@@ -27,8 +27,8 @@ from kempe.constraints.base import (
 )
 from kempe.constraints.placed import (
     AWAY,
-    LEAST,
     LOOK,
+    OFF_LINE,
     ORIGIN,
     ROTATION,
     TILT,
@@ -108,7 +108,7 @@ class Orientation(Measured):
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """The rotation, or its angle."""
-        return self.beyond(TURNED) if self.bounded else (ROTATION,)
+        return self.between(Op.TAPE, TURNED, 0) if self.bounded else (ROTATION,)
 
     def goal(self, dim: int) -> Array:
         """The target."""
@@ -140,7 +140,7 @@ class Pointing(_Axis):
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """The axis, or its angle."""
-        return self.beyond(TILTED) if self.bounded else (TILT,)
+        return self.between(Op.TAPE, TILTED, 0) if self.bounded else (TILT,)
 
     def goal(self, dim: int) -> Array:
         """A frame whose z is the direction."""
@@ -161,7 +161,7 @@ class LookAt(_Axis):
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """The axis, or its angle."""
-        return self.beyond(AWAY) if self.bounded else (LOOK,)
+        return self.between(Op.TAPE, AWAY, 0) if self.bounded else (LOOK,)
 
     def goal(self, dim: int) -> Array:
         """The point."""
@@ -183,7 +183,7 @@ class OnLine(Measured):
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """What is across the line, in the plane only within it; or the distance from it."""
-        return self.beyond(f"sqrt(x^2 + y^2 + {LEAST})") if self.bounded else points(3, "y" if dim == 2 else "xy")
+        return self.between(Op.TAPE, OFF_LINE, 0) if self.bounded else points(3, "y" if dim == 2 else "xy")
 
     def goal(self, dim: int) -> Array:
         """A frame on the line, z along it."""
@@ -379,9 +379,7 @@ class OnSurface(Measured):
     def rows(self, dim: int) -> tuple[Row, ...]:
         """The equation of the surface."""
         tape = self._tape(dim)
-        left, _, right = self.surface.partition("=")
-        value = f"({left}) - ({right or 0})"
-        return self.beyond(value) if self.bounded else (Row(Op.TAPE, (tape, 0), "surface", "1"),)
+        return self.between(Op.TAPE, tape, 0) if self.bounded else (Row(Op.TAPE, (tape, 0), "surface", "1"),)
 
     def _tape(self, dim: int) -> Tape:
         return from_text([self.surface], tuple("xyz"[:dim]), {})

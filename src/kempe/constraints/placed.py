@@ -80,7 +80,7 @@ class Measured(Placed, Bounded):
 
     def between(self, op: Op, *args: Any) -> tuple[Row, ...]:
         """The row of an operation that measures the number."""
-        return (Row(op, args, self.measured, low="at_least", high="at_most"),)
+        return (Row(op, args, self.measured, UNITS[self.measured], low="at_least", high="at_most"),)
 
     def apart(self) -> tuple[Row, ...]:
         """The row of a distance that is the number of the field `instead`, or within bounds. Errors: `InputError`."""
@@ -92,14 +92,6 @@ class Measured(Placed, Bounded):
     def in_words(self, name: str) -> str:
         """Bounds in place of a number, where they are given."""
         return self.bounds_in_words if name == self.instead and self.bounded else super().in_words(name)
-
-    def beyond(self, text: str) -> tuple[Row, ...]:
-        """A row for each bound, of an expression of the pose that is the number; bounds are inputs of it."""
-        unit, rows = UNITS[self.measured], []
-        for bound, row in (("at_least", f"{text} - at_least"), ("at_most", f"at_most - ({text})")):
-            if getattr(self, bound) is not None:
-                rows.append(Row(Op.TAPE, (from_text([row], (*POSE, bound), {}), 0), self.measured, unit, low="zero"))
-        return tuple(rows)
 
     @property
     def sentence(self) -> str:
@@ -113,7 +105,13 @@ class Measured(Placed, Bounded):
 
 LEAST = "1e-24"
 """Added to squares under a root, so that the root has derivatives at zero, too."""
-TILTED = f"atan2(sqrt(xz^2 + yz^2 + {LEAST}), zz)"
-AWAY = f"atan2(sqrt((yz*z - zz*y)^2 + (zz*x - xz*z)^2 + (xz*y - yz*x)^2 + {LEAST}), -(xz*x + yz*y + zz*z))"
-TURNED = f"atan2(sqrt((zy - yz)^2 + (xz - zx)^2 + (yx - xy)^2 + {LEAST}), xx + yy + zz - 1)"
-"""Angles of z of B against z of A, of z of B against the direction from B to the origin of A, and of B against A."""
+OFF_LINE, TILTED, AWAY, TURNED = (
+    from_text(text, POSE) for text in (
+        f"sqrt(x^2 + y^2 + {LEAST})",
+        f"atan2(sqrt(xz^2 + yz^2 + {LEAST}), zz)",
+        f"atan2(sqrt((yz*z - zz*y)^2 + (zz*x - xz*z)^2 + (xz*y - yz*x)^2 + {LEAST}), -(xz*x + yz*y + zz*z))",
+        f"atan2(sqrt((zy - yz)^2 + (xz - zx)^2 + (yx - xy)^2 + {LEAST}), xx + yy + zz - 1)",
+    )
+)  # fmt: skip
+"""Distance from z of A; angles of z of B against z of A, of z of B against the direction from B to the origin of A, and
+of B against A."""

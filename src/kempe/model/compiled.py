@@ -29,6 +29,8 @@ class Compiled:
     _table: Table
     _queries: dict[Any, Any]
     """Bound forms of single calls, by what they are bound to."""
+    _ideal: Any = None
+    """What this system is the nearest one of, an `Idealised`; None where it is the given one."""
     _kept: dict[Any, dict[Any, Any]]
     """Answers of functions that are `kempe.model.kept.kept`."""
 
@@ -216,7 +218,7 @@ class Compiled:
         return hash(self.content_hash)
 
     def __reduce__(self):
-        return (type(self), (self._mechanism,))
+        return (type(self), (self._mechanism,), None if self._ideal is None else {"_ideal": self._ideal})
 
     def __repr__(self) -> str:
         loops = f", loops={len(self.closures)}" if self.closures else ""

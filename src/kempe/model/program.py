@@ -11,6 +11,7 @@ import numpy as np
 
 from kempe.constraints.base import Constraint, Op, Row, held, numbers_in, one_sided
 from kempe.constraints.builder import Builder
+from kempe.constraints.placed import LEAST
 from kempe.constraints.tape import POSE, TIME, Tape
 from kempe.constraints.text import from_text
 from kempe.description.constrain import resolved
@@ -108,7 +109,7 @@ def plain_rows(made: Constraint, dim: int, given: bool = False) -> list[Row]:
     return out
 
 
-AS_TEXT = {Op.POINT: ("x", "y", "z"), Op.DISTANCE: ("hypot(hypot(x, y), z)",)}
+AS_TEXT = {Op.POINT: ("x", "y", "z"), Op.DISTANCE: (f"sqrt(x^2 + y^2 + z^2 + {LEAST})",)}
 """Rows of a pose as expressions."""
 
 

@@ -35,7 +35,7 @@ class Answer(Tabular):
     @property
     def within(self) -> Idealised | None:
         """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
-        return self.system._queries.get("ideal")
+        return self.system._ideal
 
     def sentence(self, index: tuple[int, ...] | int = ()) -> str:
         """The sentence for one configuration, by its place in a batch. Errors: `InputError`."""

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.assembly import Assembler
 
+
 def allowing(system: System, tolerance: float | str) -> tuple[System, float]:
     """The system to close within a tolerance, and the largest residual of a success.
 

@@ -68,7 +68,7 @@ class Chart:
     @property
     def within(self) -> Idealised | None:
         """The nearest mechanism that closes exactly, whose chart it is; None: the given one's."""
-        return self.system._queries.get("ideal")
+        return self.system._ideal
 
     @property
     def dim(self) -> int:

@@ -23,6 +23,7 @@ from kempe.kinematics.ball_angles import regular_chart
 from kempe.kinematics.configuration import as_q, home_of
 from kempe.kinematics.loops import evaluate, full, residual, row_names
 from kempe.model.clocked import timed
+from kempe.model.kept import keep, kept
 from kempe.model.lengths import characteristic_length, origin_of
 from kempe.model.own_tree import own_tree
 from kempe.reals import is_real
@@ -176,12 +177,11 @@ def within(system: System, tolerance: Any = None) -> Idealised | None:
     """
     if tolerance is None:
         tolerance = system.tolerance
-    key = ("within", tolerance if tolerance.__class__ in (float, int, str) else repr(tolerance))
-    found = system._queries.get(key, key)
-    if found is key:
-        most = tolerance_of(system, tolerance)
-        found = system._queries[key] = None if "ideal" in system._queries else _searched(system, most)
-    return found
+    answers, key = system._kept.setdefault(within, {}), tolerance
+    if tolerance.__class__ not in (float, int, str):
+        key = repr(tolerance)
+    found = answers.get(key, answers)  # it never holds itself
+    return keep(answers, key, _searched(system, tolerance_of(system, tolerance))) if found is answers else found
 
 
 @explained
@@ -196,11 +196,12 @@ def idealised(system: System, tolerance: float | str | None = MEASURED) -> Ideal
 
 def nearly(system: System) -> Idealised | None:
     """As `within` what is measured, but found in a short time or not at all: for a hint."""
-    found = system._queries.get(("within", MEASURED)) or system._queries.get("nearly", system)
-    if found is system:
-        found = None if "ideal" in system._queries else _searched(system, tolerance_of(system, MEASURED), False)
-        system._queries["nearly"] = found
-    return found
+    return system._kept.get(within, {}).get(MEASURED) or _soon(system)
+
+
+@kept
+def _soon(system: System) -> Idealised | None:
+    return _searched(system, tolerance_of(system, MEASURED), False)
 
 
 def ideal_of(system: System, tolerance: Any = None) -> System:
@@ -215,7 +216,9 @@ def said(found: Idealised | None) -> str:
 
 
 def _searched(system: System, most: float, thorough: bool = True) -> Idealised | None:
-    if not (system.closures or system.mechanism.constraints) or not 0 < system.nv <= MOST:
+    if system._ideal is not None or not (system.closures or system.mechanism.constraints):
+        return None
+    if not 0 < system.nv <= MOST:
         return None
     if timed(system) or rolls(system):
         return None
@@ -307,7 +310,7 @@ def _told(system: System, shape: Shape, ideal: System, q: Array, most: float, fr
     for (name, _), x in zip(row_names(system), off.tolist(), strict=True):
         absorbed[name] = max(x, absorbed.get(name, 0.0))
     found = Idealised(system, ideal, most, size, float(off.max()), freedoms, tuple(told), absorbed)
-    ideal._queries["ideal"] = found
+    vars(ideal)["_ideal"] = found  # it is frozen, and known only now
     return found
 
 

@@ -67,7 +67,7 @@ class Modes(Tabular):
     @property
     def within(self) -> Idealised | None:
         """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
-        return self.system._queries.get("ideal")
+        return self.system._ideal
 
     def __len__(self) -> int:
         return len(self.q)

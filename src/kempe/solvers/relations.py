@@ -128,9 +128,8 @@ def _simple(x: Value, most: float) -> Value:
 
 def _pose(d: Array) -> Array:
     """The pose of slides and turns in the order of `Shape.motions`."""
-    if len(d) == 3:
-        return spatial.pose(spatial.rot_z(d[2]), [d[0], d[1], 0.0])
-    return spatial.pose(spatial.rot_z(d[3]) @ spatial.rot_y(d[4]) @ spatial.rot_x(d[5]), d[:3])
+    x, y, z, yaw, pitch, roll = d if len(d) == 6 else (d[0], d[1], 0.0, d[2], 0.0, 0.0)
+    return spatial.pose_from_xyz_rpy([x, y, z, roll, pitch, yaw])
 
 
 def _parallel(a: tuple, b: tuple) -> Values:
