@@ -126,7 +126,7 @@ def test_what_is_missing_is_named():
 
 @pytest.mark.parametrize(
     ("option", "said"),
-    [("seed", "near=q"), ("start", "near=q"), ("hold", "fixed={'name': value}"), ("starts", "not searched for")],
+    [("q", "start=q"), ("prefer", "start=q"), ("hold", "fixed={'name': value}"), ("starts", "not searched for")],
 )
 def test_options_of_ik_that_ik_all_has_by_another_name(option, said):
     with pytest.raises(CallError) as caught:
@@ -172,7 +172,7 @@ CASES = {
     "nearest to q": (lambda: PUMA.ik_all(X, "tool").nearest(PUMA.mid), InputError, "index .* must be a whole number"),
     "no tasks": (lambda: PUMA.ik([]), InputError, "it is an empty list"),
     "letter for a branch": (lambda: FOUR_BAR.assemble({"A": 1.0}, branch="x"), InputError, "branch is 'x'"),
-    "seed too large": (lambda: PUMA.ik(X, "tool", np.full(6, 1e101)), InputError, "seed has entries .* too large"),
+    "start too large": (lambda: PUMA.ik(X, "tool", np.full(6, 1e101)), InputError, "start has entries .* too large"),
     "rng too large": (lambda: FOUR_BAR.assemble(rng=2**63), InputError, r"rng is .* below 2\*\*62"),
     "names of numbers": (lambda: PUMA.assembler([1]), InputError, "known is .1.; it must be a list of names"),
     "more than memory": (lambda: PUMA.random(0, 2**60), InputError, "this memory does not hold"),
@@ -200,7 +200,7 @@ def test_a_bad_last_row_in_a_batch_is_named():
     bad[1] = np.nan
     assert "target has entries that are not finite" in PUMA.ik(bad, "tool").status[1]
     seeds = np.stack([PUMA.mid, np.full(6, 1e101)])
-    assert "seed has entries" in PUMA.ik(np.stack([X, X]), "tool", seeds).status[1]
+    assert "start has entries" in PUMA.ik(np.stack([X, X]), "tool", seeds).status[1]
 
 
 def test_attaching_names_the_prefix():

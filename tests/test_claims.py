@@ -49,7 +49,7 @@ def test_answers_are_inside_the_limits_and_judged_by_the_forward_model(robots, h
         X[:, :3, 3] *= rng.choice([1.0, 1.0, 3.0], (size, 1))
         asks_pose = bool(rng.random() < 0.6) and robot.dim == 3
         target = X if asks_pose else X[:, : robot.dim, 3]
-        s = robot.ik(target, frame, starts=int(rng.choice([1, 20])), seed=robot.random(rng))
+        s = robot.ik(target, frame, starts=int(rng.choice([1, 20])), start=robot.random(rng))
         assert inside(robot, s.q)
         Y = robot.fk(s.q, frame)
         place = np.linalg.norm(Y[:, :3, 3] - X[:, :3, 3], axis=1)
@@ -66,10 +66,10 @@ def test_a_frame_that_moves_with_a_loop_is_answered_with_it_closed(hunt):
     for _ in range(hunt.cases(30)):
         system = kempe.load(str(rng.choice(CLOSED)))
         body = str(rng.choice([n for n in system.body_names if n != system.body_names[0]]))
-        closed = system.assemble(near=system.random(rng))
+        closed = system.assemble(start=system.random(rng))
         X = system.fk(closed.q, body)
         X[:3, 3] *= rng.choice([1.0, 1.0, 3.0])
-        s = system.ik(X[: system.dim, 3], body, seed=system.random(rng), starts=10)
+        s = system.ik(X[: system.dim, 3], body, start=system.random(rng), starts=10)
         assert inside(system, s.q)
         off = np.linalg.norm(system.fk(s.q, body)[:3, 3] - X[:3, 3])
         assert s.position_error == pytest.approx(off, abs=1e-9)
@@ -86,9 +86,9 @@ def test_the_answer_is_that_of_the_first_start_that_reaches_the_target(robots, h
         robot = robots[ARMS[rng.integers(len(ARMS))]]
         q = robot.random(rng)
         X, seed = robot.fk(q, tip(robot)), q + rng.normal(size=robot.nq) * rng.choice([0.1, 0.5, 2.0])
-        many = robot.ik(X, tip(robot), seed=seed)
+        many = robot.ik(X, tip(robot), start=seed)
         assert many.success
-        few = robot.ik(X, tip(robot), seed=seed, starts=many.starts)
+        few = robot.ik(X, tip(robot), start=seed, starts=many.starts)
         assert few.success and few.starts == many.starts and np.array_equal(few.q, many.q)
 
 
@@ -97,7 +97,7 @@ def test_the_analytic_answer_is_the_nearest_of_all_solutions(robots, hunt):
     for _ in range(hunt.cases(100)):
         robot = robots[str(rng.choice(["puma560", "ur5"]))]
         X, seed = robot.fk(robot.random(rng), tip(robot)), robot.random(rng)
-        s = robot.ik(X, tip(robot), seed=seed, method="analytic")
+        s = robot.ik(X, tip(robot), start=seed, method="analytic")
         a = robot.ik_all(X, tip(robot), expand_turns=True, inside_only=True)
         assert s.success == bool(len(a))
         if len(a):
@@ -161,7 +161,7 @@ def test_a_drive_holds_where_its_input_cannot_be(hunt):
         m.prismatic("S", m.ground, m.body("slider"), axis=(1, 0))
         m.revolute("C", "rod", "slider", at=(b, 0))
         system = m.build()
-        start = system.assemble({"S": float(np.sqrt(a * a + b * b))}, near={"A": 1.5, "B": -2.0}).q
+        start = system.assemble({"S": float(np.sqrt(a * a + b * b))}, start={"A": 1.5, "B": -2.0}).q
         s0 = system.q_dict(start)["S"]
         wave = s0 + np.concatenate([[0.0], rng.uniform(0.3, 1.6) * a * np.sin(np.linspace(0.1, 9.0, 60))])
         motion = system.drive({"S": wave}, start=start)
@@ -288,7 +288,7 @@ def test_threads_of_python_may_use_one_system(robots, hunt):
     def work(system, k):
         q = Q[k]
         X = system.fk(q, "tool")
-        return X, system.jacobian(q, "tool"), system.ik(X, "tool", seed=Q[k - 1]).q, system.ik_all(X, "tool").q
+        return X, system.jacobian(q, "tool"), system.ik(X, "tool", start=Q[k - 1]).q, system.ik_all(X, "tool").q
 
     with ThreadPoolExecutor(8) as pool:
         many = list(pool.map(lambda k: work(fresh, k), range(len(Q))))

@@ -116,7 +116,7 @@ def assembled(plain: System, s: System, n: int, rng: np.random.Generator) -> Non
     for size in (FAR, NEAR):
         at = starts(plain, home, size, n, rng)
         for nearest in (False, True):
-            want, got = (x.assemble(values, near=at, nearest=nearest) for x in (plain, s))
+            want, got = (x.assemble(values, start=at, nearest=nearest) for x in (plain, s))
             same(got.q, want.q)
             assert np.array_equal(got.success, want.success) and np.all(got.success)
             assert np.abs(residual(s, got.q)).max() < OPEN and np.abs(s.closure_error(got.q)).max() < OPEN
@@ -144,7 +144,7 @@ def test_what_a_start_says_of_the_joint_left_out_gives_way(limits):
     q = starts(plain, plain.posture("closed"), 1.0, 50, np.random.default_rng(4))
     other = q.copy()
     other[:, 2] = -0.5 * q[:, 2]
-    a, b = (plain.assemble({"A": 1.0}, near=x) for x in (q, other))
+    a, b = (plain.assemble({"A": 1.0}, start=x) for x in (q, other))
     assert a.success.all() and b.success.all()
     away = np.abs(plain.difference(a.q, b.q))
     turns = np.round(away / (2.0 * np.pi)) * 2.0 * np.pi
@@ -157,7 +157,7 @@ def test_what_a_start_says_of_the_joint_left_out_gives_way(limits):
 def reached(plain: System, s: System, n: int, rng: np.random.Generator) -> None:
     """Targets within reach from near and from far, one out of reach, and a step."""
     frame, home = plain.body_names[-1], plain.posture("closed")
-    closed = plain.assemble(near=starts(plain, home, NEAR, n, rng)).q
+    closed = plain.assemble(start=starts(plain, home, NEAR, n, rng)).q
     targets = plain.fk(closed, frame)
     away = targets + np.array([[0.0, 0, 0, 50.0], [0] * 4, [0] * 4, [0] * 4])
     for wanted, size in ((targets, NEAR), (targets, FAR), (away[:1], NEAR)):
@@ -238,10 +238,10 @@ def hunted(shape: Closed, rng: np.random.Generator) -> None:
     q = shape.values(plain)
     at = np.concatenate([starts(plain, q, size, 2, rng) for size in (FAR, NEAR)])
     known = {n: x for n, x in plain.q_dict(q).items() if n in plain.velocity_names and rng.random() < 0.2}
-    want = plain.assemble(known, near=at)
+    want = plain.assemble(known, start=at)
     for _ in range(2):
         s = shape.system(frozenset(n for n in names if rng.random() < 0.4))
-        got = s.assemble(known, near=at)
+        got = s.assemble(known, start=at)
         if own_tree(s).closures != plain.closures:
             left = {*plain.closures} - {*s.closures}  # in its tree are joints that hold nothing
             assert any(link.kind.constraints(shape.dim) <= 0 for link in shape.links if link.name in left)

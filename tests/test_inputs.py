@@ -255,7 +255,7 @@ def test_named_values_hunt(model, hunt):
     closed = 0
     for _ in range(hunt.cases(20)):
         some = [str(n) for n in rng.choice(names, size=min(len(names), int(rng.integers(1, 4))), replace=False)]
-        at = system.assemble(near=system.random(rng))
+        at = system.assemble(start=system.random(rng))
         values = {n: float(system.q_dict(at.q)[n]) if at else float(rng.normal()) for n in some}
         try:
             X = system.fk(values)

@@ -67,12 +67,12 @@ def check(shape: Closed, cuts: list[frozenset[str]], rng: np.random.Generator) -
             assert np.abs(constraint.residual(s, q)).max(initial=0.0) < 1e-10, constraint.name
         start = s.integrate(q, rng.uniform(-NEAR, NEAR, s.nv))
         for nearest in (False, True) if cut == cuts[0] else (False,):
-            answer = s.assemble(near=start, nearest=nearest)
+            answer = s.assemble(start=start, nearest=nearest)
             assert answer.success, s.closures
             assert shape.open_by(s, answer.q) < 1e-9
         if cut != cuts[0]:
             continue  # poses know no cut
-        read = s.from_maximal(s.to_maximal(q), near=s.integrate(q, rng.uniform(-0.02, 0.02, s.nv)))
+        read = s.from_maximal(s.to_maximal(q), start=s.integrate(q, rng.uniform(-0.02, 0.02, s.nv)))
         assert shape.open_by(s, read) < 1e-7
         np.testing.assert_allclose(s.fk(read), s.fk(q), rtol=0, atol=1e-8)
     assert len(freedoms) == 1, freedoms
@@ -127,14 +127,14 @@ def test_coordinates_of_a_cut_joint_can_be_known_held_or_coupled(kind, dim):
     mine = [n for n in s.coordinates_of_joint("j2") if n in s.velocity_names]
     start = s.integrate(q, np.random.default_rng(1).uniform(-NEAR, NEAR, s.nv))
     for name in mine:
-        answer = s.assemble({name: at[name]}, near=start)
+        answer = s.assemble({name: at[name]}, start=start)
         assert answer.success and s.q_dict(answer.q)[name] == at[name] and shape.open_by(s, answer.q) < 1e-9
         held = s.lock({name: at[name]})
-        locked = held.assemble(near=held.q({n: x for n, x in s.q_dict(start).items() if n != name}))
+        locked = held.assemble(start=held.q({n: x for n, x in s.q_dict(start).items() if n != name}))
         assert locked.success
         whole = s.q({**held.q_dict(locked.q), name: at[name]})
         assert shape.open_by(s, whole) < 1e-9
-        back = held.from_maximal(held.to_maximal(locked.q), near=locked.q)
+        back = held.from_maximal(held.to_maximal(locked.q), start=locked.q)
         np.testing.assert_allclose(held.fk(back), held.fk(locked.q), rtol=0, atol=1e-8)
     if mine:
         m = s.mechanism.copy()
@@ -142,7 +142,7 @@ def test_coordinates_of_a_cut_joint_can_be_known_held_or_coupled(kind, dim):
         m.gear(mine[0], driver, 0.7, at[mine[0]] - 0.7 * at[driver])
         geared = m.build()
         free = geared.q({n: x for n, x in s.q_dict(start).items() if n != mine[0]})
-        answer = geared.assemble(near=free)
+        answer = geared.assemble(start=free)
         assert answer.success
         value = 0.7 * geared.q_dict(answer.q)[driver] + at[mine[0]] - 0.7 * at[driver]
         assert shape.open_by(s, s.q({**geared.q_dict(answer.q), mine[0]: value})) < 1e-9
@@ -205,7 +205,7 @@ def test_cuts_are_what_they_say():
 @each_cut
 def test_the_slotted_lever_assembles(s):
     angles = np.linspace(0.0, 6.0, 61)
-    answer = s.assemble({"A": angles}, near=s.posture("closed"), continuous=True)
+    answer = s.assemble({"A": angles}, start=s.posture("closed"), continuous=True)
     assert np.all(answer.success)
     at = {name: answer.q[:, i] for i, name in enumerate(s.coordinate_names)}
     np.testing.assert_allclose(at["B"], lever_angle(angles), rtol=0, atol=1e-9)
@@ -214,7 +214,7 @@ def test_the_slotted_lever_assembles(s):
 
 @each_cut
 def test_the_slotted_lever_moves(s):
-    start = s.assemble({"A": 0.3}, near=s.posture("closed")).q
+    start = s.assemble({"A": 0.3}, start=s.posture("closed")).q
     m = s.mobility(start)
     assert m.dof == 1 and m.counting.gruebler == 1 and not m.idle_freedoms and m.redundancy.number == 0
     path = s.trace("A", start)
@@ -235,9 +235,9 @@ def test_the_slotted_lever_moves(s):
 
 @each_cut
 def test_the_slotted_lever_is_placed(s):
-    start = s.assemble({"A": 0.9}, near=s.posture("closed")).q
+    start = s.assemble({"A": 0.9}, start=s.posture("closed")).q
     X = s.fk(start, "tip")
-    found = s.ik(tasks.Pose("tip", X), seed=s.assemble({"A": 0.7}, near=start).q)
+    found = s.ik(tasks.Pose("tip", X), start=s.assemble({"A": 0.7}, start=start).q)
     assert found.success
     assert np.abs(s.closure_error(found.q)).max() < 1e-8
     np.testing.assert_allclose(s.fk(found.q, "tip"), X, rtol=0, atol=1e-7)
@@ -248,15 +248,15 @@ def test_the_slotted_lever_is_placed(s):
     np.testing.assert_allclose(s.fk(every.q, "tip"), np.broadcast_to(X, (len(every), 4, 4)), atol=1e-9)
     with pytest.raises(UnsupportedError, match="loop that joint"):
         s.ik_plan("tip")
-    step = s.ik_step(start, tasks.Pose("tip", s.fk(s.assemble({"A": 0.91}, near=start).q, "tip")), dt=0.01)
+    step = s.ik_step(start, tasks.Pose("tip", s.fk(s.assemble({"A": 0.91}, start=start).q, "tip")), dt=0.01)
     assert step.velocity[s.velocity_names.index("A")] == pytest.approx(1.0, abs=0.05)  # it is damped
 
 
 @each_cut
 def test_poses_of_the_slotted_lever(s):
-    q = s.assemble({"A": np.linspace(-1, 1, 5)}, near=s.posture("closed")).q
+    q = s.assemble({"A": np.linspace(-1, 1, 5)}, start=s.posture("closed")).q
     poses = s.to_maximal(q)
-    np.testing.assert_allclose(s.from_maximal(poses, near=q), q, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(s.from_maximal(poses, start=q), q, rtol=0, atol=1e-10)
     off = np.array(poses)
     off[..., 0, 0, 3] += 1e-3
     with pytest.raises(InputError, match=r"violate joint"):
@@ -291,7 +291,7 @@ def test_a_geared_hinge_returns_after_its_own_period():
     s = m.build()
     assert not s.coordinates.turning[s.velocity_names.index("A.motor")]
     q = s.assemble({"A.motor": 0.5}).q
-    turns = s.assemble({"A.motor": 0.5 + 2 * np.pi * np.array([1, 5])}, near=q).q
+    turns = s.assemble({"A.motor": 0.5 + 2 * np.pi * np.array([1, 5])}, start=q).q
     poses = s.fk(turns, "a")
     assert np.abs(poses[0] - s.fk(q, "a")).max() > 0.5
     np.testing.assert_allclose(poses[1], s.fk(q, "a"), rtol=0, atol=1e-9)

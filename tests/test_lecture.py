@@ -207,7 +207,7 @@ def test_the_additional_considerations_are_arguments():
     """Both assemblies of the loop: by start, by name, and listed; limits that only one of them respects choose, too."""
     system = kempe.load("four_bar")
     q = system.posture("closed")
-    modes = system.assembly_modes({"A": q[0]}, near=q)
+    modes = system.assembly_modes({"A": q[0]}, start=q)
     assert len(modes) == 2 and modes.complete
     np.testing.assert_allclose(modes.q[0], q, rtol=0, atol=1e-12)
     for name, mode in zip(modes.branches, modes.q, strict=True):
@@ -234,7 +234,7 @@ def test_two_parametrizations_of_a_closed_loop_and_the_ways_between_them():
         assert np.abs(system.maximal.closure_error(at)).max() < 1e-12
         m = system.maximal.mobility(at)
         assert (m.counting.free, m.counting.taken) == (21, 20) and m.rank_dof == m.dof == chart.dim == 1
-        assert chart.u(system.from_maximal(pairs, near=q)) == pytest.approx([u], abs=1e-12)
+        assert chart.u(system.from_maximal(pairs, start=q)) == pytest.approx([u], abs=1e-12)
 
 
 def test_configuration_space_and_task_space_of_the_two_link_arm():
@@ -372,7 +372,7 @@ def test_the_numerical_igm_finds_the_analytical_solutions(radius, direction, elb
     assert min(apart(system.ik(p, "e").q, q) for q in solutions) < 1e-4
     guess = np.add(solutions[elbow], off)
     if math.sin(guess[1]) * math.sin(solutions[elbow][1]) > 0:
-        s = system.ik(p, "e", seed=guess)
+        s = system.ik(p, "e", start=guess)
         assert s.success and s.starts == 1
         assert apart(s.q, solutions[elbow]) < 1e-4
 

@@ -83,7 +83,7 @@ def test_wrong_arguments_are_named():
     with pytest.raises(InputError, match="starts is"):
         robot.ik(target, "tool", starts=10**30)
     with pytest.raises(InputError, match=r"it must be \(6,\)$"):
-        robot.ik(target, "tool", seed=np.zeros((2, 6)))
+        robot.ik(target, "tool", start=np.zeros((2, 6)))
     with pytest.raises(kempe.KempeError, match="frame of expression"):
         robot.jacobian(robot.neutral, "tool", ["body"])
     assert robot.ik(target, "tool", tolerance=np.array([1e-6, 1e-6]))

@@ -32,7 +32,7 @@ def test_the_nearest_does_not_depend_on_the_cut():
     answers = []
     for cut in "ABCD":
         s = four_bar(cut)
-        answer = s.assemble(near=near, nearest=True)
+        answer = s.assemble(start=near, nearest=True)
         assert answer
         answers.append([s.q_dict(answer.q)[n] for n in "ABCD"])
     np.testing.assert_allclose(answers, np.broadcast_to(answers[0], (4, 4)), atol=1e-7)
@@ -42,9 +42,9 @@ def test_the_nearest_is_nearest():
     """No closed configuration of a fine sweep of the crank is nearer, measured in all joints."""
     s = kempe.load("four_bar")
     near = s.q({"A": 1.4, "B": -0.7, "C": 1.0, "D": 1.3})
-    answer = s.assemble(near=near, nearest=True)
+    answer = s.assemble(start=near, nearest=True)
     crank = answer.q[0] + np.linspace(-0.2, 0.2, 2001)
-    around = s.assemble({"A": crank}, near=answer.q)
+    around = s.assemble({"A": crank}, start=answer.q)
     assert around
     assert s.distance(near, answer.q) <= s.distance(near, around.q).min() + 1e-9
 

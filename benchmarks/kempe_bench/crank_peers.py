@@ -135,7 +135,7 @@ def angles(drive: Drive, n: int) -> Array:
 def linkage(system: System, n: int) -> Linkage:
     """The mechanism as a model of pylinkage whose crank takes n steps, compiled."""
     drive = DRIVES[system.name]
-    q = system.assemble({drive.crank: drive.start}, near=system.posture("closed")).q
+    q = system.assemble({drive.crank: drive.start}, start=system.posture("closed")).q
     points = _Points(system, q, drive, (drive.end - drive.start) / n)
     BUILDERS[system.name](points, system.parameters)
     model = peers.module("pylinkage.simulation").Linkage(tuple(points.parts))

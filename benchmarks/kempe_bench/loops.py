@@ -95,8 +95,8 @@ def _line(table: Grid, bench: Bench, tree: Tree, line: str, sigma: float, known:
     given = {n: float(home[tree.columns[n]]) for n in known}
     bound = system.assembler(known)
     solvers: dict[str, Assembler] = {
-        CALL: Kempe(tree, lambda q: system.assemble(given, near=q)),
-        NEAREST: Kempe(tree, lambda q: system.assemble(given, near=q, nearest=True)),
+        CALL: Kempe(tree, lambda q: system.assemble(given, start=q)),
+        NEAREST: Kempe(tree, lambda q: system.assemble(given, start=q, nearest=True)),
         BOUND: Kempe(tree, lambda q: bound(given, q)),
         **peers_of(bench, tree, known),
     }
@@ -186,7 +186,7 @@ def success(bench: Bench) -> Grid:
         for sigma in RATES:
             q, line = tree.guesses(sigma, BATCH), f"{name}, {sigma:g}"
             for library, starts in ((USUAL, _starts()), (ONE_START, 1)):
-                answer = system.assemble(near=q, starts=starts)
+                answer = system.assemble(start=q, starts=starts)
                 opening = np.where(answer.success, tree.opening(tree.coordinates(answer.q)), np.inf)
                 table.rows.append(Row(library, line, share(opening, Assembler.tolerance)))
             for library, s in solvers.items():

@@ -67,7 +67,7 @@ class Kempe(Solver):
 
     def solve(self, target: Any, start: Array | None) -> Any:
         """One public call."""
-        solution = self.system.ik(target, TIP, seed=start)
+        solution = self.system.ik(target, TIP, start=start)
         return solution.q if solution.success else None
 
 

@@ -77,7 +77,7 @@ class Kempe(Assembler):
 
     def call(self, guess: Array, /) -> Any:
         """One public call, task and all."""
-        return self.system.ik(self.held(guess), seed=self.home)
+        return self.system.ik(self.held(guess), start=self.home)
 
     def opening(self, answers: Sequence[Any]) -> Array:
         """Infinite where Kempe says that it did not succeed."""
@@ -181,7 +181,7 @@ def platforms(bench: Bench) -> Grid:
 
 def _robot(table: Grid, bench: Bench, tree: Tree, what: str) -> None:
     system, goals = tree.system, Goals(tree, what)
-    closed = system.assemble(near=tree.guesses(SIGMA, BATCH))
+    closed = system.assemble(start=tree.guesses(SIGMA, BATCH))
     q = closed.q[closed.success]
     kempe = Kempe(goals)
     solvers: dict[str, Assembler] = {ONE: kempe}
@@ -192,7 +192,7 @@ def _robot(table: Grid, bench: Bench, tree: Tree, what: str) -> None:
     success = {library: _success(s, q[:GOALS]) for library, s in solvers.items()}
     times = timed(solvers, q[:GOALS])
     wanted = kempe.held(goals.of(q))
-    answer, times[MANY] = _batch(lambda: system.ik(wanted, seed=kempe.home, threads=1), len(q))
+    answer, times[MANY] = _batch(lambda: system.ik(wanted, start=kempe.home, threads=1), len(q))
     opening = np.where(answer.success, goals.opening(tree.coordinates(answer.q)), np.inf)
     success[MANY] = share(opening, kempe.tolerance)
     if system.name == "stewart":

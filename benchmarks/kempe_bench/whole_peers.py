@@ -96,7 +96,7 @@ class Kempe(WholeBody):
         held: list[tasks.Task] = [tasks.Pose(name, X) for name, X in zip(self.body.frames, goal, strict=False)]
         if self.mass:
             held.append(tasks.CentreOfMass(goal[-1, :3, 3]))
-        answer = self.system.ik(held, seed=start, tolerance=self.tolerance, starts=self.starts)
+        answer = self.system.ik(held, start=start, tolerance=self.tolerance, starts=self.starts)
         return answer.q if answer.success else None
 
 

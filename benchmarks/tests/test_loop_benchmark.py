@@ -20,7 +20,7 @@ MORE = ("goldberg_5r", "three_rps", "delta_uu", "three_upu", "stephenson_six_bar
 def assembled(s: kempe.System, n: int) -> np.ndarray:
     """Closed configurations (n, nq) around the posture 'closed'."""
     q = s.integrate(s.posture("closed"), 0.3 * np.random.default_rng(3).normal(size=(n, s.nv)))
-    answer = s.assemble(near=q)
+    answer = s.assemble(start=q)
     assert answer.success.all()
     return answer.q
 
@@ -124,7 +124,7 @@ def test_sparse_equations_are_the_dense_ones():
     np.testing.assert_allclose(Js.toarray(), J, atol=1e-15)
     q = s.integrate(s.neutral, 0.1 * np.random.default_rng(0).normal(size=s.nv))
     answer = sparse.call(sparse.ready(q[None])[0])
-    assert sparse.opening([answer])[0] < 1e-8 and s.assemble({"A0": 0.2}, near=q)
+    assert sparse.opening([answer])[0] < 1e-8 and s.assemble({"A0": 0.2}, start=q)
 
 
 def test_what_has_no_counterpart_is_refused():
@@ -183,7 +183,7 @@ def test_pylinkage_draws_what_kempe_draws(name):
     s, drive, n = kempe.load(name), crank_peers.DRIVES[name], 400
     told = crank_peers.linkage(s, n)
     drawn = told.model.step_fast(iterations=n)
-    start = s.assemble({drive.crank: drive.start}, near=s.posture("closed")).q
+    start = s.assemble({drive.crank: drive.start}, start=s.posture("closed")).q
     plan = closed_form(s, (drive.crank,))
     q, ok, _ = plan.solve(crank_peers.angles(drive, n)[:, None], plan.branch_of(start))
     assert ok.all() and drawn.shape == (n, len(told.spots), 2)
@@ -215,8 +215,8 @@ def test_a_failure_is_neither_timed_nor_counted():
     assert loops.share(Half().opening(range(10)), 1e-8) == 50.0
     s = kempe.load("four_bar")
     tree = Tree(s)
-    own = loops.Kempe(tree, lambda q: s.assemble({"A": 0.5, "D": 3.0}, near=q))
-    closed = loops.Kempe(tree, lambda q: s.assemble(near=q))
+    own = loops.Kempe(tree, lambda q: s.assemble({"A": 0.5, "D": 3.0}, start=q))
+    closed = loops.Kempe(tree, lambda q: s.assemble(start=q))
     q = tree.guesses(0.1, 1)[0]
     assert np.isinf(own.opening([own.call(q)])[0]) and closed.opening([closed.call(q)])[0] < 1e-9
 

@@ -231,7 +231,7 @@ def test_sections_that_cannot_run(monkeypatch):
 @pytest.fixture(scope="module", params=parallel.ROBOTS)
 def platform(request):
     tree = Tree(kempe.load(request.param))
-    closed = tree.system.assemble(near=tree.guesses(parallel.SIGMA, 6))
+    closed = tree.system.assemble(start=tree.guesses(parallel.SIGMA, 6))
     assert closed.success.all()
     return parallel.Goals(tree, parallel.ROBOTS[request.param]), closed.q
 
@@ -275,7 +275,7 @@ def test_peers_hold_platforms(platform, made):
 
 def test_the_formula_of_the_legs():
     tree = Tree(kempe.load("stewart"))
-    q = tree.system.assemble(near=tree.guesses(0.3, 200)).q
+    q = tree.system.assemble(start=tree.guesses(0.3, 200)).q
     want = np.abs(q[:, [tree.columns[f"leg{i}"] for i in range(1, 7)]])
     np.testing.assert_allclose(parallel.legs(tree, tree.system.fk(q, "platform")), want, atol=1e-8)
 

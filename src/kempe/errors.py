@@ -154,12 +154,12 @@ def requirement(package: str) -> str:
     return package
 
 
-def warn(message: str) -> None:
-    """Warn that numbers were taken as what they nearly are, at the line that called Kempe."""
+def warn(message: str, kind: type[Warning] = RoundedWarning) -> None:
+    """Warn at the line that called Kempe; by default, that numbers were taken as what they nearly are."""
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "kempe":
         level, frame = level + 1, frame.f_back
-    warnings.warn(message, RoundedWarning, stacklevel=level)
+    warnings.warn(message, kind, stacklevel=level)
 
 
 def shown(x: object) -> str:

@@ -295,5 +295,5 @@ def test_axes_that_nearly_meet_leave_lengths_typical(off, hunt):
         joints = [("revolute", centers[i // 3] + off * p, z / np.linalg.norm(z)) for i, (p, z, _) in enumerate(around)]
         system = known_truths.loop("two balls of hinges", joints).build()
         m = mobility(system, system.neutral)
-        assert m.closed and system.assemble(near=system.neutral).success
+        assert m.closed and system.assemble(start=system.neutral).success
         assert m.dof == 0 if m.certain else m.dof in (0, 1)

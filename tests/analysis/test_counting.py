@@ -42,7 +42,7 @@ def between_free_bodies(kind: JointType, dim: int, rng: np.random.Generator) -> 
     # the joint is given values, and b is put where it then is
     q = s.random(rng)
     known = {n: x for n, x in s.q_dict(q).items() if n.split(".")[0] in ("A", "J")}
-    found = s.assemble(known, near=q)
+    found = s.assemble(known, start=q)
     assert found.success
     return s, found.q
 
@@ -120,7 +120,7 @@ def test_rank_of_joints_of_particles(name, dim):
     m.free("B", m.ground, point)
     m.joint("J", name, body, point, cut=True, **({"axis": (0.6, 0.8)} if dim == 2 and name == "prismatic" else {}))
     s = m.build()
-    q = s.assemble(near=s.random(1)).q
+    q = s.assemble(start=s.random(1)).q
     assert taken(s, q) == TYPES[name]().constraints(dim, True)
 
 
@@ -159,10 +159,10 @@ def test_holding_a_slider_at_its_dead_centre(slider, rank_dof):
     m.prismatic("S", m.ground, m.body("slider"), axis=(1, 0))
     m.distance("rod", "crank", "slider", 3.0, at=(1, 0))
     free = m.build()
-    start = free.assemble({"S": slider}, near={"A": 0.3 if slider > 2.1 else np.pi, "S": slider}).q
+    start = free.assemble({"S": slider}, start={"A": 0.3 if slider > 2.1 else np.pi, "S": slider}).q
     assert free.mobility(start).dof == 1
     held = m.lock({"S": slider}).build()
-    found = held.mobility(held.assemble(near=[start[0]]).q)
+    found = held.mobility(held.assemble(start=[start[0]]).q)
     assert (found.gruebler, found.rank_dof, found.dof) == (0, rank_dof, 0)
 
 

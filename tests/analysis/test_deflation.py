@@ -75,7 +75,7 @@ def test_hunt_four_bars_on_bars_in_line(hunt):
     for _ in range(hunt.cases(3)):
         lengths, base = rng.uniform(0.2, 1.0, 3), float(rng.uniform(0.2, 1.0))
         alone, hanging = (four_bar(on, lengths, base) for on in (False, True))
-        start = alone.assemble(near={"A": float(rng.uniform(-3, 3))})
+        start = alone.assemble(start={"A": float(rng.uniform(-3, 3))})
         if not start:
             continue
         A = alone.q_dict(start.q)

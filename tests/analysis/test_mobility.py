@@ -235,7 +235,7 @@ def test_a_spin_in_one_position_only_is_not_idle():
     system = m.build()
     at = system.q({"P": 0.0})
     assert mobility(system, at).idle == 0
-    report = mobility(system, system.assemble({"P": 0.4}, near=at).q)
+    report = mobility(system, system.assemble({"P": 0.4}, start=at).q)
     assert (report.gruebler, report.dof, report.idle, report.redundant) == (2, 3, 0, 1)
 
 
@@ -393,8 +393,8 @@ def test_a_slider_cannot_drive_its_crank_through_the_dead_point():
     system = kempe.load("slider_crank")
     r, rod = system.parameters["r"], system.parameters["l"]
     slide = next(j.name for j in system.joints.values() if j.type.type_name == "prismatic")
-    dead = system.assemble({slide: r + rod - 1e-9}, near=system.assemble({"A": 0.01}).q).q
-    stretched = system.assemble({"A": 0.0}, near=dead).q
+    dead = system.assemble({slide: r + rod - 1e-9}, start=system.assemble({"A": 0.01}).q).q
+    stretched = system.assemble({"A": 0.0}, start=dead).q
     at_dead, beside = (mobility(system, q, actuated=[slide]).control for q in (stretched, system.posture("closed")))
     assert beside.complete and not beside.singular
     assert not at_dead.complete and at_dead.singular and at_dead.excess == 0

@@ -98,7 +98,7 @@ def test_constraints_of_all_kinds(name, hunt):
     m, rng = two_bodies(), hunt.rng()
     m.constrain(RODS[name](), "it")
     system = m.build()
-    w = Wrenches(system, system.assemble(near=system.random(rng)).q)
+    w = Wrenches(system, system.assemble(start=system.random(rng)).q)
     V = allowed(system, w.q)
     assert V.shape[1] == system.nv - len(w.generalised("it"))
     assert np.abs(w.generalised("it") @ V).max() < 1e-8 and np.abs(w.generalised("it")).max() > 0.1
@@ -115,7 +115,7 @@ def test_a_rod_pulls_along_itself():
     m = two_bodies()
     m.constrain(c.Distance("tip", "eye", 0.9), "rod")
     system = m.build()
-    w = Wrenches(system, system.assemble(near=system.random(3)).q)
+    w = Wrenches(system, system.assemble(start=system.random(3)).q)
     a, b = (system.fk(w.q, f)[:3, 3] for f in ("tip", "eye"))
     force = w["rod"][0]
     np.testing.assert_allclose(np.abs(force[:3] @ (b - a)), 0.9, atol=1e-9)
@@ -218,7 +218,7 @@ def test_the_torque_of_a_crank_by_virtual_work(hunt):
     for _ in range(hunt.cases(20)):
         a = float(rng.uniform(0.2, 6.0))
         force, q = rng.normal(size=2), system.assemble({"A": a}).q
-        at = [system.fk(system.assemble({"A": a + h}, near=q).q, "coupler_point")[:2, 3] for h in (H, -H)]
+        at = [system.fk(system.assemble({"A": a + h}, start=q).q, "coupler_point")[:2, 3] for h in (H, -H)]
         found = Wrenches(system, q).under({"coupler_point": force}, held="A")
         assert found.efforts["A"] == pytest.approx(-force @ (at[0] - at[1]) / (2.0 * H), abs=1e-7)
         pins = found.wrenches["A"][:2] + found.wrenches["D"][:2] * (1 if system.joints["D"].parent == "ground" else -1)

@@ -92,7 +92,7 @@ def refused(call: Callable[..., object], thing: object, said: str) -> None:
 def asked(made: c.Constraint, s: System) -> None:
     """Reached from random starts, and judged by the forward model; its Jacobian by differences."""
     q = s.random(3)
-    answer = s.ik(made.demand(weight=None), seed=q)
+    answer = s.ik(made.demand(weight=None), start=q)
     assert answer.success, answer.status
     assert max(tasks.miss(s, made, answer.q)) < 1e-6
     J, h = tasks.jacobian(s, made, q), 1e-6
@@ -109,7 +109,7 @@ def declared(made: c.Constraint, s: System, dim: int) -> None:
     h = 1e-6
     ends = [loops.residual(s, s.integrate(q, x * np.eye(s.nv))) for x in (h, -h)]
     np.testing.assert_allclose(J, ((ends[0] - ends[1]) / (2.0 * h)).T, atol=1e-6)
-    closed = s.assemble(near=q)
+    closed = s.assemble(start=q)
     assert closed.success, closed.status
     if not any(row.velocity for row in made.rows(dim)):
         assert max(tasks.miss(s, made, closed.q)) < 1e-8

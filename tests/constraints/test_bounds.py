@@ -83,12 +83,12 @@ def test_held_and_asked(name, dim, bounds, hunt):
     assert held.mobility().dof == free.nv, "one-sided rows take no freedom"
     moved = 0
     for k in range(max(hunt.cases(6), 2)):  # from where the kind holds without bounds, and from far away
-        q = free.random(rng) if k % 2 else free.ik(EXAMPLES[name](dim), seed=free.random(rng)).q
+        q = free.random(rng) if k % 2 else free.ik(EXAMPLES[name](dim), start=free.random(rng)).q
         q = free.integrate(q, rng.uniform(-1.0, 1.0, free.nv) * (6.0 if k % 2 else 0.05))
         while k == 1 and high < math.inf and low <= measured(name, dim, made, free, q) <= high:
             q = free.integrate(q, rng.uniform(-1.0, 1.0, free.nv))
         before = measured(name, dim, made, free, q)
-        for answer in (free.ik(made, seed=q), held.assemble({}, q)):
+        for answer in (free.ik(made, start=q), held.assemble({}, q)):
             assert answer.success, answer.status
             assert low - 1e-6 <= measured(name, dim, made, free, answer.q) <= high + 1e-6
             if low <= before <= high:
@@ -102,7 +102,7 @@ def test_held_and_asked(name, dim, bounds, hunt):
 def test_bounds_from_target_to_target(name, hunt):
     s = two_bodies(3).build()
     most = np.linspace(0.2, 0.9, 5)
-    answer = s.ik(bounded(name, 3, at_most=most), seed=s.random(hunt.rng()))
+    answer = s.ik(bounded(name, 3, at_most=most), start=s.random(hunt.rng()))
     assert answer.success.shape == (5,) and answer.success.all()
     made = bounded(name, 3, at_most=1.0)
     for q, bound in zip(answer.q, most, strict=True):
@@ -150,7 +150,7 @@ def test_expressions_and_centres_have_bounds(name, bounds, hunt):
     make, number = NUMBERS[name]
     made, rng, free = make(**bounds), hunt.rng(), two_bodies(3).build()
     low, high = bounds.get("at_least", -math.inf), bounds.get("at_most", math.inf)
-    solve = [lambda q: free.ik(made.demand(weight=None), seed=q).q]
+    solve = [lambda q: free.ik(made.demand(weight=None), start=q).q]
     if not name.startswith("centre"):
         m = two_bodies(3)
         m.constrain(made, "it")
@@ -173,7 +173,7 @@ def test_expressions_and_centres_have_bounds(name, bounds, hunt):
 def test_bounds_of_numbers_from_target_to_target(name, hunt):
     (make, number), s = NUMBERS[name], two_bodies(3).build()
     low, high = np.linspace(0.1, 0.8, 6), np.array([0.2, 0.3, 0.6, np.inf, np.inf, 0.9])
-    answer = s.ik(make(at_least=low, at_most=high), seed=s.random(hunt.rng()))
+    answer = s.ik(make(at_least=low, at_most=high), start=s.random(hunt.rng()))
     assert answer.success.all()
     for q, a, b in zip(answer.q, low, high, strict=True):
         assert a - 1e-6 <= number(s, q) <= b + 1e-6
@@ -186,7 +186,7 @@ def test_bounds_of_numbers_from_target_to_target(name, hunt):
 def test_bounds_of_each_of_several_values(hunt):
     s, most = two_bodies(3).build(), np.array([[0.1, 0.2], [-0.3, 0.4], [0.5, -0.6]])
     made = c.Equation(["`Ja.x`", "`Ja.y`"], at_least=-1.0, at_most=most)
-    q = s.ik(made, seed=s.integrate(s.neutral, np.full(s.nv, 0.9))).q
+    q = s.ik(made, start=s.integrate(s.neutral, np.full(s.nv, 0.9))).q
     np.testing.assert_allclose(q[:, :2], most, atol=1e-6)
     assert c.Equation(["x", "y"], at_most=[1.0, 2.0]).sentence == "x, y are at most (1, 2)"
     for low, high, said in ((None, [1, 2, 3], "must be a number, or"), ([1, 2], [1, 0], "leave nothing")):

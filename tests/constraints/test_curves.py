@@ -179,7 +179,7 @@ def test_in_assembly_for_one_call_and_in_ik():
     s = crank_and_arm().build()
     held = c.OnCurve("tip", circle(60), closed=True, other="base")
     closed = s.assemble({"A": 0.9}, also=held)
-    asked = s.ik([held, c.Posture(q={"A": 0.9}, weight=None)], seed=closed.q)
+    asked = s.ik([held, c.Posture(q={"A": 0.9}, weight=None)], start=closed.q)
     for q in (closed.q, asked.q):
         p = np.linalg.inv(s.fk(q, "base")) @ s.fk(q, "tip")
         assert distance(circle(60), True, p[:2, 3]) < 1e-6

@@ -40,7 +40,7 @@ def test_each_kind(name, dim, hunt):
     equal = position_rows(made, dim)
     q = np.stack([system.random(rng) for _ in range(hunt.cases(20))])
     there = judge(system, q)
-    closed = system.assemble(near=q)
+    closed = system.assemble(start=q)
     assert closed.success.all() and closed.judged.holds.all() and there.names == (("it",) if rows else ())
     if rows and len(equal) == len(rows):
         rows_ = apart(system, q)
@@ -68,7 +68,7 @@ def test_asked_and_declared_are_judged_alike(name, hunt):
 def test_answers_of_ik_are_judged(name, dim):
     """What is asked is judged at poses that are multiplied out; another configuration is not what was asked."""
     system, made = two_bodies(dim).build(), EXAMPLES[name](dim)
-    answer = system.ik(made.demand(weight=None), seed=system.random(3))
+    answer = system.ik(made.demand(weight=None), start=system.random(3))
     assert answer.success and answer.judged and answer.judged.names == (made.label,)
     np.testing.assert_allclose(answer.judged.errors[0], tasks.miss(system, made, answer.q), atol=1e-12)
     elsewhere = replace(answer, q=answer.q + np.linspace(0.7, 1.9, system.nq))

@@ -213,7 +213,7 @@ def test_legs_are_not_shorter_than_nothing(model, hunt):
     at = [system.coordinate_names.index(n) for n in legs]
     rng, home = hunt.rng(), system.posture("closed")
     starts = np.stack([system.integrate(home, rng.normal(size=system.nv)) for _ in range(hunt.cases(60))])
-    answer = system.assemble(near=starts)
+    answer = system.assemble(start=starts)
     assert len(legs) in (3, 6) and answer.success.all() and np.all(answer.q[:, at] >= 0.0)
     assert not system.assemble({legs[0]: -0.4})
     with pytest.raises(InputError, match=legs[0]):

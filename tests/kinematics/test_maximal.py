@@ -192,7 +192,7 @@ def test_same_motions_with_couplings_of_all_sorts():
     m.point_on_plane("plane", "b8", "b2", child_at=(0, 1, 0))
     s = m.build()
     for seed in range(3):
-        answer = s.assemble(near=s.random(seed))
+        answer = s.assemble(start=s.random(seed))
         assert answer.success
         compare(s, answer.q)
 
@@ -222,7 +222,7 @@ def test_there_and_back(graph, seed):
     s, q = closed(graph, seed)
     X = to_maximal(s, q)
     np.testing.assert_allclose(X, s.fk(q)[1:], atol=0)
-    np.testing.assert_allclose(from_maximal(s, X, near=q), q, atol=1e-6)
+    np.testing.assert_allclose(from_maximal(s, X, start=q), q, atol=1e-6)
     again = from_maximal(s, X)
     np.testing.assert_allclose(to_maximal(s, again), X, atol=1e-6)
     np.testing.assert_allclose(s.closure_error(again), 0, atol=1e-6)
@@ -231,9 +231,9 @@ def test_there_and_back(graph, seed):
 def test_a_batch():
     s = chain()
     q = s.random(3, (2, 3))
-    back = from_maximal(s, to_maximal(s, q), near=q)
+    back = from_maximal(s, to_maximal(s, q), start=q)
     np.testing.assert_allclose(back, q, atol=1e-10)
-    np.testing.assert_allclose(from_maximal(s, to_maximal(s, q)[1, 2], near=q[1, 2]), q[1, 2], atol=1e-10)
+    np.testing.assert_allclose(from_maximal(s, to_maximal(s, q)[1, 2], start=q[1, 2]), q[1, 2], atol=1e-10)
     assert from_maximal(s, np.zeros((0, 13, 4, 4))).shape == (0, s.nq)
 
 
@@ -241,7 +241,7 @@ def test_turns_are_those_nearby():
     s = chain()
     q = s.random(4)
     q[0] += 14 * math.pi
-    np.testing.assert_allclose(from_maximal(s, to_maximal(s, q), near=q), q, atol=1e-10)
+    np.testing.assert_allclose(from_maximal(s, to_maximal(s, q), start=q), q, atol=1e-10)
     screw = s.coordinate_names.index("J2")
     q[0] -= 14 * math.pi
     q[screw] = 77.0  # its slide tells the turns
@@ -254,7 +254,7 @@ def test_angles_at_their_singularity():
     q = s.q({"J8.ry": math.pi / 2}, q)
     X = to_maximal(s, q)
     np.testing.assert_allclose(to_maximal(s, from_maximal(s, X)), X, atol=1e-8)
-    np.testing.assert_allclose(from_maximal(s, X, near=q), q, atol=1e-8)
+    np.testing.assert_allclose(from_maximal(s, X, start=q), q, atol=1e-8)
 
 
 def test_followers_tell_the_turns_of_their_driver():
@@ -268,7 +268,7 @@ def test_followers_tell_the_turns_of_their_driver():
     X = to_maximal(s, q)
     found = from_maximal(s, X)
     np.testing.assert_allclose(to_maximal(s, found), X, atol=1e-12)
-    np.testing.assert_allclose(from_maximal(s, X, near=q), q, atol=1e-12)
+    np.testing.assert_allclose(from_maximal(s, X, start=q), q, atol=1e-12)
     X[1] = X[1] @ spatial.pose(spatial.rot_z(0.01))
     with pytest.raises(InputError, match="violate coordinate 'b', which is tied to others or held, by 0.01 rad"):
         from_maximal(s, X)
@@ -323,7 +323,7 @@ def test_declared_constraints_in_three_forms():
 
 def project(s: System, X: np.ndarray, near=None, **options) -> tuple[np.ndarray, np.ndarray]:
     """Poses that satisfy all constraints, near the given ones, and whether that was reached."""
-    answer = s.maximal.assemble(near=maximal_q(s, near, X), **options)
+    answer = s.maximal.assemble(start=maximal_q(s, near, X), **options)
     return s.maximal.fk(answer.q)[..., 1:, :, :], answer.success
 
 
@@ -414,7 +414,7 @@ def test_units_do_not_matter(unit):
     off[..., :3, 3] *= unit
     back, reached = project(s, off, q)
     assert reached and np.abs(maximal_residual(s, back)[...]).max() < 1e-9 * max(unit, 1e-3)
-    np.testing.assert_allclose(s.from_maximal(X, near=q), q, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(s.from_maximal(X, start=q), q, rtol=0, atol=1e-9)
     assert s.maximal.mobility(maximal_q(s, q)).dof == s.mobility(q).dof == 1
 
 
@@ -426,8 +426,8 @@ def test_bodies_far_from_the_origin():
     m.distance("rod", m.ground, b, 0.5, at=(1e6 + 0.4, -1e6, 3e5), child_at=(0.3, 0.0, 0.1))
     s = m.build()
     q = s.assemble().q
-    np.testing.assert_allclose(s.from_maximal(s.to_maximal(q), near=q), q, rtol=0, atol=1e-8)
-    answer = s.maximal.assemble(near=s.maximal.integrate(maximal_q(s, q), np.full(s.maximal.nv, 0.01)))
+    np.testing.assert_allclose(s.from_maximal(s.to_maximal(q), start=q), q, rtol=0, atol=1e-8)
+    answer = s.maximal.assemble(start=s.maximal.integrate(maximal_q(s, q), np.full(s.maximal.nv, 0.01)))
     assert answer.success and s.maximal.mobility(maximal_q(s, q)).dof == 2
 
 
@@ -506,7 +506,7 @@ def test_poses_of_pinocchio():
     pin.framesForwardKinematics(model, data, np.array([values[n] for n in names]))
     X = np.stack([data.oMf[model.getFrameId(b)].homogeneous for b in s.body_names[1:]])
     np.testing.assert_allclose(to_maximal(s, q), X, atol=1e-12)
-    np.testing.assert_allclose(from_maximal(s, X, near=q), q, atol=1e-10)
+    np.testing.assert_allclose(from_maximal(s, X, start=q), q, atol=1e-10)
 
 
 # ------------------------------------------------------------------ joints that hold nothing along fixed axes
@@ -523,6 +523,6 @@ def test_types_of_ones_own(kind, dim):
     off = disturbed(s, s.to_maximal(q), 0.02)
     near, found = project(s, off, q)
     assert found and np.abs(maximal_residual(s, near)).max() < 1e-8
-    back = s.from_maximal(near, near=q)
+    back = s.from_maximal(near, start=q)
     np.testing.assert_allclose(s.to_maximal(back), near, rtol=0, atol=1e-7)
     assert shape.open_by(s, back) < 1e-7

@@ -89,14 +89,14 @@ def test_a_kernel_that_closes_nothing_is_exposed(monkeypatch):
         return 0
 
     monkeypatch.setattr(assembly.kernel, "assemble", blind)
-    answer = system.assemble({"A": 0.3}, near=system.neutral)
+    answer = system.assemble({"A": 0.3}, start=system.neutral)
     assert answer.success and answer.residual == 0.0 and not answer.judged.holds
     said = "success is contradicted, judged by poses multiplied out in numpy: 'C' is missed by"
     for shown in (str(answer), html.unescape(answer._repr_html_()), text(loop_report.assembly(answer))):
         assert said in shown
     data = loop_report.assembly_facts(answer)["judged"]
     assert data["holds"] is False and max(data["errors"]["C"]) > 1e-3
-    many = system.assemble({"A": [0.3, 0.5]}, near=system.neutral)
+    many = system.assemble({"A": [0.3, 0.5]}, start=system.neutral)
     assert "2 are contradicted by poses" in text(loop_report.assembly(many))
 
 

@@ -237,7 +237,7 @@ def test_ends_that_differ_from_target_to_target(name):
     many = kind(**asked)
     at = panda.random(rng, n)
     got = tasks.miss(panda, many, at)[0] + tasks.miss(panda, many, at)[1]
-    answer = panda.ik(many, seed=at)
+    answer = panda.ik(many, start=at)
     assert answer.success.all()
     for i in range(n):
         one = kind(**{k: v[i] if isinstance(v, np.ndarray) and len(v) == n else v for k, v in asked.items()})

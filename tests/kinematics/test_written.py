@@ -124,9 +124,9 @@ def test_numbers_of_expressions_of_coordinates_are_data_of_the_call(hunt):
     """A batch of values, and of factors, has one structure, and each target is met."""
     s, rng = arm().build(), hunt.rng()
     value, factor = rng.uniform(-1.0, 1.0, 1000), rng.uniform(0.5, 2.0, 1000)
-    q = s.ik([Weighed(("A", "B"), factor, value)], seed=s.random(1)).q
+    q = s.ik([Weighed(("A", "B"), factor, value)], start=s.random(1)).q
     np.testing.assert_allclose(q[:, 0] + factor * q[:, 1], value, atol=1e-6)
-    q = s.ik([Sum(("A", "B"), value)], seed=s.random(1)).q
+    q = s.ik([Sum(("A", "B"), value)], start=s.random(1)).q
     np.testing.assert_allclose(q[:, 0] + 2.0 * q[:, 1], value, atol=1e-6)
     one, other = (packed_for(s, (task_of(Weighed(("A", "B"), 2.0, x), 3),), True) for x in (0.1, 0.2))
     assert one is other
@@ -137,18 +137,18 @@ def test_ends_of_expressions_differ_from_target_to_target(hunt):
     s, rng = arm().build(), hunt.rng()
     low = np.where(rng.random(500) < 0.2, -np.inf, rng.uniform(-1.0, 0.0, 500))
     high = np.where(rng.random(500) < 0.2, np.inf, rng.uniform(0.0, 1.0, 500))
-    answer = s.ik([Sum(("A", "B"), at_least=low, at_most=high)], seed=rng.uniform(-1.0, 1.0, (500, s.nq)))
+    answer = s.ik([Sum(("A", "B"), at_least=low, at_most=high)], start=rng.uniform(-1.0, 1.0, (500, s.nq)))
     total = answer.q[:, 0] + 2.0 * answer.q[:, 1]
     assert answer.success.all() and (total > low - 2e-6).all() and (total < high + 2e-6).all()
     assert np.ptp(total) > 0.5
-    one = s.ik([Sum(("A", "B"), at_least=low[0], at_most=high[0])], seed=answer.q[0])
+    one = s.ik([Sum(("A", "B"), at_least=low[0], at_most=high[0])], start=answer.q[0])
     assert one.success and np.array_equal(one.q, answer.q[0])
 
 
 def test_each_of_several_numbers_has_ends(hunt):
     s, rng = arm().build(), hunt.rng()
     low, high = -rng.uniform(0.0, 0.5, (200, 2)), rng.uniform(0.0, 0.5, (200, 2))
-    answer = s.ik([Between(("A", "B"), low, high)], seed=rng.uniform(-1.0, 1.0, (200, s.nq)))
+    answer = s.ik([Between(("A", "B"), low, high)], start=rng.uniform(-1.0, 1.0, (200, s.nq)))
     assert answer.success.all()
     assert (answer.q[:, :2] > low - 2e-6).all() and (answer.q[:, :2] < high + 2e-6).all()
     assert tasks.miss(s, Between(("A", "B"), [0.0, 0.1], [0.2, 0.3]), [0.5, 0.4, 0.0, 0.0])[1] == pytest.approx(
@@ -160,13 +160,13 @@ def test_rows_of_several_kinds_are_asked_together(hunt):
     s, rng = free(), hunt.rng()
     height = rng.uniform(-1.0, 1.0, 100)
     for least in (0.4, rng.uniform(0.2, 0.6, 100)):
-        answer = s.ik([Level("b", height, least)], seed=s.random(3))
+        answer = s.ik([Level("b", height, least)], start=s.random(3))
         X = s.fk(answer.q, "b")
         assert answer.success.all()
         np.testing.assert_allclose(X[:, 2, 3], height, atol=1e-6)
         np.testing.assert_allclose(X[:, 2, 2], 1.0, atol=1e-9)
         assert (np.hypot(X[:, 0, 3], X[:, 1, 3]) > least - 1e-6).all()
-    X = s.fk(s.ik([Apart("b", 1.0 + height**2, height)], seed=s.random(4)).q, "b")
+    X = s.fk(s.ik([Apart("b", 1.0 + height**2, height)], start=s.random(4)).q, "b")
     np.testing.assert_allclose(np.linalg.norm(X[:, :3, 3], axis=-1), 1.0 + height**2, atol=1e-6)
     np.testing.assert_allclose(X[:, 2, 3], height, atol=1e-6)
 
@@ -177,7 +177,7 @@ def test_distances_straight_above_have_derivatives():
     q = s.q({"J.z": 0.5})
     made = Apart("b", 1.0, 0.6)
     np.testing.assert_allclose(tasks.jacobian(s, made, q)[:, :3], [[0.0, 0.0, 1.0]] * 2, atol=1e-12)
-    assert s.ik([Apart("b", np.full(3, 0.6), np.full(3, 0.6))], seed=q).success.all()
+    assert s.ik([Apart("b", np.full(3, 0.6), np.full(3, 0.6))], start=q).success.all()
 
 
 @pytest.mark.parametrize("other", [None, "base", "arm"])
@@ -190,7 +190,7 @@ def test_goals_of_expressions_are_seen_from_frames_far_away(other):
     m.free("J", base, b)
     s = m.build()
     for made in (c.OnSurface("b", "(x/2)^2 + y^2 = 1", other=other), c.Contact("b", other, radius=0.3)):
-        q = s.ik([made], seed=s.random(1)).q
+        q = s.ik([made], start=s.random(1)).q
         A = np.eye(4) if other is None else s.fk(q, other)
         p = (np.linalg.inv(A) @ s.fk(q, "b"))[:3, 3]
         f = (p[0] / 2.0) ** 2 + p[1] ** 2 - 1.0 if made.kind == "on_surface" else min(p[2] - 0.3, 0.0)
@@ -202,8 +202,8 @@ def test_a_value_of_any_row_holds_where_it_is_declared():
     m.free("J", m.ground, m.body("b"))
     m.constrain(Level("b", 0.3, 0.4), "it")
     s = m.build()
-    X = s.fk(s.assemble(near=s.random(5)).q, "b")
-    assert s.mobility(s.assemble(near=s.random(5)).q).dof == 3  # along the plane, and about z
+    X = s.fk(s.assemble(start=s.random(5)).q, "b")
+    assert s.mobility(s.assemble(start=s.random(5)).q).dof == 3  # along the plane, and about z
     assert X[2, 3] == pytest.approx(0.3, abs=1e-9) and np.hypot(X[0, 3], X[1, 3]) > 0.4 - 1e-9
 
 
@@ -211,7 +211,7 @@ def test_coordinates_that_follow_others_are_read(hunt):
     m = arm()
     m.couple("C", {"A": 2.0}, 0.1)
     s, value = m.build(), hunt.rng().uniform(-1.0, 1.0, 100)
-    q = s.ik([Weighed(("C", "B"), 1.0, value)], seed=s.random(1)).q
+    q = s.ik([Weighed(("C", "B"), 1.0, value)], start=s.random(1)).q
     np.testing.assert_allclose(2.0 * q[:, 0] + 0.1 + q[:, 1], value, atol=1e-6)
     assert max(tasks.miss(s, Weighed(("C", "B"), 1.0, value[7]), q[7])) < 1e-6
 

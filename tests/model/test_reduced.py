@@ -83,7 +83,7 @@ def compare(system: System, q: np.ndarray, rng: np.random.Generator) -> None:
     for form in (small, large):
         solver = Assembler(system)
         solver.loops = form
-        answer = solver({}, near=start)
+        answer = solver({}, start=start)
         assert answer.success
         assert np.abs(full.residual(system, answer.q)).max(initial=0.0) < 1e-9  # coordinates of the joint included
         assert np.abs(evaluated(system, small, answer.q[None])[0]).max(initial=0.0) < 1e-9

@@ -45,7 +45,7 @@ def rocker_angles(a, b, c, d, theta):
 @given(st.floats(-math.pi, math.pi), st.sampled_from("ABCD"))
 def test_four_bar_is_the_intersection_of_two_circles(theta, cut):
     s = four_bar(cut=cut)
-    answer = s.assemble({"A": theta}, near=s.q({"B": -0.9, "C": 0.9, "D": 1.5}))
+    answer = s.assemble({"A": theta}, start=s.q({"B": -0.9, "C": 0.9, "D": 1.5}))
     assert answer.success and s.closure_error(answer.q) == pytest.approx(0.0, abs=1e-14)
     expected = rocker_angles(0.1, 0.5, 0.4, 0.4, theta)
     d = s.q_dict(answer.q)["D"]
@@ -60,9 +60,9 @@ def test_perturbed_mechanisms_close(name, sigma):
     home = s.posture("closed")
     rng = np.random.default_rng(5)
     q = np.stack([s.integrate(home, sigma * rng.normal(size=s.nv)) for _ in range(400)])
-    once = s.assemble(near=q, starts=1, nearest=False, limits=False)
+    once = s.assemble(start=q, starts=1, nearest=False, limits=False)
     assert once.success.mean() >= 0.95
-    answer = s.assemble(near=q)
+    answer = s.assemble(start=q)
     assert answer.success.all()
     assert np.abs(s.closure_error(answer.q)).max() < 1e-9
     assert np.abs(loops.residual(s, answer.q)).max() < 1e-9
@@ -93,7 +93,7 @@ def test_closed_in_pinocchio_too(name):
     """Poses of both ends of each cut joint, computed by Pinocchio from a tree written by hand, coincide."""
     pin = pytest.importorskip("pinocchio")
     s = kempe.load(name)
-    answer = s.assemble(near=s.integrate(s.posture("closed"), 0.2 * np.random.default_rng(0).normal(size=s.nv)))
+    answer = s.assemble(start=s.integrate(s.posture("closed"), 0.2 * np.random.default_rng(0).normal(size=s.nv)))
     assert answer
     model, place = pinocchio_tree(pin, s)
     data = model.createData()
@@ -182,7 +182,7 @@ def test_equations_vanish_where_the_closure_error_does(graph, seed):
 def test_what_is_assembled_is_closed(graph, seed):
     """Whatever the joints: an answer called a success closes every loop, by the independent closure error."""
     s = graph.mechanism().build()
-    answer = s.assemble(near=s.random(seed), starts=3)
+    answer = s.assemble(start=s.random(seed), starts=3)
     if answer:
         assert np.abs(s.closure_error(answer.q)).max(initial=0.0) < 1e-7
         assert np.all(answer.q[s.layout.vector_q] >= s.lower[s.layout.vector_v] - 1e-12)
@@ -196,7 +196,7 @@ def test_any_coordinate_can_be_known_cut_or_not():
     home = s.assemble({"A": 1.2}).q
     for name in "ABCD":
         value = s.q_dict(home)[name]
-        answer = s.assemble({name: value}, near=home)
+        answer = s.assemble({name: value}, start=home)
         np.testing.assert_allclose(answer.q, home, atol=1e-12)
 
 
@@ -204,7 +204,7 @@ def test_places_of_frames_can_be_known():
     s = kempe.load("four_bar")
     q = s.assemble({"A": 0.7}).q
     place = s.fk(q, "coupler_point")[:2, 3]
-    answer = s.assemble({"coupler_point": place}, near=s.posture("closed"))
+    answer = s.assemble({"coupler_point": place}, start=s.posture("closed"))
     np.testing.assert_allclose(s.fk(answer.q, "coupler_point")[:2, 3], place, atol=1e-12)
     assert answer and np.abs(s.closure_error(answer.q)).max() < 1e-12
     stewart = kempe.load("stewart")
@@ -226,10 +226,10 @@ def test_followers_stand_for_their_source():
 
 def test_limits_hold_and_are_named():
     s = four_bar(D={"limits": (0.0, 1.2)})
-    answer = s.assemble({"A": math.pi / 2}, near=s.q({"B": -0.9, "C": 0.9, "D": 1.1}))
+    answer = s.assemble({"A": math.pi / 2}, start=s.q({"B": -0.9, "C": 0.9, "D": 1.1}))
     assert not answer and "limits of 'D'" in answer.status
     assert s.q_dict(answer.q)["D"] <= 1.2
-    assert s.assemble({"A": math.pi / 2}, near=s.q({"B": -0.9, "D": 1.1}), limits=False).success
+    assert s.assemble({"A": math.pi / 2}, start=s.q({"B": -0.9, "D": 1.1}), limits=False).success
     known = s.assemble({"D": 2.0})
     assert known.code == OUTSIDE and not known and "D = 2 is not in" in known.status
 
@@ -266,7 +266,7 @@ def test_wrong_questions_are_refused():
     with pytest.raises(InputError, match="shape"):
         s.assemble({"coupler_point": [1.0]})
     with pytest.raises(InputError, match="needs 4"):
-        s.assemble(near=[0.0])
+        s.assemble(start=[0.0])
     with pytest.raises(InputError, match="must be a number"):
         s.assemble({"A": "x"})
 
@@ -302,8 +302,8 @@ def test_continuous_rows_follow_each_other():
     driver = s.coordinate_names[0]
     for n in (36, 101, 360):
         angles = np.linspace(0.4, 0.4 + 2 * np.pi, n)
-        start = s.assemble({driver: 0.4}, near=s.posture("closed"))
-        q = s.assemble({driver: angles}, near=start.q, continuous=True).q
+        start = s.assemble({driver: 0.4}, start=s.posture("closed"))
+        q = s.assemble({driver: angles}, start=start.q, continuous=True).q
         X = s.fk(q, "coupler") if "coupler" in s.body_names else s.fk(q)[:, 2]
         assert np.abs(X[:, 1, 0] - X[0, 1, 0]).max() < 1e-9, n  # the coupler does not turn
 
@@ -319,7 +319,7 @@ def test_what_is_left_open_is_nearest(seed):
 
     s = kempe.load("stewart")
     near = s.integrate(s.posture("closed"), 0.15 * np.random.default_rng(seed).normal(size=s.nv))
-    answer = s.assemble(near=near, nearest=True)
+    answer = s.assemble(start=near, nearest=True)
     assert answer
     b = s.assembler(())
     N, scale = tangent_space(s, answer.q)
@@ -345,7 +345,7 @@ def test_large_systems_are_sparse():
     assert sizes[1] < 2.1 * sizes[0]
     s = row(200)
     near = s.integrate(s.neutral, 0.1 * np.random.default_rng(0).normal(size=s.nv))
-    answer = s.assemble({"A0": 0.2}, near=near)
+    answer = s.assemble({"A0": 0.2}, start=near)
     assert answer.code == CLOSED and answer.starts == 1
     assert np.abs(loops.residual(s, answer.q)).max() < 1e-12
 

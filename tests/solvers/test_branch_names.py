@@ -76,7 +76,7 @@ def test_the_puma_as_its_books_name_it():
     """Corke, Robotics, Vision and Control: `ikine6s` of the nominal pose gives 'lun' without, and qn with 'ru'."""
     puma = kempe.load("puma560")
     qn = np.array([0, np.pi / 4, -np.pi, 0, np.pi / 4, 0])  # the sign of q3 differs by a turn
-    a = puma.ik_all(puma.fk(qn, "tool"), "tool", near=qn)
+    a = puma.ik_all(puma.fk(qn, "tool"), "tool", start=qn)
     (lun,) = a.q[a.named("shoulder left, elbow up, no flip")]
     (run,) = a.q[a.named(["shoulder right", "elbow up", "no flip"])]
     turns = np.array([2.6486, -3.9270, 0.0940, 2.5326, 0.9743, 0.3734])

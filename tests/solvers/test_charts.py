@@ -86,7 +86,7 @@ def test_a_chart_fails_at_a_dead_point_and_another_takes_over():
     extreme = math.acos((a * a + d * d - (b + c) ** 2) / (2 * a * d))
     chart = None
     for gap in (0.3, 1e-5):
-        answer = s.assemble({"A": extreme - gap}, near=s.q({"A": extreme - gap, "B": -1.5, "D": 2.0}), starts=50)
+        answer = s.assemble({"A": extreme - gap}, start=s.q({"A": extreme - gap, "B": -1.5, "D": 2.0}), starts=50)
         assert answer
         chart = s.independent(answer.q, prefer=["A"]) if gap == 0.3 else chart
         assert isinstance(chart, Chart)

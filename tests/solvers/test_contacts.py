@@ -47,7 +47,7 @@ def test_a_ball_below_the_ground_is_put_on_it(hunt):
     system, rng = ball(), hunt.rng()
     start = np.array([system.random(rng) for _ in range(hunt.cases(200))])
     start[:, :3] = rng.uniform(-1.0, 1.0, (len(start), 3))
-    answer = system.assemble(near=start)
+    answer = system.assemble(start=start)
     assert answer.success.all()
     expected = start.copy()
     expected[:, 2] = np.maximum(start[:, 2], 0.1)
@@ -63,7 +63,7 @@ def test_what_is_assembled_is_inside_and_nearest(hunt):
     grid = grid.reshape(-1, 2)[arm_beyond(grid.reshape(-1, 2)) <= 0.0]
     far = 0
     for start in rng.uniform([-2.0, -3.0], [2.0, 3.0], (hunt.cases(60), 2)):
-        answer = system.assemble(near=start)
+        answer = system.assemble(start=start)
         assert answer.success
         assert arm_beyond(answer.q) < 1e-9
         best = np.linalg.norm(grid - start, axis=1).min()
@@ -97,7 +97,7 @@ def test_known_values_are_kept(hunt):
 
 def test_a_batch_that_follows_itself():
     system = arm()
-    answer = system.assemble({"A": np.linspace(0.2, 1.8, 30)}, near=[0.2, 1.0], continuous=True)
+    answer = system.assemble({"A": np.linspace(0.2, 1.8, 30)}, start=[0.2, 1.0], continuous=True)
     assert answer.success.all()
     assert np.abs(np.diff(answer.q[:, 1])).max() < 0.2
     assert (arm_beyond(answer.q) < 1e-9).all()
@@ -228,7 +228,7 @@ def test_rank_and_freedoms_do_not_see_them():
 @pytest.mark.parametrize("keep_direction", [False, True])
 def test_steps_stay_inside(keep_direction, hunt):
     system, rng = arm(), hunt.rng()
-    q = system.assemble(near=rng.uniform([-2.0, -3.0], [2.0, 3.0], (hunt.cases(150), 2))).q
+    q = system.assemble(start=rng.uniform([-2.0, -3.0], [2.0, 3.0], (hunt.cases(150), 2))).q
     for x in q[arm_beyond(q) < 1e-12]:
         step = system.ik_step(x, np.append(rng.normal(size=2), np.zeros(4)), "tip", 0.05, keep_direction=keep_direction)
         assert arm_beyond(step.q) < 1e-11
@@ -275,7 +275,7 @@ def with_law(kind, text, limits=(-np.inf, np.inf)):
 @pytest.mark.parametrize("kind", ["equation", "inequality"])
 def test_laws_tell_turns_apart(kind, hunt):
     system, rng = with_law(kind, "1.2 - A + B/2"), hunt.rng()
-    q = system.assemble(near=rng.uniform(-20.0, 20.0, (hunt.cases(100), 2)))
+    q = system.assemble(start=rng.uniform(-20.0, 20.0, (hunt.cases(100), 2)))
     law = 1.2 - q.q[:, 0] + q.q[:, 1] / 2
     assert q.success.all()
     assert (law > -1e-8).all()

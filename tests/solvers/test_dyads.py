@@ -232,7 +232,7 @@ def check(chain: Chain, ground: str = "ground") -> None:
     reference = system.q(chain.values)
     values = [chain.values[k] for k in chain.known]
     assert plan.signs == chain.two_roots
-    q, ok, gap = plan.solve(values, near=reference)
+    q, ok, gap = plan.solve(values, start=reference)
     assert ok and gap < 1e-12 and np.abs(q - reference).max() < 1e-8
     every, mask = plan.all(values)
     assert mask.any()
@@ -461,8 +461,8 @@ def test_angles_are_near_to_a_reference():
     plan = plan_of(system, "A")
     q = plan.solve([0.3], "+")[0]
     far = q + 2 * math.pi * np.array([0, 3, -2, 1])
-    assert np.abs(plan.solve([0.3], "+", near=far + 0.1)[0] - far).max() < 1e-12
-    assert np.abs(plan.solve([0.3 + 2 * math.pi], "+", near=q)[0][1:] - q[1:]).max() < 1e-12
+    assert np.abs(plan.solve([0.3], "+", start=far + 0.1)[0] - far).max() < 1e-12
+    assert np.abs(plan.solve([0.3 + 2 * math.pi], "+", start=q)[0][1:] - q[1:]).max() < 1e-12
 
 
 @pytest.mark.parametrize("low", [-10.0, -4.0, 0.5, 7.0])
@@ -549,7 +549,7 @@ def test_shapes_and_batches():
     signs = np.where(np.arange(23) % 2, 1.0, -1.0)[:, None]
     mixed = plan.solve(values[:, None], signs)[0]
     assert np.array_equal(mixed[::2], q[::2]) and np.array_equal(plan.branch_of(mixed), signs)
-    near = plan.solve(values[:, None], near=mixed)[0]
+    near = plan.solve(values[:, None], start=mixed)[0]
     assert np.array_equal(near, mixed)
     assert plan.solve(np.zeros((0, 1)))[0].shape == (0, 4)
     assert plan.solve(np.zeros((2, 3, 1)))[0].shape == (2, 3, 4)
@@ -614,8 +614,8 @@ def test_refused_arguments():
         lambda: plan.solve([0.1], "++"),
         lambda: plan.solve([0.1], "x"),
         lambda: plan.solve([0.1], [0.5]),
-        lambda: plan.solve([0.1], near=np.full(4, np.nan)),
-        lambda: plan.solve([0.1], near=np.zeros((3, 4))),
+        lambda: plan.solve([0.1], start=np.full(4, np.nan)),
+        lambda: plan.solve([0.1], start=np.zeros((3, 4))),
     ):
         with pytest.raises(InputError):
             call()

@@ -35,13 +35,13 @@ def stretched(system: System, n: int, angle: float) -> np.ndarray:
 @pytest.mark.parametrize("n", [2, 10, 100, 150])
 def test_a_scissor_that_closes_folded_says_so(n):
     system = scissor(n)
-    answer = system.assemble(near=system.neutral + np.random.default_rng(0).normal(size=system.nq) * 0.3)
+    answer = system.assemble(start=system.neutral + np.random.default_rng(0).normal(size=system.nq) * 0.3)
     assert answer.success
     assert f"{n} freedoms left open, 1 by the count: the mechanism is folded or singular here" in answer.status
     assert "P0 and Q0" in answer.status and answer.status.endswith("coincide")
     rng = np.random.default_rng(1)
     for _ in range(3):
-        answer = system.assemble(near=stretched(system, n, 0.9) + rng.normal(size=system.nq) * 0.1)
+        answer = system.assemble(start=stretched(system, n, 0.9) + rng.normal(size=system.nq) * 0.1)
         assert answer.success and answer.status.endswith("; 1 freedom left open")
 
 
@@ -53,10 +53,10 @@ def test_pins_that_coincide_are_named_in_space(posture):
         m = system.mechanism
         m.posture("closed", system.q_dict(stretched(system, 4, 0.9)))
         system = m.build()
-    answer = system.assemble(near=system.neutral + np.random.default_rng(0).normal(size=system.nq) * 0.3)
+    answer = system.assemble(start=system.neutral + np.random.default_rng(0).normal(size=system.nq) * 0.3)
     why = "the mechanism is folded or singular here, where" if posture else "it may be folded, for"
     assert f"; 4 freedoms left open, 1 in general: {why} P0 and Q0" in answer.status
-    answer = system.assemble(near=stretched(system, 4, 0.9))
+    answer = system.assemble(start=stretched(system, 4, 0.9))
     assert answer.success and answer.status.endswith("; 1 freedom left open")
 
 
@@ -73,7 +73,7 @@ def test_angles_of_a_ball_at_their_own_singularity_are_no_freedom(rods):
     for k in range(rods):
         length = float(np.linalg.norm(bare.fk(q, f"g{k}")[:3, 3] - bare.fk(q, f"h{k}")[:3, 3]))
         m.distance(f"rod{k}", f"g{k}", f"h{k}", length)
-    status = m.build().assemble(near=q).status
+    status = m.build().assemble(start=q).status
     assert "closed" in status and ("1 freedom left open" in status) == (rods == 2)
 
 
@@ -83,7 +83,7 @@ def test_three_hinges_in_gimbal_lock_keep_their_freedom():
     m.revolute("y", "a", m.body("b"), axis=(0, 1, 0))
     m.revolute("x", "b", m.body("c"), axis=(1, 0, 0))
     m.spherical("S", m.ground, "c")
-    assert "3 freedoms left open" in m.build().assemble(near={"y": np.pi / 2}).status
+    assert "3 freedoms left open" in m.build().assemble(start={"y": np.pi / 2}).status
 
 
 def test_hunt_folded_cells(hunt):
@@ -93,7 +93,7 @@ def test_hunt_folded_cells(hunt):
         n = int(rng.integers(2, 9))
         system = scissor(n)
         start = stretched(system, n, rng.uniform(0.2, 1.3)) * rng.choice([0.0, 1.0])
-        q = (answer := system.assemble(near=start + rng.normal(size=system.nq) * rng.choice([0.1, 0.4, 1.0]))).q
+        q = (answer := system.assemble(start=start + rng.normal(size=system.nq) * rng.choice([0.1, 0.4, 1.0]))).q
         if not answer.success:
             continue
         ends = [system.fk(q, f"{x}{i}") @ [1, 0, 0, 1] for i in range(n - 1) for x in "ab"]
@@ -111,7 +111,7 @@ def test_hunt_folded_cells(hunt):
 
 def test_a_change_point_is_compared_with_home():
     system = kempe.load("parallelogram")
-    status = system.assemble(near=system.posture("flat")).status
+    status = system.assemble(start=system.posture("flat")).status
     assert status.endswith("2 freedoms left open, 1 at home: singular here, or on another branch")
 
 
@@ -121,7 +121,7 @@ def test_a_change_point_is_compared_with_home():
 def test_no_warning_where_nothing_is_wrong(name):
     """Neither redundant constraints nor idle spins nor compound pins are anything to warn of."""
     system = kempe.load(name)
-    assert system.assemble(near=system.posture("closed")).status.endswith("left open")
+    assert system.assemble(start=system.posture("closed")).status.endswith("left open")
 
 
 def test_all_given_leaves_nothing_to_say():

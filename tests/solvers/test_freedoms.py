@@ -55,7 +55,7 @@ def test_at_the_edge_of_the_workspace_a_freedom_is_there_to_first_order_only(see
     s = kempe.load("two_link")
     reach = s.fk(np.zeros(2), "e")[0, 3]
     task = tasks.Position("e", reach * np.array([math.cos(0.4), math.sin(0.4)]))
-    answer = s.ik(task, seed=np.array(seed))
+    answer = s.ik(task, start=np.array(seed))
     assert (answer.success, answer.m, answer.n, answer.rank, answer.redundancy) == (True, 2, 2, 1, 1)
     assert f"1 freedom {RANK_LOST}" in answer.status
     m = s.self_motion(answer.q, task)
@@ -67,7 +67,7 @@ def test_at_the_edge_of_the_workspace_a_freedom_is_there_to_first_order_only(see
 def test_beside_the_edge_no_freedom_is_left(bend):
     s = kempe.load("two_link")
     q = np.array([0.4, bend])
-    answer = s.ik(tasks.Position("e", s.fk(q, "e")[:2, 3]), seed=q, tolerance=1e-12)
+    answer = s.ik(tasks.Position("e", s.fk(q, "e")[:2, 3]), start=q, tolerance=1e-12)
     assert answer.success and answer.redundancy == 0 and "no freedom is left" in answer.status
 
 
@@ -75,11 +75,11 @@ def test_a_short_link_is_no_singular_one():
     """A link a millionth as long as the others moves the tip by as little, and yet it moves it."""
     s = planar((1.0, 1.0, 1e-6))
     q = np.array([0.3, 0.8, 1.1])
-    answer = s.ik(tasks.Pose("tip", s.fk(q, "tip")), seed=q)
+    answer = s.ik(tasks.Pose("tip", s.fk(q, "tip")), start=q)
     assert answer.success and answer.redundancy == 0
     plain = planar((1.0, 1e-6))
     q = np.array([0.3, 0.8])
-    assert plain.ik(tasks.Position("tip", plain.fk(q, "tip")[:2, 3]), seed=q, tolerance=1e-12).redundancy == 0
+    assert plain.ik(tasks.Position("tip", plain.fk(q, "tip")[:2, 3]), start=q, tolerance=1e-12).redundancy == 0
 
 
 def collinear(lengths, signs):
@@ -113,7 +113,7 @@ def lines(hunt, count: int) -> tuple[int, int]:
         q[0] = rng.uniform(-3.0, 3.0)
         s = planar(lengths)
         task = tasks.Position("tip", tips(lengths, q))
-        answer = s.ik(task, seed=q + rng.normal(size=n) * rng.choice([0.0, 1e-9, 1e-7]))
+        answer = s.ik(task, start=q + rng.normal(size=n) * rng.choice([0.0, 1e-9, 1e-7]))
         assert answer.success and (answer.n, answer.rank) == (n, 1), (lengths, q)
         if definite:
             isolated += 1
@@ -181,7 +181,7 @@ def test_freedoms_are_those_of_the_mechanism_with_the_tip_pinned(axes, q, finite
     lengths = (0.5, 0.4, 0.7, 0.3, 0.35)[: len(axes)]
     s, q = arm(axes, lengths), np.array(q)
     p = s.fk(q, "tip")[:3, 3]
-    answer = s.ik(tasks.Position("tip", p), seed=q)
+    answer = s.ik(tasks.Position("tip", p), start=q)
     closed = arm(axes, lengths, p)
     there = closed.assemble({f"q{i + 1}": x for i, x in enumerate(q)}).q
     local = local_dimension(closed, there)

@@ -258,21 +258,21 @@ def test_every_turn_inside_the_limits(name):
 def test_near_comes_first(name):
     arm = ARMS[name]
     for x in arm.inside(12, 5):
-        answer = ask(arm, arm.model.fk(x), x, near=x)
+        answer = ask(arm, arm.model.fk(x), x, start=x)
         np.testing.assert_allclose(answer.q[0], x, rtol=0, atol=SAME)
 
 
 def test_near_chooses_the_turn():
     arm = ARMS["ur10e"]  # its limits span two turns
     x = np.array([3.5, -4.0, 5.0, -5.5, 4.2, 6.0])
-    answer = ask(arm, arm.model.fk(x), near=x)
+    answer = ask(arm, arm.model.fk(x), start=x)
     np.testing.assert_allclose(answer.q[0], x, rtol=0, atol=SAME)
     for q in answer.q:
         for i in range(6):
             assert abs(q[i] - x[i]) <= min(abs(t - x[i]) for t in turns(arm, q, i)) + 1e-9
     free = ARMS["jaco2"]  # joints 1, 4, 5, 6 turn freely
     x = np.array([100.0, 3.0, 2.0, -50.0, 1.0, 20.0])
-    np.testing.assert_allclose(ask(free, free.model.fk(x), near=x).q[0], x, rtol=0, atol=SAME)
+    np.testing.assert_allclose(ask(free, free.model.fk(x), start=x).q[0], x, rtol=0, atol=SAME)
 
 
 # ---------------------------------------------------------------- tasks
@@ -320,7 +320,7 @@ def test_held_joints_stay(name):
 def test_redundant_arms_have_families(name):
     """One freedom too many: curves of configurations, one of them through what gave the target."""
     arm, q, X = posed(name, 17, 2)  # the first is inside the limits
-    answer = arm.system.ik_all(X[0], arm.frame, near=q[0])
+    answer = arm.system.ik_all(X[0], arm.frame, start=q[0])
     assert nearest(arm, answer.q, arm.model.theta(q[0])) < SAME and on_a_family(answer, 0, q[0])
     assert_families(arm, answer, X[0])
 

@@ -29,7 +29,7 @@ def test_working_modes_of_planar_robots():
     assert len(five.ik_all(tip, "tip")) == 4
     robot = kempe.load("three_rrr")
     q = robot.posture("closed")
-    found = robot.ik_all(robot.fk(q, "tool"), "tool", near=q)
+    found = robot.ik_all(robot.fk(q, "tool"), "tool", start=q)
     assert len(found) == 8
     np.testing.assert_allclose(robot.fk(found.q, "tool"), np.broadcast_to(robot.fk(q, "tool"), (8, 4, 4)), atol=1e-9)
     np.testing.assert_allclose(robot.difference(found.q[0], q), 0.0, atol=1e-7)

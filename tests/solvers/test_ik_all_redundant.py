@@ -287,7 +287,7 @@ def test_a_thin_interval_of_values():
         angle = 0.3 + 0.7 * k
         p = reach * np.array([math.cos(angle), math.sin(angle)])
         for turned in (p, (2.0 * p)[:2] / 2.0):
-            a = arm.ik_all(turned, "tip", near=[0.0, 0.9, 0.4])
+            a = arm.ik_all(turned, "tip", start=[0.0, 0.9, 0.4])
             assert a and np.abs(arm.fk(a.q, "tip")[:, :2, 3] - p).max() < 1e-8, (reach, a.status)
 
 

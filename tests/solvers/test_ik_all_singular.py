@@ -424,10 +424,10 @@ def test_joints_that_are_held_stay():
     q = system("panda").random(5)
     X = system("panda").fk(q, "tool")
     X[:3, 3] *= 3.0
-    a = system("panda").ik_all(X, "tool", near=q, fixed={"panda_joint7": q[6]})
+    a = system("panda").ik_all(X, "tool", start=q, fixed={"panda_joint7": q[6]})
     x, position, _ = nearest(a, 0)
     assert len(a) == 0 and x[6] == pytest.approx(q[6], abs=1e-12) and position > 0.5
-    free, least, _ = nearest(system("panda").ik_all(X, "tool", near=q), 0)
+    free, least, _ = nearest(system("panda").ik_all(X, "tool", start=q), 0)
     assert least <= position + 1e-9
     assert np.all(x >= a.system.lower - 1e-9) and np.all(x <= a.system.upper + 1e-9)
 

@@ -26,7 +26,7 @@ def again(s: System, make: Make, q: np.ndarray, step: float, direction: np.ndarr
     """dq along a direction, by solving again from q on both sides, at two distances (Richardson, 1911)."""
 
     def difference(h: float) -> np.ndarray:
-        ends = [s.ik(make(x * h * direction), seed=q, **TIGHT, **options) for x in (1.0, -1.0)]
+        ends = [s.ik(make(x * h * direction), start=q, **TIGHT, **options) for x in (1.0, -1.0)]
         assert all(ends), ends[0].status
         return s.difference(ends[1].q, ends[0].q) / (2.0 * h)
 
@@ -35,7 +35,7 @@ def again(s: System, make: Make, q: np.ndarray, step: float, direction: np.ndarr
 
 def check(s: System, make: Make, q: np.ndarray, n: int, step=1e-3, atol=1e-6, label=None, **options) -> np.ndarray:
     """The derivative of a task's answer for the n directions that `make` takes."""
-    answer = s.ik(make(np.zeros(n)), seed=q, **TIGHT, **options)
+    answer = s.ik(make(np.zeros(n)), start=q, **TIGHT, **options)
     assert answer.success, answer.status
     D = answer.derivative[label or next(iter(answer.derivative))]
     for k, e in enumerate(np.eye(n)):
@@ -54,7 +54,7 @@ def test_a_redundant_tree_moves_least():
     X = s.fk(q, HAND)
     D = check(s, lambda t: [tasks.Pose(HAND, moved(X, t))], q, 6, prefer="nearest", atol=1e-5)
     np.testing.assert_allclose(D, np.linalg.pinv(s.jacobian(q, HAND)), atol=1e-5)
-    plain = s.ik(tasks.Pose(HAND, X), seed=q, **TIGHT).derivative
+    plain = s.ik(tasks.Pose(HAND, X), start=q, **TIGHT).derivative
     np.testing.assert_allclose(plain[f"Pose of '{HAND}'"], D, atol=1e-6)
 
 
@@ -115,7 +115,7 @@ def test_quaternions():
     q = s.assemble().q
     i = s.coordinate_names.index("S1.qw")
     names = s.coordinate_names[i : i + 4]
-    held = s.ik(tasks.Posture(dict(zip(names, q[i : i + 4], strict=True)), weight=None), seed=q, **TIGHT)
+    held = s.ik(tasks.Posture(dict(zip(names, q[i : i + 4], strict=True)), weight=None), start=q, **TIGHT)
     D = held.derivative[next(iter(held.derivative))]
     v = s.velocity_names.index("S1.wx") if "S1.wx" in s.velocity_names else int(s.layout.quaternion_v[0])
     assert D.shape == (s.nv, 3)
@@ -143,7 +143,7 @@ def test_a_soft_task_out_of_reach():
     m.revolute("a", "ground", m.body("u"))
     m.frame("tip", "u", at=(1, 0))
     s = m.build()
-    answer = s.ik(tasks.Position("tip", [3.0, 0.0], weight=1.0), seed=[0.1])
+    answer = s.ik(tasks.Position("tip", [3.0, 0.0], weight=1.0), start=[0.1])
     D = answer.derivative["Position of 'tip'"]
     np.testing.assert_allclose(D[0, :3], [0.0, 1.0 / 3.0, 0.0], atol=1e-6)
 
@@ -167,12 +167,12 @@ def test_inequalities_at_their_bound_hold():
     s = m.build()
     wish = tasks.Position("v", [2.0, 0.5], weight=1.0, priority=1)
     wall = tasks.HalfSpace("v", [1.0, 0.0], [-1.0, 0.0])
-    answer = s.ik([wall, wish], seed=[0.0, 0.0])
+    answer = s.ik([wall, wish], start=[0.0, 0.0])
     np.testing.assert_allclose(answer.q, [1.0, 0.5], atol=1e-6)
     D = answer.derivative
     np.testing.assert_allclose(D["HalfSpace of 'v'"][:, :2], [[1.0, 0.0], [0.0, 0.0]], atol=1e-6)
     np.testing.assert_allclose(D["Position of 'v'"][:, :2], [[0.0, 0.0], [0.0, 1.0]], atol=1e-6)
-    inside = s.ik([tasks.HalfSpace("v", [3.0, 0.0], [-1.0, 0.0]), wish], seed=[0.0, 0.0]).derivative
+    inside = s.ik([tasks.HalfSpace("v", [3.0, 0.0], [-1.0, 0.0]), wish], start=[0.0, 0.0]).derivative
     assert not inside["HalfSpace of 'v'"].any()
     np.testing.assert_allclose(inside["Position of 'v'"][:, :2], np.eye(2), atol=1e-6)
 
@@ -186,10 +186,10 @@ def test_batches_and_what_is_refused():
     p = np.tile(s.fk(q, HAND)[:3, 3], (3, 1))
     p[1] += 9.0
     p[2, 2] -= 0.05
-    many = s.ik(tasks.Position(HAND, p), seed=q, **TIGHT)
+    many = s.ik(tasks.Position(HAND, p), start=q, **TIGHT)
     D = many.derivative[f"Position of '{HAND}'"]
     assert D.shape == (3, 7, 6) and np.isnan(D[1]).all()
-    alone = s.ik(tasks.Position(HAND, p[2]), seed=q, **TIGHT)
+    alone = s.ik(tasks.Position(HAND, p[2]), start=q, **TIGHT)
     np.testing.assert_allclose(D[2], alone.derivative[f"Position of '{HAND}'"], atol=1e-8)
     with pytest.raises(InputError, match="do not hold"):
         _ = s.ik(tasks.Position(HAND, p[1]), starts=2).derivative

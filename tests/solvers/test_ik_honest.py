@@ -34,13 +34,13 @@ def test_a_loose_tolerance_is_used_where_the_target_itself_cannot_be_reached(nam
     X = robot.fk(q, frame)
     Y = X.copy()
     Y[:, :3, :3] = X[:, :3, :3] @ spatial.rot_x(limit)
-    s = robot.ik(Y, frame, seed=q, tolerance=(1e-4, 1.2 * limit))
+    s = robot.ik(Y, frame, start=q, tolerance=(1e-4, 1.2 * limit))
     assert s.success.all()
     Z = robot.fk(s.q, frame)
     assert np.linalg.norm(Z[:, :3, 3] - Y[:, :3, 3], axis=1).max() <= 1e-4
     turn = spatial.log_so3(np.swapaxes(Z[:, :3, :3], 1, 2) @ Y[:, :3, :3])
     assert np.linalg.norm(turn, axis=1).max() <= 1.2 * limit
-    assert not robot.ik(Y, frame, seed=q).success.any()  # to a millionth nothing is
+    assert not robot.ik(Y, frame, start=q).success.any()  # to a millionth nothing is
 
 
 def test_a_tolerance_finer_than_rounding_is_said_to_be():
@@ -163,12 +163,12 @@ def test_wrong_input_blames_what_is_wrong():
     with pytest.raises(InputError, match="target has an entry of 1e"):
         robot.ik(Y, "tool")
     for _ in range(2):
-        with pytest.raises(InputError, match="seed has entries that are not finite"):
+        with pytest.raises(InputError, match="start has entries that are not finite"):
             robot.ik(X, "tool", np.full(6, np.inf))
     m = Mechanism("free")
     m.free("float", m.ground, m.body("hull"))
     with pytest.raises(InputError, match="quaternion that is zero"):
-        m.build().ik(np.eye(4), "hull", seed=np.zeros(7))
+        m.build().ik(np.eye(4), "hull", start=np.zeros(7))
 
 
 # ---- paths, steps, derivatives
@@ -178,7 +178,7 @@ def test_a_path_names_the_target_that_is_no_pose_and_a_seed_that_is_none():
     robot = kempe.load("puma560")
     X = robot.fk(robot.random(0), "tool")
     P = np.tile(X, (3, 1, 1))
-    with pytest.raises(InputError, match="seed has entries that are not finite"):
+    with pytest.raises(InputError, match="start has entries that are not finite"):
         robot.ik_path(P, "tool", np.full(6, np.nan))
     P[1] = X.T
     with pytest.raises(InputError, match="target 1 "):

@@ -157,11 +157,11 @@ def test_a_seed_that_leads_to_the_target_is_the_answer():
     q = robot.random(1, 200)
     near = np.clip(q + np.random.default_rng(0).uniform(-0.05, 0.05, q.shape), robot.lower, robot.upper)
     X = robot.fk(q, frame)
-    s = robot.ik(X, frame, seed=near)
-    alone = robot.ik(X, frame, seed=near, starts=1)
+    s = robot.ik(X, frame, start=near)
+    alone = robot.ik(X, frame, start=near, starts=1)
     assert s.success.all() and (s.starts == 1).all() and np.array_equal(s.q, alone.q)
     assert np.median(np.abs(s.q - near).max(axis=1)) < 0.15
-    other = robot.ik(X, frame, seed=near, rng=5)
+    other = robot.ik(X, frame, start=near, rng=5)
     assert np.array_equal(s.q, other.q)  # no random number took part
 
 
@@ -173,14 +173,14 @@ def test_plain_calls_are_answered_as_careful_ones():
     assert ("one", frame, "None", 2) in robot._queries
     assert np.array_equal(first.q, many.q[0]) and np.array_equal(again.q, first.q) and again.success is True
     for X_, q in zip(X, robot.random(1, 30), strict=True):
-        short, careful = robot.ik(X_, frame, seed=q), robot.ik(X_.tolist(), frame, seed=list(q))
+        short, careful = robot.ik(X_, frame, start=q), robot.ik(X_.tolist(), frame, start=list(q))
         assert np.array_equal(short.q, careful.q) and short.starts == careful.starts
         assert (short.iterations, short.residual) == (careful.iterations, careful.residual)
         assert short.status == careful.status and str(short) == str(careful)
     back = pickle.loads(pickle.dumps(again))
     assert back.status == again.status and back.task.frame == frame
     outside = np.full(robot.nq, 50.0)
-    a, b = robot.ik(X[0], frame, seed=outside), robot.ik(X[0].tolist(), frame, seed=outside.tolist())
+    a, b = robot.ik(X[0], frame, start=outside), robot.ik(X[0].tolist(), frame, start=outside.tolist())
     assert np.array_equal(a.q, b.q) and inside(robot, a.q)
 
 
@@ -224,10 +224,10 @@ def test_plain_calls_say_what_is_wrong():
             robot.ik(np.where(X == 1.0, np.nan, X), frame)
         with pytest.raises(InputError, match="last row"):
             robot.ik(np.ascontiguousarray(far.T), frame)
-        with pytest.raises(InputError, match="seed has entries"):
-            robot.ik(X, frame, seed=np.full(robot.nq, np.nan))
-        with pytest.raises(InputError, match="seed has shape"):
-            robot.ik(X, frame, seed=np.zeros((2, robot.nq)))
+        with pytest.raises(InputError, match="start has entries"):
+            robot.ik(X, frame, start=np.full(robot.nq, np.nan))
+        with pytest.raises(InputError, match="start has shape"):
+            robot.ik(X, frame, start=np.zeros((2, robot.nq)))
     turned = X.copy()
     turned[:3, 3] = [0.0, 0.0, 0.05]
     s = robot.ik(turned, frame)
@@ -245,10 +245,10 @@ def test_joints_that_the_chain_does_not_move_keep_their_seed():
     for value, kept in ((0.7, 0.7), (5.0, 1.0)):
         seed[at] = value
         for _ in range(2):
-            assert robot.ik(X, frame, seed=seed).q[at] == kept
+            assert robot.ik(X, frame, start=seed).q[at] == kept
     seed[at] = np.nan
     with pytest.raises(InputError, match="not finite"):
-        robot.ik(X, frame, seed=seed)
+        robot.ik(X, frame, start=seed)
 
 
 SCRIPT = """

@@ -113,7 +113,7 @@ def test_a_wrist_goes_straight_through_its_singularity():
     s = m.build()
     t = np.linspace(-1.0, 1.0, 30)
     q = np.stack([0.2 * t, 0.7 * t, 0.1 + 0.3 * t], axis=1)
-    p = s.ik_path(tasks.Orientation("3", s.fk(q, "3")[:, :3, :3]), seed=q[0])
+    p = s.ik_path(tasks.Orientation("3", s.fk(q, "3")[:, :3, :3]), start=q[0])
     assert p, p.status
     np.testing.assert_allclose(p.q, q, atol=1e-7)
 
@@ -154,7 +154,7 @@ def test_closed_loops_stay_closed():
     start = platform.assemble().q
     targets = np.tile(platform.fk(start, "platform"), (8, 1, 1))
     targets[:, :3, 3] += np.linspace(0.0, 1.0, 8)[:, None] * [0.03, 0.02, 0.05]
-    p = platform.ik_path(tasks.Pose("platform", targets), seed=start)
+    p = platform.ik_path(tasks.Pose("platform", targets), start=start)
     assert p, p.status
     np.testing.assert_allclose(platform.fk(p.q, "platform"), targets, atol=1e-9)
     assert np.abs(platform.closure_error(p.q)).max() < 1e-9

@@ -155,7 +155,7 @@ def test_new_starts_for_tasks_leave_the_other_arm_alone():
     for seed in range(60):
         rng = np.random.default_rng(seed)
         q, X = s.random(rng), s.fk(s.random(rng), "r_hand")
-        answer = s.ik([tasks.Pose("r_hand", X)], seed=q)
+        answer = s.ik([tasks.Pose("r_hand", X)], start=q)
         more += answer.starts > 1
         np.testing.assert_array_equal(answer.q[other], q[other])
     assert more > 5
@@ -179,7 +179,7 @@ def test_loops_beside_the_task_stay_as_they_are():
         there = s.assemble({"pA": 1.5 - 0.13 * k, "nA": -0.4})
         if not (start and there):
             continue
-        answer = s.ik([tasks.Position("ptip", s.fk(there.q, "ptip")[:2, 3])], seed=start.q)
+        answer = s.ik([tasks.Position("ptip", s.fk(there.q, "ptip")[:2, 3])], start=start.q)
         more += answer.starts > 1
         assert answer, answer.status
         np.testing.assert_allclose(answer.q[other], start.q[other], atol=1e-9)

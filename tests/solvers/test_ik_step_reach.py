@@ -71,7 +71,7 @@ def test_out_of_reach_it_settles_at_the_nearest_pose(name, by, damping):
     assert turns_back(Q, 0.01) == 0 and not np.diff(Q[-100:], axis=0).any()
     assert np.abs(np.diff(Q, axis=0) / 0.01).max() <= TURNING * (1.0 + 1e-9)
     # the wrist of a UR5 has minima on both sides, and a step does not leave the one that it comes to
-    nearest, rest = s.ik(X, frame, seed=Q[-1], starts=1 if name == "ur5" else 1000), s.fk(Q[-1], frame)
+    nearest, rest = s.ik(X, frame, start=Q[-1], starts=1 if name == "ur5" else 1000), s.fk(Q[-1], frame)
     assert abs(np.linalg.norm(rest[:3, 3] - X[:3, 3]) - nearest.position_error) < 1e-4
 
 
@@ -248,4 +248,4 @@ def test_one_task_settles_where_the_step_of_a_frame_does():
     two = motion(s, q, tasks.Position(frame, X[:3, 3]), None)
     missed = [np.linalg.norm(s.fk(Q[-1], frame)[:3, 3] - X[:3, 3]) for Q in (one, two)]
     assert abs(missed[0] - missed[1]) < 1e-6
-    assert abs(missed[0] - s.ik(X, frame, seed=q, task="position").position_error) < 1e-4
+    assert abs(missed[0] - s.ik(X, frame, start=q, task="position").position_error) < 1e-4

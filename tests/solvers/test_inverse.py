@@ -112,7 +112,7 @@ def test_limits_that_block_together_are_named():
     up = np.array([0.3, 0.9, -0.4])
     free = three_links([(-3.0, 3.0)] * 3)
     X = free.fk(up, "tip")
-    down = free.ik(X, "tip", seed=[1.0, -0.9, 0.7]).q
+    down = free.ik(X, "tip", start=[1.0, -0.9, 0.7]).q
     assert np.abs(down - up).min() > 0.1
     limits = [(-3.0, 3.0)] * 3
     limits[0] = tuple(0.5 * (up[0] + down[0]) + np.array([-0.05, 0.05]))  # shuts both off
@@ -228,7 +228,7 @@ def test_bad_single_arguments_raise():
     with pytest.raises(UnknownNameError, match="did you mean 'tool'"):
         robot.ik(X, "tol")
     with pytest.raises(InputError, match="6"):
-        robot.ik(X, "tool", seed=np.zeros(5))
+        robot.ik(X, "tool", start=np.zeros(5))
     for keyword in ({"starts": 0}, {"tolerance": -1.0}, {"tolerance": (1e-6, math.nan)}):
         with pytest.raises(InputError):
             robot.ik(X, "tool", **keyword)
@@ -239,9 +239,9 @@ def test_the_seed_decides_the_branch_and_keeps_what_the_chain_does_not_move():
     m.revolute("aside", m.ground, m.body("other"), limits=(-1.0, 1.0))
     robot = m.build()
     for q2 in (-1.0, 1.0):
-        s = robot.ik([0.9, 0.4], "tip", seed={"q1": 0.0, "q2": q2, "aside": 0.7})
+        s = robot.ik([0.9, 0.4], "tip", start={"q1": 0.0, "q2": q2, "aside": 0.7})
         assert s.success and s.starts == 1 and np.sign(s.q[1]) == np.sign(q2) and s.q[2] == 0.7
-    assert robot.ik([0.9, 0.4], "tip", seed={"aside": 5.0}).q[2] == 1.0
+    assert robot.ik([0.9, 0.4], "tip", start={"aside": 5.0}).q[2] == 1.0
     assert robot.ik([0.9, 0.4], "tip").q[2] == 0.0
 
 
@@ -249,7 +249,7 @@ def test_a_warm_start_stays_near():
     robot = spatial_arm(7, 3)
     q = robot.random(1, 200)
     near = q + np.random.default_rng(0).normal(scale=0.01, size=q.shape)
-    s = robot.ik(robot.fk(q, "tool"), "tool", seed=near)
+    s = robot.ik(robot.fk(q, "tool"), "tool", start=near)
     assert s.success.all() and (s.starts == 1).mean() > 0.95
     assert np.median(np.linalg.norm(s.q - near, axis=-1)) < 0.1
 

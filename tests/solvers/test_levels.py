@@ -68,9 +68,9 @@ def missed(s: System, answer: Reached, wanted: tasks.Task) -> float:
 def compare(s: System, wanted: list[tasks.Task], seed: np.ndarray | None) -> None:
     """Each level misses as much, or less, with those behind it, up to the first that misses less or is hard and missed,
     and only a hard task behind them can cost a success."""
-    before = solve(s, wanted[:1], seed=seed, starts=60)
+    before = solve(s, wanted[:1], start=seed, starts=60)
     for n in range(1, len(wanted)):
-        after = solve(s, wanted[: n + 1], seed=seed, starts=60)
+        after = solve(s, wanted[: n + 1], start=seed, starts=60)
         assert after.success or not before.success or wanted[n].weight is None
         for each in wanted[:n]:
             least, now = missed(s, before, each), missed(s, after, each)
@@ -99,8 +99,8 @@ def test_a_posture_costs_neither_the_place_nor_the_direction(seed):
     X, Y = s.fk(q, HAND), s.fk(other, HAND)
     place = tasks.Position(HAND, X[:3, 3], name="place")
     direction = tasks.Pointing(HAND, Y[:3, 2], weight=1.0, priority=1, name="direction")
-    without = solve(s, [place, direction], seed=q)
-    answer = solve(s, [place, direction, tasks.Posture(other, weight=1.0, priority=2)], seed=q)
+    without = solve(s, [place, direction], start=q)
+    answer = solve(s, [place, direction, tasks.Posture(other, weight=1.0, priority=2)], start=q)
     assert without.success and answer.success and answer.errors["place"][0] <= 1e-9
     assert answer.errors["direction"][1] == pytest.approx(without.errors["direction"][1], abs=1e-9)
 
@@ -126,7 +126,7 @@ def test_a_turn_is_taken_for_an_earlier_level_whatever_a_later_one_wants():
     frame, q = s.frame_names[-1], 0.3 * s.random(0)
     turned = q - 2.0 * math.pi * np.sign(q)
     first, second = tasks.Posture(q, priority=1, name="first"), tasks.Posture(turned, priority=2, name="second")
-    answer = solve(s, [tasks.Pose(frame, s.fk(q, frame)), first, second], seed=turned)
+    answer = solve(s, [tasks.Pose(frame, s.fk(q, frame)), first, second], start=turned)
     np.testing.assert_allclose(answer.q, q, atol=1e-6)
 
 
@@ -150,7 +150,7 @@ def test_rows_of_a_batch_are_single_calls_whatever_the_threads():
         place = tasks.Position(frame, X[i, :3, 3], weight=1.0, name="place")
         return [place, tasks.Pointing(frame, Y[i, :3, 2], priority=1), tasks.Posture(s.mid, priority=2)]
 
-    together = solve(s, wanted(slice(None)), seed=seed, threads=1)
-    np.testing.assert_array_equal(together.q, solve(s, wanted(slice(None)), seed=seed, threads=4).q)
+    together = solve(s, wanted(slice(None)), start=seed, threads=1)
+    np.testing.assert_array_equal(together.q, solve(s, wanted(slice(None)), start=seed, threads=4).q)
     for i in range(n):
-        np.testing.assert_array_equal(together.q[i], solve(s, wanted(i), seed=seed[i]).q)
+        np.testing.assert_array_equal(together.q[i], solve(s, wanted(i), start=seed[i]).q)

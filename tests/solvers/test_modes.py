@@ -71,7 +71,7 @@ def test_every_closed_branch_of_a_random_chain_is_there_once(seed):
     chain = random_chain(seed, most=3)
     system = chain.system()
     known = {k: chain.values[k] for k in chain.known}
-    modes = assembly_modes(system, known, near=system.q(chain.values))
+    modes = assembly_modes(system, known, start=system.q(chain.values))
     plan = closed_form(system, tuple(known))
     assert plan and modes.multiplicity.sum() == plan.all([*known.values()])[1].sum()
     assert np.abs(modes.q[0] - system.q(chain.values)).max() < 1e-7, "sorted, the nearest first"
@@ -132,9 +132,9 @@ def test_sorted_by_nearness():
     known = inputs(system, "A")
     plain = assembly_modes(system, known)
     for q in plain.q:
-        modes = assembly_modes(system, known, near=q + 0.05)
+        modes = assembly_modes(system, known, start=q + 0.05)
         assert np.abs(modes.q[0] - q).max() < 1e-12
-    turned = assembly_modes(system, known, near=plain.q[1] + [0, 4 * math.pi, 0, -2 * math.pi])
+    turned = assembly_modes(system, known, start=plain.q[1] + [0, 4 * math.pi, 0, -2 * math.pi])
     assert np.abs(turned.q[0] - plain.q[1] - [0, 4 * math.pi, 0, -2 * math.pi]).max() < 1e-12
 
 
@@ -300,7 +300,7 @@ def test_refused_arguments():
         lambda: assembly_modes(system, {"A": [1.0, 2.0]}),
         lambda: assembly_modes(system, {"A": "x"}),
         lambda: assembly_modes(system, [1.0]),  # type: ignore[arg-type]
-        lambda: assembly_modes(system, {"A": 1.0}, near=np.zeros((2, 4))),
+        lambda: assembly_modes(system, {"A": 1.0}, start=np.zeros((2, 4))),
         lambda: assembly_modes(system, {"A": 1.0}, starts=0),
         lambda: assembly_modes(system, {"A": 1.0}, rng="x"),  # type: ignore[arg-type]
         lambda: assembly_modes(kempe.load("three_rpr"), {"S1": [0.3, 0.4], "S2": 0.3, "S3": 0.3}),

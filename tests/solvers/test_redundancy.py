@@ -186,7 +186,7 @@ def test_odd_angles_and_offsets(seed):
     system = odd_arm(seed)
     q = system.random(np.random.default_rng(seed))
     T = system.fk(q, "tool")
-    sweep = ik_sweep(system, T, "tool", near=q, n=1001)
+    sweep = ik_sweep(system, T, "tool", start=q, n=1001)
     assert deviation(system, "tool", sweep.q[sweep.mask], T) < 1e-9
     psi = arm_angle(system, q, "tool")
     at = sweep.at(psi)
@@ -388,7 +388,7 @@ def test_more_freedoms_than_one():
     system = iiwa()
     q = system.random(4)
     target = system.fk(q, "tool")[:3, 3]
-    sweep = ik_sweep(system, target, "tool", "q1", near=q, n=60)
+    sweep = ik_sweep(system, target, "tool", "q1", start=q, n=60)
     assert len(sweep.held) == 3 and "held" in str(sweep)
     assert deviation(system, "tool", sweep.q[sweep.mask], target) < 1e-9 and lies_in(sweep.feasible, q[0])
     for name, x in sweep.held.items():

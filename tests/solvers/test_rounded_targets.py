@@ -33,12 +33,12 @@ def hunted(rng: np.random.Generator, count: int) -> int:
         q = rng.uniform(-1.5, 1.5, s.nq)
         X = s.fk(q, "tool")
         X[:3, 3] = X[:3, 3].round(4)
-        a = s.ik(X, "tool", seed=q)
+        a = s.ik(X, "tool", start=q)
         if a.success:
             continue
         missed += 1
         tolerance = advice(a.status)
-        again = s.ik(X, "tool", seed=q, tolerance=tolerance)
+        again = s.ik(X, "tool", start=q, tolerance=tolerance)
         E = np.linalg.inv(s.fk(again.q, "tool")) @ X
         turned = np.arccos(np.clip((np.trace(E[:3, :3]) - 1) / 2, -1, 1))
         assert again.success and np.linalg.norm(E[:3, 3]) <= tolerance[0] and turned <= tolerance[1] + 1e-7

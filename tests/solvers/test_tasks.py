@@ -79,7 +79,7 @@ def test_closed_loops_stay_closed(name):
     s = kempe.load(name)
     frame = "platform" if "platform" in s.body_names else s.body_names[-1]
     for near in s.random(0, 5):
-        q = s.assemble(near=near)
+        q = s.assemble(start=near)
         if not q:
             continue
         answer = s.ik(tasks.Pose(frame, s.fk(q.q, frame)))
@@ -141,7 +141,7 @@ def test_every_kind_of_hard_task_is_met_where_it_can_be():
             tasks.Posture(q, weight=None), tasks.CentreOfPoints(["left", "right"], 0.5 * (L + R)[:3, 3]),
             tasks.Function(lambda x, q=q: (x - q)[7:] + 0.2 * (np.sin(x[7:]) - np.sin(q[7:]))),
         ):  # fmt: skip
-            answer = s.ik([task, tasks.HalfSpace("torso", [0, 0, -9], [0, 0, 1])], seed=s.random(rng))
+            answer = s.ik([task, tasks.HalfSpace("torso", [0, 0, -9], [0, 0, 1])], start=s.random(rng))
             assert answer.success, answer.status
             assert all(np.all(e <= 1.1e-6) for e in answer.errors.values()) and inside(s, answer.q)
 
@@ -164,7 +164,7 @@ def test_wide_limits_do_not_stand_in_the_way():
     """Joints that can turn by two turns and more: a start needs not find the right one."""
     s = kempe.load("ur5")
     frame, rng = s.body_names[-1], np.random.default_rng(5)
-    answers = [s.ik(tasks.Pose(frame, s.fk(q, frame)), seed=s.random(rng)) for q in s.random(rng, 40)]
+    answers = [s.ik(tasks.Pose(frame, s.fk(q, frame)), start=s.random(rng)) for q in s.random(rng, 40)]
     assert all(a.success and inside(s, a.q) for a in answers)
     assert np.mean([a.starts == 1 for a in answers]) > 0.6
 
@@ -211,7 +211,7 @@ def test_levels_are_optima_of_a_nested_optimisation(seed):
     point = tasks.Pointing(HAND, rng.normal(size=3), weight=2.0)
     elbow = tasks.Position("panda_link4", X[:3, 3] + 0.4 * rng.normal(size=3), weight=0.5)
     posture = tasks.Posture(s.random(rng), priority=1)
-    answer = s.ik([posture, elbow, hard, point], seed=s.random(rng))
+    answer = s.ik([posture, elbow, hard, point], start=s.random(rng))
     assert answer.success and inside(s, answer.q)
     a, b, c = cost_of(s, point), cost_of(s, elbow), cost_of(s, posture)
 
@@ -236,8 +236,8 @@ def test_a_lower_level_disturbs_no_higher_one():
     for q in s.random(rng, 4):
         higher = [tasks.Pose("left", s.fk(q, "left")), tasks.Position("left", [5.0, 0.0, 0.0], weight=1.0),
                   tasks.Position("right", [5.0, 0.0, 0.0], weight=1.0, priority=1)]  # fmt: skip
-        alone = s.ik(higher, seed=q)
-        both = s.ik([*higher, tasks.Posture(s.random(rng), priority=2)], seed=alone.q)
+        alone = s.ik(higher, start=q)
+        both = s.ik([*higher, tasks.Posture(s.random(rng), priority=2)], start=alone.q)
         for task in higher:
             assert np.all(both.errors[task.label] <= alone.errors[task.label] + 1e-6)
         assert not np.allclose(both.q, alone.q, atol=1e-2)
@@ -257,10 +257,10 @@ def test_inequalities_bind_only_where_they_must():
     s = planar_arm((1.0, 1.0, 1.0))
     goal = tasks.Position("tip", [2.0, 1.0], weight=1.0)
     wall = tasks.HalfSpace("tip", [1.5, 0.0], [-1.0, 0.0], name="wall")
-    answer = s.ik([goal, wall], seed=[0.3, 0.3, 0.3])
+    answer = s.ik([goal, wall], start=[0.3, 0.3, 0.3])
     assert answer.success
     np.testing.assert_allclose(s.fk(answer.q, "tip")[:2, 3], [1.5, 1.0], atol=1e-6)
-    free = s.ik([goal, tasks.HalfSpace("tip", [2.5, 0.0], [-1.0, 0.0])], seed=[0.3, 0.3, 0.3])
+    free = s.ik([goal, tasks.HalfSpace("tip", [2.5, 0.0], [-1.0, 0.0])], start=[0.3, 0.3, 0.3])
     np.testing.assert_allclose(s.fk(free.q, "tip")[:2, 3], [2.0, 1.0], atol=1e-6)
     apart = s.ik([tasks.Distance("tip", "ground", at_least=2.9), tasks.InBox("tip", [2.0, 2.0], [3.0, 3.0])])
     assert apart.success and np.linalg.norm(s.fk(apart.q, "tip")[:2, 3]) >= 2.9 - 1e-6
@@ -275,7 +275,7 @@ def test_nearest_and_mid_are_the_nearest_with_the_tasks_held():
     for q in s.random(rng, 4):
         seed, task = s.random(rng), tasks.Pose(HAND, s.fk(q, HAND))
         for prefer, to in (("nearest", seed), ("mid", s.mid)):
-            answer = s.ik(task, seed=seed, prefer=prefer)
+            answer = s.ik(task, start=seed, prefer=prefer)
             assert answer.success
             best = least(lambda x, to=to: (0.5 * float((x - to) @ (x - to)), x - to), s, answer.q, [equal_to(s, task)])
             assert 0.5 * np.sum((answer.q - to) ** 2) == pytest.approx(best, abs=1e-6)
@@ -286,8 +286,8 @@ def test_the_nearest_closed_configuration_is_that_of_assembly(name):
     """A soft posture on a closed loop, against `assemble(nearest=True)`, which finds it in another way."""
     s = kempe.load(name)
     for near in s.random(1, 4):
-        there = s.assemble(near=near, nearest=True)
-        answer = s.ik(tasks.Posture(near), seed=there.q)
+        there = s.assemble(start=near, nearest=True)
+        answer = s.ik(tasks.Posture(near), start=there.q)
         scale = Packed(s, [tasks.Posture(near)]).scale
         far, least = (float(np.sum((s.difference(q, near) / scale) ** 2)) for q in (there.q, answer.q))
         assert there.success and answer.success and least <= far + 1e-9
@@ -307,7 +307,7 @@ def test_preferred_functions_are_stationary_along_the_self_motion():
         return (q[2] - 0.3) ** 2 + math.sin(q[0])
 
     for prefer, function, sign in (("manipulability", manipulability, -1.0), (mine, mine, 1.0)):
-        answer = s.ik(task, seed=seed, prefer=prefer)
+        answer = s.ik(task, start=seed, prefer=prefer)
         assert answer.success and sign * function(answer.q) < sign * function(seed)
         v = answer.self_motion[:, 0]
         slope = (function(answer.q + 1e-5 * v) - function(answer.q - 1e-5 * v)) / 2e-5
@@ -321,10 +321,10 @@ def test_preferences_of_a_batch_are_those_of_its_rows():
     seeds = s.random(12, 3)
     X = s.fk(seeds, HAND)
     for prefer in ("nearest", "mid", "manipulability", lambda q: float(q @ q)):
-        many = s.ik(tasks.Pose(HAND, X), seed=seeds, prefer=prefer)
+        many = s.ik(tasks.Pose(HAND, X), start=seeds, prefer=prefer)
         assert many.success.all()
         for i in range(3):
-            one = s.ik(tasks.Pose(HAND, X[i]), seed=seeds[i], prefer=prefer)
+            one = s.ik(tasks.Pose(HAND, X[i]), start=seeds[i], prefer=prefer)
             np.testing.assert_allclose(one.q, many.q[i], atol=1e-9)
     assert s.ik(tasks.Pose(HAND, X[:0]), prefer="manipulability").q.shape == (0, 7)
     assert s.ik(tasks.Pose(HAND, X[:0])).success.shape == (0,)
@@ -423,7 +423,8 @@ def test_what_is_refused():
     ):  # fmt: skip
         with pytest.raises(InputError, match=match):
             s.ik(*bad)
-    for more, match in (({"prefer": "best"}, "prefer"), ({"seed": [math.nan] * 7}, "seed"), ({"starts": 0}, "starts")):
+    nan = [math.nan] * 7
+    for more, match in (({"prefer": "best"}, "prefer"), ({"start": nan}, "start"), ({"starts": 0}, "starts")):
         with pytest.raises(InputError, match=match):
             s.ik(tasks.Pose(HAND, X), **more)
 
@@ -448,10 +449,10 @@ def test_functions_do_what_the_tasks_they_stand_for_do():
     q = s.random(11)
     p = s.fk(q, HAND)[:3, 3]
     mine = tasks.Function(lambda x: s.fk(x, HAND)[:3, 3] - p, lambda x: s.jacobian(x, HAND)[:3])
-    a, b = s.ik(mine, seed=s.mid), s.ik(tasks.Position(HAND, p), seed=s.mid)
+    a, b = s.ik(mine, start=s.mid), s.ik(tasks.Position(HAND, p), start=s.mid)
     assert a.success and b.success
     np.testing.assert_allclose(s.fk(a.q, HAND)[:3, 3], p, atol=1e-6)
-    between = s.ik(tasks.Function(lambda x: x[:2] * 1.0, low=[0.5, -1.0], high=[0.7, -0.9]), seed=np.zeros(7))
+    between = s.ik(tasks.Function(lambda x: x[:2] * 1.0, low=[0.5, -1.0], high=[0.7, -0.9]), start=np.zeros(7))
     assert (
         between.success
         and between.q[0] == pytest.approx(0.5, abs=1e-6)
@@ -506,7 +507,7 @@ def test_the_self_motion_of_a_platform_is_the_spin_of_its_legs():
     """A Stewart platform with balls at both ends of its legs: six spins, which the basis of self-motions has."""
     s = kempe.load("stewart_sps")
     q = s.assemble().q
-    answer = s.ik(tasks.Pose("platform", s.fk(q, "platform")), seed=q)
+    answer = s.ik(tasks.Pose("platform", s.fk(q, "platform")), start=q)
     assert (answer.success, answer.n, answer.rank, answer.redundancy) == (True, 12, 6, 6)
     length = Packed(s, [tasks.Pose("platform", np.eye(4))]).scale
     v = 1e-4 * length * answer.self_motion[:, 2]

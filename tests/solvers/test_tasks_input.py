@@ -75,7 +75,7 @@ def test_an_arm_that_points_the_other_way(name):
     frame = s.body_names[-1]
     for q in (s.mid, s.random(3)):
         z = s.fk(q, frame)[:3, 2]
-        answer = s.ik(tasks.Pointing(frame, -z), seed=q)
+        answer = s.ik(tasks.Pointing(frame, -z), start=q)
         assert answer.success and s.fk(answer.q, frame)[:3, 2] @ z == pytest.approx(-1.0, abs=1e-9)
 
 
@@ -99,7 +99,7 @@ def test_nothing_looks_at_its_own_origin():
 def test_axes_of_the_plane():
     s, q = flat_arm(), np.array([0.3, 0.4, 0.5])
     for task in (tasks.Pointing("tip", [-1.0, 0.5]), tasks.LookAt("tip", [1.0, 0.2])):
-        answer = s.ik(task, seed=q)
+        answer = s.ik(task, start=q)
         X = s.fk(answer.q, "tip")
         to = [-1.0, 0.5] if isinstance(task, tasks.Pointing) else [1.0, 0.2] - X[:2, 3]
         assert answer.success and X[:2, 0] @ to / np.linalg.norm(to) == pytest.approx(1.0, abs=1e-9)
@@ -109,7 +109,7 @@ def test_axes_of_the_plane():
         ends = [(tasks.error(s, task, q + h) - tasks.error(s, task, q - h)) / 2e-6 for h in 1e-6 * np.eye(3)]
         np.testing.assert_allclose(tasks.jacobian(s, task, q), np.stack(ends, axis=-1), atol=1e-8)
     back = tasks.LookAt("tip", [0.0, 0.0])
-    assert abs(tasks.error(s, back, np.zeros(3)).item()) == pytest.approx(2.0) and s.ik(back, seed=np.zeros(3)).success
+    assert abs(tasks.error(s, back, np.zeros(3)).item()) == pytest.approx(2.0) and s.ik(back, start=np.zeros(3)).success
 
 
 TILTED = spatial.pose(spatial.rot_x(0.5))
@@ -192,14 +192,14 @@ def test_a_function_that_writes_into_its_argument_changes_nothing(panda):
         q[:] = 0.25
         return out
 
-    answer = panda.ik(tasks.Function(writes), seed=panda.mid)
+    answer = panda.ik(tasks.Function(writes), start=panda.mid)
     assert answer.success and answer.q[1] == pytest.approx(0.2, abs=1e-6)
     np.testing.assert_array_equal(answer.q[2:], panda.mid[2:])
 
 
 def test_every_task_has_a_key_of_its_own(panda):
     x = panda.fk(panda.mid, HAND)[:3, 3]
-    answer = panda.ik([tasks.Position(HAND, x, name=n) for n in ("x", "x (2)", "x", "x")], seed=panda.mid)
+    answer = panda.ik([tasks.Position(HAND, x, name=n) for n in ("x", "x (2)", "x", "x")], start=panda.mid)
     assert list(answer.errors) == ["x", "x (2)", "x (3)", "x (4)"]
 
 
@@ -251,7 +251,7 @@ def test_tasks_that_are_out_of_reach_are_the_ones_named(panda):
     assert answer.code == OUT_OF_REACH and "; 'far' is outside the workspace by at least" in answer.status
     assert "'near' is outside" not in answer.status and panda.ik([line], starts=3).code == OUT_OF_REACH
     side = tasks.HalfSpace(HAND, [0.0, 0.0, -4.0], [0.0, 0.0, 1.0])
-    assert panda.ik([side, near], seed=panda.mid).success
+    assert panda.ik([side, near], start=panda.mid).success
     targets = np.array([[0.4, 0.1, 0.5], [3.0, 0.0, 0.0], [NAN, 0.0, 0.0]])
     assert panda.ik(tasks.Position(HAND, targets), starts=5).code.tolist() == [0, 3, 2]
 
@@ -259,7 +259,7 @@ def test_tasks_that_are_out_of_reach_are_the_ones_named(panda):
 def test_lengths_prove_with_loops_too():
     s = kempe.load("five_bar")
     frame, q = s.body_names[-1], s.assemble().q
-    answer = s.ik(tasks.Position(frame, [9.0, 0.0]), seed=q, starts=3)
+    answer = s.ik(tasks.Position(frame, [9.0, 0.0]), start=q, starts=3)
     assert answer.code == OUT_OF_REACH and "by the lengths of the links" in answer.status
     beyond = float(answer.status.split("at least ")[1].split(" m")[0])
     assert 0.0 < beyond <= answer.position_error

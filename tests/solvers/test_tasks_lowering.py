@@ -49,7 +49,7 @@ def test_a_soft_task_before_a_hard_one_is_met_with_it_where_both_can_be():
         X = s.fk(q, HAND)
         soft = tasks.Position(HAND, X[:3, 3], weight=1.0, name="soft")
         hard = tasks.Pointing(HAND, X[:3, 2], priority=1, name="hard")
-        answer = solve(s, soft, hard, seed=s.mid)
+        answer = solve(s, soft, hard, start=s.mid)
         assert answer.success
         np.testing.assert_allclose(s.fk(answer.q, HAND)[:3, 3], X[:3, 3], atol=1e-8)
         np.testing.assert_allclose(s.fk(answer.q, HAND)[:3, 2], X[:3, 2], atol=1e-5)
@@ -60,7 +60,7 @@ def test_a_soft_task_between_two_hard_ones_is_met_with_them():
     first = tasks.OnPlane("tip", [1.5, 0.0], [1.0, 0.0], name="first")
     between = tasks.OnPlane("tip", [0.0, 1.0], [0.0, 1.0], weight=1.0, name="between")
     last = tasks.Posture({"j1": 0.1}, weight=None, priority=1, name="last")
-    answer = solve(s, first, between, last, seed=[0.3, 0.4, 0.5, 0.2])
+    answer = solve(s, first, between, last, start=[0.3, 0.4, 0.5, 0.2])
     assert answer.success
     np.testing.assert_allclose(s.fk(answer.q, "tip")[:2, 3], [1.5, 1.0], atol=1e-9)
     np.testing.assert_allclose(answer.q[0], 0.1, atol=1e-9)
@@ -71,7 +71,7 @@ def test_a_soft_task_does_not_suffer_for_a_hard_one_behind_it():
     s = planar_arm(3)
     soft = tasks.Position("tip", [5.0, 0.0], weight=1.0, name="soft")
     hard = tasks.Posture({"j1": 0.5}, weight=None, priority=1, name="hard")
-    answer = solve(s, soft, hard, seed=[0.4, 0.2, -0.3])
+    answer = solve(s, soft, hard, start=[0.4, 0.2, -0.3])
     assert not answer.success
     assert answer.errors["soft"][0] == pytest.approx(2.0, abs=1e-6)
     assert answer.errors["hard"][1] == pytest.approx(0.5, abs=1e-3)
@@ -81,7 +81,7 @@ def test_a_hard_task_behind_a_soft_one_that_stays_off_holds_in_what_that_leaves(
     """Four links come within 6 m of the line x = 10 where they are stretched along x: the first angle is then 0."""
     s = planar_arm(4)
     soft = tasks.OnPlane("tip", [10.0, 0.0], [1.0, 0.0], weight=1.0, name="soft")
-    answer = solve(s, soft, tasks.Posture({"j1": 0.0}, weight=None, priority=1), seed=[0.3, 0.4, 0.5, 0.2])
+    answer = solve(s, soft, tasks.Posture({"j1": 0.0}, weight=None, priority=1), start=[0.3, 0.4, 0.5, 0.2])
     assert answer.success and answer.errors["soft"][0] == pytest.approx(6.0, abs=1e-9)
 
 
@@ -96,7 +96,7 @@ def test_soft_mixes_are_as_low_as_scipy_brings_them():
         goal = s.fk(s.random(rng), HAND)[:3, 3] * rng.uniform(1.0, 1.6)
         other = s.fk(s.random(rng), "panda_link4")[:3, 3] * rng.uniform(1.0, 1.6)
         one, two = tasks.Position(HAND, goal, weight=1.0), tasks.Position("panda_link4", other, weight=weight)
-        answer = solve(s, one, two, seed=near, starts=1)
+        answer = solve(s, one, two, start=near, starts=1)
 
         def miss(q, goal=goal, other=other, weight=weight):
             X = s.fk(q, [HAND, "panda_link4"])
@@ -113,7 +113,7 @@ def test_soft_mixes_are_as_low_as_scipy_brings_them():
 def test_an_arm_stretches_towards_what_is_out_of_reach(count, away):
     """The least distance is what the target is farther away than the arm is long."""
     s = planar_arm(count)
-    answer = solve(s, tasks.Position("tip", [away, 0.0], weight=1.0), seed=np.ones(count), starts=1)
+    answer = solve(s, tasks.Position("tip", [away, 0.0], weight=1.0), start=np.ones(count), starts=1)
     assert answer.position_error == 0.0 and answer.iterations <= 120
     assert next(iter(answer.errors.values()))[0] == pytest.approx(1.0, abs=1e-6)
 
@@ -150,7 +150,7 @@ def test_a_stretched_arm_folds_for_a_soft_target_inside(count, at):
 def test_a_stretched_arm_folds_within_a_hard_task():
     s = planar_arm(3)
     line = tasks.OnPlane("tip", [0.0, 0.0], [0.0, 1.0])
-    answer = solve(s, line, tasks.Position("tip", [0.3, 0.0], weight=1.0), seed=np.zeros(3))
+    answer = solve(s, line, tasks.Position("tip", [0.3, 0.0], weight=1.0), start=np.zeros(3))
     assert answer.success
     np.testing.assert_allclose(s.fk(answer.q, "tip")[:2, 3], [0.3, 0.0], atol=1e-6)
 
@@ -161,7 +161,7 @@ def test_a_posture_does_not_stay_a_whole_turn_off():
     frame = s.frame_names[-1]
     q = 0.3 * s.random(0)
     turned = q - 2.0 * math.pi * np.sign(q)
-    answer = solve(s, tasks.Pose(frame, s.fk(q, frame)), tasks.Posture(q), seed=turned)
+    answer = solve(s, tasks.Pose(frame, s.fk(q, frame)), tasks.Posture(q), start=turned)
     assert answer.success
     np.testing.assert_allclose(answer.q, q, atol=1e-6)
 
@@ -214,16 +214,16 @@ def test_rows_that_need_more_starts_are_the_calls_alone():
     s = kempe.load("panda")
     q = s.random(7, 60)
     X = s.fk(q, HAND)
-    together = solve(s, tasks.Pose(HAND, X), seed=s.mid)
+    together = solve(s, tasks.Pose(HAND, X), start=s.mid)
     again = np.flatnonzero(together.starts > 1)
     assert len(again) >= 3
     for i in again[:6]:
-        np.testing.assert_array_equal(solve(s, tasks.Pose(HAND, X[i]), seed=s.mid).q, together.q[i])
+        np.testing.assert_array_equal(solve(s, tasks.Pose(HAND, X[i]), start=s.mid).q, together.q[i])
 
 
 def test_what_cannot_be_reached_is_missed_by_as_little_as_must_be_after_few_steps():
     """A target beyond the arm: the closed form of the miss, from one start."""
     s = planar_arm(3)
-    answer = solve(s, tasks.Position("tip", [0.0, 4.0]), seed=[0.3, 0.4, 0.5], starts=1)
+    answer = solve(s, tasks.Position("tip", [0.0, 4.0]), start=[0.3, 0.4, 0.5], starts=1)
     assert not answer.success and answer.iterations <= 60
     assert answer.position_error == pytest.approx(1.0, abs=1e-4)

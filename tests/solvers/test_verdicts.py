@@ -307,10 +307,10 @@ def test_a_near_miss_of_all_solutions_is_given_as_it_is(beyond):
 @pytest.mark.parametrize("target", [(0.6, 0.0), (-0.6, 0.0)])
 def test_a_singular_start_is_said_to_be_one(target):
     s = kempe.load("two_link")
-    answer = s.ik(target, "e", seed=[0.0, 0.0], starts=1)
+    answer = s.ik(target, "e", start=[0.0, 0.0], starts=1)
     assert not answer.success and not answer.proven
     assert "stuck at a singular configuration; more starts find an answer" in answer.status
-    assert "workspace" not in answer.status and s.ik(target, "e", seed=[0.0, 0.0]).success
+    assert "workspace" not in answer.status and s.ik(target, "e", start=[0.0, 0.0]).success
 
 
 def test_stretched_arms_inside_the_workspace_are_never_said_to_be_outside(hunt):
@@ -328,5 +328,5 @@ def test_stretched_arms_inside_the_workspace_are_never_said_to_be_outside(hunt):
         q = np.array(s.random(rng))
         p = s.fk(q, "tip")[:2, 3]
         along = np.array([np.cos(straight[0]), np.sin(straight[0])]) * np.linalg.norm(p)
-        answer = s.ik(along, "tip", seed=straight, starts=1)
+        answer = s.ik(along, "tip", start=straight, starts=1)
         assert answer.success or ("outside" not in answer.status and "find an answer" in answer.status)

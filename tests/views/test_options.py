@@ -33,11 +33,11 @@ NOT_OF_COMMANDS = {
     "description/compose.py": "`at` cannot be given",
     "description/mechanism.py": "kempe.read first",
     "solvers/analytic/names.py": "`branch` has their numbers",
-    "solvers/analytic/question.py": "near=q sorts the solutions",
+    "solvers/analytic/question.py": "start=q sorts the solutions",
     "solvers/analytic/redundancy.py": "`ik_all`",
     "solvers/charts.py": "no choice of coordinates",
     "solvers/self_motion.py": "`direction`",
-    "solvers/servo_closed.py": "robot.assemble(near=q)",
+    "solvers/servo_closed.py": "robot.assemble(start=q)",
     "solvers/tasks.py": "a task of kempe.tasks or a list",
     "views/plots.py": "as `system`",
 }

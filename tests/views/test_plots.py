@@ -624,7 +624,7 @@ def test_what_is_drawn_unless_told_holds(name):
     """The default configuration satisfies all that is declared, where assembling from home can."""
     system = kempe.load(name)
     q = plots._configuration(system, None, None)
-    assert judge(system, q) or not system.assemble(near=home_of(system))
+    assert judge(system, q) or not system.assemble(start=home_of(system))
 
 
 def test_a_ball_rests_on_its_ground():

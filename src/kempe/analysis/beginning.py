@@ -101,7 +101,7 @@ def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closur
     if q is None:
         from kempe.solvers.assembly import assemble, of_equations
 
-        answer = assemble(system, known={**hold, **known}, near=near)
+        answer = assemble(system, known={**hold, **known}, start=near)
         if not answer.success:  # what is one-sided is then told
             answer = of_equations(system, {**hold, **known})({**hold, **known}, near)
         q = close(fixed, answer.q) if answer.success else None

@@ -48,7 +48,7 @@ def close(system: System, q: Array) -> Closed:
         return Closed(q, True, given, given)
     from kempe.solvers.assembly import of_equations
 
-    answer = of_equations(system)(near=q, starts=1, limits=False, nearest=given > NEAR)
+    answer = of_equations(system)(start=q, starts=1, limits=False, nearest=given > NEAR)
     if answer.success:
         return Closed(answer.q, True, given, float(answer.residual))
     return Closed(answer.q, False, given, float(answer.residual), str(answer.status))
@@ -91,7 +91,7 @@ def _walk(system: System, rank: Rank, rng: np.random.Generator, count: int) -> l
     size = STEP * np.sqrt(rank.nullity)
     z *= size / np.linalg.norm(z, axis=1, keepdims=True)
     starts = system.integrate(np.broadcast_to(rank.q, (count, system.nq)), z * rank.units)
-    answer = of_equations(system)(near=starts, starts=1, limits=False)
+    answer = of_equations(system)(start=starts, starts=1, limits=False)
     moved = np.linalg.norm(system.difference(rank.q, answer.q) / rank.units, axis=1)
     good = np.asarray(answer.success) & (moved > AWAY * size)
     return [rank_at(system, q) for q in answer.q[good]]

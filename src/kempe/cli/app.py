@@ -79,7 +79,7 @@ Prefer = Annotated[
     str | None, option("--prefer", "What tasks leave free: 'nearest', 'mid' or 'manipulability'.", "WHAT")
 ]
 PositionOnly = Annotated[bool, option("--position-only", "Leave the orientation free.")]
-Seed = Annotated[str | None, option("--seed", "Configuration to start from, as --q of fk.", "VALUES")]
+Seed = Annotated[str | None, option("--start,--seed", "Configuration to start from, as --q of fk.", "VALUES")]
 Rng = Annotated[int | None, option("--rng", "Number that fixes the random starts (0).", "N")]
 Tolerance = Annotated[
     str | None,

@@ -87,7 +87,7 @@ def ik(
         start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
         options = {"rng": rng or 0, **({} if prefer is None else {"prefer": prefer})}
         _answer(system, asked.count, TASK_SLICE, lambda i, j: system.ik(
-            asked.tasks(i, j), seed=_part(start, i, j), tolerance=rows.tolerance(tolerance or "1e-6"), **options
+            asked.tasks(i, j), start=_part(start, i, j), tolerance=rows.tolerance(tolerance or "1e-6"), **options
         ), deg, out, json)  # fmt: skip
         return
     system.frame_name(frame)  # a wrong name is told before kernels are compiled
@@ -100,7 +100,7 @@ def ik(
         return
     wanted = {"tolerance": rows.tolerance(tolerance or "1e-6"), "rng": rng or 0, **_asked(task, axis)}
     _answer(system, len(X) if X.ndim > 2 else None, SLICE, lambda i, j: system.ik(
-        X[i:j] if X.ndim > 2 else X, frame, seed=_part(start, i, j), **wanted), deg, out, json)  # fmt: skip
+        X[i:j] if X.ndim > 2 else X, frame, start=_part(start, i, j), **wanted), deg, out, json)  # fmt: skip
 
 
 def _one_way(tasks: Path | None, single: dict[str, Any], more: dict[str, Any]) -> None:
@@ -222,7 +222,7 @@ def _all(
     from kempe.views import ik_report
 
     more = {} if tolerance is None else {"tolerance": ik_report.tolerance(tolerance)}
-    answer = system.ik_all(X, frame, near=near, **_held(system, hold, deg), **_asked(task, axis), **more)
+    answer = system.ik_all(X, frame, start=near, **_held(system, hold, deg), **_asked(task, axis), **more)
     if isinstance(answer, Modes):
         _modes(answer, deg, out, json)
         return

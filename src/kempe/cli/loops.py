@@ -61,7 +61,9 @@ Where = Annotated[
     list[str] | None,
     option("--where", "An equation that holds, too, in radians and metres: 'A = 2*B'. May be repeated.", "EQUATION"),
 ]
-Near = Annotated[str | None, option("--near", "Where the search starts: a posture or values, as --q of fk.", "START")]
+Near = Annotated[
+    str | None, option("--start,--near", "Where the search starts: a posture or values, as --q of fk.", "START")
+]
 Picture = Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")]
 Curves = Annotated[list[str] | None, option("--frame", "Frame whose curve is wanted; can be repeated.", "NAME")]
 Marks = Annotated[list[str] | None, option("--frame", "Body or frame whose axes are drawn; can be repeated.", "NAME")]

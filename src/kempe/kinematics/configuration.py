@@ -78,19 +78,19 @@ def from_home(system: System, coordinates: Mapping[str, Any]) -> Array:
     return q_from_dict(system, coordinates, home_of(system) if has_loops(system) else None)
 
 
-def closed_from(system: System, coordinates: Mapping[str, Any], near: Any = None) -> Array:
+def closed_from(system: System, coordinates: Mapping[str, Any], start: Any = None) -> Array:
     """The configuration (..., nq) that named values make: of a system with loops, the one that closes these.
 
-    The search starts `near`, else at home. Where all coordinates are named nothing is searched for. Errors:
+    The search starts at `start`, else at home. Where all coordinates are named nothing is searched for. Errors:
     `InputError` where no closed configuration was found, with the reason.
     """
-    q = q_from_dict(system, coordinates, near)  # refuses names and numbers
+    q = q_from_dict(system, coordinates, start)  # refuses names and numbers
     if not has_loops(system):
         return q
     given = named(coordinates) or {}
     if len(given) == system.nq:
         return q
-    answer = system.assemble(given, near)
+    answer = system.assemble(given, start)
     if np.all(answer.success):
         return answer.q
     why, where = answer.status, ""

@@ -167,19 +167,19 @@ class System(Compiled):
 
         return closure_error(self, q)
 
-    def ik(self, target: Any, frame: FrameLike | None = None, seed: Any = None, **options: Any) -> Solution:
+    def ik(self, target: Any, frame: FrameLike | None = None, start: Any = None, **options: Any) -> Solution:
         """A configuration that reaches a target or holds tasks; see `solvers.inverse.ik` and `solvers.tasks.reach`."""
         if frame.__class__ is str and target.__class__ is np.ndarray and (not options or options.keys() == {"task"}):
             bound = self._queries.get(("one", frame, str(options["task"]) if options else "None", target.ndim))
-            if bound is not None and (answer := bound(target, seed)) is not None:
+            if bound is not None and (answer := bound(target, start)) is not None:
                 return answer
         if frame is None:
             from kempe.solvers.tasks import reach
 
-            return reach(self, target, seed=seed, **options)
+            return reach(self, target, start=start, **options)
         from kempe.solvers.inverse import ik
 
-        return ik(self, target, frame, seed, **options)
+        return ik(self, target, frame, start, **options)
 
     def ik_all(self, target: Any, frame: FrameLike, **options: Any) -> Solutions | Modes:
         """Every configuration in which the frame reaches the target; see `kempe.solvers.analytic.ik_all.ik_all`."""
@@ -207,11 +207,11 @@ class System(Compiled):
 
         return ik_sweep(self, target, frame, parameter, **options)
 
-    def ik_path(self, targets: Any, frame: FrameLike | None = None, seed: Any = None, **options: Any) -> IkPath:
+    def ik_path(self, targets: Any, frame: FrameLike | None = None, start: Any = None, **options: Any) -> IkPath:
         """Configurations that follow a sequence of targets without a jump; see `kempe.solvers.following.ik_path`."""
         from kempe.solvers.following import ik_path
 
-        return ik_path(self, targets, frame, seed, **options)
+        return ik_path(self, targets, frame, start, **options)
 
     def ik_step(
         self, q: Any, wanted: Any, frame: FrameLike | None = None, dt: float = 0.0, **options: Any
@@ -235,11 +235,11 @@ class System(Compiled):
 
     # ---- closed loops
 
-    def assemble(self, known: Mapping[str, Any] | None = None, near: Any = None, **options: Any) -> Assembly:
+    def assemble(self, known: Mapping[str, Any] | None = None, start: Any = None, **options: Any) -> Assembly:
         """A configuration that closes all loops, with the `known` given; see `kempe.solvers.assembly.assemble`."""
         from kempe.solvers.assembly import assemble
 
-        return assemble(self, known, near, **options)
+        return assemble(self, known, start, **options)
 
     @property
     def tolerance(self) -> float | str | None:
@@ -258,11 +258,11 @@ class System(Compiled):
 
         return assembler(self, known)
 
-    def assembly_modes(self, known: Mapping[str, Any] | None = None, near: Any = None, **options: Any) -> Modes:
+    def assembly_modes(self, known: Mapping[str, Any] | None = None, start: Any = None, **options: Any) -> Modes:
         """All configurations found that close the loops with the `known` given; see `kempe.solvers.modes`."""
         from kempe.solvers.modes import assembly_modes
 
-        return assembly_modes(self, known, near, **options)
+        return assembly_modes(self, known, start, **options)
 
     def closed_form(self, known: Sequence[str]) -> Plan | Incomplete:
         """The closed form of a planar system of dyads for these known coordinates; see `kempe.solvers.dyads`."""
@@ -295,11 +295,11 @@ class System(Compiled):
 
         return to_maximal(self, q)
 
-    def from_maximal(self, poses: ArrayLike, near: Any = None, **options: Any) -> Array:
+    def from_maximal(self, poses: ArrayLike, start: Any = None, **options: Any) -> Array:
         """Configuration (..., nq) from the poses (..., n_b, 4, 4) of all bodies; see `kempe.solvers.poses`."""
         from kempe.solvers.poses import from_maximal
 
-        return from_maximal(self, poses, near, **options)
+        return from_maximal(self, poses, start, **options)
 
     # ---- degrees of freedom and motion
 

@@ -165,7 +165,7 @@ class Assembler:
         return q, residual, info
 
     def _ask(
-        self, values: Any = (), near: Any = None, *, nearest: bool = False, limits: bool = True, starts: int = STARTS,
+        self, values: Any = (), start: Any = None, *, nearest: bool = False, limits: bool = True, starts: int = STARTS,
         rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None,
         follow: bool = False,
     ) -> Assembly:  # fmt: skip
@@ -178,9 +178,9 @@ class Assembler:
             raise InputError(f"tolerance is {tolerance!r}; it must be above 0 and at most {LOOSEST}")
         if limits.__class__ is not bool:
             flag(limits, "limits")
-        base, lead = self._single(given, near), ()
+        base, lead = self._single(given, start), ()
         if base is None:
-            base, lead = self._starts(given, near)
+            base, lead = self._starts(given, start)
         turned = self._turned(given) if self.frames else ()
         pins = self._pins(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if nearest and self.freedoms != 0 else 0
@@ -223,22 +223,22 @@ class Assembler:
             raise InputError(f"values have shape {array.shape}; needed are (..., {len(self.known)}): {self.known}")
         return {k: array[..., i] for i, k in enumerate(self.known)}
 
-    def _single(self, given: Mapping[str, Any], near: Any) -> Array | None:
+    def _single(self, given: Mapping[str, Any], start: Any) -> Array | None:
         """The start (1, nq) of the usual call, an array and plain numbers, in a fraction of the time; else None."""
-        if near.__class__ is not np.ndarray or near.shape != self.shape or near.dtype != np.float64 or self.frames:
+        if start.__class__ is not np.ndarray or start.shape != self.shape or start.dtype != np.float64 or self.frames:
             return None
         numbers = [given[k] for k in self.coordinates]
         if not self.plain or any(x.__class__ not in PLAIN_NUMBERS for x in numbers):
             return None
-        start = near[None].copy()
+        start = start[None].copy()
         for place, x in zip(self.place_list, numbers, strict=True):
             start[0, place] = x
         return start
 
-    def _starts(self, given: Mapping[str, Any], near: Any) -> tuple[Array, tuple[int, ...]]:
+    def _starts(self, given: Mapping[str, Any], start: Any) -> tuple[Array, tuple[int, ...]]:
         """Starts (N, nq) with the known values written in, and the leading shape of the answer."""
         system = self.system
-        base = home_of(system) if near is None else as_start(system, near)
+        base = home_of(system) if start is None else as_start(system, start)
         columns = [reals(given[k], f"the known value of {k!r}", "a number, or an array") for k in self.coordinates]
         shapes = [c.shape for c in columns] + [base.shape[:-1]]
         shapes += [np.shape(given[f])[: -2 if t else -1] for f, t in zip(self.frames, self._turned(given), strict=True)]
@@ -323,7 +323,7 @@ def of_equations(system: System, known: Iterable[str] = ()) -> Assembler:
 
 @explained
 def assemble(
-    system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, branch: str | None = None,
+    system: System, known: Mapping[str, Any] | None = None, start: Any = None, *, branch: str | None = None,
     nearest: bool = False, limits: bool = True, continuous: bool = False, starts: int = STARTS,
     rng: int | np.random.Generator = 0, tolerance: float | str | None = None, threads: int | None = None,
     throw: bool = False, t: float = 0.0, also: Any = (),
@@ -332,14 +332,14 @@ def assemble(
 
     `known` maps names of coordinates to values in radians and metres, and names of frames to positions (..., 3) (in
     planar systems also (..., 2)) or poses (..., 4, 4); arrays give a batch. What the loops leave open is decided by
-    *additional considerations*: `near` (nq,) or (..., nq), or a dict by name, is where the search starts (default: the
+    *additional considerations*: `start` (nq,) or (..., nq), or a dict by name, is where the search starts (default: the
     posture 'closed' of the file, else the middle of the limits); steps of minimum norm keep the answer close to it, and
     with `nearest`, where freedoms are left, it is the closed configuration nearest to it. `branch` names a branch:
     signs such as '+-' for planar mechanisms made of dyads (see `assembly_modes`), or a posture, which is where the
     search starts. `continuous`: row by row, each started where the last two lead. Coordinates stay inside their limits
     unless `limits=False`; one-sided constraints of the system always hold: a start that violates them is brought there.
 
-    The first of `starts` starts is `near`; the others are drawn around it from `rng`, wider and wider. An open loop is
+    The first of `starts` starts is `start`; the others are drawn around it from `rng`, wider and wider. An open loop is
     never a success: the answer then says which loop is open, by how much, and `q` is the nearest to closing;
     `throw=True` raises `NoSolutionError`. Redundant constraints are no obstacle. Method: damped least squares with
     steps of minimum norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
@@ -359,11 +359,11 @@ def assemble(
     if branch is not None and branch not in system.posture_names:
         from kempe.solvers.assembly_asked import on_named_branch
 
-        answer = on_named_branch(bound, given, near, branch, limits)
+        answer = on_named_branch(bound, given, start, branch, limits)
     else:
-        near = near if near is not None or branch is None else system.posture(branch)
+        start = start if start is not None or branch is None else system.posture(branch)
         answer = bound._ask(
-            given, near, nearest=nearest, limits=limits, starts=starts, rng=rng, tolerance=tolerance or TOLERANCE,
+            given, start, nearest=nearest, limits=limits, starts=starts, rng=rng, tolerance=tolerance or TOLERANCE,
             threads=threads, follow=continuous,
         )  # fmt: skip
     if throw and not answer:

@@ -94,11 +94,11 @@ class Chart:
         way[..., self.system.layout.vector_v] = q[..., self.system.layout.vector_q]
         return way[..., self._rows()]
 
-    def q(self, u: Any, near: Any = None) -> Assembly:
-        """The configuration with these independent coordinates (..., p), reached by one search from `near`.
+    def q(self, u: Any, start: Any = None) -> Assembly:
+        """The configuration with these independent coordinates (..., p), reached by one search from `start`.
 
-        Default for `near`: the origin. From far away it may be on another branch: lead it in steps. Idle ones may be
-        left out: what spins then stays about as it is at `near`.
+        Default for `start`: the origin. From far away it may be on another branch: lead it in steps. Idle ones may be
+        left out: what spins then stays about as it is at `start`.
         """
         u = numbers(u, "u")
         given = self.independent
@@ -109,13 +109,13 @@ class Chart:
         if u.shape[-1:] != (len(given),):
             names = ", ".join(self.useful) + (f" (and, idle, {', '.join(self.idle)})" if self.idle else "")
             raise InputError(f"u has shape {u.shape}; needed is (..., {self.dim}): {names}")
-        near = self.origin if near is None else near
+        start = self.origin if start is None else start
         if self._plain:
-            return assemble(self.system, {n: u[..., i] for i, n in enumerate(given)}, near, starts=1)
+            return assemble(self.system, {n: u[..., i] for i, n in enumerate(given)}, start, starts=1)
         known = {n: u[..., i] for i, n in enumerate(given) if not _is_exponential(self.system, n)}
         if len(known) < len(given):
-            near = self._led(u, given, near)
-        answer = assemble(self.system, known, near, starts=1)
+            start = self._led(u, given, start)
+        answer = assemble(self.system, known, start, starts=1)
         if len(known) == len(given):
             return answer
         off = np.abs(self.u(answer.q)[..., : len(given)] - u).max(axis=-1, initial=0.0)

@@ -96,29 +96,29 @@ class Plan:
         return self.describe()
 
     def solve(
-        self, values: ArrayLike, branch: Any = None, near: Any = None, threads: int | None = None
+        self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None
     ) -> tuple[Array, Any, Any]:
         """Configurations q (..., nq), whether they are closed (...), and their openings (...) in metres.
 
         `values` (..., n_known) are the known coordinates in the order of `known`. `branch` are the signs, (signs,) or
-        (..., signs), or text such as '+-'; where it is left out, the branch of `near` is taken, else + everywhere.
-        Angles are those nearest to `near`, (nq,) or (..., nq), else to zero, and inside the limits where some
+        (..., signs), or text such as '+-'; where it is left out, the branch of `start` is taken, else + everywhere.
+        Angles are those nearest to `start`, (nq,) or (..., nq), else to zero, and inside the limits where some
         representative is. What cannot close is put where it nearly touches; NaN among the values gives NaN.
         """
-        closed = self.close(values, branch, near, threads)
+        closed = self.close(values, branch, start, threads)
         return closed.q, closed.ok, closed.gap
 
-    def close(self, values: ArrayLike, branch: Any = None, near: Any = None, threads: int | None = None) -> Closed:
+    def close(self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None) -> Closed:
         """As `solve`, with what these inputs leave undetermined."""
         given, lead = self._values(values)
         n, nq = len(given), self.system.nq
-        if near is None:
+        if start is None:
             targets = np.zeros((1, nq))
         else:
-            targets = _rows(as_start(self.system, near), lead, "near")
+            targets = _rows(as_start(self.system, start), lead, "near")
             if not np.isfinite(targets).all():
-                raise InputError("near has entries that are not finite")
-        signs = self._signs(branch, targets if branch is None and near is not None else None, lead)
+                raise InputError("start has entries that are not finite")
+        signs = self._signs(branch, targets if branch is None and start is not None else None, lead)
         q, status = np.empty((n, nq)), np.empty((n, 2))
         self._run(given, signs, targets, q, status, threads)
         gap = status[:, 0]
@@ -127,15 +127,15 @@ class Plan:
             return Closed(q[0], bool(ok[0]), float(gap[0]), int(status[0, 1]))
         return Closed(q.reshape(*lead, nq), ok.reshape(lead), gap.reshape(lead), status[:, 1].astype(int).reshape(lead))
 
-    def all(self, values: ArrayLike, near: Any = None) -> tuple[Array, np.ndarray]:
+    def all(self, values: ArrayLike, start: Any = None) -> tuple[Array, np.ndarray]:
         """Configurations q (..., 2**signs, nq) on all branches, and a mask (..., 2**signs) of those that close.
 
-        Branches are in the order of `branches()`. Angles are nearest to `near` (nq,), else to zero.
+        Branches are in the order of `branches()`. Angles are nearest to `start` (nq,), else to zero.
         """
         given, lead = self._values(values)
         signs = self.branches()
         k, nq = len(signs), self.system.nq
-        targets = np.zeros((1, nq)) if near is None else _rows(as_start(self.system, near), (), "near")
+        targets = np.zeros((1, nq)) if start is None else _rows(as_start(self.system, start), (), "near")
         q, status = np.empty((len(given) * k, nq)), np.empty((len(given) * k, 2))
         many = np.repeat(given, k, axis=0)
         self._run(many, np.tile(signs, (len(given), 1)), targets, q, status, None)
@@ -200,9 +200,9 @@ class Plan:
         lead = array.shape[:-1]
         return np.ascontiguousarray(array.reshape(math.prod(lead), len(self.known))), lead
 
-    def _signs(self, branch: Any, near: Array | None, lead: tuple[int, ...]) -> Array:
+    def _signs(self, branch: Any, start: Array | None, lead: tuple[int, ...]) -> Array:
         if branch is None:
-            return np.ones((1, self.signs)) if near is None else np.ascontiguousarray(self.branch_of(near))
+            return np.ones((1, self.signs)) if start is None else np.ascontiguousarray(self.branch_of(start))
         given = [{"+": 1.0, "-": -1.0}.get(c, math.nan) for c in branch] if isinstance(branch, str) else branch
         signs = reals(given, "branch", "signs, +1 or -1")
         if signs.ndim == 0 or signs.shape[-1] != self.signs or not np.all(np.abs(signs) == 1.0):

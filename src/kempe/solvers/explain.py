@@ -56,7 +56,7 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
     target = task.targets[at : at + 1]
     if code == BAD_INPUT:
-        return not_a_pose(target[0], "seed")
+        return not_a_pose(target[0], "start")
     near = f"the nearest configuration found misses it by {_errors(task, f'{position:.6g} m', angle)}"
     if code == OUT_OF_REACH:
         return f"{_beyond(task, target)}; {near}"
@@ -94,7 +94,7 @@ def _errors(task: Task, position: str, angle: float) -> str:
 
 
 def _solved(task: Task, target: Array, limits: Array | None = None, near: Array | None = None) -> Array | None:
-    """The configuration (n,) of the chain that reaches a target (1, 4, 4), from `near` first; None if none does."""
+    """The configuration (n,) of the chain that reaches a target (1, 4, 4), from `start` first; None if none does."""
     seeds = task.chain.no_seed if near is None else near.reshape(1, 1, -1)
     q, _, info = run(task, seeds, 1, limits, target)
     return q[0] if info[0, 0] == SOLVED else None

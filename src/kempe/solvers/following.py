@@ -76,7 +76,7 @@ class IkPath(Tabular):
 
 @explained
 def ik_path(
-    system: System, targets: Any, frame: FrameLike | None = None, seed: Any = None, *, max_step: float = 0.5,
+    system: System, targets: Any, frame: FrameLike | None = None, start: Any = None, *, max_step: float = 0.5,
     restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] = TOLERANCE,
     starts: int = STARTS, rng: int | np.random.Generator = 0, time_limit: float | None = LONG,
     progress: Callable[[int], None] | None = None,
@@ -85,7 +85,7 @@ def ik_path(
 
     `targets` are poses (n, 4, 4) or positions (n, 3), in the plane also (n, 3, 3) or (n, 2); without a frame they are
     tasks of `kempe.tasks` whose goals have a leading axis (n). Limits, couplings and loops hold, too. The first target
-    is reached from `seed` as `ik` does; from there on each step starts at its first order, the damped pseudoinverse
+    is reached from `start` as `ik` does; from there on each step starts at its first order, the damped pseudoinverse
     times what is missing (Whitney, 1969). A step is taken where it is not much longer than that, nor than `max_step`
     in radians and characteristic lengths, or much like the one before; else the targets' way (linear, rotations by the
     exponential map) is halved. Near a singularity it goes on as before where it can, and a turn of the joints that
@@ -105,11 +105,11 @@ def ik_path(
         raise InputError(f"max_step is {max_step!r}; it must be a positive number")
     system = ideal_of(system)
     wanted = targets if frame is None else _held(system, targets, frame)
-    problem, first = pose_problem(system, wanted, seed, tolerance, starts, rng)
+    problem, first = pose_problem(system, wanted, start, tolerance, starts, rng)
     if not np.isfinite(first).all():
-        raise InputError("seed has entries that are not finite")
+        raise InputError("start has entries that are not finite")
     if len(problem.lead) != 1 or not problem.lead[0] or len(first) > 1:
-        raise InputError(f"targets have the leading shape {problem.lead}, the seed {first.shape}; needed are (n,) "
+        raise InputError(f"targets have the leading shape {problem.lead}, the start {first.shape}; needed are (n,) "
                          f"targets and one seed ({system.nq},)")  # fmt: skip
     for task, goals in zip(problem.tasks, problem.goals, strict=True):
         refuse(goals, task.label)

@@ -44,7 +44,7 @@ CHUNK, SERIAL_BELOW = 256, 1024
 
 @explained
 def ik(
-    system: System, target: ArrayLike, frame: FrameLike, seed: Any = None, *, task: str | None = None,
+    system: System, target: ArrayLike, frame: FrameLike, start: Any = None, *, task: str | None = None,
     axis: ArrayLike = Z_AXIS, position_only: bool = False, tolerance: float | tuple[float, float] = TOLERANCE,
     starts: int = MOST, iterations: int = ITERATIONS, time_limit: float | None = None,
     rng: int | np.random.Generator = 0, threads: int | None = None, throw: bool = False, method: str = "numeric",
@@ -55,10 +55,10 @@ def ik(
     (in planar systems also (..., 2)), or an object or words that say one (`kempe.rigid.arrays`).
     `task` says what of it counts: "pose", "position" (also by `position_only`), "orientation", "direction" (of the
     tool's `axis`), "position_axis" (both). `tolerance` is the largest position error [m] and rotation angle [rad].
-    `seed` (nq,) or (..., nq), or a dict by name, is the first start; what the chain does not move keeps its value
+    `start` (nq,) or (..., nq), or a dict by name, is the first start; what the chain does not move keeps its value
     there, else the neutral one, inside the limits.
 
-    Starts are tried in order, the seed or the middle of the limits first, up to `starts` of them, the others drawn from
+    Starts are tried in order, `start` or the middle of the limits first, up to `starts` of them, the others drawn from
     `rng`; the first that reaches the target is the answer: the same for the same arguments, whatever the `threads`.
     `iterations` are the steps of one start, at most; where all fail, as many descents to the nearest, at most 16, have
     five times as many. `time_limit` [s] is for the whole call, looked at after each 32 starts: an answer that it ended
@@ -70,7 +70,7 @@ def ik(
     holds these: the answer then is `Reached`.
 
     `method`: "numeric", damped least squares with an active set of limits and restarts (Sugihara, 2011; Chan and
-    Lawrence, 1988); "analytic", of all solutions that `ik_all` finds the one nearest to `seed`; "auto", that where the
+    Lawrence, 1988); "analytic", of all solutions that `ik_all` finds the one nearest to `start`; "auto", that where the
     chain allows it, else numeric. Targets that have no analytic solution inside the limits get the numeric answer.
     """
     name, target = system.frame_name(frame), arrays(target, "target")
@@ -81,9 +81,9 @@ def ik(
         wanted = of_target(name, *asked, targets.reshape(*lead, 4, 4))
         given = {"starts": (starts, MOST), "iterations": (iterations, ITERATIONS), "time_limit": (time_limit, None)}
         more: dict[str, Any] = {name: value for name, (value, usual) in given.items() if value != usual}
-        return reach(system, wanted, seed, tolerance=tolerance, rng=rng, threads=threads, throw=throw, **more)
+        return reach(system, wanted, start, tolerance=tolerance, rng=rng, threads=threads, throw=throw, **more)
     chain = chain_of(system, name, asked[1])
-    base, seeds = _seeds(system, chain, seed, lead)
+    base, seeds = _seeds(system, chain, start, lead)
     targets = targets.copy() if np.may_share_memory(targets, target) else targets  # the answer keeps them
     question = Task(
         system, name, targets, *asked, tolerances(tolerance), start_count(starts), seed_number(rng), chain,
@@ -149,7 +149,7 @@ def _judged(
         _look_closer(question, code)
         full[code == BAD_INPUT] = math.nan
     if not lead and code[0] == BAD_INPUT:
-        raise InputError(not_a_pose(targets[0], "seed"))
+        raise InputError(not_a_pose(targets[0], "start"))
     return _answer(question, full, code, residual, info, lead)
 
 
@@ -251,19 +251,19 @@ class Bound:
         X[0, : self.shape[0], 3] = target
         return X
 
-    def __call__(self, target: Array, seed: Any) -> Solution | None:
+    def __call__(self, target: Array, start: Any) -> Solution | None:
         """The answer for a target, None where target or seed need the general solver."""
         if target.shape != self.shape or not (self.posed or target.dtype == np.float64):
             return None
         chain, n = self.chain, self.size
-        if seed is None:
+        if start is None:
             base, seeds = self.base, self.no_seed
         else:
-            if seed.__class__ is not np.ndarray or seed.dtype != np.float64 or seed.shape != (self.nq,):
+            if start.__class__ is not np.ndarray or start.dtype != np.float64 or start.shape != (self.nq,):
                 return None
-            if not (self.plain and seed.flags.c_contiguous):
+            if not (self.plain and start.flags.c_contiguous):
                 return None
-            base, seeds = seed, (seed if self.whole else seed[self.part]).reshape(1, 1, n)
+            base, seeds = start, (start if self.whole else start[self.part]).reshape(1, 1, n)
         out = self.new()
         X = target.copy()[None] if self.posed else self._pose(target)  # the answer keeps it
         try:
@@ -299,17 +299,17 @@ def _look_closer(task: Task, code: np.ndarray) -> None:
     code[failed[outside(task, task.targets[failed]) > 0.0]] = OUT_OF_REACH
 
 
-def _seeds(system: System, chain: Chain, seed: Any, lead: tuple[int, ...]) -> tuple[Array, Array]:
+def _seeds(system: System, chain: Chain, start: Any, lead: tuple[int, ...]) -> tuple[Array, Array]:
     """Configurations (1 or N, nq) to start from, and the chain's part of them as (1 or N, K, nq) for the kernel."""
-    if seed is None:
+    if start is None:
         return chain.base, chain.no_seed
-    base = as_start(system, seed)
+    base = as_start(system, start)
     if base.ndim > 1 and base.shape[:-1] != lead:
         each = f" or {(*lead, system.nq)}" if lead else ""
-        raise InputError(f"seed has shape {base.shape}; it must be ({system.nq},){each}")
+        raise InputError(f"start has shape {base.shape}; it must be ({system.nq},){each}")
     base = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq))
     if not lead and not np.all(np.abs(base) < LARGEST):
-        raise InputError(not_a_pose(np.eye(4), "seed"))
+        raise InputError(not_a_pose(np.eye(4), "start"))
     seeds = np.ascontiguousarray(base[:, None, chain.q_index])  # the kernel brings them inside, circles by turns
     return inside(system, base), seeds
 

@@ -128,7 +128,7 @@ class Question:
 @explained
 @tolerant()
 def assembly_modes(
-    system: System, known: Mapping[str, Any] | None = None, near: Any = None, *, limits: bool = True,
+    system: System, known: Mapping[str, Any] | None = None, start: Any = None, *, limits: bool = True,
     frame: FrameLike | None = None, rng: np.random.Generator | int | None = 0, starts: int = STARTS,
     time_limit: float | None = TIME_LIMIT, progress: Callable[[int, int], Any] | None = None,
     tolerance: float | str | None = None,
@@ -137,7 +137,7 @@ def assembly_modes(
 
     Planar mechanisms made of dyads are solved in closed form: then `complete` is True. Others are assembled from up to
     `starts` random starts, drawn from `rng`, and from mirror images and mixtures of what is found, with a bound of how
-    much was missed; starts go on while the number found is odd where it must be even. `near` (nq,) sorts the answer,
+    much was missed; starts go on while the number found is odd where it must be even. `start` (nq,) sorts the answer,
     the nearest first, and chooses the representatives of angles (else they are near zero). With `limits` what is
     outside the joint limits is dropped, else it is flagged by `inside`. With `frame`, configurations that put this
     frame at one pose count as one: legs that can be turned over would multiply the modes of a platform. Without it,
@@ -148,7 +148,7 @@ def assembly_modes(
     given = {} if known is None else known
     if not isinstance(given, Mapping):
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
-    base = None if near is None else as_start(system, near)
+    base = None if start is None else as_start(system, start)
     if base is not None and (base.ndim != 1 or not np.isfinite(base).all()):
         raise InputError(f"near must be one configuration ({system.nq},) of finite numbers")
     if not is_whole(starts) or starts < 1:

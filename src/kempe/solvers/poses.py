@@ -44,20 +44,20 @@ FULL_TURN = 2.0 * math.pi
 
 
 @explained
-def from_maximal(system: System, poses: ArrayLike, near: Any = None, tolerance: float = READ) -> Array:
+def from_maximal(system: System, poses: ArrayLike, start: Any = None, tolerance: float = READ) -> Array:
     """Configuration (..., nq) of the poses (..., n_b, 4, 4), each coordinate read off where its joint's bodies are.
 
-    Angles are those nearest to the configuration `near` (default: `system.mid`), and so are the signs of quaternions;
+    Angles are those nearest to the configuration `start` (default: `system.mid`), and so are the signs of quaternions;
     a driver has made the full turns that those which follow it tell. Limits and one-sided rows are not looked at.
     Errors: `InputError` for poses that violate a joint, a constraint or a coupling by more than `tolerance` (metres
     or radians), naming it and by how much, and for matrices that are no poses.
     """
     poses = as_poses(system, poses)
-    near = None if near is None else as_start(system, near)
+    start = None if start is None else as_start(system, start)
     _refuse_no_poses(system, poses, tolerance)
-    lead = together({"poses": poses.shape[:-3], "near": () if near is None else near.shape[:-1]})
+    lead = together({"poses": poses.shape[:-3], "start": () if start is None else start.shape[:-1]})
     joints = system.mechanism.joints
-    read = read_joints(system, poses, system.mid if near is None else near, tolerance)
+    read = read_joints(system, poses, system.mid if start is None else start, tolerance)
     for name, (_, length, angle) in read.items():
         _refuse_far(f"joint {name!r} ({joints[name].type.type_name})", {"m": length, "rad": angle}, tolerance)
     values = {n: x for name, (own, *_) in read.items() for n, x in _by_name(system, name, own).items()}

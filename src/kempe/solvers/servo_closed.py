@@ -126,7 +126,7 @@ class Closed:
         worst = int(np.argmax(np.abs(error))) if len(error) else -1
         if len(error) and not abs(error[worst]) < OPEN:
             raise InputError(f"the loops are open at q: {self.names[worst][0]!r} by {abs(error[worst]):.2g} (radians, "
-                             f"characteristic lengths); robot.assemble(near=q) closes them")  # fmt: skip
+                             f"characteristic lengths); robot.assemble(start=q) closes them")  # fmt: skip
         between = self._between(q, dt)
         if not self.rolls:
             return Left(null(C), np.zeros(self.system.nv), *between)

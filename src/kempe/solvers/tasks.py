@@ -80,7 +80,7 @@ class Problem:
     one_sided: bool = True
     """Whether declared one-sided constraints hold."""
     loose: bool = False
-    """Whether nobody named a seed, so that a free base may be moved before the first start."""
+    """Whether nobody named a start, so that a free base may be moved before the first start."""
     iterations: int = STEPS
     time_limit: float | None = None
     end: float = math.inf
@@ -187,7 +187,7 @@ class Problem:
 
 @explained
 def reach(
-    system: System, wanted: Constraint | Sequence[Constraint], seed: Any = None, *,
+    system: System, wanted: Constraint | Sequence[Constraint], start: Any = None, *,
     task: None = None,
     prefer: str | Callable[[Array], Any] | None = None,
     tolerance: float | tuple[float, float] = TOLERANCE, starts: int | None = None, iterations: int = STEPS,
@@ -197,13 +197,13 @@ def reach(
     """A configuration that holds several tasks at once (the inverse geometric model of any system).
 
     `wanted` are tasks of `kempe.tasks`, hard or soft and in strict priorities; goals with leading axes make a batch.
-    Joint limits, couplings, relations and closed loops hold, too. `seed` (nq,) or (..., nq), or a dict by name, is the
+    Joint limits, couplings, relations and closed loops hold, too. `start` (nq,) or (..., nq), or a dict by name, is the
     first start (default: the posture 'closed' of the file, else the middle of the limits); up to `starts` are tried,
     drawn from `rng`: the same arguments give the same answer, whatever the `threads`. By default they are 60, then as
     many as the problem deserves: no more where it is proven that there is no answer; where one is found without the
     limits, 30 times the square of the number of limited coordinates that the tasks move (at least 300, at most 15 000);
     else a tenth of these. `prefer` says what is made least in the freedoms that all tasks leave: "nearest" (distance to
-    the seed), "mid" (distance to the middle of the limits), "manipulability" (its inverse, of the hard tasks), or a
+    the start), "mid" (distance to the middle of the limits), "manipulability" (its inverse, of the hard tasks), or a
     function of q (nq,). `tolerance` is the largest error of a hard task in metres and radians; what is reached is then
     closed to rounding where it converges. `iterations` are the steps of one start, at most, and four times as many
     those of a lower level from one start. `time_limit` [s] is for the whole call, looked at before each start: an
@@ -218,7 +218,7 @@ def reach(
     if task is not None:
         raise InputError(f"task is {task!r}; it belongs to a target of one frame, tasks say themselves what they ask")
     turns = prefer is None or prefer == "nearest"
-    problem, base = pose_problem(system, wanted, seed, tolerance, starts, rng, turns)
+    problem, base = pose_problem(system, wanted, start, tolerance, starts, rng, turns)
     search = Problem.run if starts is not None else effort.search
     if iterations != STEPS or time_limit is not None:
         end = deadline(time_limit)
@@ -234,14 +234,14 @@ def reach(
     if not problem.lead and answer.code == BAD_INPUT:
         for each, goals in zip(problem.tasks, problem.goals, strict=True):
             refuse(goals, each.label)
-        raise InputError("the seed has entries that are not finite or too large, or a quaternion that is zero")
+        raise InputError("the start has entries that are not finite or too large, or a quaternion that is zero")
     if throw and not answer:
         raise NoSolutionError(answer)
     return answer
 
 
 def pose_problem(
-    system: System, wanted: Constraint | Sequence[Constraint], seed: Any = None, tolerance: Any = TOLERANCE,
+    system: System, wanted: Constraint | Sequence[Constraint], start: Any = None, tolerance: Any = TOLERANCE,
     starts: int | None = STARTS, rng: Any = 0, turns: bool = False,
 ) -> tuple[Problem, Array]:  # fmt: skip
     """The problem, checked and packed, and its first starts (N or 1, nq); `turns` as in `Packed`.
@@ -251,13 +251,13 @@ def pose_problem(
     system = ideal_of(system)
     tasks = _distinct(wanted, system.dim)
     goals = tuple(t.goals(system) for t in tasks)
-    base = _home(system) if seed is None else as_start(system, seed)
+    base = _home(system) if start is None else as_start(system, start)
     lead = own = lead_of(goals)
     if base.ndim > 1:
         try:
             lead = np.broadcast_shapes(lead, base.shape[:-1])
         except ValueError:
-            raise InputError(f"seed has shape {base.shape}, the goals have the leading shape {lead}") from None
+            raise InputError(f"start has shape {base.shape}, the goals have the leading shape {lead}") from None
         base = np.broadcast_to(base, (*lead, system.nq)).reshape(math.prod(lead), system.nq)
     packed = packed_for(system, tasks, turns)
     pins = packed.pins(goals, lead if own else ())
@@ -265,9 +265,9 @@ def pose_problem(
     most = most_starts(system, packed) if starts is None else start_count(starts)
     problem = Problem(
         system, tasks, packed, goals, pins, lead, TOLERANCE if tolerance is TOLERANCE else tolerances(tolerance), most,
-        seed_number(rng), use, loose=seed is None,
+        seed_number(rng), use, loose=start is None,
     )  # fmt: skip
-    starts_at = beside(problem, base) if seed is None else base.reshape(math.prod(base.shape[:-1]), system.nq)
+    starts_at = beside(problem, base) if start is None else base.reshape(math.prod(base.shape[:-1]), system.nq)
     return problem, np.ascontiguousarray(starts_at)
 
 

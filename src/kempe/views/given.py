@@ -166,7 +166,7 @@ def branch(system: System, given: Mapping[str, Any], text: str | None) -> str | 
         raise InputError(f"branch {text!r} is neither signs such as '+-' nor a posture; postures are: {postures}")
     places = [name for name in given if name not in system.coordinate_names]
     if places:
-        raise InputError(f"signs name a branch where coordinates are known; {places[0]!r} is a frame: use --near")
+        raise InputError(f"signs name a branch where coordinates are known; {places[0]!r} is a frame: use --start")
     from kempe.solvers.dyads import Incomplete, closed_form
 
     plan = closed_form(system, tuple(given))

@@ -19,7 +19,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"\b(angles|deg)=True\b", r"\1 = true"),
     (r"`ik_all`", "ik --all"),
     (r"`ik`", "ik"),
-    (r"`near`", "--seed"),
+    (r"`start`", "--start"),
     (r"; what motions reach all the same says `classify`", ""),
     (r": system\.manoeuvre\(start, q\)", ""),
     (r"; drive or hold more, or give velocities \(system\.simulate\)", "; drive or hold more"),

@@ -149,7 +149,7 @@ def _configuration(system: System, q: Any, configurations: Array | None) -> Arra
         return q
     q = home_of(system)
     if configurations is None:
-        closed = None if judge(system, q) else system.assemble(near=q)
+        closed = None if judge(system, q) else system.assemble(start=q)
         return closed.q if closed else q
     finite = configurations[np.isfinite(configurations).all(axis=1)]
     return finite[int(np.argmin(distance(system, finite, q)))]

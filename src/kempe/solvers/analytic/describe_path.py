@@ -67,7 +67,7 @@ def _held(plan: Plan, given: frozenset[str]) -> list[str]:
     if chosen:
         them = "it" if len(chosen) == 1 else "them"
         out.append(f"the chain has {in_words(len(chosen), 'joint')} more than the task needs: {listed(chosen)} "
-                   f"{_is(chosen)} held where `near` has {them}, and elsewhere for targets without a solution there; "
+                   f"{_is(chosen)} held where `start` has {them}, and elsewhere for targets without a solution there; "
                    "name=value holds joints at values of yours")  # fmt: skip
     return out
 

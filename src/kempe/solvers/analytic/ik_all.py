@@ -47,7 +47,7 @@ NONE = np.zeros(0, dtype=np.int64)
 
 @explained
 def ik_all(
-    system: System, target: ArrayLike, frame: FrameLike, *, task: str | None = None, near: Any = None,
+    system: System, target: ArrayLike, frame: FrameLike, *, task: str | None = None, start: Any = None,
     axis: ArrayLike = Z_AXIS, inside_only: bool = False, expand_turns: bool = False,
     fixed: Mapping[str, Any] | None = None, tolerance: float = TOLERANCE, threads: int | None = None,
     throw: bool = False, **fixed_by_name: Any,
@@ -57,9 +57,9 @@ def ik_all(
     `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)) or a position (..., 3)
     (in planar systems also (..., 2)). `task` says what of it counts: "pose", "position", "orientation", "direction"
     (of the tool's `axis`), "position_axis" (both). Joints of redundant chains are held by `fixed`, or by name; others
-    that are to spare where `near` has them, and elsewhere for targets that have no solution inside the limits there:
+    that are to spare where `start` has them, and elsewhere for targets that have no solution inside the limits there:
     `Solutions.held` says where.
-    Solutions are sorted: inside the limits first, then by nearness to `near` (nq,), which also chooses among turns;
+    Solutions are sorted: inside the limits first, then by nearness to `start` (nq,), which also chooses among turns;
     with `inside_only` others are dropped, with `expand_turns` every turn inside the limits is listed. What violates
     one-sided constraints of the system is left out, and the status says so.
 
@@ -80,7 +80,7 @@ def ik_all(
     task = task_of(task, is_position, bool(system.table.at[name][2]))
     if system.closures and of_loops(system, name):
         known = {**(fixed or {}), **fixed_by_name}
-        return _through_loops(system, name, targets, lead, task, near, known, expand_turns, inside_only, throw)
+        return _through_loops(system, name, targets, lead, task, start, known, expand_turns, inside_only, throw)
     lines = chain_lines(system, name, direction)
     values = held(name, lines.names, fixed, fixed_by_name)
     plan = plan_for(system, name, lines, task, direction, tuple(values))
@@ -93,9 +93,9 @@ def ik_all(
     plain = not one_sided_rows(system).declared
     if plain and single and task == "pose" and plan.side_by_side and ("all", name) not in system._queries:
         bind(system, name)
-    answer = solve(question, plan, near_of(system, near, question.lead), values, threads)
+    answer = solve(question, plan, near_of(system, start, question.lead), values, threads)
     if not single and (answer._counts[:, 0] < 0).any() and (mended := sound(targets, "target")) is not targets:
-        answer = solve(replace(question, targets=mended), plan, near_of(system, near, question.lead), values, threads)
+        answer = solve(replace(question, targets=mended), plan, near_of(system, start, question.lead), values, threads)
     if single and answer._counts[0, 0] < 0:
         if np.abs(targets).max() >= LARGEST:
             raise InputError(f"target has an entry of {np.abs(targets).max():.3g}; allowed are below {LARGEST:g}")

@@ -18,21 +18,21 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 FARTHEST = 1e5
-"""Largest coordinate of `near`: beyond, an angle with its turns has lost the digits that solutions have."""
+"""Largest coordinate of `start`: beyond, an angle with its turns has lost the digits that solutions have."""
 
 ANGULAR = 1e-6
 """Largest tolerance of angles that rounding of positions makes."""
 
 
-NEAR = "near=q sorts the solutions by nearness to a configuration q"
+NEAR = "start=q sorts the solutions by nearness to a configuration q"
 ELSEWHERE = {
-    "seed": NEAR, "start": NEAR, "q": NEAR, "prefer": NEAR,
+    "q": NEAR, "prefer": NEAR,
     "hold": "joints are held by fixed={'name': value}, or by name, as in ik_all(X, frame, q1=0.3)",
     "starts": "all solutions are computed, not searched for",
 }  # fmt: skip
 """What options of `ik` and of the command line are here; keywords are names of joints that are held."""
 
-OPTIONS = ("task", "near", "axis", "inside_only", "expand_turns", "fixed", "tolerance", "threads", "throw")
+OPTIONS = ("task", "start", "axis", "inside_only", "expand_turns", "fixed", "tolerance", "threads", "throw")
 """Options of `ik_all`: keywords that are not names of joints."""
 
 
@@ -85,7 +85,7 @@ def near_of(system: System, near: Any, lead: tuple[int, ...] | None) -> Array | 
     q = as_start(system, near)
     if q.ndim > 1 and q.shape[:-1] != (lead or ()):
         each = f" or {(*lead, system.nq)}" if lead else ""
-        raise InputError(f"near has shape {q.shape}; it must be ({system.nq},){each}")
+        raise InputError(f"start has shape {q.shape}; it must be ({system.nq},){each}")
     if not np.all(np.abs(q) < FARTHEST):
-        raise InputError(f"near has entries that are not finite, or beyond {FARTHEST:g}: turns cannot be counted there")
+        raise InputError(f"start has entries that are not finite, or beyond {FARTHEST:g}: turns are not counted there")
     return q.reshape(math.prod(q.shape[:-1]), system.nq)

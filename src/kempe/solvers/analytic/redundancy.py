@@ -37,7 +37,7 @@ SAMPLES = 256
 @explained
 def ik_sweep(
     system: System, target: ArrayLike, frame: FrameLike, parameter: str | None = None, *, n: int | None = None,
-    task: str | None = None, near: Any = None, axis: ArrayLike = Z_AXIS, reference: ArrayLike | None = None,
+    task: str | None = None, start: Any = None, axis: ArrayLike = Z_AXIS, reference: ArrayLike | None = None,
     fixed: Mapping[str, Any] | None = None, samples: int = SAMPLES,
 ) -> Sweep:  # fmt: skip
     """The solutions of a redundant chain for one target, over a parameter, and where they are inside the limits.
@@ -45,8 +45,8 @@ def ik_sweep(
     `parameter` is a joint of the chain, or "arm_angle" for seven turning joints of which the first three axes meet,
     and the last three (`kempe.solvers.analytic.arm_angle` says what it is; `reference` as there); by default that, and
     else the joint that `ik_all` holds. `target`, `task` and `axis` are as in `ik_all`. Where there is more than one
-    freedom to spare, joints are held: those `fixed`, by name, and others at `near` (nq,), which also chooses among
-    turns of angles; without `near` where `ik_all` finds a solution inside the limits. `n` asks for samples at so many
+    freedom to spare, joints are held: those `fixed`, by name, and others at `start` (nq,), which also chooses among
+    turns of angles; without `start` where `ik_all` finds a solution inside the limits. `n` asks for samples at so many
     values; `samples` is the number of values of a joint at which curves are looked for.
 
     Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where that is asked for,
@@ -67,7 +67,7 @@ def ik_sweep(
     if lead != () or not np.isfinite(targets).all():
         raise InputError("a sweep needs one target, of finite numbers")
     task = task_of(task, is_position, bool(system.table.at[name][2]))
-    given_near = near_of(system, near, None)
+    given_near = near_of(system, start, None)
     base = system.neutral if given_near is None else given_near[0]
     lines = chain_lines(system, name, Z_AXIS)
     if task != "position" and system.dim == 3:
@@ -133,7 +133,7 @@ class Asked:
         m = (len(values),) if values.ndim else ()
         target = np.broadcast_to(self.given, (*m, *self.given.shape))
         near = np.array(np.broadcast_to(self.near, (*m, self.system.nq)), order="C")
-        return ik_all(self.system, target, self.frame, task=self.task, axis=self.axis, near=near,
+        return ik_all(self.system, target, self.frame, task=self.task, axis=self.axis, start=near,
                       fixed={**fixed, name: values})  # fmt: skip
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 class Solutions(Tabular):
     """All configurations that reach a target, or each of a batch of targets.
 
-    For one target: `q` (k, nq), those inside the limits first, each group sorted by nearness to `near`. For a batch:
+    For one target: `q` (k, nq), those inside the limits first, each group sorted by nearness to `start`. For a batch:
     `q` (..., K, nq), NaN where `mask` (..., K) is False; along a trajectory a branch keeps its row. Of each solution:
     `residual` the norm of position error [m] and orientation error [rad] by the forward model, `inside` whether it
     respects the limits, `multiplicity` how many roots of the equations have merged in it (0: it is one of infinitely
