@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from kempe.errors import CallError, InputError, KempeError, UnknownNameError, shown, warn
+from kempe.errors import CallError, InputError, KempeError, UnknownNameError, shown
 from kempe.reals import is_whole, reals
 
 Function = TypeVar("Function", bound=Callable)
@@ -23,9 +23,6 @@ FOREIGN = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError)
 
 CONFIGURATIONS = {"q", "q0", "q1", "near", "start"}
 """Names of arguments that are configurations."""
-
-OLD_STARTS = ("seed", "near")
-"""Former names of `start`, the configuration that a verb starts from."""
 
 FEW = 16
 """Entries of an array, or of a tuple, that are shown."""
@@ -43,38 +40,21 @@ def explained(function: Function) -> Function:
     def call(*args: Any, **options: Any) -> Any:
         try:
             return function(*args, **options)
-        except KempeError as error:
-            if isinstance(error, UnknownNameError) and (called := with_start(function, args, options)):
-                return function(*called[0], **called[1])
+        except KempeError:
             raise
         except FOREIGN as error:
-            if called := with_start(function, args, options):
-                return function(*called[0], **called[1])
+            if options and error.__class__ is TypeError and (called := _renamed(function, args, options)):
+                return called[1](call(**called[0]))
             blame(function, args, options, error)
             raise
 
     return call  # type: ignore[return-value]
 
 
-def with_start(
-    function: Callable, args: tuple[Any, ...], options: Mapping[str, Any]
-) -> tuple[tuple[Any, ...], dict[str, Any]] | None:
-    """The arguments of a call that says `seed` or `near` for `start`, with a warning; None for all others.
+def _renamed(function: Callable, args: tuple[Any, ...], options: Mapping[str, Any]) -> Any:
+    from kempe.former import renamed  # only here: most calls succeed
 
-    Errors: `InputError` where both are given.
-    """
-    from inspect import signature  # only here: most calls succeed
-
-    said = [name for name in OLD_STARTS if name in options]
-    parameters = signature(function).parameters
-    if not said or "start" not in parameters or said[0] in parameters:
-        return None
-    bound = signature(function).bind_partial(*args, **{n: x for n, x in options.items() if n not in OLD_STARTS})
-    if len(said) > 1 or bound.arguments.get("start") is not None:
-        raise InputError(f"{said[0]!r} is the former name of 'start', which is given, too; give start only")
-    warn(f"{said[0]!r} is the former name of 'start'", DeprecationWarning)
-    bound.arguments["start"] = options[said[0]]
-    return bound.args, bound.kwargs
+    return renamed(function, args, options)
 
 
 def explained_methods(cls: Class) -> Class:

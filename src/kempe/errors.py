@@ -94,7 +94,12 @@ class InputError(KempeError, ValueError):
     """An argument that cannot be used: wrong shape, wrong count, NaN where a number is needed."""
 
 
-INSTEAD = {("assemble", "constraints"): "they are given as 'also'"}
+INSTEAD = {
+    ("assemble", "constraints"): "they are given as 'also'",
+    ("ik_all", "q"): "start=q sorts the solutions by nearness to a configuration q",
+    ("ik_all", "prefer"): "start=q sorts the solutions by nearness to a configuration q",
+    ("ik_all", "hold"): "joints are held by fixed={'name': value}",
+}
 """What is said of options that a function does not have, by function and name."""
 
 
@@ -117,7 +122,7 @@ class UnsupportedError(KempeError, NotImplementedError):
 
 
 class NoSolutionError(KempeError, RuntimeError):
-    """Raised by solvers called with ``throw=True``; `solution` holds the answer with its reason."""
+    """Raised by `expect` of an answer that is no success; `solution` holds the answer with its reason."""
 
     def __init__(self, solution: object):
         self.solution = solution

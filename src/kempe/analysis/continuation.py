@@ -17,7 +17,7 @@ import numpy as np
 from kempe.kinematics import loops
 from kempe.model.lengths import origin_of
 from kempe.model.own_tree import own_tree
-from kempe.solvers.clock import Budget
+from kempe.solvers.clock import TimeLimit
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class Closure:
             for tie in loops.full(self.tree, False).ties for row in tie.rows
         ])  # fmt: skip
         self.targets = np.zeros(0) if at is None else at[self.place[self._held]]
-        self.budget = Budget(None)
+        self.budget = TimeLimit(None)
         self.more: tuple[Further, ...] = ()
         self._count()
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from kempe.analysis.continuation import RANK, Closure, Node, correct, least_squares, node
-from kempe.solvers.clock import Budget
+from kempe.solvers.clock import TimeLimit
 from kempe.spatial import Array
 
 DIFFERENCE = 1e-5
@@ -107,7 +107,7 @@ def _two(forms: Array) -> Array:
     return lines[np.abs(other).max(axis=1) < 1e-6]
 
 
-def _many(forms: Array, budget: Budget) -> Array:
+def _many(forms: Array, budget: TimeLimit) -> Array:
     """Common real zeros (k, d) of quadratic forms (m, d, d), by Newton's method from many starts on the sphere."""
     d = forms.shape[1]
     rng = np.random.default_rng(0)

@@ -22,13 +22,14 @@ from kempe.analysis.course import Course, State, Stuck
 from kempe.analysis.motion import Progress
 from kempe.analysis.path import Configurations, Event
 from kempe.analysis.rolling_drive import Driven, driven
+from kempe.budget import Budget, Usual
 from kempe.calls import explained, explained_methods, flag
 from kempe.constraints.tape import TIME
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.tabular import write_table
 from kempe.model.clocked import clocked, timed
 from kempe.reals import reals
-from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, TimeUp, partial
+from kempe.solvers.clock import BROKEN_OFF, LONG, TimeLimit, TimeUp, partial
 from kempe.solvers.ideal import said, tolerant
 from kempe.solvers.slip import rolls
 from kempe.solvers.words import counted
@@ -37,6 +38,7 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
+USUAL = Usual("drive", step=None, time_limit=LONG, progress=None)
 CONTINUOUS = 1e-5
 """Distance between the pose that was held and the one from which it goes on, above which that is a jump."""
 BETWEEN = 0.2
@@ -135,22 +137,22 @@ class Drive(Configurations):
 def drive(
     system: System, inputs: Mapping[str, ArrayLike | Callable[[float], float]], times: ArrayLike | None = None,
     start: ArrayLike | Mapping[str, float] | str | None = None, *, hold: Mapping[str, float] | None = None,
-    toward: Mapping[str, float] | None = None, limits: bool = True, step: float | None = None,
-    time_limit: float | None = LONG, progress: Progress | None = None, tolerance: float | str | None = None,
+    toward: Mapping[str, float] | None = None, limits: bool = True, tolerance: float | str | None = None,
+    budget: Budget | None = None,
 ) -> Drive:  # fmt: skip
     """The motion that follows prescribed inputs, as a `Drive`: continuous, on the branch of `start`.
 
     `inputs` gives for each driven coordinate its values (n,) in radians or metres, one number, or a function of time,
-    which needs `times` (n,), growing. Samples may be coarse: in between the motion is continued in steps of at most
-    `step` of arc length. `start` is as in `trace` (default: the posture "closed", or what the first inputs give). It
+    which needs `times` (n,), growing. Samples may be coarse: in between the motion is continued in steps of arc
+    length. `start` is as in `trace` (default: the posture "closed", or what the first inputs give). It
     goes straight on through change points. `toward` gives rates by coordinate name that choose the branch if the start
     is a change point; otherwise the branch that moves least. Where the inputs ask for what the mechanism cannot do, or
-    for what is beyond a limit, the last pose is held until they come back. `progress(sample, total)` is called
-    now and then; an interrupt from the keyboard, or the `time_limit` [s] of the whole call (600; None: none), leaves
-    the samples that were done.
+    for what is beyond a limit, the last pose is held until they come back. Of the `budget` are read: step (0.1 at
+    most), time_limit (600 s for the whole call), progress(sample, total), called now and then; an interrupt from the
+    keyboard, or the time limit, leaves the samples that were done.
 
     With velocity constraints, what is not driven rolls along (from the first values of the inputs on), and the motion
-    ends before it slips: `status` says where. `toward` and `step` do not count there. Equations in time follow `times`.
+    ends before it slips: `status` says where. `toward` and the step do not count there. Equations in time follow `times`.
 
     Errors: `UnsupportedError` where the inputs leave freedoms or fight each other; `UnknownNameError`; `InputError`.
 
@@ -168,17 +170,18 @@ def drive(
     if not isinstance(inputs, Mapping):
         raise InputError(f"inputs is {type(inputs).__name__}; it must be a dict of values by coordinate name")
     flag(limits, "limits")
+    spend = USUAL.of(budget)
     if timed(system):
-        return _in_time(system, inputs, times, start, hold, toward, limits, step, time_limit, progress)
+        return _in_time(system, inputs, times, start, hold, toward, limits, budget)
     names = list(inputs)
     index = [angle_or_slide(system, n) for n in names]
     if hold and set(hold) & set(names):
         raise InputError(f"{sorted(set(hold) & set(names))} are both driven and held; a coordinate is one of them")
     clock, samples = _samples(inputs, times)
-    longest, budget = longest_step(step), Budget(time_limit)
-    budget.put_in_order()  # there is nothing to do afterwards
+    longest, time = longest_step(spend.step), TimeLimit(spend.time_limit)
+    time.put_in_order()  # there is nothing to do afterwards
     if rolls(system):
-        return _rolled(driven(system, names, dict(hold or {}), start, clock, samples, limits, budget), system, names,
+        return _rolled(driven(system, names, dict(hold or {}), start, clock, samples, limits, time), system, names,
                        clock, samples)  # fmt: skip
     first = dict(zip(names, samples(0, 1)[-1].tolist(), strict=True))
     closure, q = _begin(system, start, dict(hold or {}), first, index)
@@ -188,15 +191,15 @@ def drive(
         none = np.ones(1, dtype=bool)
         said = "the loops do not close near the start"
         return Drive(system, near[None], clock[:1], asked, none, (), (), (), False, False, said)
-    closure.budget = budget
+    closure.budget = time
     wish = wish_of(system, toward)
     course = Course(closure, index, longest, Limits(closure, limits), wish / closure.unit)
-    return _run(course, q, names, clock, samples, progress)
+    return _run(course, q, names, clock, samples, spend.progress)
 
 
 def _in_time(
-    system: System, inputs: Mapping[str, Any], times: Any, start: Any, hold: Any, toward: Any, limits: bool, step: Any,
-    time_limit: float | None, progress: Progress | None,
+    system: System, inputs: Mapping[str, Any], times: Any, start: Any, hold: Any, toward: Any, limits: bool,
+    budget: Budget | None,
 ) -> Drive:  # fmt: skip
     """The motion where equations depend on time, which is driven as a coordinate of its own."""
     if rolls(system):
@@ -204,7 +207,7 @@ def _in_time(
                                "follow yet: give its coordinate as an input")  # fmt: skip
     clock, _ = _samples({**inputs, TIME: 0.0}, times)
     found = drive(clocked(system), {**inputs, TIME: clock}, clock, _with_time(system, start, clock), hold=hold,
-                  toward=toward, limits=limits, step=step, time_limit=time_limit, progress=progress)  # fmt: skip
+                  toward=toward, limits=limits, budget=budget)  # fmt: skip
     return _without_time(found, system)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.analysis.rank import Rank, rank_at
+from kempe.budget import Budget
 from kempe.errors import InputError
 from kempe.kinematics.loops import evaluate
 from kempe.kinematics.one_sided import one_sided_rows
@@ -48,7 +49,8 @@ def close(system: System, q: Array) -> Closed:
         return Closed(q, True, given, given)
     from kempe.solvers.assembly import of_equations
 
-    answer = of_equations(system)(start=q, starts=1, limits=False, nearest=given > NEAR)
+    answer = of_equations(system)(
+        start=q, limits=False, prefer="nearest" if given > NEAR else None, budget=Budget(starts=1))  # fmt: skip
     if answer.success:
         return Closed(answer.q, True, given, float(answer.residual))
     return Closed(answer.q, False, given, float(answer.residual), str(answer.status))

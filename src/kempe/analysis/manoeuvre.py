@@ -19,6 +19,7 @@ from kempe.analysis.manoeuvre_path import Course, Manoeuvre, Piece
 from kempe.analysis.rolling import slip
 from kempe.analysis.steering import Plan, Refused, plans
 from kempe.analysis.wheeled import Wheeled, wheeled
+from kempe.budget import Budget, Usual
 from kempe.calls import explained, listed
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kinematics.configuration import as_q, has_loops
@@ -37,12 +38,13 @@ PARALLEL = 1e-3
 """Sine of the angle between the two slides, of the sign that it has at the start, from which on they go on."""
 MOST = 10**6
 """Samples at most."""
+USUAL = Usual("manoeuvre", points=200)
 
 
 @explained
 def manoeuvre(
     system: System, start: ArrayLike | Mapping[str, float] | None, goal: ArrayLike | Mapping[str, float], *,
-    radius: float | None = None, free: Iterable[str] = (), samples: int = 200,
+    radius: float | None = None, free: Iterable[str] = (), budget: Budget | None = None,
 ) -> Manoeuvre:  # fmt: skip
     """The `Manoeuvre` from one configuration to another of a system that rolls: every velocity constraint is obeyed.
 
@@ -52,7 +54,7 @@ def manoeuvre(
     roll along; a dict as the goal leaves those free that it does not name. With a radius the axle takes the shortest
     way of Reeds and Shepp (1990), and the heading may end whole turns from the goal's number; without one it ends at
     that number. The axle goes at 1 m/s and turns at 1 rad/s at most, or slower by the velocity limits of the system.
-    `q` has about `samples` configurations, the ends of all pieces among them.
+    `q` has about as many configurations as the `budget` has points (200), the ends of all pieces among them.
 
     It is known for a body that moves in a plane by two slides and a turn, with an axle that does not slip sideways
     (knife edge, unicycle, coin that stands upright, differential drive, car with one steering angle), wherever that
@@ -62,8 +64,9 @@ def manoeuvre(
     q, goals = _one(system, start, "start"), _one(system, goal, "goal")
     if radius is not None and (not is_real(radius) or not 0.0 <= radius < math.inf):
         raise InputError(f"radius is {radius!r}; it must be a length in metres, or 0 for turns on the spot")
+    samples = USUAL.of(budget).points
     if not is_whole(samples) or not 2 <= samples <= MOST:
-        raise InputError(f"samples is {samples!r}; it must be a whole number, at least 2 and at most {MOST}")
+        raise InputError(f"points is {samples!r}; it must be a whole number, at least 2 and at most {MOST}")
     car = wheeled(system, q)
     loose = _loose(system, goal, free, car)
     course, said = None, ""

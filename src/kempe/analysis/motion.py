@@ -7,7 +7,7 @@ recorded.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -22,16 +22,17 @@ from kempe.analysis.endless import NO_RETURN, Endless
 from kempe.analysis.events import Stop, extreme, hidden_crossings, home, turns, walk
 from kempe.analysis.path import Event, Path, Track
 from kempe.analysis.spins import spins_held
+from kempe.budget import Budget, Usual
 from kempe.calls import explained, flag
 from kempe.errors import InputError
 from kempe.reals import is_whole
-from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, TimeUp
+from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp
 from kempe.solvers.ideal import tolerant
 from kempe.solvers.slip import slip_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.system import FrameLike, System
+    from kempe.model.system import System
 
 NONE = np.zeros((0, 0))
 SAME_POINT = 1e-6
@@ -43,6 +44,8 @@ AGAIN = 4
 """How often a path is walked again, at most, with idle spins held by directions that are farther from their lines."""
 MOST_POINTS = 100_000
 """Points of a path unless the caller says otherwise."""
+WAYS = ("both", "forward", "branches")
+USUAL = Usual("trace", points=MOST_POINTS, step=None, time_limit=TIME_LIMIT, progress=None)
 
 Progress = Callable[[int, float], Any]
 
@@ -52,24 +55,21 @@ class _Options:
     """What all walks of one call share."""
 
     driver: str | None
-    both: bool
+    ways: str
     longest: float
     limits: bool
-    max_points: int
-    frames: tuple[str, ...]
+    most: int
     progress: Progress | None
     periods: Array
-    budget: Budget
+    time: TimeLimit
 
 
 @explained
 @tolerant()
 def trace(
     system: System, driver: str | None = None, start: ArrayLike | Mapping[str, float] | str | None = None, *,
-    both: bool = True, step: float | None = None, limits: bool = True, max_points: int = MOST_POINTS,
-    frames: Iterable[FrameLike] = (), hold: Mapping[str, float] | None = None,
-    toward: Mapping[str, float] | None = None, switch: bool = False, time_limit: float | None = TIME_LIMIT,
-    progress: Progress | None = None, tolerance: float | str | None = None,
+    hold: Mapping[str, float] | None = None, toward: Mapping[str, float] | None = None, ways: str = "both",
+    limits: bool = True, tolerance: float | str | None = None, budget: Budget | None = None,
 ) -> Path:  # fmt: skip
     """The `Path` of a mechanism with one degree of freedom: its whole branch through `start`.
 
@@ -77,12 +77,12 @@ def trace(
     "closed", else mid-range); it is closed first. `driver` is the coordinate that counts as the input: the path begins
     with it growing, and points where it turns back are its dead points. `hold` fixes other coordinates at values.
     `toward` gives rates by coordinate name that choose the sense, and the branch where the start is a bifurcation.
-    `both=False` walks in one direction only. `step` is the longest step of arc length (default 0.1). The path
-    ends where it closes on itself, at a limit (unless `limits=False`), where it is found to have no end (a slide that
-    runs away, gears whose ratio lets it never close), or after `max_points` points. `switch=True` also traces the
-    branches met at bifurcations: see `Path.others`. `progress(points, length)` is called now and then. An interrupt
-    from the keyboard or the `time_limit` [s] of the whole call (120; None: none) returns what was done, and says so by
-    `Path.interrupted`, `Path.late`. `frames` are those that tables of the path show.
+    `ways`: "both" directions from the start, "forward" only, or "branches": both, and the branches met at bifurcations,
+    too, see `Path.others`. The path ends where it closes on itself, at a limit (unless `limits=False`), where it is found to have no end (a slide that
+    runs away, gears whose ratio lets it never close), or where the budget ends. Of the `budget` are read:
+    points (100 000 at most), step (of arc length, 0.1 at most), time_limit (120 s for the whole call), progress(points,
+    length), called now and then. An interrupt from the keyboard or the time limit returns what was done, and says so by
+    `Path.interrupted`, `Path.late`.
 
     Errors: `UnsupportedError` where more than one freedom remains, naming it; `UnknownNameError`; `InputError`.
 
@@ -97,21 +97,21 @@ def trace(
     >>> path.closed, [round(e.value, 9) for e in path.turning_points]
     (True, [3.0, 1.0])
     """
-    options = _options(system, driver, both, step, limits, max_points, frames, progress, Budget(time_limit))
+    options = _options(system, driver, ways, limits, USUAL.of(budget))
     held = dict(hold or {})
     equations, q = begin(system, start, held)
     if q is None:
         return _failed(equations, options, "the loops do not close near the start", start_of(system, start, held))
     if said := Limits(equations, limits).outside(q):
         return _failed(equations, options, f"{said} at the start", q)
-    equations.budget = options.budget
+    equations.budget = options.time
     try:
-        return without_slip(_followed(equations, q, options, toward, switch))
+        return without_slip(_followed(equations, q, options, toward))
     except TimeUp as error:
-        said = f"it was not followed: {options.budget.reason(error)} came before the directions at its start were known"
+        said = f"it was not followed: {options.time.reason(error)} came before the directions at its start were known"
         return replace(_failed(equations, options, said, q), late=True)
     finally:
-        equations.budget = Budget(None)  # the path keeps them
+        equations.budget = TimeLimit(None)  # the path keeps them
 
 
 def without_slip(path: Path) -> Path:
@@ -124,8 +124,8 @@ def without_slip(path: Path) -> Path:
 
 
 def _followed(
-    equations: Closure, q: Array, options: _Options, toward: Mapping[str, float] | None, switch: bool
-) -> Path:  # fmt: skip
+    equations: Closure, q: Array, options: _Options, toward: Mapping[str, float] | None
+) -> Path:
     """The path from a closed configuration on."""
     first = first_node(equations, q, options.driver, toward)
     if first is None:
@@ -142,30 +142,29 @@ def _followed(
     if len(path) == 1 and path.success and path.ends[1].startswith("a point"):
         said = "it cannot move along a smooth curve: its first-order motion leads nowhere (shaky), or this is a cusp"
         return _failed(equations, options, said, q, True)
-    return _with_others(equations, path, options) if switch else path
+    return _with_others(equations, path, options) if options.ways == "branches" else path
 
 
 def branches(system: System, driver: str | None = None, start: Any = None, **options: Any) -> tuple[Path, ...]:
     """All paths that meet at bifurcations, that through `start` first; arguments as in `trace`."""
-    path = trace(system, driver, start, **{**options, "switch": True})
+    path = trace(system, driver, start, **{**options, "ways": "branches"})
     return (replace(path, others=()), *path.others)
 
 
 # ---- where it begins
 
 
-def _options(
-    system: System, driver: str | None, both: bool, step: float | None, limits: bool, max_points: int,
-    frames: Iterable[FrameLike], progress: Progress | None, budget: Budget,
-) -> _Options:  # fmt: skip
+def _options(system: System, driver: str | None, ways: str, limits: bool, spend: Budget) -> _Options:
     flag(limits, "limits")
+    if ways not in WAYS:
+        raise InputError(f"ways is {ways!r}; it must be one of {', '.join(map(repr, WAYS))}")
     if driver is not None:
         angle_or_slide(system, driver)
-    longest = longest_step(step)
-    if not is_whole(max_points) or max_points < 2:
-        raise InputError(f"max_points is {max_points!r}; it must be a whole number, at least 2")
-    names = tuple(system.frame_name(f) for f in ([frames] if isinstance(frames, str) else frames))
-    return _Options(driver, both, longest, limits, int(max_points), names, progress, periods(system, limits), budget)
+    longest, points = longest_step(spend.step), spend.points
+    if not is_whole(points) or points < 2:
+        raise InputError(f"points is {points!r}; it must be a whole number, at least 2")
+    return _Options(driver, ways, longest, limits, int(points), spend.progress, periods(system, limits),
+                    TimeLimit(spend.time_limit))  # fmt: skip
 
 
 # ---- the walk
@@ -173,10 +172,10 @@ def _options(
 
 def _trace(equations: Closure, first: Node, options: _Options) -> Path:
     """The whole branch from its first node."""
-    nodes, reason, closed, broken = _one_way(equations, first, options, options.max_points)
+    nodes, reason, closed, broken = _one_way(equations, first, options, options.most)
     ends = ("the start", reason)
-    left = options.max_points - len(nodes)
-    if options.both and not closed and broken is None and left > 1 and not reason.startswith(NO_RETURN):
+    left = options.most - len(nodes)
+    if options.ways != "forward" and not closed and broken is None and left > 1 and not reason.startswith(NO_RETURN):
         back, other, _, broken = _one_way(equations, first.reversed(), options, left)
         nodes = [n.reversed() for n in reversed(back[1:])] + nodes
         ends = (other, reason)
@@ -207,9 +206,9 @@ def _one_way(
             if options.progress is not None and len(nodes) % 16 == 0:
                 options.progress(len(nodes), length)
             if len(nodes) >= most:
-                return nodes, f"the {options.max_points} points allowed{endless.hint(b)}", False, None
+                return nodes, f"the {options.most} points allowed{endless.hint(b)}", False, None
     except BROKEN_OFF as error:
-        return nodes, options.budget.reason(error), False, error
+        return nodes, options.time.reason(error), False, error
     raise AssertionError("a walk ends only with a reason")
 
 
@@ -225,7 +224,7 @@ def _path(
 ) -> Path:  # fmt: skip
     """The answer from the nodes of a branch."""
     system, found, remark = equations.system, [], ""
-    options.budget.put_in_order()
+    options.time.put_in_order()
     indices = [int(i) for i in system.layout.vector_v if i not in equations.held]
     s, k = None, 0
     try:
@@ -247,7 +246,7 @@ def _path(
     held = tuple(system.velocity_names[i] for i in equations.held)
     return Path(
         track.q, s, closed, ends, turning, _singular(equations, nodes[:-1] if closed else nodes, s), tuple(found),
-        options.driver, held, options.frames, broken is None, isinstance(broken, KeyboardInterrupt), track,
+        options.driver, held, (), broken is None, isinstance(broken, KeyboardInterrupt), track,
         late=isinstance(broken, TimeUp), remark=remark,
     )  # fmt: skip
 
@@ -275,7 +274,7 @@ def _failed(equations: Closure, options: _Options, reason: str, q: Array, succes
     track = Track(equations, q[None], np.zeros(1), np.zeros((1, equations.n)))
     held = tuple(equations.system.velocity_names[i] for i in equations.held)
     return Path(
-        track.q, track.s, False, (reason, reason), (), (), (), options.driver, held, options.frames, success, False,
+        track.q, track.s, False, (reason, reason), (), (), (), options.driver, held, (), success, False,
         track,
     )  # fmt: skip
 

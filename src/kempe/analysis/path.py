@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.analysis.continuation import Closure, least_squares_of_many
+from kempe.budget import Budget, Usual
 from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.kinematics.measure import Judgement, judge
 from kempe.kinematics.tabular import Tabular, write_table
 from kempe.model.immovable import immovable
 from kempe.reals import is_whole
-from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, TimeUp, partial
+from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, partial
 from kempe.solvers.ideal import said
 from kempe.solvers.words import counted
 from kempe.spatial import Array
@@ -29,8 +30,7 @@ if TYPE_CHECKING:
 
 MOST = 10**7
 """Points at most of a path that is resampled."""
-
-
+USUAL = Usual("resample", time_limit=TIME_LIMIT, progress=None)
 SLICE = 1024
 """Points that are closed at once."""
 
@@ -217,28 +217,28 @@ class Path(Configurations):
         out = self.track.at(np.clip(flat - rounds * length, 0.0, length)) + rounds[:, None] * change
         return out.reshape(*s.shape, self.system.nq)
 
-    def resample(
-        self, n: int, *, time_limit: float | None = TIME_LIMIT, progress: Callable[[int, float], Any] | None = None
-    ) -> Path:  # fmt: skip
+    def resample(self, n: int, *, budget: Budget | None = None) -> Path:
         """The same path with `n` points at equal distances of arc length, its ends included.
 
-        `progress(points, length)` is called now and then; an interrupt from the keyboard, or the `time_limit` [s] (120;
-        None: none), leaves those points that were done, see `late` and `remark`. Errors: `InputError`.
+        Of the `budget` are read: time_limit (120 s), progress(points, length), called now and then; an interrupt from
+        the keyboard, or the time limit, leaves those points that were done, see `late` and `remark`. Errors:
+        `InputError`.
         """
+        spend = USUAL.of(budget)
         if not is_whole(n) or not 2 <= n <= MOST:
             raise InputError(f"n is {shown(n)}; it must be a whole number, at least 2 and at most {MOST}")
-        budget, done, broken = Budget(time_limit), [], None
-        budget.put_in_order()  # there is nothing to do afterwards
+        time, done, broken = TimeLimit(spend.time_limit), [], None
+        time.put_in_order()  # there is nothing to do afterwards
         try:
             for i in range(0, int(n), SLICE):
-                budget.check()
+                time.check()
                 s: Array = np.arange(float(i), min(i + SLICE, int(n))) * (self.length / (int(n) - 1))
                 s[s > self.length] = self.length
                 if i + SLICE >= n:
                     s[-1] = self.length
                 done.append((s, self.track.at(s)))
-                if progress is not None:
-                    progress(i + len(s), float(s[-1]))
+                if spend.progress is not None:
+                    spend.progress(i + len(s), float(s[-1]))
         except BROKEN_OFF as error:
             broken = error
         s = np.concatenate([[], *(part[0] for part in done)])
@@ -247,7 +247,7 @@ class Path(Configurations):
             return replace(self, q=q, s=s)
         more = "; ".join(filter(None, [self.remark, f"{len(q)} of {n} points at equal distances"]))
         late, interrupted = isinstance(broken, TimeUp), isinstance(broken, KeyboardInterrupt)
-        ends = (self.ends[0], budget.reason(broken))
+        ends = (self.ends[0], time.reason(broken))
         return replace(self, q=q, s=s, closed=False, ends=ends, success=False, late=late, interrupted=interrupted,
                        remark=more)  # fmt: skip
 

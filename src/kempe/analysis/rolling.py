@@ -20,7 +20,7 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity import rates
 from kempe.reals import is_real
-from kempe.solvers.clock import BROKEN_OFF, Budget
+from kempe.solvers.clock import BROKEN_OFF, TimeLimit
 from kempe.spatial import Array, quat_wxyz_multiply, unit
 
 if TYPE_CHECKING:
@@ -173,7 +173,7 @@ def _row(system: System, name: str) -> Callable[[Array], Array]:
 
 
 def roll(
-    system: System, inputs: Mapping[str, Any], q: Array, times: Array, tolerance: float, budget: Budget
+    system: System, inputs: Mapping[str, Any], q: Array, times: Array, tolerance: float, budget: TimeLimit
 ) -> Rolled:  # fmt: skip
     """The motion from q (nq,) at the first of the `times` (n,). Errors: `InputError`, `UnsupportedError`."""
     from scipy.integrate import DOP853

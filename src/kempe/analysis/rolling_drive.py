@@ -18,7 +18,7 @@ from kempe.analysis.continuation import RANK, Closure, close
 from kempe.errors import UnsupportedError
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity import rates
-from kempe.solvers.clock import BROKEN_OFF, Budget
+from kempe.solvers.clock import BROKEN_OFF, TimeLimit
 from kempe.solvers.slip import slip_of
 from kempe.spatial import Array
 
@@ -45,7 +45,7 @@ class Driven(NamedTuple):
 
 def driven(
     system: System, names: Sequence[str], hold: Mapping[str, float], start: Any, clock: Array,
-    samples: Callable[[int, int], list[Array]], limits: bool, budget: Budget,
+    samples: Callable[[int, int], list[Array]], limits: bool, budget: TimeLimit,
 ) -> Driven | None:  # fmt: skip
     """The motion of what rolls under inputs, by their `samples` as `drive` gives them; None where it cannot begin.
 

@@ -15,10 +15,11 @@ from kempe.analysis.bounces import MOST, Flight
 from kempe.analysis.falling import falling, start_of_flight
 from kempe.analysis.path import Configurations
 from kempe.analysis.rolling import roll, slip
+from kempe.budget import Budget, Usual
 from kempe.calls import explained, explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.reals import is_real, is_whole, named, reals
-from kempe.solvers.clock import LONG, Budget, TimeUp, partial
+from kempe.solvers.clock import LONG, TimeLimit, TimeUp, partial
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
@@ -30,6 +31,7 @@ GRAVITY = 9.81
 TOLERANCE = 1e-11
 """Local error of a step of integration."""
 MOST_SAMPLES = 10**7
+USUAL = Usual("simulate", points=200, time_limit=LONG)
 
 
 @dataclass(frozen=True)
@@ -144,14 +146,14 @@ class Simulation(Configurations):
 def simulate(
     system: System, duration: float, start: ArrayLike | Mapping[str, float] | str | None = None, *,
     inputs: Mapping[str, Any] | None = None, velocity: ArrayLike | Mapping[str, float] | None = None,
-    acceleration: ArrayLike | None = None, restitution: float = 1.0, samples: int = 200,
-    tolerance: float = TOLERANCE, time_limit: float | None = LONG,
+    acceleration: ArrayLike | None = None, restitution: float = 1.0, tolerance: float | None = None,
+    budget: Budget | None = None,
 ) -> Simulation:  # fmt: skip
     """The motion of a system in time, for a `duration` [s] from a configuration on, as a `Simulation`.
 
     With `inputs`: velocities by name, numbers or functions of time [s]. A name is a velocity coordinate, or a twist
     of a frame in its own axes: "car.vx" [m/s], "car.wz" [rad/s]. All others follow from the velocity constraints and
-    the closed loops, and are integrated with the local error `tolerance`; position constraints are met at each sample
+    the closed loops, and are integrated with the local error `tolerance` (1e-11); position constraints are met at each sample
     to rounding. It ends where a coordinate meets its limit, or the inputs cannot be had.
 
     Without `inputs`: one ball or particle that falls from `start` with a `velocity` (nv,) (default: at rest) by a
@@ -160,17 +162,21 @@ def simulate(
     times `restitution`, from 0 to 1. The answer is exact (times in closed form), and goes on after the infinitely many
     bounces that end at t1 + 2 v / (a (1 - e)), v the speed after the impact at t1. What would need masses is refused.
 
-    `t` are `samples` evenly spread times, and those of all events. Errors: `UnsupportedError` with the reason;
+    Of the `budget` are read: points (200) and time_limit (600 s, with `inputs`). `t` are so many evenly spread times,
+    and those of all events. Errors: `UnsupportedError` with the reason;
     `InputError`, also for a start inside a plane, with the distance; `UnknownNameError`.
     """
     if not is_real(duration) or not 0.0 < duration < math.inf:
         raise InputError(f"duration is {duration!r}; it must be a time in seconds, positive and finite")
+    spend = USUAL.of(budget)
+    samples = spend.points
     if not is_whole(samples) or not 2 <= samples <= MOST_SAMPLES:
-        raise InputError(f"samples is {samples!r}; it must be a whole number, at least 2 and at most {MOST_SAMPLES}")
+        raise InputError(f"points is {samples!r}; it must be a whole number, at least 2 and at most {MOST_SAMPLES}")
     q = start_of(system, start, {}).astype(float)
     times = np.linspace(0.0, float(duration), int(samples))
     if inputs is not None:
-        return _rolls(system, q, times, inputs, velocity, acceleration, tolerance, Budget(time_limit))
+        return _rolls(system, q, times, inputs, velocity, acceleration, TOLERANCE if tolerance is None else tolerance,
+                      TimeLimit(spend.time_limit))
     if not is_real(restitution) or not 0.0 <= restitution <= 1.0:
         raise InputError(f"restitution is {restitution!r}; it must be between 0 (no rebound) and 1 (no loss)")
     v = _velocity(system, velocity)
@@ -194,7 +200,7 @@ def simulate(
 
 def _rolls(
     system: System, q: Array, times: Array, inputs: Any, velocity: Any, acceleration: Any, tolerance: Any,
-    budget: Budget,
+    time: TimeLimit,
 ) -> Simulation:  # fmt: skip
     if not isinstance(inputs, Mapping):
         raise InputError(f"inputs is {type(inputs).__name__}; it must be a dict of velocities by name")
@@ -203,7 +209,7 @@ def _rolls(
         raise InputError(f"{name} is for what falls by itself; with inputs all velocities follow from these")
     if not is_real(tolerance) or not 1e-14 <= tolerance <= 1e-3:
         raise InputError(f"tolerance is {tolerance!r}; it must be between 1e-14 and 1e-3")
-    found = roll(system, inputs, q, times, float(tolerance), budget)
+    found = roll(system, inputs, q, times, float(tolerance), time)
     late, interrupted = isinstance(found.broken, TimeUp), isinstance(found.broken, KeyboardInterrupt)
     return Simulation(system, found.t, found.q, found.v, (), not found.reason and found.broken is None, found.reason,
                       slip(system, found.t, found.q, found.v), interrupted, late)  # fmt: skip

@@ -37,6 +37,13 @@ def at_time(system: System, t: float) -> System:
     return _at_zero(system).with_parameters(**{TIME: float(t)})
 
 
+def known_time(system: System, known: Mapping[str, Any]) -> tuple[System, Mapping[str, Any]]:
+    """The system at the time that is `known` as "t", and what else is known. Errors: `InputError`."""
+    if TIME in system.coordinate_names or TIME in system.frame_names or not timed(system):
+        return system, known
+    return at_time(system, known[TIME]), {name: x for name, x in known.items() if name != TIME}
+
+
 @kept
 def _at_zero(system: System) -> Any:
     m = _plain(system, ())

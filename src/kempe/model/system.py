@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.calls import known
+from kempe.budget import Budget
+from kempe.calls import explained, known
 from kempe.description.mechanism import BodyLike
+from kempe.errors import InputError
 from kempe.model.compiled import Compiled, FrameLike
 from kempe.spatial import Array
 
@@ -155,11 +157,11 @@ class System(Compiled):
 
         return query(self, frame)
 
-    def symbolic_fk(self, frame: FrameLike, **options: Any) -> Any:
+    def symbolic_fk(self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0) -> Any:
         """The forward model in symbols (sympy Matrix 4x4); see `kempe.kinematics.symbolic.symbolic_fk`."""
         from kempe.kinematics.symbolic import symbolic_fk
 
-        return symbolic_fk(self, frame, **options)
+        return symbolic_fk(self, frame, symbols=symbols, snap=snap)
 
     def closure_error(self, q: Any) -> Array:
         """How far each loop is open (..., len(closures), 6): the twist [m; rad] missing in each left-out joint."""
@@ -167,23 +169,39 @@ class System(Compiled):
 
         return closure_error(self, q)
 
-    def ik(self, target: Any, frame: FrameLike | None = None, start: Any = None, **options: Any) -> Solution:
+    @explained
+    def ik(
+        self, target: Any, frame: FrameLike | None = None, start: Any = None, *,
+        task: str | tuple[str, ArrayLike] | None = None, prefer: Any = None, method: str | None = None,
+        tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None,
+    ) -> Solution:  # fmt: skip
         """A configuration that reaches a target or holds tasks; see `solvers.inverse.ik` and `solvers.tasks.reach`."""
-        if frame.__class__ is str and target.__class__ is np.ndarray and (not options or options.keys() == {"task"}):
-            bound = self._queries.get(("one", frame, str(options["task"]) if options else "None", target.ndim))
+        plain = prefer is None and method is None and tolerance is None and budget is None
+        if plain and frame.__class__ is str and target.__class__ is np.ndarray:
+            bound = self._queries.get(("one", frame, str(task), target.ndim))
             if bound is not None and (answer := bound(target, start)) is not None:
                 return answer
         if frame is None:
             from kempe.solvers.tasks import reach
 
-            return reach(self, target, start=start, **options)
+            if task is not None or method is not None:
+                name, value = ("task", task) if task is not None else ("method", method)
+                raise InputError(f"{name} is {value!r}; it belongs to a target of one frame, not to tasks")
+            return reach(self, target, start, prefer=prefer, tolerance=tolerance, budget=budget)
         from kempe.solvers.inverse import ik
 
-        return ik(self, target, frame, start, **options)
+        return ik(self, target, frame, start, task=task, prefer=prefer, method=method or "numeric", tolerance=tolerance,
+                  budget=budget)  # fmt: skip
 
-    def ik_all(self, target: Any, frame: FrameLike, **options: Any) -> Solutions | Modes:
+    @explained
+    def ik_all(
+        self, target: Any, frame: FrameLike, start: Any = None, *, task: str | tuple[str, ArrayLike] | None = None,
+        fixed: Mapping[str, Any] | None = None, limits: bool | str = False, tolerance: float | None = None,
+        budget: Budget | None = None,
+    ) -> Solutions | Modes:  # fmt: skip
         """Every configuration in which the frame reaches the target; see `kempe.solvers.analytic.ik_all.ik_all`."""
-        if not options and target.__class__ is np.ndarray and target.shape == (4, 4) and self.dim == 3:
+        plain = start is None and task is None and fixed is None and not limits and tolerance is None and budget is None
+        if plain and target.__class__ is np.ndarray and target.shape == (4, 4) and self.dim == 3:
             try:
                 bound = self._queries.get(("all", frame))
             except TypeError:  # what is no key is no name
@@ -193,39 +211,61 @@ class System(Compiled):
                 return answer
         from kempe.solvers.analytic.ik_all import ik_all
 
-        return ik_all(self, target, frame, **options)
+        return ik_all(self, target, frame, start, task=task, fixed=fixed, limits=limits, tolerance=tolerance,
+                      budget=budget)  # fmt: skip
 
-    def ik_plan(self, frame: FrameLike, task: str | None = None, **options: Any) -> Recognised:
+    @explained
+    def ik_plan(
+        self, frame: FrameLike, task: str | tuple[str, ArrayLike] | None = None, fixed: Iterable[str] = ()
+    ) -> Recognised:
         """What is recognised of a frame's chain, and how `ik_all` solves it; see `kempe.solvers.analytic.describe`."""
         from kempe.solvers.analytic.describe import ik_plan
 
-        return ik_plan(self, frame, task, **options)
+        return ik_plan(self, frame, task, fixed)
 
-    def ik_sweep(self, target: ArrayLike, frame: FrameLike, parameter: str | None = None, **options: Any) -> Sweep:
+    @explained
+    def ik_sweep(
+        self, target: ArrayLike, frame: FrameLike, parameter: str | tuple[str, ArrayLike] | None = None, *,
+        n: int | None = None, task: str | tuple[str, ArrayLike] | None = None, start: Any = None,
+        fixed: Mapping[str, Any] | None = None, budget: Budget | None = None,
+    ) -> Sweep:  # fmt: skip
         """The solutions of a redundant chain along one parameter; see `kempe.solvers.analytic.redundancy.ik_sweep`."""
         from kempe.solvers.analytic.redundancy import ik_sweep
 
-        return ik_sweep(self, target, frame, parameter, **options)
+        return ik_sweep(self, target, frame, parameter, n=n, task=task, start=start, fixed=fixed, budget=budget)
 
-    def ik_path(self, targets: Any, frame: FrameLike | None = None, start: Any = None, **options: Any) -> IkPath:
+    @explained
+    def ik_path(
+        self, targets: Any, frame: FrameLike | None = None, start: Any = None, *, max_step: float = 0.5,
+        restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] | None = None,
+        budget: Budget | None = None,
+    ) -> IkPath:  # fmt: skip
         """Configurations that follow a sequence of targets without a jump; see `kempe.solvers.following.ik_path`."""
         from kempe.solvers.following import ik_path
 
-        return ik_path(self, targets, frame, start, **options)
+        return ik_path(self, targets, frame, start, max_step=max_step, restart=restart, branches=branches,
+                       tolerance=tolerance, budget=budget)  # fmt: skip
 
+    @explained
     def ik_step(
-        self, q: Any, wanted: Any, frame: FrameLike | None = None, dt: float = 0.0, **options: Any
+        self, q: Any, wanted: Any, frame: FrameLike | None = None, dt: float = 0.0, *, velocity_limits: Any = None,
+        damping: float = 0.05, keep_direction: bool = False, weights: Any = None,
     ) -> IkStep:  # fmt: skip
         """Velocities for a frame's twist or for tasks, within all limits; see `kempe.solvers.servo.ik_step`."""
         from kempe.solvers.servo import ik_step
 
-        return ik_step(self, q, wanted, frame, dt, **options)
+        return ik_step(self, q, wanted, frame, dt, velocity_limits=velocity_limits, damping=damping,
+                       keep_direction=keep_direction, weights=weights)  # fmt: skip
 
-    def self_motion(self, q: Any, tasks: Any, **options: Any) -> SelfMotion:
+    @explained
+    def self_motion(
+        self, q: Any, tasks: Any, *, task: str | tuple[str, ArrayLike] | None = None, direction: Any = None,
+        budget: Budget | None = None,
+    ) -> SelfMotion:  # fmt: skip
         """The configurations reached from q while a frame or tasks stay; see `kempe.solvers.self_motion`."""
         from kempe.solvers.self_motion import self_motion
 
-        return self_motion(self, q, tasks, **options)
+        return self_motion(self, q, tasks, task=task, direction=direction, budget=budget)
 
     def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
         """Arm angle (...) of seven joints with spherical shoulder and wrist; see `kempe.solvers.analytic.arm_angle`."""
@@ -235,11 +275,17 @@ class System(Compiled):
 
     # ---- closed loops
 
-    def assemble(self, known: Mapping[str, Any] | None = None, start: Any = None, **options: Any) -> Assembly:
+    @explained
+    def assemble(
+        self, known: Mapping[str, Any] | None = None, start: Any = None, *, branch: str | None = None,
+        prefer: str | None = None, limits: bool = True, also: Any = (), tolerance: float | str | None = None,
+        budget: Budget | None = None,
+    ) -> Assembly:  # fmt: skip
         """A configuration that closes all loops, with the `known` given; see `kempe.solvers.assembly.assemble`."""
         from kempe.solvers.assembly import assemble
 
-        return assemble(self, known, start, **options)
+        return assemble(self, known, start, branch=branch, prefer=prefer, limits=limits, also=also, tolerance=tolerance,
+                        budget=budget)  # fmt: skip
 
     @property
     def tolerance(self) -> float | str | None:
@@ -258,11 +304,15 @@ class System(Compiled):
 
         return assembler(self, known)
 
-    def assembly_modes(self, known: Mapping[str, Any] | None = None, start: Any = None, **options: Any) -> Modes:
+    @explained
+    def assembly_modes(
+        self, known: Mapping[str, Any] | None = None, start: Any = None, *, limits: bool = True,
+        frame: FrameLike | None = None, tolerance: float | str | None = None, budget: Budget | None = None,
+    ) -> Modes:  # fmt: skip
         """All configurations found that close the loops with the `known` given; see `kempe.solvers.modes`."""
         from kempe.solvers.modes import assembly_modes
 
-        return assembly_modes(self, known, start, **options)
+        return assembly_modes(self, known, start, limits=limits, frame=frame, tolerance=tolerance, budget=budget)
 
     def closed_form(self, known: Sequence[str]) -> Plan | Incomplete:
         """The closed form of a planar system of dyads for these known coordinates; see `kempe.solvers.dyads`."""
@@ -270,11 +320,14 @@ class System(Compiled):
 
         return closed_form(self, known)
 
-    def independent(self, q: Any = None, prefer: Iterable[str] = (), **options: Any) -> Chart:
+    @explained
+    def independent(
+        self, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
+    ) -> Chart:  # fmt: skip
         """Which coordinates can be set at a closed q, so that the others follow; see `kempe.solvers.charts`."""
         from kempe.solvers.charts import independent
 
-        return independent(self, q, prefer, **options)
+        return independent(self, q, prefer, tolerance=tolerance)
 
     def constraints(self) -> list[SystemConstraint]:
         """The constraints of the system: closures, declared ones, relations; see `kempe.kinematics.loops`."""
@@ -295,82 +348,115 @@ class System(Compiled):
 
         return to_maximal(self, q)
 
-    def from_maximal(self, poses: ArrayLike, start: Any = None, **options: Any) -> Array:
+    @explained
+    def from_maximal(self, poses: ArrayLike, start: Any = None, tolerance: float | None = None) -> Array:
         """Configuration (..., nq) from the poses (..., n_b, 4, 4) of all bodies; see `kempe.solvers.poses`."""
         from kempe.solvers.poses import from_maximal
 
-        return from_maximal(self, poses, start, **options)
+        return from_maximal(self, poses, start, tolerance)
 
     # ---- degrees of freedom and motion
 
-    def mobility(self, q: Any = None, actuated: Iterable[str] | None = None, **options: Any) -> Mobility:
+    @explained
+    def mobility(
+        self, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
+        rng: np.random.Generator | int = 0, tolerance: float | str | None = None,
+    ) -> Mobility:  # fmt: skip
         """Degrees of freedom by counting, by rank and truly, with the reasoning; see `kempe.analysis.mobility`."""
         from kempe.analysis.mobility import mobility
 
-        return mobility(self, q, actuated, **options)
+        return mobility(self, q, actuated, local=local, rng=rng, tolerance=tolerance)
 
     def classify(
         self, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0,
-        **options: Any,
+        tolerance: float | str | None = None,
     ) -> Classification:  # fmt: skip
         """Which kind each constraint is, and how far free velocities reach; see `kempe.analysis.classify`."""
         from kempe.analysis.classify import classify
 
-        return classify(self, q, t=t, project=project, rng=rng, **options)
+        return classify(self, q, t=t, project=project, rng=rng, tolerance=tolerance)
 
-    def trace(self, driver: str | None = None, start: Any = None, **options: Any) -> Motion:
+    @explained
+    def trace(
+        self, driver: str | None = None, start: Any = None, *, hold: Mapping[str, float] | None = None,
+        toward: Mapping[str, float] | None = None, ways: str = "both", limits: bool = True,
+        tolerance: float | str | None = None, budget: Budget | None = None,
+    ) -> Motion:  # fmt: skip
         """The whole branch of a mechanism with one freedom, as a `Path`; see `kempe.analysis.motion.trace`."""
         from kempe.analysis.motion import trace
 
-        return trace(self, driver, start, **options)
+        return trace(self, driver, start, hold=hold, toward=toward, ways=ways, limits=limits, tolerance=tolerance,
+                     budget=budget)  # fmt: skip
 
-    def drive(self, inputs: Mapping[str, Any], times: Any = None, start: Any = None, **options: Any) -> Drive:
+    @explained
+    def drive(
+        self, inputs: Mapping[str, Any], times: Any = None, start: Any = None, *,
+        hold: Mapping[str, float] | None = None, toward: Mapping[str, float] | None = None, limits: bool = True,
+        tolerance: float | str | None = None, budget: Budget | None = None,
+    ) -> Drive:  # fmt: skip
         """The continuous motion that follows prescribed inputs; see `kempe.analysis.drive.drive`."""
         from kempe.analysis.drive import drive
 
-        return drive(self, inputs, times, start, **options)
+        return drive(self, inputs, times, start, hold=hold, toward=toward, limits=limits, tolerance=tolerance,
+                     budget=budget)  # fmt: skip
 
+    @explained
     def manoeuvre(
-        self, start: Any, goal: Any, *, radius: float | None = None, free: Iterable[str] = (), samples: int = 200
+        self, start: Any, goal: Any, *, radius: float | None = None, free: Iterable[str] = (),
+        budget: Budget | None = None,
     ) -> Manoeuvre:  # fmt: skip
         """A way between configurations of what rolls, without slipping; see `kempe.analysis.manoeuvre`."""
         from kempe.analysis.manoeuvre import manoeuvre
 
-        return manoeuvre(self, start, goal, radius=radius, free=free, samples=samples)
+        return manoeuvre(self, start, goal, radius=radius, free=free, budget=budget)
 
+    @explained
     def simulate(
         self, duration: float, start: Any = None, *, inputs: Mapping[str, Any] | None = None, velocity: Any = None,
-        acceleration: Any = None, restitution: float = 1.0, **options: Any,
+        acceleration: Any = None, restitution: float = 1.0, tolerance: float | None = None,
+        budget: Budget | None = None,
     ) -> Simulation:  # fmt: skip
         """The motion under input velocities, or of a ball that falls and bounces; see `kempe.analysis.simulate`."""
         from kempe.analysis.simulate import simulate
 
         return simulate(self, duration, start, inputs=inputs, velocity=velocity, acceleration=acceleration,
-                        restitution=restitution, **options)  # fmt: skip
+                        restitution=restitution, tolerance=tolerance, budget=budget)  # fmt: skip
 
-    def loop_jacobian(self, q: Any, inputs: Sequence[str], outputs: Sequence[str], **options: Any) -> LoopJacobian:
+    @explained
+    def loop_jacobian(
+        self, q: Any, inputs: Sequence[str], outputs: Sequence[str], in_frame: str = "world_aligned", *,
+        tolerance: float | str | None = None,
+    ) -> LoopJacobian:  # fmt: skip
         """Velocities of joints or frames by those of inputs, through the loops; see `kempe.analysis.transmission`."""
         from kempe.analysis.transmission import loop_jacobian
 
-        return loop_jacobian(self, q, inputs, outputs, **options)
+        return loop_jacobian(self, q, inputs, outputs, in_frame, tolerance=tolerance)
 
-    def mechanical_advantage(self, q: Any, input: str, output: str, **options: Any) -> Any:
+    @explained
+    def mechanical_advantage(
+        self, q: Any, input: str, output: str, direction: ArrayLike | None = None, still: Sequence[str] = ()
+    ) -> Any:
         """Force at the output per force at the input, at closed q (..., nq); see `kempe.analysis.transmission`."""
         from kempe.analysis.transmission import mechanical_advantage
 
-        return mechanical_advantage(self, q, input, output, **options)
+        return mechanical_advantage(self, q, input, output, direction, still)
 
-    def transmission_angle(self, q: Any, joint: str, **options: Any) -> Any:
+    @explained
+    def transmission_angle(self, q: Any, joint: str, coupler: str | None = None, output: str | None = None) -> Any:
         """Angle (...) between coupler and output link at their joint; see `kempe.analysis.transmission`."""
         from kempe.analysis.transmission import transmission_angle
 
-        return transmission_angle(self, q, joint, **options)
+        return transmission_angle(self, q, joint, coupler, output)
 
-    def plot(self, q: Any = None, **options: Any) -> Axes:
+    @explained
+    def plot(
+        self, q: Any = None, *, path: Any = None, frames: Iterable[Any] | None = (), labels: bool = True,
+        ax: Axes | None = None, ghosts: int = 0,
+    ) -> Axes:  # fmt: skip
         """Matplotlib axes with a drawing of the system; see `kempe.views.plots.plot`."""
         from kempe.views.plots import plot
 
-        return plot(self, q, **options)
+        return plot(self, q, path=path, frames=frames, labels=labels, ax=ax, ghosts=ghosts)
 
     # ---- other systems from this one
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 import numpy as np
 
 from kempe.calls import explained_methods, place_in
+from kempe.errors import NoSolutionError
 from kempe.kinematics.measure import Judgement, judge
 from kempe.kinematics.tabular import Tabular
 from kempe.spatial import Array
@@ -16,6 +17,16 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.ideal import Idealised
+
+
+Found = TypeVar("Found")
+
+
+def expected(answer: Found) -> Found:
+    """The answer, where it is a success. Errors: `NoSolutionError`, with the answer as its `solution`."""
+    if not answer:
+        raise NoSolutionError(answer)
+    return answer
 
 
 @explained_methods
@@ -88,6 +99,10 @@ class Answer(Tabular):
     def table(self) -> tuple[list[str], Array]:
         """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and metres."""
         return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
+
+    def expect(self) -> Self:
+        """The answer itself, where it is a success. Errors: `NoSolutionError`, with the answer as its `solution`."""
+        return expected(self)
 
     def __bool__(self) -> bool:
         return bool(np.all(self.success))

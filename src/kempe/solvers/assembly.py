@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.budget import Budget, Usual
 from kempe.calls import explained, flag, listed
-from kempe.errors import InputError, NoSolutionError, UnknownNameError
+from kempe.constraints.tape import TIME
+from kempe.errors import InputError, UnknownNameError
 from kempe.kernels import loop_layout as L
 from kempe.kernels.compiled import assembly as kernel
 from kempe.kinematics.configuration import as_start, home_of
@@ -18,7 +20,7 @@ from kempe.kinematics.functions import held_too
 from kempe.kinematics.loops import freedoms_left
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
-from kempe.model.clocked import at_time
+from kempe.model.clocked import known_time
 from kempe.model.kept import kept
 from kempe.model.loops import Loops, loops_of, must_carry
 from kempe.model.own_tree import own_tree
@@ -41,6 +43,8 @@ LOOSEST = 1e-3
 """The largest tolerance that can be asked for: above it, an open loop would be called closed."""
 NEAREST_STEPS = 50
 """Steps at most towards the closed configuration nearest to the start."""
+PREFER = (None, "nearest", "continuous")
+USUAL = Usual("assemble", starts=STARTS, rng=0, threads=None)
 CHUNK, SERIAL_BELOW = 64, 2048
 PLAIN_NUMBERS = {float, int, np.float64}
 FEW = 300
@@ -165,9 +169,8 @@ class Assembler:
         return q, residual, info
 
     def _ask(
-        self, values: Any = (), start: Any = None, *, nearest: bool = False, limits: bool = True, starts: int = STARTS,
-        rng: int | np.random.Generator = 0, tolerance: float = TOLERANCE, threads: int | None = None,
-        follow: bool = False,
+        self, values: Any = (), start: Any = None, *, prefer: str | None = None, limits: bool = True,
+        tolerance: float = TOLERANCE, budget: Budget | None = None,
     ) -> Assembly:  # fmt: skip
         """As `assemble`, with `values` (..., k) of the known coordinates in their order, or a dict with all of them."""
         given = with_places(values, self.frames) if isinstance(values, Mapping) else self._by_name(values)
@@ -178,15 +181,19 @@ class Assembler:
             raise InputError(f"tolerance is {tolerance!r}; it must be above 0 and at most {LOOSEST}")
         if limits.__class__ is not bool:
             flag(limits, "limits")
+        if prefer not in PREFER:
+            raise InputError(f"prefer is {prefer!r}; it must be one of {', '.join(map(repr, PREFER))}")
+        spend = USUAL.of(budget)
         base, lead = self._single(given, start), ()
         if base is None:
             base, lead = self._starts(given, start)
         turned = self._turned(given) if self.frames else ()
         pins = self._pins(given, turned, lead) if turned else self.no_pins
-        steps = NEAREST_STEPS if nearest and self.freedoms != 0 else 0
+        steps, rng = NEAREST_STEPS if prefer == "nearest" and self.freedoms != 0 else 0, spend.rng
         number = rng if isinstance(rng, int) and 0 <= rng < 2**62 else seed_number(rng)
+        follow = prefer == "continuous" and len(base) > 1
         q, residual, info = self.run(
-            base, pins, start_count(starts), steps, number, threads, limits, tolerance, follow and len(base) > 1,
+            base, pins, start_count(spend.starts), steps, number, spend.threads, limits, tolerance, follow,
             self._loops(turned, steps > 0) if turned or steps else None,
         )  # fmt: skip
         return self._answer(base, lead, q, residual, info, limits)
@@ -199,7 +206,7 @@ class Assembler:
         if not lead:
             code = int(info[0, 0])
             if code == BAD_INPUT:
-                raise InputError("known values, places or near are not finite, or a quaternion is zero")
+                raise InputError("known values, places or start are not finite, or a quaternion is zero")
             if self.limited and limits:  # in Python: for a few numbers an array costs as much as the assembly
                 known = base[0, self.places].tolist()
                 if any(x < low or x > high for x, (low, high) in zip(known, self.bounds, strict=True)):
@@ -324,33 +331,35 @@ def of_equations(system: System, known: Iterable[str] = ()) -> Assembler:
 @explained
 def assemble(
     system: System, known: Mapping[str, Any] | None = None, start: Any = None, *, branch: str | None = None,
-    nearest: bool = False, limits: bool = True, continuous: bool = False, starts: int = STARTS,
-    rng: int | np.random.Generator = 0, tolerance: float | str | None = None, threads: int | None = None,
-    throw: bool = False, t: float = 0.0, also: Any = (),
+    prefer: str | None = None, limits: bool = True, also: Any = (), tolerance: float | str | None = None,
+    budget: Budget | None = None,
 ) -> Assembly:  # fmt: skip
     """A configuration that closes all loops, with the `known` given and everything else found.
 
     `known` maps names of coordinates to values in radians and metres, and names of frames to positions (..., 3) (in
-    planar systems also (..., 2)) or poses (..., 4, 4); arrays give a batch. What the loops leave open is decided by
+    planar systems also (..., 2)) or poses (..., 4, 4); arrays give a batch; the time of equations
+    in time is known as "t", one number. What the loops leave open is decided by
     *additional considerations*: `start` (nq,) or (..., nq), or a dict by name, is where the search starts (default: the
     posture 'closed' of the file, else the middle of the limits); steps of minimum norm keep the answer close to it, and
-    with `nearest`, where freedoms are left, it is the closed configuration nearest to it. `branch` names a branch:
+    with ``prefer="nearest"``, where freedoms are left, it is the closed configuration nearest to it. `branch` names a branch:
     signs such as '+-' for planar mechanisms made of dyads (see `assembly_modes`), or a posture, which is where the
-    search starts. `continuous`: row by row, each started where the last two lead. Coordinates stay inside their limits
+    search starts. ``prefer="continuous"``: row by row, each started where the last two lead. Coordinates stay inside their limits
     unless `limits=False`; one-sided constraints of the system always hold: a start that violates them is brought there.
 
-    The first of `starts` starts is `start`; the others are drawn around it from `rng`, wider and wider. An open loop is
-    never a success: the answer then says which loop is open, by how much, and `q` is the nearest to closing;
-    `throw=True` raises `NoSolutionError`. Redundant constraints are no obstacle. Method: damped least squares with
+    Of the `budget` are read: starts (20), rng (0), threads. The first start is `start`; the others are drawn around it
+    from rng, wider and wider. An open loop is never a success: the answer then says which loop is open, by how much,
+    and `q` is the nearest to closing; ``answer.expect()`` raises `NoSolutionError` then. Redundant constraints are no obstacle. Method: damped least squares with
     steps of minimum norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
-    `also` are constraints of `kempe.constraints`, or functions of q (nq,) that are zero, for this call; `t` is a time.
+    `also` are constraints of `kempe.constraints`, or functions of q (nq,) that are zero, for this call.
     `tolerance` is as in `kempe.solvers.ideal`; where no other mechanism closes, the largest residual of a success.
     """
     given = {} if known is None else known
     if not isinstance(given, Mapping):
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
-    if also.__class__ is not tuple or also or t.__class__ is not float or t:
-        system = at_time(held_too(system, also), t)
+    if also.__class__ is not tuple or also:
+        system = held_too(system, also)
+    if TIME in given:
+        system, given = known_time(system, given)
     if tolerance is not None:
         from kempe.solvers.assembly_asked import allowing
 
@@ -363,9 +372,6 @@ def assemble(
     else:
         start = start if start is not None or branch is None else system.posture(branch)
         answer = bound._ask(
-            given, start, nearest=nearest, limits=limits, starts=starts, rng=rng, tolerance=tolerance or TOLERANCE,
-            threads=threads, follow=continuous,
+            given, start, prefer=prefer, limits=limits, tolerance=tolerance or TOLERANCE, budget=budget,
         )  # fmt: skip
-    if throw and not answer:
-        raise NoSolutionError(answer)
     return answer

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.budget import Budget
 from kempe.solvers.assembled import CLOSED, OTHER_BRANCH, Assembly
 from kempe.solvers.assembly import LOOSEST, TOLERANCE
 from kempe.solvers.dyads import closed_form, on_branch
@@ -16,6 +17,8 @@ from kempe.solvers.ideal import within
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.assembly import Assembler
+
+ONCE = Budget(starts=1)
 
 
 def allowing(system: System, tolerance: float | str) -> tuple[System, float]:
@@ -33,7 +36,7 @@ def on_named_branch(bound: Assembler, given: Mapping[str, Any], near: Any, branc
     """The answer on a branch named by the signs of its dyads: closed form, polished and checked."""
     system = bound.system
     start = on_branch(system, given, branch, near)
-    answer = bound._ask(given, start, nearest=False, limits=limits, starts=1)
+    answer = bound._ask(given, start, limits=limits, budget=ONCE)
     plan: Any = closed_form(system, tuple(bound.sources))
     asked, found = plan.branch_of(start), plan.branch_of(answer.q)
     strayed = np.any((found != asked) & (asked != 0) & (found != 0), axis=-1) & (answer.code == CLOSED)

@@ -21,7 +21,7 @@ class TimeUp(Exception):
     """The time of a call is up: raised inside the call, and caught there."""
 
 
-class Budget:
+class TimeLimit:
     """The time of one call [s], None for as long as it takes. Errors: `InputError`."""
 
     def __init__(self, limit: Any):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods
 from kempe.constraints.base import Constraint
 from kempe.constraints.targets import of_target
@@ -20,7 +21,7 @@ from kempe.reals import reals
 from kempe.rigid import arrays, sound
 from kempe.solvers.apart import apart
 from kempe.solvers.chain import of_loops
-from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, partial
+from kempe.solvers.clock import BROKEN_OFF, LONG, TimeLimit, partial
 from kempe.solvers.ideal import ideal_of
 from kempe.solvers.slip import rolls
 from kempe.solvers.solution import SOLVED
@@ -32,6 +33,7 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
+USUAL = Usual("ik_path", starts=STARTS, rng=0, time_limit=LONG, progress=None)
 ROUNDING = 1e-12
 """How far outside its limits a coordinate may seem to be."""
 ROUNDED = 1e-3
@@ -77,9 +79,8 @@ class IkPath(Tabular):
 @explained
 def ik_path(
     system: System, targets: Any, frame: FrameLike | None = None, start: Any = None, *, max_step: float = 0.5,
-    restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] = TOLERANCE,
-    starts: int = STARTS, rng: int | np.random.Generator = 0, time_limit: float | None = LONG,
-    progress: Callable[[int], None] | None = None,
+    restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] | None = None,
+    budget: Budget | None = None,
 ) -> IkPath:  # fmt: skip
     """Configurations in which a frame follows targets, each reached continuously from the one before.
 
@@ -96,26 +97,27 @@ def ik_path(
     Where there are velocity constraints, a path that slips (by more than the bend between targets explains) is refused
     with the place; where targets leave freedoms, one that rolls is led from the first target on instead.
     With `branches`, paths from several start configurations are tried, those of `ik_all` among them where it applies:
-    the answer is the one that gets farthest, then the one with fewest jumps, then the shortest. `progress` is told how
-    many targets are done.
-    The `time_limit` [s] (600; None: none) is for the whole call; what was done by then is the answer.
+    the answer is the one that gets farthest, then the one with fewest jumps, then the shortest.
+    Of the `budget` are read: starts (60) and rng (0) of what is looked for, time_limit (600 s) of the whole call, after
+    which what was done by then is the answer, and progress, which is told how many targets are done.
     Errors: `InputError`, `UnknownNameError`.
     """
     if not 0.0 < max_step < math.inf:
         raise InputError(f"max_step is {max_step!r}; it must be a positive number")
     system = ideal_of(system)
     wanted = targets if frame is None else _held(system, targets, frame)
-    problem, first = pose_problem(system, wanted, start, tolerance, starts, rng)
+    spend, tolerance = USUAL.of(budget), TOLERANCE if tolerance is None else tolerance
+    problem, first = pose_problem(system, wanted, start, tolerance, spend.starts, spend.rng)
     if not np.isfinite(first).all():
         raise InputError("start has entries that are not finite")
     if len(problem.lead) != 1 or not problem.lead[0] or len(first) > 1:
         raise InputError(f"targets have the leading shape {problem.lead}, the start {first.shape}; needed are (n,) "
-                         f"targets and one seed ({system.nq},)")  # fmt: skip
+                         f"targets and one start ({system.nq},)")  # fmt: skip
     for task, goals in zip(problem.tasks, problem.goals, strict=True):
         refuse(goals, task.label)
-    budget = Budget(time_limit)
-    budget.put_in_order()  # there is nothing to do afterwards
-    way = _Path(problem, max_step, budget, progress)
+    time = TimeLimit(spend.time_limit)
+    time.put_in_order()  # there is nothing to do afterwards
+    way = _Path(problem, max_step, time, spend.progress)
     q0, info = way.rows[0].run(first)
     begin, n = 0, problem.lead[0]
     while restart and info[0, 0] != SOLVED and begin + 1 < n:

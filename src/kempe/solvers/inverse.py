@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.budget import Budget, Usual
 from kempe.calls import explained
 from kempe.constraints.targets import of_target
-from kempe.errors import InputError, NoSolutionError, UnsupportedError
+from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.compiled import maker, search
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, STATUS
@@ -32,6 +33,7 @@ from kempe.solvers.targets import (
     not_a_pose,
     points_along,
     targets_of,
+    task_and_axis,
     task_of,
 )
 from kempe.spatial import Array
@@ -40,66 +42,68 @@ if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
 CHUNK, SERIAL_BELOW = 256, 1024
+USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
 
 
 @explained
 def ik(
-    system: System, target: ArrayLike, frame: FrameLike, start: Any = None, *, task: str | None = None,
-    axis: ArrayLike = Z_AXIS, position_only: bool = False, tolerance: float | tuple[float, float] = TOLERANCE,
-    starts: int = MOST, iterations: int = ITERATIONS, time_limit: float | None = None,
-    rng: int | np.random.Generator = 0, threads: int | None = None, throw: bool = False, method: str = "numeric",
+    system: System, target: ArrayLike, frame: FrameLike, start: Any = None, *,
+    task: str | tuple[str, ArrayLike] | None = None, prefer: Any = None, method: str = "numeric",
+    tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None,
 ) -> Solution:  # fmt: skip
     """A configuration in which `frame` reaches `target` (the inverse geometric model), always inside the limits.
 
     `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)), or a position (..., 3)
     (in planar systems also (..., 2)), or an object or words that say one (`kempe.rigid.arrays`).
-    `task` says what of it counts: "pose", "position" (also by `position_only`), "orientation", "direction" (of the
-    tool's `axis`), "position_axis" (both). `tolerance` is the largest position error [m] and rotation angle [rad].
+    `task` says what of it counts: "pose", "position", "orientation", "direction" (of the tool's z axis, or of another
+    one in a pair such as ("direction", (1, 0, 0))), "position_axis" (both). `tolerance` is the largest position error
+    [m] and rotation angle [rad], by default 1e-6 each.
     `start` (nq,) or (..., nq), or a dict by name, is the first start; what the chain does not move keeps its value
     there, else the neutral one, inside the limits.
 
-    Starts are tried in order, `start` or the middle of the limits first, up to `starts` of them, the others drawn from
-    `rng`; the first that reaches the target is the answer: the same for the same arguments, whatever the `threads`.
-    `iterations` are the steps of one start, at most; where all fail, as many descents to the nearest, at most 16, have
-    five times as many. `time_limit` [s] is for the whole call, looked at after each 32 starts: an answer that it ended
-    says so, and is the only one that depends on the machine.
+    Of the `budget` are read: starts (1000), iterations (40), time_limit, rng (0), threads. Starts are tried in order,
+    `start` or the middle of the limits first, the others drawn from rng; the first that reaches the target is the
+    answer: the same for the same arguments, whatever the threads. Iterations are the steps of one start, at most; where
+    all fail, as many descents to the nearest, at most 16, have five times as many. The time limit is looked at after
+    each 32 starts: an answer that it ended says so, and is the only one that depends on the machine.
 
-    The answer says by `success` and `status` whether it was reached and if not, why; `throw=True` raises
-    `NoSolutionError` instead. A NaN in a single target is an `InputError`, in a batch it gives a NaN row. A frame that
+    The answer says by `success` and `status` whether it was reached and if not, why; ``answer.expect()`` raises
+    `NoSolutionError` then. A NaN in a single target is an `InputError`, in a batch it gives a NaN row. A frame that
     moves with closed loops, or with relations of several coordinates, is a case for `kempe.solvers.tasks.reach`, which
-    holds these: the answer then is `Reached`.
+    holds these, and so is what one would `prefer` of many configurations, as there: the answer then is `Reached`.
 
     `method`: "numeric", damped least squares with an active set of limits and restarts (Sugihara, 2011; Chan and
     Lawrence, 1988); "analytic", of all solutions that `ik_all` finds the one nearest to `start`; "auto", that where the
     chain allows it, else numeric. Targets that have no analytic solution inside the limits get the numeric answer.
     """
     name, target = system.frame_name(frame), arrays(target, "target")
-    asked, targets, lead = _asked(system, name, target, _task_name(task, position_only), axis)
-    if _bounded(system, method) or (method != "analytic" and obstacle(system, name)):
+    said, axis = task_and_axis(task)
+    asked, targets, lead = _asked(system, name, target, said, axis)
+    if prefer is not None and method != "numeric":
+        raise InputError(f"method is {method!r}, which prefers nothing; leave it out, or prefer")
+    if _bounded(system, method) or prefer is not None or (method != "analytic" and obstacle(system, name)):
         from kempe.solvers.tasks import reach
 
         wanted = of_target(name, *asked, targets.reshape(*lead, 4, 4))
-        given = {"starts": (starts, MOST), "iterations": (iterations, ITERATIONS), "time_limit": (time_limit, None)}
-        more: dict[str, Any] = {name: value for name, (value, usual) in given.items() if value != usual}
-        return reach(system, wanted, start, tolerance=tolerance, rng=rng, threads=threads, throw=throw, **more)
+        return reach(system, wanted, start, prefer=prefer, tolerance=tolerance, budget=budget)
+    spend = USUAL.of(budget)
     chain = chain_of(system, name, asked[1])
     base, seeds = _seeds(system, chain, start, lead)
     targets = targets.copy() if np.may_share_memory(targets, target) else targets  # the answer keeps them
     question = Task(
-        system, name, targets, *asked, tolerances(tolerance), start_count(starts), seed_number(rng), chain,
-        step_count(iterations), time_limit, deadline(time_limit),
+        system, name, targets, *asked, TOLERANCE if tolerance is None else tolerances(tolerance),
+        start_count(spend.starts), seed_number(spend.rng), chain, step_count(spend.iterations), spend.time_limit,
+        deadline(spend.time_limit),
     )  # fmt: skip
     plan = None
     if method != "numeric":
         from kempe.solvers.analytic import hand_over
 
         plan = hand_over.plan_of(question, method)
-    question, (q, residual, info) = _run(question, plan, base, seeds, threads, lead)
-    solution = _judged(question, base, q, residual, info, lead, seeds, threads)
-    if not lead:
-        _bind(question, _task_name(task, position_only), np.shape(target))
-    if throw and not solution:
-        raise NoSolutionError(solution)
+    question, (q, residual, info) = _run(question, plan, base, seeds, spend.threads, lead)
+    solution = _judged(question, base, q, residual, info, lead, seeds, spend.threads)
+    if not lead and task is said:
+        _bind(question, said, np.shape(target))
     return solution
 
 
@@ -160,12 +164,6 @@ def _bounded(system: System, method: str) -> bool:
         raise UnsupportedError(f"method 'analytic' does not hold one-sided constraints, such as {bounds.names[0]!r}; "
                                "leave it out, or take one of the solutions of ik_all, which do")  # fmt: skip
     return bounds.declared > 0
-
-
-def _task_name(task: str | None, position_only: bool) -> str | None:
-    if position_only and task not in (None, "position"):
-        raise InputError(f"task is {task!r}, but position_only asks for 'position'")
-    return "position" if position_only else task
 
 
 def _asked(

@@ -25,7 +25,7 @@ from kempe.kinematics.configuration import home_of, random
 from kempe.kinematics.loops import RANK_TOLERANCE, evaluate
 from kempe.model.own_tree import own_tree
 from kempe.solvers.assembly import Assembler, of_equations
-from kempe.solvers.clock import BROKEN_OFF, Budget
+from kempe.solvers.clock import BROKEN_OFF, TimeLimit
 from kempe.solvers.clusters import SAME, Clusters
 from kempe.solvers.images import mirrored, mixed
 from kempe.spatial import Array
@@ -155,7 +155,7 @@ class Search:
 
 def search(
     system: System, known: dict[str, Any], near: Array | None, frame: str | None, rng: np.random.Generator, starts: int,
-    budget: Budget | None = None, progress: Callable[[int, int], Any] | None = None,
+    budget: TimeLimit | None = None, progress: Callable[[int, int], Any] | None = None,
 ) -> Search:  # fmt: skip
     """Assembly modes from at most so many random starts, the first of them `near` or home.
 

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, flag, generator
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.tabular import Tabular
-from kempe.reals import is_whole
-from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, partial
+from kempe.solvers.arguments import start_count
+from kempe.solvers.answer import expected
+from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
 from kempe.solvers.clusters import INSIDE, SAME, Clusters, metric_of
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
 from kempe.solvers.ideal import said, tolerant
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 
 STARTS = 4096
 """Starts of a search, at most."""
+USUAL = Usual("assembly_modes", starts=STARTS, rng=0, time_limit=TIME_LIMIT, progress=None)
 
 
 @explained_methods
@@ -71,6 +74,10 @@ class Modes(Tabular):
 
     def __len__(self) -> int:
         return len(self.q)
+
+    def expect(self) -> Self:
+        """The answer itself, where there is one. Errors: `NoSolutionError`, with the answer as its `solution`."""
+        return expected(self)
 
     def __bool__(self) -> bool:
         return len(self.q) > 0
@@ -121,7 +128,7 @@ class Question:
     frame: str | None
     rng: np.random.Generator
     starts: int
-    budget: Budget = field(default_factory=lambda: Budget(None))
+    budget: TimeLimit = field(default_factory=lambda: TimeLimit(None))
     progress: Callable[[int, int], Any] | None = None
 
 
@@ -129,20 +136,18 @@ class Question:
 @tolerant()
 def assembly_modes(
     system: System, known: Mapping[str, Any] | None = None, start: Any = None, *, limits: bool = True,
-    frame: FrameLike | None = None, rng: np.random.Generator | int | None = 0, starts: int = STARTS,
-    time_limit: float | None = TIME_LIMIT, progress: Callable[[int, int], Any] | None = None,
-    tolerance: float | str | None = None,
+    frame: FrameLike | None = None, tolerance: float | str | None = None, budget: Budget | None = None,
 ) -> Modes:  # fmt: skip
     """All configurations found that close the mechanism with the `known` coordinates (or frames) held.
 
-    Planar mechanisms made of dyads are solved in closed form: then `complete` is True. Others are assembled from up to
-    `starts` random starts, drawn from `rng`, and from mirror images and mixtures of what is found, with a bound of how
-    much was missed; starts go on while the number found is odd where it must be even. `start` (nq,) sorts the answer,
+    Planar mechanisms made of dyads are solved in closed form: then `complete` is True. Others are assembled from random
+    starts, and from mirror images and mixtures of what is found, with a bound of how much was missed; starts go on while the number found is odd where it must be even. `start` (nq,) sorts the answer,
     the nearest first, and chooses the representatives of angles (else they are near zero). With `limits` what is
     outside the joint limits is dropped, else it is flagged by `inside`. With `frame`, configurations that put this
     frame at one pose count as one: legs that can be turned over would multiply the modes of a platform. Without it,
-    those that differ only by idle spins (see `mobility`) are one. `progress(starts, modes)` is called after each round
-    of starts; an interrupt from the keyboard, or the `time_limit` [s] (120; None: none), leaves what was found by then.
+    those that differ only by idle spins (see `mobility`) are one. Of the `budget` are read: starts (4096, at most), rng (0),
+    time_limit (120 s), progress(starts, modes), called after each round of starts; an interrupt from the keyboard, or
+    the time limit, leaves what was found by then.
     Errors: `UnknownNameError`, `InputError` for values that are not single numbers.
     """
     given = {} if known is None else known
@@ -150,14 +155,13 @@ def assembly_modes(
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
     base = None if start is None else as_start(system, start)
     if base is not None and (base.ndim != 1 or not np.isfinite(base).all()):
-        raise InputError(f"near must be one configuration ({system.nq},) of finite numbers")
-    if not is_whole(starts) or starts < 1:
-        raise InputError(f"starts is {starts!r}; it must be a whole number, at least 1")
-    draw = generator(rng)
+        raise InputError(f"start must be one configuration ({system.nq},) of finite numbers")
+    spend = USUAL.of(budget)
+    draw = generator(spend.rng)
     flag(limits, "limits")
     name = None if frame is None else system.frame_name(frame)
-    question = Question(system, dict(given), base, bool(limits), name, draw, int(starts), Budget(time_limit),
-                        progress)  # fmt: skip
+    question = Question(system, dict(given), base, bool(limits), name, draw, start_count(spend.starts),
+                        TimeLimit(spend.time_limit), spend.progress)  # fmt: skip
     for solver in SOLVERS:
         modes = solver(question)
         if modes is not None:

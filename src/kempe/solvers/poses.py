@@ -44,15 +44,15 @@ FULL_TURN = 2.0 * math.pi
 
 
 @explained
-def from_maximal(system: System, poses: ArrayLike, start: Any = None, tolerance: float = READ) -> Array:
+def from_maximal(system: System, poses: ArrayLike, start: Any = None, tolerance: float | None = None) -> Array:
     """Configuration (..., nq) of the poses (..., n_b, 4, 4), each coordinate read off where its joint's bodies are.
 
     Angles are those nearest to the configuration `start` (default: `system.mid`), and so are the signs of quaternions;
     a driver has made the full turns that those which follow it tell. Limits and one-sided rows are not looked at.
     Errors: `InputError` for poses that violate a joint, a constraint or a coupling by more than `tolerance` (metres
-    or radians), naming it and by how much, and for matrices that are no poses.
+    or radians, by default 1e-6), naming it and by how much, and for matrices that are no poses.
     """
-    poses = as_poses(system, poses)
+    poses, tolerance = as_poses(system, poses), READ if tolerance is None else tolerance
     start = None if start is None else as_start(system, start)
     _refuse_no_poses(system, poses, tolerance)
     lead = together({"poses": poses.shape[:-3], "start": () if start is None else start.shape[:-1]})

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods
 from kempe.constraints.base import Constraint
 from kempe.constraints.reading import numbers_of
@@ -15,11 +16,12 @@ from kempe.constraints.targets import of_target
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.tabular import Tabular
-from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, partial
+from kempe.reals import is_whole
+from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
 from kempe.solvers.freedoms import Local, freedoms_text, null
 from kempe.solvers.slip import slip_of
 from kempe.solvers.solution import SOLVED
-from kempe.solvers.targets import axis_of, points_along, task_of
+from kempe.solvers.targets import axis_of, points_along, task_and_axis, task_of
 from kempe.solvers.tasks import judge, pose_problem
 from kempe.spatial import Array, ArrayLike
 
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
     from kempe.solvers.tasks import Problem
 
+USUAL = Usual("self_motion", points=200, step=0.05, time_limit=TIME_LIMIT, progress=None)
 TOLERANCE = 1e-10
 """Largest error of the tasks along the way, in metres and radians."""
 HOMING, MET = 8, 1e-6
@@ -81,32 +84,29 @@ class SelfMotion(Tabular):
 
 @explained
 def self_motion(
-    system: System, q: Any, tasks: FrameLike | Constraint | Sequence[Constraint], *, task: str | None = None,
-    axis: ArrayLike = (0.0, 0.0, 1.0), direction: Any = None, steps: int = 200, step: float = 0.05,
-    time_limit: float | None = TIME_LIMIT, progress: Callable[[int], Any] | None = None,
+    system: System, q: Any, tasks: FrameLike | Constraint | Sequence[Constraint], *,
+    task: str | tuple[str, ArrayLike] | None = None, direction: Any = None, budget: Budget | None = None,
 ) -> SelfMotion:  # fmt: skip
     """The configurations that a system can reach from q (nq,) without leaving tasks, both ways.
 
-    `tasks` is a frame, or hard tasks that hold at q. A frame stays at its pose, or at what `task` names, with `axis`,
-    as for `System.ik`: "position", "orientation", "direction", "position_axis". Where they leave one freedom, its
-    whole curve is traced until it closes, meets a limit or has `steps` steps each way; where they leave more,
-    `direction` says where to go: a coordinate to be moved, or a velocity (nv,), of which the part is followed that the
+    `tasks` is a frame, or hard tasks that hold at q. A frame stays at its pose, or at what `task` names, as for
+    `System.ik`: "position", "orientation", "direction", "position_axis". Where they leave one freedom, its whole curve
+    is traced until it closes, meets a limit or has all its points each way; where they leave more, `direction` says where to go: a coordinate to be moved, or a velocity (nv,), of which the part is followed that the
     tasks allow. `step` is the length of a step in radians and characteristic lengths. The tasks hold to 1e-9 all along:
     each step is led back by steps of minimum norm. Where the Jacobian loses rank and no motion is found, the answer is
-    q alone, and says so. `progress` is told how many steps are done; an interrupt from the keyboard or the `time_limit`
-    [s] (120; None: none) leaves the configurations that were found. Errors: `InputError` where the tasks do not hold at
+    q alone, and says so. Errors: `InputError` where the tasks do not hold at
     q, or leave no freedom even to first order, or more than one without a direction; `UnsupportedError` where velocity
     constraints do not allow the motion.
     """
     q = as_q(system, q)
     if q.ndim != 1:
         raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
-    whole = isinstance(steps, (int, np.integer)) and not isinstance(steps, bool)
-    if not whole or steps < 1 or not isinstance(step, (int, float, np.floating)) or not 0.0 < step <= 0.5:
-        raise InputError(f"steps is {steps!r}, step {step!r}; needed are a whole number from 1 on, and 0 < step <= 0.5")
-    budget = Budget(time_limit)
-    budget.put_in_order()  # there is nothing to do afterwards
-    problem, q0 = _begin(system, q, _wanted(system, q, tasks, task, axis))
+    spend = USUAL.of(budget)
+    steps, step, time = spend.points, spend.step, TimeLimit(spend.time_limit)
+    if not is_whole(steps) or steps < 1 or not isinstance(step, (int, float, np.floating)) or not 0.0 < step <= 0.5:
+        raise InputError(f"points is {steps!r}, step {step!r}; needed are a whole number from 1 on, and 0 < step <= 0.5")
+    time.put_in_order()  # there is nothing to do afterwards
+    problem, q0 = _begin(system, q, _wanted(system, q, tasks, *task_and_axis(task)))
     local = Local(problem, q0)
     if not local.left.shape[1]:
         raise InputError("the tasks leave no freedom at q: there is no self-motion")
@@ -117,7 +117,7 @@ def self_motion(
     if local.finite == 1:  # of curves that meet here, the one nearest to the direction
         found = np.concatenate([local.motions, -local.motions])
         wish = found[np.argmax(found @ wish)]
-    way = _Way(local, wish, local.finite > 1, step, budget, progress)
+    way = _Way(local, wish, local.finite > 1, step, time, spend.progress)
     forth = way.follow(q0, 1.0, steps)
     if forth.closed:
         return SelfMotion(system, _rolling(system, [q0, *forth.q]), local.finite, 0, True, ("", ""))

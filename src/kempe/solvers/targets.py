@@ -43,6 +43,13 @@ def task_of(task: object, is_position: bool, particle: bool) -> str:
     return task
 
 
+def task_and_axis(task: Any) -> tuple[Any, Any]:
+    """The task and the axis of the tool that it points, where a pair of these is given; by default the z axis."""
+    if isinstance(task, (tuple, list)) and len(task) == 2:
+        return task[0], task[1]
+    return task, Z_AXIS
+
+
 def axis_of(axis: object) -> tuple[float, float, float]:
     """The pointing axis as a unit vector of the tool. Errors: `InputError`."""
     v = reals(direction(axis), "axis", "three numbers: a direction in the tool's frame")

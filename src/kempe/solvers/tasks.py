@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.budget import Budget, Usual
 from kempe.calls import explained
 from kempe.constraints.base import Constraint
-from kempe.errors import InputError, NoSolutionError, shown
+from kempe.errors import InputError, shown
 from kempe.kernels import search_layout as S
 from kempe.kernels.compiled import reach as kernel
 from kempe.kinematics.asking import task_of
@@ -53,6 +54,7 @@ CHUNK, SERIAL_BELOW = 16, 32
 SLACK = 1.0 + 1e-6
 """By which part of a tolerance the check by the forward model may differ from the solver's own: rounding."""
 PREFER = ("nearest", "mid")
+USUAL = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threads=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,41 +190,40 @@ class Problem:
 @explained
 def reach(
     system: System, wanted: Constraint | Sequence[Constraint], start: Any = None, *,
-    task: None = None,
     prefer: str | Callable[[Array], Any] | None = None,
-    tolerance: float | tuple[float, float] = TOLERANCE, starts: int | None = None, iterations: int = STEPS,
-    time_limit: float | None = None, rng: int | np.random.Generator = 0, threads: int | None = None,
-    throw: bool = False,
+    tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None,
 ) -> Reached:  # fmt: skip
     """A configuration that holds several tasks at once (the inverse geometric model of any system).
 
     `wanted` are tasks of `kempe.tasks`, hard or soft and in strict priorities; goals with leading axes make a batch.
     Joint limits, couplings, relations and closed loops hold, too. `start` (nq,) or (..., nq), or a dict by name, is the
-    first start (default: the posture 'closed' of the file, else the middle of the limits); up to `starts` are tried,
-    drawn from `rng`: the same arguments give the same answer, whatever the `threads`. By default they are 60, then as
-    many as the problem deserves: no more where it is proven that there is no answer; where one is found without the
-    limits, 30 times the square of the number of limited coordinates that the tasks move (at least 300, at most 15 000);
-    else a tenth of these. `prefer` says what is made least in the freedoms that all tasks leave: "nearest" (distance to
-    the start), "mid" (distance to the middle of the limits), "manipulability" (its inverse, of the hard tasks), or a
-    function of q (nq,). `tolerance` is the largest error of a hard task in metres and radians; what is reached is then
-    closed to rounding where it converges. `iterations` are the steps of one start, at most, and four times as many
-    those of a lower level from one start. `time_limit` [s] is for the whole call, looked at before each start: an
-    answer that it ended says so, and is the only one that depends on the machine. Soft tasks alone are lowered from up
-    to five starts, the least counts.
+    first start (default: the posture 'closed' of the file, else the middle of the limits). `prefer` says what is made
+    least in the freedoms that all tasks leave: "nearest" (distance to the start), "mid" (distance to the middle of the
+    limits), "manipulability" (its inverse, of the hard tasks), or a function of q (nq,). `tolerance` is the largest
+    error of a hard task in metres and radians, by default 1e-6 each; what is reached is then closed to rounding where
+    it converges. Soft tasks alone are lowered from up to five starts, the least counts.
+
+    Of the `budget` are read: starts, iterations (60), time_limit, rng (0), threads. Starts are drawn from rng: the same
+    arguments give the same answer, whatever the threads. By default they are 60, then as many as the problem deserves:
+    no more where it is proven that there is no answer; where one is found without the limits, 30 times the square of
+    the number of limited coordinates that the tasks move (at least 300, at most 15 000); else a tenth of these.
+    Iterations are the steps of one start, at most, and four times as many those of a lower level from one start. The
+    time limit is looked at before each start: an answer that it ended says so, and is the only one that depends on the
+    machine.
 
     A success is checked by the forward model: hard tasks, limits and loops. Else the answer says what fails and why,
-    and `throw=True` raises `NoSolutionError`. Method: damped least squares with an active set of limits and restarts
+    and ``answer.expect()`` raises `NoSolutionError`. Method: damped least squares with an active set of limits and restarts
     (Levenberg, 1944; Sugihara, 2011), then the lower levels in the null space of the higher ones (Siciliano and
     Slotine, 1991). Errors: `InputError`, `UnknownNameError`.
     """
-    if task is not None:
-        raise InputError(f"task is {task!r}; it belongs to a target of one frame, tasks say themselves what they ask")
+    spend, tolerance = USUAL.of(budget), TOLERANCE if tolerance is None else tolerance
+    starts, threads = spend.starts, spend.threads
     turns = prefer is None or prefer == "nearest"
-    problem, base = pose_problem(system, wanted, start, tolerance, starts, rng, turns)
+    problem, base = pose_problem(system, wanted, start, tolerance, starts, spend.rng, turns)
     search = Problem.run if starts is not None else effort.search
-    if iterations != STEPS or time_limit is not None:
-        end = deadline(time_limit)
-        problem = replace(problem, iterations=step_count(iterations), time_limit=time_limit, end=end)
+    if spend.iterations != STEPS or spend.time_limit is not None:
+        limit = spend.time_limit
+        problem = replace(problem, iterations=step_count(spend.iterations), time_limit=limit, end=deadline(limit))
     if prefer == "manipulability" and problem.lead:  # it depends on the goal, of which each row has its own
         rows = [_preferring(problem.of(i), prefer, base) for i in range(math.prod(problem.lead))]
         each = [solve(row, base[i : i + 1] if len(base) > 1 else base, search) for i, row in enumerate(rows)]
@@ -235,8 +236,6 @@ def reach(
         for each, goals in zip(problem.tasks, problem.goals, strict=True):
             refuse(goals, each.label)
         raise InputError("the start has entries that are not finite or too large, or a quaternion that is zero")
-    if throw and not answer:
-        raise NoSolutionError(answer)
     return answer
 
 

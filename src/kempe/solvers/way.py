@@ -14,7 +14,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.solvers.chain import inside
-from kempe.solvers.clock import Budget
+from kempe.solvers.clock import TimeLimit
 from kempe.solvers.solution import SOLVED
 from kempe.solvers.tasks import Problem, judge
 from kempe.spatial import Array
@@ -66,7 +66,7 @@ class Way:
     """The targets of a path, all that lies between them, and steps along it."""
 
     def __init__(
-        self, problem: Problem, max_step: float, budget: Budget, progress: Callable[[int], None] | None = None
+        self, problem: Problem, max_step: float, budget: TimeLimit, progress: Callable[[int], None] | None = None
     ):  # fmt: skip
         tasks = tuple(t.exactly() for t in problem.tasks)
         self.problem, self.max_step, self.budget = replace(problem, tasks=tasks), max_step, budget

@@ -79,13 +79,13 @@ class Recognised:
 
 @explained
 def ik_plan(
-    system: System, frame: FrameLike, task: str | None = None, axis: ArrayLike = Z_AXIS,
-    fixed: Mapping[str, Any] | None = None, **fixed_by_name: Any,
+    system: System, frame: FrameLike, task: str | tuple[str, ArrayLike] | None = None,
+    fixed: Iterable[str] = (),
 ) -> Recognised:  # fmt: skip
     """What is recognised in the chain that moves `frame`, and how `ik_all` solves it.
 
-    Arguments as those of `kempe.solvers.analytic.ik_all.ik_all`; without a `task` that of a pose. Of joints in `fixed`
-    only the names count. Errors: `UnsupportedError` for chains with loops, quaternions or shared coordinates,
+    Arguments as those of `kempe.solvers.analytic.ik_all.ik_all`; without a `task` that of a pose. `fixed` are the names
+    of joints that are held. Errors: `UnsupportedError` for chains with loops, quaternions or shared coordinates,
     `InputError`, `UnknownNameError`.
 
     >>> import kempe
@@ -94,10 +94,11 @@ def ik_plan(
     8
     """
     name = system.frame_name(frame)
+    task, axis = task_and_axis(task)
     what = task_of(task, False, bool(system.table.at[name][2]))
     direction = axis_for(axis, what)
     lines = chain_lines(system, name, direction)
-    given = held(name, lines.names, fixed, fixed_by_name)
+    given = held(name, lines.names, dict.fromkeys(listed(fixed, "fixed"), 0.0))
     plan = plan_for(system, name, lines, what, direction, tuple(given))
     kinds = tuple("slides" if kind == SLIDE else "turns" for kind in lines.kinds)
     return Recognised(

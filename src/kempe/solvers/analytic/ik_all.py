@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.budget import Budget, Usual
 from kempe.calls import explained
-from kempe.errors import InputError, NoSolutionError
+from kempe.errors import InputError
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.compiled import maker
 from kempe.kernels.layout import SLIDE
@@ -26,7 +27,7 @@ from kempe.solvers.analytic.plan import Plan, kernel_of, side_by_side_of
 from kempe.solvers.analytic.question import Question, held, near_of, within
 from kempe.solvers.analytic.solutions import Solutions
 from kempe.solvers.chain import of_loops
-from kempe.solvers.targets import Z_AXIS, axis_for, frame_of, in_plane, points_along, targets_of, task_of
+from kempe.solvers.targets import Z_AXIS, axis_for, frame_of, in_plane, points_along, targets_of, task_and_axis, task_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -44,27 +45,30 @@ FAR = 300.0
 NONE = np.zeros(0, dtype=np.int64)
 """No targets."""
 
+LIMITS = (False, True, "turns")
+USUAL = Usual("ik_all", threads=None)
+
 
 @explained
 def ik_all(
-    system: System, target: ArrayLike, frame: FrameLike, *, task: str | None = None, start: Any = None,
-    axis: ArrayLike = Z_AXIS, inside_only: bool = False, expand_turns: bool = False,
-    fixed: Mapping[str, Any] | None = None, tolerance: float = TOLERANCE, threads: int | None = None,
-    throw: bool = False, **fixed_by_name: Any,
+    system: System, target: ArrayLike, frame: FrameLike, start: Any = None, *,
+    task: str | tuple[str, ArrayLike] | None = None, fixed: Mapping[str, Any] | None = None, limits: bool | str = False,
+    tolerance: float | None = None, budget: Budget | None = None,
 ) -> Solutions | Modes:  # fmt: skip
     """Every configuration in which `frame` reaches `target`: the inverse geometric model with all its solutions.
 
     `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)) or a position (..., 3)
     (in planar systems also (..., 2)). `task` says what of it counts: "pose", "position", "orientation", "direction"
-    (of the tool's `axis`), "position_axis" (both). Joints of redundant chains are held by `fixed`, or by name; others
-    that are to spare where `start` has them, and elsewhere for targets that have no solution inside the limits there:
+    (of the tool's z axis, or of another one in a pair such as ("direction", (1, 0, 0))), "position_axis" (both). Joints
+    of redundant chains are held by `fixed`, a dict of numbers, or of arrays of one for each target; others that are to spare where `start` has them, and elsewhere for targets that have no solution inside the limits there:
     `Solutions.held` says where.
     Solutions are sorted: inside the limits first, then by nearness to `start` (nq,), which also chooses among turns;
-    with `inside_only` others are dropped, with `expand_turns` every turn inside the limits is listed. What violates
+    with `limits` others are dropped, and with ``limits="turns"`` every turn inside the limits is listed. What violates
     one-sided constraints of the system is left out, and the status says so.
 
-    Each solution is verified by the forward model to `tolerance` [m, rad] (or to rounding, far away). What is not
-    reached has no solutions and a `status` that says why; `throw=True` raises `NoSolutionError` for it. Errors:
+    Each solution is verified by the forward model to `tolerance` [m, rad] (1e-9, or to rounding, far away). What is not
+    reached has no solutions and a `status` that says why; ``answer.expect()`` raises `NoSolutionError` for it. Of the
+    `budget` are read: threads. Errors:
     `UnsupportedError` for chains with quaternions or shared coordinates, `InputError`, `UnknownNameError`.
 
     For one pose or position of a frame that moves with loops the answer is that of `assembly_modes` with it known.
@@ -72,20 +76,25 @@ def ik_all(
     Method: see `ik_plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
     """
     name = system.frame_name(frame)
-    target = arrays(target, "target")
+    target, (task, axis), threads = arrays(target, "target"), task_and_axis(task), USUAL.of(budget).threads
+    if limits not in LIMITS:
+        raise InputError(f"limits is {limits!r}; it must be False, True or 'turns'")
     if system.dim == 2 and points_along(task):
         target, task = in_plane(target, task, axis)
     direction = axis_for(axis, task)
     targets, lead, is_position = targets_of(system, target, task, direction)
     task = task_of(task, is_position, bool(system.table.at[name][2]))
     if system.closures and of_loops(system, name):
-        known = {**(fixed or {}), **fixed_by_name}
-        return _through_loops(system, name, targets, lead, task, start, known, expand_turns, inside_only, throw)
+        if limits == "turns":
+            raise InputError(f"frame {name!r} moves with loops: limits='turns' is for chains")
+        from kempe.solvers.analytic.through_loops import all_modes
+
+        return all_modes(system, name, targets, lead, task, start, fixed or {}, bool(limits))
     lines = chain_lines(system, name, direction)
-    values = held(name, lines.names, fixed, fixed_by_name)
+    values = held(name, lines.names, fixed)
     plan = plan_for(system, name, lines, task, direction, tuple(values))
     single = lead == ()
-    wanted = within(tolerance)
+    wanted = TOLERANCE if tolerance is None else within(tolerance)
     sure = max(wanted, attainable(targets, lines))
     question = Question(system, name, task, direction, targets, None if single else lead, sure, wanted)
     if single and not np.isfinite(targets).all():
@@ -100,27 +109,9 @@ def ik_all(
         if np.abs(targets).max() >= LARGEST:
             raise InputError(f"target has an entry of {np.abs(targets).max():.3g}; allowed are below {LARGEST:g}")
         raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
-    if expand_turns or inside_only:
-        answer = answer.chosen(bool(expand_turns), bool(inside_only))
-    answer = obeying(answer)
-    if throw and not answer:
-        raise NoSolutionError(answer)
-    return answer
-
-
-def _through_loops(
-    system: System, name: str, targets: Array, lead: tuple[int, ...], task: str, near: Any,
-    fixed: Mapping[str, Any], expand_turns: bool, inside_only: bool, throw: bool,
-) -> Modes:  # fmt: skip
-    """The answer for a frame that moves with loops."""
-    from kempe.solvers.analytic.through_loops import all_modes
-
-    if expand_turns:
-        raise InputError(f"frame {name!r} moves with loops: expand_turns is for chains")
-    found = all_modes(system, name, targets, lead, task, near, fixed, bool(inside_only))
-    if throw and not found:
-        raise NoSolutionError(found)
-    return found
+    if limits:
+        answer = answer.chosen(limits == "turns", inside_only=True)
+    return obeying(answer)
 
 
 class Bound:

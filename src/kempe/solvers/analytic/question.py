@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.errors import CallError, InputError, UnknownNameError
+from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_start
 from kempe.reals import reals
 from kempe.spatial import Array
@@ -23,17 +23,6 @@ FARTHEST = 1e5
 ANGULAR = 1e-6
 """Largest tolerance of angles that rounding of positions makes."""
 
-
-NEAR = "start=q sorts the solutions by nearness to a configuration q"
-ELSEWHERE = {
-    "q": NEAR, "prefer": NEAR,
-    "hold": "joints are held by fixed={'name': value}, or by name, as in ik_all(X, frame, q1=0.3)",
-    "starts": "all solutions are computed, not searched for",
-}  # fmt: skip
-"""What options of `ik` and of the command line are here; keywords are names of joints that are held."""
-
-OPTIONS = ("task", "start", "axis", "inside_only", "expand_turns", "fixed", "tolerance", "threads", "throw")
-"""Options of `ik_all`: keywords that are not names of joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,17 +52,14 @@ def within(tolerance: object) -> float:
     raise InputError(f"tolerance is {tolerance!r}; it must be a positive number, in metres and radians")
 
 
-def held(frame: str, names: tuple[str, ...], fixed: object, more: Mapping[str, Any]) -> dict[str, Array]:
+def held(frame: str, names: tuple[str, ...], fixed: object) -> dict[str, Array]:
     """Values of joints of the chain that are held, by name. Errors: `InputError`, `UnknownNameError`."""
     if fixed is not None and not isinstance(fixed, Mapping):
         raise InputError(f"fixed is {type(fixed).__name__}; it must be a dict of values by joint name")
     out = {}
-    for name, value in {**(fixed or {}), **more}.items():
-        if name not in names and name in more and name in ELSEWHERE:
-            raise CallError("ik_all", f"there is no option {name!r}, and no joint of this name; {ELSEWHERE[name]}")
+    for name, value in (fixed or {}).items():
         if name not in names:
-            kind, allowed = ("joint or option", (*names, *OPTIONS)) if name in more else ("joint", names)
-            raise UnknownNameError(kind, str(name), allowed, f"the chain of {frame!r}")
+            raise UnknownNameError("joint", str(name), names, f"the chain of {frame!r}")
         out[name] = reals(value, f"the value of {name!r}, which is held,", "a number, or one for each target")
     return out
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.budget import Budget, Usual
 from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.reals import is_whole, reals
@@ -22,7 +23,7 @@ from kempe.solvers.analytic.question import held, near_of
 from kempe.solvers.analytic.sweep import Sweep
 from kempe.solvers.analytic.sweep_curves import Arc, Motion
 from kempe.solvers.analytic.sweep_net import arcs_through
-from kempe.solvers.targets import Z_AXIS, axis_for, targets_of, task_of
+from kempe.solvers.targets import Z_AXIS, axis_for, targets_of, task_and_axis, task_of
 from kempe.spatial import Array, log_so3
 
 if TYPE_CHECKING:
@@ -32,22 +33,23 @@ ARM_ANGLE = "arm_angle"
 
 SAMPLES = 256
 """Values of a joint at which all solutions are asked for, as starts of the curves between them."""
+USUAL = Usual("ik_sweep", points=SAMPLES)
 
 
 @explained
 def ik_sweep(
-    system: System, target: ArrayLike, frame: FrameLike, parameter: str | None = None, *, n: int | None = None,
-    task: str | None = None, start: Any = None, axis: ArrayLike = Z_AXIS, reference: ArrayLike | None = None,
-    fixed: Mapping[str, Any] | None = None, samples: int = SAMPLES,
+    system: System, target: ArrayLike, frame: FrameLike, parameter: str | tuple[str, ArrayLike] | None = None, *,
+    n: int | None = None, task: str | tuple[str, ArrayLike] | None = None, start: Any = None,
+    fixed: Mapping[str, Any] | None = None, budget: Budget | None = None,
 ) -> Sweep:  # fmt: skip
     """The solutions of a redundant chain for one target, over a parameter, and where they are inside the limits.
 
     `parameter` is a joint of the chain, or "arm_angle" for seven turning joints of which the first three axes meet,
-    and the last three (`kempe.solvers.analytic.arm_angle` says what it is; `reference` as there); by default that, and
-    else the joint that `ik_all` holds. `target`, `task` and `axis` are as in `ik_all`. Where there is more than one
+    and the last three (`kempe.solvers.analytic.arm_angle` says what it is; a pair ("arm_angle", reference) names
+    its reference); by default that, and else the joint that `ik_all` holds. `target` and `task` are as in `ik_all`. Where there is more than one
     freedom to spare, joints are held: those `fixed`, by name, and others at `start` (nq,), which also chooses among
     turns of angles; without `start` where `ik_all` finds a solution inside the limits. `n` asks for samples at so many
-    values; `samples` is the number of values of a joint at which curves are looked for.
+    values; the points of the `budget` (256) are the values of a joint at which curves are looked for.
 
     Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where that is asked for,
     `InputError`, `UnknownNameError`.
@@ -62,6 +64,9 @@ def ik_sweep(
     [0.252, -0.341, -0.177, -1.3, 0.474, -0.535, -0.241]
     """
     name = system.frame_name(frame)
+    task, axis = task_and_axis(task)
+    parameter, reference = parameter if isinstance(parameter, (tuple, list)) else (parameter, None)
+    points = _count(USUAL.of(budget).points)
     direction = axis_for(axis, task)
     targets, lead, is_position = targets_of(system, arrays(target, "target"), task, direction)
     if lead != () or not np.isfinite(targets).all():
@@ -72,7 +77,7 @@ def ik_sweep(
     lines = chain_lines(system, name, Z_AXIS)
     if task != "position" and system.dim == 3:
         _refuse_no_rotation(targets[0, :3, :3])
-    given = held(name, lines.names, fixed, {})
+    given = held(name, lines.names, fixed)
     if any(v.ndim for v in given.values()):
         raise InputError("a sweep holds joints at single numbers")
     arm = find_arm(system, name, reference) if task == "pose" and not given and parameter in (None, ARM_ANGLE) else ""
@@ -83,7 +88,7 @@ def ik_sweep(
         required_arm(system, name, reference)
     question = Asked(system, name, lines, task, direction, targets[0], reals(target, "target"), base, given,
                      given_near is None)  # fmt: skip
-    curves = ArmCurves(question, arm) if isinstance(arm, Arm) else _joint_curves(question, parameter, _count(samples))
+    curves = ArmCurves(question, arm) if isinstance(arm, Arm) else _joint_curves(question, parameter, points)
     return _sweep(question, curves, None if n is None else _count(n))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from kempe.kernels.layout import SLIDE
 from kempe.kinematics.tabular import Tabular
 from kempe.solvers.analytic.names import Kind, branch_names, kind_of, named
 from kempe.solvers.analytic.plan import TASKS
+from kempe.solvers.answer import expected
 from kempe.solvers.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 
@@ -345,6 +346,10 @@ class Solutions(Tabular):
 
     def __len__(self) -> int:
         return len(self.q)
+
+    def expect(self) -> Self:
+        """The answer itself, where there is one. Errors: `NoSolutionError`, with the answer as its `solution`."""
+        return expected(self)
 
     def __bool__(self) -> bool:
         return bool(self.inside.any())

@@ -21,7 +21,7 @@ TASKS = ("pose", "position")
 
 def all_modes(
     system: System, frame: str, targets: Array, lead: tuple[int, ...], task: str, near: Any, fixed: Mapping[str, Any],
-    inside_only: bool,
+    limits: bool,
 ) -> Modes:  # fmt: skip
     """The configurations that are found, those inside the limits first. Errors: `UnsupportedError`, `InputError`."""
     if task not in TASKS or lead != ():
@@ -32,7 +32,7 @@ def all_modes(
     if not np.isfinite(targets).all():
         raise InputError("target has entries that are not finite")
     X = targets[0] if task == "pose" else targets[0, : system.dim, 3]
-    found = assembly_modes(system, {**fixed, frame: X}, near, limits=inside_only)
+    found = assembly_modes(system, {**fixed, frame: X}, near, limits=limits)
     order = np.argsort(~found.inside, kind="stable")
     return replace(
         found, q=found.q[order], branches=tuple(found.branches[i] for i in order),

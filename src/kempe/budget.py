@@ -1,0 +1,73 @@
+"""What a call may spend, and how exact it must be: one object each, for all verbs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from kempe.calls import explained_making
+from kempe.errors import InputError, shown
+
+
+class Tolerance(NamedTuple):
+    """How large errors may be: `linear` in metres and `angular` in radians. A plain pair of numbers says the same."""
+
+    linear: float
+    angular: float
+
+
+@explained_making
+@dataclass(frozen=True)
+class Budget:
+    """How much work a call may do, how finely, and how: what is left out is as the verb does it by itself.
+
+    A verb refuses what it does not read, and says what it reads.
+    """
+
+    starts: int | None = None
+    """Starts of a search, at most."""
+    iterations: int | None = None
+    """Steps of one start, at most."""
+    time_limit: float | None = None
+    """Seconds for the whole call, after which it answers with what it has; `math.inf`: as long as it takes."""
+    points: int | None = None
+    """Points of a path or samples of a motion."""
+    step: float | None = None
+    """The longest step along a path, in radians and characteristic lengths."""
+    rng: int | np.random.Generator | None = None
+    """What random starts are drawn from: the same number draws the same ones."""
+    threads: int | None = None
+    """Threads of a batch; left out: as many as there are cores."""
+    progress: Callable[..., Any] | None = None
+    """Called now and then with how much is done."""
+
+
+class Usual:
+    """What a verb spends where nobody says otherwise; its keywords are the fields of a `Budget` that it reads."""
+
+    def __init__(self, verb: str, **reads: Any):
+        self.verb, self.reads, self.budget = verb, reads, _filled(reads)
+
+    def of(self, budget: Budget | None) -> Budget:
+        """The budget, completed; `time_limit` is None where there is none. Errors: `InputError`."""
+        if budget is None:
+            return self.budget
+        if not isinstance(budget, Budget):
+            raise InputError(f"budget is {shown(budget)}; it must be a kempe.Budget, such as Budget({self._such()})")
+        given = {f.name: x for f in fields(Budget) if (x := getattr(budget, f.name)) is not None}
+        for name in given:
+            if name not in self.reads:
+                raise InputError(f"budget has {name}, which {self.verb} does not read; it reads {', '.join(self.reads)}")
+        return _filled({**self.reads, **given})
+
+    def _such(self) -> str:
+        return next((f"{name}={x}" for name, x in self.reads.items() if x is not None), f"{next(iter(self.reads))}=1")
+
+
+def _filled(values: dict[str, Any]) -> Budget:
+    limit = values.get("time_limit")
+    return Budget(**{**values, "time_limit": None if limit == math.inf else limit})
