@@ -26,7 +26,7 @@ def ask(arm: Arm, X, q=None, **options):
     """The answer for targets X; for a redundant arm the coordinates `held` are those of q."""
     if arm.held:
         options["fixed"] = held(arm, q)
-    return arm.system.ik_all(X, arm.frame, **{"task": arm.task, "axis": arm.axis, **options})
+    return arm.system.ik_all(X, arm.frame, task=(options.pop("task", arm.task), arm.axis), **options)
 
 
 def model(arm: Arm, q=None) -> oracle.Model:

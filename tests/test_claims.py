@@ -49,7 +49,7 @@ def test_answers_are_inside_the_limits_and_judged_by_the_forward_model(robots, h
         X[:, :3, 3] *= rng.choice([1.0, 1.0, 3.0], (size, 1))
         asks_pose = bool(rng.random() < 0.6) and robot.dim == 3
         target = X if asks_pose else X[:, : robot.dim, 3]
-        s = robot.ik(target, frame, starts=int(rng.choice([1, 20])), start=robot.random(rng))
+        s = robot.ik(target, frame, start=robot.random(rng), budget=kempe.Budget(starts=int(rng.choice([1, 20]))))
         assert inside(robot, s.q)
         Y = robot.fk(s.q, frame)
         place = np.linalg.norm(Y[:, :3, 3] - X[:, :3, 3], axis=1)
@@ -69,7 +69,7 @@ def test_a_frame_that_moves_with_a_loop_is_answered_with_it_closed(hunt):
         closed = system.assemble(start=system.random(rng))
         X = system.fk(closed.q, body)
         X[:3, 3] *= rng.choice([1.0, 1.0, 3.0])
-        s = system.ik(X[: system.dim, 3], body, start=system.random(rng), starts=10)
+        s = system.ik(X[: system.dim, 3], body, start=system.random(rng), budget=kempe.Budget(starts=10))
         assert inside(system, s.q)
         off = np.linalg.norm(system.fk(s.q, body)[:3, 3] - X[:3, 3])
         assert s.position_error == pytest.approx(off, abs=1e-9)
@@ -88,7 +88,7 @@ def test_the_answer_is_that_of_the_first_start_that_reaches_the_target(robots, h
         X, seed = robot.fk(q, tip(robot)), q + rng.normal(size=robot.nq) * rng.choice([0.1, 0.5, 2.0])
         many = robot.ik(X, tip(robot), start=seed)
         assert many.success
-        few = robot.ik(X, tip(robot), start=seed, starts=many.starts)
+        few = robot.ik(X, tip(robot), start=seed, budget=kempe.Budget(starts=many.starts))
         assert few.success and few.starts == many.starts and np.array_equal(few.q, many.q)
 
 
@@ -98,7 +98,7 @@ def test_the_analytic_answer_is_the_nearest_of_all_solutions(robots, hunt):
         robot = robots[str(rng.choice(["puma560", "ur5"]))]
         X, seed = robot.fk(robot.random(rng), tip(robot)), robot.random(rng)
         s = robot.ik(X, tip(robot), start=seed, method="analytic")
-        a = robot.ik_all(X, tip(robot), expand_turns=True, inside_only=True)
+        a = robot.ik_all(X, tip(robot), limits="turns")
         assert s.success == bool(len(a))
         if len(a):
             least = np.linalg.norm(a.q - seed, axis=1).min()

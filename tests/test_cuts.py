@@ -116,7 +116,7 @@ def assembled(plain: System, s: System, n: int, rng: np.random.Generator) -> Non
     for size in (FAR, NEAR):
         at = starts(plain, home, size, n, rng)
         for nearest in (False, True):
-            want, got = (x.assemble(values, start=at, nearest=nearest) for x in (plain, s))
+            want, got = (x.assemble(values, start=at, prefer="nearest" if nearest else None) for x in (plain, s))
             same(got.q, want.q)
             assert np.array_equal(got.success, want.success) and np.all(got.success)
             assert np.abs(residual(s, got.q)).max() < OPEN and np.abs(s.closure_error(got.q)).max() < OPEN
@@ -192,7 +192,7 @@ def test_inverse_kinematics_at_every_cut(name, hunt):
 def sets(plain: System, s: System, n: int) -> None:
     home = plain.posture("closed")
     values = {k: plain.q_dict(home)[k] for k in driven(plain) if k in plain.coordinate_names}
-    want, got = (x.assembly_modes(values, starts=n) for x in (plain, s))
+    want, got = (x.assembly_modes(values, budget=kempe.Budget(starts=n)) for x in (plain, s))
     same(got.q, want.q)
     assert (got.complete, got.branches, got.status, len(got)) == (want.complete, want.branches, want.status, len(want))
     assert np.array_equal(got.freedoms, want.freedoms) and np.abs(residual(s, got.q)).max(initial=0.0) < 1e-6

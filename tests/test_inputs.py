@@ -355,8 +355,8 @@ def test_what_is_no_number_is_refused(name, model, robots):
             else {kind: {key: bad for key in good} for kind, bad in wrong(np.array(next(iter(good.values())))).items()}
         )
         for kind, bad in cases.items():
-            if short == "with_limits" and kind == "None inside":
-                continue  # no limit
+            if (short, place) == ("ik_plan", "fixed") or (short == "with_limits" and kind == "None inside"):
+                continue  # of what is held only the names count; no limit
             with pytest.raises(KempeError):
                 call(function, system, {place: bad})
                 pytest.fail(f"{name}({place}={kind}) gave an answer")
@@ -367,7 +367,7 @@ def test_wrong_numbers_are_tried_where_right_ones_answer(robots):
     tried = [(n, p) for n in NUMERIC if "plot" not in n for m in ("ur5", "four_bar")
              for p in numeric(n, OF_SYSTEMS[n], robots[m])
              if answers(OF_SYSTEMS[n], robots[m], {p: usual(robots[m], OF_SYSTEMS[n].__name__)[p]})]  # fmt: skip
-    assert len(tried) > 120 and len({p for _, p in tried}) > 22, (len(tried), sorted({p for _, p in tried}))
+    assert len(tried) > 120 and len({p for _, p in tried}) > 20, (len(tried), sorted({p for _, p in tried}))
 
 
 @pytest.mark.parametrize("name", sorted(OF_ARRAYS))

@@ -67,7 +67,7 @@ def check(shape: Closed, cuts: list[frozenset[str]], rng: np.random.Generator) -
             assert np.abs(constraint.residual(s, q)).max(initial=0.0) < 1e-10, constraint.name
         start = s.integrate(q, rng.uniform(-NEAR, NEAR, s.nv))
         for nearest in (False, True) if cut == cuts[0] else (False,):
-            answer = s.assemble(start=start, nearest=nearest)
+            answer = s.assemble(start=start, prefer="nearest" if nearest else None)
             assert answer.success, s.closures
             assert shape.open_by(s, answer.q) < 1e-9
         if cut != cuts[0]:
@@ -205,7 +205,7 @@ def test_cuts_are_what_they_say():
 @each_cut
 def test_the_slotted_lever_assembles(s):
     angles = np.linspace(0.0, 6.0, 61)
-    answer = s.assemble({"A": angles}, start=s.posture("closed"), continuous=True)
+    answer = s.assemble({"A": angles}, start=s.posture("closed"), prefer="continuous")
     assert np.all(answer.success)
     at = {name: answer.q[:, i] for i, name in enumerate(s.coordinate_names)}
     np.testing.assert_allclose(at["B"], lever_angle(angles), rtol=0, atol=1e-9)

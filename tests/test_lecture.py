@@ -383,7 +383,8 @@ def test_outside_the_workspace_if_and_only_if_c2_is_no_cosine(radius, direction)
     p = [radius * math.cos(direction), radius * math.sin(direction)]
     c2 = (radius**2 - 0.41) / 0.4
     if abs(abs(c2) - 1) > 1e-4:
-        assert bool(system.ik(p, "e", starts=20)) == (abs(c2) < 1) == bool(closed_form(*p, 0.5, 0.4))
+        found = system.ik(p, "e", budget=kempe.Budget(starts=20))
+        assert bool(found) == (abs(c2) < 1) == bool(closed_form(*p, 0.5, 0.4))
 
 
 def test_igm_without_a_solution():
@@ -401,7 +402,7 @@ def test_more_task_constraints_than_dof():
     P = system.fk(system.neutral, ["p", "p_down"])
     s = system.ik(P[0], "e")
     assert not s.success and "3 equations" in s.status and "2 freedoms" in s.status
-    assert system.ik(P[0], "e", position_only=True).success
+    assert system.ik(P[0], "e", task="position").success
     lucky = system.ik(P[1], "e")
     assert lucky.success and apart(lucky.q, tuple(system.posture("elbow_down"))) < 1e-4
 
@@ -415,7 +416,7 @@ def test_redundancy_and_further_constraints():
         here = f"B{i}"
     m.frame("e", here, at=(0.3, 0))
     system = m.build()
-    answers = system.ik(system.fk(system.random(0, 50), "e"), "e", position_only=True)
+    answers = system.ik(system.fk(system.random(0, 50), "e"), "e", task="position")
     assert answers.success.all()
     assert (answers.q >= -1.0).all() and (answers.q <= 1.5).all()
 

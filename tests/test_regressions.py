@@ -39,7 +39,7 @@ def test_orientation_of_a_particle_is_refused_as_target():
     target = np.diag([-1.0, -1.0, 1.0, 1.0])
     with pytest.raises(InputError, match="particle"):
         built.ik(target, "p")
-    assert built.ik(target, "p", position_only=True) and built.ik(np.eye(4), "p") and built.ik([1.0, 2.0, 3.0], "p")
+    assert built.ik(target, "p", task="position") and built.ik(np.eye(4), "p") and built.ik([1.0, 2.0, 3.0], "p")
 
 
 def test_limit_is_the_reason_even_where_the_task_has_more_equations_than_freedoms():
@@ -81,7 +81,7 @@ def test_wrong_arguments_are_named():
     robot = kempe.load("puma560")
     target = robot.fk(robot.posture("qn"), "tool")
     with pytest.raises(InputError, match="starts is"):
-        robot.ik(target, "tool", starts=10**30)
+        robot.ik(target, "tool", budget=kempe.Budget(starts=10**30))
     with pytest.raises(InputError, match=r"it must be \(6,\)$"):
         robot.ik(target, "tool", start=np.zeros((2, 6)))
     with pytest.raises(kempe.KempeError, match="frame of expression"):

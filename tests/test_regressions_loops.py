@@ -32,7 +32,7 @@ def test_the_nearest_does_not_depend_on_the_cut():
     answers = []
     for cut in "ABCD":
         s = four_bar(cut)
-        answer = s.assemble(start=near, nearest=True)
+        answer = s.assemble(start=near, prefer="nearest")
         assert answer
         answers.append([s.q_dict(answer.q)[n] for n in "ABCD"])
     np.testing.assert_allclose(answers, np.broadcast_to(answers[0], (4, 4)), atol=1e-7)
@@ -42,7 +42,7 @@ def test_the_nearest_is_nearest():
     """No closed configuration of a fine sweep of the crank is nearer, measured in all joints."""
     s = kempe.load("four_bar")
     near = s.q({"A": 1.4, "B": -0.7, "C": 1.0, "D": 1.3})
-    answer = s.assemble(start=near, nearest=True)
+    answer = s.assemble(start=near, prefer="nearest")
     crank = answer.q[0] + np.linspace(-0.2, 0.2, 2001)
     around = s.assemble({"A": crank}, start=answer.q)
     assert around
@@ -132,10 +132,10 @@ def test_a_bad_row_leaves_the_others_alone_where_rows_follow_each_other():
     s = kempe.load("four_bar")
     angles = np.linspace(1.5, 2.5, 11)
     bad = np.where(np.arange(11) == 4, np.nan, angles)
-    answer = s.assemble({"A": bad}, continuous=True)
+    answer = s.assemble({"A": bad}, prefer="continuous")
     np.testing.assert_array_equal(answer.success, np.arange(11) != 4)
     assert np.isnan(answer.q[4]).all()
-    whole = s.assemble({"A": angles}, continuous=True)
+    whole = s.assemble({"A": angles}, prefer="continuous")
     good = np.arange(11) != 4
     np.testing.assert_allclose(answer.q[good], whole.q[good], atol=1e-9)
 
@@ -192,15 +192,20 @@ def test_a_branch_closes_where_limits_are_not_looked_at():
 
 
 def test_points_allowed_are_all_points():
-    path = kempe.load("four_bar").trace("A", max_points=7)
+    path = kempe.load("four_bar").trace("A", budget=kempe.Budget(points=7))
     assert len(path) == 7 and path.ends == ("the start", "the 7 points allowed")
 
 
-@pytest.mark.parametrize("wrong", [{"step": "x"}, {"max_points": "x"}, {"max_points": 2.5}, {"toward": {"A": np.nan}},
-                                   {"toward": {"A": "x"}}])  # fmt: skip
-def test_bad_options_of_a_trace_are_refused(wrong):
+@pytest.mark.parametrize("wrong", [{"step": "x"}, {"points": "x"}, {"points": 2.5}])
+def test_bad_budgets_of_a_trace_are_refused(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
-        kempe.load("four_bar").trace("A", **wrong)
+        kempe.load("four_bar").trace("A", budget=kempe.Budget(**wrong))
+
+
+@pytest.mark.parametrize("rate", [np.nan, "x"])
+def test_bad_rates_of_a_trace_are_refused(rate):
+    with pytest.raises(InputError, match="toward"):
+        kempe.load("four_bar").trace("A", toward={"A": rate})
 
 
 @pytest.mark.parametrize("inputs", [{"A": "x"}, {"A": lambda t: [1, 2]}, {"A": lambda t: "x"}, ["A"], {"A": []},

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+import kempe
 from kempe.errors import UnsupportedError
 from kempe.spatial import Array
 from kempe_bench import analytic_arms, analytic_peers
@@ -55,7 +56,7 @@ class Kempe(Solver):
 
     def call_batch(self, targets: Any, /) -> Any:
         """One public call in one thread."""
-        return self.system.ik_all(targets, FRAME, threads=1, **self.options)
+        return self.system.ik_all(targets, FRAME, **self.options, budget=kempe.Budget(threads=1))
 
     def read_batch(self, answer: Any) -> Sequence[Array]:
         """The joints that are not held, of the solutions that exist."""

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+import kempe
 from kempe import spatial
 from kempe_bench import peers
 from kempe_bench.bench import Bench
@@ -92,7 +93,7 @@ def _batch(table: Table, arm: peers.Arm, targets: np.ndarray) -> None:
         turns = []
         for _ in range(3):
             start = time.perf_counter_ns()
-            q = arm.system.ik(targets, arm.frame, threads=threads).q
+            q = arm.system.ik(targets, arm.frame, budget=kempe.Budget(threads=threads)).q
             turns.append((time.perf_counter_ns() - start) / len(targets) * 1e-3)
         call = f"one batch of {len(targets):,}, {threads} thread{'s' * (threads > 1)}"
         table.rows += [Row("Kempe", f"{call}: success, %", 100.0 * float(np.mean(reached(arm, q, targets)))),

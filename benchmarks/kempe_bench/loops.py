@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+import kempe
 from kempe.spatial import Array
 from kempe_bench.bench import Bench
 from kempe_bench.loop_peers import Drake, Exudyn
@@ -96,7 +97,7 @@ def _line(table: Grid, bench: Bench, tree: Tree, line: str, sigma: float, known:
     bound = system.assembler(known)
     solvers: dict[str, Assembler] = {
         CALL: Kempe(tree, lambda q: system.assemble(given, start=q)),
-        NEAREST: Kempe(tree, lambda q: system.assemble(given, start=q, nearest=True)),
+        NEAREST: Kempe(tree, lambda q: system.assemble(given, start=q, prefer="nearest")),
         BOUND: Kempe(tree, lambda q: bound(given, q)),
         **peers_of(bench, tree, known),
     }
@@ -105,7 +106,7 @@ def _line(table: Grid, bench: Bench, tree: Tree, line: str, sigma: float, known:
     spent = []
     for _ in range(TURNS + 1):
         start = time.perf_counter_ns()
-        bound(given, guesses, threads=1)
+        bound(given, guesses, budget=kempe.Budget(threads=1))
         spent.append((time.perf_counter_ns() - start) * 1e-3 / len(guesses))
     rows[MANY] = (statistics.median(spent[1:]), min(spent[1:]))
     for library in (CALL, NEAREST, BOUND, MANY, *solvers):
@@ -186,7 +187,7 @@ def success(bench: Bench) -> Grid:
         for sigma in RATES:
             q, line = tree.guesses(sigma, BATCH), f"{name}, {sigma:g}"
             for library, starts in ((USUAL, _starts()), (ONE_START, 1)):
-                answer = system.assemble(start=q, starts=starts)
+                answer = system.assemble(start=q, budget=kempe.Budget(starts=starts))
                 opening = np.where(answer.success, tree.opening(tree.coordinates(answer.q)), np.inf)
                 table.rows.append(Row(library, line, share(opening, Assembler.tolerance)))
             for library, s in solvers.items():

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+import kempe
 from kempe.spatial import Array
 from kempe_bench import peers
 from kempe_bench.bench import Bench
@@ -164,7 +165,7 @@ def _batch(name: str, arm: peers.Arm, targets: Array, starts: Array | None) -> l
     turns, q = [], targets
     for _ in range(3):
         start = time.perf_counter()
-        q = arm.system.ik(targets, TIP, start=starts, threads=1).q
+        q = arm.system.ik(targets, TIP, start=starts, budget=kempe.Budget(threads=1)).q
         turns.append(1e6 * (time.perf_counter() - start) / len(targets))
     success = percent(reached(arm, q, targets))
     return [Row(BATCH, f"{name}: {SUCCESS}", success), Row(BATCH, f"{name}: {MEDIAN}", float(np.median(turns)))]

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+import kempe
 from kempe import spatial, tasks
+from kempe.budget import Budget
 from kempe.spatial import Array
 from kempe_bench import peers
 from kempe_bench.bench import Bench
@@ -159,7 +161,6 @@ def legs(tree: Tree, X: Array) -> Array:
 
 def platforms(bench: Bench) -> Grid:
     """Parallel robots: all joint coordinates for poses of the platform, from the posture 'closed'."""
-    import kempe
 
     table = Grid("Parallel robots: pose of the platform to all joint coordinates", "robot")
     for name, what in ROBOTS.items():
@@ -183,22 +184,22 @@ def _robot(table: Grid, bench: Bench, tree: Tree, what: str) -> None:
     system, goals = tree.system, Goals(tree, what)
     closed = system.assemble(start=tree.guesses(SIGMA, BATCH))
     q = closed.q[closed.success]
-    kempe = Kempe(goals)
-    solvers: dict[str, Assembler] = {ONE: kempe}
+    solver = Kempe(goals)
+    solvers: dict[str, Assembler] = {ONE: solver}
     if "mujoco" in bench.versions:
         solvers["MuJoCo"] = MujocoHolding(goals)
     if "pin" in bench.versions:
         solvers["Pinocchio"] = PinocchioHolding(goals)
     success = {library: _success(s, q[:GOALS]) for library, s in solvers.items()}
     times = timed(solvers, q[:GOALS])
-    wanted = kempe.held(goals.of(q))
-    answer, times[MANY] = _batch(lambda: system.ik(wanted, start=kempe.home, threads=1), len(q))
+    wanted = solver.held(goals.of(q))
+    answer, times[MANY] = _batch(lambda: system.ik(wanted, start=solver.home, budget=Budget(threads=1)), len(q))
     opening = np.where(answer.success, goals.opening(tree.coordinates(answer.q)), np.inf)
-    success[MANY] = share(opening, kempe.tolerance)
+    success[MANY] = share(opening, solver.tolerance)
     if system.name == "stewart":
         lengths, times[FORMULA] = _batch(lambda: legs(tree, goals.X), len(q))
         own = np.abs(q[:, [tree.columns[f"leg{i}"] for i in range(1, 7)]])  # a leg turned round has a negative one
-        success[FORMULA] = share(np.abs(lengths - own).max(axis=-1), kempe.tolerance)
+        success[FORMULA] = share(np.abs(lengths - own).max(axis=-1), solver.tolerance)
     for library in (ONE, MANY, *(x for x in solvers if x != ONE), FORMULA):
         if library in success:
             table.rows.append(Row(library, f"{system.name}: {SUCCESS}", success[library]))

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+import kempe
 from kempe import tasks
 from kempe.spatial import Array
 from kempe_bench import peers
@@ -164,7 +165,7 @@ def _batch(line: Line, goals: Array, near: bool) -> list[Row]:
     turns, q, seed = [], np.empty(0), line.body.start if near else None
     for _ in range(3):
         start = time.perf_counter()
-        answer = line.body.system.ik(held, start=seed, tolerance=line.tolerance, threads=1)
+        answer = line.body.system.ik(held, start=seed, tolerance=line.tolerance, budget=kempe.Budget(threads=1))
         turns.append(1e3 * (time.perf_counter() - start) / len(goals))
         q = np.where(answer.success[:, None], answer.q, np.nan)
     success = percent(line.reached(q, goals))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+import kempe
 from kempe import tasks
 from kempe.solvers.tasks import STARTS
 from kempe.spatial import Array
@@ -96,7 +97,7 @@ class Kempe(WholeBody):
         held: list[tasks.Task] = [tasks.Pose(name, X) for name, X in zip(self.body.frames, goal, strict=False)]
         if self.mass:
             held.append(tasks.CentreOfMass(goal[-1, :3, 3]))
-        answer = self.system.ik(held, start=start, tolerance=self.tolerance, starts=self.starts)
+        answer = self.system.ik(held, start=start, tolerance=self.tolerance, budget=kempe.Budget(starts=self.starts))
         return answer.q if answer.success else None
 
 

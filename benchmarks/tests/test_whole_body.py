@@ -8,6 +8,7 @@ from kempe_bench import whole
 from kempe_bench.whole_peers import COARSE, FINE
 from kempe_bench.whole_robots import BASE, HUMANOIDS, Body
 
+import kempe
 from kempe import tasks
 from kempe.solvers.reached import Reached
 
@@ -70,7 +71,7 @@ def test_both_feet_and_a_hand_are_held_and_no_more_is_claimed(body):
     answer = body.system.ik(held(body, goals))
     judge(body, answer.q, answer.success, goals, FINE)
     goals[:, 2, 2, 3] += 5.0
-    far = body.system.ik(held(body, goals), starts=2)
+    far = body.system.ik(held(body, goals), budget=kempe.Budget(starts=2))
     assert not far.success.any() and np.isfinite(far.q).all()
     lower, upper = body.limits.T
     assert np.all((far.q[:, BASE:] >= lower - 1e-12) & (far.q[:, BASE:] <= upper + 1e-12))

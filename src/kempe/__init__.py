@@ -18,10 +18,12 @@ from kempe.model.system import System
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from kempe.budget import Budget, Tolerance
+
 __version__ = "0.1.0"
 __all__ = [
-    "KempeError", "Mechanism", "System", "constraints", "errors", "from_dh", "from_screws", "load", "read", "spatial",
-    "tasks",
+    "Budget", "KempeError", "Mechanism", "System", "Tolerance", "constraints", "errors", "from_dh", "from_screws",
+    "load", "read", "spatial", "tasks",
 ]  # fmt: skip
 
 
@@ -64,6 +66,10 @@ def __getattr__(name: str) -> Any:
         from kempe.description import dh
 
         return getattr(dh, name)
+    if name in ("Budget", "Tolerance"):
+        from kempe import budget
+
+        return getattr(budget, name)
     if name in ("constraints", "tasks"):
         return import_module(f"kempe.{name}")
     raise AttributeError(f"module 'kempe' has no attribute {name!r}")

@@ -61,7 +61,8 @@ class Usual:
         given = {f.name: x for f in fields(Budget) if (x := getattr(budget, f.name)) is not None}
         for name in given:
             if name not in self.reads:
-                raise InputError(f"budget has {name}, which {self.verb} does not read; it reads {', '.join(self.reads)}")
+                read = ", ".join(self.reads)
+                raise InputError(f"budget has {name}, which {self.verb} does not read; it reads {read}")
         return _filled({**self.reads, **given})
 
     def _such(self) -> str:

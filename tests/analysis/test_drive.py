@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from motion_linkages import TURN, circles, four_bar, ladder, linkage, same_angle, slider_crank
 
+import kempe
 from kempe.analysis.drive import drive
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.loops import residual
@@ -185,5 +186,6 @@ def test_an_interrupt_returns_what_was_done():
         if k > 20:
             raise KeyboardInterrupt
 
-    motion = drive(four_bar(1, 2.5, 2, 3), {"A": np.linspace(0.5, 3, 60)}, start={"A": 0.5}, progress=stop)
+    motion = drive(four_bar(1, 2.5, 2, 3), {"A": np.linspace(0.5, 3, 60)}, start={"A": 0.5},
+                   budget=kempe.Budget(progress=stop))  # fmt: skip
     assert motion.interrupted and not motion and 20 < len(motion) < 60 and len(motion.inputs["A"]) == len(motion)

@@ -75,4 +75,4 @@ def test_mechanisms_of_many_dyads_are_left_alone():
         m.revolute(f"C{i}", bar, right, at=(1, 0), child_at=(0.45, 0))
         m.revolute(f"A{i + 1}", m.ground, right, at=(i + 1, 0))
         left = right
-    assert m.build().trace("A0", start={"A0": 1.2}, max_points=20).hint == ""
+    assert m.build().trace("A0", start={"A0": 1.2}, budget=kempe.Budget(points=20)).hint == ""

@@ -122,17 +122,17 @@ def test_ratios_of_whole_numbers_close(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(6)):
         p, q = int(rng.integers(1, 30)), int(rng.integers(1, 30))
-        path = gears(p / q).trace(step=1.0)
+        path = gears(p / q).trace(budget=kempe.Budget(step=1.0))
         assert path.closed and path.turns == {"A": q // math.gcd(p, q)}, (p, q)
 
 
 def test_long_periods_are_told_where_points_end():
-    path = gears(1.0 / 997.0).trace(max_points=1000)
+    path = gears(1.0 / 997.0).trace(budget=kempe.Budget(points=1000))
     assert not path.closed and "by its gear ratios all is as before after 997" in path.ends[1]
 
 
 def test_many_turns_close():
-    path = gears(355.0 / 113.0).trace(step=1.0)
+    path = gears(355.0 / 113.0).trace(budget=kempe.Budget(step=1.0))
     assert path.closed and path.turns == {"A": 113}
 
 
@@ -142,9 +142,9 @@ def test_many_turns_close():
 @pytest.mark.parametrize("look", [0, 1, 60, 300, 650])
 def test_a_path_keeps_what_was_done(looks, look):
     s = kempe.load("four_bar")
-    whole = s.trace(both=False)
+    whole = s.trace(ways="forward")
     looks(look)
-    path = s.trace(both=False, time_limit=5.0)
+    path = s.trace(ways="forward", budget=kempe.Budget(time_limit=5.0))
     assert path.late and not path and not path.interrupted and "the time limit" in path.status
     np.testing.assert_array_equal(path.q, whole.q[: len(path)])
     assert len(path) < len(whole) or path.remark
@@ -152,25 +152,26 @@ def test_a_path_keeps_what_was_done(looks, look):
 
 def test_a_limit_that_does_not_bite_changes_nothing(looks):
     s = kempe.load("jansen")
-    whole = s.trace(time_limit=None)
+    whole = s.trace(budget=kempe.Budget(time_limit=math.inf))
     looks(10**9)
-    path = s.trace(time_limit=1.0)
+    path = s.trace(budget=kempe.Budget(time_limit=1.0))
     np.testing.assert_array_equal(path.q, whole.q)
     assert path and not path.late and path.status == whole.status
 
 
 def test_a_path_can_be_asked_when_its_time_is_over(looks):
-    path = kempe.load("four_bar").trace(time_limit=5.0)
+    path = kempe.load("four_bar").trace(budget=kempe.Budget(time_limit=5.0))
     looks(0)
-    assert np.isfinite(path.at([0.1, 0.2])).all() and len(path.resample(50, time_limit=None)) == 50
+    assert np.isfinite(path.at([0.1, 0.2])).all()
+    assert len(path.resample(50, budget=kempe.Budget(time_limit=math.inf))) == 50
 
 
 def test_other_branches_that_were_not_followed_are_told(looks):
     s = kempe.load("parallelogram")
-    whole = s.trace(switch=True)
+    whole = s.trace(ways="branches")
     assert whole.others and whole
     looks(900)
-    path = s.trace(switch=True, time_limit=5.0)
+    path = s.trace(ways="branches", budget=kempe.Budget(time_limit=5.0))
     assert path.late and not path and len(path.others) <= len(whole.others)
 
 
@@ -178,25 +179,25 @@ def test_samples_points_and_self_motions_keep_what_was_done(looks):
     s, panda = kempe.load("four_bar"), kempe.load("panda")
     path = s.trace()
     looks(1500)
-    motion = s.drive({"A": np.linspace(0.0, 6.0, 300)}, time_limit=5.0)
+    motion = s.drive({"A": np.linspace(0.0, 6.0, 300)}, budget=kempe.Budget(time_limit=5.0))
     assert motion.late and not motion and 0 < len(motion) < 300 and len(motion.times) == len(motion.q)
     looks(3)
-    points = path.resample(100_000, time_limit=5.0)
+    points = path.resample(100_000, budget=kempe.Budget(time_limit=5.0))
     assert points.late and not points and not points.closed and 0 < len(points) < 100_000
     assert "of 100000 points" in points.status and np.abs(s.closure_error(points.q)).max() < 1e-12
     looks(5)
-    family = panda.self_motion(panda.posture("ready"), "panda_hand_tcp", time_limit=5.0)
+    family = panda.self_motion(panda.posture("ready"), "panda_hand_tcp", budget=kempe.Budget(time_limit=5.0))
     assert family.late and 1 < len(family) < 10 and "time limit of 5 s" in family.ends[1]
 
 
 def test_modes_and_paths_of_targets_keep_what_was_done(looks):
     s, panda = kempe.load("rssr"), kempe.load("panda")
     looks(2)
-    modes = s.assembly_modes({"A": 0.4}, frame="rocker", time_limit=5.0)
+    modes = s.assembly_modes({"A": 0.4}, frame="rocker", budget=kempe.Budget(time_limit=5.0))
     assert modes.late and modes and "found from 256 starts" in modes.status and "time limit" in modes.status
     q = panda.posture("ready") + 0.3 * np.linspace(0.0, 1.0, 50)[:, None]
     looks(9)
-    path = panda.ik_path(panda.fk(q, "panda_hand_tcp"), "panda_hand_tcp", q[0], time_limit=5.0)
+    path = panda.ik_path(panda.fk(q, "panda_hand_tcp"), "panda_hand_tcp", q[0], budget=kempe.Budget(time_limit=5.0))
     assert path.late and not path and 0 < path.success.sum() < 50 and "time limit" in path.status
 
 
@@ -205,13 +206,14 @@ def test_modes_and_paths_of_targets_keep_what_was_done(looks):
 def test_wrong_limits_are_refused(verb, limit):
     s, panda = kempe.load("four_bar"), kempe.load("panda")
     calls = {
-        "trace": lambda: s.trace(time_limit=limit),
-        "resample": lambda: s.trace().resample(5, time_limit=limit),
-        "drive": lambda: s.drive({"A": [0.0, 0.1]}, time_limit=limit),
-        "self_motion": lambda: panda.self_motion(panda.posture("ready"), "panda_hand_tcp", time_limit=limit),
-        "assembly_modes": lambda: s.assembly_modes({"A": 0.3}, time_limit=limit),
+        "trace": lambda: s.trace(budget=kempe.Budget(time_limit=limit)),
+        "resample": lambda: s.trace().resample(5, budget=kempe.Budget(time_limit=limit)),
+        "drive": lambda: s.drive({"A": [0.0, 0.1]}, budget=kempe.Budget(time_limit=limit)),
+        "self_motion": lambda: panda.self_motion(panda.posture("ready"), "panda_hand_tcp",
+                                                 budget=kempe.Budget(time_limit=limit)),  # fmt: skip
+        "assembly_modes": lambda: s.assembly_modes({"A": 0.3}, budget=kempe.Budget(time_limit=limit)),
         "ik_path": lambda: panda.ik_path(panda.fk(panda.mid, "panda_hand_tcp")[None], "panda_hand_tcp",
-                                         time_limit=limit),
+                                         budget=kempe.Budget(time_limit=limit)),  # fmt: skip
     }  # fmt: skip
     with pytest.raises(InputError, match="time_limit"):
         calls[verb]()

@@ -180,7 +180,7 @@ def test_equations_in_time(branching: bool):
     s = cam(branching).build()
     assert s.mobility().dof == 0
     for t in (0.0, 0.3, 1.2):
-        found = s.assemble(t=t, start=[2 * t, 0.0])
+        found = s.assemble({"t": t}, start=[2 * t, 0.0])
         assert found.success
         np.testing.assert_allclose(found.q, [2 * t, 0.1 * np.sin(2 * t)], atol=1e-8)
     times = np.linspace(0.0, 2.0, 9)
@@ -203,7 +203,7 @@ def test_time_and_inputs_together():
 
 def test_many_times_are_for_drive():
     with pytest.raises(kempe.errors.InputError, match="drive"):
-        cam().build().assemble(t=np.array([0.0, 1.0]))
+        cam().build().assemble({"t": np.array([0.0, 1.0])})
 
 
 def test_time_and_rolling_are_refused_by_name():

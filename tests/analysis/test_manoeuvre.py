@@ -9,6 +9,7 @@ import pytest
 from analysis import wheels
 from scipy.integrate import solve_ivp
 
+import kempe
 from kempe import Mechanism
 from kempe.analysis.reeds_shepp import length_of, ways
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
@@ -63,7 +64,7 @@ def test_any_configuration_is_reached(hunt):
         system = wheels.knife(rng.normal(size=2), rng.uniform(-3, 3))
         start, goal = rng.uniform(-4, 4, (2, 3)) * rng.choice([1e-3, 1.0, 100.0])
         for radius in (None, rng.choice([0.05, 1.0, 7.0])):
-            path = system.manoeuvre(start, goal, radius=radius, samples=60)
+            path = system.manoeuvre(start, goal, radius=radius, budget=kempe.Budget(points=60))
             check(system, path, start, goal, "axle")
             far = np.linalg.norm(axles(system, goal) - axles(system, start))
             if radius is None:
@@ -80,7 +81,7 @@ def test_any_configuration_is_reached_slow(hunt):
         system = wheels.knife(rng.normal(size=2), rng.uniform(-3, 3))
         start, goal = rng.uniform(-4, 4, (2, 3)) * rng.choice([1e-3, 1.0, 100.0])
         radius = rng.choice([0.0, 0.05, 1.0, 7.0])
-        check(system, system.manoeuvre(start, goal, radius=radius, samples=40), start, goal, "axle")
+        check(system, system.manoeuvre(start, goal, radius=radius, budget=kempe.Budget(points=40)), start, goal, "axle")
 
 
 @pytest.mark.parametrize("radius", [0.5, 1.0, 3.0])
@@ -99,7 +100,7 @@ def test_planes_and_joints_of_any_kind(hunt):
         system = wheels.tilted(rng)
         start, goal = rng.uniform(-3, 3, (2, 3))
         for radius in (None, 0.7):
-            path = system.manoeuvre(start, goal, radius=radius, samples=50)
+            path = system.manoeuvre(start, goal, radius=radius, budget=kempe.Budget(points=50))
             if not path:  # a turn between the slides turns one of them to the other
                 assert "would be parallel" in path.status
                 continue
@@ -244,7 +245,7 @@ def test_radii_and_distances_of_all_sizes(hunt):
     for _ in range(hunt.cases(100)):
         turn = rng.choice([0.0, 1e-9, 1e-5, 0.1, 3.0, math.pi, -math.pi / 2])
         goal = np.append(rng.uniform(-1, 1, 2) * 10.0 ** rng.uniform(-5, 4) * (rng.random() < 0.8), turn)
-        path = system.manoeuvre(np.zeros(3), goal, radius=10.0 ** rng.uniform(-5, 5), samples=30)
+        path = system.manoeuvre(np.zeros(3), goal, radius=10.0 ** rng.uniform(-5, 5), budget=kempe.Budget(points=30))
         off = system.difference(path.q[-1], goal)
         off[2] = math.remainder(off[2], 2 * math.pi)
         assert path and np.abs(off).max() < 1e-12 * (1 + np.abs(path.q).max() + path.length) and path.slip < 1e-12
@@ -294,7 +295,8 @@ def test_what_is_not_known_is_refused_with_the_reason(system, reason):
 
 @pytest.mark.parametrize(("options", "error"), [
     ({"radius": -1.0}, "radius is -1.0"), ({"radius": math.nan}, "radius is nan"), ({"radius": "2"}, "radius is '2'"),
-    ({"samples": 1}, "samples is 1"), ({"samples": 2.5}, "samples is 2.5"), ({"goal": [1, 2]}, "2 coordinates"),
+    ({"budget": kempe.Budget(points=1)}, "points is 1"), ({"budget": kempe.Budget(points=2.5)}, "points is 2.5"),
+    ({"goal": [1, 2]}, "2 coordinates"),
     ({"goal": [1, 2, math.nan]}, "NaN"), ({"start": [[0, 0, 0]]}, "shape"), ({"goal": {"pose.q": 1}}, "pose.q"),
 ])  # fmt: skip
 def test_bad_input_is_named(options, error):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from motion_linkages import (
     two_parallelograms,
 )
 
+import kempe
 from kempe import Mechanism
 from kempe.analysis.motion import branches, trace
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
@@ -100,7 +102,7 @@ def test_peaucellier_draws_a_straight_line():
 
 def test_jansen_foot_by_chained_circles():
     system = jansen()
-    path = trace(system, "O", np.zeros(system.nq), frames=["F*"])
+    path = trace(system, "O", np.zeros(system.nq))
     assert path.closed and path.turns["O"] == 1 and not path.singular_points
     exact = jansen_points(path.values("O"))
     for name in "XYZWVF":
@@ -385,7 +387,7 @@ def test_an_interrupt_returns_what_was_done():
         if points > 40:
             raise KeyboardInterrupt
 
-    path = trace(four_bar(1, 2.5, 2, 3), "A", {"A": 0.5}, progress=stop)
+    path = trace(four_bar(1, 2.5, 2, 3), "A", {"A": 0.5}, budget=kempe.Budget(progress=stop))
     assert path.interrupted and not path and 30 < len(path) < 80 and "interrupted" in path.status
     assert np.abs(residual(path.system, path.q)).max() < 1e-13
 
@@ -409,7 +411,7 @@ def test_names_are_checked():
     for bad in ({"step": 0.0}, {"step": nan}, {"max_points": 1}, {"start": [0.0, 1.0]}, {"start": [nan] * 4}):
         with pytest.raises(InputError):
             trace(system, "A", **bad)
-    path = trace(system, "A", {"A": 0.5}, max_points=20)
+    path = trace(system, "A", {"A": 0.5}, budget=kempe.Budget(points=20))
     assert not path.closed and "20 points" in path.status
 
 
@@ -417,7 +419,7 @@ def test_names_are_checked():
 
 
 def test_arc_length_points_in_between_and_tables():
-    path = trace(four_bar(1, 2.5, 2, 3, tracer=(1.0, 0.5)), "A", {"A": 0.5}, frames=["P"])
+    path = replace(trace(four_bar(1, 2.5, 2, 3, tracer=(1.0, 0.5)), "A", {"A": 0.5}), frames=("P",))
     even = path.resample(501)
     assert len(even) == 501 and np.abs(residual(path.system, even.q)).max() < 1e-13
     chords = np.linalg.norm(np.diff(even.q, axis=0), axis=1)  # all coordinates are angles
@@ -460,7 +462,7 @@ def test_paths_depend_neither_on_start_step_nor_unit(lengths, place, step, scale
     if not path:
         return
     assert path.closed
-    other = trace(four_bar(a, b, c, d), "A", path.at(place), step=step)
+    other = trace(four_bar(a, b, c, d), "A", path.at(place), budget=kempe.Budget(step=step))
     assert other.closed and other.length == pytest.approx(path.length, rel=1e-4)
     k = 10.0**scale
     large = trace(four_bar(k * a, k * b, k * c, k * d), "A", path.q[0])

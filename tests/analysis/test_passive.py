@@ -38,7 +38,7 @@ def assert_spins(system: System, q: np.ndarray, f: IdleFreedom) -> None:
     turn[:3, 3] = point - turn[:3, :3] @ point
     start = system.integrate(q, angle * speed)
     first = turn @ before[system.body_names.index(f.bodies[0])]
-    answer = system.assemble(others | {f.bodies[0]: first}, start, starts=1)
+    answer = system.assemble(others | {f.bodies[0]: first}, start, budget=kempe.Budget(starts=1))
     assert answer.success and np.abs(residual(system, answer.q)).max() < 1e-9
     after = system.fk(answer.q)
     inside = [system.body_names.index(b) for b in (*f.bodies, *f.links)]

@@ -9,6 +9,7 @@ import pytest
 from analysis import wheels
 from scipy.integrate import solve_ivp
 
+import kempe
 from kempe import Mechanism, constraints
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
@@ -43,7 +44,7 @@ def test_a_ball_bounces_to_rest_and_rolls_on_evenly():
 
 def test_samples_are_parabolas_between_bounces():
     system = ball("translation", limits={"z": (0.0, None)})
-    r = system.simulate(1.2, {"at.z": 1.0}, velocity=[0.3, 0.0, 1.0], restitution=0.5, samples=500)
+    r = system.simulate(1.2, {"at.z": 1.0}, velocity=[0.3, 0.0, 1.0], restitution=0.5, budget=kempe.Budget(points=500))
     hit = (1.0 + math.sqrt(1 + 2 * G)) / G
     t = r.t[r.t < hit]
     assert r.q[: len(t), 2] == pytest.approx(1.0 + t - 0.5 * G * t**2, abs=1e-13)
@@ -210,7 +211,7 @@ def test_what_needs_masses_is_refused_with_the_reason(system, reason):
 @pytest.mark.parametrize(("options", "error"), [
     ({"duration": 0.0}, "duration is 0.0"), ({"duration": math.inf}, "duration is inf"),
     ({"restitution": 1.5}, "restitution is 1.5"), ({"acceleration": (1, 2)}, "acceleration has shape"),
-    ({"velocity": [1.0]}, "velocity has shape"), ({"velocity": {"at.u": 1}}, "at.u"), ({"samples": 0}, "samples is 0"),
+    ({"velocity": [1.0]}, "velocity has shape"), ({"velocity": {"at.u": 1}}, "at.u"), ({"samples": 0}, "points is 0"),
     ({"velocity": {"at.x": "fast"}}, "'fast'"), ({"start": [0, 0]}, "2 coordinates"),
     ({"inputs": {"at.x": 1}, "velocity": {"at.y": 1}}, "velocity is for what falls"), ({"inputs": 3}, "inputs is int"),
 ])  # fmt: skip
@@ -228,8 +229,8 @@ def test_a_car_follows_its_inputs(hunt):
     rng, system = hunt.rng(), wheels.car(length=1.2)
     for _ in range(hunt.cases(4)):
         a, w, v = rng.uniform(0.1, 0.4), rng.uniform(0.5, 2), rng.uniform(-2, 2)
-        r = system.simulate(6.0, np.zeros(4), inputs={"body.vx": v, "steer": lambda t, a=a, w=w: a * math.cos(w * t)},
-                            samples=30)  # fmt: skip
+        inputs = {"body.vx": v, "steer": lambda t, a=a, w=w: a * math.cos(w * t)}
+        r = system.simulate(6.0, np.zeros(4), inputs=inputs, budget=kempe.Budget(points=30))
 
         def rate(t, x, a=a, w=w, v=v):
             return [v * math.cos(x[2]), v * math.sin(x[2]), v * math.tan(x[3]) / 1.2, a * math.cos(w * t)]
@@ -311,5 +312,6 @@ def test_bad_inputs_are_named(inputs, error):
 
 def test_time_is_up(looks):
     looks(3)
-    r = wheels.car().simulate(1.0, np.zeros(4), inputs={"body.vx": 1.0, "steer": 0.0}, time_limit=1.0)
+    r = wheels.car().simulate(1.0, np.zeros(4), inputs={"body.vx": 1.0, "steer": 0.0},
+                              budget=kempe.Budget(time_limit=1.0))  # fmt: skip
     assert r.late and not r and "time limit" in r.status and len(r.q) == len(r.t) == len(r.v)

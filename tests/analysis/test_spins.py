@@ -167,7 +167,8 @@ def test_a_platform_on_balls_moves_as_one_on_universal_joints(driver):
         motion = system.drive({n: x + 0.03 * np.sin(t * (i + 2)) for i, (n, x) in enumerate(legs.items())}, start=q)
         assert motion.success
         places.append(system.fk(motion.q, "platform"))
-        few = system.trace(driver, q, hold={n: x for n, x in legs.items() if n != driver}, max_points=70)
+        few = system.trace(driver, q, hold={n: x for n, x in legs.items() if n != driver},
+                           budget=kempe.Budget(points=70))  # fmt: skip
         ends.append([e.value for e in few.turning_points])
     np.testing.assert_allclose(places[0], places[1], atol=1e-12)
     n = min(map(len, ends))
@@ -195,7 +196,7 @@ def test_a_spin_can_be_asked_for():
     assert path.closed and path.s[-1] > 1.0
     np.testing.assert_allclose(np.ptp(path.q[:, -1]), 0.0, atol=1e-9)
     spins, rests = pair(4, "SA")
-    path = spins.trace("A", spins.neutral.copy(), hold={"C.rz": 0.0}, max_points=12)
+    path = spins.trace("A", spins.neutral.copy(), hold={"C.rz": 0.0}, budget=kempe.Budget(points=12))
     assert spins_held(path.track.equations) is None
     with pytest.raises(UnsupportedError, match="2 freedoms"):
         spins.trace("C.rx", spins.neutral.copy())

@@ -429,7 +429,7 @@ def counted(*arguments):
 general.general = counted
 threading.Timer(1.0, signal.raise_signal, [signal.SIGINT]).start()
 try:
-    robot.ik_all(X, tip, threads={threads})
+    robot.ik_all(X, tip, budget=kempe.Budget(threads={threads}))
 except KeyboardInterrupt:
     print(sum(done), len(X))
 """

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+import kempe
 from kempe import Mechanism
 from kempe.errors import InputError
 from kempe.kinematics.parallel import over_chunks
@@ -59,7 +60,7 @@ def test_many_python_threads_may_call_at_once():
     q = robot.random(0, 60_000)
     X = robot.fk(q, "b6", threads=1)
     J = robot.jacobian(q[:100], "b6")
-    s = robot.ik(X[:300], "b6", threads=1)
+    s = robot.ik(X[:300], "b6", budget=kempe.Budget(threads=1))
 
     def job(k):
         if k % 3 == 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ def targets(s: System, n: int, frame: str = "tool") -> np.ndarray:
 
 
 MAKERS: dict[str, Callable[[], Any]] = {
-    "path": lambda: bar().trace("A", frames=["P"] if "P" in bar().frame_names else ()),
+    "path": lambda: replace(bar().trace("A"), frames=("P",) if "P" in bar().frame_names else ()),
     "drive": lambda: bar().drive({"A": np.linspace(1.5, 2.5, 7)}),
     "assembly": lambda: bar().assemble({"A": 0.3}),
     "assemblies": lambda: bar().assemble({"A": [0.3, 0.4]}),
@@ -40,7 +41,8 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "all solutions of a batch": lambda: kempe.load("ur5").ik_all(targets(kempe.load("ur5"), 3), "tool"),
     "tasks": lambda: redundant().ik([kempe.tasks.Position("tool", [0.5, 0.5, 0])]),
     "ik_path": lambda: redundant().ik_path(np.linspace([0.9, 0.1, 0], [0.6, 0.3, 0], 9), "tool"),
-    "self_motion": lambda: redundant().self_motion([0.3, 0.4, 0.5], "tool", task="position", steps=20),
+    "self_motion": lambda: redundant().self_motion([0.3, 0.4, 0.5], "tool", task="position",
+                                                   budget=kempe.Budget(points=20)),  # fmt: skip
 }  # fmt: skip
 
 

@@ -274,11 +274,11 @@ def by_differences_of_rows(task: tasks.Task, s: System, q: np.ndarray) -> np.nda
 def test_why_a_row_with_its_own_ends_fails():
     panda = kempe.load("panda")
     low = np.array([[0.3, 0.0, 0.4], [2.0, 0.0, 0.4]])
-    answer = panda.ik(tasks.InBox("panda_link7", low, low + 0.1), starts=5)
+    answer = panda.ik(tasks.InBox("panda_link7", low, low + 0.1), budget=kempe.Budget(starts=5))
     assert list(answer.success) == [True, False] and "missed by" in answer.status[1]
     many = tasks.OnSphere("panda_link7", [0, 0, 0.3], [0.5, 9.0])
-    assert "missed by" in panda.ik(many, starts=5).status[1]
+    assert "missed by" in panda.ik(many, budget=kempe.Budget(starts=5)).status[1]
     posture = tasks.Posture(np.array([panda.mid, panda.mid + 9.0]), weight=None)
-    assert "missed by" in panda.ik(posture, starts=5).status[1]
+    assert "missed by" in panda.ik(posture, budget=kempe.Budget(starts=5)).status[1]
     with pytest.raises(InputError, match="low <= high"):
         panda.ik(tasks.InBox("panda_link7", low, low - 0.1))

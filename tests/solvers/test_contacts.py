@@ -97,7 +97,7 @@ def test_known_values_are_kept(hunt):
 
 def test_a_batch_that_follows_itself():
     system = arm()
-    answer = system.assemble({"A": np.linspace(0.2, 1.8, 30)}, start=[0.2, 1.0], continuous=True)
+    answer = system.assemble({"A": np.linspace(0.2, 1.8, 30)}, start=[0.2, 1.0], prefer="continuous")
     assert answer.success.all()
     assert np.abs(np.diff(answer.q[:, 1])).max() < 0.2
     assert (arm_beyond(answer.q) < 1e-9).all()

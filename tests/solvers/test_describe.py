@@ -37,7 +37,7 @@ CLASSES = {
 
 def recognised(name: str):
     arm = arms.arms()[name]
-    return ik_plan(arm.system, arm.frame, arm.task, arm.axis, fixed=dict.fromkeys(arm.held, 0.3))
+    return ik_plan(arm.system, arm.frame, (arm.task, arm.axis), tuple(arm.held))
 
 
 @pytest.mark.parametrize("name", CLASSES)
@@ -150,7 +150,7 @@ def test_the_facts_do_not_depend_on_frames():
 def test_redundant_and_short_chains():
     iiwa = kempe.load("iiwa14")
     assert ik_plan(iiwa, "tool").held == ("q5",)
-    assert ik_plan(iiwa, "tool", q3=0.1).path[0] == "q3 is held at the given value"
+    assert ik_plan(iiwa, "tool", fixed=["q3"]).path[0] == "q3 is held at the given value"
     assert ik_plan(iiwa, "tool", fixed={"q3": 0.1}).held == ("q3",)
     scara = ik_plan(kempe.load("cobra600"), "tool")
     assert scara.path[0].startswith("two equations of the task cannot be met at will, with four joints to move")
@@ -175,7 +175,7 @@ def test_one_joint_and_two_joints():
 
 
 def test_text_html_data():
-    answer = ik_plan(kempe.load("puma560"), "tool", "position_axis", axis=(1, 0, 0))
+    answer = ik_plan(kempe.load("puma560"), "tool", ("position_axis", (1, 0, 0)))
     text = str(answer)
     assert text.startswith("inverse model of tool of puma560, task position_axis\n  joints     q1, q2")
     assert max(map(len, text.splitlines())) <= 110
@@ -185,7 +185,7 @@ def test_text_html_data():
     assert html.count("<tr>") == html.count("</tr>") == 5 and "meet in one point" in html
     data = answer.data()
     assert data["most"] == 8 and data["joints"] == [f"q{k}" for k in range(1, 7)] and data["method"] == "closed form"
-    assert answer == ik_plan(kempe.load("puma560"), "tool", "position_axis", axis=(1, 0, 0))
+    assert answer == ik_plan(kempe.load("puma560"), "tool", ("position_axis", (1, 0, 0)))
 
 
 def test_what_is_refused():
@@ -193,7 +193,7 @@ def test_what_is_refused():
     with pytest.raises(InputError, match="task"):
         ik_plan(puma, "tool", "poses")
     with pytest.raises(UnknownNameError, match="q9"):
-        ik_plan(puma, "tool", q9=0.0)
+        ik_plan(puma, "tool", fixed=["q9"])
     with pytest.raises(UnknownNameError, match="tol"):
         ik_plan(puma, "tol")
     with pytest.raises(UnsupportedError, match="loop"):
@@ -201,6 +201,6 @@ def test_what_is_refused():
 
 
 def test_names_of_held_joints_only_count():
-    assert ik_plan(kempe.load("panda"), "panda_hand_tcp", panda_joint7=0.1) == ik_plan(
-        kempe.load("panda"), "panda_hand_tcp", panda_joint7=np.pi
+    assert ik_plan(kempe.load("panda"), "panda_hand_tcp", fixed=["panda_joint7"]) == ik_plan(
+        kempe.load("panda"), "panda_hand_tcp", fixed={"panda_joint7": np.pi}
     )

@@ -40,7 +40,7 @@ def moves_like(system: System, given: System, digits: int, tolerance: float | st
     assert path.success and path.closed and "within" in path.status
     assert np.abs(ideal.closure_error(path.q)).max() < 1e-11
     assert np.abs(given.closure_error(path.q)).max() < 30.0 * off
-    truth = system.assemble(start=path.q, nearest=True, limits=False)
+    truth = system.assemble(start=path.q, limits=False, prefer="nearest")
     assert np.all(truth.success) and np.abs(truth.q - path.q).max() < 100.0 * math.sqrt(off) and np.median(
         np.abs(truth.q - path.q).max(axis=1)) < 100.0 * off  # fmt: skip
     assert given.drive({driver: start + np.linspace(0.0, 0.2, 5)}, **more).success
@@ -49,7 +49,7 @@ def moves_like(system: System, given: System, digits: int, tolerance: float | st
     near, h = system.assemble({driver: start + 0.1}, start=answer.q).q, 1e-5
     a, b = (system.assemble({driver: near[0] + s * h}, start=near).q[1] for s in (-1.0, 1.0))
     assert found and abs(found.matrix[0, 0] - (b - a) / (2.0 * h)) < 1e3 * off + 1e-8
-    assert len(given.assembly_modes({driver: start + 0.1}, starts=64, **more)) >= 1
+    assert len(given.assembly_modes({driver: start + 0.1}, **more, budget=kempe.Budget(starts=64))) >= 1
 
 
 @CASES

@@ -150,7 +150,7 @@ def test_the_size_of_the_arm_does_not_matter(name):
         big = arms.placed("scaled", frames, m.kinds, tip, "", arm.bound)
         theta = m.theta(q) * np.where(m.kinds == oracle.SLIDE, size, 1.0)
         X = big.model.fk(theta)
-        answer = big.system.ik_all(X, "tool", task=arm.task, axis=arm.axis, tolerance=1e-9 * max(1.0, size))
+        answer = big.system.ik_all(X, "tool", task=(arm.task, arm.axis), tolerance=1e-9 * max(1.0, size))
         for found, wanted in zip(rows(answer), theta, strict=True):
             d = np.where(m.kinds == oracle.SLIDE, 1.0 / size, 1.0) * big.model.wrapped(found - wanted)
             assert np.abs(d).max(axis=-1).min(initial=np.inf) < SAME
@@ -232,7 +232,7 @@ def test_limits_sort_and_do_not_hide(name):
         assert [can_be_inside(arm, q) for q in answer.q] == answer.inside.tolist()
         assert answer.inside.tolist() == sorted(answer.inside.tolist(), reverse=True) and answer.inside[0]
         assert bool(answer)
-        only = ask(arm, X, x, inside_only=True)
+        only = ask(arm, X, x, limits=True)
         assert only.inside.all()
         np.testing.assert_array_equal(only.q, answer.q[answer.inside])
 
@@ -244,7 +244,7 @@ def test_every_turn_inside_the_limits(name):
     x = arm.inside(11, 1)[0]
     X = arm.model.fk(x)
     answer = ask(arm, X)
-    every = ask(arm, X, expand_turns=True, inside_only=True)
+    every = ask(arm, X, limits="turns")
     expected = [p for q in answer.q for p in itertools.product(*(turns(arm, q, i) for i in range(arm.system.nq)))]
     assert len(every) == len(expected) > answer.inside.sum()
     expected = np.array(expected)
@@ -442,7 +442,7 @@ def test_what_is_out_of_reach_has_no_answer(name):
     assert is_inside(arm, q)
     position, angle = oracle.error(arm.model.fk(q), X[0], arm.task, arm.axis)
     np.testing.assert_allclose([far, turned], [position, angle], rtol=1e-6, atol=1e-9)
-    assert far <= arm.system.ik(X[0], arm.frame, position_only=arm.task == "position").position_error * 1.01
+    assert far <= arm.system.ik(X[0], arm.frame).position_error * 1.01
     with pytest.raises(NoSolutionError):
         ask(arm, X[0], throw=True)
 
@@ -469,7 +469,7 @@ def test_refusals():
     with pytest.raises(InputError, match="task"):
         arm.system.ik_all(X, "tool", task="poes")
     with pytest.raises(InputError, match="axis"):
-        arm.system.ik_all(X, "tool", task="direction", axis=(0, 0, 0))
+        arm.system.ik_all(X, "tool", task=("direction", (0, 0, 0)))
     with pytest.raises(UnknownNameError):
         arm.system.ik_all(X, "toool")
     with pytest.raises(UnknownNameError):

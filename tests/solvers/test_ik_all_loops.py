@@ -40,7 +40,7 @@ def test_inside_the_limits_first():
     X = system.fk(system.posture("closed"), "platform")
     legs = [i for i, n in enumerate(system.coordinate_names) if n.startswith("leg")]
     everything = system.ik_all(X, "platform")
-    few = system.ik_all(X, "platform", inside_only=True)
+    few = system.ik_all(X, "platform", limits=True)
     assert np.all(np.diff(everything.inside.astype(int)) <= 0) and few.inside.all()
     assert (everything.q[everything.inside][:, legs] > 0).all() and (few.q[:, legs] > 0).all()
 
@@ -48,7 +48,7 @@ def test_inside_the_limits_first():
 def test_what_cannot_be_reached_is_empty():
     system = kempe.load("five_bar")
     with pytest.raises(NoSolutionError, match="none found, which proves nothing") as error:
-        system.ik_all([9.0, 9.0], "tip", throw=True)
+        system.ik_all([9.0, 9.0], "tip").expect()
     assert not error.value.solution
 
 
@@ -58,8 +58,8 @@ def test_what_cannot_be_reached_is_empty():
         (1.0, {"task": "orientation"}, UnsupportedError, "takes one pose or position there, not task 'orientation'"),
         (np.ones((2, 1, 1)), {}, UnsupportedError, "not more than one target"),
         (np.nan, {}, InputError, "not finite"),
-        (1.0, {"expand_turns": True}, InputError, "for chains"),
-        (1.0, {"nobody": 0.1}, UnknownNameError, "nobody"),
+        (1.0, {"limits": "turns"}, InputError, "for chains"),
+        (1.0, {"fixed": {"nobody": 0.1}}, UnknownNameError, "nobody"),
     ],
 )
 def test_what_is_refused(change, options, error, says):

@@ -311,7 +311,7 @@ def test_a_sweep_holds_the_others_where_there_is_a_solution():
     """Of two spare joints one is swept; with the other held at zero most targets had no interval."""
     system, frame = robot("pr2")
     targets = system.fk(system.random(5, 4), frame)
-    assert all(ik_sweep(system, X, frame, samples=32) for X in targets)
+    assert all(ik_sweep(system, X, frame, budget=kempe.Budget(points=32)) for X in targets)
 
 
 @pytest.mark.parametrize("name", ["panda", "iiwa14", "gen3", "ur5"])

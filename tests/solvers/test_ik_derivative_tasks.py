@@ -192,7 +192,7 @@ def test_batches_and_what_is_refused():
     alone = s.ik(tasks.Position(HAND, p[2]), start=q, **TIGHT)
     np.testing.assert_allclose(D[2], alone.derivative[f"Position of '{HAND}'"], atol=1e-8)
     with pytest.raises(InputError, match="do not hold"):
-        _ = s.ik(tasks.Position(HAND, p[1]), starts=2).derivative
+        _ = s.ik(tasks.Position(HAND, p[1]), budget=kempe.Budget(starts=2)).derivative
     with pytest.raises(UnsupportedError, match="one priority"):
         _ = s.ik([tasks.Posture(q), tasks.Posture(q, priority=1)]).derivative
     with pytest.raises(UnsupportedError, match="one priority"):

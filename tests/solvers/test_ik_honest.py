@@ -93,7 +93,7 @@ def test_rounds_of_starts_are_one_sequence():
     assert s.success.all() and len(hard) > 5
     for i in hard:
         n = int(s.starts[i])
-        again = robot.ik(X[i], frame, task="position_axis", starts=n)
+        again = robot.ik(X[i], frame, task="position_axis", budget=kempe.Budget(starts=n))
         assert np.array_equal(again.q, s.q[i]) and again.starts == n
 
 
@@ -103,7 +103,7 @@ def test_rounds_of_starts_are_one_sequence():
 def test_too_few_starts_are_no_blocking_limits():
     robot = kempe.load("puma560")
     X = robot.fk(robot.random(0, 300), "tool")
-    s = robot.ik(X, "tool", starts=1)
+    s = robot.ik(X, "tool", budget=kempe.Budget(starts=1))
     failed = np.flatnonzero(~s.success)
     assert len(failed) > 20 and robot.ik(X[failed], "tool").success.all()
     assert all("more starts find an answer" in x for x in s.status[failed])
@@ -150,9 +150,9 @@ def test_wrong_input_blames_what_is_wrong():
     flat, robot = arm([(-3.0, 3.0)] * 2), kempe.load("puma560")
     X = robot.fk(robot.random(0), "tool")
     with pytest.raises(InputError, match="direction of the target must be finite and not zero"):
-        flat.ik([0.0, 0.0], "tip", task="direction", axis=(1, 0, 0))
+        flat.ik([0.0, 0.0], "tip", task=("direction", (1, 0, 0)))
     with pytest.raises(InputError, match="direction of the target must be finite and not zero"):
-        flat.ik([1.0, 1.0, 0.0, 0.0], "tip", task="position_axis", axis=(1, 0, 0))
+        flat.ik([1.0, 1.0, 0.0, 0.0], "tip", task=("position_axis", (1, 0, 0)))
     with pytest.raises(InputError, match="task is .'pose'."):
         robot.ik(X, "tool", task=["pose"])
     for task, words in (("direction", ["a", "b", "c"]), ("orientation", [["a"] * 3] * 3)):

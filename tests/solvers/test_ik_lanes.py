@@ -80,7 +80,7 @@ def inside(robot, q):
 def test_tasks(name, task, axis):
     robot, frame = robot_of(name)
     X = robot.fk(robot.random(0, 300), frame)
-    s = robot.ik(X, frame, task=task, axis=axis)
+    s = robot.ik(X, frame, task=(task, axis))
     Y = robot.fk(s.q, frame)
     assert s.success.all() and inside(robot, s.q)
     if task in ("pose", "position", "position_axis"):
@@ -105,23 +105,23 @@ def test_tasks_by_other_targets():
     axis = np.array([0.6, 0.0, 0.8])
     d = X[:3, :3] @ axis
     for target, task in ((d, "direction"), (np.r_[X[:3, 3], d], "position_axis")):
-        s = robot.ik(target, frame, task=task, axis=axis)
+        s = robot.ik(target, frame, task=(task, axis))
         Y = robot.fk(s.q, frame)
         assert s.success and np.abs(Y[:3, :3] @ axis - d).max() < 2e-6
     s = robot.ik(X[:3, :3], frame, task="orientation")
     assert s.success and np.abs(robot.fk(s.q, frame)[:3, :3] - X[:3, :3]).max() < 2e-6
     planar = snake(5)
-    s = planar.ik([0.3, 0.2, 0.0, 1.0], "tip", task="position_axis", axis=(1, 0, 0))
+    s = planar.ik([0.3, 0.2, 0.0, 1.0], "tip", task=("position_axis", (1, 0, 0)))
     assert s.success and np.allclose(planar.fk(s.q, "tip")[:2, [0, 3]], [[0.0, 0.3], [1.0, 0.2]], atol=2e-6)
 
 
 def test_five_joints_point_where_they_cannot_pose():
     robot, frame = robot_of("so101")
     X = robot.fk(robot.random(5, 40), frame) @ kempe.spatial.pose(kempe.spatial.rot_z(1.0))
-    assert not robot.ik(X, frame, starts=20).success.any()
+    assert not robot.ik(X, frame, budget=kempe.Budget(starts=20)).success.any()
     assert robot.ik(X, frame, task="position_axis").success.all()
     X[:, :3, :3] = X[:, :3, :3] @ kempe.spatial.rot_x(1.3)
-    s = robot.ik(X, frame, task="position_axis", starts=20)
+    s = robot.ik(X, frame, task="position_axis", budget=kempe.Budget(starts=20))
     lost = np.flatnonzero(~s.success)
     assert len(lost) and np.all(s.status[lost] != "") and "rad" in s.status[lost[0]]
 
@@ -136,15 +136,15 @@ def test_arguments_are_checked():
     with pytest.raises(InputError, match="asks for an orientation"):
         robot.ik(X[:3, 3], frame, task="pose")
     with pytest.raises(InputError, match="not all zero"):
-        robot.ik(X, frame, task="direction", axis=(0, 0, 0))
-    assert robot.ik(X, frame, position_only=True).q.tolist() == robot.ik(X, frame, task="position").q.tolist()
+        robot.ik(X, frame, task=("direction", (0, 0, 0)))
+    assert robot.ik(X, frame, task="position").q.tolist() == robot.ik(X, frame, task="position").q.tolist()
 
 
 @pytest.mark.parametrize("task", ["direction", "position_axis", "orientation"])
 def test_exact_solutions_answer_tasks_too(task):
     robot = kempe.load("puma560")
     X = robot.fk(robot.random(1, 30), "tool")
-    s = robot.ik(X, "tool", task=task, axis=(1, 0, 1), method="auto")
+    s = robot.ik(X, "tool", task=(task, (1, 0, 1)), method="auto")
     Y = robot.fk(s.q, "tool")
     assert s.success.all() and angles(X, Y, None if task == "orientation" else (1, 0, 1)).max() < 1e-6
 
@@ -158,10 +158,10 @@ def test_a_seed_that_leads_to_the_target_is_the_answer():
     near = np.clip(q + np.random.default_rng(0).uniform(-0.05, 0.05, q.shape), robot.lower, robot.upper)
     X = robot.fk(q, frame)
     s = robot.ik(X, frame, start=near)
-    alone = robot.ik(X, frame, start=near, starts=1)
+    alone = robot.ik(X, frame, start=near, budget=kempe.Budget(starts=1))
     assert s.success.all() and (s.starts == 1).all() and np.array_equal(s.q, alone.q)
     assert np.median(np.abs(s.q - near).max(axis=1)) < 0.15
-    other = robot.ik(X, frame, start=near, rng=5)
+    other = robot.ik(X, frame, start=near, budget=kempe.Budget(rng=5))
     assert np.array_equal(s.q, other.q)  # no random number took part
 
 

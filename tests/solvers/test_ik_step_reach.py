@@ -71,7 +71,8 @@ def test_out_of_reach_it_settles_at_the_nearest_pose(name, by, damping):
     assert turns_back(Q, 0.01) == 0 and not np.diff(Q[-100:], axis=0).any()
     assert np.abs(np.diff(Q, axis=0) / 0.01).max() <= TURNING * (1.0 + 1e-9)
     # the wrist of a UR5 has minima on both sides, and a step does not leave the one that it comes to
-    nearest, rest = s.ik(X, frame, start=Q[-1], starts=1 if name == "ur5" else 1000), s.fk(Q[-1], frame)
+    nearest = s.ik(X, frame, start=Q[-1], budget=kempe.Budget(starts=1 if name == "ur5" else 1000))
+    rest = s.fk(Q[-1], frame)
     assert abs(np.linalg.norm(rest[:3, 3] - X[:3, 3]) - nearest.position_error) < 1e-4
 
 

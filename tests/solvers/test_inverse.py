@@ -79,7 +79,7 @@ def test_unreachable_points_say_how_far_outside_they_are(p, distance):
     np.testing.assert_allclose(s.position_error, distance, atol=1e-6)  # the nearest configuration is the true one
     np.testing.assert_allclose(np.linalg.norm(tip(s.q) - p), distance, atol=1e-6)
     with pytest.raises(NoSolutionError, match="outside the workspace"):
-        two_link().ik(p, "tip", throw=True)
+        two_link().ik(p, "tip").expect()
 
 
 @pytest.mark.parametrize("p", [(1.7, 0.0), (0.0, 1.7), (-0.3, 0.0)])
@@ -154,7 +154,7 @@ def test_more_equations_than_freedoms_is_said():
     s = robot.ik(X, "tip")
     assert not s.success
     assert "3 equations" in s.status and "2 freedoms" in s.status and "position alone can be reached" in s.status
-    s = robot.ik(X, "tip", position_only=True)
+    s = robot.ik(X, "tip", task="position")
     assert s.success and s.orientation_error == 0
 
 
@@ -183,11 +183,11 @@ def test_random_spatial_chains_reach_what_they_can_reach(seed):
 def test_answers_do_not_depend_on_threads_or_on_the_rest_of_the_batch():
     robot = spatial_arm(7, 2)
     X = robot.fk(robot.random(5, 700), "tool")
-    one, two, five = (robot.ik(X, "tool", threads=n) for n in (1, 2, 5))
+    one, two, five = (robot.ik(X, "tool", budget=kempe.Budget(threads=n)) for n in (1, 2, 5))
     assert np.array_equal(one.q, two.q) and np.array_equal(one.q, five.q)
     assert np.array_equal(one.q, robot.ik(X, "tool").q)
     assert np.array_equal(one.q[:1], robot.ik(X[:1], "tool").q)
-    other = robot.ik(X, "tool", rng=1)
+    other = robot.ik(X, "tool", budget=kempe.Budget(rng=1))
     assert other.success.all() and not np.array_equal(one.q, other.q)
 
 
@@ -363,6 +363,6 @@ def test_work_is_counted():
     robot = spatial_arm(7, 2)
     s = robot.ik(robot.fk(robot.random(0, 300), "tool"), "tool")
     assert np.median(s.iterations) <= 30 and np.median(s.starts) <= 2
-    assert robot.ik([50.0, 0, 0], "tool", starts=7).starts == 7
+    assert robot.ik([50.0, 0, 0], "tool", budget=kempe.Budget(starts=7)).starts == 7
 
 

@@ -222,11 +222,11 @@ def test_a_frame_counts_poses():
     """The legs of a Stewart platform turned over on their universal joints do not count with `frame`."""
     system = kempe.load("stewart")
     known = inputs(system, *(f"leg{i}" for i in range(1, 7)))
-    few = assembly_modes(system, known, frame="platform", limits=False, starts=1024)
+    few = assembly_modes(system, known, frame="platform", limits=False, budget=kempe.Budget(starts=1024))
     X = system.fk(few.q, "platform")[:, :3]
     apart = np.abs(X[:, None] - X[None]).max(axis=(2, 3)) + np.eye(len(X))
     assert 1 <= len(few) <= 40 and apart.min() > 1e-6
-    many = assembly_modes(system, known, limits=False, starts=256)
+    many = assembly_modes(system, known, limits=False, budget=kempe.Budget(starts=256))
     assert len(many) > len(few)
 
 
@@ -255,7 +255,7 @@ def test_shaky_is_not_called_moving():
 
 def test_none_found():
     system = three_rpr([(0, 0), (9, 0), (4, 9)], [(0, 0), (1, 0), (0, 1)])
-    modes = assembly_modes(system, {"S1": 1.0, "S2": 1.0, "S3": 1.0}, starts=64)
+    modes = assembly_modes(system, {"S1": 1.0, "S2": 1.0, "S3": 1.0}, budget=kempe.Budget(starts=64))
     assert not modes and not modes.complete
     assert modes.status == "none found, which proves nothing: of 64 starts none closed"
 
@@ -301,8 +301,8 @@ def test_refused_arguments():
         lambda: assembly_modes(system, {"A": "x"}),
         lambda: assembly_modes(system, [1.0]),  # type: ignore[arg-type]
         lambda: assembly_modes(system, {"A": 1.0}, start=np.zeros((2, 4))),
-        lambda: assembly_modes(system, {"A": 1.0}, starts=0),
-        lambda: assembly_modes(system, {"A": 1.0}, rng="x"),  # type: ignore[arg-type]
+        lambda: assembly_modes(system, {"A": 1.0}, budget=kempe.Budget(starts=0)),
+        lambda: assembly_modes(system, {"A": 1.0}, budget=kempe.Budget(rng="x")),  # type: ignore[arg-type]
         lambda: assembly_modes(kempe.load("three_rpr"), {"S1": [0.3, 0.4], "S2": 0.3, "S3": 0.3}),
     ):
         with pytest.raises(InputError):

@@ -120,7 +120,7 @@ def test_a_search_that_ends_early_has_all_mirror_images():
     for _ in range(20):
         f = k33(rng)
         system = f.system()
-        found = assembly_modes(system, starts=12)
+        found = assembly_modes(system, budget=kempe.Budget(starts=12))
         places = f.places(system, found.q)
         assert missing(places, places * [1.0, -1.0]) == 0 and len(found) % 2 == 0
         seen.add(bool((found.multiplicity == 0).any()))
@@ -180,7 +180,7 @@ def test_an_odd_number_is_called_incomplete(monkeypatch):
 
     f = k33(np.random.default_rng([1, 0]))
     monkeypatch.setattr(many.Search, "complete", lambda self: False)
-    modes = assembly_modes(f.system(), starts=128)
+    modes = assembly_modes(f.system(), budget=kempe.Budget(starts=128))
     assert len(modes) == 7 and modes.expected >= 8
     assert "one is missing at least, since their number is even" in modes.status
     assert len(assembly_modes(f.system())) == 8, "more starts find it, since the search goes on"
@@ -271,7 +271,7 @@ def test_angles_that_wind_up_make_no_modes(factors):
     m.couple("J5", {"J1": factors[0], "J2": factors[1]})
     system, counts = m.build(), set()
     for seed in range(3):
-        found = system.assembly_modes({"J3": 0.0}, rng=seed)
+        found = system.assembly_modes({"J3": 0.0}, budget=kempe.Budget(rng=seed))
         poses = system.fk(found.q)
         apart = np.abs(poses[:, None] - poses[None]).max(axis=(2, 3, 4)) + 10.0 * np.eye(len(poses))
         assert len(found.q) > 1 and apart.min() > 1e-5

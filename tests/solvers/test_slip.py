@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from analysis import wheels
 
+import kempe
 from kempe import Mechanism, tasks
 from kempe.errors import UnsupportedError
 
@@ -120,7 +121,8 @@ def test_paths_that_roll_are_followed(hunt):
     rng, system = hunt.rng(), wheels.knife((0.3, 0.1), 0.5)
     for _ in range(hunt.cases(15)):
         n = int(rng.integers(30, 200))
-        found = system.manoeuvre(*rng.uniform(-2, 2, (2, 3)), radius=rng.choice([0.0, 0.5, 2.0]), samples=n)
+        found = system.manoeuvre(*rng.uniform(-2, 2, (2, 3)), radius=rng.choice([0.0, 0.5, 2.0]),
+                                 budget=kempe.Budget(points=n))  # fmt: skip
         path = system.ik_path(system.fk(found.q, "body"), "body", found.q[0])
         assert path, path.status
         assert np.abs(path.q - found.q).max() < 1e-8
@@ -186,12 +188,12 @@ def test_a_motion_that_rolls_along():
 
 def test_traces_and_self_motions_tell_where_they_slip():
     system = wheels.knife()
-    path = system.trace("pose.y", [0, 0, 0], hold={"pose.x": 0.0, "pose.rz": 0.0}, max_points=20)
+    path = system.trace("pose.y", [0, 0, 0], hold={"pose.x": 0.0, "pose.rz": 0.0}, budget=kempe.Budget(points=20))
     assert not path and "slips by" in path.status and "'edge'" in path.status
-    along = system.trace("pose.x", [0, 0, 0], hold={"pose.y": 0.0, "pose.rz": 0.0}, max_points=20)
+    along = system.trace("pose.x", [0, 0, 0], hold={"pose.y": 0.0, "pose.rz": 0.0}, budget=kempe.Budget(points=20))
     assert "slips" not in along.status
     with pytest.raises(UnsupportedError, match="self-motion of mobile arm slips"):
-        with_arm().self_motion([0, 0, 0, 0.5, 0.7], "tip", direction="pose.y", steps=5)
+        with_arm().self_motion([0, 0, 0, 0.5, 0.7], "tip", direction="pose.y", budget=kempe.Budget(points=5))
 
 
 def test_inputs_that_leave_freedoms_and_limits():

@@ -286,7 +286,7 @@ def test_the_nearest_closed_configuration_is_that_of_assembly(name):
     """A soft posture on a closed loop, against `assemble(nearest=True)`, which finds it in another way."""
     s = kempe.load(name)
     for near in s.random(1, 4):
-        there = s.assemble(start=near, nearest=True)
+        there = s.assemble(start=near, prefer="nearest")
         answer = s.ik(tasks.Posture(near), start=there.q)
         scale = Packed(s, [tasks.Posture(near)]).scale
         far, least = (float(np.sum((s.difference(q, near) / scale) ** 2)) for q in (there.q, answer.q))
@@ -342,7 +342,7 @@ def test_contradictory_tasks_are_named():
     assert answer.proven
     assert "'Orientation of 'torso''" not in answer.status.split("contradictory")[1]
     with pytest.raises(NoSolutionError):
-        s.ik(there, throw=True)
+        s.ik(there).expect()
 
 
 def test_blocked_by_limits_is_said_with_the_joint():
@@ -374,7 +374,8 @@ def test_no_false_success():
     rng = np.random.default_rng(9)
     for _ in range(20):
         X = spatial.pose(spatial.exp_so3(rng.normal(size=3)), rng.uniform(-1, 1, 3))
-        answer = s.ik([tasks.Pose(HAND, X), tasks.HalfSpace("panda_link4", [0, 0, 0.4], [0, 0, 1])], starts=10)
+        answer = s.ik([tasks.Pose(HAND, X), tasks.HalfSpace("panda_link4", [0, 0, 0.4], [0, 0, 1])],
+                      budget=kempe.Budget(starts=10))  # fmt: skip
         held = (
             np.abs(s.fk(answer.q, HAND) - X).max() < 3e-6 and s.fk(answer.q, "panda_link4")[2, 3] > 0.4 - 2e-6
         )  # fmt: skip
@@ -389,12 +390,12 @@ def test_batches_are_their_rows_and_do_not_depend_on_threads():
     q = s.random(10, (4, 12))
     L, R = s.fk(q, "left"), s.fk(q, "right")[..., :3, 3]
     wanted = [tasks.Pose("left", L), tasks.Position("right", R), tasks.Posture(s.neutral, priority=1)]
-    answer = s.ik(wanted, threads=1)
+    answer = s.ik(wanted, budget=kempe.Budget(threads=1))
     assert (
         answer.q.shape == (4, 12, s.nq) and answer.success.all() and answer.errors[wanted[0].label].shape == (4, 12, 2)
     )
     for threads in (2, 5):
-        np.testing.assert_array_equal(s.ik(wanted, threads=threads).q, answer.q)
+        np.testing.assert_array_equal(s.ik(wanted, budget=kempe.Budget(threads=threads)).q, answer.q)
     first = s.ik([tasks.Pose("left", L[0, 0]), tasks.Position("right", R[0, 0]), wanted[2]])
     np.testing.assert_array_equal(first.q, answer.q[0, 0])
     assert "48 of 48 problems solved" in str(answer) and answer.status[1, 2].startswith("all hard tasks hold")
@@ -468,7 +469,7 @@ def test_the_self_motion_of_three_links_closes():
     s = planar_arm((1.0, 0.8, 0.6))
     q = np.array([0.4, 1.9, 1.2])
     p = s.fk(q, "tip")
-    m = s.self_motion(q, tasks.Position("tip", p[:2, 3]), steps=400)
+    m = s.self_motion(q, tasks.Position("tip", p[:2, 3]), budget=kempe.Budget(points=400))
     assert m.closed and m.freedoms == 1 and len(m) > 50
     np.testing.assert_allclose(s.fk(m.q, "tip")[:, :3, 3] - p[:3, 3], 0.0, atol=1e-9)
     steps = np.linalg.norm([s.difference(a, b) for a, b in itertools.pairwise(m.q)], axis=-1)
@@ -494,7 +495,7 @@ def test_one_direction_of_a_larger_self_motion():
     task = tasks.Position(HAND, s.fk(q, HAND)[:3, 3])
     with pytest.raises(InputError, match="4 freedoms"):
         s.self_motion(q, task)
-    m = s.self_motion(q, task, direction="panda_joint1", steps=10)
+    m = s.self_motion(q, task, direction="panda_joint1", budget=kempe.Budget(points=10))
     assert m.freedoms == 4 and np.all(np.diff(m.q[:, 0]) > 0)
     np.testing.assert_allclose(s.fk(m.q, HAND)[:, :3, 3] - task.target, 0.0, atol=1e-9)
     with pytest.raises(InputError, match="do not hold"):

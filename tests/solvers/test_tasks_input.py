@@ -82,7 +82,7 @@ def test_an_arm_that_points_the_other_way(name):
 def test_two_opposite_directions_contradict_each_other():
     """That is proven: they turn axes of one body."""
     up, down = (tasks.Pointing("b", [0, 0, z], name=n) for z, n in ((1.0, "up"), (-1.0, "down")))
-    answer = ball().ik([up, down], starts=3)
+    answer = ball().ik([up, down], budget=kempe.Budget(starts=3))
     assert not answer.success and answer.proven and answer.starts == 3
     assert "contradictory: 'up' and 'down'" in answer.status
 
@@ -220,13 +220,13 @@ def test_caches_are_bounded():
 def test_lengths_prove_what_is_out_of_reach_as_for_one_frame(panda):
     rng = np.random.default_rng(0)
     for d in spatial.unit(rng.normal(size=(4, 3))):
-        answer, single = panda.ik(tasks.Position(HAND, 3.0 * d), starts=4), panda.ik(3.0 * d, HAND)
+        answer, single = panda.ik(tasks.Position(HAND, 3.0 * d), budget=kempe.Budget(starts=4)), panda.ik(3.0 * d, HAND)
         beyond = single.status.split("at least ")[1].split(",")[0]
         assert answer.code == single.code == OUT_OF_REACH
         assert f"is outside the workspace by at least {beyond}, by the lengths of the links" in answer.status
         assert float(beyond.split()[0]) <= answer.position_error
     X = spatial.pose(spatial.rot_x(math.pi), [0.0, 0.0, 1.25])
-    answer, single = panda.ik(tasks.Pose(HAND, X), starts=4), panda.ik(X, HAND)
+    answer, single = panda.ik(tasks.Pose(HAND, X), budget=kempe.Budget(starts=4)), panda.ik(X, HAND)
     assert answer.code == single.code == OUT_OF_REACH
     assert single.status.split("outside")[1].split(";")[0] in answer.status
 
@@ -240,26 +240,27 @@ def test_lengths_prove_nothing_wrong(panda):
         at = [tasks.Pose(HAND, X), tasks.Position(HAND, p, point), tasks.OnLine(HAND, p + d, d, point),
               tasks.OnPlane(HAND, p, d, point), tasks.RelativePose(HAND, "panda_link0", X)]  # fmt: skip
         for task in at:
-            assert panda.ik(task, starts=1).code in (SOLVED, NOT_FOUND)
+            assert panda.ik(task, budget=kempe.Budget(starts=1)).code in (SOLVED, NOT_FOUND)
 
 
 def test_tasks_that_are_out_of_reach_are_the_ones_named(panda):
     far = tasks.OnPlane(HAND, [0.0, 0.0, 4.0], [0.0, 0.0, 1.0], name="far")
     line = tasks.OnLine(HAND, [5.0, 0.0, 0.0], [0.0, 0.0, 1.0], name="line")
     near = tasks.Position("panda_link4", panda.fk(panda.mid, "panda_link4")[:3, 3], name="near")
-    answer = panda.ik([far, near], starts=3)
+    answer = panda.ik([far, near], budget=kempe.Budget(starts=3))
     assert answer.code == OUT_OF_REACH and "; 'far' is outside the workspace by at least" in answer.status
-    assert "'near' is outside" not in answer.status and panda.ik([line], starts=3).code == OUT_OF_REACH
+    assert "'near' is outside" not in answer.status
+    assert panda.ik([line], budget=kempe.Budget(starts=3)).code == OUT_OF_REACH
     side = tasks.HalfSpace(HAND, [0.0, 0.0, -4.0], [0.0, 0.0, 1.0])
     assert panda.ik([side, near], start=panda.mid).success
     targets = np.array([[0.4, 0.1, 0.5], [3.0, 0.0, 0.0], [NAN, 0.0, 0.0]])
-    assert panda.ik(tasks.Position(HAND, targets), starts=5).code.tolist() == [0, 3, 2]
+    assert panda.ik(tasks.Position(HAND, targets), budget=kempe.Budget(starts=5)).code.tolist() == [0, 3, 2]
 
 
 def test_lengths_prove_with_loops_too():
     s = kempe.load("five_bar")
     frame, q = s.body_names[-1], s.assemble().q
-    answer = s.ik(tasks.Position(frame, [9.0, 0.0]), start=q, starts=3)
+    answer = s.ik(tasks.Position(frame, [9.0, 0.0]), start=q, budget=kempe.Budget(starts=3))
     assert answer.code == OUT_OF_REACH and "by the lengths of the links" in answer.status
     beyond = float(answer.status.split("at least ")[1].split(" m")[0])
     assert 0.0 < beyond <= answer.position_error
@@ -271,7 +272,7 @@ def test_a_slide_that_is_too_short_is_blocked_by_its_limit():
     m.prismatic("s", m.ground, m.body("a"), axis=(1.0, 0.0), limits=(0.0, 1.0))
     m.revolute("j", "a", m.body("b"))
     m.frame("tip", "b", at=(1.0, 0.0))
-    answer = m.build().ik(tasks.Position("tip", [3.0, 0.5]), starts=3)
+    answer = m.build().ik(tasks.Position("tip", [3.0, 0.5]), budget=kempe.Budget(starts=3))
     assert answer.code == OUT_OF_REACH and answer.proven
     assert "outside the workspace" in answer.status and "without the limit of 's' it is reached" in answer.status
 
@@ -282,7 +283,7 @@ def test_a_slide_that_is_too_short_is_blocked_by_its_limit():
 @pytest.mark.parametrize("i", range(0, 15, 3))
 def test_the_limit_at_which_a_self_motion_ends_is_named(panda, i):
     q = panda.random(i)
-    m = panda.self_motion(q, "panda_hand_tcp", steps=2000)
+    m = panda.self_motion(q, "panda_hand_tcp", budget=kempe.Budget(points=2000))
     for end, why in zip((m.q[0], m.q[-1]), m.ends, strict=True):
         assert why.startswith("the limit of ")
         k = panda.coordinate_names.index(why.split("'")[1])
@@ -293,7 +294,7 @@ def test_the_half_space_at_which_a_self_motion_ends_is_named():
     s, q = flat_arm(), np.array([0.4, 1.0, 0.7])
     elbow = s.fk(q, "b2")[:2, 3]
     wall = tasks.HalfSpace("b2", elbow + [0.1, 0.0], [-1.0, 0.0], name="wall")
-    m = s.self_motion(q, [tasks.Position("tip", s.fk(q, "tip")[:2, 3]), wall], steps=300)
+    m = s.self_motion(q, [tasks.Position("tip", s.fk(q, "tip")[:2, 3]), wall], budget=kempe.Budget(points=300))
     assert not m.closed and "the bound of 'wall'" in m.ends
     end = m.q[0] if m.ends[0].startswith("the bound") else m.q[-1]
     assert s.fk(end, "b2")[0, 3] == pytest.approx(elbow[0] + 0.1, abs=1e-4)
@@ -301,9 +302,11 @@ def test_the_half_space_at_which_a_self_motion_ends_is_named():
 
 def test_what_self_motions_are_given(panda):
     q = panda.random(4)
-    assert len(panda.self_motion(q, HAND, steps=np.int64(3))) == 7
-    for more, match in (({"direction": ["a"]}, "direction"), ({"steps": 2.0}, "steps"), ({"step": "a"}, "step")):
+    assert len(panda.self_motion(q, HAND, budget=kempe.Budget(points=np.int64(3)))) == 7
+    for more, match in (({"points": 2.0}, "points"), ({"step": "a"}, "step")):
         with pytest.raises(InputError, match=match):
-            panda.self_motion(q, HAND, **more)
+            panda.self_motion(q, HAND, budget=kempe.Budget(**more))
+    with pytest.raises(InputError, match="direction"):
+        panda.self_motion(q, HAND, direction=["a"])
     with pytest.raises(InputError, match="leading shape"):
         panda.self_motion(q, tasks.Position(HAND, np.zeros((2, 3))))

@@ -158,11 +158,11 @@ def test_reachable_targets_of_one_frame_are_never_said_to_be_blocked(name, hunt)
     for kind in AT_LIMITS:
         q = configurations(s, rng, hunt.cases(150), kind)
         X = s.fk(q, frame)
-        answer = s.ik(X, frame, starts=1, iterations=4)
+        answer = s.ik(X, frame, budget=kempe.Budget(starts=1, iterations=4))
         missed = np.flatnonzero(~answer.success)[:10]
         assert not np.isin(answer.code, PROOFS).any()
         for i in missed:
-            one = s.ik(X[i], frame, starts=1, iterations=4)
+            one = s.ik(X[i], frame, budget=kempe.Budget(starts=1, iterations=4))
             assert one.success or (not one.proven and not claims(one.status)), one.status
         assert s.ik(X, frame).success.mean() >= 0.99
 
@@ -174,7 +174,7 @@ def test_answers_do_not_depend_on_batch_or_threads():
     q = configurations(s, np.random.default_rng(5), 60, "corner")
     L, R = (s.fk(q, frame) for frame in frames)
     whole = s.ik([tasks.Pose(frames[0], L), tasks.Pose(frames[1], R)])
-    threaded = s.ik([tasks.Pose(frames[0], L), tasks.Pose(frames[1], R)], threads=3)
+    threaded = s.ik([tasks.Pose(frames[0], L), tasks.Pose(frames[1], R)], budget=kempe.Budget(threads=3))
     assert np.array_equal(whole.q, threaded.q) and np.array_equal(whole.starts, threaded.starts)
     hard = np.argsort(whole.starts)[-4:]
     assert whole.starts[hard].min() > 60
@@ -204,7 +204,7 @@ def test_contradictions_are_proven_and_their_sizes_true(hunt):
             (tasks.Pose("tip0", X, name="a"), tasks.Position("tip0", X[:3, 3] + off * n, name="b")),
         ]
         for pair in cases:
-            answer = s.ik(list(pair), starts=2)
+            answer = s.ik(list(pair), budget=kempe.Budget(starts=2))
             assert not answer.success and answer.proven and answer.code in (CONTRADICTORY, OUT_OF_REACH)
             if answer.code == CONTRADICTORY:
                 assert "contradictory: 'a' and 'b'" in answer.status
@@ -222,7 +222,8 @@ def test_hands_farther_apart_than_the_links_between_them_are_long(hunt):
         q = configurations(s, rng, 300, "half")
         apart = np.linalg.norm(s.fk(q, "tip0")[:, :3, 3] - s.fk(q, "tip1")[:, :3, 3], axis=1).max()
         far = rng.uniform(5.0, 20.0)
-        answer = s.ik([tasks.Position("tip0", [far, 0, 0]), tasks.Position("tip1", [-far, 0, 0])], starts=2)
+        answer = s.ik([tasks.Position("tip0", [far, 0, 0]), tasks.Position("tip1", [-far, 0, 0])],
+                      budget=kempe.Budget(starts=2))  # fmt: skip
         assert answer.proven
         if answer.code == CONTRADICTORY:
             assert apart <= float(re.findall(r"at most ([\d.e-]+) m", answer.status)[0]) * (1.0 + 1e-5)
@@ -266,8 +267,9 @@ def test_a_bound_is_never_above_the_miss_of_the_same_quantity(name, hunt):
     X = np.array(s.fk(s.random(rng, hunt.cases(60)), frame))
     way = rng.normal(size=(len(X), 3)) * ([1, 1, 0] if s.dim == 2 else [1, 1, 1])
     X[:, :3, 3] += way * rng.uniform(0.5, 4.0, (len(X), 1))
-    answer, seen = s.ik(X, frame, starts=64), 0
-    place = s.ik(X[:, : s.dim, 3] if s.dim == 2 else X[:, :3, 3], frame, task="position", starts=64)
+    answer, seen = s.ik(X, frame, budget=kempe.Budget(starts=64)), 0
+    place = s.ik(X[:, : s.dim, 3] if s.dim == 2 else X[:, :3, 3], frame, task="position",
+                 budget=kempe.Budget(starts=64))  # fmt: skip
     for i in np.flatnonzero(answer.code == OUT_OF_REACH):
         status = answer.status[i]
         missed = float(re.findall(r"misses it by ([\d.e+-]+) m", status)[0])
@@ -307,7 +309,7 @@ def test_a_near_miss_of_all_solutions_is_given_as_it_is(beyond):
 @pytest.mark.parametrize("target", [(0.6, 0.0), (-0.6, 0.0)])
 def test_a_singular_start_is_said_to_be_one(target):
     s = kempe.load("two_link")
-    answer = s.ik(target, "e", start=[0.0, 0.0], starts=1)
+    answer = s.ik(target, "e", start=[0.0, 0.0], budget=kempe.Budget(starts=1))
     assert not answer.success and not answer.proven
     assert "stuck at a singular configuration; more starts find an answer" in answer.status
     assert "workspace" not in answer.status and s.ik(target, "e", start=[0.0, 0.0]).success
@@ -328,5 +330,5 @@ def test_stretched_arms_inside_the_workspace_are_never_said_to_be_outside(hunt):
         q = np.array(s.random(rng))
         p = s.fk(q, "tip")[:2, 3]
         along = np.array([np.cos(straight[0]), np.sin(straight[0])]) * np.linalg.norm(p)
-        answer = s.ik(along, "tip", start=straight, starts=1)
+        answer = s.ik(along, "tip", start=straight, budget=kempe.Budget(starts=1))
         assert answer.success or ("outside" not in answer.status and "find an answer" in answer.status)

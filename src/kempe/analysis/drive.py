@@ -144,15 +144,15 @@ def drive(
 
     `inputs` gives for each driven coordinate its values (n,) in radians or metres, one number, or a function of time,
     which needs `times` (n,), growing. Samples may be coarse: in between the motion is continued in steps of arc
-    length. `start` is as in `trace` (default: the posture "closed", or what the first inputs give). It
-    goes straight on through change points. `toward` gives rates by coordinate name that choose the branch if the start
+    length. `start` is as in `trace` (default: the posture "closed", or what the first inputs give). It goes straight on
+    through change points. `toward` gives rates by coordinate name that choose the branch if the start
     is a change point; otherwise the branch that moves least. Where the inputs ask for what the mechanism cannot do, or
     for what is beyond a limit, the last pose is held until they come back. Of the `budget` are read: step (0.1 at
     most), time_limit (600 s for the whole call), progress(sample, total), called now and then; an interrupt from the
     keyboard, or the time limit, leaves the samples that were done.
 
     With velocity constraints, what is not driven rolls along (from the first values of the inputs on), and the motion
-    ends before it slips: `status` says where. `toward` and the step do not count there. Equations in time follow `times`.
+    ends before it slips: `status` says where; `toward` and the step do not count. Equations in time follow `times`.
 
     Errors: `UnsupportedError` where the inputs leave freedoms or fight each other; `UnknownNameError`; `InputError`.
 
@@ -186,11 +186,9 @@ def drive(
     first = dict(zip(names, samples(0, 1)[-1].tolist(), strict=True))
     closure, q = _begin(system, start, dict(hold or {}), first, index)
     if q is None:
-        near = start_of(system, start, dict(hold or {}))
-        asked = {n: np.array([v]) for n, v in first.items()}
-        none = np.ones(1, dtype=bool)
+        near, asked = start_of(system, start, dict(hold or {})), {n: np.array([v]) for n, v in first.items()}
         said = "the loops do not close near the start"
-        return Drive(system, near[None], clock[:1], asked, none, (), (), (), False, False, said)
+        return Drive(system, near[None], clock[:1], asked, np.ones(1, dtype=bool), (), (), (), False, False, said)
     closure.budget = time
     wish = wish_of(system, toward)
     course = Course(closure, index, longest, Limits(closure, limits), wish / closure.unit)

@@ -93,7 +93,7 @@ def _walk(system: System, rank: Rank, rng: np.random.Generator, count: int) -> l
     size = STEP * np.sqrt(rank.nullity)
     z *= size / np.linalg.norm(z, axis=1, keepdims=True)
     starts = system.integrate(np.broadcast_to(rank.q, (count, system.nq)), z * rank.units)
-    answer = of_equations(system)(start=starts, starts=1, limits=False)
+    answer = of_equations(system)(start=starts, limits=False, budget=Budget(starts=1))
     moved = np.linalg.norm(system.difference(rank.q, answer.q) / rank.units, axis=1)
     good = np.asarray(answer.success) & (moved > AWAY * size)
     return [rank_at(system, q) for q in answer.q[good]]

@@ -78,11 +78,11 @@ def trace(
     with it growing, and points where it turns back are its dead points. `hold` fixes other coordinates at values.
     `toward` gives rates by coordinate name that choose the sense, and the branch where the start is a bifurcation.
     `ways`: "both" directions from the start, "forward" only, or "branches": both, and the branches met at bifurcations,
-    too, see `Path.others`. The path ends where it closes on itself, at a limit (unless `limits=False`), where it is found to have no end (a slide that
-    runs away, gears whose ratio lets it never close), or where the budget ends. Of the `budget` are read:
-    points (100 000 at most), step (of arc length, 0.1 at most), time_limit (120 s for the whole call), progress(points,
-    length), called now and then. An interrupt from the keyboard or the time limit returns what was done, and says so by
-    `Path.interrupted`, `Path.late`.
+    too, see `Path.others`. The path ends where it closes on itself, at a limit (unless `limits=False`), where it is
+    found to have no end (a slide that runs away, gears whose ratio lets it never close), or where the budget ends. Of
+    the `budget` are read: points (100 000 at most), step (of arc length, 0.1 at most), time_limit (120 s for the whole
+    call), progress(points, length), called now and then. An interrupt from the keyboard or the time limit returns what
+    was done, and says so by `Path.interrupted`, `Path.late`.
 
     Errors: `UnsupportedError` where more than one freedom remains, naming it; `UnknownNameError`; `InputError`.
 

@@ -151,10 +151,10 @@ def simulate(
 ) -> Simulation:  # fmt: skip
     """The motion of a system in time, for a `duration` [s] from a configuration on, as a `Simulation`.
 
-    With `inputs`: velocities by name, numbers or functions of time [s]. A name is a velocity coordinate, or a twist
-    of a frame in its own axes: "car.vx" [m/s], "car.wz" [rad/s]. All others follow from the velocity constraints and
-    the closed loops, and are integrated with the local error `tolerance` (1e-11); position constraints are met at each sample
-    to rounding. It ends where a coordinate meets its limit, or the inputs cannot be had.
+    With `inputs`: velocities by name, numbers or functions of time [s]. A name is a velocity coordinate, or a twist of
+    a frame in its own axes: "car.vx" [m/s], "car.wz" [rad/s]. All others follow from the velocity constraints and the
+    closed loops, and are integrated with the local error `tolerance` (1e-11); position constraints are met at each
+    sample to rounding. It ends where a coordinate meets its limit, or the inputs cannot be had.
 
     Without `inputs`: one ball or particle that falls from `start` with a `velocity` (nv,) (default: at rest) by a
     uniform `acceleration` (3,) [m/s^2] (default: 9.81 down z, in the plane down y), and bounces on what keeps it on one

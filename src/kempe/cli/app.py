@@ -178,11 +178,6 @@ def written_to(out: Path | None, option: Path | None) -> Path:
     return out or option  # type: ignore[return-value]
 
 
-def limited(seconds: float | None) -> dict[str, float]:
-    """The time limit as an argument, where one is given."""
-    return {} if seconds is None else {"time_limit": seconds}
-
-
 def told(out: Path, json: bool) -> None:
     """Say which file was written."""
     print_json({"written": str(out)}) if json else print(f"written to {out}")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from kempe.budget import Budget
 from kempe.cli.app import (
     OPEN,
     All,
@@ -36,7 +37,6 @@ from kempe.cli.app import (
     Tolerance,
     Xacro,
     app,
-    limited,
     load,
     option,
     results,
@@ -85,9 +85,9 @@ def ik(
     if frame is None or target is None:
         asked = _read_tasks(system, tasks, deg)
         start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
-        options = {"rng": rng or 0, **({} if prefer is None else {"prefer": prefer})}
         _answer(system, asked.count, TASK_SLICE, lambda i, j: system.ik(
-            asked.tasks(i, j), start=_part(start, i, j), tolerance=rows.tolerance(tolerance or "1e-6"), **options
+            asked.tasks(i, j), start=_part(start, i, j), tolerance=rows.tolerance(tolerance or "1e-6"), prefer=prefer,
+            budget=Budget(rng=rng),
         ), deg, out, json)  # fmt: skip
         return
     system.frame_name(frame)  # a wrong name is told before kernels are compiled
@@ -98,7 +98,8 @@ def ik(
     if all:
         _all(system, X, frame, task, axis, hold, start, tolerance, deg, out, json)
         return
-    wanted = {"tolerance": rows.tolerance(tolerance or "1e-6"), "rng": rng or 0, **_asked(task, axis)}
+    wanted = {"tolerance": rows.tolerance(tolerance or "1e-6"), "budget": Budget(rng=rng),
+              "task": _asked(task, axis)}  # fmt: skip
     _answer(system, len(X) if X.ndim > 2 else None, SLICE, lambda i, j: system.ik(
         X[i:j] if X.ndim > 2 else X, frame, start=_part(start, i, j), **wanted), deg, out, json)  # fmt: skip
 
@@ -187,11 +188,12 @@ def path(
         wanted = wanted[..., :3, 3] if position or position_only else wanted
     if count is None:
         raise InputError("a path needs a .csv or .npy file of targets, one a row")
-    options: dict[str, Any] = {"restart": restart, "branches": branches, "rng": rng or 0, **limited(time_limit)}
+    options: dict[str, Any] = {"restart": restart, "branches": branches}
     options |= {} if max_step is None else {"max_step": max_step}
     options |= {} if tolerance is None else {"tolerance": rows.tolerance(tolerance)}
     with slices.progress(sys.stderr, count) as said:
-        answer = system.ik_path(wanted, frame, start, progress=said, **options)
+        answer = system.ik_path(wanted, frame, start, **options,
+                                budget=Budget(rng=rng, time_limit=time_limit, progress=said))  # fmt: skip
     if out is not None:
         rows.write_configurations(out, system, answer.q, deg)
     if json:
@@ -221,8 +223,8 @@ def _all(
     from kempe.solvers.modes import Modes
     from kempe.views import ik_report
 
-    more = {} if tolerance is None else {"tolerance": ik_report.tolerance(tolerance)}
-    answer = system.ik_all(X, frame, start=near, **_held(system, hold, deg), **_asked(task, axis), **more)
+    answer = system.ik_all(X, frame, near, task=_asked(task, axis), fixed=_held(system, hold, deg),
+                           tolerance=None if tolerance is None else ik_report.tolerance(tolerance))  # fmt: skip
     if isinstance(answer, Modes):
         _modes(answer, deg, out, json)
         return
@@ -255,22 +257,21 @@ def _modes(answer: Modes, deg: bool, out: Path | None, json: bool) -> None:
 
 
 def _held(system: System, hold: list[str] | None, deg: bool) -> dict[str, Any]:
-    """Joints that are held, as arguments for all solutions and for their plan."""
+    """Values of joints that are held, by name."""
     from kempe.views import given
 
-    return {"fixed": given.known(system, hold or [], deg, frames=False)}
+    return given.known(system, hold or [], deg, frames=False)
 
 
-def _asked(task: str | None, axis: str | None) -> dict[str, Any]:
-    """What of the target counts, as arguments for inverse models."""
+def _asked(task: str | None, axis: str | None) -> Any:
+    """What of the target counts: a task, or a task with the axis of the tool that it points."""
     from kempe.views import ik_report
 
-    out: dict[str, Any] = {"task": task}
-    if axis is not None:
-        if task not in ("direction", "position_axis"):
-            raise InputError("--axis is for the tasks direction and position_axis")
-        out["axis"] = ik_report.axis(axis)
-    return out
+    if axis is None:
+        return task
+    if task not in ("direction", "position_axis"):
+        raise InputError("--axis is for the tasks direction and position_axis")
+    return task, ik_report.axis(axis)
 
 
 @app.command(rich_help_panel=OPEN)
@@ -294,5 +295,5 @@ def plan(
 
     system.frame_name(frame)
     words = [w if "=" in w else f"{w}=0" for w in hold or []]
-    answer = ik_plan(system, frame, **_held(system, words, False), **_asked(task, axis))
+    answer = ik_plan(system, frame, _asked(task, axis), tuple(_held(system, words, False)))
     print_json(answer.data()) if json else show(ik_report.plan(answer))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import numpy as np
 import typer
 
+from kempe.budget import Budget
 from kempe.cli.app import (
     CLOSED,
     Base,
@@ -27,7 +27,6 @@ from kempe.cli.app import (
     TimeLimit,
     Xacro,
     app,
-    limited,
     load,
     option,
     remark,
@@ -182,11 +181,13 @@ def assemble(
     start = given.start(system, near, deg)
     answer: Any
     if modes:
-        answer = system.assembly_modes(values, start, limits=not no_limits, **limited(time_limit))
+        answer = system.assembly_modes(values, start, limits=not no_limits, budget=Budget(time_limit=time_limit))
     else:
+        if nearest and continuous:
+            raise InputError("--nearest and --continuous are two ways to choose; give one of them")
         answer = system.assemble(
-            values, start, branch=given.branch(system, values, branch), nearest=nearest, continuous=continuous,
-            limits=not no_limits,
+            values, start, branch=given.branch(system, values, branch), limits=not no_limits,
+            prefer="nearest" if nearest else "continuous" if continuous else None,
         )  # fmt: skip
         if plot is not None and np.ndim(answer.success):
             raise InputError(f"{plot}: one configuration is drawn, and the file of known values has several")
@@ -247,15 +248,14 @@ def trace(
     begin, closing = given.first(system, start, held, deg)
     if closing is not None and not closing:
         _open(closing, deg, json)
-    more = limited(time_limit)
     with slices.progress(sys.stderr, None, "points traced") as said:
-        path = system.trace(
-            driver, begin, frames=names, hold=held, switch=branches, limits=not no_limits, progress=said, **more
-        )  # fmt: skip
+        path = system.trace(driver, begin, hold=held, limits=not no_limits, ways="branches" if branches else "both",
+                            budget=Budget(time_limit=time_limit, progress=said))  # fmt: skip
+    path = replace(path, frames=names, others=tuple(replace(other, frames=names) for other in path.others))
     shown = path
     if points is not None:
         with slices.progress(sys.stderr, points, "points") as said:
-            shown = _resampled(path, points, more, said)
+            shown = _resampled(path, points, Budget(time_limit=time_limit, progress=said))
     written = []
     if out is not None and (path or path.interrupted or path.late):
         loop_report.write_path(out, shown, deg, branches)
@@ -326,14 +326,14 @@ def _save(axes: Any, path: Path) -> None:
     axes.figure.savefig(path, dpi=200, bbox_inches="tight")
 
 
-def _resampled(path: Motion, points: int, limit: dict[str, float], said: Callable[..., None] | None) -> Motion:
+def _resampled(path: Motion, points: int, budget: Budget) -> Motion:
     """The path and its other branches, with points at equal distances."""
     if len(path) < 2:
         return path
-    found = path.resample(points, progress=said, **limit)
+    found = path.resample(points, budget=budget)
     if not found and path:  # broken off
         return found
-    return replace(found, others=tuple(_resampled(other, points, limit, said) for other in path.others))
+    return replace(found, others=tuple(_resampled(other, points, budget) for other in path.others))
 
 
 def _drawing(system: System, path: Motion, names: list[str]) -> Any:

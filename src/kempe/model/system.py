@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.budget import Budget
 from kempe.calls import explained, known
 from kempe.description.mechanism import BodyLike
-from kempe.errors import InputError
 from kempe.model.compiled import Compiled, FrameLike
 from kempe.spatial import Array
 
@@ -27,6 +25,7 @@ if TYPE_CHECKING:
     from kempe.analysis.path import Path as Motion
     from kempe.analysis.simulate import Simulation
     from kempe.analysis.transmission import LoopJacobian
+    from kempe.budget import Budget
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
     from kempe.kinematics.loops import SystemConstraint
@@ -181,16 +180,9 @@ class System(Compiled):
             bound = self._queries.get(("one", frame, str(task), target.ndim))
             if bound is not None and (answer := bound(target, start)) is not None:
                 return answer
-        if frame is None:
-            from kempe.solvers.tasks import reach
-
-            if task is not None or method is not None:
-                name, value = ("task", task) if task is not None else ("method", method)
-                raise InputError(f"{name} is {value!r}; it belongs to a target of one frame, not to tasks")
-            return reach(self, target, start, prefer=prefer, tolerance=tolerance, budget=budget)
         from kempe.solvers.inverse import ik
 
-        return ik(self, target, frame, start, task=task, prefer=prefer, method=method or "numeric", tolerance=tolerance,
+        return ik(self, target, frame, start, task=task, prefer=prefer, method=method, tolerance=tolerance,
                   budget=budget)  # fmt: skip
 
     @explained

@@ -337,21 +337,21 @@ def assemble(
     """A configuration that closes all loops, with the `known` given and everything else found.
 
     `known` maps names of coordinates to values in radians and metres, and names of frames to positions (..., 3) (in
-    planar systems also (..., 2)) or poses (..., 4, 4); arrays give a batch; the time of equations
-    in time is known as "t", one number. What the loops leave open is decided by
-    *additional considerations*: `start` (nq,) or (..., nq), or a dict by name, is where the search starts (default: the
-    posture 'closed' of the file, else the middle of the limits); steps of minimum norm keep the answer close to it, and
-    with ``prefer="nearest"``, where freedoms are left, it is the closed configuration nearest to it. `branch` names a branch:
-    signs such as '+-' for planar mechanisms made of dyads (see `assembly_modes`), or a posture, which is where the
-    search starts. ``prefer="continuous"``: row by row, each started where the last two lead. Coordinates stay inside their limits
-    unless `limits=False`; one-sided constraints of the system always hold: a start that violates them is brought there.
+    planar systems also (..., 2)) or poses (..., 4, 4); arrays give a batch; the time of equations in time is known as
+    "t", one number. What the loops leave open is decided by *additional considerations*: `start` (nq,) or (..., nq), or
+    a dict by name, is where the search starts (default: the posture 'closed' of the file, else the middle of the
+    limits); steps of minimum norm keep the answer close to it, and with ``prefer="nearest"``, where freedoms are left,
+    it is the closed configuration nearest to it. `branch` names a branch: signs such as '+-' for planar mechanisms made
+    of dyads (see `assembly_modes`), or a posture, which is where the search starts. ``prefer="continuous"``: row by
+    row, each started where the last two lead. Coordinates stay inside their limits unless `limits=False`; one-sided
+    constraints of the system always hold: a start that violates them is brought there.
 
     Of the `budget` are read: starts (20), rng (0), threads. The first start is `start`; the others are drawn around it
     from rng, wider and wider. An open loop is never a success: the answer then says which loop is open, by how much,
-    and `q` is the nearest to closing; ``answer.expect()`` raises `NoSolutionError` then. Redundant constraints are no obstacle. Method: damped least squares with
-    steps of minimum norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
-    `also` are constraints of `kempe.constraints`, or functions of q (nq,) that are zero, for this call.
-    `tolerance` is as in `kempe.solvers.ideal`; where no other mechanism closes, the largest residual of a success.
+    and `q` is the nearest to closing; ``answer.expect()`` raises `NoSolutionError` then. Redundant constraints are no
+    obstacle. Method: damped least squares with steps of minimum norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
+    `also` are constraints of `kempe.constraints`, or functions of q (nq,) that are zero, for this call. `tolerance` is
+    as in `kempe.solvers.ideal`; where no other mechanism closes, the largest residual of a success.
     """
     given = {} if known is None else known
     if not isinstance(given, Mapping):

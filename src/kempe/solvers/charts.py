@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.budget import Budget
 from kempe.calls import explained, explained_methods, listed, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
@@ -111,11 +112,11 @@ class Chart:
             raise InputError(f"u has shape {u.shape}; needed is (..., {self.dim}): {names}")
         start = self.origin if start is None else start
         if self._plain:
-            return assemble(self.system, {n: u[..., i] for i, n in enumerate(given)}, start, starts=1)
+            return assemble(self.system, {n: u[..., i] for i, n in enumerate(given)}, start, budget=Budget(starts=1))
         known = {n: u[..., i] for i, n in enumerate(given) if not _is_exponential(self.system, n)}
         if len(known) < len(given):
             start = self._led(u, given, start)
-        answer = assemble(self.system, known, start, starts=1)
+        answer = assemble(self.system, known, start, budget=Budget(starts=1))
         if len(known) == len(given):
             return answer
         off = np.abs(self.u(answer.q)[..., : len(given)] - u).max(axis=-1, initial=0.0)

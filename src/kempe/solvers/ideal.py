@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from kempe.budget import Budget
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError, shown
 from kempe.kinematics.ball_angles import regular_chart
@@ -140,7 +141,7 @@ class Idealised:
             return q
         flat, out = q.reshape(-1, self.system.nq), q.reshape(-1, self.system.nq).copy()
         for i in np.flatnonzero(near.ravel()):
-            answer = bare(self.system)(start=flat[i], starts=1, limits=False)
+            answer = bare(self.system)(start=flat[i], limits=False, budget=Budget(starts=1))
             out[i] = answer.q if answer.success else flat[i]
         return out.reshape(q.shape)
 
@@ -239,7 +240,7 @@ def _starts(system: System, scaled: float) -> tuple[Array, list[int]]:
     from kempe.solvers.assembly import bare
 
     home = home_of(system)
-    q = bare(system)(start=home, starts=FEW).q
+    q = bare(system)(start=home, budget=Budget(starts=FEW)).q
     f, _, s, _ = Valley(system, 0).at(q)
     left, limit = float(np.linalg.norm(f)), OPEN * scaled
     exact = EXACT + 4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / characteristic_length(system)

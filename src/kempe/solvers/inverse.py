@@ -47,12 +47,13 @@ USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, 
 
 @explained
 def ik(
-    system: System, target: ArrayLike, frame: FrameLike, start: Any = None, *,
-    task: str | tuple[str, ArrayLike] | None = None, prefer: Any = None, method: str = "numeric",
+    system: System, target: Any, frame: FrameLike | None = None, start: Any = None, *,
+    task: str | tuple[str, ArrayLike] | None = None, prefer: Any = None, method: str | None = None,
     tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None,
 ) -> Solution:  # fmt: skip
     """A configuration in which `frame` reaches `target` (the inverse geometric model), always inside the limits.
 
+    Without a frame `target` are tasks, see `kempe.solvers.tasks.reach`.
     `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)), or a position (..., 3)
     (in planar systems also (..., 2)), or an object or words that say one (`kempe.rigid.arrays`).
     `task` says what of it counts: "pose", "position", "orientation", "direction" (of the tool's z axis, or of another
@@ -72,10 +73,26 @@ def ik(
     moves with closed loops, or with relations of several coordinates, is a case for `kempe.solvers.tasks.reach`, which
     holds these, and so is what one would `prefer` of many configurations, as there: the answer then is `Reached`.
 
-    `method`: "numeric", damped least squares with an active set of limits and restarts (Sugihara, 2011; Chan and
-    Lawrence, 1988); "analytic", of all solutions that `ik_all` finds the one nearest to `start`; "auto", that where the
-    chain allows it, else numeric. Targets that have no analytic solution inside the limits get the numeric answer.
+    `method`: "numeric" (the default), damped least squares with an active set of limits and restarts (Sugihara, 2011;
+    Chan and Lawrence, 1988); "analytic", of all solutions that `ik_all` finds the one nearest to `start`; "auto", that
+    where the chain allows it, else numeric. Targets that have no analytic solution inside the limits get the numeric
+    answer.
     """
+    if frame is not None:
+        return _of_frame(system, target, frame, start, task, prefer, method or "numeric", tolerance, budget)
+    from kempe.solvers.tasks import reach
+
+    for name, value in (("task", task), ("method", method)):
+        if value is not None:
+            raise InputError(f"{name} is {value!r}; it belongs to a target of one frame, not to tasks")
+    return reach(system, target, start, prefer=prefer, tolerance=tolerance, budget=budget)
+
+
+def _of_frame(
+    system: System, target: Any, frame: FrameLike, start: Any, task: Any, prefer: Any, method: str, tolerance: Any,
+    budget: Budget | None,
+) -> Solution:  # fmt: skip
+    """The answer for targets of one frame."""
     name, target = system.frame_name(frame), arrays(target, "target")
     said, axis = task_and_axis(task)
     asked, targets, lead = _asked(system, name, target, said, axis)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.budget import Budget
 from kempe.description.parts import Declared
 from kempe.errors import InputError
 from kempe.joints import P
@@ -29,6 +30,8 @@ from kempe.solvers.clock import BROKEN_OFF, TimeLimit
 from kempe.solvers.clusters import SAME, Clusters
 from kempe.solvers.images import mirrored, mixed
 from kempe.spatial import Array
+
+ONCE = Budget(starts=1)
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -92,7 +95,7 @@ class Search:
 
     def take(self, q: Array, counted: bool) -> tuple[np.ndarray, np.ndarray]:
         """Close configurations (n, nq) and sort them in; which of them closed (n,), and their clusters."""
-        answer = self.bound(self.known, q, nearest=False, limits=False, starts=1)
+        answer = self.bound(self.known, q, limits=False, budget=ONCE)
         if np.shape(answer.success) != (len(q),):
             raise InputError("known coordinates must be single numbers, known frames single places")
         good = np.asarray(answer.success)
@@ -253,7 +256,7 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
         return out
     v = np.zeros((len(kicks), system.nv))
     v[:, free] = KICK * np.array(kicks)
-    answer = bound(known, system.integrate(q[owner], v * clusters.metric.scale), limits=False, starts=1)
+    answer = bound(known, system.integrate(q[owner], v * clusters.metric.scale), limits=False, budget=ONCE)
     moved = clusters.distances(np.asarray(answer.q), q[owner]) > STAYED * KICK * np.array(sizes)
     moved &= np.asarray(answer.success)
     found = np.unique(np.array(owner)[moved])

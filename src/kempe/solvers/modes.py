@@ -14,8 +14,8 @@ from kempe.errors import InputError
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.tabular import Tabular
-from kempe.solvers.arguments import start_count
 from kempe.solvers.answer import expected
+from kempe.solvers.arguments import start_count
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
 from kempe.solvers.clusters import INSIDE, SAME, Clusters, metric_of
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
@@ -141,14 +141,14 @@ def assembly_modes(
     """All configurations found that close the mechanism with the `known` coordinates (or frames) held.
 
     Planar mechanisms made of dyads are solved in closed form: then `complete` is True. Others are assembled from random
-    starts, and from mirror images and mixtures of what is found, with a bound of how much was missed; starts go on while the number found is odd where it must be even. `start` (nq,) sorts the answer,
-    the nearest first, and chooses the representatives of angles (else they are near zero). With `limits` what is
-    outside the joint limits is dropped, else it is flagged by `inside`. With `frame`, configurations that put this
-    frame at one pose count as one: legs that can be turned over would multiply the modes of a platform. Without it,
-    those that differ only by idle spins (see `mobility`) are one. Of the `budget` are read: starts (4096, at most), rng (0),
-    time_limit (120 s), progress(starts, modes), called after each round of starts; an interrupt from the keyboard, or
-    the time limit, leaves what was found by then.
-    Errors: `UnknownNameError`, `InputError` for values that are not single numbers.
+    starts, and from mirror images and mixtures of what is found, with a bound of how much was missed; starts go on
+    while the number found is odd where it must be even. `start` (nq,) sorts the answer, the nearest first, and chooses
+    the representatives of angles (else they are near zero). With `limits` what is outside the joint limits is dropped,
+    else it is flagged by `inside`. With `frame`, configurations that put this frame at one pose count as one: legs that
+    can be turned over would multiply the modes of a platform. Without it, those that differ only by idle spins (see
+    `mobility`) are one. Of the `budget` are read: starts (4096, at most), rng (0), time_limit (120 s), progress(starts,
+    modes), called after each round of starts; an interrupt from the keyboard, or the time limit, leaves what was found
+    by then. Errors: `UnknownNameError`, `InputError` for values that are not single numbers.
     """
     given = {} if known is None else known
     if not isinstance(given, Mapping):

@@ -91,12 +91,12 @@ def self_motion(
 
     `tasks` is a frame, or hard tasks that hold at q. A frame stays at its pose, or at what `task` names, as for
     `System.ik`: "position", "orientation", "direction", "position_axis". Where they leave one freedom, its whole curve
-    is traced until it closes, meets a limit or has all its points each way; where they leave more, `direction` says where to go: a coordinate to be moved, or a velocity (nv,), of which the part is followed that the
-    tasks allow. `step` is the length of a step in radians and characteristic lengths. The tasks hold to 1e-9 all along:
-    each step is led back by steps of minimum norm. Where the Jacobian loses rank and no motion is found, the answer is
-    q alone, and says so. Errors: `InputError` where the tasks do not hold at
-    q, or leave no freedom even to first order, or more than one without a direction; `UnsupportedError` where velocity
-    constraints do not allow the motion.
+    is traced until it closes, meets a limit or has all its points each way; where they leave more, `direction` says
+    where to go: a coordinate to be moved, or a velocity (nv,), of which the part is followed that the tasks allow.
+    `step` is the length of a step in radians and characteristic lengths. The tasks hold to 1e-9 all along: each step is
+    led back by steps of minimum norm. Where the Jacobian loses rank and no motion is found, the answer is q alone, and
+    says so. Errors: `InputError` where the tasks do not hold at q, or leave no freedom even to first order, or more
+    than one without a direction; `UnsupportedError` where velocity constraints do not allow the motion.
     """
     q = as_q(system, q)
     if q.ndim != 1:
@@ -104,7 +104,7 @@ def self_motion(
     spend = USUAL.of(budget)
     steps, step, time = spend.points, spend.step, TimeLimit(spend.time_limit)
     if not is_whole(steps) or steps < 1 or not isinstance(step, (int, float, np.floating)) or not 0.0 < step <= 0.5:
-        raise InputError(f"points is {steps!r}, step {step!r}; needed are a whole number from 1 on, and 0 < step <= 0.5")
+        raise InputError(f"points is {steps!r}, step {step!r}; needed are a whole number from 1, and 0 < step <= 0.5")
     time.put_in_order()  # there is nothing to do afterwards
     problem, q0 = _begin(system, q, _wanted(system, q, tasks, *task_and_axis(task)))
     local = Local(problem, q0)
@@ -201,10 +201,10 @@ class _Way:
     """Follows self-motions by steps along the tangent that are led back."""
 
     def __init__(
-        self, local: Local, wish: Array, wished: bool, step: float, budget: Budget,
+        self, local: Local, wish: Array, wished: bool, step: float, time: TimeLimit,
         progress: Callable[[int], Any] | None,
     ) -> None:  # fmt: skip
-        self.budget, self.progress, self.done = budget, progress, 0
+        self.time, self.progress, self.done = time, progress, 0
         self.broken: BaseException | None = None
         self.local, self.problem, self.wish, self.wished, self.step = local, local.problem, wish, wished, step
 
@@ -216,13 +216,13 @@ class _Way:
             return self._follow(q, sign, steps, goal, out)
         except BROKEN_OFF as error:
             self.broken = error
-            return _Half(out, False, self.budget.reason(error), sign * self.wish)
+            return _Half(out, False, self.time.reason(error), sign * self.wish)
 
     def _follow(self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None, out: list[Array]) -> _Half:
         problem, system, scale, step = self.problem, self.problem.system, self.problem.packed.scale, self.step
         before, t, given = sign * self.wish, sign * self.wish, goal is not None
         for n in range(steps):
-            self.budget.check()
+            self.time.check()
             N = null(self.local.equations(q)[1])
             t = N @ (N.T @ before)
             if np.linalg.norm(t) < LEAST_PART:

@@ -40,7 +40,7 @@ def _all_outside(task: Task, target: Array) -> str:
     if position and system.dim == 2:
         goal = goal[:2]
     try:
-        found = ik_all(system, goal, task.frame, task=task.name, axis=task.axis)
+        found = ik_all(system, goal, task.frame, task=(task.name, task.axis))
     except UnsupportedError:
         return ""
     if not isinstance(found, Solutions) or not found.complete or not len(found.q) or found.families:

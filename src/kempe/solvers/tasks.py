@@ -212,9 +212,9 @@ def reach(
     machine.
 
     A success is checked by the forward model: hard tasks, limits and loops. Else the answer says what fails and why,
-    and ``answer.expect()`` raises `NoSolutionError`. Method: damped least squares with an active set of limits and restarts
-    (Levenberg, 1944; Sugihara, 2011), then the lower levels in the null space of the higher ones (Siciliano and
-    Slotine, 1991). Errors: `InputError`, `UnknownNameError`.
+    and ``answer.expect()`` raises `NoSolutionError`. Method: damped least squares with an active set of limits and
+    restarts (Levenberg, 1944; Sugihara, 2011), then the lower levels in the null space of the higher ones (Siciliano
+    and Slotine, 1991). Errors: `InputError`, `UnknownNameError`.
     """
     spend, tolerance = USUAL.of(budget), TOLERANCE if tolerance is None else tolerance
     starts, threads = spend.starts, spend.threads

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from html import escape
 from textwrap import fill
@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from kempe.calls import explained
+from kempe.calls import explained, listed
 from kempe.kernels.layout import SLIDE
 from kempe.solvers.analytic.describe_axes import relations
 from kempe.solvers.analytic.describe_path import METHODS, most, path
 from kempe.solvers.analytic.ik_all import chain_lines, plan_for
 from kempe.solvers.analytic.question import held
-from kempe.solvers.targets import Z_AXIS, axis_for, task_of
+from kempe.solvers.targets import axis_for, task_and_axis, task_of
 from kempe.solvers.words import topics_html
 
 if TYPE_CHECKING:
@@ -94,8 +94,8 @@ def ik_plan(
     8
     """
     name = system.frame_name(frame)
-    task, axis = task_and_axis(task)
-    what = task_of(task, False, bool(system.table.at[name][2]))
+    said, axis = task_and_axis(task)
+    what = task_of(said, False, bool(system.table.at[name][2]))
     direction = axis_for(axis, what)
     lines = chain_lines(system, name, direction)
     given = held(name, lines.names, dict.fromkeys(listed(fixed, "fixed"), 0.0))

@@ -57,33 +57,31 @@ def ik_all(
 ) -> Solutions | Modes:  # fmt: skip
     """Every configuration in which `frame` reaches `target`: the inverse geometric model with all its solutions.
 
-    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)) or a position (..., 3)
-    (in planar systems also (..., 2)). `task` says what of it counts: "pose", "position", "orientation", "direction"
-    (of the tool's z axis, or of another one in a pair such as ("direction", (1, 0, 0))), "position_axis" (both). Joints
-    of redundant chains are held by `fixed`, a dict of numbers, or of arrays of one for each target; others that are to spare where `start` has them, and elsewhere for targets that have no solution inside the limits there:
-    `Solutions.held` says where.
-    Solutions are sorted: inside the limits first, then by nearness to `start` (nq,), which also chooses among turns;
-    with `limits` others are dropped, and with ``limits="turns"`` every turn inside the limits is listed. What violates
-    one-sided constraints of the system is left out, and the status says so.
+    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)) or a position (..., 3) (in
+    planar systems also (..., 2)). `task` says what of it counts: "pose", "position", "orientation", "direction" (of the
+    tool's z axis, or of another one in a pair such as ("direction", (1, 0, 0))), "position_axis" (both). Joints of
+    redundant chains are held by `fixed`, a dict of numbers, or of arrays of one for each target; others that are to
+    spare where `start` has them, and elsewhere for targets that have no solution inside the limits there:
+    `Solutions.held` says where. Solutions are sorted: inside the limits first, then by nearness to `start` (nq,), which
+    also chooses among turns; with `limits` others are dropped, and with ``limits="turns"`` every turn inside the limits
+    is listed. What violates one-sided constraints of the system is left out, and the status says so.
 
     Each solution is verified by the forward model to `tolerance` [m, rad] (1e-9, or to rounding, far away). What is not
     reached has no solutions and a `status` that says why; ``answer.expect()`` raises `NoSolutionError` for it. Of the
-    `budget` are read: threads. Errors:
-    `UnsupportedError` for chains with quaternions or shared coordinates, `InputError`, `UnknownNameError`.
-
+    `budget` are read: threads. Errors: `UnsupportedError` for chains with quaternions or shared coordinates,
+    `InputError`, `UnknownNameError`.
     For one pose or position of a frame that moves with loops the answer is that of `assembly_modes` with it known.
-
     Method: see `ik_plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
     """
     name = system.frame_name(frame)
-    target, (task, axis), threads = arrays(target, "target"), task_and_axis(task), USUAL.of(budget).threads
+    target, (said, axis), threads = arrays(target, "target"), task_and_axis(task), USUAL.of(budget).threads
     if limits not in LIMITS:
         raise InputError(f"limits is {limits!r}; it must be False, True or 'turns'")
-    if system.dim == 2 and points_along(task):
-        target, task = in_plane(target, task, axis)
-    direction = axis_for(axis, task)
-    targets, lead, is_position = targets_of(system, target, task, direction)
-    task = task_of(task, is_position, bool(system.table.at[name][2]))
+    if system.dim == 2 and points_along(said):
+        target, said = in_plane(target, said, axis)
+    direction = axis_for(axis, said)
+    targets, lead, is_position = targets_of(system, target, said, direction)
+    task = task_of(said, is_position, bool(system.table.at[name][2]))
     if system.closures and of_loops(system, name):
         if limits == "turns":
             raise InputError(f"frame {name!r} moves with loops: limits='turns' is for chains")

@@ -44,12 +44,13 @@ def ik_sweep(
 ) -> Sweep:  # fmt: skip
     """The solutions of a redundant chain for one target, over a parameter, and where they are inside the limits.
 
-    `parameter` is a joint of the chain, or "arm_angle" for seven turning joints of which the first three axes meet,
-    and the last three (`kempe.solvers.analytic.arm_angle` says what it is; a pair ("arm_angle", reference) names
-    its reference); by default that, and else the joint that `ik_all` holds. `target` and `task` are as in `ik_all`. Where there is more than one
-    freedom to spare, joints are held: those `fixed`, by name, and others at `start` (nq,), which also chooses among
-    turns of angles; without `start` where `ik_all` finds a solution inside the limits. `n` asks for samples at so many
-    values; the points of the `budget` (256) are the values of a joint at which curves are looked for.
+    `parameter` is a joint of the chain, or "arm_angle" for seven turning joints of which the first three axes meet, and
+    the last three (`kempe.solvers.analytic.arm_angle` says what it is; a pair ("arm_angle", reference) names its
+    reference); by default that, and else the joint that `ik_all` holds. `target` and `task` are as in `ik_all`. Where
+    there is more than one freedom to spare, joints are held: those `fixed`, by name, and others at `start` (nq,), which
+    also chooses among turns of angles; without `start` where `ik_all` finds a solution inside the limits. `n` asks for
+    samples at so many values; the points of the `budget` (256) are the values of a joint at which curves are looked
+    for.
 
     Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where that is asked for,
     `InputError`, `UnknownNameError`.
@@ -64,14 +65,14 @@ def ik_sweep(
     [0.252, -0.341, -0.177, -1.3, 0.474, -0.535, -0.241]
     """
     name = system.frame_name(frame)
-    task, axis = task_and_axis(task)
+    said, axis = task_and_axis(task)
     parameter, reference = parameter if isinstance(parameter, (tuple, list)) else (parameter, None)
     points = _count(USUAL.of(budget).points)
-    direction = axis_for(axis, task)
-    targets, lead, is_position = targets_of(system, arrays(target, "target"), task, direction)
+    direction = axis_for(axis, said)
+    targets, lead, is_position = targets_of(system, arrays(target, "target"), said, direction)
     if lead != () or not np.isfinite(targets).all():
         raise InputError("a sweep needs one target, of finite numbers")
-    task = task_of(task, is_position, bool(system.table.at[name][2]))
+    task = task_of(said, is_position, bool(system.table.at[name][2]))
     given_near = near_of(system, start, None)
     base = system.neutral if given_near is None else given_near[0]
     lines = chain_lines(system, name, Z_AXIS)
@@ -126,7 +127,7 @@ class Asked:
     def place(self) -> Array:
         """Configuration (nq,) where joints are held that nobody named: near, inside the limits, or on target."""
         if self.anywhere:
-            found = ik_all(self.system, self.given, self.frame, task=self.task, axis=self.axis, fixed=self.fixed)
+            found = ik_all(self.system, self.given, self.frame, task=(self.task, self.axis), fixed=self.fixed)
             if found:
                 return found.q[0]
         q, at = self.near.copy(), self.lines.q_index
@@ -138,7 +139,7 @@ class Asked:
         m = (len(values),) if values.ndim else ()
         target = np.broadcast_to(self.given, (*m, *self.given.shape))
         near = np.array(np.broadcast_to(self.near, (*m, self.system.nq)), order="C")
-        return ik_all(self.system, target, self.frame, task=self.task, axis=self.axis, start=near,
+        return ik_all(self.system, target, self.frame, near, task=(self.task, self.axis),
                       fixed={**fixed, name: values})  # fmt: skip
 
 

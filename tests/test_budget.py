@@ -1,0 +1,147 @@
+"""Calls as they are written: few arguments, one budget for all verbs, former names with a warning."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import pickle
+import warnings
+
+import pytest
+
+import kempe
+from kempe import Budget
+from kempe.errors import CallError, InputError, NoSolutionError
+
+ARM, LINKAGE, SEVEN = (kempe.load(n) for n in ("puma560", "four_bar", "iiwa14"))
+Q = ARM.mid + 0.1
+X = ARM.fk(Q, "tool")
+FREE = SEVEN.mid + 0.2
+P = SEVEN.fk(FREE, "tool")
+THIRD = SEVEN.coordinate_names[2]
+
+METHODS = {n: f for n in dir(kempe.System) if n[0] != "_" and callable(f := inspect.getattr_static(kempe.System, n))}
+FREE_NAMES = {"with_parameters"}
+"""Methods whose keywords are names that the system has."""
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_verbs_have_at_most_eight_arguments_all_written_out(name):
+    parameters = list(inspect.signature(METHODS[name]).parameters.values())[1:]
+    assert len(parameters) <= 8
+    assert name in FREE_NAMES or not any(p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL) for p in parameters)
+
+
+READ = {
+    "ik": (lambda b: ARM.ik(X, "tool", budget=b), {"starts": 3, "iterations": 9, "rng": 1, "threads": 1}),
+    "ik of tasks": (lambda b: ARM.ik([kempe.tasks.Pose("tool", X)], budget=b), {"starts": 3, "time_limit": 9.0}),
+    "ik_all": (lambda b: ARM.ik_all(X, "tool", budget=b), {"threads": 2}),
+    "ik_path": (lambda b: ARM.ik_path(X[None], "tool", budget=b), {"starts": 5, "progress": lambda n: None}),
+    "ik_sweep": (lambda b: SEVEN.ik_sweep(P, "tool", budget=b), {"points": 64}),
+    "assemble": (lambda b: LINKAGE.assemble({"A": 0.3}, budget=b), {"starts": 4, "rng": 2, "threads": 1}),
+    "assembler": (lambda b: LINKAGE.assembler(["A"])([0.3], budget=b), {"starts": 4}),
+    "assembly_modes": (lambda b: LINKAGE.assembly_modes({"A": 0.3}, budget=b), {"time_limit": math.inf, "starts": 9}),
+    "self_motion": (lambda b: SEVEN.self_motion(FREE, "tool", budget=b), {"points": 3, "step": 0.01}),
+    "trace": (lambda b: LINKAGE.trace("A", budget=b), {"points": 9, "step": 0.05, "time_limit": math.inf}),
+    "drive": (lambda b: LINKAGE.drive({"A": [0.3, 0.4]}, budget=b), {"step": 0.05, "time_limit": 9.0}),
+}
+
+
+@pytest.mark.parametrize("verb", READ)
+def test_a_budget_is_read(verb):
+    call, fields = READ[verb]
+    assert str(call(Budget(**fields)))
+    assert str(call(Budget())) == str(call(None)), "an empty budget is the usual one"
+
+
+@pytest.mark.parametrize("verb", READ)
+def test_what_a_verb_does_not_read_is_refused(verb):
+    call, fields = READ[verb]
+    unread = "step" if "step" not in fields else "iterations"
+    with pytest.raises(InputError, match=f"budget has {unread}, which {verb[:2]}.* does not read; it reads "):
+        call(Budget(**{unread: 0.1}))
+    with pytest.raises(InputError, match="budget is 5; it must be a kempe.Budget, such as Budget"):
+        call(5)
+
+
+@pytest.mark.parametrize(("fields", "said"), [
+    ({"starts": 0}, "starts is 0"), ({"starts": 2.5}, "starts is 2.5"), ({"iterations": True}, "iterations is True"),
+    ({"time_limit": -1.0}, "time_limit is -1.0"), ({"rng": -1}, "rng is -1"), ({"starts": "many"}, "starts is 'many'"),
+])  # fmt: skip
+def test_wrong_budgets_are_named(fields, said):
+    with pytest.raises(InputError, match=said):
+        ARM.ik(X, "tool", budget=Budget(**fields))
+
+
+def test_wrong_points_and_steps_are_named():
+    with pytest.raises(InputError, match="points is 1; it must be a whole number, at least 2"):
+        LINKAGE.trace("A", budget=Budget(points=1))
+    with pytest.raises(CallError, match="Budget has no option 'seconds'"):
+        Budget(seconds=3)  # type: ignore[call-arg]
+
+
+def test_budgets_are_values():
+    budget = Budget(starts=5, rng=3)
+    assert pickle.loads(pickle.dumps(budget)) == budget != Budget(starts=6, rng=3)
+    assert hash(budget) == hash(Budget(starts=5, rng=3))
+
+
+def test_tolerances_are_pairs():
+    loose = kempe.Tolerance(linear=1e-3, angular=0.01)
+    near = ARM.ik(X[None], "tool", tolerance=loose)
+    assert near and near.task.tolerance == (1e-3, 0.01)
+
+
+FORMER = {
+    "ik": (lambda **o: ARM.ik(X, "tool", **o), [
+        ({"starts": 3, "rng": 1}, {"budget": Budget(starts=3, rng=1)}), ({"position_only": True}, {"task": "position"}),
+        ({"task": "direction", "axis": (1, 0, 0)}, {"task": ("direction", (1, 0, 0))}), ({"throw": True}, {}),
+        ({"time_limit": None}, {"budget": Budget(time_limit=math.inf)})]),
+    "ik_all": (lambda **o: SEVEN.ik_all(P, "tool", **o), [
+        ({THIRD: 0.2}, {"fixed": {THIRD: 0.2}}), ({"inside_only": True}, {"limits": True}),
+        ({"expand_turns": True, "inside_only": True}, {"limits": "turns"}),
+        ({"threads": 1}, {"budget": Budget(threads=1)})]),
+    "ik_sweep": (lambda **o: SEVEN.ik_sweep(P, "tool", **o), [
+        ({"samples": 64}, {"budget": Budget(points=64)}),
+        ({"reference": (1, 0, 0)}, {"parameter": ("arm_angle", (1, 0, 0))})]),
+    "ik_plan": (lambda **o: SEVEN.ik_plan("tool", **o), [({THIRD: 0.2}, {"fixed": [THIRD]})]),
+    "assemble": (lambda **o: LINKAGE.assemble({"A": [0.3, 0.4]}, **o), [
+        ({"nearest": True}, {"prefer": "nearest"}), ({"continuous": True}, {"prefer": "continuous"}),
+        ({"nearest": False}, {}), ({"starts": 4}, {"budget": Budget(starts=4)}), ({"t": 0.0}, {})]),
+    "trace": (lambda **o: LINKAGE.trace("A", **o), [
+        ({"max_points": 20}, {"budget": Budget(points=20)}), ({"both": False}, {"ways": "forward"}),
+        ({"switch": True}, {"ways": "branches"}), ({"step": 0.05}, {"budget": Budget(step=0.05)})]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("verb", "former", "present"), [
+    pytest.param(verb, *pair, id=f"{verb} {'+'.join(pair[0])}") for verb, (_, pairs) in FORMER.items() for pair in pairs
+])  # fmt: skip
+def test_former_options_warn_and_say_the_same(verb, former, present):
+    call = FORMER[verb][0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        wanted = call(**present)
+    with pytest.warns(DeprecationWarning, match="former name; the present one is") as said:
+        found = call(**former)
+    assert {w.filename for w in said} == {__file__}
+    assert str(found) == str(wanted)
+
+
+def test_what_raised_is_expected():
+    far = X.copy()
+    far[0, 3] = 9.0
+    for found in (ARM.ik(far, "tool"), ARM.ik_all(far, "tool"), LINKAGE.assemble({"D": 3.0})):
+        with pytest.raises(NoSolutionError) as error:
+            found.expect()
+        assert error.value.solution is found
+    with pytest.warns(DeprecationWarning), pytest.raises(NoSolutionError):
+        ARM.ik(far, "tool", throw=True)
+    good = ARM.ik(X, "tool")
+    assert good.expect() is good
+
+
+@pytest.mark.parametrize("option", ["colour", "hold"])
+def test_options_that_never_were_are_refused(option):
+    with pytest.raises(CallError, match=f"ik_all has no option '{option}'"):
+        ARM.ik_all(X, "tool", **{option: 1})
