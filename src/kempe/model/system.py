@@ -175,10 +175,9 @@ class System(Compiled):
         tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None,
     ) -> Solution:  # fmt: skip
         """A configuration that reaches a target or holds tasks; see `solvers.inverse.ik` and `solvers.tasks.reach`."""
-        plain = prefer is None and method is None and tolerance is None and budget is None
-        if plain and frame.__class__ is str and target.__class__ is np.ndarray:
-            bound = self._queries.get(("one", frame, str(task), target.ndim))
-            if bound is not None and (answer := bound(target, start)) is not None:
+        if frame.__class__ is str and prefer is method is tolerance is budget and target.__class__ is np.ndarray:
+            bound = self._queries.get((frame, task if task is None else str(task), target.ndim))
+            if bound is not None and budget is None and (answer := bound(target, start)) is not None:
                 return answer
         from kempe.solvers.inverse import ik
 
@@ -192,14 +191,10 @@ class System(Compiled):
         budget: Budget | None = None,
     ) -> Solutions | Modes:  # fmt: skip
         """Every configuration in which the frame reaches the target; see `kempe.solvers.analytic.ik_all.ik_all`."""
-        plain = start is None and task is None and fixed is None and not limits and tolerance is None and budget is None
-        if plain and target.__class__ is np.ndarray and target.shape == (4, 4) and self.dim == 3:
-            try:
-                bound = self._queries.get(("all", frame))
-            except TypeError:  # what is no key is no name
-                bound = None
-            answer = bound(target) if bound is not None else None
-            if answer is not None:
+        plain = frame.__class__ is str and start is task is fixed is tolerance is budget is None and not limits
+        if plain and target.__class__ is np.ndarray and target.shape == (4, 4):
+            bound = self._queries.get((frame,))
+            if bound is not None and (answer := bound(target)) is not None:
                 return answer
         from kempe.solvers.analytic.ik_all import ik_all
 

@@ -183,7 +183,7 @@ class Assembler:
             flag(limits, "limits")
         if prefer not in PREFER:
             raise InputError(f"prefer is {prefer!r}; it must be one of {', '.join(map(repr, PREFER))}")
-        spend = USUAL.of(budget)
+        spend = USUAL.budget if budget is None else USUAL.of(budget)
         base, lead = self._single(given, start), ()
         if base is None:
             base, lead = self._starts(given, start)

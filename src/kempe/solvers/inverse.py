@@ -227,7 +227,7 @@ def run(
 
 def _bind(question: Task, task: str | None, shape: tuple[int, ...]) -> None:
     """Nothing; calls like this one go by a `Bound` from now on, if they are plain enough."""
-    system, chain, key = question.system, question.chain, ("one", question.frame, str(task), len(shape))
+    system, chain, key = question.system, question.chain, (question.frame, task, len(shape))
     point = question.name == "position" and (task is not None or shape != (4, 4))  # a turned particle is an error
     plain = shape in ((4, 4), (3,), (2,)) if point else (shape == (4, 4) and question.name != "position")
     if plain and question.axis == Z_AXIS and not chain.ints[HAS_QUATERNION] and key not in system._queries:

@@ -98,7 +98,7 @@ def ik_all(
     if single and not np.isfinite(targets).all():
         raise InputError("target has entries that are not finite")
     plain = not one_sided_rows(system).declared
-    if plain and single and task == "pose" and plan.side_by_side and ("all", name) not in system._queries:
+    if plain and single and system.dim == 3 and task == "pose" and plan.side_by_side and (name,) not in system._queries:
         bind(system, name)
     answer = solve(question, plan, near_of(system, start, question.lead), values, threads)
     if not single and (answer._counts[:, 0] < 0).any() and (mended := sound(targets, "target")) is not targets:
@@ -149,7 +149,7 @@ def bind(system: System, frame: str) -> Bound | None:
     plan = plan_for(system, frame, lines, "pose", Z_AXIS, ())
     kernel = None if plan.locked or system.table.at[frame][2] else side_by_side_of(plan)
     bound = None if kernel is None else Bound(system, frame, plan, kernel)
-    system._queries[("all", frame)] = bound
+    system._queries[(frame,)] = bound
     return bound
 
 
