@@ -15,7 +15,8 @@ from kempe import Mechanism, System
 from kempe.errors import InputError, UnknownNameError
 from kempe.solvers.dyads import closed_form
 from kempe.solvers.many_starts import estimates
-from kempe.solvers.modes import SOLVERS, Modes, assembly_modes, by_dyads, by_starts
+from kempe.solvers.modes import SOLVERS, Modes, assembly_modes, by_dyads, by_starts, no_dyads
+from kempe.solvers.problem import Problem
 
 
 def inputs(system: System, *names: str) -> dict[str, float]:
@@ -54,16 +55,14 @@ def test_structure_and_search_agree(name, known):
     known = known or next(j.name for j in system.joints.values() if j.actuated)
     given_ = inputs(system, known)
     modes = assembly_modes(system, given_)
-    found = SOLVERS[-1](question_of(system, given_))
+    found = SOLVERS[-1].run(question_of(system, given_))
     assert len(found) == len(modes)
     for q in modes.q:
         assert np.abs(np.exp(1j * found.q) - np.exp(1j * q)).max(axis=-1).min() < 1e-8
 
 
 def question_of(system: System, known: dict[str, float], starts: int = 512):
-    from kempe.solvers.modes import Question
-
-    return Question(system, known, None, True, None, np.random.default_rng(0), starts)
+    return Problem(system, "all", known=known, budget=kempe.Budget(starts=starts))
 
 
 @given(st.integers(0, 2**32))
@@ -250,7 +249,7 @@ def test_shaky_is_not_called_moving():
     question = question_of(m.build(), {})
     modes = by_starts(question)
     assert not modes.freedoms.any() and len(modes) == 1
-    assert by_dyads(question) is not None and len(by_dyads(question)) == 1
+    assert no_dyads(question.system, ()) is None and len(by_dyads(question)) == 1
 
 
 def test_none_found():

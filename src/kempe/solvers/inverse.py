@@ -12,17 +12,19 @@ from numpy.typing import ArrayLike
 from kempe.budget import Budget, Usual
 from kempe.calls import explained
 from kempe.constraints.targets import of_target
-from kempe.errors import InputError, UnsupportedError
+from kempe.errors import InputError
 from kempe.kernels.compiled import maker, search
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, STATUS
 from kempe.kinematics.configuration import as_start
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
+from kempe.model.kept import kept
 from kempe.rigid import arrays, sound
 from kempe.solvers import rounds
 from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.solvers.chain import Chain, chain_of, inside, obstacle
+from kempe.solvers.problem import Choice, Problem, Solver, choose, chosen_by
 from kempe.solvers.rounds import FEW, ITERATIONS, MOST, TOLERANCE, Task, outside
 from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED, Solution
 from kempe.solvers.targets import (
@@ -41,6 +43,8 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
+METHODS = ("numeric", "analytic", "auto")
+TaskOf = tuple[str, tuple[float, float, float]]
 CHUNK, SERIAL_BELOW = 256, 1024
 USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
 
@@ -96,32 +100,93 @@ def _of_frame(
     name, target = system.frame_name(frame), arrays(target, "target")
     said, axis = task_and_axis(task)
     asked, targets, lead = _asked(system, name, target, said, axis)
+    if method not in METHODS:
+        raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
     if prefer is not None and method != "numeric":
         raise InputError(f"method is {method!r}, which prefers nothing; leave it out, or prefer")
-    if _bounded(system, method) or prefer is not None or (method != "analytic" and obstacle(system, name)):
-        from kempe.solvers.tasks import reach
-
-        wanted = of_target(name, *asked, targets.reshape(*lead, 4, 4))
-        return reach(system, wanted, start, prefer=prefer, tolerance=tolerance, budget=budget)
-    spend = USUAL.of(budget)
-    chain = chain_of(system, name, asked[1])
-    base, seeds = _seeds(system, chain, start, lead)
+    choice = chosen(system, name, asked, method, prefer is not None)
     targets = targets.copy() if np.may_share_memory(targets, target) else targets  # the answer keeps them
+    problem = Problem(system, "one", name, asked, targets, lead, start=start, method=method, prefer=prefer,
+                      tolerance=tolerance, budget=budget)  # fmt: skip
+    answer = chosen_by(choice.solver.run(problem), choice)
+    if not lead and task is said and choice.solver is not BY_TASKS:
+        _bind(answer.task, said, np.shape(target))
+    return answer
+
+
+# ---- the solvers
+
+
+def _no_closed_form(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> str | None:
+    if method == "numeric":
+        return "method='analytic' or 'auto' asks for it"
+    bounds = one_sided_rows(system)
+    if bounds.declared:
+        return (f"method 'analytic' does not hold one-sided constraints, such as {bounds.names[0]!r}; leave it out, or "
+                "take one of the solutions of ik_all, which do")  # fmt: skip
+    from kempe.solvers.analytic.hand_over import plan_of
+
+    plan = plan_of(system, frame, *task)
+    return plan if isinstance(plan, str) else None
+
+
+def _no_chain(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> str | None:
+    if method == "analytic":
+        return "method='analytic' asks for a closed form"
+    if prefers:
+        return "it prefers nothing"
+    if one_sided_rows(system).declared:
+        return f"it does not hold one-sided constraints, such as {one_sided_rows(system).names[0]!r}"
+    return obstacle(system, frame)
+
+
+def _no_tasks(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> str | None:
+    return "method='analytic' asks for a closed form" if method == "analytic" else None
+
+
+def _of_chain(problem: Problem) -> Solution:
+    """The answer by the frame's own chain: by numbers, or in closed form where the method is not numeric."""
+    system, name, lead, spend = problem.system, str(problem.frame), problem.lead, USUAL.of(problem.budget)
+    chain, tolerance = chain_of(system, name, problem.task[1]), problem.tolerance
+    base, seeds = _seeds(system, chain, problem.start, lead)
     question = Task(
-        system, name, targets, *asked, TOLERANCE if tolerance is None else tolerances(tolerance),
+        system, name, problem.targets, *problem.task, TOLERANCE if tolerance is None else tolerances(tolerance),
         start_count(spend.starts), seed_number(spend.rng), chain, step_count(spend.iterations), spend.time_limit,
         deadline(spend.time_limit),
     )  # fmt: skip
     plan = None
-    if method != "numeric":
+    if problem.method != "numeric":
         from kempe.solvers.analytic import hand_over
 
-        plan = hand_over.plan_of(question, method)
+        found = hand_over.plan_of(system, name, *problem.task)
+        plan = None if isinstance(found, str) else found
     question, (q, residual, info) = _run(question, plan, base, seeds, spend.threads, lead)
-    solution = _judged(question, base, q, residual, info, lead, seeds, spend.threads)
-    if not lead and task is said:
-        _bind(question, said, np.shape(target))
-    return solution
+    return _judged(question, base, q, residual, info, lead, seeds, spend.threads)
+
+
+def _of_tasks(problem: Problem) -> Solution:
+    """The answer of `kempe.solvers.tasks.reach`."""
+    from kempe.solvers.tasks import reach
+
+    wanted = of_target(str(problem.frame), *problem.task, problem.targets.reshape(*problem.lead, 4, 4))
+    return reach(problem.system, wanted, problem.start, prefer=problem.prefer, tolerance=problem.tolerance,
+                 budget=problem.budget)  # fmt: skip
+
+
+BY_TASKS = Solver("levels", "least squares over all coordinates, with loops, limits and one-sided rows, by priorities",
+                  _no_tasks, _of_tasks)  # fmt: skip
+SOLVERS = (
+    Solver("closed form", "of all solutions of ik_all the nearest; else as chain", _no_closed_form, _of_chain),
+    Solver("chain", "damped least squares over the frame's own chain, with limits and restarts", _no_chain, _of_chain),
+    BY_TASKS,
+)
+"""Who answers for targets of one frame."""
+
+
+@kept
+def chosen(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> Choice:
+    """Who answers for a frame and a task."""
+    return choose(SOLVERS, system, frame, task, method, prefers)
 
 
 def _run(
@@ -172,15 +237,6 @@ def _judged(
     if not lead and code[0] == BAD_INPUT:
         raise InputError(not_a_pose(targets[0], "start"))
     return _answer(question, full, code, residual, info, lead)
-
-
-def _bounded(system: System, method: str) -> bool:
-    """Whether declared one-sided constraints have to be held. Errors: `UnsupportedError` where the method cannot."""
-    bounds = one_sided_rows(system)
-    if bounds.declared and method == "analytic":
-        raise UnsupportedError(f"method 'analytic' does not hold one-sided constraints, such as {bounds.names[0]!r}; "
-                               "leave it out, or take one of the solutions of ik_all, which do")  # fmt: skip
-    return bounds.declared > 0
 
 
 def _asked(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self
 
@@ -20,6 +20,7 @@ from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
 from kempe.solvers.clusters import INSIDE, SAME, Clusters, metric_of
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
 from kempe.solvers.ideal import said, tolerant
+from kempe.solvers.problem import Problem, Solver, choose, chosen_by
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
@@ -117,21 +118,6 @@ class Modes(Tabular):
         return f"<p>{len(self)} configurations; {said_of}</p><table><tr>{top}</tr>{body}</table>"
 
 
-@dataclass(frozen=True, eq=False)
-class Question:
-    """What is asked for, as each solver gets it."""
-
-    system: System
-    known: dict[str, Any]
-    near: Array | None
-    limits: bool
-    frame: str | None
-    rng: np.random.Generator
-    starts: int
-    budget: TimeLimit = field(default_factory=lambda: TimeLimit(None))
-    progress: Callable[[int, int], Any] | None = None
-
-
 @explained
 @tolerant()
 def assembly_modes(
@@ -157,36 +143,41 @@ def assembly_modes(
     if base is not None and (base.ndim != 1 or not np.isfinite(base).all()):
         raise InputError(f"start must be one configuration ({system.nq},) of finite numbers")
     spend = USUAL.of(budget)
-    draw = generator(spend.rng)
+    generator(spend.rng), start_count(spend.starts), TimeLimit(spend.time_limit)
     flag(limits, "limits")
     name = None if frame is None else system.frame_name(frame)
-    question = Question(system, dict(given), base, bool(limits), name, draw, start_count(spend.starts),
-                        TimeLimit(spend.time_limit), spend.progress)  # fmt: skip
-    for solver in SOLVERS:
-        modes = solver(question)
-        if modes is not None:
-            return modes
-    raise AssertionError("the last solver takes every question")
+    problem = Problem(system, "all", name, known=dict(given), start=base, limits=bool(limits), budget=spend)
+    choice = choose(SOLVERS, system, tuple(given))
+    return chosen_by(choice.solver.run(problem), choice)
 
 
 # ---- by structure
 
 
-def by_dyads(question: Question) -> Modes | None:
-    """The answer in closed form, or None where the mechanism is not made of dyads."""
+def no_dyads(system: System, known: tuple[str, ...]) -> str | None:
+    """Why there is no closed form with these names known; None where there is one."""
+    if system.dim != 2:
+        return "it is for planar mechanisms"
+    frames = [k for k in known if k in system.frame_names and k not in system.coordinate_names]
+    if frames:
+        return f"the place of frame {frames[0]!r} is known, not only coordinates"
+    plan = closed_form(system, tuple(source_values(system, dict.fromkeys(known, 0.0))))
+    if isinstance(plan, Incomplete):
+        return plan.reason
+    return f"it has 2^{plan.signs} branches, too many to list" if plan.signs > MOST_SIGNS else None
+
+
+def by_dyads(question: Problem) -> Modes:
+    """The answer in closed form, of a mechanism that is made of dyads."""
     system = question.system
-    if system.dim != 2 or any(k in system.frame_names and k not in system.coordinate_names for k in question.known):
-        return None
     values = source_values(system, question.known)
     for name, x in values.items():
         if x.ndim or not np.isfinite(x):
             raise InputError(f"known coordinate {name!r} must be one finite number")
-    plan = closed_form(system, tuple(values))
-    if isinstance(plan, Incomplete) or plan.signs > MOST_SIGNS:
-        return None
+    plan: Any = closed_form(system, tuple(values))
     signs = plan.branches()
     numbers = np.array([[float(x) for x in values.values()]] * len(signs)).reshape(len(signs), len(values))
-    closed = plan.close(numbers, signs, question.near)
+    closed = plan.close(numbers, signs, question.start)
     names = ["".join("+" if s > 0 else "-" for s in row) for row in signs]
     ok = np.flatnonzero(closed.ok)
     clusters = Clusters(system, () if question.frame is None else (question.frame,))
@@ -216,13 +207,13 @@ def _merged(names: list[str]) -> str:
 # ---- by many starts
 
 
-def by_starts(question: Question) -> Modes:
+def by_starts(question: Problem) -> Modes:
     """The answer of many starts: never proven complete."""
     from kempe.solvers.many_starts import estimates, search  # its kernels are not needed before
 
-    system = question.system
-    found = search(system, question.known, question.near, question.frame, question.rng, question.starts,
-                   question.budget, question.progress)  # fmt: skip
+    system, spend = question.system, USUAL.of(question.budget)
+    found = search(system, dict(question.known), question.start, question.frame, generator(spend.rng),
+                   start_count(spend.starts), TimeLimit(spend.time_limit), spend.progress)  # fmt: skip
     q, hits, free = found.clusters.q, found.clusters.hits, found.free
     isolated, families = np.flatnonzero(free == 0), np.flatnonzero(free > 0)
     coverage, expected = estimates(found.hits)
@@ -243,7 +234,7 @@ def by_starts(question: Question) -> Modes:
         besides = f"besides {counted(len(isolated), 'isolated configuration')}, " if len(isolated) else ""
         left = "1 freedom" if free.max() == 1 else f"up to {free.max()} freedoms"
         status = f"not finite: {besides}there are some with {left} left, of which one is shown; give more inputs"
-        near = home_of(system) if question.near is None else question.near
+        near = home_of(system) if question.start is None else question.start
         families = families[[int(np.argmin(found.clusters.metric.distances(q[families], near)))]]
     if found.spins:
         status += f"; {counted(len(found.spins), 'idle spin')} left out: " + ", ".join(map(str, found.spins[:3]))
@@ -268,7 +259,7 @@ def _up(percent: float) -> str:
 
 
 def _answer(
-    question: Question, q: Array, status: str, branches: list[str], multiplicity: np.ndarray, freedoms: np.ndarray,
+    question: Problem, q: Array, status: str, branches: list[str], multiplicity: np.ndarray, freedoms: np.ndarray,
     complete: bool, guess: tuple[float | None, float | None] = (None, None),
 ) -> Modes:  # fmt: skip
     """The modes, sorted, with what is outside the limits dropped or flagged."""
@@ -283,16 +274,20 @@ def _answer(
         holds = np.logical_not(beyond.any(axis=1))
         inside, left_out, keep = inside & holds, int(np.sum(~holds)), keep[holds[keep]]
         status += bounds.left_out(beyond)
-    if question.near is not None:
-        keep = keep[np.argsort(metric_of(system).distances(q[keep], question.near), kind="stable")]
+    if question.start is not None:
+        keep = keep[np.argsort(metric_of(system).distances(q[keep], question.start), kind="stable")]
     outside = len(q) - int(inside.sum()) - left_out
     if outside:
         status += f"; {outside} {'are' if outside > 1 else 'is'} outside the limits"
     return Modes(
         q[keep], complete, status, tuple(branches[i] for i in keep), multiplicity[keep], freedoms[keep], inside[keep],
-        outside if question.limits else 0, system, question.known, *guess, left_out=left_out,
+        outside if question.limits else 0, system, dict(question.known), *guess, left_out=left_out,
     )  # fmt: skip
 
 
-SOLVERS: list[Callable[[Question], Modes | None]] = [by_dyads, by_starts]
-"""Tried in this order; a solver that does not fit the question answers None. The last one takes all."""
+SOLVERS = (
+    Solver("dyads", "closed form, one ring of three places after the other", no_dyads, by_dyads),
+    Solver("many starts", "assembly from random starts, from mirror images and mixtures of what is found",
+           lambda *structure: None, by_starts),
+)  # fmt: skip
+"""Who answers for all assembly modes."""

@@ -71,8 +71,8 @@ def _by_equations(task: Task, targets: Array, q: Array) -> Array:
     """Configurations (N, n) by closed form or elimination, inside the limits, where there are some; else q (N, n)."""
     from kempe.solvers.analytic.hand_over import kept, plan_of
 
-    plan = plan_of(task, "auto")
-    return q if plan is None else kept(task, plan, targets, q)
+    plan = plan_of(task.system, task.frame, task.name, task.axis)
+    return q if isinstance(plan, str) else kept(task, plan, targets, q)
 
 
 def sharpen(task: Task, targets: Array, q: Array, limits: Array) -> tuple[Array, Array]:

@@ -40,7 +40,7 @@ NEARLY = 1e-3
 """Sine of an angle, or distance in lengths of the chain, below which an elimination has trouble with two axes."""
 
 
-def choose(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) -> Plan:
+def plan_holding(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) -> Plan:
     """The plan with as many joints locked, beside those `fixed`, as the chain has too many.
 
     Best is to hold slides that carry an arm of turns: a rail, a torso. Then what counts is how the rest is solved (side

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from kempe.errors import InputError, UnsupportedError
+from kempe.errors import UnsupportedError
 from kempe.kernels import analytic_layout as A
 from kempe.solvers.analytic.ik_all import TOLERANCE, attainable, chain_lines, plan_for, solve, solve_held
 from kempe.solvers.analytic.plan import Plan
@@ -14,26 +16,20 @@ from kempe.solvers.rounds import Task, misses
 from kempe.solvers.solution import SOLVED
 from kempe.spatial import Array
 
-METHODS = ("numeric", "analytic", "auto")
+if TYPE_CHECKING:
+    from kempe.model.system import System
 
 
-def plan_of(task: Task, method: str) -> Plan | None:
-    """The plan that answers a task, None where numbers have to. Errors: `InputError`, `UnsupportedError`."""
-    if method not in METHODS:
-        raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
+def plan_of(system: System, frame: str, task: str, axis: tuple[float, float, float]) -> Plan | str:
+    """The plan that answers a task of a frame, or why numbers have to."""
     try:
-        lines = chain_lines(task.system, task.frame, task.axis)
-        plan = plan_for(task.system, task.frame, lines, task.name, task.axis, ())
-    except UnsupportedError:
-        if method == "analytic":
-            raise
-        return None
+        plan = plan_for(system, frame, chain_lines(system, frame, axis), task, axis, ())
+    except UnsupportedError as error:
+        return str(error)
     if plan.method != "search" and not plan.locked:
         return plan
-    if method == "analytic":
-        why = "has more joints than the task needs" if plan.locked else "has neither a closed form nor an elimination"
-        raise UnsupportedError(f"the chain of {task.frame!r} {why}: method 'analytic' has no single answer for it")
-    return None
+    why = "has more joints than the task needs" if plan.locked else "has neither a closed form nor an elimination"
+    return f"the chain of {frame!r} {why}: method 'analytic' has no single answer for it"
 
 
 def kept(task: Task, plan: Plan, targets: Array, q: Array) -> Array:

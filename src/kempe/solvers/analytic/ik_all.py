@@ -20,13 +20,14 @@ from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
 from kempe.model.kept import kept
 from kempe.rigid import arrays, sound
-from kempe.solvers.analytic.choice import choose
+from kempe.solvers.analytic.choice import plan_holding
 from kempe.solvers.analytic.lines import Lines, lines_of
 from kempe.solvers.analytic.obeying import obeying
 from kempe.solvers.analytic.plan import Plan, kernel_of, side_by_side_of
-from kempe.solvers.analytic.question import Question, held, near_of, within
+from kempe.solvers.analytic.question import Question, held, held_by, near_of, within
 from kempe.solvers.analytic.solutions import Solutions
 from kempe.solvers.chain import of_loops
+from kempe.solvers.problem import Choice, Problem, Solver, choose, chosen_by
 from kempe.solvers.targets import Z_AXIS, axis_for, frame_of, in_plane, points_along, targets_of, task_and_axis, task_of
 from kempe.spatial import Array
 
@@ -46,6 +47,7 @@ NONE = np.zeros(0, dtype=np.int64)
 """No targets."""
 
 LIMITS = (False, True, "turns")
+TaskOf = tuple[str, tuple[float, float, float]]
 USUAL = Usual("ik_all", threads=None)
 
 
@@ -74,7 +76,7 @@ def ik_all(
     Method: see `ik_plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
     """
     name = system.frame_name(frame)
-    target, (said, axis), threads = arrays(target, "target"), task_and_axis(task), USUAL.of(budget).threads
+    target, (said, axis) = arrays(target, "target"), task_and_axis(task)
     if limits not in LIMITS:
         raise InputError(f"limits is {limits!r}; it must be False, True or 'turns'")
     if system.dim == 2 and points_along(said):
@@ -82,34 +84,88 @@ def ik_all(
     direction = axis_for(axis, said)
     targets, lead, is_position = targets_of(system, target, said, direction)
     task = task_of(said, is_position, bool(system.table.at[name][2]))
-    if system.closures and of_loops(system, name):
-        if limits == "turns":
-            raise InputError(f"frame {name!r} moves with loops: limits='turns' is for chains")
-        from kempe.solvers.analytic.through_loops import all_modes
-
-        return all_modes(system, name, targets, lead, task, start, fixed or {}, bool(limits))
-    lines = chain_lines(system, name, direction)
-    values = held(name, lines.names, fixed)
-    plan = plan_for(system, name, lines, task, direction, tuple(values))
-    single = lead == ()
-    wanted = TOLERANCE if tolerance is None else within(tolerance)
-    sure = max(wanted, attainable(targets, lines))
-    question = Question(system, name, task, direction, targets, None if single else lead, sure, wanted)
-    if single and not np.isfinite(targets).all():
+    if lead == () and not np.isfinite(targets).all():
         raise InputError("target has entries that are not finite")
+    known = held_by(fixed)
+    problem = Problem(system, "all", name, (task, direction), targets, lead, known, start, limits=limits,
+                      tolerance=tolerance, budget=budget)  # fmt: skip
+    choice = chosen(system, name, problem.task, tuple(known))
+    return chosen_by(choice.solver.run(problem), choice)
+
+
+def _of_loops(problem: Problem) -> Modes:
+    """The answer for a frame that moves with loops."""
+    if problem.limits == "turns":
+        raise InputError(f"frame {problem.frame!r} moves with loops: limits='turns' is for chains")
+    from kempe.solvers.analytic.through_loops import all_modes
+
+    return all_modes(problem)
+
+
+def _of_chain(problem: Problem) -> Solutions:
+    """The answer for a frame that its own chain moves."""
+    system, name, (task, direction), targets = problem.system, str(problem.frame), problem.task, problem.targets
+    lines, threads = chain_lines(system, name, direction), USUAL.of(problem.budget).threads
+    values = held(name, lines.names, problem.known)
+    plan = plan_for(system, name, lines, task, direction, tuple(values))
+    single = problem.lead == ()
+    wanted = TOLERANCE if problem.tolerance is None else within(problem.tolerance)
+    sure = max(wanted, attainable(targets, lines))
+    question = Question(system, name, task, direction, targets, None if single else problem.lead, sure, wanted)
     plain = not one_sided_rows(system).declared
     if plain and single and system.dim == 3 and task == "pose" and plan.side_by_side and (name,) not in system._queries:
         bind(system, name)
-    answer = solve(question, plan, near_of(system, start, question.lead), values, threads)
+    near = near_of(system, problem.start, question.lead)
+    answer = solve(question, plan, near, values, threads)
     if not single and (answer._counts[:, 0] < 0).any() and (mended := sound(targets, "target")) is not targets:
-        answer = solve(replace(question, targets=mended), plan, near_of(system, start, question.lead), values, threads)
+        answer = solve(replace(question, targets=mended), plan, near, values, threads)
     if single and answer._counts[0, 0] < 0:
         if np.abs(targets).max() >= LARGEST:
             raise InputError(f"target has an entry of {np.abs(targets).max():.3g}; allowed are below {LARGEST:g}")
         raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
-    if limits:
-        answer = answer.chosen(limits == "turns", inside_only=True)
+    if problem.limits:
+        answer = answer.chosen(problem.limits == "turns", inside_only=True)
     return obeying(answer)
+
+
+# ---- the solvers
+
+
+def _no_loops(system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> str | None:
+    return None if system.closures and of_loops(system, frame) else "the frame does not move with loops"
+
+
+def _needs(method: str, side_by_side: bool, why: str) -> Callable[..., str | None]:
+    """A refusal of chains whose plan is another one."""
+
+    def refuses(system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> str | None:
+        lines = chain_lines(system, frame, task[1])
+        values = held(frame, lines.names, dict.fromkeys(fixed, 0.0))
+        plan = plan_for(system, frame, lines, *task, tuple(values))
+        return None if plan.method == method and plan.side_by_side >= side_by_side else why
+
+    return refuses
+
+
+SOLVERS = (
+    Solver("assembly modes", "closed configurations with the frame known, see assembly_modes", _no_loops, _of_loops),
+    Solver("closed form, side by side", "subproblems of six turns, many targets at once; what is close is done again",
+           _needs("closed", True, "it is for six joints that turn, of which one equation in one unknown is left"),
+           _of_chain),
+    Solver("closed form", "subproblems of the lines of the chain, and of lines that stand in for what the task leaves",
+           _needs("closed", False, "no three neighbouring axes of the chain meet or are parallel, or as it takes"),
+           _of_chain),
+    Solver("elimination", "sixteen roots of six lines in general", _needs("elimination", False, "its lines are not "
+           "general enough to find random configurations again"), _of_chain),
+    Solver("search", "many starts: what is found, with no claim that it is all", lambda *structure: None, _of_chain),
+)  # fmt: skip
+"""Who answers for all configurations of a frame."""
+
+
+@kept
+def chosen(system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> Choice:
+    """Who answers for a frame, a task, and joints that are held."""
+    return choose(SOLVERS, system, frame, task, fixed)
 
 
 class Bound:
@@ -181,7 +237,7 @@ def plan_for(
 @kept
 def _plan(system: System, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]) -> Plan:
     planar = system.dim == 2
-    return replace(choose(chain_lines(system, frame, axis), task, at, planar), fixed=at, planar=planar)
+    return replace(plan_holding(chain_lines(system, frame, axis), task, at, planar), fixed=at, planar=planar)
 
 
 def solve(

@@ -52,12 +52,17 @@ def within(tolerance: object) -> float:
     raise InputError(f"tolerance is {tolerance!r}; it must be a positive number, in metres and radians")
 
 
-def held(frame: str, names: tuple[str, ...], fixed: object) -> dict[str, Array]:
-    """Values of joints of the chain that are held, by name. Errors: `InputError`, `UnknownNameError`."""
+def held_by(fixed: object) -> Mapping[str, Any]:
+    """Values of joints that are held, by name, as they are given. Errors: `InputError`."""
     if fixed is not None and not isinstance(fixed, Mapping):
         raise InputError(f"fixed is {type(fixed).__name__}; it must be a dict of values by joint name")
+    return fixed or {}
+
+
+def held(frame: str, names: tuple[str, ...], fixed: object) -> dict[str, Array]:
+    """Values of joints of the chain that are held, by name. Errors: `InputError`, `UnknownNameError`."""
     out = {}
-    for name, value in (fixed or {}).items():
+    for name, value in held_by(fixed).items():
         if name not in names:
             raise UnknownNameError("joint", str(name), names, f"the chain of {frame!r}")
         out[name] = reals(value, f"the value of {name!r}, which is held,", "a number, or one for each target")

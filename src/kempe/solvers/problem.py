@@ -1,0 +1,86 @@
+"""What is asked of a system, and who answers: rows of a table, each of which says what it is not for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+from kempe.budget import Budget
+from kempe.errors import UnsupportedError
+from kempe.solvers.targets import Z_AXIS
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+Found = TypeVar("Found")
+
+
+class Problem(NamedTuple):
+    """What is asked of a `system`, checked, as every solver gets it.
+
+    `asked` is "one" configuration or "all" of them. `targets` (N, 4, 4) are those of a `frame`, of which `task` names
+    what counts, with the axis of the tool that is pointed; `lead` is their leading shape. Without a frame `targets` are
+    tasks, or None where what is `known` (coordinates, and places of frames, by name) is all that is asked. The search
+    begins at `start`.
+    """
+
+    system: System
+    asked: str
+    frame: str | None = None
+    task: tuple[str, tuple[float, float, float]] = ("", Z_AXIS)
+    targets: Any = None
+    lead: tuple[int, ...] = ()
+    known: Mapping[str, Any] = MappingProxyType({})
+    start: Any = None
+    method: str = "numeric"
+    prefer: Any = None
+    branch: str | None = None
+    limits: bool | str = True
+    tolerance: Any = None
+    budget: Budget | None = None
+
+
+class Solver(NamedTuple):
+    """A row of the table: its name, how it works, and two functions.
+
+    `refuses` says in a sentence why it is not for what is asked, None where it is; it looks at the structure only, not
+    at numbers that differ from call to call. `run` answers.
+    """
+
+    name: str
+    how: str
+    refuses: Callable[..., str | None]
+    run: Callable[..., Any]
+
+
+class Choice(NamedTuple):
+    """The `solver` that answered, and why those before it in the table did not: pairs of name and sentence."""
+
+    solver: Solver
+    refused: tuple[tuple[str, str], ...]
+
+    @property
+    def name(self) -> str:
+        """The name of the solver."""
+        return self.solver.name
+
+    def __str__(self) -> str:
+        return "\n".join([f"{self.name}: {self.solver.how}", *(f"  not {name}: {why}" for name, why in self.refused)])
+
+
+def choose(rows: Sequence[Solver], *structure: Any) -> Choice:
+    """The first row that does not refuse. Errors: `UnsupportedError` with what the first one says, if all refuse."""
+    refused = []
+    for solver in rows:
+        why = solver.refuses(*structure)
+        if why is None:
+            return Choice(solver, tuple(refused))
+        refused.append((solver.name, why))
+    raise UnsupportedError(refused[0][1])
+
+
+def chosen_by(answer: Found, choice: Choice) -> Found:
+    """The answer, which says by whom it is."""
+    answer.__dict__["_choice"] = choice
+    return answer
