@@ -18,10 +18,12 @@ from kempe.model.system import System
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from kempe.status import Status
+
 __version__ = "0.1.0"
 __all__ = [
-    "KempeError", "Mechanism", "System", "constraints", "errors", "from_dh", "from_screws", "load", "read", "spatial",
-    "tasks",
+    "KempeError", "Mechanism", "Status", "System", "constraints", "errors", "from_dh", "from_screws", "load", "read",
+    "spatial", "tasks",
 ]  # fmt: skip
 
 
@@ -64,6 +66,8 @@ def __getattr__(name: str) -> Any:
         from kempe.description import dh
 
         return getattr(dh, name)
+    if name == "Status":
+        return import_module("kempe.status").Status
     if name in ("constraints", "tasks"):
         return import_module(f"kempe.{name}")
     raise AttributeError(f"module 'kempe' has no attribute {name!r}")

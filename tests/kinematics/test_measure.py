@@ -15,6 +15,7 @@ from kempe import Mechanism, library
 from kempe.joints import TYPES, joint_type
 from kempe.kinematics.measure import Poses, judge, motion
 from kempe.solvers import assembly
+from kempe.status import Status
 from kempe.views import facts, loop_report, report
 
 
@@ -85,7 +86,7 @@ def test_a_kernel_that_closes_nothing_is_exposed(monkeypatch):
 
     def blind(*given):
         q, residual, info = given[-3:]
-        q[:], residual[:], info[:] = given[4], 0.0, (assembly.CLOSED, 1, 1)
+        q[:], residual[:], info[:] = given[4], 0.0, (Status.SOLVED, 1, 1)
         return 0
 
     monkeypatch.setattr(assembly.kernel, "assemble", blind)

@@ -27,6 +27,7 @@ from kempe.solvers.ideal import said, tolerant
 from kempe.solvers.slip import hard_rows, rolls
 from kempe.solvers.words import counted
 from kempe.spatial import Array
+from kempe.status import Status, member
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -34,9 +35,6 @@ if TYPE_CHECKING:
 
 OPEN = 1e-8
 """Residual, in radians and characteristic lengths, above which a configuration is not closed."""
-
-EXACT, DEAD, LOOSE = 0, 1, 2
-"""Codes of `LoopJacobian.code`; `status` has the sentences."""
 
 
 @explained_methods
@@ -47,7 +45,7 @@ class LoopJacobian:
     `matrix` (..., rows, inputs) in SI units, NaN where it does not exist; `rows` names what each row is. `nullity`
     (...) counts the first-order motions of the mechanism, `rank` (...) the independent ones among the inputs;
     `margin` (...) is the smallest singular value of the inputs on the kernel: 0 at a dead point. `code` (...) is one
-    of `EXACT`, `DEAD`, `LOOSE`.
+    of `Status.SOLVED`, `DEAD_POINT`, `UNDETERMINED`.
     """
 
     __repr__ = brief
@@ -65,7 +63,7 @@ class LoopJacobian:
     @property
     def success(self) -> Any:
         """Whether (...) the inputs determine the outputs."""
-        good = np.asarray(self.code) == EXACT
+        good = np.asarray(self.code) == Status.SOLVED
         return bool(good) if good.ndim == 0 else good
 
     @property
@@ -80,9 +78,9 @@ class LoopJacobian:
 
     def _sentence(self, code: int, rank: int, nullity: int) -> str:
         names, motions = " and ".join(map(repr, self.inputs)), counted(nullity, "first-order motion")
-        if code == EXACT:
+        if code == Status.SOLVED:
             return f"{names} determine{'s' * (len(self.inputs) == 1)} the outputs ({motions})"
-        if code == DEAD:
+        if code == Status.DEAD_POINT:
             some = f"only {rank} of" if rank else "none of"
             return f"dead point: {some} the inputs ({names}) can move independently ({motions})"
         return f"not determined: with {names} at rest the outputs still move ({motions}, rank {rank} of the inputs)"
@@ -142,14 +140,14 @@ def loop_jacobian(
         rest = out @ Vt[rank[i] :].T
         scale = np.abs(out).max(initial=0.0)
         if rank[i] < len(index):
-            code[i] = DEAD
+            code[i] = Status.DEAD_POINT
         elif np.abs(rest).max(initial=0.0) > 1e-7 * max(scale, 1e-300):
-            code[i] = LOOSE
+            code[i] = Status.UNDETERMINED
         else:
             k = int(rank[i])
             matrix[i] = out @ (Vt[:k].T / s[:k]) @ U.T / closure.unit[index]
     if not lead:
-        return LoopJacobian(matrix, tuple(inputs), rows, int(rank), int(nullity), float(margin), int(code))
+        return LoopJacobian(matrix, tuple(inputs), rows, int(rank), int(nullity), float(margin), member(code))
     return LoopJacobian(matrix, tuple(inputs), rows, rank, nullity, margin, code)
 
 

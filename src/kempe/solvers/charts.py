@@ -22,12 +22,13 @@ from kempe.calls import explained, explained_methods, listed, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.loops import RANK_TOLERANCE, evaluate, scales
-from kempe.solvers.assembled import NOT_CLOSED
+from kempe.reals import plain
 from kempe.solvers.assembly import TOLERANCE, Assembly, assemble
 from kempe.solvers.ideal import said, tolerant
 from kempe.solvers.idle import Spin, idle_part, spins_of
 from kempe.solvers.shaky import moving
 from kempe.spatial import Array, skew
+from kempe.status import Status, member
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -120,9 +121,8 @@ class Chart:
             return answer
         off = np.abs(self.u(answer.q)[..., : len(given)] - u).max(axis=-1, initial=0.0)
         success = np.logical_and(answer.success, off < REACHED)
-        code = np.where(np.logical_and(answer.success, ~success), NOT_CLOSED, answer.code)
-        single = not success.ndim
-        return replace(answer, success=bool(success) if single else success, code=int(code) if single else code)
+        code = np.where(np.logical_and(answer.success, ~success), Status.NOT_FOUND, answer.code)
+        return replace(answer, success=plain(success), code=member(code))
 
     def _rows(self, names: Iterable[str] | None = None) -> list[int]:
         """Velocity indices of the independent coordinates, or of others."""

@@ -13,7 +13,6 @@ from kempe.calls import brief, explained, explained_methods
 from kempe.constraints.base import Constraint
 from kempe.constraints.targets import of_target
 from kempe.errors import InputError, UnsupportedError
-from kempe.kernels.search_layout import BAD_INPUT
 from kempe.kinematics.packed import refuse
 from kempe.kinematics.tabular import Tabular
 from kempe.reals import reals
@@ -23,11 +22,11 @@ from kempe.solvers.chain import of_loops
 from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, partial
 from kempe.solvers.ideal import ideal_of
 from kempe.solvers.slip import rolls
-from kempe.solvers.solution import SOLVED
 from kempe.solvers.targets import Z_AXIS, parse_targets
 from kempe.solvers.tasks import STARTS, Problem, judge, pose_problem
 from kempe.solvers.way import DEPTH, SINGULAR, STAYS, TOLERANCE, WEAK, Way
 from kempe.spatial import Array
+from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -118,10 +117,10 @@ def ik_path(
     way = _Path(problem, max_step, budget, progress)
     q0, info = way.rows[0].run(first)
     begin, n = 0, problem.lead[0]
-    while restart and info[0, 0] != SOLVED and begin + 1 < n:
+    while restart and info[0, 0] != Status.SOLVED and begin + 1 < n:
         begin += 1
         q0, info = way.rows[begin].run(first)
-    if info[0, 0] != SOLVED:
+    if info[0, 0] != Status.SOLVED:
         status = f"the path does not begin: target {begin} is {judge(way.rows[begin], q0, info).status}"
         return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status)
     if not branches:
@@ -170,7 +169,7 @@ class _Path(Way):
         x = self.truncated(self.rows[i], q, before)
         if x is None:
             return ""
-        missed = judge(self.rows[i], x[None], np.full((1, 3), SOLVED))
+        missed = judge(self.rows[i], x[None], np.full((1, 3), Status.SOLVED))
         most = float(max(np.max(missed.position_error), np.max(missed.orientation_error)))
         return f", where tolerance={1.5 * most:.1g} lets it go on" if most <= ROUNDED else ""
 
@@ -181,7 +180,7 @@ class _Path(Way):
         unasked = apart(row.packed, row.pins)
         seeds[:, unasked] = q[unasked]
         found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run(seeds)
-        good = found[info[:, 0] == SOLVED]
+        good = found[info[:, 0] == Status.SOLVED]
         return sorted(good, key=lambda x: float(np.linalg.norm(self.system.difference(q, x) / self.scale)))
 
     def path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
@@ -247,7 +246,7 @@ class _Path(Way):
     def _checked(self, q: Array) -> np.ndarray:
         """Which configurations (n,) hold, by the forward model; the others become NaN, in place."""
         info = np.zeros((len(q), 3), dtype=np.int64)
-        info[np.isnan(q).any(axis=1), 0] = BAD_INPUT
+        info[np.isnan(q).any(axis=1), 0] = Status.BAD_INPUT
         good = np.asarray(judge(self.problem, q, info).success)
         q[~good] = np.nan
         return good
@@ -281,7 +280,7 @@ def _all(
     starts, unasked = found.q[found.inside], apart(row.packed, row.pins)
     starts[:, unasked] = q[unasked]
     answers = [row.run(x[None]) for x in starts]
-    return [x[0] for x, info in answers if info[0, 0] == SOLVED]
+    return [x[0] for x, info in answers if info[0, 0] == Status.SOLVED]
 
 
 def _distinct(configurations: list[Array]) -> list[Array]:

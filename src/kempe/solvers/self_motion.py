@@ -18,10 +18,10 @@ from kempe.kinematics.tabular import Tabular
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, partial
 from kempe.solvers.freedoms import Local, freedoms_text, null
 from kempe.solvers.slip import slip_of
-from kempe.solvers.solution import SOLVED
 from kempe.solvers.targets import axis_of, points_along, task_of
 from kempe.solvers.tasks import judge, pose_problem
 from kempe.spatial import Array, ArrayLike
+from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -232,7 +232,7 @@ class _Way:
             for part in PARTS:
                 found, info = problem.run(system.integrate(q, part * step * t * scale)[None])
                 moved = system.difference(q, found[0]) / scale
-                if info[0, 0] == SOLVED and moved @ t >= 0.01 * part * step:
+                if info[0, 0] == Status.SOLVED and moved @ t >= 0.01 * part * step:
                     break
             else:
                 return _Half(out, False, _stop(problem, q, t, 10.0 * PARTS[-1] * step), t)
@@ -262,7 +262,7 @@ class _Way:
         q = a
         for _ in range(HOMING):
             found, info = problem.run(system.integrate(q, ahead * t * scale)[None])
-            if info[0, 0] != SOLVED:
+            if info[0, 0] != Status.SOLVED:
                 return False
             q, gap = found[0], _short(system, found[0], there) / scale
             if np.linalg.norm(gap) < MET:

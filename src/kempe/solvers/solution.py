@@ -14,19 +14,15 @@ from kempe.errors import InputError
 from kempe.kernels.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
 from kempe.solvers.answer import Answer
 from kempe.spatial import Array
+from kempe.status import MEMBERS, PROOFS, Status
 
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.rounds import Task
 
-SOLVED, NOT_FOUND, BAD_INPUT, OUT_OF_REACH, OUT_OF_TIME, CONTRADICTORY = 0, 1, 2, 3, 4, 5
-"""Codes of `Solution.code`; `status` has the sentences."""
-PROOFS = (OUT_OF_REACH, CONTRADICTORY)
-"""Codes that prove that there is no answer."""
-
 _MEASURED: dict[str, tuple[int, Callable]] = {
-    "position_error": (LINEAR, float), "orientation_error": (ANGULAR, float), "code": (STATUS, int),
-    "iterations": (STEPS, int), "starts": (STARTS, int),
+    "iterations": (STEPS, int), "starts": (STARTS, int), "code": (STATUS, lambda x: MEMBERS[int(x)]),
+    "position_error": (LINEAR, float), "orientation_error": (ANGULAR, float),
 }  # fmt: skip
 """Fields of an answer for a single target, where the kernels leave them, and as what they are read."""
 
@@ -75,7 +71,7 @@ class Solution(Answer):
     def postponed(cls, code: np.ndarray, asked: Any, later: tuple[Callable[..., Solution], Any]) -> Solution:
         """The answer for a batch of which only codes (...) are known: ``later[0](*later[1])`` gives the rest."""
         out = object.__new__(cls)
-        out.__dict__.update(success=code == SOLVED, code=code, asked=asked, _later=later)
+        out.__dict__.update(success=code == Status.SOLVED, code=code, asked=asked, _later=later)
         return out
 
     if not TYPE_CHECKING:  # a type checker would take any name for a field
@@ -114,7 +110,7 @@ class Solution(Answer):
         Proofs are lengths, two tasks that contradict each other, and limits outside of which all the answers are.
         """
         out = np.array(np.isin(self.code, PROOFS))
-        for index in np.argwhere(np.asarray(self.code) == NOT_FOUND):
+        for index in np.argwhere(np.asarray(self.code) == Status.NOT_FOUND):
             out[tuple(index)] = self._shut_out(tuple(index.tolist()))
         return bool(out) if out.ndim == 0 else out
 
