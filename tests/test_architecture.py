@@ -17,7 +17,8 @@ SOURCE = ROOT / "src" / "kempe"
 MODULES = sorted(SOURCE.rglob("*.py"))
 
 LAYERS = [
-    {"errors", "reals", "calls", "spatial", "rigid", "status"}, {"kernels"}, {"joints"}, {"values", "placement"},
+    {"errors", "reals", "calls", "spatial", "rigid", "status", "words"}, {"kernels"}, {"joints"},
+    {"values", "placement"},
     {"constraints"}, {"description", "library"}, {"model"},
     {"kinematics"}, {"solvers"}, {"analysis"}, {"views", "cli", "tasks"},
 ]  # fmt: skip

@@ -22,12 +22,13 @@ from kempe.constraints.tape import TWIST
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import P, R
 from kempe.kinematics.configuration import as_q
+from kempe.kinematics.result import Cells, Report
 from kempe.reals import reals
 from kempe.solvers.ideal import said, tolerant
 from kempe.solvers.slip import hard_rows, rolls
-from kempe.solvers.words import counted
 from kempe.spatial import Array
 from kempe.status import Status, member
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -39,7 +40,7 @@ OPEN = 1e-8
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class LoopJacobian:
+class LoopJacobian(Report):
     """Velocities of outputs by those of inputs, through closed loops.
 
     `matrix` (..., rows, inputs) in SI units, NaN where it does not exist; `rows` names what each row is. `nullity`
@@ -56,15 +57,9 @@ class LoopJacobian:
     rank: Any
     nullity: Any
     margin: Any
-    code: Any
+    code: Any = field()
     within: Idealised | None = field(default=None, repr=False)
     """The nearest mechanism that closes exactly, whose velocities these are; None: the given one's."""
-
-    @property
-    def success(self) -> Any:
-        """Whether (...) the inputs determine the outputs."""
-        good = np.asarray(self.code) == Status.SOLVED
-        return bool(good) if good.ndim == 0 else good
 
     @property
     def status(self) -> Any:
@@ -85,22 +80,25 @@ class LoopJacobian:
             return f"dead point: {some} the inputs ({names}) can move independently ({motions})"
         return f"not determined: with {names} at rest the outputs still move ({motions}, rank {rank} of the inputs)"
 
-    def __bool__(self) -> bool:
-        return bool(np.all(self.success))
-
-    def __str__(self) -> str:
+    def _headline(self) -> str:
         if np.ndim(self.code):
             return f"{int(np.sum(self.success))} of {np.size(self.code)} configurations: the outputs are determined"
+        return self.status
+
+    def _cells(self) -> Cells:
+        if np.ndim(self.code):
+            return (), ()
+        rows = zip(self.rows, self.matrix, strict=True)
+        return ("", *self.inputs), [(name, *(f"{x:.6g}" for x in row)) for name, row in rows]
+
+    def _lines(self) -> list[str]:
+        heads, rows = self._cells()
         width = max(map(len, self.rows), default=0)
-        lines = [self.status, " " * width + "  " + "  ".join(f"{n:>12}" for n in self.inputs)]
-        lines += [f"{n:<{width}}  " + "  ".join(f"{x:12.6g}" for x in row)
-                  for n, row in zip(self.rows, self.matrix, strict=True)]  # fmt: skip
-        return "\n".join(lines)
+        lines = [(name, *row) for name, *row in [heads, *rows]] if heads else []
+        return [f"{name:<{width}}  " + "  ".join(f"{x:>12}" for x in row) for name, *row in lines]
 
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return f"<pre>{escape(str(self))}</pre>"
+    def _data(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("inputs", "rows", "matrix", "rank", "nullity", "margin")}
 
 
 @explained

@@ -29,11 +29,12 @@ class Assembly(Answer):
     __repr__ = brief
 
     what = "configurations closed"
+    also = ("iterations", "starts")
 
     q: Array
     success: Any
     code: Any
-    residual: Any
+    residual: Any = field()
     iterations: Any
     starts: Any
     assembler: Assembler = field(repr=False)

@@ -22,6 +22,7 @@ from kempe.calls import explained, explained_methods, listed, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.loops import RANK_TOLERANCE, evaluate, scales
+from kempe.kinematics.result import Report
 from kempe.reals import plain
 from kempe.solvers.assembly import TOLERANCE, Assembly, assemble
 from kempe.solvers.ideal import said, tolerant
@@ -50,7 +51,7 @@ WORST = 0.02
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Chart:
+class Chart(Report):
     """Independent coordinates of a system about a closed configuration.
 
     `independent` are the names of the p coordinates chosen, `dependent` those of all others, `origin` (nq,) where it
@@ -67,7 +68,7 @@ class Chart:
     idle: tuple[str, ...] = ()
 
     @property
-    def within(self) -> Idealised | None:
+    def within(self) -> Idealised | None:  # type: ignore[override]
         """The nearest mechanism that closes exactly, whose chart it is; None: the given one's."""
         return self.system._ideal
 
@@ -193,12 +194,18 @@ class Chart:
         """The best chart at the closed configuration q (nq,)."""
         return independent(self.system, q)
 
-    def __str__(self) -> str:
+    @property
+    def status(self) -> str:
+        """Which coordinates are independent, and how well they move the others."""
         idle = f"; idle: {', '.join(self.idle)}" if self.idle else ""
         return (
             f"{self.dim} independent coordinates: {', '.join(self.useful) or 'none'}{idle} "
             f"(conditioning {self.quality:.2g}); dependent: {', '.join(self.dependent) or 'none'}{said(self.within)}"
         )
+
+    def _data(self) -> dict[str, Any]:
+        names = ("independent", "dependent", "idle", "useful", "dim", "quality")
+        return {"system": self.system.name, **{n: getattr(self, n) for n in names}, "origin": self.origin}
 
 
 @explained

@@ -20,9 +20,9 @@ from kempe.solvers.rounds import ITERATIONS, MOST, TOLERANCE, Task, outside
 from kempe.solvers.shut_out import shut_out
 from kempe.solvers.solution import Solution
 from kempe.solvers.targets import Z_AXIS, frame_of, not_a_pose
-from kempe.solvers.words import counted
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.words import counted
 
 AT_LIMIT = 1e-9
 """How near to a limit a coordinate is at it."""

@@ -13,9 +13,9 @@ from kempe.model.immovable import immovable
 from kempe.solvers.assembled import Assembly
 from kempe.solvers.assembly import Assembler, assembler, of_equations
 from kempe.solvers.ideal import nearly
-from kempe.solvers.words import counted
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System

@@ -19,9 +19,9 @@ from kempe.solvers.freedoms import Local, freedoms_text
 from kempe.solvers.lengths import beyond
 from kempe.solvers.reached import Reached, analyse
 from kempe.solvers.tasks import STARTS, judge
-from kempe.solvers.words import counted
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.kinematics.task import Task

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,13 +14,14 @@ from kempe.constraints.base import Constraint
 from kempe.constraints.targets import of_target
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.packed import refuse
-from kempe.kinematics.tabular import Tabular
 from kempe.reals import reals
 from kempe.rigid import arrays, sound
+from kempe.solvers.answer import Configurations
 from kempe.solvers.apart import apart
 from kempe.solvers.chain import of_loops
 from kempe.solvers.clock import BROKEN_OFF, LONG, Budget, partial
 from kempe.solvers.ideal import ideal_of
+from kempe.solvers.reached import asked_of
 from kempe.solvers.slip import rolls
 from kempe.solvers.targets import Z_AXIS, parse_targets
 from kempe.solvers.tasks import STARTS, Problem, judge, pose_problem
@@ -41,7 +42,7 @@ TRIED = 16
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class IkPath(Tabular):
+class IkPath(Configurations):
     """Configurations `q` (n, nq) that follow n targets, NaN where not `success` (n,).
 
     `jumps` are the targets that are reached, but not continuously from the one before; `status` says where and why the
@@ -51,25 +52,35 @@ class IkPath(Tabular):
 
     __repr__ = brief
 
+    also = ("jumps", "interrupted", "late")
+
     system: System
     q: Array
     success: np.ndarray
     jumps: tuple[int, ...]
-    status: str
+    reason: str
+    asked: Problem = field(repr=False)
+    """The tasks, with a goal for each of the targets."""
     interrupted: bool = False
     late: bool = False
 
-    def __len__(self) -> int:
-        return len(self.q)
-
-    def table(self) -> tuple[list[str], Array]:
-        """Names and columns (n, nq) for a file: the coordinates at each target, NaN where it is not reached."""
-        return list(self.system.coordinate_names), self.q
+    @property
+    def code(self) -> Status:
+        """The outcome: `PARTLY` where a target is not reached, or by a jump only."""
+        if self:
+            return Status.SOLVED
+        return self._broken_off() or (Status.PARTLY if self.success.any() else Status.NOT_FOUND)
 
     def __bool__(self) -> bool:
         return bool(np.all(self.success)) and not self.jumps
 
-    def __str__(self) -> str:
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return asked_of(self.asked)
+
+    def _claimed(self) -> np.ndarray:
+        return self.success
+
+    def _headline(self) -> str:
         return self.status
 
 
@@ -122,7 +133,7 @@ def ik_path(
         q0, info = way.rows[begin].run(first)
     if info[0, 0] != Status.SOLVED:
         status = f"the path does not begin: target {begin} is {judge(way.rows[begin], q0, info).status}"
-        return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status)
+        return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status, problem)
     if not branches:
         return way.rolled(way.path(q0[0], restart, begin), begin)
     further = _all(system, targets, frame, way.rows[begin], begin, q0[0])
@@ -200,7 +211,8 @@ class _Path(Way):
         success = self._checked(out)
         status = f"{success.sum()} of {n} targets followed"
         jumped = f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
-        return IkPath(self.system, out, success, tuple(jumps), "; ".join([status + jumped, *said]), interrupted, late)
+        status = "; ".join([status + jumped, *said])
+        return IkPath(self.system, out, success, tuple(jumps), status, self.problem, interrupted, late)
 
     def rolled(self, path: IkPath, begin: int) -> IkPath:
         """The path, or where there are velocity constraints what of it, or in its place, does not slip."""
@@ -212,8 +224,8 @@ class _Path(Way):
             return without_slip(self, path, begin)
         except BROKEN_OFF as error:
             interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
-            said = f"{path.status}; it slips, {partial(interrupted, late).strip(' ()')}"
-            return replace(path, success=np.zeros(len(path.q), dtype=bool), status=said, interrupted=interrupted,
+            said = f"{path.reason}; it slips, {partial(interrupted, late).strip(' ()')}"
+            return replace(path, success=np.zeros(len(path.q), dtype=bool), reason=said, interrupted=interrupted,
                            late=late)  # fmt: skip
 
     def _go(self, out: Array, jumps: list[int], said: list[str], restart: bool, begin: int) -> None:

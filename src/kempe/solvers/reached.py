@@ -36,10 +36,8 @@ class Reached(Solution):
     def _analysed(self) -> tuple[int, int, int, Array]:
         return analyse(self.asked, self.q)
 
-    def _asked(self) -> Sequence[tuple[Any, Any, Any]]:
-        p = self.asked
-        every = zip(p.tasks, p.goals, p.use, strict=True)
-        return [(task, goals, p.tolerance_of(task)) for task, goals, used in every if used and task.weight is None]
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return asked_of(self.asked)
 
     def _shut_out(self, index: tuple[int, ...]) -> bool:
         return False
@@ -56,6 +54,12 @@ class Reached(Solution):
         from kempe.solvers.explain_tasks import sentence
 
         return sentence(self, index) + self._way_there(index)
+
+
+def asked_of(problem: Problem) -> list[tuple[Any, Any, Any]]:
+    """The hard tasks of a problem, with their goals and tolerances."""
+    every = zip(problem.tasks, problem.goals, problem.use, strict=True)
+    return [(task, goals, problem.tolerance_of(task)) for task, goals, used in every if used and task.weight is None]
 
 
 def analyse(problem: Problem, q: Array) -> tuple[int, int, int, Array]:

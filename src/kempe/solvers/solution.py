@@ -12,6 +12,7 @@ import numpy as np
 from kempe.calls import brief, explained_methods
 from kempe.errors import InputError
 from kempe.kernels.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
+from kempe.reals import plain
 from kempe.solvers.answer import Answer
 from kempe.spatial import Array
 from kempe.status import MEMBERS, PROOFS, Status
@@ -44,6 +45,7 @@ class Solution(Answer):
     __repr__ = brief
 
     what = "targets reached"
+    also = ("position_error", "orientation_error", "iterations", "starts")
 
     q: Array
     success: Any
@@ -100,8 +102,7 @@ class Solution(Answer):
     @property
     def residual(self) -> Any:
         """Norm (...) of position error [m] and orientation error [rad]."""
-        r = np.hypot(self.position_error, self.orientation_error)
-        return float(r) if np.ndim(r) == 0 else r
+        return plain(np.hypot(self.position_error, self.orientation_error))
 
     @property
     def proven(self) -> Any:
@@ -112,7 +113,7 @@ class Solution(Answer):
         out = np.array(np.isin(self.code, PROOFS))
         for index in np.argwhere(np.asarray(self.code) == Status.NOT_FOUND):
             out[tuple(index)] = self._shut_out(tuple(index.tolist()))
-        return bool(out) if out.ndim == 0 else out
+        return plain(out)
 
     def _shut_out(self, index: tuple[int, ...]) -> bool:
         """Whether limits are proven to shut out all answers for one target."""
@@ -167,7 +168,7 @@ class Solution(Answer):
         """Orthonormal basis (nv, k) of velocities that keep loops and tasks, in radians and characteristic lengths."""
         return self._local[3]
 
-    def _asked(self) -> Sequence[tuple[Any, Any, Any]]:
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         from kempe.constraints.targets import of_target
         from kempe.kinematics.asking import task_of
 

@@ -9,6 +9,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from kempe.views import facts, report
+from kempe.words import jsonable
 
 if TYPE_CHECKING:
     from kempe.solvers.following import IkPath
@@ -34,7 +35,7 @@ def path(answer: IkPath, degrees: bool = False) -> RenderableType:
 def path_facts(answer: IkPath, degrees: bool = False) -> dict[str, Any]:
     """A path as plain data: q by name for each target, None where it is not followed."""
     system, names = answer.system, answer.system.coordinate_names
-    q = facts.jsonable(facts.in_degrees(answer.q, names, facts.units(system), degrees))
+    q = jsonable(facts.in_degrees(answer.q, names, facts.units(system), degrees))
     return {
         "system": system.name, "angle_unit": "deg" if degrees else "rad", "success": bool(answer),
         "status": answer.status, "followed": answer.success.tolist(), "jumps": list(answer.jumps),

@@ -15,6 +15,7 @@ from rich.text import Text
 from kempe import spatial
 from kempe.kinematics.tabular import write_table
 from kempe.views import facts, report
+from kempe.words import jsonable
 
 if TYPE_CHECKING:
     from kempe.analysis.classify import Classification
@@ -35,10 +36,8 @@ NARROW = 7
 
 def mobility(answer: Mobility) -> RenderableType:
     """Degrees of freedom: the sentence, and the reasoning by topic."""
-    from kempe.analysis.mobility_text import lines, sentence
-
     style = "bold green" if answer.closed and answer.certain else "bold red" if not answer.closed else "bold yellow"
-    return _by_topic(f"{answer.name}: {sentence(answer)}", lines(answer), style)
+    return _by_topic(str(answer._headline()), answer.topics(), style)
 
 
 def mobility_facts(system: System, answer: Mobility, degrees: bool = False) -> dict[str, Any]:
@@ -48,10 +47,8 @@ def mobility_facts(system: System, answer: Mobility, degrees: bool = False) -> d
 
 def classify(answer: Classification) -> RenderableType:
     """What constraints are: the sentence, and the reasoning by topic."""
-    from kempe.analysis.classify_text import lines, sentence
-
     style = "bold green" if not answer.why and not answer.doubtful else "bold yellow"
-    return _by_topic(f"{answer.name}: {sentence(answer)}", lines(answer), style)
+    return _by_topic(str(answer._headline()), answer.topics(), style)
 
 
 def classify_facts(system: System, answer: Classification, degrees: bool = False) -> dict[str, Any]:
@@ -70,7 +67,7 @@ def _by_topic(headline: str, topics: list[tuple[str, list[str]]], style: str) ->
 
 
 def _facts(system: System, answer: Mobility | Classification, degrees: bool) -> dict[str, Any]:
-    data = facts.jsonable(answer.data())
+    data = jsonable(answer.data())
     for side in (data["one_sided"] or {"sides": []})["sides"] if degrees else ():
         if side["unit"] == "rad":
             side |= {"unit": "deg", **{k: side[k] / facts.DEGREE for k in ("value", "bound", "slack")}}
@@ -132,7 +129,7 @@ def _assemblies(answer: Assembly, degrees: bool) -> RenderableType:
 def assembly_facts(answer: Assembly, degrees: bool = False) -> dict[str, Any]:
     """An answer of `assemble` as plain data; lists for a batch."""
     fields = ("success", "status", "residual", "iterations", "starts")
-    out = {name: facts.jsonable(np.asarray(getattr(answer, name)).tolist()) for name in fields}
+    out = {name: jsonable(np.asarray(getattr(answer, name)).tolist()) for name in fields}
     q = by_name(answer.system, answer.q, degrees)
     return {"system": answer.system.name, "angle_unit": _angle(degrees), **out, **facts.judged(answer), "q": q}
 
@@ -178,8 +175,8 @@ def modes_facts(answer: Modes, degrees: bool = False) -> dict[str, Any]:
         "system": answer.system.name, "angle_unit": _angle(degrees), "success": bool(answer),
         "complete": answer.complete, "status": answer.status, "branches": list(answer.branches),
         "multiplicity": answer.multiplicity.tolist(), "freedoms": answer.freedoms.tolist(),
-        "inside": answer.inside.tolist(), "coverage": facts.jsonable(answer.coverage),
-        "expected": facts.jsonable(answer.expected), "q": by_name(answer.system, answer.q, degrees),
+        "inside": answer.inside.tolist(), "coverage": jsonable(answer.coverage),
+        "expected": jsonable(answer.expected), "q": by_name(answer.system, answer.q, degrees),
     }  # fmt: skip
 
 
@@ -231,8 +228,8 @@ def path_facts(answer: Path, degrees: bool = False) -> dict[str, Any]:
     return {
         "system": answer.system.name, "angle_unit": _angle(degrees), "driver": answer.driver,
         "held": list(answer.held), **_motion(answer, degrees), **facts.judged(answer), "columns": names,
-        "rows": facts.jsonable(columns),
-        "others": [{**_motion(o, degrees), "rows": facts.jsonable(path_table(o, degrees)[1])} for o in answer.others],
+        "rows": jsonable(columns),
+        "others": [{**_motion(o, degrees), "rows": jsonable(path_table(o, degrees)[1])} for o in answer.others],
     }  # fmt: skip
 
 
@@ -281,7 +278,7 @@ def write_path(file: FilePath, answer: Path, degrees: bool = False, branches: bo
 
 def by_name(system: System, q: spatial.Array, degrees: bool) -> Any:
     """Values by coordinate name of a configuration (nq,); a list of these of many (n, nq)."""
-    values = facts.jsonable(_shown(system, q, degrees))
+    values = jsonable(_shown(system, q, degrees))
     several = values if np.ndim(q) > 1 else [values]
     named = [dict(zip(system.coordinate_names, row, strict=True)) for row in several]
     return named if np.ndim(q) > 1 else named[0]
