@@ -77,6 +77,9 @@ class IkPath(Configurations):
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return asked_of(self.asked)
 
+    def _data(self) -> dict[str, Any]:
+        return {"success": bool(self), "followed": self.success} | super()._data()
+
     def _claimed(self) -> np.ndarray:
         return self.success
 

@@ -183,21 +183,13 @@ def poses_facts(system: System, frame: str | None, X: spatial.Array, degrees: bo
     return unit | {"configurations": [one(Y) for Y in X]}
 
 
-def solution_facts(system: System, answer: Answer, degrees: bool = False) -> dict[str, Any]:
-    """An answer of `ik`: configuration by name, how well it reaches, and the sentence; lists for a batch."""
-    names = system.coordinate_names
-    q = jsonable(in_degrees(answer.q, names, units(system), degrees))
-    batch = np.ndim(answer.success) > 0
-    fields = ("success", "status", "position_error", "orientation_error", "residual", "iterations", "starts")
-    out = {name: jsonable(np.asarray(getattr(answer, name)).tolist()) for name in fields}
-    by_name = [dict(zip(names, row, strict=True)) for row in (q if batch else [q])]
-    return {
-        "system": system.name,
-        "angle_unit": "deg" if degrees else "rad",
-        **out,
-        **judged(answer),
-        "q": by_name if batch else by_name[0],
-    }
+def answer_facts(answer: Answer, degrees: bool = False) -> dict[str, Any]:
+    """The data of an answer, with the angles of its configurations in degrees if asked for."""
+    if not degrees:
+        return answer.data()
+    names = answer.system.coordinate_names
+    q = answer._by_name(in_degrees(answer.q, names, units(answer.system), True))
+    return answer.data() | {"angle_unit": "deg", "q": q}
 
 
 def judged(answer: Answer | Path) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from kempe import spatial
 from kempe.errors import InputError
 from kempe.kinematics.tabular import write_table
 from kempe.placement import AXES
+from kempe.status import named
 from kempe.views import facts, report, rows
 from kempe.words import jsonable
 
@@ -188,7 +189,8 @@ def _one(answer: Solutions, which: Any, degrees: bool) -> dict[str, Any]:
     unit = facts.units(system)
     held = {n: facts.in_degrees([of_target(v)], [n], unit, degrees).item() for n, v in answer.held.items()}
     return {
-        "success": bool(picked(answer.inside).any()), "status": str(of_target(answer.status)),
+        "success": bool(picked(answer.inside).any()), "code": named(of_target(answer.code)),
+        "status": str(of_target(answer.status)),
         "complete": bool(of_target(answer.complete)), "solutions": found,
         "held": jsonable(held),
         "spare": list(answer.spare), "tried": int(of_target(answer.tried)),
