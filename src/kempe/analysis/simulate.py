@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -181,7 +182,7 @@ def simulate(
                    for k, e in enumerate(flight.impacts))  # fmt: skip
     reason = f"broken off after {MOST} events" if flight.broken else ""
     return Simulation(system, t, x, w, events, not flight.broken, reason, frames=(fall.body,),
-                      _at=lambda t: fall.motion(q, v, flight, t))  # fmt: skip
+                      _at=partial(fall.motion, q, v, flight))  # fmt: skip
 
 
 def _rolls(

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
     from kempe.solvers.servo_closed import Closed, Stage
 
-WHOLE = 1.0 - 1e-9
-"""Fraction of what is wanted that counts as all of it."""
+WHOLE = 1.0 - 1e-3
+"""Fraction of what is wanted that counts as all of it: damping takes less than the rest far from singularities."""
 NONE, EYE = np.zeros(0), np.eye(3)
 TURNING, SLIDING = math.pi, 1.0
 """Largest speeds of joints that the description gives none, in rad/s and m/s."""
