@@ -17,7 +17,7 @@ SOURCE = ROOT / "src" / "kempe"
 MODULES = sorted(SOURCE.rglob("*.py"))
 
 LAYERS = [
-    {"errors", "reals", "calls", "former", "budget", "spatial", "rigid"}, {"kernels"}, {"joints"},
+    {"errors", "reals", "calls", "former", "budget", "spatial", "rigid", "status", "words"}, {"kernels"}, {"joints"},
     {"values", "placement"}, {"constraints"}, {"description", "library"}, {"model"},
     {"kinematics"}, {"solvers"}, {"analysis"}, {"views", "cli", "tasks"},
 ]  # fmt: skip

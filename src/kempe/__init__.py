@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from kempe.budget import Budget, Tolerance
+    from kempe.status import Status
 
 __version__ = "0.1.0"
 __all__ = [
-    "Budget", "KempeError", "Mechanism", "System", "Tolerance", "constraints", "errors", "from_dh", "from_screws",
-    "load", "read", "spatial", "tasks",
+    "Budget", "KempeError", "Mechanism", "Status", "System", "Tolerance", "constraints", "errors", "from_dh",
+    "from_screws", "load", "read", "spatial", "tasks",
 ]  # fmt: skip
 
 
@@ -70,6 +71,8 @@ def __getattr__(name: str) -> Any:
         from kempe import budget
 
         return getattr(budget, name)
+    if name == "Status":
+        return import_module("kempe.status").Status
     if name in ("constraints", "tasks"):
         return import_module(f"kempe.{name}")
     raise AttributeError(f"module 'kempe' has no attribute {name!r}")

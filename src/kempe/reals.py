@@ -60,6 +60,11 @@ def is_whole(x: object) -> TypeGuard[int]:
     return isinstance(x, (int, np.integer)) and not isinstance(x, bool)
 
 
+def plain(x: Any) -> Any:
+    """A Python number in place of an array without axes; other arrays as they are."""
+    return x if np.ndim(x) else np.asarray(x).item()
+
+
 def is_real(x: object) -> TypeGuard[float]:
     """Whether it is a single real number; truth values and durations are none, though numpy counts them as such."""
     return x.__class__ in PLAIN or (isinstance(x, Real) and not isinstance(x, (bool, np.timedelta64)))

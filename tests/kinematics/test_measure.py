@@ -15,6 +15,7 @@ from kempe import Mechanism, library
 from kempe.joints import TYPES, joint_type
 from kempe.kinematics.measure import Poses, judge, motion
 from kempe.solvers import assembly
+from kempe.status import Status
 from kempe.views import facts, loop_report, report
 
 
@@ -85,7 +86,7 @@ def test_a_kernel_that_closes_nothing_is_exposed(monkeypatch):
 
     def blind(*given):
         q, residual, info = given[-3:]
-        q[:], residual[:], info[:] = given[4], 0.0, (assembly.CLOSED, 1, 1)
+        q[:], residual[:], info[:] = given[4], 0.0, (Status.SOLVED, 1, 1)
         return 0
 
     monkeypatch.setattr(assembly.kernel, "assemble", blind)
@@ -94,7 +95,7 @@ def test_a_kernel_that_closes_nothing_is_exposed(monkeypatch):
     said = "success is contradicted, judged by poses multiplied out in numpy: 'C' is missed by"
     for shown in (str(answer), html.unescape(answer._repr_html_()), text(loop_report.assembly(answer))):
         assert said in shown
-    data = loop_report.assembly_facts(answer)["judged"]
+    data = facts.answer_facts(answer)["judged"]
     assert data["holds"] is False and max(data["errors"]["C"]) > 1e-3
     many = system.assemble({"A": [0.3, 0.5]}, start=system.neutral)
     assert "2 are contradicted by poses" in text(loop_report.assembly(many))
@@ -110,7 +111,7 @@ def test_a_forward_model_that_is_wrong_is_exposed(monkeypatch):
     moved.__dict__.pop("judged")
     assert moved.success and not moved.judged
     assert "success is contradicted" in str(moved) and "success is contradicted" in text(report.solution(system, moved))
-    assert facts.solution_facts(system, moved)["judged"]["holds"] is False
+    assert facts.answer_facts(moved)["judged"]["holds"] is False
 
 
 def test_what_is_open_is_not_said_to_be_contradicted():

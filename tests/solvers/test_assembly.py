@@ -14,7 +14,8 @@ import kempe
 from kempe import Mechanism, constraints
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kinematics import loops
-from kempe.solvers.assembly import CLOSED, OUTSIDE, Assembler
+from kempe.solvers.assembly import Assembler
+from kempe.status import Status
 
 MECHANISMS = [
     "four_bar", "slider_crank", "double_parallelogram", "bennett", "sarrus", "stewart", "peaucellier", "jansen",
@@ -231,7 +232,7 @@ def test_limits_hold_and_are_named():
     assert s.q_dict(answer.q)["D"] <= 1.2
     assert s.assemble({"A": math.pi / 2}, start=s.q({"B": -0.9, "D": 1.1}), limits=False).success
     known = s.assemble({"D": 2.0})
-    assert known.code == OUTSIDE and not known and "D = 2 is not in" in known.status
+    assert known.code == Status.OUTSIDE_LIMITS and not known and "D = 2 is not in" in known.status
 
 
 def test_an_open_loop_says_which_and_by_how_much():
@@ -345,7 +346,7 @@ def test_large_systems_are_sparse():
     s = row(200)
     near = s.integrate(s.neutral, 0.1 * np.random.default_rng(0).normal(size=s.nv))
     answer = s.assemble({"A0": 0.2}, start=near)
-    assert answer.code == CLOSED and answer.starts == 1
+    assert answer.code == Status.SOLVED and answer.starts == 1
     assert np.abs(loops.residual(s, answer.q)).max() < 1e-12
 
 

@@ -11,7 +11,7 @@ import kempe
 from kempe import Mechanism, spatial, tasks
 from kempe.errors import InputError, NoSolutionError
 from kempe.solvers import rounds
-from kempe.solvers.solution import NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME
+from kempe.status import Status
 
 ROUNDING = 1e-12
 HAND = "panda_link7"
@@ -157,12 +157,12 @@ def test_tasks_stop_when_the_time_is_up(looks):
     for n in (0, 1, 5):
         looks(n)
         answer = s.ik(far, budget=kempe.Budget(time_limit=2.0))
-        assert (answer.code, answer.starts, answer.late, answer.success) == (OUT_OF_TIME, n, True, False)
+        assert (answer.code, answer.starts, answer.late, answer.success) == (Status.OUT_OF_TIME, n, True, False)
         assert f"not reached within the time limit of 2 s, after {n} of 1470 starts" in answer.status
         missed = np.linalg.norm(s.fk(answer.q, HAND)[:3, 3] - [3.0, 0.0, 0.0])
         assert inside(s, answer.q) and answer.position_error == pytest.approx(missed, abs=1e-12)
     looks(10**9)
-    assert s.ik(far, budget=kempe.Budget(time_limit=2.0)).code == OUT_OF_REACH
+    assert s.ik(far, budget=kempe.Budget(time_limit=2.0)).code == Status.OUT_OF_REACH
     looks(3)
     with pytest.raises(NoSolutionError, match="time limit"):
         s.ik(far, budget=kempe.Budget(time_limit=2.0)).expect()
@@ -175,7 +175,7 @@ def test_a_batch_shares_the_time(looks):
     looks(11)
     answer = s.ik(tasks.Position(HAND, p), budget=kempe.Budget(starts=5, time_limit=1.0, threads=1))
     assert answer.starts.tolist()[0] == 1 and answer.starts.tolist()[3] == 0 and np.isfinite(answer.q).all()
-    assert answer.code[0] == 0 and answer.code[3] == OUT_OF_TIME
+    assert answer.code[0] == 0 and answer.code[3] == Status.OUT_OF_TIME
 
 
 def test_what_is_lowered_is_said_to_be_cut_short(looks):
@@ -212,7 +212,7 @@ def test_single_targets_stop_when_the_time_is_up(looks, task):
     for n in (0, 2):
         looks(n)
         answer = s.ik(X, "tip", task=task, **pointed, budget=kempe.Budget(time_limit=3.0))
-        assert (answer.code, answer.starts, answer.success) == (OUT_OF_TIME, 32 * n, False)
+        assert (answer.code, answer.starts, answer.success) == (Status.OUT_OF_TIME, 32 * n, False)
         assert f"not reached within the time limit of 3 s, after {32 * n} of 1000 starts" in answer.status
         there = s.fk(answer.q, "tip")
         far, turn = np.linalg.norm(there[:3, 3] - X[:3, 3]), spatial.log_so3(X[:3, :3].T @ there[:3, :3])
@@ -223,7 +223,7 @@ def test_single_targets_stop_when_the_time_is_up(looks, task):
         assert answer.orientation_error == pytest.approx(0.0 if task == "position" else angle, abs=1e-9)
         assert inside(s, answer.q)
     looks(10**9)
-    assert s.ik(X, "tip", task=task, **pointed, budget=kempe.Budget(time_limit=3.0)).code == NOT_FOUND
+    assert s.ik(X, "tip", task=task, **pointed, budget=kempe.Budget(time_limit=3.0)).code == Status.NOT_FOUND
 
 
 @pytest.mark.parametrize("threads", [1, 2])

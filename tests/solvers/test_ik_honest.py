@@ -8,7 +8,7 @@ import pytest
 import kempe
 from kempe import Mechanism, spatial
 from kempe.errors import InputError
-from kempe.solvers.solution import NOT_FOUND, OUT_OF_REACH
+from kempe.status import Status
 
 
 def arm(limits, lengths=(1.0, 0.7)):
@@ -115,9 +115,9 @@ def test_a_joint_with_whole_turns_is_never_blamed():
     m.prismatic("slide", "plate", m.body("cart"), axis=(1, 0), limits=(0.2, 0.5))
     m.frame("tip", "cart")
     s = m.build().ik([0.0, 0.7], "tip")
-    assert s.code in (NOT_FOUND, OUT_OF_REACH) and "'table'" not in s.status
+    assert s.code in (Status.NOT_FOUND, Status.OUT_OF_REACH) and "'table'" not in s.status
     inner = m.build().ik([0.0, 0.1], "tip")
-    assert inner.code == NOT_FOUND and "blocked by the limit of 'slide' (all 2" in inner.status and inner.proven
+    assert inner.code == Status.NOT_FOUND and "blocked by the limit of 'slide' (all 2" in inner.status and inner.proven
 
 
 def test_a_pose_off_the_plane_is_said_to_be():
@@ -139,7 +139,7 @@ def test_columns_do_not_weaken_the_proof(height, out):
     s = m.build()
     direction = np.array([0.6, 0.0, -0.8])
     found = s.ik(np.array([0.0, 0.0, height]) + (0.9 + out) * direction, "tip")
-    assert found.code == OUT_OF_REACH and f"by at least {out:g} m" in found.status
+    assert found.code == Status.OUT_OF_REACH and f"by at least {out:g} m" in found.status
     assert s.ik(np.array([0.0, 0.0, height]) + 0.8999 * direction, "tip")
 
 

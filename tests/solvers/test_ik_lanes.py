@@ -14,7 +14,7 @@ from robots import DATA
 
 import kempe
 from kempe.errors import InputError
-from kempe.solvers.solution import NOT_FOUND, OUT_OF_REACH, SOLVED
+from kempe.status import Status
 
 AXES = [(0.0, 0.0, 1.0), (1.0, 2.0, -0.5)]
 
@@ -219,7 +219,7 @@ def test_plain_calls_say_what_is_wrong():
         far = X.copy()
         far[:3, 3] += 9.0
         s = robot.ik(far, frame)
-        assert s.code == OUT_OF_REACH and not s and "outside the workspace" in s.status
+        assert s.code == Status.OUT_OF_REACH and not s and "outside the workspace" in s.status
         with pytest.raises(InputError, match="not finite"):
             robot.ik(np.where(X == 1.0, np.nan, X), frame)
         with pytest.raises(InputError, match="last row"):
@@ -231,7 +231,7 @@ def test_plain_calls_say_what_is_wrong():
     turned = X.copy()
     turned[:3, 3] = [0.0, 0.0, 0.05]
     s = robot.ik(turned, frame)
-    assert s.code in (SOLVED, NOT_FOUND) and inside(robot, s.q)
+    assert s.code in (Status.SOLVED, Status.NOT_FOUND) and inside(robot, s.q)
 
 
 def test_joints_that_the_chain_does_not_move_keep_their_seed():

@@ -14,7 +14,7 @@ import kempe
 from kempe import Mechanism
 from kempe.errors import InputError, NoSolutionError, UnknownNameError, UnsupportedError
 from kempe.solvers.chain import chain_of
-from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, SOLVED
+from kempe.status import Status
 
 
 def two_link(l1=1.0, l2=0.7, limits=None):
@@ -74,7 +74,7 @@ def test_limits_choose_elbow_up_or_down(limits, sign):
 @pytest.mark.parametrize("p, distance", [((3.0, 0.0), 1.3), ((0.0, -2.5), 0.8), ((0.1, 0.0), 0.2), ((0.0, 0.0), 0.3)])
 def test_unreachable_points_say_how_far_outside_they_are(p, distance):
     s = two_link().ik(p, "tip")
-    assert s.success is False and s.code == OUT_OF_REACH and not s
+    assert s.success is False and s.code == Status.OUT_OF_REACH and not s
     assert f"outside the workspace by at least {distance:g} m" in s.status
     np.testing.assert_allclose(s.position_error, distance, atol=1e-6)  # the nearest configuration is the true one
     np.testing.assert_allclose(np.linalg.norm(tip(s.q) - p), distance, atol=1e-6)
@@ -90,7 +90,7 @@ def test_boundary_of_the_workspace_is_reached(p):
 
 def test_a_limit_that_blocks_is_named():
     s = two_link(limits=(-2.0, -0.5)).ik([1.7, 0.0], "tip")
-    assert s.code == NOT_FOUND and "blocked by the limit of 'q2'" in s.status
+    assert s.code == Status.NOT_FOUND and "blocked by the limit of 'q2'" in s.status
     assert -2.0 <= s.q[1] <= -0.5
     s = two_link(limits=(-2.0, -0.5)).ik([9.0, 0.0], "tip")
     assert "outside the workspace" in s.status and s.q[1] == pytest.approx(-0.5)
@@ -119,7 +119,7 @@ def test_limits_that_block_together_are_named():
     limits[1] = (down[1] + 0.05, 3.0)  # the second one
     limits[2] = (up[2] + 0.05, 3.0) if down[2] > up[2] else (-3.0, up[2] - 0.05)  # the first one
     s = three_links(limits).ik(X, "tip")
-    assert s.code == NOT_FOUND and not s
+    assert s.code == Status.NOT_FOUND and not s
     assert "blocked by the limits of 'q0' and 'q2' together" in s.status
 
 
@@ -140,7 +140,7 @@ def test_a_pose_may_be_proven_out_of_reach_by_its_last_axis(name, radius):
     assert robot.ik(far, frame).success
     far[:3, :3] = np.diag([1.0, -1.0, -1.0])  # looking down, the wrist is 0.126 m above the flange
     s = robot.ik(far, frame)
-    assert s.code == OUT_OF_REACH
+    assert s.code == Status.OUT_OF_REACH
     assert f"outside the workspace with this orientation by at least {2 * 0.126 - 0.01:g} m" in s.status
     position = robot.ik(far[:3, 3].copy(), frame)
     assert position.success
@@ -210,7 +210,7 @@ def test_a_bad_row_leaves_the_others_alone():
     spoilt = X.copy()
     spoilt[1, 0, 3], spoilt[2, :3, :3] = np.nan, 2.0 * np.eye(3)
     s = robot.ik(spoilt, "tool")
-    assert s.code.tolist() == [SOLVED, BAD_INPUT, BAD_INPUT, SOLVED]
+    assert s.code.tolist() == [Status.SOLVED, Status.BAD_INPUT, Status.BAD_INPUT, Status.SOLVED]
     assert np.isnan(s.q[1:3]).all() and np.array_equal(s.q[[0, 3]], good.q[[0, 3]])
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import kempe
 from kempe.kernels.compiled import closest
-from kempe.solvers.solution import NOT_FOUND, OUT_OF_REACH, SOLVED
+from kempe.status import Status
 
 FIELDS = ("q", "position_error", "orientation_error", "iterations", "starts")
 
@@ -23,7 +23,7 @@ def descents(monkeypatch):
     class Counted:
         @staticmethod
         def approach(*given):
-            asked.append(int(np.sum(given[-1][:, -3] == NOT_FOUND)))  # those that are not found
+            asked.append(int(np.sum(given[-1][:, -3] == Status.NOT_FOUND)))  # those that are not found
             return closest.approach(*given)
 
     monkeypatch.setattr("kempe.kernels.compiled.closest", Counted)
@@ -42,7 +42,7 @@ def test_what_is_nearest_is_searched_for_when_it_is_asked_for(descents):
     X = np.array(s.fk(s.random(0, 500), "tool"))
     X[:, :3, 3] *= 30.0
     answer = s.ik(X, "tool")
-    assert not answer.success.any() and (answer.code == OUT_OF_REACH).all() and answer.proven.all()
+    assert not answer.success.any() and (answer.code == Status.OUT_OF_REACH).all() and answer.proven.all()
     assert len(answer) == 500 and not answer and not sum(descents)
     assert np.isfinite(answer.q).all() and sum(descents) == 500
 
@@ -58,7 +58,7 @@ def test_rows_of_a_batch_are_what_single_calls_answer(name, hunt):
         assert (one.success, one.code) == (answer.success[i], answer.code[i])
         for field in FIELDS:
             np.testing.assert_array_equal(getattr(one, field), getattr(answer, field)[i])
-    assert {SOLVED, OUT_OF_REACH} <= set(answer.code.tolist())
+    assert {Status.SOLVED, Status.OUT_OF_REACH} <= set(answer.code.tolist())
 
 
 @pytest.mark.parametrize("use", [pickle.dumps, repr, lambda a: a.status, lambda a: replace(a, asked=None)])

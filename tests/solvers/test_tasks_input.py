@@ -11,7 +11,7 @@ import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.errors import InputError
 from kempe.solvers.levels import packed_for
-from kempe.solvers.solution import NOT_FOUND, OUT_OF_REACH, SOLVED
+from kempe.status import Status
 
 HAND = "panda_link7"
 NAN, INF = math.nan, math.inf
@@ -222,12 +222,12 @@ def test_lengths_prove_what_is_out_of_reach_as_for_one_frame(panda):
     for d in spatial.unit(rng.normal(size=(4, 3))):
         answer, single = panda.ik(tasks.Position(HAND, 3.0 * d), budget=kempe.Budget(starts=4)), panda.ik(3.0 * d, HAND)
         beyond = single.status.split("at least ")[1].split(",")[0]
-        assert answer.code == single.code == OUT_OF_REACH
+        assert answer.code == single.code == Status.OUT_OF_REACH
         assert f"is outside the workspace by at least {beyond}, by the lengths of the links" in answer.status
         assert float(beyond.split()[0]) <= answer.position_error
     X = spatial.pose(spatial.rot_x(math.pi), [0.0, 0.0, 1.25])
     answer, single = panda.ik(tasks.Pose(HAND, X), budget=kempe.Budget(starts=4)), panda.ik(X, HAND)
-    assert answer.code == single.code == OUT_OF_REACH
+    assert answer.code == single.code == Status.OUT_OF_REACH
     assert single.status.split("outside")[1].split(";")[0] in answer.status
 
 
@@ -240,7 +240,7 @@ def test_lengths_prove_nothing_wrong(panda):
         at = [tasks.Pose(HAND, X), tasks.Position(HAND, p, point), tasks.OnLine(HAND, p + d, d, point),
               tasks.OnPlane(HAND, p, d, point), tasks.RelativePose(HAND, "panda_link0", X)]  # fmt: skip
         for task in at:
-            assert panda.ik(task, budget=kempe.Budget(starts=1)).code in (SOLVED, NOT_FOUND)
+            assert panda.ik(task, budget=kempe.Budget(starts=1)).code in (Status.SOLVED, Status.NOT_FOUND)
 
 
 def test_tasks_that_are_out_of_reach_are_the_ones_named(panda):
@@ -248,9 +248,9 @@ def test_tasks_that_are_out_of_reach_are_the_ones_named(panda):
     line = tasks.OnLine(HAND, [5.0, 0.0, 0.0], [0.0, 0.0, 1.0], name="line")
     near = tasks.Position("panda_link4", panda.fk(panda.mid, "panda_link4")[:3, 3], name="near")
     answer = panda.ik([far, near], budget=kempe.Budget(starts=3))
-    assert answer.code == OUT_OF_REACH and "; 'far' is outside the workspace by at least" in answer.status
+    assert answer.code == Status.OUT_OF_REACH and "; 'far' is outside the workspace by at least" in answer.status
     assert "'near' is outside" not in answer.status
-    assert panda.ik([line], budget=kempe.Budget(starts=3)).code == OUT_OF_REACH
+    assert panda.ik([line], budget=kempe.Budget(starts=3)).code == Status.OUT_OF_REACH
     side = tasks.HalfSpace(HAND, [0.0, 0.0, -4.0], [0.0, 0.0, 1.0])
     assert panda.ik([side, near], start=panda.mid).success
     targets = np.array([[0.4, 0.1, 0.5], [3.0, 0.0, 0.0], [NAN, 0.0, 0.0]])
@@ -261,7 +261,7 @@ def test_lengths_prove_with_loops_too():
     s = kempe.load("five_bar")
     frame, q = s.body_names[-1], s.assemble().q
     answer = s.ik(tasks.Position(frame, [9.0, 0.0]), start=q, budget=kempe.Budget(starts=3))
-    assert answer.code == OUT_OF_REACH and "by the lengths of the links" in answer.status
+    assert answer.code == Status.OUT_OF_REACH and "by the lengths of the links" in answer.status
     beyond = float(answer.status.split("at least ")[1].split(" m")[0])
     assert 0.0 < beyond <= answer.position_error
     assert s.ik(tasks.Position(frame, s.fk(q, frame)[:2, 3])).success
@@ -273,7 +273,7 @@ def test_a_slide_that_is_too_short_is_blocked_by_its_limit():
     m.revolute("j", "a", m.body("b"))
     m.frame("tip", "b", at=(1.0, 0.0))
     answer = m.build().ik(tasks.Position("tip", [3.0, 0.5]), budget=kempe.Budget(starts=3))
-    assert answer.code == OUT_OF_REACH and answer.proven
+    assert answer.code == Status.OUT_OF_REACH and answer.proven
     assert "outside the workspace" in answer.status and "without the limit of 's' it is reached" in answer.status
 
 

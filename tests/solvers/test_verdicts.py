@@ -14,7 +14,7 @@ from robots import urdf_files
 
 import kempe
 from kempe import Mechanism, System, spatial, tasks
-from kempe.solvers.solution import CONTRADICTORY, NOT_FOUND, OUT_OF_REACH, PROOFS
+from kempe.status import PROOFS, Status
 
 CLAIMS = ("blocked by", "contradictory", "outside the workspace", "outside the plane", "tilted out")
 """Words that claim a proof."""
@@ -205,8 +205,8 @@ def test_contradictions_are_proven_and_their_sizes_true(hunt):
         ]
         for pair in cases:
             answer = s.ik(list(pair), budget=kempe.Budget(starts=2))
-            assert not answer.success and answer.proven and answer.code in (CONTRADICTORY, OUT_OF_REACH)
-            if answer.code == CONTRADICTORY:
+            assert not answer.success and answer.proven and answer.code in (Status.CONTRADICTORY, Status.OUT_OF_REACH)
+            if answer.code == Status.CONTRADICTORY:
                 assert "contradictory: 'a' and 'b'" in answer.status
                 assert float(re.findall(r"([\d.e-]+) (?:m|rad) (?:apart|away)", answer.status)[0]) == pytest.approx(
                     off, rel=1e-4)  # fmt: skip
@@ -225,7 +225,7 @@ def test_hands_farther_apart_than_the_links_between_them_are_long(hunt):
         answer = s.ik([tasks.Position("tip0", [far, 0, 0]), tasks.Position("tip1", [-far, 0, 0])],
                       budget=kempe.Budget(starts=2))  # fmt: skip
         assert answer.proven
-        if answer.code == CONTRADICTORY:
+        if answer.code == Status.CONTRADICTORY:
             assert apart <= float(re.findall(r"at most ([\d.e-]+) m", answer.status)[0]) * (1.0 + 1e-5)
 
 
@@ -249,7 +249,7 @@ def test_two_link_arms_are_blocked_only_where_both_elbows_are(hunt):
             room = max(room, min(inside))
         answer = m.build().ik([r * np.cos(turn), r * np.sin(turn)], "tip")
         assert answer.success == (room >= 0.0) or abs(room) < 1e-5
-        if not answer.success and answer.code == NOT_FOUND:
+        if not answer.success and answer.code == Status.NOT_FOUND:
             assert answer.proven == ("blocked by" in answer.status)
             assert not answer.proven or room < 0.0
             blocked += answer.proven
@@ -270,7 +270,7 @@ def test_a_bound_is_never_above_the_miss_of_the_same_quantity(name, hunt):
     answer, seen = s.ik(X, frame, budget=kempe.Budget(starts=64)), 0
     place = s.ik(X[:, : s.dim, 3] if s.dim == 2 else X[:, :3, 3], frame, task="position",
                  budget=kempe.Budget(starts=64))  # fmt: skip
-    for i in np.flatnonzero(answer.code == OUT_OF_REACH):
+    for i in np.flatnonzero(answer.code == Status.OUT_OF_REACH):
         status = answer.status[i]
         missed = float(re.findall(r"misses it by ([\d.e+-]+) m", status)[0])
         whole = re.findall(r"outside the workspace by at least ([\d.e+-]+) m", status)

@@ -11,6 +11,7 @@ import pytest
 from kempe import Mechanism
 from kempe.errors import DescriptionError, Problem, UnknownNameError, Where
 from kempe.views import facts, report
+from kempe.words import json_text, jsonable
 
 
 class Terminal(io.StringIO):
@@ -71,16 +72,16 @@ def test_info_says_everything():
 
 def test_facts_are_json():
     data = facts.system_facts(zoo().build())
-    assert json.loads(facts.json_text(data)) == data
+    assert json.loads(json_text(data)) == data
     assert data["dof_of_tree"] == data["nv"] == 8
     assert [c["index"] for c in data["coordinates"]] == list(range(data["nq"]))
 
 
 def test_numbers_in_json_share_a_line():
     data = {"a": [1.0, -2.5e-300, None], "b": [[1, 2], [3, 4]], "c": "[\n 1,\n 2\n]", "d": [], "e": ["1"]}
-    shown = facts.json_text(data)
+    shown = json_text(data)
     assert json.loads(shown) == data and '"a": [1.0, -2.5e-300, null],' in shown and "[3, 4]" in shown
-    assert facts.jsonable(np.array([[np.nan, np.inf], [1.0, -0.0]])) == [[None, None], [1.0, 0.0]]
+    assert jsonable(np.array([[np.nan, np.inf], [1.0, -0.0]])) == [[None, None], [1.0, 0.0]]
 
 
 def test_empty_systems():

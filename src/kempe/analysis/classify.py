@@ -22,10 +22,12 @@ from kempe.calls import explained, explained_methods, generator
 from kempe.description.parts import Fixed
 from kempe.errors import InputError, shown
 from kempe.kinematics.configuration import one
+from kempe.kinematics.result import Report
 from kempe.kinematics.velocity import tangent_rows
 from kempe.reals import is_real
 from kempe.solvers.ideal import tolerant
 from kempe.spatial import Array
+from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -64,7 +66,7 @@ class ConstraintKind:
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Classification:
+class Classification(Report):
     """What the constraints of a system are, each alone and all together, with the reasoning; ``print`` it.
 
     `position_dof` is the dimension of the set of closed configurations at `q`, `velocity_dof` that of the velocities
@@ -109,27 +111,30 @@ class Classification:
         return None if self.reachable_around is None else self.position_dof - self.reachable_around
 
     @property
-    def sentence(self) -> str:
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: `UNDETERMINED` where growth and what is reached are not known."""
+        return Status.UNDETERMINED if self.why and self.growth is None else Status.SOLVED
+
+    @property
+    def status(self) -> str:
         """The result in one sentence."""
         from kempe.analysis.classify_text import sentence
 
         return sentence(self)
 
-    def data(self) -> dict[str, Any]:
-        """All numbers and texts as plain Python, ready for JSON."""
+    def topics(self) -> list[tuple[str, list[str]]]:
+        """The reasons as (title, lines)."""
+        from kempe.analysis.classify_text import lines
+
+        return lines(self)
+
+    def _headline(self) -> str:
+        return f"{self.name}: {self.status}"
+
+    def _data(self) -> dict[str, Any]:
         from kempe.analysis.classify_text import data
 
         return data(self)
-
-    def __str__(self) -> str:
-        from kempe.analysis.classify_text import text
-
-        return text(self)
-
-    def _repr_html_(self) -> str:
-        from kempe.analysis.classify_text import html
-
-        return html(self)
 
 
 @explained

@@ -1,11 +1,10 @@
-"""A `Classification` in words: the sentence, the report with its reasoning, HTML and plain data."""
+"""A `Classification` in words: the sentence, the reasoning by topic, and plain data."""
 
 from __future__ import annotations
 
-from html import escape
 from typing import TYPE_CHECKING, Any
 
-from kempe.solvers.words import by_topic, counted, cut, topics_html
+from kempe.words import counted, cut
 
 if TYPE_CHECKING:
     from kempe.analysis.classify import Classification, ConstraintKind
@@ -106,16 +105,6 @@ def lines(c: Classification) -> list[tuple[str, list[str]]]:
     if c.one_sided is not None:
         out.append(("one-sided", [c.one_sided.sentence, *c.one_sided.lines]))
     return [(title, own) for title, own in out if own]
-
-
-def text(c: Classification) -> str:
-    """The whole report."""
-    return by_topic(f"{c.name}: {sentence(c)}", lines(c))
-
-
-def html(c: Classification) -> str:
-    """The report as a paragraph and a table."""
-    return f"<p><b>{escape(c.name)}</b>: {escape(sentence(c))}</p>{topics_html(lines(c))}"
 
 
 def data(c: Classification) -> dict[str, Any]:

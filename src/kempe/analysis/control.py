@@ -11,8 +11,8 @@ import numpy as np
 from kempe.analysis.graph import structure
 from kempe.analysis.rank import NOTHING, Rank
 from kempe.errors import InputError, UnknownNameError
-from kempe.solvers.words import counted
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.analysis.passive import IdleFreedom

@@ -17,8 +17,8 @@ import numpy as np
 
 from kempe.analysis.graph import Edge, Structure, rows_of, structure
 from kempe.description.parts import Declared
-from kempe.solvers.words import counted
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.analysis.screws import Screws

@@ -20,7 +20,7 @@ from kempe.analysis.bounds import Limits
 from kempe.analysis.continuation import Closure
 from kempe.analysis.course import Course, State, Stuck
 from kempe.analysis.motion import Progress
-from kempe.analysis.path import Configurations, Event
+from kempe.analysis.path import Event, Motion
 from kempe.analysis.rolling_drive import Driven, driven
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, explained_methods, flag
@@ -29,11 +29,13 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.tabular import write_table
 from kempe.model.clocked import clocked, timed
 from kempe.reals import reals
-from kempe.solvers.clock import BROKEN_OFF, LONG, TimeLimit, TimeUp, partial
-from kempe.solvers.ideal import said, tolerant
+from kempe.solvers.clock import BROKEN_OFF, LONG, TimeLimit, TimeUp
+from kempe.solvers.held import held_at
+from kempe.solvers.ideal import tolerant
 from kempe.solvers.slip import rolls
-from kempe.solvers.words import counted
 from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -69,7 +71,7 @@ class Toggle:
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Drive(Configurations):
+class Drive(Motion):
     """The motion of a mechanism whose inputs were prescribed.
 
     `q` (n, nq) are closed configurations, one for each sample of `times` (n,); `inputs` the values asked for. Where
@@ -78,6 +80,8 @@ class Drive(Configurations):
     `singular_points` are the change points passed, straight on. Where the work was `interrupted`, or the time limit
     came (`late`), these are the samples that were done.
     """
+
+    also = ("times", "inputs", "held", "jumps", "interrupted", "late")
 
     system: System
     q: Array
@@ -95,9 +99,6 @@ class Drive(Configurations):
     def __repr__(self) -> str:
         return f"Drive({self.system.name!r}, {len(self.q)} samples, held={int(self.held.sum())})"
 
-    def __bool__(self) -> bool:
-        return self.success
-
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: time, all coordinates, whether held, x, y (and z) of frames."""
         names, columns = self._columns("time", self.times, frames)
@@ -108,8 +109,17 @@ class Drive(Configurations):
         return write_table(path, *self.table(frames))
 
     @property
-    def status(self) -> str:
-        """The sentence that says how it went."""
+    def code(self) -> Status:
+        """The outcome: `PARTLY` where inputs cannot be reached, or it jumps."""
+        return Status.SOLVED if self.success else self._broken_off() or (
+            Status.NOT_FOUND if self.reason and len(self) < 2 else Status.PARTLY)  # fmt: skip
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        """The inputs, of samples that are not held, where they belong to coordinates."""
+        own = [] if self.reason else [n for n in self.inputs if n in self.system.coordinate_names]
+        return held_at(self.system, {n: np.where(self.held, self.values(n), self.inputs[n]) for n in own})
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
         if self.reason:
             return self.reason
         text = f"{len(self)} samples, {len(self.singular_points)} change points passed"
@@ -118,18 +128,12 @@ class Drive(Configurations):
             text += f"; at {counted(count, 'sample')} the inputs cannot be reached and the last pose is held"
         if self.jumps:
             text += f"; it jumps at samples {', '.join(str(k) for k, _ in self.jumps)}"
-        return text + partial(self.interrupted, self.late) + said(self.within)
+        return text + self._partial()
 
-    def __str__(self) -> str:
-        lines = [f"{self.system.name}: {self.status}"]
-        lines += [f"  {toggle}" for toggle in self.toggles]
-        lines += [f"  sample {k}: it goes on {size:.6g} away from where it was held" for k, size in self.jumps]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return "".join(f"<p>{escape(line)}</p>" for line in str(self).splitlines())
+    def _notes(self) -> Sequence[str]:
+        lines = [str(toggle) for toggle in self.toggles]
+        lines += [f"sample {k}: it goes on {size:.6g} away from where it was held" for k, size in self.jumps]
+        return [*lines, *super()._notes()]
 
 
 @explained

@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.analysis.path import Configurations
+from kempe.analysis.path import Motion
 from kempe.analysis.wheeled import Wheeled
 from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError, UnsupportedError
-from kempe.solvers.words import counted
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -56,13 +56,17 @@ class Piece(NamedTuple):
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Manoeuvre(Configurations):
+class Manoeuvre(Motion):
     """The way from a configuration to another one that obeys all velocity constraints.
 
     `q` (n, nq) are configurations at times `t` (n,), `s` (n,) the length that the axle has gone by then. `pieces` are
     the parts with constant speeds; `at` and `velocity` give any time. `slip` is the largest slip of a sample, of rows
     and speeds of size 1. `success` is false where no way was found: `status` says why, and `q` is the start only.
     """
+
+    also = ("t", "s", "length", "duration", "cusps", "turns", "slip")
+    interrupted: ClassVar[bool] = False
+    late: ClassVar[bool] = False
 
     system: System
     q: Array
@@ -96,9 +100,6 @@ class Manoeuvre(Configurations):
         what = f"{len(self.pieces)} pieces, length={self.length:.6g}, cusps={self.cusps}"
         return f"Manoeuvre({self.system.name!r}, {what})"
 
-    def __bool__(self) -> bool:
-        return self.success
-
     def at(self, t: ArrayLike) -> Array:
         """Configurations (..., nq) at times `t` (...), exactly. Errors: `InputError` for times outside."""
         return self._asked(t)[0]
@@ -121,9 +122,7 @@ class Manoeuvre(Configurations):
         """Names and columns (n, k) for a file: time, all coordinates, x, y (and z) of frames."""
         return self._columns("time", self.t, frames)
 
-    @property
-    def status(self) -> str:
-        """The sentence that says how it goes."""
+    def _sentence(self, index: tuple[int, ...]) -> str:
         if not self.success:
             return self.reason
         if not self.pieces:
@@ -134,18 +133,8 @@ class Manoeuvre(Configurations):
             text += f"; the heading ends {counted(abs(self.turns), 'whole turn')} from the number of the goal"
         return text
 
-    @property
-    def text(self) -> str:
-        """The status, and each piece on a line of its own."""
-        return "\n".join([f"{self.system.name}: {self.status}", *(f"  {p.start:8.4g} s: {p}" for p in self.pieces)])
-
-    def __str__(self) -> str:
-        return self.text
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return "".join(f"<p>{escape(line)}</p>" for line in self.text.splitlines())
+    def _notes(self) -> Sequence[str]:
+        return [*(f"{p.start:8.4g} s: {p}" for p in self.pieces), *super()._notes()]
 
 
 class Course:

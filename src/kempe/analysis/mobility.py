@@ -24,9 +24,11 @@ from kempe.calls import explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.ball_angles import regular_chart
 from kempe.kinematics.configuration import as_q
+from kempe.kinematics.result import Report
 from kempe.model.own_tree import own_tree
 from kempe.solvers.ideal import tolerant
 from kempe.spatial import Array
+from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.analysis.branches import Branch
@@ -51,7 +53,7 @@ class ClusterMobility:
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Mobility:
+class Mobility(Report):
     """Degrees of freedom of a mechanism at a configuration, with the reasoning; ``print`` it.
 
     `gruebler` is the count; `rank_dof` the nullity of the loop equations at `q`, `generic_rank_dof` its minimum at
@@ -152,27 +154,30 @@ class Mobility:
         return "a singular value is too near zero to be told from it"
 
     @property
-    def sentence(self) -> str:
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: solved where the mechanism can be closed here."""
+        return Status.SOLVED if self.closed else Status.NOT_FOUND
+
+    @property
+    def status(self) -> str:
         """The result in one sentence."""
         from kempe.analysis.mobility_text import sentence
 
         return sentence(self)
 
-    def data(self) -> dict[str, Any]:
-        """All numbers and texts as plain Python, ready for JSON."""
+    def topics(self) -> list[tuple[str, list[str]]]:
+        """The reasons as (title, lines)."""
+        from kempe.analysis.mobility_text import lines
+
+        return lines(self)
+
+    def _headline(self) -> str:
+        return f"{self.name}: {self.status}"
+
+    def _data(self) -> dict[str, Any]:
         from kempe.analysis.mobility_text import data
 
         return data(self)
-
-    def __str__(self) -> str:
-        from kempe.analysis.mobility_text import text
-
-        return text(self)
-
-    def _repr_html_(self) -> str:
-        from kempe.analysis.mobility_text import html
-
-        return html(self)
 
 
 @explained

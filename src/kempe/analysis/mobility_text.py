@@ -1,14 +1,13 @@
-"""A `Mobility` in words: the sentence, the report with its reasoning, HTML and plain data."""
+"""A `Mobility` in words: the sentence, the reasoning by topic, and plain data."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 from kempe.analysis.graph import NO_SERIES
-from kempe.solvers.words import by_topic, counted, cut, topics_html
+from kempe.words import counted, cut
 
 if TYPE_CHECKING:
     from kempe.analysis.mobility import Mobility
@@ -151,16 +150,6 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         if m.dof is not None and (m.rank_dof or 0) > m.dof:
             out[-1][1].append(f"counted to first order, where the rank sees {m.rank_dof} freedoms; truly {_are(m.dof)}")
     return out
-
-
-def text(m: Mobility) -> str:
-    """The whole report."""
-    return by_topic(f"{m.name}: {sentence(m)}", lines(m))
-
-
-def html(m: Mobility) -> str:
-    """The report as a paragraph and a table."""
-    return f"<p><b>{escape(m.name)}</b>: {escape(sentence(m))}</p>{topics_html(lines(m))}"
 
 
 def data(m: Mobility) -> dict[str, Any]:

@@ -15,9 +15,10 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import jacobian
 from kempe.kinematics.loops import evaluate, full
 from kempe.kinematics.one_sided import CLOSED, OneSided, one_sided_rows
+from kempe.kinematics.result import Report
 from kempe.kinematics.velocity import rates, velocity_rows
-from kempe.solvers.words import counted
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -60,7 +61,7 @@ class Side:
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class OneSidedReport:
+class OneSidedReport(Report):
     """One-sided constraints of a system at `q` (nq,), limits of coordinates among them; ``print`` it.
 
     `sides` are all of them, `cone` the velocities that equations, those of rolling among them, and closed sides leave,
@@ -109,7 +110,7 @@ class OneSidedReport:
         return {n: self.cone.ways(row) for n, row in zip(names, J, strict=True)}
 
     @property
-    def sentence(self) -> str:
+    def status(self) -> str:
         """The result in one sentence."""
         bad = (s for s in self.sides if s.state == "violated")
         if which := ", ".join(f"{s.name} by {abs(s.slack):.6g} {s.unit}".removesuffix(" 1") for s in bad):
@@ -133,8 +134,7 @@ class OneSidedReport:
         how = f"{self.lineality} both ways and {one_way} one way only" if one_way else "all both ways"
         return f"what may move has {counted(self.dimension, 'dimension')}, {how}"
 
-    def data(self) -> dict[str, Any]:
-        """All numbers and texts as plain Python, ready for JSON."""
+    def _data(self) -> dict[str, Any]:
         return {
             "sentence": self.sentence, "active": list(self.active), "violated": list(self.violated),
             "dimension": self.dimension, "lineality": self.lineality, "exact": self.cone.exact,
@@ -152,8 +152,11 @@ class OneSidedReport:
             out.append("to first order: closed sides that depend on each other may allow less")
         return out
 
-    def __str__(self) -> str:
-        return "\n".join([f"{self.system.name}: {self.sentence}", *(f"  {line}" for line in self.lines)])
+    def _headline(self) -> str:
+        return f"{self.system.name}: {self.status}"
+
+    def _notes(self) -> list[str]:
+        return self.lines
 
 
 @explained

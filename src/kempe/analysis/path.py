@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -15,18 +15,17 @@ from kempe.analysis.continuation import Closure, least_squares_of_many
 from kempe.budget import Budget, Usual
 from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError, shown
-from kempe.kinematics.measure import Judgement, judge
-from kempe.kinematics.tabular import Tabular, write_table
+from kempe.kinematics.result import Cells
+from kempe.kinematics.tabular import write_table
 from kempe.model.immovable import immovable
 from kempe.reals import is_whole
-from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, partial
-from kempe.solvers.ideal import said
-from kempe.solvers.words import counted
+from kempe.solvers.answer import Configurations
+from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
-    from kempe.solvers.ideal import Idealised
 
 MOST = 10**7
 """Points at most of a path that is resampled."""
@@ -98,19 +97,8 @@ class Track:
 
 
 @explained_methods
-class Configurations(Tabular):
+class Motion(Configurations):
     """Configurations `q` (n, nq) that a `system` takes one after the other. Base of motions."""
-
-    system: Any
-    q: Array
-
-    def __len__(self) -> int:
-        return len(self.q)
-
-    @property
-    def within(self) -> Idealised | None:
-        """The nearest mechanism that closes exactly, which moves in place of the given one; None: it does itself."""
-        return self.system._ideal
 
     def curve(self, frame: FrameLike, poses: bool = False) -> Array:
         """Positions (n, 3) of a frame along the motion, or its poses (n, 4, 4)."""
@@ -136,7 +124,7 @@ class Configurations(Tabular):
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Path(Configurations):
+class Path(Motion):
     """A curve of closed configurations of a mechanism with one degree of freedom.
 
     `q` (n, nq) are configurations in their order, in radians and metres; angles are not wrapped. `s` (n,) is the arc
@@ -146,6 +134,8 @@ class Path(Configurations):
     `interrupted` from the keyboard or the time limit came (`late`): then the path is the part that was done, and
     `remark` says what else is missing. `others` are the branches that `trace(..., switch=True)` found at bifurcations.
     """
+
+    also = ("s", "closed", "ends", "length", "turns", "driver", "held", "interrupted", "late", "hint")
 
     q: Array
     s: Array
@@ -193,9 +183,6 @@ class Path(Configurations):
 
     def __repr__(self) -> str:
         return f"Path({self.system.name!r}, {len(self.q)} points, length={self.length:.6g}, closed={self.closed})"
-
-    def __bool__(self) -> bool:
-        return self.success
 
     def at(self, s: ArrayLike) -> Array:
         """Configurations (..., nq) at arc lengths `s` (...), closed exactly; a closed path goes on around.
@@ -251,18 +238,6 @@ class Path(Configurations):
         return replace(self, q=q, s=s, closed=False, ends=ends, success=False, late=late, interrupted=interrupted,
                        remark=more)  # fmt: skip
 
-    @cached_property
-    def judged(self) -> Judgement:
-        """How far `q` misses what is declared, by poses multiplied out in numpy; see `kempe.kinematics.measure`."""
-        return judge(self.system, self.q)
-
-    @property
-    def verdict(self) -> str:
-        """What the judge says of the path, in one sentence; '' where there is nothing to judge."""
-        if not len(self) or not self.judged.names:
-            return ""
-        return str(self.judged) if self.judged else f"what was found is contradicted, {self.judged}"
-
     def table(self, frames: Iterable[FrameLike] | None = None) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default: `self.frames`)."""
         return self._columns("s", self.s, self.frames if frames is None else frames)
@@ -271,9 +246,7 @@ class Path(Configurations):
         """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors: `InputError`."""
         return write_table(path, *self.table(frames))
 
-    @property
-    def status(self) -> str:
-        """The sentence that says what was found."""
+    def _sentence(self, index: tuple[int, ...]) -> str:
         if len(self) == 1 and (self.ends[0] == self.ends[1] or not (self.interrupted or self.late)):
             still = immovable(self.system)
             return self.ends[1] + (f"; {still}" if still else "")
@@ -283,16 +256,27 @@ class Path(Configurations):
         text += f", {', '.join(turning[:4])}{', ...' * (len(turning) > 4)}" if turning else ""
         if not self.closed:
             text += f"; it ends at {self.ends[0]} and at {self.ends[1]}"
-        text += partial(self.interrupted, self.late) + (f"; {self.remark}" if self.remark else "")
-        return text + said(self.within)
+        return text + self._partial() + (f"; {self.remark}" if self.remark else "")
 
-    def __str__(self) -> str:
-        lines = [f"{self.system.name}: {self.status}"]
-        lines += [f"  {event}" for event in (*self.turning_points, *self.singular_points)]
-        lines += [f"  another branch: {path.status}" for path in self.others]
-        lines += [f"  {said}: trace(start=path.elsewhere[0])"] if (said := self.hint) else []
-        lines += [f"  {said}"] if (said := self.verdict) else []
-        return "\n".join(lines)
+    def _cells(self) -> Cells:
+        """The range of each coordinate."""
+        low, high = self.q.min(axis=0), self.q.max(axis=0)
+        each = zip(self.system.coordinate_names, low.tolist(), high.tolist(), strict=True)
+        return ("coordinate", "least", "largest"), [(n, f"{a:.6g}", f"{b:.6g}") for n, a, b in each]
+
+    def _lines(self) -> Sequence[str]:
+        return ()
+
+    def _notes(self) -> Sequence[str]:
+        lines = [str(event) for event in (*self.turning_points, *self.singular_points)]
+        lines += [f"another branch: {path.status}" for path in self.others]
+        lines += [f"{said}: trace(start=path.elsewhere[0])"] if (said := self.hint) else []
+        return [*lines, *super()._notes()]
+
+    def _data(self) -> dict[str, Any]:
+        events = {name: [_event_data(e, self._by_name) for e in getattr(self, name)]
+                  for name in ("turning_points", "singular_points", "extremes")}  # fmt: skip
+        return super()._data() | events | {"others": [path._data() for path in self.others]}
 
     @cached_property
     def _elsewhere(self) -> tuple[str, Array]:
@@ -318,14 +302,7 @@ class Path(Configurations):
         many = "1 other assembly mode" if len(q) == 1 else f"{len(q)} other assembly modes"
         return f"{many} with {name!r} = {value:.6g} {'is' if len(q) == 1 else 'are'} not on this curve"
 
-    def _repr_html_(self) -> str:
-        from html import escape
 
-        names = self.system.coordinate_names
-        low, high = self.q.min(axis=0), self.q.max(axis=0)
-        rows = "".join(
-            f"<tr><td>{escape(n)}</td><td>{a:.6g}</td><td>{b:.6g}</td></tr>"
-            for n, a, b in zip(names, low, high, strict=True)
-        )
-        text = "".join(f"<p>{escape(line)}</p>" for line in str(self).splitlines())
-        return f"{text}<table><tr><th>coordinate</th><th>least</th><th>largest</th></tr>{rows}</table>"
+def _event_data(event: Event, by_name: Callable[[Array], Any]) -> dict[str, Any]:
+    own = {"coordinate": event.coordinate, "value": event.value} if event.coordinate else {"nullity": event.nullity}
+    return {"s": event.s, "kind": event.kind, **own, "q": by_name(event.q)}

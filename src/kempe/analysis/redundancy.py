@@ -22,8 +22,8 @@ from kempe.constraints.base import Op
 from kempe.description.parts import Declared, Joint
 from kempe.model.reduced import Reduced, reduced, screw, slides_along_z
 from kempe.model.topology import natural
-from kempe.solvers.words import counted, in_words
 from kempe.spatial import Array
+from kempe.words import counted, in_words
 
 if TYPE_CHECKING:
     from kempe.model.system import System

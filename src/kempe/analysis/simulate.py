@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,15 +14,15 @@ from numpy.typing import ArrayLike
 from kempe.analysis.beginning import start_of
 from kempe.analysis.bounces import MOST, Flight
 from kempe.analysis.falling import falling, start_of_flight
-from kempe.analysis.path import Configurations
+from kempe.analysis.path import Motion
 from kempe.analysis.rolling import roll, slip
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.reals import is_real, is_whole, named, reals
-from kempe.solvers.clock import LONG, TimeLimit, TimeUp, partial
-from kempe.solvers.words import counted
+from kempe.solvers.clock import LONG, TimeLimit, TimeUp
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -59,13 +60,15 @@ class Bounce:
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Simulation(Configurations):
+class Simulation(Motion):
     """A motion in time: configurations `q` (n, nq) and velocities `v` (n, nv) at times `t` (n,) [s].
 
     `events` are bounces. `success` is false where the motion ends before its time, `status` says why. `slip` is the
     largest slip of a sample, of rows and speeds of size 1. Where the work was `interrupted`, or the time limit came
     (`late`), these are the samples that were done.
     """
+
+    also = ("t", "v", "slip", "interrupted", "late")
 
     system: System
     t: Array
@@ -82,9 +85,6 @@ class Simulation(Configurations):
 
     def __repr__(self) -> str:
         return f"Simulation({self.system.name!r}, {len(self.t)} samples, {len(self.events)} events)"
-
-    def __bool__(self) -> bool:
-        return self.success
 
     def at(self, t: ArrayLike) -> Array:
         """Configurations (..., nq) at times `t` (...): of a ball that falls exactly, else between samples (cubic).
@@ -118,9 +118,7 @@ class Simulation(Configurations):
         """Names and columns (n, k) for a file: time, all coordinates, x, y (and z) of frames."""
         return self._columns("time", self.t, frames)
 
-    @property
-    def status(self) -> str:
-        """The sentence that says how it went."""
+    def _sentence(self, index: tuple[int, ...]) -> str:
         text = f"{self.t[-1]:.6g} s in {counted(len(self.t), 'sample')}"
         bounces = sum(e.kind == "bounce" for e in self.events)
         if self.events:
@@ -128,18 +126,13 @@ class Simulation(Configurations):
             ends = [e for e in self.events if e.kind != "bounce"]
             text += f"; from {ends[-1].time:.10g} s on it stays on {' and '.join(map(repr, ends[-1].contacts))}" if (
                 ends and ends[-1] is self.events[-1]) else ""  # fmt: skip
-        return text + partial(self.interrupted, self.late) + (f"; {self.reason}" if self.reason else "")
+        return text + self._partial() + (f"; {self.reason}" if self.reason else "")
 
-    def __str__(self) -> str:
-        lines = [f"{self.system.name}: {self.status}", *(f"  {e}" for e in self.events[:20])]
+    def _notes(self) -> Sequence[str]:
+        lines = [str(e) for e in self.events[:20]]
         if len(self.events) > 20:
-            lines += [f"  ... {len(self.events)} events in all, the last one:", f"  {self.events[-1]}"]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return "".join(f"<p>{escape(line)}</p>" for line in str(self).splitlines())
+            lines += [f"... {len(self.events)} events in all, the last one:", str(self.events[-1])]
+        return [*lines, *super()._notes()]
 
 
 @explained
@@ -195,7 +188,7 @@ def simulate(
                    for k, e in enumerate(flight.impacts))  # fmt: skip
     reason = f"broken off after {MOST} events" if flight.broken else ""
     return Simulation(system, t, x, w, events, not flight.broken, reason, frames=(fall.body,),
-                      _at=lambda t: fall.motion(q, v, flight, t))  # fmt: skip
+                      _at=partial(fall.motion, q, v, flight))  # fmt: skip
 
 
 def _rolls(

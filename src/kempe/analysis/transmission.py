@@ -22,11 +22,13 @@ from kempe.constraints.tape import TWIST
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import P, R
 from kempe.kinematics.configuration import as_q
+from kempe.kinematics.result import Cells, Report
 from kempe.reals import reals
 from kempe.solvers.ideal import said, tolerant
 from kempe.solvers.slip import hard_rows, rolls
-from kempe.solvers.words import counted
 from kempe.spatial import Array
+from kempe.status import Status, member
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -35,19 +37,16 @@ if TYPE_CHECKING:
 OPEN = 1e-8
 """Residual, in radians and characteristic lengths, above which a configuration is not closed."""
 
-EXACT, DEAD, LOOSE = 0, 1, 2
-"""Codes of `LoopJacobian.code`; `status` has the sentences."""
-
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class LoopJacobian:
+class LoopJacobian(Report):
     """Velocities of outputs by those of inputs, through closed loops.
 
     `matrix` (..., rows, inputs) in SI units, NaN where it does not exist; `rows` names what each row is. `nullity`
     (...) counts the first-order motions of the mechanism, `rank` (...) the independent ones among the inputs;
     `margin` (...) is the smallest singular value of the inputs on the kernel: 0 at a dead point. `code` (...) is one
-    of `EXACT`, `DEAD`, `LOOSE`.
+    of `Status.SOLVED`, `DEAD_POINT`, `UNDETERMINED`.
     """
 
     __repr__ = brief
@@ -58,15 +57,9 @@ class LoopJacobian:
     rank: Any
     nullity: Any
     margin: Any
-    code: Any
+    code: Any = field()
     within: Idealised | None = field(default=None, repr=False)
     """The nearest mechanism that closes exactly, whose velocities these are; None: the given one's."""
-
-    @property
-    def success(self) -> Any:
-        """Whether (...) the inputs determine the outputs."""
-        good = np.asarray(self.code) == EXACT
-        return bool(good) if good.ndim == 0 else good
 
     @property
     def status(self) -> Any:
@@ -80,29 +73,32 @@ class LoopJacobian:
 
     def _sentence(self, code: int, rank: int, nullity: int) -> str:
         names, motions = " and ".join(map(repr, self.inputs)), counted(nullity, "first-order motion")
-        if code == EXACT:
+        if code == Status.SOLVED:
             return f"{names} determine{'s' * (len(self.inputs) == 1)} the outputs ({motions})"
-        if code == DEAD:
+        if code == Status.DEAD_POINT:
             some = f"only {rank} of" if rank else "none of"
             return f"dead point: {some} the inputs ({names}) can move independently ({motions})"
         return f"not determined: with {names} at rest the outputs still move ({motions}, rank {rank} of the inputs)"
 
-    def __bool__(self) -> bool:
-        return bool(np.all(self.success))
-
-    def __str__(self) -> str:
+    def _headline(self) -> str:
         if np.ndim(self.code):
             return f"{int(np.sum(self.success))} of {np.size(self.code)} configurations: the outputs are determined"
+        return self.status
+
+    def _cells(self) -> Cells:
+        if np.ndim(self.code):
+            return (), ()
+        rows = zip(self.rows, self.matrix, strict=True)
+        return ("", *self.inputs), [(name, *(f"{x:.6g}" for x in row)) for name, row in rows]
+
+    def _lines(self) -> list[str]:
+        heads, rows = self._cells()
         width = max(map(len, self.rows), default=0)
-        lines = [self.status, " " * width + "  " + "  ".join(f"{n:>12}" for n in self.inputs)]
-        lines += [f"{n:<{width}}  " + "  ".join(f"{x:12.6g}" for x in row)
-                  for n, row in zip(self.rows, self.matrix, strict=True)]  # fmt: skip
-        return "\n".join(lines)
+        lines = [(name, *row) for name, *row in [heads, *rows]] if heads else []
+        return [f"{name:<{width}}  " + "  ".join(f"{x:>12}" for x in row) for name, *row in lines]
 
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return f"<pre>{escape(str(self))}</pre>"
+    def _data(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("inputs", "rows", "matrix", "rank", "nullity", "margin")}
 
 
 @explained
@@ -142,14 +138,14 @@ def loop_jacobian(
         rest = out @ Vt[rank[i] :].T
         scale = np.abs(out).max(initial=0.0)
         if rank[i] < len(index):
-            code[i] = DEAD
+            code[i] = Status.DEAD_POINT
         elif np.abs(rest).max(initial=0.0) > 1e-7 * max(scale, 1e-300):
-            code[i] = LOOSE
+            code[i] = Status.UNDETERMINED
         else:
             k = int(rank[i])
             matrix[i] = out @ (Vt[:k].T / s[:k]) @ U.T / closure.unit[index]
     if not lead:
-        return LoopJacobian(matrix, tuple(inputs), rows, int(rank), int(nullity), float(margin), int(code))
+        return LoopJacobian(matrix, tuple(inputs), rows, int(rank), int(nullity), float(margin), member(code))
     return LoopJacobian(matrix, tuple(inputs), rows, rank, nullity, margin, code)
 
 

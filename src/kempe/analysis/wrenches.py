@@ -21,8 +21,8 @@ from kempe.kinematics import loops
 from kempe.kinematics.maximal import maximal, maximal_q
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity import velocity_rows
-from kempe.solvers.words import cut
 from kempe.spatial import Array
+from kempe.words import cut
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism

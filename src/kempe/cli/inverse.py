@@ -143,7 +143,7 @@ def _answer(
     if out is not None:
         rows.write_configurations(out, system, answer.q, deg)
     if json:
-        print_json(facts.solution_facts(system, answer, deg))
+        print_json(facts.answer_facts(answer, deg))
     else:
         show(report.solution(system, answer, deg) if out is None else report.outcome(answer))
         if out is not None:
@@ -173,7 +173,7 @@ def path(
     """
     _one_way(tasks, {"--frame": frame, "--targets": target}, {"--position-only": position_only})
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    from kempe.views import follow_report, rows, slices
+    from kempe.views import facts, follow_report, rows, slices
 
     results(out)
     start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
@@ -197,7 +197,7 @@ def path(
     if out is not None:
         rows.write_configurations(out, system, answer.q, deg)
     if json:
-        print_json({**follow_report.path_facts(answer, deg), "written": [str(out)] if out is not None else []})
+        print_json({**facts.answer_facts(answer, deg), "written": [str(out)] if out is not None else []})
     else:
         show(follow_report.path(answer, deg))
         if out is not None:
@@ -242,12 +242,12 @@ def _all(
 
 def _modes(answer: Modes, deg: bool, out: Path | None, json: bool) -> None:
     """Print or write all that was found of a frame that moves with loops."""
-    from kempe.views import loop_report, rows
+    from kempe.views import facts, loop_report, rows
 
     if out is not None:
         rows.write_configurations(out, answer.system, answer.q, deg)
     if json:
-        print_json(loop_report.modes_facts(answer, deg))
+        print_json(facts.answer_facts(answer, deg))
     else:
         show(loop_report.modes(answer, deg))
         if out is not None:

@@ -98,7 +98,7 @@ def dof(
     if closing is not None and not closing:
         _open(closing, deg, json)
     answer = system.mobility(at, driven, local=not fast)
-    print_json(loop_report.mobility_facts(system, answer, deg)) if json else show(loop_report.mobility(answer))
+    print_json(loop_report.report_facts(system, answer, deg)) if json else show(loop_report.mobility(answer))
     if not answer.closed:
         raise typer.Exit(INCOMPLETE)
 
@@ -147,7 +147,7 @@ def classify(
     if closing is not None and not closing:
         _open(closing, deg, json)
     answer = system.classify(at, project=project)
-    print_json(loop_report.classify_facts(system, answer, deg)) if json else show(loop_report.classify(answer))
+    print_json(loop_report.report_facts(system, answer, deg)) if json else show(loop_report.classify(answer))
 
 
 @app.command(rich_help_panel=CLOSED)
@@ -173,7 +173,7 @@ def assemble(
     if time_limit is not None and not modes:
         raise InputError("--time-limit is for --modes: one assembly takes milliseconds")
     system = _under(_within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance), where or [])
-    from kempe.views import given, loop_report
+    from kempe.views import facts, given, loop_report
 
     results(out)
     _picture(plot)
@@ -201,7 +201,7 @@ def assemble(
         rows.write_configurations(out, system, answer.q if modes else loop_report.closed_only(answer), deg)
         written.append(out)
     if json:
-        data = loop_report.modes_facts(answer, deg) if modes else loop_report.assembly_facts(answer, deg)
+        data = facts.answer_facts(answer, deg)
         _say(data, None, written)
     else:
         _say(None, loop_report.modes(answer, deg) if modes else loop_report.assembly(answer, deg, values), written)
@@ -306,9 +306,9 @@ def plot(
 
 def _open(closing: Assembly, deg: bool, json: bool) -> NoReturn:
     """Say that the loops do not close with what is given, and end the command."""
-    from kempe.views import loop_report
+    from kempe.views import facts, loop_report
 
-    print_json(loop_report.assembly_facts(closing, deg)) if json else show(loop_report.assembly(closing, deg))
+    print_json(facts.answer_facts(closing, deg)) if json else show(loop_report.assembly(closing, deg))
     raise typer.Exit(INCOMPLETE)
 
 

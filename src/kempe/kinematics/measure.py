@@ -27,6 +27,7 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.constraints import coordinate_value
 from kempe.model.lengths import characteristic_length
 from kempe.model.program import TURNS, between, numbers_of, value_of
+from kempe.reals import plain
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -279,8 +280,11 @@ class Judgement:
     @property
     def holds(self) -> Any:
         """Whether (...) all of it holds."""
-        out = ~self.missed.any(axis=0)
-        return bool(out) if out.ndim == 0 else out
+        return plain(~self.missed.any(axis=0))
+
+    def of(self, which: np.ndarray) -> Judgement:
+        """The judgement of some of the configurations only: those where `which` (...) is true."""
+        return Judgement(self.names, self.errors[:, which], self.allowed[:, which])
 
     def __bool__(self) -> bool:
         return bool(np.all(self.holds))

@@ -1,56 +1,54 @@
-"""What all answers of solvers share: truth value, sentence, text and HTML."""
+"""What all answers of solvers share: configurations, what they miss, and what an independent judge says of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
 from kempe.calls import explained_methods, place_in
 from kempe.errors import NoSolutionError
 from kempe.kinematics.measure import Judgement, judge
+from kempe.kinematics.result import Cells, Result
 from kempe.kinematics.tabular import Tabular
+from kempe.reals import plain
+from kempe.solvers.clock import partial
 from kempe.spatial import Array
+from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.ideal import Idealised
+    from kempe.solvers.problem import Choice
 
-
-Found = TypeVar("Found")
-
-
-def expected(answer: Found) -> Found:
-    """The answer, where it is a success. Errors: `NoSolutionError`, with the answer as its `solution`."""
-    if not answer:
-        raise NoSolutionError(answer)
-    return answer
+MOST_JUDGED = 1_000_000
+"""Coordinates up to which configurations are judged for their `data`."""
 
 
 @explained_methods
-class Answer(Tabular):
-    """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why. Base of answers."""
+class Answer(Result, Tabular):
+    """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why. Base of answers.
 
+    Rows of `q` that are no answer are the nearest found, or NaN where there is none, as for input that is no number.
+    """
+
+    system: System
     q: Array
-    success: Any
     what: ClassVar[str] = ""
     """What is counted of a batch: "3 of 4 targets reached"."""
+    also: ClassVar[tuple[str, ...]] = ()
+    """Names of further members that the `data` have."""
 
     @property
-    def system(self) -> System:
-        """The system that was asked."""
-        raise NotImplementedError
-
-    @property
-    def within(self) -> Idealised | None:
+    def within(self) -> Idealised | None:  # type: ignore[override]
         """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
         return self.system._ideal
 
     def sentence(self, index: tuple[int, ...] | int = ()) -> str:
-        """The sentence for one configuration, by its place in a batch. Errors: `InputError`."""
-        return self._sentence(place_in(index, np.shape(self.success)))
+        """The sentence for one question, by its place in a batch. Errors: `InputError`."""
+        return self._sentence(place_in(index, np.shape(self.code)))
 
     def _sentence(self, index: tuple[int, ...]) -> str:
         raise NotImplementedError
@@ -59,12 +57,22 @@ class Answer(Tabular):
     def status(self) -> Any:
         """The sentence for a single answer; an array of sentences for a batch. Made when asked for."""
         more = "" if self.within is None else f"; {self.within.sentence}"
-        if np.ndim(self.success) == 0:
+        if np.ndim(self.code) == 0:
             return self._sentence(()) + more
-        out = np.empty(np.shape(self.success), dtype=object)
+        out = np.empty(np.shape(self.code), dtype=object)
         for index in np.ndindex(out.shape):
             out[index] = self._sentence(index) + more
         return out
+
+    # ---- what is missed
+
+    @cached_property
+    def residual(self) -> Any:
+        """How much (...) each of `q` misses what is declared and asked for: the largest norm of metres and radians.
+
+        It is NaN for configurations that are no numbers.
+        """
+        return plain(np.linalg.norm(self.judged.errors, axis=-1).max(axis=0, initial=0.0))
 
     @cached_property
     def judged(self) -> Judgement:
@@ -72,9 +80,9 @@ class Answer(Tabular):
 
         It shares nothing with the equations by which kernels say `success`.
         """
-        return judge(self.system, self.q, self._asked(), self._left())
+        return judge(self.system, self.q, self._goals(), self._left())
 
-    def _asked(self) -> Sequence[tuple[Any, Any, Any]]:
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         """The tasks that must hold, with their goals and tolerances."""
         return ()
 
@@ -82,19 +90,26 @@ class Answer(Tabular):
         """What (...) is left of the equations of a success, as solvers say."""
         return 0.0
 
+    def _claimed(self) -> np.ndarray:
+        """Which of `q` (...) are said to be right."""
+        return np.asarray(self.success)
+
     @property
     def verdict(self) -> str:
-        """What the judge says of a success, in one sentence; '' where nothing succeeded, or there is nothing to judge.
+        """What the judge says of what succeeded, in one sentence; '' where nothing did, or there is nothing to judge.
 
         Of a batch only what contradicts a success is said.
         """
-        success = np.asarray(self.success)
-        if not success.any() or not self.judged.names:
+        claimed = self._claimed()
+        if not claimed.any() or not self.judged.names:
             return ""
-        if success.ndim == 0:
-            return f"success is contradicted, {self.judged}" if not self.judged else str(self.judged)
-        false = int((success & ~np.asarray(self.judged.holds)).sum())
-        return f"{false} are contradicted by poses multiplied out in numpy" if false else ""
+        false = int((claimed & ~np.asarray(self.judged.holds)).sum())
+        if np.ndim(self.code):
+            return f"{false} are contradicted by poses multiplied out in numpy" if false else ""
+        said = self.judged.of(claimed)
+        return f"success is contradicted, {said}" if false else str(said)
+
+    # ---- as a table, as text, as data
 
     def table(self) -> tuple[list[str], Array]:
         """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and metres."""
@@ -102,30 +117,93 @@ class Answer(Tabular):
 
     def expect(self) -> Self:
         """The answer itself, where it is a success. Errors: `NoSolutionError`, with the answer as its `solution`."""
-        return expected(self)
+        if not self:
+            raise NoSolutionError(self)
+        return self
 
-    def __bool__(self) -> bool:
-        return bool(np.all(self.success))
+    @property
+    def solver(self) -> Choice | None:
+        """Who answered, of the table of solvers, and why those before it did not; None where there is no choice."""
+        return self.__dict__.get("_choice") or self._chosen()
+
+    def _chosen(self) -> Choice | None:
+        """The choice of bound calls, which was made once."""
+        return None
 
     def __len__(self) -> int:
         return len(self.success)
 
-    def __str__(self) -> str:
-        if np.ndim(self.success):
+    def _headline(self) -> str:
+        if np.ndim(self.code):
             return f"{int(np.sum(self.success))} of {np.size(self.success)} {self.what}"
-        lines = [self.status]
-        lines += [f"  {name} = {x:.9g}" for name, x in zip(self.system.coordinate_names, self.q, strict=True)]
-        lines += [f"  {said}"] if (said := self.verdict) else []
-        return "\n".join(lines)
+        return self.status
 
-    def _repr_html_(self) -> str:
-        from html import escape
+    def _cells(self) -> Cells:
+        if np.ndim(self.q) > 1:
+            return (), ()
+        return (), [(name, f"{x:.9g}") for name, x in zip(self.system.coordinate_names, self.q, strict=True)]
 
-        if np.ndim(self.success):
-            return f"<p>{escape(str(self))}</p>"
-        rows = "".join(
-            f"<tr><td>{escape(n)}</td><td>{x:.9g}</td></tr>"
-            for n, x in zip(self.system.coordinate_names, self.q, strict=True)
-        )
-        said = f"<p>{escape(said)}</p>" if (said := self.verdict) else ""
-        return f"<p>{escape(self.status)}</p><table>{rows}</table>{said}"
+    def _notes(self) -> Sequence[str]:
+        said = "" if np.ndim(self.code) else self.verdict
+        return [said] if said else []
+
+    def _head(self) -> dict[str, Any]:
+        return {"system": self.system.name, "angle_unit": "rad"}
+
+    def _data(self) -> dict[str, Any]:
+        out = {name: getattr(self, name) for name in self.also} | {"residual": np.asarray(self.residual).tolist()}
+        if np.size(self.q) <= MOST_JUDGED:
+            out["judged"] = self.judged.data()
+        return out | {"q": self._by_name(self.q)}
+
+    def _by_name(self, q: Array) -> Any:
+        """Values by coordinate name of a configuration, nested lists of these of several; None for NaN."""
+        if np.ndim(q) > 1:
+            return [self._by_name(x) for x in q]
+        named = dict(zip(self.system.coordinate_names, q.tolist(), strict=True))
+        return None if named and np.isnan(q).all() else named
+
+
+@explained_methods
+class Configurations(Answer):
+    """Configurations `q` (n, nq) that answer one question together: all that there are, or a way. Base of such answers.
+
+    Where the work was `interrupted` from the keyboard, or the time limit came (`late`), these are those found by then.
+    """
+
+    interrupted: bool
+    late: bool
+    reason: str
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter(self.q)
+
+    def __getitem__(self, k: Any) -> Array:
+        return self.q[k]
+
+    @property
+    def code(self) -> Any:
+        """The outcome, a `Status`."""
+        if self.success:
+            return Status.SOLVED
+        return self._broken_off() or (Status.PARTLY if len(self) > 1 else Status.NOT_FOUND)
+
+    def _broken_off(self) -> Status | None:
+        """What ended the work early, if anything did."""
+        return Status.INTERRUPTED if self.interrupted else Status.OUT_OF_TIME if self.late else None
+
+    def _partial(self) -> str:
+        """The tail of a sentence about work that was broken off."""
+        return partial(self.interrupted, self.late)
+
+    def _claimed(self) -> np.ndarray:
+        return np.full(len(self), bool(self.success) or len(self) > 1)
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        return self.reason
+
+    def _headline(self) -> str:
+        return f"{self.system.name}: {self.status}"

@@ -15,10 +15,6 @@ if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.assembly import Assembler
 
-CLOSED, NOT_CLOSED, BAD_INPUT, OUTSIDE, OTHER_BRANCH = 0, 1, 2, 3, 4
-"""Codes of `Assembly.code`. OUTSIDE: a known coordinate is outside its limits. OTHER_BRANCH: the branch asked for
-cannot be closed, `q` is on another one."""
-
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
@@ -33,11 +29,12 @@ class Assembly(Answer):
     __repr__ = brief
 
     what = "configurations closed"
+    also = ("iterations", "starts")
 
     q: Array
     success: Any
     code: Any
-    residual: Any
+    residual: Any = field()
     iterations: Any
     starts: Any
     assembler: Assembler = field(repr=False)

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.budget import Budget
-from kempe.solvers.assembled import CLOSED, OTHER_BRANCH, Assembly
+from kempe.reals import plain
+from kempe.solvers.assembled import Assembly
 from kempe.solvers.assembly import LOOSEST, TOLERANCE
 from kempe.solvers.dyads import closed_form, on_branch
 from kempe.solvers.ideal import within
+from kempe.status import Status, member
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -39,9 +41,8 @@ def on_named_branch(bound: Assembler, given: Mapping[str, Any], near: Any, branc
     answer = bound._ask(given, start, limits=limits, budget=ONCE)
     plan: Any = closed_form(system, tuple(bound.sources))
     asked, found = plan.branch_of(start), plan.branch_of(answer.q)
-    strayed = np.any((found != asked) & (asked != 0) & (found != 0), axis=-1) & (answer.code == CLOSED)
+    strayed = np.any((found != asked) & (asked != 0) & (found != 0), axis=-1) & (answer.code == Status.SOLVED)
     if np.any(strayed):
-        code = np.where(strayed, OTHER_BRANCH, answer.code)
-        plain = (bool(code == CLOSED), int(code)) if np.ndim(answer.success) == 0 else (code == CLOSED, code)
-        answer = replace(answer, success=plain[0], code=plain[1])
+        code = np.where(strayed, Status.OTHER_BRANCH, answer.code)
+        answer = replace(answer, success=plain(code == Status.SOLVED), code=member(code))
     return answer

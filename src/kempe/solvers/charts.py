@@ -23,12 +23,14 @@ from kempe.calls import explained, explained_methods, listed, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.loops import RANK_TOLERANCE, evaluate, scales
-from kempe.solvers.assembled import NOT_CLOSED
+from kempe.kinematics.result import Report
+from kempe.reals import plain
 from kempe.solvers.assembly import TOLERANCE, Assembly, assemble
 from kempe.solvers.ideal import said, tolerant
 from kempe.solvers.idle import Spin, idle_part, spins_of
 from kempe.solvers.shaky import moving
 from kempe.spatial import Array, skew
+from kempe.status import Status, member
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -50,7 +52,7 @@ WORST = 0.02
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Chart:
+class Chart(Report):
     """Independent coordinates of a system about a closed configuration.
 
     `independent` are the names of the p coordinates chosen, `dependent` those of all others, `origin` (nq,) where it
@@ -67,7 +69,7 @@ class Chart:
     idle: tuple[str, ...] = ()
 
     @property
-    def within(self) -> Idealised | None:
+    def within(self) -> Idealised | None:  # type: ignore[override]
         """The nearest mechanism that closes exactly, whose chart it is; None: the given one's."""
         return self.system._ideal
 
@@ -121,9 +123,8 @@ class Chart:
             return answer
         off = np.abs(self.u(answer.q)[..., : len(given)] - u).max(axis=-1, initial=0.0)
         success = np.logical_and(answer.success, off < REACHED)
-        code = np.where(np.logical_and(answer.success, ~success), NOT_CLOSED, answer.code)
-        single = not success.ndim
-        return replace(answer, success=bool(success) if single else success, code=int(code) if single else code)
+        code = np.where(np.logical_and(answer.success, ~success), Status.NOT_FOUND, answer.code)
+        return replace(answer, success=plain(success), code=member(code))
 
     def _rows(self, names: Iterable[str] | None = None) -> list[int]:
         """Velocity indices of the independent coordinates, or of others."""
@@ -194,12 +195,18 @@ class Chart:
         """The best chart at the closed configuration q (nq,)."""
         return independent(self.system, q)
 
-    def __str__(self) -> str:
+    @property
+    def status(self) -> str:
+        """Which coordinates are independent, and how well they move the others."""
         idle = f"; idle: {', '.join(self.idle)}" if self.idle else ""
         return (
             f"{self.dim} independent coordinates: {', '.join(self.useful) or 'none'}{idle} "
             f"(conditioning {self.quality:.2g}); dependent: {', '.join(self.dependent) or 'none'}{said(self.within)}"
         )
+
+    def _data(self) -> dict[str, Any]:
+        names = ("independent", "dependent", "idle", "useful", "dim", "quality")
+        return {"system": self.system.name, **{n: getattr(self, n) for n in names}, "origin": self.origin}
 
 
 @explained

@@ -16,12 +16,14 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q, as_start
 from kempe.kinematics.forward import fk
 from kempe.kinematics.parallel import over_chunks
+from kempe.kinematics.result import Report
 from kempe.model.kept import kept
 from kempe.reals import reals
 from kempe.solvers.decompose import Dyad, End, parts_of
 from kempe.solvers.rings import Decomposition
-from kempe.solvers.words import counted
 from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -34,17 +36,24 @@ MOST_SIGNS = 16
 
 
 @dataclass(frozen=True)
-class Incomplete:
+class Incomplete(Report):
     """Why there is no closed form: `reason` as a sentence, and the `bodies` that no ring of three places."""
 
     reason: str
     bodies: tuple[str, ...] = ()
 
-    def __bool__(self) -> bool:
-        return False
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: that a closed form was not found is no proof that there is none."""
+        return Status.NOT_FOUND
 
-    def __str__(self) -> str:
+    @property
+    def status(self) -> str:
+        """Why there is no closed form."""
         return self.reason
+
+    def _data(self) -> dict[str, Any]:
+        return {"bodies": self.bodies}
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +72,7 @@ class Closed:
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(Report):
     """A mechanism in closed form for `known` coordinates: ring after ring of three rigid clusters.
 
     `dyads` lists the rings; `signs` is how many of them have two roots, and so are chosen by a branch sign, +1 or -1.
@@ -84,16 +93,20 @@ class Plan:
         """Number of branch signs."""
         return sum(d.sign is not None for d in self.dyads)
 
+    @property
+    def status(self) -> str:
+        """From what it is closed, and by how many dyads."""
+        return f"{self.system.name} from {', '.join(self.known) or 'nothing'}: {counted(len(self.dyads), 'dyad')}"
+
     def describe(self) -> str:
         """What each dyad is, and what its branch sign means, as text; one line each."""
-        count = counted(len(self.dyads), "dyad")
-        lines = [f"{self.system.name} from {', '.join(self.known) or 'nothing'}: {count}"]
-        for d in self.dyads:
-            lines.append(f"  {'sign ' + str(d.sign + 1) if d.sign is not None else 'no sign'}: {d}")
-        return "\n".join(lines)
+        return str(self)
 
-    def __str__(self) -> str:
-        return self.describe()
+    def _notes(self) -> list[str]:
+        return [f"{'sign ' + str(d.sign + 1) if d.sign is not None else 'no sign'}: {d}" for d in self.dyads]
+
+    def _data(self) -> dict[str, Any]:
+        return {"system": self.system.name, "known": self.known, "signs": self.signs, "dyads": self._notes()}
 
     def solve(
         self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None

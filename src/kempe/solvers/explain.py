@@ -18,10 +18,11 @@ from kempe.solvers.chain import Chain, chain_of
 from kempe.solvers.inverse import run
 from kempe.solvers.rounds import ITERATIONS, MOST, TOLERANCE, Task, outside
 from kempe.solvers.shut_out import shut_out
-from kempe.solvers.solution import BAD_INPUT, OUT_OF_REACH, OUT_OF_TIME, SOLVED, Solution
+from kempe.solvers.solution import Solution
 from kempe.solvers.targets import Z_AXIS, frame_of, not_a_pose
-from kempe.solvers.words import counted
 from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
 
 AT_LIMIT = 1e-9
 """How near to a limit a coordinate is at it."""
@@ -50,20 +51,20 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
         solution.code, solution.position_error, solution.orientation_error, solution.starts, solution.iterations
     )  # fmt: skip
     code, position, angle, starts, steps = (np.asarray(x)[index].item() for x in figures)
-    if code == SOLVED:
+    if code == Status.SOLVED:
         work = f"{counted(steps, 'step')}, {counted(starts, 'start')}" if starts else "analytically"
         return f"reached: {_errors(task, f'position error {position:.1e} m', angle)} ({work})"
     at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
     target = task.targets[at : at + 1]
-    if code == BAD_INPUT:
+    if code == Status.BAD_INPUT:
         return not_a_pose(target[0], "start")
     near = f"the nearest configuration found misses it by {_errors(task, f'{position:.6g} m', angle)}"
-    if code == OUT_OF_REACH:
+    if code == Status.OUT_OF_REACH:
         return f"{_beyond(task, target)}; {near}"
     tilt = float(np.arccos(np.clip(target[0, 2, 2], -1.0, 1.0))) if task.system.dim == 2 and any(task.mask[3:]) else 0.0
     if tilt > max(task.tolerance[1], TILTED):
         return f"tilted out of the plane of the system by {tilt:.2g} rad; {near}"
-    if code == OUT_OF_TIME:
+    if code == Status.OUT_OF_TIME:
         tried = f"{starts} of {counted(task.starts, 'start')}"
         return f"not reached within the time limit of {task.time_limit:g} s, after {tried}; {near}"
     q = np.asarray(solution.q)[index][task.chain.q_index]
@@ -97,7 +98,7 @@ def _solved(task: Task, target: Array, limits: Array | None = None, near: Array 
     """The configuration (n,) of the chain that reaches a target (1, 4, 4), from `start` first; None if none does."""
     seeds = task.chain.no_seed if near is None else near.reshape(1, 1, -1)
     q, _, info = run(task, seeds, 1, limits, target)
-    return q[0] if info[0, 0] == SOLVED else None
+    return q[0] if info[0, 0] == Status.SOLVED else None
 
 
 def _rows(task: Task, q: Array, tolerance: float) -> int:

@@ -10,11 +10,12 @@ import numpy as np
 from kempe.kinematics import loops
 from kempe.kinematics.configuration import random
 from kempe.model.immovable import immovable
-from kempe.solvers.assembled import BAD_INPUT, CLOSED, OTHER_BRANCH, OUTSIDE, Assembly
+from kempe.solvers.assembled import Assembly
 from kempe.solvers.assembly import Assembler, assembler, of_equations
 from kempe.solvers.ideal import nearly
-from kempe.solvers.words import counted
 from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -34,14 +35,14 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
         np.asarray(x)[index].item() for x in (answer.code, answer.residual, answer.iterations, answer.starts)
     )
     q = answer.q[index]
-    if code == BAD_INPUT:
+    if code == Status.BAD_INPUT:
         return "known values, places or near are not finite"
-    if code == CLOSED:
+    if code == Status.SOLVED:
         work = f"{counted(steps, 'step')}, {counted(starts, 'start')}"
         return f"closed: residual {residual:.1e} ({work}){_left(bound, q)}"
-    if code == OUTSIDE:
+    if code == Status.OUTSIDE_LIMITS:
         return f"a known value is outside its limits: {_outside(bound, q)}"
-    if code == OTHER_BRANCH:
+    if code == Status.OTHER_BRANCH:
         return "the branch asked for cannot be closed with these values; q is closed on another one"
     reason = _one_sided(bound, q) or _limits(bound, q) or _too_many(bound)
     reason = reason or "with these values no closed configuration was found"
@@ -170,7 +171,7 @@ def _limits(bound: Assembler, q: Array) -> str:
     if bound.frames or not np.isfinite(system.limits).any():
         return ""
     free, _, info = bound.run(q[None], bound.no_pins, limits=False)
-    if info[0, 0] != CLOSED:
+    if info[0, 0] != Status.SOLVED:
         return ""
     v = system.difference(system.neutral, free[0])
     slack = 1e-9

@@ -18,10 +18,10 @@ from kempe.solvers.explain import rounded
 from kempe.solvers.freedoms import Local, freedoms_text
 from kempe.solvers.lengths import beyond
 from kempe.solvers.reached import Reached, analyse
-from kempe.solvers.solution import BAD_INPUT, OUT_OF_TIME, SOLVED
 from kempe.solvers.tasks import STARTS, judge
-from kempe.solvers.words import counted
 from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.kinematics.task import Task
@@ -35,7 +35,7 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     """The sentence for one problem of an answer."""
     figures = (answer.code, answer.iterations, answer.starts)
     code, steps, starts = (int(np.asarray(x)[index]) for x in figures)
-    if code == BAD_INPUT:
+    if code == Status.BAD_INPUT:
         return "goals or seed are not finite, or no poses"
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
     problem, q = answer.asked.of(row), answer.q[index]
@@ -43,7 +43,7 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     soft = [f"{t.label!r} stays off by {_amount(t, misses[t.label])}" for t in problem.tasks if t.weight is not None]
     more = "; " + ", ".join(soft) if soft else ""
     limit = f"the time limit of {problem.time_limit:g} s" if np.asarray(answer.late)[index] else ""
-    if code == SOLVED:
+    if code == Status.SOLVED:
         work = f"{counted(steps, 'step')}, {counted(starts, 'start')}"
         hard = [t for t in problem.tasks if t.weight is None]
         if limit:
@@ -57,7 +57,7 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     failing = [t for t in problem.tasks if t.weight is None and not _within(problem, t, misses[t.label])]
     what = ", ".join(f"{t.label!r} is missed by {_amount(t, misses[t.label])}" for t in failing)
     what = what or f"the hard tasks hold, but {_violated(problem, q) or 'not with closed loops'}"
-    if code == OUT_OF_TIME:
+    if code == Status.OUT_OF_TIME:
         tried = f"{starts} of {counted(problem.starts, 'start')}"
         return f"not reached within {limit}, after {tried}: {what}; q is the nearest found{more}"
     worst = np.max([misses[t.label] for t in failing], axis=0) if failing else np.full(2, np.inf)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,21 +14,21 @@ from kempe.calls import brief, explained, explained_methods
 from kempe.constraints.base import Constraint
 from kempe.constraints.targets import of_target
 from kempe.errors import InputError, UnsupportedError
-from kempe.kernels.search_layout import BAD_INPUT
 from kempe.kinematics.packed import refuse
-from kempe.kinematics.tabular import Tabular
 from kempe.reals import reals
 from kempe.rigid import arrays, sound
+from kempe.solvers.answer import Configurations
 from kempe.solvers.apart import apart
 from kempe.solvers.chain import of_loops
 from kempe.solvers.clock import BROKEN_OFF, LONG, TimeLimit, partial
 from kempe.solvers.ideal import ideal_of
+from kempe.solvers.reached import asked_of
 from kempe.solvers.slip import rolls
-from kempe.solvers.solution import SOLVED
 from kempe.solvers.targets import Z_AXIS, parse_targets
 from kempe.solvers.tasks import STARTS, Problem, judge, pose_problem
 from kempe.solvers.way import DEPTH, SINGULAR, STAYS, TOLERANCE, WEAK, Way
 from kempe.spatial import Array
+from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -43,7 +44,7 @@ TRIED = 16
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class IkPath(Tabular):
+class IkPath(Configurations):
     """Configurations `q` (n, nq) that follow n targets, NaN where not `success` (n,).
 
     `jumps` are the targets that are reached, but not continuously from the one before; `status` says where and why the
@@ -53,25 +54,38 @@ class IkPath(Tabular):
 
     __repr__ = brief
 
+    also = ("jumps", "interrupted", "late")
+
     system: System
     q: Array
     success: np.ndarray
     jumps: tuple[int, ...]
-    status: str
+    reason: str
+    asked: Problem = field(repr=False)
+    """The tasks, with a goal for each of the targets."""
     interrupted: bool = False
     late: bool = False
 
-    def __len__(self) -> int:
-        return len(self.q)
-
-    def table(self) -> tuple[list[str], Array]:
-        """Names and columns (n, nq) for a file: the coordinates at each target, NaN where it is not reached."""
-        return list(self.system.coordinate_names), self.q
+    @property
+    def code(self) -> Status:
+        """The outcome: `PARTLY` where a target is not reached, or by a jump only."""
+        if self:
+            return Status.SOLVED
+        return self._broken_off() or (Status.PARTLY if self.success.any() else Status.NOT_FOUND)
 
     def __bool__(self) -> bool:
         return bool(np.all(self.success)) and not self.jumps
 
-    def __str__(self) -> str:
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return asked_of(self.asked)
+
+    def _data(self) -> dict[str, Any]:
+        return {"success": bool(self), "followed": self.success} | super()._data()
+
+    def _claimed(self) -> np.ndarray:
+        return self.success
+
+    def _headline(self) -> str:
         return self.status
 
 
@@ -119,12 +133,12 @@ def ik_path(
     way = _Path(problem, max_step, time, spend.progress)
     q0, info = way.rows[0].run(first)
     begin, n = 0, problem.lead[0]
-    while restart and info[0, 0] != SOLVED and begin + 1 < n:
+    while restart and info[0, 0] != Status.SOLVED and begin + 1 < n:
         begin += 1
         q0, info = way.rows[begin].run(first)
-    if info[0, 0] != SOLVED:
+    if info[0, 0] != Status.SOLVED:
         status = f"the path does not begin: target {begin} is {judge(way.rows[begin], q0, info).status}"
-        return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status)
+        return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status, problem)
     if not branches:
         return way.rolled(way.path(q0[0], restart, begin), begin)
     further = _all(system, targets, frame, way.rows[begin], begin, q0[0])
@@ -171,7 +185,7 @@ class _Path(Way):
         x = self.truncated(self.rows[i], q, before)
         if x is None:
             return ""
-        missed = judge(self.rows[i], x[None], np.full((1, 3), SOLVED))
+        missed = judge(self.rows[i], x[None], np.full((1, 3), Status.SOLVED))
         most = float(max(np.max(missed.position_error), np.max(missed.orientation_error)))
         return f", where tolerance={1.5 * most:.1g} lets it go on" if most <= ROUNDED else ""
 
@@ -182,7 +196,7 @@ class _Path(Way):
         unasked = apart(row.packed, row.pins)
         seeds[:, unasked] = q[unasked]
         found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run(seeds)
-        good = found[info[:, 0] == SOLVED]
+        good = found[info[:, 0] == Status.SOLVED]
         return sorted(good, key=lambda x: float(np.linalg.norm(self.system.difference(q, x) / self.scale)))
 
     def path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
@@ -202,7 +216,8 @@ class _Path(Way):
         success = self._checked(out)
         status = f"{success.sum()} of {n} targets followed"
         jumped = f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
-        return IkPath(self.system, out, success, tuple(jumps), "; ".join([status + jumped, *said]), interrupted, late)
+        status = "; ".join([status + jumped, *said])
+        return IkPath(self.system, out, success, tuple(jumps), status, self.problem, interrupted, late)
 
     def rolled(self, path: IkPath, begin: int) -> IkPath:
         """The path, or where there are velocity constraints what of it, or in its place, does not slip."""
@@ -214,8 +229,8 @@ class _Path(Way):
             return without_slip(self, path, begin)
         except BROKEN_OFF as error:
             interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
-            said = f"{path.status}; it slips, {partial(interrupted, late).strip(' ()')}"
-            return replace(path, success=np.zeros(len(path.q), dtype=bool), status=said, interrupted=interrupted,
+            said = f"{path.reason}; it slips, {partial(interrupted, late).strip(' ()')}"
+            return replace(path, success=np.zeros(len(path.q), dtype=bool), reason=said, interrupted=interrupted,
                            late=late)  # fmt: skip
 
     def _go(self, out: Array, jumps: list[int], said: list[str], restart: bool, begin: int) -> None:
@@ -248,7 +263,7 @@ class _Path(Way):
     def _checked(self, q: Array) -> np.ndarray:
         """Which configurations (n,) hold, by the forward model; the others become NaN, in place."""
         info = np.zeros((len(q), 3), dtype=np.int64)
-        info[np.isnan(q).any(axis=1), 0] = BAD_INPUT
+        info[np.isnan(q).any(axis=1), 0] = Status.BAD_INPUT
         good = np.asarray(judge(self.problem, q, info).success)
         q[~good] = np.nan
         return good
@@ -282,7 +297,7 @@ def _all(
     starts, unasked = found.q[found.inside], apart(row.packed, row.pins)
     starts[:, unasked] = q[unasked]
     answers = [row.run(x[None]) for x in starts]
-    return [x[0] for x, info in answers if info[0, 0] == SOLVED]
+    return [x[0] for x, info in answers if info[0, 0] == Status.SOLVED]
 
 
 def _distinct(configurations: list[Array]) -> list[Array]:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.solvers.words import counted
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.solvers.tasks import Problem

@@ -23,6 +23,7 @@ from kempe.errors import InputError, shown
 from kempe.kinematics.ball_angles import regular_chart
 from kempe.kinematics.configuration import as_q, home_of
 from kempe.kinematics.loops import evaluate, full, residual, row_names
+from kempe.kinematics.result import Report
 from kempe.model.clocked import timed
 from kempe.model.kept import keep, kept
 from kempe.model.lengths import characteristic_length, origin_of
@@ -31,8 +32,8 @@ from kempe.reals import is_real
 from kempe.solvers.relations import Relations, snapped
 from kempe.solvers.shape import ENOUGH, Shape, Valley, fitted, moves_all_along
 from kempe.solvers.slip import rolls
-from kempe.solvers.words import counted
 from kempe.spatial import Array, log_so3, xyz_rpy_from_pose
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -81,7 +82,7 @@ class Change:
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Idealised:
+class Idealised(Report):
     """The nearest mechanism found that closes exactly with `freedoms`, and how it differs from the `given` one.
 
     `system` is that mechanism, with the same coordinates. `tolerance` is the largest change of a placement, in metres
@@ -99,7 +100,7 @@ class Idealised:
     absorbed: dict[str, float]
 
     @property
-    def sentence(self) -> str:
+    def status(self) -> str:
         """What is true, in one sentence."""
         return f"closed {self.least}, with {counted(self.freedoms, 'freedom')}; {self.exactly}"
 
@@ -121,8 +122,7 @@ class Idealised:
         said = ", ".join(f"{name!r} by {x:.2g}" for name, x in off if x >= SHOWN * self.residual)
         return [self.exactly, f"absorbed is what misses in {said} (m, rad)", *map(str, self.changes)]
 
-    def data(self) -> dict[str, Any]:
-        """All numbers and texts as plain Python, ready for JSON."""
+    def _data(self) -> dict[str, Any]:
         return {"sentence": self.sentence, "asked": self.asked, "tolerance": self.tolerance, "residual": self.residual,
                 "freedoms": self.freedoms, "absorbed": self.absorbed, "changes": [vars(c) for c in self.changes]}
 
@@ -145,13 +145,11 @@ class Idealised:
             out[i] = answer.q if answer.success else flat[i]
         return out.reshape(q.shape)
 
-    def __str__(self) -> str:
-        return "\n".join([f"{self.given.name}: {self.sentence}", *(f"  {line}" for line in self.lines[1:])])
+    def _headline(self) -> str:
+        return f"{self.given.name}: {self.status}"
 
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return f"<pre>{escape(str(self))}</pre>"
+    def _notes(self) -> list[str]:
+        return self.lines[1:]
 
 
 def tolerance_of(system: System, tolerance: Any) -> float:

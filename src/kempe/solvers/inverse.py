@@ -26,7 +26,7 @@ from kempe.solvers.arguments import deadline, seed_number, start_count, step_cou
 from kempe.solvers.chain import Chain, chain_of, inside, obstacle
 from kempe.solvers.problem import Choice, Problem, Solver, choose, chosen_by
 from kempe.solvers.rounds import FEW, ITERATIONS, MOST, TOLERANCE, Task, outside
-from kempe.solvers.solution import BAD_INPUT, NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED, Solution
+from kempe.solvers.solution import Solution
 from kempe.solvers.targets import (
     Z_AXIS,
     axis_for,
@@ -39,6 +39,7 @@ from kempe.solvers.targets import (
     task_of,
 )
 from kempe.spatial import Array
+from kempe.status import Status, member
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -104,12 +105,12 @@ def _of_frame(
         raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
     if prefer is not None and method != "numeric":
         raise InputError(f"method is {method!r}, which prefers nothing; leave it out, or prefer")
-    choice = chosen(system, name, asked, method, prefer is not None)
+    solver, choice = chosen(system, name, asked, method, prefer is not None)
     targets = targets.copy() if np.may_share_memory(targets, target) else targets  # the answer keeps them
     problem = Problem(system, "one", name, asked, targets, lead, start=start, method=method, prefer=prefer,
                       tolerance=tolerance, budget=budget)  # fmt: skip
-    answer = chosen_by(choice.solver.run(problem), choice)
-    if not lead and task is said and choice.solver is not BY_TASKS:
+    answer = chosen_by(solver.run(problem), choice)
+    if not lead and task is said and solver is not BY_TASKS:
         _bind(answer.task, said, np.shape(target))
     return answer
 
@@ -184,7 +185,7 @@ SOLVERS = (
 
 
 @kept
-def chosen(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> Choice:
+def chosen(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> tuple[Solver, Choice]:
     """Who answers for a frame and a task."""
     return choose(SOLVERS, system, frame, task, method, prefers)
 
@@ -200,7 +201,7 @@ def _run(
 
         found = hand_over.answer(question, plan, base, seeds, threads)
     targets = question.targets
-    if lead and (found[2][:, 0] == BAD_INPUT).any() and (mended := sound(targets, "target")) is not targets:
+    if lead and (found[2][:, 0] == Status.BAD_INPUT).any() and (mended := sound(targets, "target")) is not targets:
         return _run(replace(question, targets=mended), plan, base, seeds, threads, lead)
     return question, found
 
@@ -210,7 +211,7 @@ def _nearest(
     lead: tuple[int, ...],
 ) -> Solution:  # fmt: skip
     """The answer of a batch as of `run`, with what is nearest to the targets that are out of reach."""
-    far = np.flatnonzero(info[:, 0] == OUT_OF_REACH)
+    far = np.flatnonzero(info[:, 0] == Status.OUT_OF_REACH)
     some = seeds[far] if len(seeds) > 1 else seeds
     q[far], residual[far], info[far] = run(question, some, threads, targets=question.targets[far])
     return _judged(question, base, q, residual, info, lead, seeds, threads)
@@ -225,7 +226,7 @@ def _judged(
     Where `run` has postponed targets, their part of it is found when it is asked for.
     """
     system, targets, code = question.system, question.targets, info[:, 0]
-    if (code == OUT_OF_REACH).any():
+    if (code == Status.OUT_OF_REACH).any():
         given = (question, base, seeds, threads, q, residual, info, lead)
         return Solution.postponed(code.reshape(lead).copy(), question, (_nearest, given))
     full = np.empty((len(targets), system.nq))
@@ -233,8 +234,8 @@ def _judged(
     full[:, question.chain.q_index] = q
     if code.any():
         _look_closer(question, code)
-        full[code == BAD_INPUT] = math.nan
-    if not lead and code[0] == BAD_INPUT:
+        full[code == Status.BAD_INPUT] = math.nan
+    if not lead and code[0] == Status.BAD_INPUT:
         raise InputError(not_a_pose(targets[0], "start"))
     return _answer(question, full, code, residual, info, lead)
 
@@ -347,7 +348,7 @@ class Bound:
         if missed:
             head = (chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0)
             rounds.go_on(self.task(X), X, head, FEW, out)
-            if row[n + STATUS] == BAD_INPUT:
+            if row[n + STATUS] == Status.BAD_INPUT:
                 return None
         if self.whole:
             q = row[:n]
@@ -356,18 +357,18 @@ class Bound:
             q[self.part] = row[:n]
             if not math.isfinite(base.dot(base)):
                 return None
-        if not missed or row[n + STATUS] == SOLVED:
+        if not missed or row[n + STATUS] == Status.SOLVED:
             return Solution.reached((self, X), q, row)
-        task, codes = self.task(X), np.array([NOT_FOUND])
+        task, codes = self.task(X), np.array([Status.NOT_FOUND])
         _look_closer(task, codes)
         linear, angular, _, steps, starts = row[n:].tolist()
-        return Solution(q, False, codes.item(), linear, angular, int(steps), int(starts), task)
+        return Solution(q, False, member(codes[0]), linear, angular, int(steps), int(starts), task)
 
 
 def _look_closer(task: Task, code: np.ndarray) -> None:
     """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
-    failed = np.flatnonzero((code == NOT_FOUND) | (code == OUT_OF_TIME))
-    code[failed[outside(task, task.targets[failed]) > 0.0]] = OUT_OF_REACH
+    failed = np.flatnonzero((code == Status.NOT_FOUND) | (code == Status.OUT_OF_TIME))
+    code[failed[outside(task, task.targets[failed]) > 0.0]] = Status.OUT_OF_REACH
 
 
 def _seeds(system: System, chain: Chain, start: Any, lead: tuple[int, ...]) -> tuple[Array, Array]:
@@ -388,7 +389,8 @@ def _seeds(system: System, chain: Chain, start: Any, lead: tuple[int, ...]) -> t
 def _answer(
     task: Task, q: Array, code: np.ndarray, residual: Array, info: np.ndarray, lead: tuple[int, ...]
 ) -> Solution:  # fmt: skip
-    columns = (code == SOLVED, code, residual[:, 0], residual[:, 1], info[:, 1], info[:, 2])
+    columns = (code == Status.SOLVED, code, residual[:, 0], residual[:, 1], info[:, 1], info[:, 2])
     fields = [x.reshape(lead) if lead else x[0].item() for x in columns]
     success, code_, position, angle, steps, starts = fields
-    return Solution(q.reshape(*lead, task.system.nq), success, code_, position, angle, steps, starts, task)
+    q = q.reshape(*lead, task.system.nq)
+    return Solution(q, success, member(code_), position, angle, steps, starts, task)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,20 +13,21 @@ from kempe.calls import brief, explained, explained_methods, flag, generator
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.one_sided import one_sided_rows
-from kempe.kinematics.tabular import Tabular
-from kempe.solvers.answer import expected
+from kempe.kinematics.result import Cells
+from kempe.solvers.answer import Configurations
 from kempe.solvers.arguments import start_count
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
 from kempe.solvers.clusters import INSIDE, SAME, Clusters, metric_of
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
-from kempe.solvers.ideal import said, tolerant
+from kempe.solvers.held import held_at
+from kempe.solvers.ideal import tolerant
 from kempe.solvers.problem import Problem, Solver, choose, chosen_by
-from kempe.solvers.words import counted
 from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
-    from kempe.solvers.ideal import Idealised
 
 STARTS = 4096
 """Starts of a search, at most."""
@@ -35,7 +36,7 @@ USUAL = Usual("assembly_modes", starts=STARTS, rng=0, time_limit=TIME_LIMIT, pro
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Modes(Tabular):
+class Modes(Configurations):
     """Configurations `q` (k, nq) that close the mechanism for the `known` inputs, each once.
 
     `complete` says that there are no others, proven by structure. `branches` names them where the mechanism is made of
@@ -51,9 +52,12 @@ class Modes(Tabular):
 
     __repr__ = brief
 
+    also = ("complete", "branches", "multiplicity", "freedoms", "inside", "outside", "coverage", "expected",
+            "interrupted", "late")  # fmt: skip
+
     q: Array
     complete: bool
-    status: str
+    reason: str
     branches: tuple[str, ...]
     multiplicity: np.ndarray
     freedoms: np.ndarray
@@ -69,53 +73,36 @@ class Modes(Tabular):
     """How many close the mechanism, but violate declared one-sided constraints."""
 
     @property
-    def within(self) -> Idealised | None:
-        """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
-        return self.system._ideal
-
-    def __len__(self) -> int:
-        return len(self.q)
-
-    def expect(self) -> Self:
-        """The answer itself, where there is one. Errors: `NoSolutionError`, with the answer as its `solution`."""
-        return expected(self)
-
-    def __bool__(self) -> bool:
+    def success(self) -> bool:
+        """Whether there is any."""
         return len(self.q) > 0
 
-    def __iter__(self):
-        return iter(self.q)
+    @property
+    def code(self) -> Status:
+        """The outcome: that there is none is proven where the search is `complete`."""
+        if self.success:
+            return Status.SOLVED
+        if self.complete:
+            return Status.OUTSIDE_LIMITS if self.outside else Status.NONE_EXISTS
+        return self._broken_off() or Status.NOT_FOUND
 
-    def __getitem__(self, k: Any) -> Array:
-        return self.q[k]
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return held_at(self.system, self.known)
 
-    def table(self) -> tuple[list[str], Array]:
-        """Names and columns (k, nq) for a file: the coordinates of each configuration, in radians and metres."""
-        return list(self.system.coordinate_names), self.q
-
-    def _table(self) -> tuple[list[str], list[list[str]]]:
-        """Heads and rows of what is shown: the coordinates that are not known."""
+    def _cells(self) -> Cells:
+        """What is shown: the coordinates that are not known."""
         names = [n for n in self.system.coordinate_names if n not in self.known]
         at = [self.system.coordinate_names.index(n) for n in names]
         rows = [[self.branches[k] or str(k + 1), *(f"{x:.9g}" for x in q[at])] for k, q in enumerate(self.q)]
         return ["", *names], rows
 
-    def __str__(self) -> str:
-        count = f"{counted(len(self), 'configuration')} of {self.system.name}"
-        lines = [f"{count}; {self.status}{said(self.within)}"]
-        heads, rows = self._table()
-        for row in rows:
-            lines.append(f"  {row[0]:>3s}  " + ", ".join(f"{n} = {x}" for n, x in zip(heads[1:], row[1:], strict=True)))
-        return "\n".join(lines)
+    def _lines(self) -> Sequence[str]:
+        heads, rows = self._cells()
+        names = heads[1:]
+        return [f"{k:>3s}  " + ", ".join(f"{n} = {x}" for n, x in zip(names, row, strict=True)) for k, *row in rows]
 
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        heads, rows = self._table()
-        top = "".join(f"<th>{escape(h)}</th>" for h in heads)
-        body = "".join("<tr>" + "".join(f"<td>{escape(x)}</td>" for x in row) + "</tr>" for row in rows)
-        said_of = escape(self.status + said(self.within))
-        return f"<p>{len(self)} configurations; {said_of}</p><table><tr>{top}</tr>{body}</table>"
+    def _headline(self) -> str:
+        return f"{counted(len(self), 'configuration')} of {self.system.name}; {self.status}"
 
 
 @explained
@@ -147,8 +134,8 @@ def assembly_modes(
     flag(limits, "limits")
     name = None if frame is None else system.frame_name(frame)
     problem = Problem(system, "all", name, known=dict(given), start=base, limits=bool(limits), budget=spend)
-    choice = choose(SOLVERS, system, tuple(given))
-    return chosen_by(choice.solver.run(problem), choice)
+    solver, choice = choose(SOLVERS, system, tuple(given))
+    return chosen_by(solver.run(problem), choice)
 
 
 # ---- by structure

@@ -55,27 +55,23 @@ class Solver(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """The `solver` that answered, and why those before it in the table did not: pairs of name and sentence."""
+    """Which solver answered and how it works, and why those before it in the table did not: names and sentences."""
 
-    solver: Solver
+    name: str
+    how: str
     refused: tuple[tuple[str, str], ...]
 
-    @property
-    def name(self) -> str:
-        """The name of the solver."""
-        return self.solver.name
-
     def __str__(self) -> str:
-        return "\n".join([f"{self.name}: {self.solver.how}", *(f"  not {name}: {why}" for name, why in self.refused)])
+        return "\n".join([f"{self.name}: {self.how}", *(f"  not {name}: {why}" for name, why in self.refused)])
 
 
-def choose(rows: Sequence[Solver], *structure: Any) -> Choice:
+def choose(rows: Sequence[Solver], *structure: Any) -> tuple[Solver, Choice]:
     """The first row that does not refuse. Errors: `UnsupportedError` with what the first one says, if all refuse."""
     refused = []
     for solver in rows:
         why = solver.refuses(*structure)
         if why is None:
-            return Choice(solver, tuple(refused))
+            return solver, Choice(solver.name, solver.how, tuple(refused))
         refused.append((solver.name, why))
     raise UnsupportedError(refused[0][1])
 

@@ -13,6 +13,7 @@ from kempe.solvers.solution import Solution
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.solvers.problem import Choice
     from kempe.solvers.tasks import Problem
 
 
@@ -33,13 +34,14 @@ class Reached(Solution):
     errors: dict[str, Array]
     late: Any
 
+    def _chosen(self) -> Choice | None:
+        return None
+
     def _analysed(self) -> tuple[int, int, int, Array]:
         return analyse(self.asked, self.q)
 
-    def _asked(self) -> Sequence[tuple[Any, Any, Any]]:
-        p = self.asked
-        every = zip(p.tasks, p.goals, p.use, strict=True)
-        return [(task, goals, p.tolerance_of(task)) for task, goals, used in every if used and task.weight is None]
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return asked_of(self.asked)
 
     def _shut_out(self, index: tuple[int, ...]) -> bool:
         return False
@@ -56,6 +58,12 @@ class Reached(Solution):
         from kempe.solvers.explain_tasks import sentence
 
         return sentence(self, index) + self._way_there(index)
+
+
+def asked_of(problem: Problem) -> list[tuple[Any, Any, Any]]:
+    """The hard tasks of a problem, with their goals and tolerances."""
+    every = zip(problem.tasks, problem.goals, problem.use, strict=True)
+    return [(task, goals, problem.tolerance_of(task)) for task, goals, used in every if used and task.weight is None]
 
 
 def analyse(problem: Problem, q: Array) -> tuple[int, int, int, Array]:

@@ -36,7 +36,7 @@ def without_slip(way: Way, path: IkPath, begin: int) -> IkPath:
     reached = _led(way, q, begin)
     if reached == len(q) - 1:
         status = f"{len(q) - begin} of {len(q)} targets followed, without slip"
-        return replace(path, q=q, success=np.arange(len(q)) >= begin, jumps=(), status=status)
+        return replace(path, q=q, success=np.arange(len(q)) >= begin, jumps=(), reason=status)
     return _broken(path, slip, int(good[0]))
 
 
@@ -48,7 +48,7 @@ def _broken(path: IkPath, slip: Slip, first: int) -> IkPath:
     many = int(success.sum())
     status = (f"{many} of {len(q)} targets followed; stops before target {k}: on the way there it {slip.text}; getting "
               f"there is a manoeuvre")  # fmt: skip
-    return replace(path, q=q, success=success, jumps=(), status=status)
+    return replace(path, q=q, success=success, jumps=(), reason=status)
 
 
 def _led(way: Way, out: Array, begin: int) -> int:

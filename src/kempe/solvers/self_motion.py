@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -15,15 +15,17 @@ from kempe.constraints.reading import numbers_of
 from kempe.constraints.targets import of_target
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.tabular import Tabular
 from kempe.reals import is_whole
-from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
+from kempe.solvers.answer import Configurations
+from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit
 from kempe.solvers.freedoms import Local, freedoms_text, null
+from kempe.solvers.reached import asked_of
 from kempe.solvers.slip import slip_of
-from kempe.solvers.solution import SOLVED
 from kempe.solvers.targets import axis_of, points_along, task_and_axis, task_of
 from kempe.solvers.tasks import judge, pose_problem
 from kempe.spatial import Array, ArrayLike
+from kempe.status import Status
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 USUAL = Usual("self_motion", points=200, step=0.05, time_limit=TIME_LIMIT, progress=None)
 TOLERANCE = 1e-10
 """Largest error of the tasks along the way, in metres and radians."""
+HOLDS = (1e-9, 1e-9)
+"""Largest error of a task, in metres and radians, with which it is said to hold along the way."""
 HOMING, MET = 8, 1e-6
 """Steps by which a way is led to the configuration that it may have come back to, and the distance at which it has."""
 ALIKE = 0.98
@@ -46,7 +50,7 @@ LEAST_PART = 0.05
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class SelfMotion(Tabular):
+class SelfMotion(Configurations):
     """A family of configurations `q` (n, nq) in which tasks hold, in the order in which they are passed.
 
     `freedoms` are those that the tasks leave at the start, over a distance: where there are only such to first order,
@@ -57,29 +61,36 @@ class SelfMotion(Tabular):
 
     __repr__ = brief
 
+    also = ("freedoms", "start", "closed", "ends", "interrupted", "late")
+
     system: System
     q: Array
     freedoms: int
     start: int
     closed: bool
     ends: tuple[str, str]
+    asked: Problem = field(repr=False)
+    """The tasks that hold all along."""
     interrupted: bool = False
     late: bool = False
 
-    def __len__(self) -> int:
-        return len(self.q)
+    @property
+    def success(self) -> bool:
+        """Whether it moves, and its way was followed to the ends."""
+        return self.freedoms > 0 and self._broken_off() is None
 
-    def table(self) -> tuple[list[str], Array]:
-        """Names and columns (n, nq) for a file: the coordinates of each configuration, in radians and metres."""
-        return list(self.system.coordinate_names), self.q
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return [(task, goals, HOLDS) for task, goals, _ in asked_of(self.asked)]
 
-    def __str__(self) -> str:
+    def _headline(self) -> str:
+        return self.status
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
         how = "it comes back to its start" if self.closed else f"from {self.ends[0]} to {self.ends[1]}"
-        freedoms = "1 freedom" if self.freedoms == 1 else f"{self.freedoms} freedoms"
         if not self.freedoms:
             return f"1 configuration, no motion: {self.ends[0]}"
-        how += partial(self.interrupted, self.late)
-        return f"{len(self.q)} configurations of a self-motion with {freedoms}: {how}"
+        many = f"{len(self.q)} configurations of a self-motion with {counted(self.freedoms, 'freedom')}"
+        return f"{many}: {how}{self._partial()}"
 
 
 @explained
@@ -112,7 +123,7 @@ def self_motion(
         raise InputError("the tasks leave no freedom at q: there is no self-motion")
     if not local.finite:
         text = freedoms_text(local)
-        return SelfMotion(system, local.q[None], 0, 0, False, (text, text))
+        return SelfMotion(system, local.q[None], 0, 0, False, (text, text), problem)
     wish = _wish(system, direction, local, problem)
     if local.finite == 1:  # of curves that meet here, the one nearest to the direction
         found = np.concatenate([local.motions, -local.motions])
@@ -120,14 +131,14 @@ def self_motion(
     way = _Way(local, wish, local.finite > 1, step, time, spend.progress)
     forth = way.follow(q0, 1.0, steps)
     if forth.closed:
-        return SelfMotion(system, _rolling(system, [q0, *forth.q]), local.finite, 0, True, ("", ""))
+        return SelfMotion(system, _rolling(system, [q0, *forth.q]), local.finite, 0, True, ("", ""), problem)
     back = _Half([], False, "the start", -forth.t)
     if way.broken is None:
         back = way.follow(q0, -1.0, steps, (forth.q[-1], -forth.t) if forth.q and forth.last else None)
     q = _rolling(system, [*back.q[::-1], q0, *forth.q])
     ends = ("", "") if back.closed else (back.end, forth.end)
     interrupted, late = (isinstance(way.broken, kind) for kind in BROKEN_OFF)
-    return SelfMotion(system, q, local.finite, len(back.q), back.closed, ends, interrupted, late)
+    return SelfMotion(system, q, local.finite, len(back.q), back.closed, ends, problem, interrupted, late)
 
 
 def _rolling(system: System, q: list[Array]) -> Array:
@@ -232,7 +243,7 @@ class _Way:
             for part in PARTS:
                 found, info = problem.run(system.integrate(q, part * step * t * scale)[None])
                 moved = system.difference(q, found[0]) / scale
-                if info[0, 0] == SOLVED and moved @ t >= 0.01 * part * step:
+                if info[0, 0] == Status.SOLVED and moved @ t >= 0.01 * part * step:
                     break
             else:
                 return _Half(out, False, _stop(problem, q, t, 10.0 * PARTS[-1] * step), t)
@@ -262,7 +273,7 @@ class _Way:
         q = a
         for _ in range(HOMING):
             found, info = problem.run(system.integrate(q, ahead * t * scale)[None])
-            if info[0, 0] != SOLVED:
+            if info[0, 0] != Status.SOLVED:
                 return False
             q, gap = found[0], _short(system, found[0], there) / scale
             if np.linalg.norm(gap) < MET:

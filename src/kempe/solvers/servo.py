@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,20 +15,25 @@ from kempe.kernels.layout import BALL, TURN
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import refuse_bad
 from kempe.kinematics.one_sided import one_sided_rows
+from kempe.kinematics.result import by_code
 from kempe.model.kept import kept
 from kempe.model.own_tree import own_tree
 from kempe.reals import reals
 from kempe.rigid import arrays, sound
+from kempe.solvers.answer import Answer
 from kempe.solvers.chain import chain_of, obstacle
 from kempe.solvers.least_squares import NEAR, damped, scaled
 from kempe.solvers.servo_pose import Approach, chain_length, error
 from kempe.solvers.slip import rolls
 from kempe.spatial import Array
+from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
     from kempe.solvers.servo_closed import Closed, Stage
 
+WHOLE = 1.0 - 1e-3
+"""Fraction of what is wanted that counts as all of it: damping takes less than the rest far from singularities."""
 NONE, EYE = np.zeros(0), np.eye(3)
 TURNING, SLIDING = math.pi, 1.0
 """Largest speeds of joints that the description gives none, in rad/s and m/s."""
@@ -40,7 +45,7 @@ BESIDE = 1e-12
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class IkStep:
+class IkStep(Answer):
     """Velocities of one step: `q` (nq,) after it, `velocity` (nv,), and the `twist` (6,) that they give the frame.
 
     For tasks, `twist` are the rates (m,) of the equations of the hard ones, in radians and characteristic lengths.
@@ -50,11 +55,29 @@ class IkStep:
 
     __repr__ = brief
 
+    also = ("velocity", "twist", "fraction", "saturated")
+
     q: Array
     velocity: Array
     twist: Array
     fraction: float
     saturated: tuple[str, ...]
+    system: System = field(repr=False)
+
+    success = by_code
+
+    @property
+    def code(self) -> Status:
+        """The outcome: `PARTLY` where limits or a singularity leave only a fraction of what was wanted."""
+        return Status.SOLVED if self.fraction >= WHOLE else Status.PARTLY
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        had = "all" if self.success else f"{self.fraction:.3g}"
+        at = f"; at a limit: {', '.join(map(repr, self.saturated))}" if self.saturated else ""
+        return f"{had} of what was wanted is had{at}"
+
+    def _claimed(self) -> np.ndarray:
+        return np.array(False)  # a step is of first order: how far it leads away is its residual
 
 
 class Servo:
@@ -180,7 +203,8 @@ def ik_step(
         own = scaled(A, b, low, high) if keep_direction else damped(A, b, low, high, damping, near=servo.near)
     velocity = servo.spread(own)
     at = ((own <= low) | (own >= high)).nonzero()[0]
-    return IkStep(servo.after(q, velocity, dt), velocity, J @ own, _part(A @ own, b), tuple(servo.names[i] for i in at))
+    names = tuple(servo.names[i] for i in at)
+    return IkStep(servo.after(q, velocity, dt), velocity, J @ own, _part(A @ own, b), names, system)
 
 
 @kept
@@ -210,7 +234,8 @@ def _held_step(
     asked = np.concatenate([NONE, *(s.b for s in stages if s.hard)])
     had = np.concatenate([NONE, *(s.A @ u for s in stages if s.hard)])
     twist = had if frame is None else J @ velocity
-    return IkStep(after, velocity, twist, _part(had, asked), tuple(system.velocity_names[i] for i in at))
+    names = tuple(system.velocity_names[i] for i in at)
+    return IkStep(after, velocity, twist, _part(had, asked), names, system)
 
 
 def _asked(

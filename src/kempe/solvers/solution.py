@@ -12,21 +12,19 @@ import numpy as np
 from kempe.calls import brief, explained_methods
 from kempe.errors import InputError
 from kempe.kernels.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
+from kempe.reals import plain
 from kempe.solvers.answer import Answer
 from kempe.spatial import Array
+from kempe.status import MEMBERS, PROOFS, Status
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+    from kempe.solvers.problem import Choice
     from kempe.solvers.rounds import Task
 
-SOLVED, NOT_FOUND, BAD_INPUT, OUT_OF_REACH, OUT_OF_TIME, CONTRADICTORY = 0, 1, 2, 3, 4, 5
-"""Codes of `Solution.code`; `status` has the sentences."""
-PROOFS = (OUT_OF_REACH, CONTRADICTORY)
-"""Codes that prove that there is no answer."""
-
 _MEASURED: dict[str, tuple[int, Callable]] = {
-    "position_error": (LINEAR, float), "orientation_error": (ANGULAR, float), "code": (STATUS, int),
-    "iterations": (STEPS, int), "starts": (STARTS, int),
+    "iterations": (STEPS, int), "starts": (STARTS, int), "code": (STATUS, lambda x: MEMBERS[int(x)]),
+    "position_error": (LINEAR, float), "orientation_error": (ANGULAR, float),
 }  # fmt: skip
 """Fields of an answer for a single target, where the kernels leave them, and as what they are read."""
 
@@ -48,6 +46,7 @@ class Solution(Answer):
     __repr__ = brief
 
     what = "targets reached"
+    also = ("position_error", "orientation_error", "iterations", "starts")
 
     q: Array
     success: Any
@@ -75,7 +74,7 @@ class Solution(Answer):
     def postponed(cls, code: np.ndarray, asked: Any, later: tuple[Callable[..., Solution], Any]) -> Solution:
         """The answer for a batch of which only codes (...) are known: ``later[0](*later[1])`` gives the rest."""
         out = object.__new__(cls)
-        out.__dict__.update(success=code == SOLVED, code=code, asked=asked, _later=later)
+        out.__dict__.update(success=code == Status.SOLVED, code=code, asked=asked, _later=later)
         return out
 
     if not TYPE_CHECKING:  # a type checker would take any name for a field
@@ -101,11 +100,16 @@ class Solution(Answer):
             return bound.task(target)
         return self.asked
 
+    def _chosen(self) -> Choice | None:
+        from kempe.solvers.inverse import chosen
+
+        task = self.task
+        return chosen(task.system, task.frame, (task.name, task.axis), "numeric", False)[1]
+
     @property
     def residual(self) -> Any:
         """Norm (...) of position error [m] and orientation error [rad]."""
-        r = np.hypot(self.position_error, self.orientation_error)
-        return float(r) if np.ndim(r) == 0 else r
+        return plain(np.hypot(self.position_error, self.orientation_error))
 
     @property
     def proven(self) -> Any:
@@ -114,9 +118,9 @@ class Solution(Answer):
         Proofs are lengths, two tasks that contradict each other, and limits outside of which all the answers are.
         """
         out = np.array(np.isin(self.code, PROOFS))
-        for index in np.argwhere(np.asarray(self.code) == NOT_FOUND):
+        for index in np.argwhere(np.asarray(self.code) == Status.NOT_FOUND):
             out[tuple(index)] = self._shut_out(tuple(index.tolist()))
-        return bool(out) if out.ndim == 0 else out
+        return plain(out)
 
     def _shut_out(self, index: tuple[int, ...]) -> bool:
         """Whether limits are proven to shut out all answers for one target."""
@@ -171,7 +175,7 @@ class Solution(Answer):
         """Orthonormal basis (nv, k) of velocities that keep loops and tasks, in radians and characteristic lengths."""
         return self._local[3]
 
-    def _asked(self) -> Sequence[tuple[Any, Any, Any]]:
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         from kempe.constraints.targets import of_target
         from kempe.kinematics.asking import task_of
 

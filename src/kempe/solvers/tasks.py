@@ -38,8 +38,8 @@ from kempe.solvers.ideal import ideal_of
 from kempe.solvers.lengths import unreachable
 from kempe.solvers.levels import KEPT, level_of, packed_for, solve
 from kempe.solvers.reached import Reached
-from kempe.solvers.solution import BAD_INPUT, CONTRADICTORY, NOT_FOUND, OUT_OF_REACH, OUT_OF_TIME, SOLVED
 from kempe.spatial import Array
+from kempe.status import Status, member
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -154,8 +154,8 @@ class Problem:
     @cached_property
     def proofs(self) -> np.ndarray:
         """Codes (N,) of the problems that are proven to have no answer, 0 of others."""
-        against = np.where(contradictory(self), CONTRADICTORY, 0)
-        return np.where(unreachable(self), OUT_OF_REACH, against).ravel()
+        against = np.where(contradictory(self), Status.CONTRADICTORY, 0)
+        return np.where(unreachable(self), Status.OUT_OF_REACH, against).ravel()
 
     @property
     def levels(self) -> tuple[np.ndarray, Array, list[int], Array]:
@@ -232,7 +232,7 @@ def reach(
         problem = problem if prefer is None else _preferring(problem, prefer, base)
         q, info = solve(problem, base, search, threads)
     answer = judge(problem, q, info)
-    if not problem.lead and answer.code == BAD_INPUT:
+    if not problem.lead and answer.code == Status.BAD_INPUT:
         for each, goals in zip(problem.tasks, problem.goals, strict=True):
             refuse(goals, each.label)
         raise InputError("the start has entries that are not finite or too large, or a quaternion that is zero")
@@ -350,14 +350,15 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     if packed.one_sided.declared and problem.one_sided:
         good &= ~packed.one_sided.beyond(sound, declared=True).any(axis=-1)
     late = status >= S.LATE
-    code = np.full(len(status), SOLVED)
+    code = np.full(len(status), Status.SOLVED)
     if some_bad or not good.all():
-        code = np.where(good.ravel(), SOLVED, np.where(late, OUT_OF_TIME, NOT_FOUND))
-        code[bad] = BAD_INPUT
-        if problem.limits and np.any(code == NOT_FOUND):
-            code = np.where((code == NOT_FOUND) & (problem.proofs > 0), problem.proofs, code)
-    columns = (code == SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
+        code = np.where(good.ravel(), Status.SOLVED, np.where(late, Status.OUT_OF_TIME, Status.NOT_FOUND))
+        code[bad] = Status.BAD_INPUT
+        if problem.limits and np.any(code == Status.NOT_FOUND):
+            code = np.where((code == Status.NOT_FOUND) & (problem.proofs > 0), problem.proofs, code)
+    columns = (code == Status.SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
     fields = [x.reshape(lead) if lead else x.item() for x in columns]
     errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}
-    *fields, out_of_time = fields
-    return Reached(q.reshape(*lead, system.nq), *fields, asked=problem, errors=errors, late=out_of_time)
+    success, code, *fields, cut_off = fields
+    q = q.reshape(*lead, system.nq)
+    return Reached(q, success, member(code), *fields, asked=problem, errors=errors, late=cut_off)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +15,7 @@ from kempe.errors import DescriptionError, KempeError, Problem
 from kempe.joints import P, R
 from kempe.kinematics.configuration import has_loops
 from kempe.model.coordinates import Follower, relation_text
+from kempe.words import jsonable
 
 if TYPE_CHECKING:
     from kempe.analysis.path import Path
@@ -28,7 +27,6 @@ MOST_JUDGED = 1_000_000
 """Coordinates in a batch up to which it is judged for a report."""
 CLOSED = 1e-5
 """Metres and radians that a loop may be open by before it is mentioned: numbers with six decimals count as closed."""
-_NUMBERS = re.compile(r"\[\n\s+(?:[-+.\deE]+|null)(?:,\n\s+(?:[-+.\deE]+|null))*\n\s+\]")
 
 
 def units(system: System) -> dict[str, str]:
@@ -185,21 +183,13 @@ def poses_facts(system: System, frame: str | None, X: spatial.Array, degrees: bo
     return unit | {"configurations": [one(Y) for Y in X]}
 
 
-def solution_facts(system: System, answer: Answer, degrees: bool = False) -> dict[str, Any]:
-    """An answer of `ik`: configuration by name, how well it reaches, and the sentence; lists for a batch."""
-    names = system.coordinate_names
-    q = jsonable(in_degrees(answer.q, names, units(system), degrees))
-    batch = np.ndim(answer.success) > 0
-    fields = ("success", "status", "position_error", "orientation_error", "residual", "iterations", "starts")
-    out = {name: jsonable(np.asarray(getattr(answer, name)).tolist()) for name in fields}
-    by_name = [dict(zip(names, row, strict=True)) for row in (q if batch else [q])]
-    return {
-        "system": system.name,
-        "angle_unit": "deg" if degrees else "rad",
-        **out,
-        **judged(answer),
-        "q": by_name if batch else by_name[0],
-    }
+def answer_facts(answer: Answer, degrees: bool = False) -> dict[str, Any]:
+    """The data of an answer, with the angles of its configurations in degrees if asked for."""
+    if not degrees:
+        return answer.data()
+    names = answer.system.coordinate_names
+    q = answer._by_name(in_degrees(answer.q, names, units(answer.system), True))
+    return answer.data() | {"angle_unit": "deg", "q": q}
 
 
 def judged(answer: Answer | Path) -> dict[str, Any]:
@@ -242,27 +232,6 @@ def error_facts(error: BaseException | str) -> dict[str, Any]:
 def significant(x: float) -> str:
     """A number with three significant digits, without exponent."""
     return f"{x:.0f}" if abs(x) >= 100 else f"{x:.3g}"
-
-
-def json_text(data: Any, ascii_only: bool = False) -> str:
-    """Data as indented JSON, with lists of numbers on one line."""
-    text = json.dumps(data, indent=2, allow_nan=False, ensure_ascii=ascii_only)
-    return _NUMBERS.sub(lambda m: "[" + ", ".join(m[0].strip("[]").replace(",", " ").split()) + "]", text)
-
-
-def jsonable(values: Any) -> Any:
-    """Arrays as nested lists of numbers, None in place of NaN and infinities, which JSON does not have."""
-    if isinstance(values, dict):
-        return {key: jsonable(value) for key, value in values.items()}
-    if isinstance(values, np.generic):
-        return jsonable(values.item())
-    if isinstance(values, np.ndarray):
-        return jsonable(values.tolist())
-    if isinstance(values, (list, tuple)):
-        return [jsonable(v) for v in values]
-    if isinstance(values, float):
-        return values + 0.0 if math.isfinite(values) else None
-    return values
 
 
 def _number(x: Any) -> float | None:

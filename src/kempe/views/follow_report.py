@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -29,16 +29,3 @@ def path(answer: IkPath, degrees: bool = False) -> RenderableType:
             lines.append((c["name"], *(report.number(x, 4 if c["unit"] == "deg" else 6) for x in values), c["unit"]))
         shown += ["", report.table(("coordinate", ">least", ">largest", ">largest step", "=unit"), lines)]
     return Group(*shown)
-
-
-def path_facts(answer: IkPath, degrees: bool = False) -> dict[str, Any]:
-    """A path as plain data: q by name for each target, None where it is not followed."""
-    system, names = answer.system, answer.system.coordinate_names
-    q = facts.jsonable(facts.in_degrees(answer.q, names, facts.units(system), degrees))
-    return {
-        "system": system.name, "angle_unit": "deg" if degrees else "rad", "success": bool(answer),
-        "status": answer.status, "followed": answer.success.tolist(), "jumps": list(answer.jumps),
-        "interrupted": answer.interrupted,
-        "q": [dict(zip(names, row, strict=True)) if good else None
-              for row, good in zip(q, answer.success, strict=True)],
-    }  # fmt: skip

@@ -15,7 +15,9 @@ from kempe import spatial
 from kempe.errors import InputError
 from kempe.kinematics.tabular import write_table
 from kempe.placement import AXES
+from kempe.status import named
 from kempe.views import facts, report, rows
+from kempe.words import jsonable
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -176,8 +178,8 @@ def _one(answer: Solutions, which: Any, degrees: bool) -> dict[str, Any]:
     def of_target(values: Any) -> Any:
         return values if answer.single else np.asarray(values, dtype=object).reshape(-1)[which[0]]
 
-    q = facts.jsonable(_in_units(system, picked(answer.q, 1), degrees))
-    fields = {name: facts.jsonable(picked(getattr(answer, name))) for name in
+    q = jsonable(_in_units(system, picked(answer.q, 1), degrees))
+    fields = {name: jsonable(picked(getattr(answer, name))) for name in
               ("inside", "residual", "multiplicity", "branch", "condition")}  # fmt: skip
     fields["name"] = [str(name) for name in picked(answer.names)]
     found = [
@@ -187,9 +189,10 @@ def _one(answer: Solutions, which: Any, degrees: bool) -> dict[str, Any]:
     unit = facts.units(system)
     held = {n: facts.in_degrees([of_target(v)], [n], unit, degrees).item() for n, v in answer.held.items()}
     return {
-        "success": bool(picked(answer.inside).any()), "status": str(of_target(answer.status)),
+        "success": bool(picked(answer.inside).any()), "code": named(of_target(answer.code)),
+        "status": str(of_target(answer.status)),
         "complete": bool(of_target(answer.complete)), "solutions": found,
-        "held": facts.jsonable(held),
+        "held": jsonable(held),
         "spare": list(answer.spare), "tried": int(of_target(answer.tried)),
     }  # fmt: skip
 
@@ -198,7 +201,7 @@ def _family(system: System, family: Any, degrees: bool) -> dict[str, Any]:
     return {
         "dimension": family.dimension, "joints": list(family.joints), "closed": bool(family.closed),
         "parameter": family.parameter, "text": family.describe(),
-        "q": facts.jsonable(_in_units(system, family.q, degrees)),
+        "q": jsonable(_in_units(system, family.q, degrees)),
     }  # fmt: skip
 
 
@@ -227,7 +230,7 @@ def plan(answer: Recognised) -> RenderableType:
     grid = Table.grid(padding=(0, 2, 0, 0))
     grid.add_column(style="bold", no_wrap=True)
     grid.add_column(overflow="fold")
-    for title, texts in answer.lines():
+    for title, texts in answer.topics():
         for k, text in enumerate(texts):
             grid.add_row(title if k == 0 else "", Text(report.clean(text)))
     return Group(Text(report.clean(head), style="bold green"), "", grid)

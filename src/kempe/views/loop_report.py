@@ -14,7 +14,9 @@ from rich.text import Text
 
 from kempe import spatial
 from kempe.kinematics.tabular import write_table
+from kempe.status import named
 from kempe.views import facts, report
+from kempe.words import jsonable
 
 if TYPE_CHECKING:
     from kempe.analysis.classify import Classification
@@ -35,28 +37,14 @@ NARROW = 7
 
 def mobility(answer: Mobility) -> RenderableType:
     """Degrees of freedom: the sentence, and the reasoning by topic."""
-    from kempe.analysis.mobility_text import lines, sentence
-
     style = "bold green" if answer.closed and answer.certain else "bold red" if not answer.closed else "bold yellow"
-    return _by_topic(f"{answer.name}: {sentence(answer)}", lines(answer), style)
-
-
-def mobility_facts(system: System, answer: Mobility, degrees: bool = False) -> dict[str, Any]:
-    """Degrees of freedom as plain data."""
-    return _facts(system, answer, degrees)
+    return _by_topic(str(answer._headline()), answer.topics(), style)
 
 
 def classify(answer: Classification) -> RenderableType:
     """What constraints are: the sentence, and the reasoning by topic."""
-    from kempe.analysis.classify_text import lines, sentence
-
     style = "bold green" if not answer.why and not answer.doubtful else "bold yellow"
-    return _by_topic(f"{answer.name}: {sentence(answer)}", lines(answer), style)
-
-
-def classify_facts(system: System, answer: Classification, degrees: bool = False) -> dict[str, Any]:
-    """What constraints are as plain data."""
-    return _facts(system, answer, degrees)
+    return _by_topic(str(answer._headline()), answer.topics(), style)
 
 
 def _by_topic(headline: str, topics: list[tuple[str, list[str]]], style: str) -> RenderableType:
@@ -69,8 +57,9 @@ def _by_topic(headline: str, topics: list[tuple[str, list[str]]], style: str) ->
     return Group(Text(report.clean(headline), style=style), "", grid)
 
 
-def _facts(system: System, answer: Mobility | Classification, degrees: bool) -> dict[str, Any]:
-    data = facts.jsonable(answer.data())
+def report_facts(system: System, answer: Mobility | Classification, degrees: bool = False) -> dict[str, Any]:
+    """Degrees of freedom, or what constraints are, as plain data."""
+    data = answer.data()
     for side in (data["one_sided"] or {"sides": []})["sides"] if degrees else ():
         if side["unit"] == "rad":
             side |= {"unit": "deg", **{k: side[k] / facts.DEGREE for k in ("value", "bound", "slack")}}
@@ -129,14 +118,6 @@ def _assemblies(answer: Assembly, degrees: bool) -> RenderableType:
     return Group(head, *report.verdict(answer), "", report.table(heads, cells))
 
 
-def assembly_facts(answer: Assembly, degrees: bool = False) -> dict[str, Any]:
-    """An answer of `assemble` as plain data; lists for a batch."""
-    fields = ("success", "status", "residual", "iterations", "starts")
-    out = {name: facts.jsonable(np.asarray(getattr(answer, name)).tolist()) for name in fields}
-    q = by_name(answer.system, answer.q, degrees)
-    return {"system": answer.system.name, "angle_unit": _angle(degrees), **out, **facts.judged(answer), "q": q}
-
-
 def closed_only(answer: Assembly) -> spatial.Array:
     """Configurations (nq,) or (n, nq) of an assembly, those that are not closed as NaN: fit for a file."""
     return np.where(np.asarray(answer.success)[..., None], answer.q, np.nan)
@@ -170,17 +151,6 @@ def modes(answer: Modes, degrees: bool = False) -> RenderableType:
 
 def _mode(answer: Modes, k: int) -> str:
     return (answer.branches[k] or str(k + 1)) + ("" if answer.inside[k] else " (outside limits)")
-
-
-def modes_facts(answer: Modes, degrees: bool = False) -> dict[str, Any]:
-    """All assembly modes as plain data."""
-    return {
-        "system": answer.system.name, "angle_unit": _angle(degrees), "success": bool(answer),
-        "complete": answer.complete, "status": answer.status, "branches": list(answer.branches),
-        "multiplicity": answer.multiplicity.tolist(), "freedoms": answer.freedoms.tolist(),
-        "inside": answer.inside.tolist(), "coverage": facts.jsonable(answer.coverage),
-        "expected": facts.jsonable(answer.expected), "q": by_name(answer.system, answer.q, degrees),
-    }  # fmt: skip
 
 
 # ---- motions
@@ -231,14 +201,15 @@ def path_facts(answer: Path, degrees: bool = False) -> dict[str, Any]:
     return {
         "system": answer.system.name, "angle_unit": _angle(degrees), "driver": answer.driver,
         "held": list(answer.held), **_motion(answer, degrees), **facts.judged(answer), "columns": names,
-        "rows": facts.jsonable(columns),
-        "others": [{**_motion(o, degrees), "rows": facts.jsonable(path_table(o, degrees)[1])} for o in answer.others],
+        "rows": jsonable(columns),
+        "others": [{**_motion(o, degrees), "rows": jsonable(path_table(o, degrees)[1])} for o in answer.others],
     }  # fmt: skip
 
 
 def _motion(answer: Path, degrees: bool) -> dict[str, Any]:
     return {
-        "success": bool(answer), "interrupted": answer.interrupted, "late": answer.late, "status": answer.status,
+        "success": bool(answer), "code": named(answer.code), "status": answer.status,
+        "interrupted": answer.interrupted, "late": answer.late,
         "closed": answer.closed,
         "ends": list(answer.ends), "length": answer.length, "turns": answer.turns,
         "turning_points": [_event_facts(answer.system, e, degrees) for e in answer.turning_points],
@@ -281,7 +252,7 @@ def write_path(file: FilePath, answer: Path, degrees: bool = False, branches: bo
 
 def by_name(system: System, q: spatial.Array, degrees: bool) -> Any:
     """Values by coordinate name of a configuration (nq,); a list of these of many (n, nq)."""
-    values = facts.jsonable(_shown(system, q, degrees))
+    values = jsonable(_shown(system, q, degrees))
     several = values if np.ndim(q) > 1 else [values]
     named = [dict(zip(system.coordinate_names, row, strict=True)) for row in several]
     return named if np.ndim(q) > 1 else named[0]

@@ -27,6 +27,7 @@ class Slices(Answer):
     """
 
     q: Array
+    also = ("position_error", "orientation_error", "iterations", "starts")
 
     def __init__(self, answers: list[Solution], asked: int, system: System):
         self.answers, self.asked, self._system = answers, asked, system

@@ -88,8 +88,8 @@ def say_error(error: BaseException | str, json: bool = False) -> None:
 
 def print_json(data: Any) -> None:
     """Print data as JSON; letters beyond ASCII are escaped where the output cannot show them."""
-    from kempe.views.facts import json_text
     from kempe.views.options import data_in_options
+    from kempe.words import json_text
 
     encoding = getattr(sys.stdout, "encoding", None) or "ascii"
     print(json_text(data_in_options(data), ascii_only=encoding.lower().replace("-", "") != "utf8"))

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from html import escape
-from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
 from kempe.calls import explained, listed
 from kempe.kernels.layout import SLIDE
+from kempe.kinematics.result import Report
 from kempe.solvers.analytic.describe_axes import relations
 from kempe.solvers.analytic.describe_path import METHODS, most, path
 from kempe.solvers.analytic.ik_all import chain_lines, plan_for
 from kempe.solvers.analytic.question import held
 from kempe.solvers.targets import axis_for, task_and_axis, task_of
-from kempe.solvers.words import topics_html
+from kempe.words import by_topic
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -27,7 +26,7 @@ WIDTH = 110
 
 
 @dataclass(frozen=True)
-class Recognised:
+class Recognised(Report):
     """What is known about the inverse geometric model of a `frame` for a `task`.
 
     `joints` are those that move the frame, from the ground to it, `kinds` whether each "turns" or "slides".
@@ -48,11 +47,15 @@ class Recognised:
     method: str
     held: tuple[str, ...]
 
-    def data(self) -> dict[str, Any]:
-        """All fields as plain Python, ready for JSON."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
+    @property
+    def status(self) -> str:
+        """What it is about."""
+        return f"inverse model of {self.frame} of {self.system}, task {self.task}"
 
-    def lines(self) -> list[tuple[str, tuple[str, ...]]]:
+    def _data(self) -> dict[str, Any]:
+        return vars(self)
+
+    def topics(self) -> list[tuple[str, tuple[str, ...]]]:
         """The report as (title, lines)."""
         joints = ", ".join(f"{n} {k}" for n, k in zip(self.joints, self.kinds, strict=True))
         if set(self.kinds) == {"turns"} and len(self.joints) > 1:
@@ -65,16 +68,7 @@ class Recognised:
         ]  # fmt: skip
 
     def __str__(self) -> str:
-        out = [f"inverse model of {self.frame} of {self.system}, task {self.task}"]
-        for title, texts in self.lines():
-            for k, text in enumerate(texts):
-                head = f"  {title if k == 0 else '':<11}"
-                out.append(fill(text, WIDTH, initial_indent=head, subsequent_indent=" " * (len(head) + 2)))
-        return "\n".join(out)
-
-    def _repr_html_(self) -> str:
-        head = f"inverse model of {escape(self.frame)} of {escape(self.system)}, task {escape(self.task)}"
-        return f"<p><b>{head}</b></p>{topics_html(self.lines())}"
+        return by_topic(self.status, self.topics(), 11, WIDTH)
 
 
 @explained

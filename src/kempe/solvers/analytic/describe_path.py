@@ -13,8 +13,8 @@ from kempe.solvers.analytic.describe_axes import listed
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.plan import Plan, carried_lines, free_lines, freedoms, motion, spread, sweep
 from kempe.solvers.analytic.structure import EXACT, Axes, Way
-from kempe.solvers.words import in_words
 from kempe.spatial import Array
+from kempe.words import in_words
 
 BY_SLIDES = {0: 16, 1: 16, 2: 8, 3: 2}
 """Isolated configurations of six joints at most, by the number that slide (Raghavan and Roth, 1993)."""

@@ -30,8 +30,8 @@ from kempe.solvers.chain import chain_of
 from kempe.solvers.explain import rounded
 from kempe.solvers.rounds import Task, outside
 from kempe.solvers.targets import Z_AXIS, not_a_pose
-from kempe.solvers.words import in_words
 from kempe.spatial import Array
+from kempe.words import in_words
 
 if TYPE_CHECKING:
     from kempe.solvers.analytic.solutions import Solutions

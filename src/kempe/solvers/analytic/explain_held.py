@@ -9,7 +9,7 @@ import numpy as np
 from kempe.solvers.analytic.nearest import fixed_joints, held_coordinates
 from kempe.solvers.analytic.plan import Plan, free_lines
 from kempe.solvers.rounds import MOST
-from kempe.solvers.words import in_words
+from kempe.words import in_words
 
 if TYPE_CHECKING:
     from kempe.solvers.analytic.solutions import Solutions

@@ -18,8 +18,8 @@ from kempe.solvers.analytic.family_curves import Motion
 from kempe.solvers.analytic.family_points import SINGULAR
 from kempe.solvers.analytic.nearest import Aim, aim_of, held_coordinates
 from kempe.solvers.analytic.plan import kernel_of
-from kempe.solvers.words import in_words
 from kempe.spatial import Array
+from kempe.words import in_words
 
 if TYPE_CHECKING:
     from kempe.solvers.analytic.solutions import Solutions

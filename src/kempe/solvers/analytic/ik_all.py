@@ -89,8 +89,8 @@ def ik_all(
     known = held_by(fixed)
     problem = Problem(system, "all", name, (task, direction), targets, lead, known, start, limits=limits,
                       tolerance=tolerance, budget=budget)  # fmt: skip
-    choice = chosen(system, name, problem.task, tuple(known))
-    return chosen_by(choice.solver.run(problem), choice)
+    solver, choice = chosen(system, name, problem.task, tuple(known))
+    return chosen_by(solver.run(problem), choice)
 
 
 def _of_loops(problem: Problem) -> Modes:
@@ -163,7 +163,7 @@ SOLVERS = (
 
 
 @kept
-def chosen(system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> Choice:
+def chosen(system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> tuple[Solver, Choice]:
     """Who answers for a frame, a task, and joints that are held."""
     return choose(SOLVERS, system, frame, task, fixed)
 

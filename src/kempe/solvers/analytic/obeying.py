@@ -27,9 +27,6 @@ def obeying(solutions: Solutions) -> Solutions:
     rows = solutions._rows.copy()
     rows[bad, -A.INFO + A.CODE] = A.UNUSED
     rows = packed(rows) if solutions.single else rows
-    out = Solutions(solutions._asked, solutions.plan, solutions._base, rows, solutions._counts, solutions._lead, None,
-                    *solutions._where)  # fmt: skip
     texts = np.empty(len(beyond), dtype=object)
     texts[:] = [bounds.left_out(each) for each in beyond]
-    out._whole, out._left_out = solutions, texts
-    return out
+    return solutions._with(rows, solutions, texts)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,12 +12,14 @@ from kempe.calls import explained_methods
 from kempe.errors import InputError
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.layout import SLIDE
-from kempe.kinematics.tabular import Tabular
+from kempe.kinematics.result import Cells, by_code
 from kempe.solvers.analytic.names import Kind, branch_names, kind_of, named
+from kempe.solvers.analytic.outcome import codes, goals
 from kempe.solvers.analytic.plan import TASKS
-from kempe.solvers.answer import expected
+from kempe.solvers.answer import Answer
 from kempe.solvers.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
+from kempe.status import member
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -25,10 +27,11 @@ if TYPE_CHECKING:
     from kempe.solvers.analytic.ik_all import Bound
     from kempe.solvers.analytic.plan import Plan
     from kempe.solvers.analytic.question import Question
+    from kempe.solvers.problem import Choice
 
 
 @explained_methods
-class Solutions(Tabular):
+class Solutions(Answer):
     """All configurations that reach a target, or each of a batch of targets.
 
     For one target: `q` (k, nq), those inside the limits first, each group sorted by nearness to `start`. For a batch:
@@ -45,7 +48,7 @@ class Solutions(Tabular):
         lead: tuple[int, ...] | None, used: int | None = None, locked: Array | None = None,
         first: Array | None = None, tried: np.ndarray | None = None,
     ):  # fmt: skip
-        self._asked, self.plan = question, plan
+        self._question, self.plan = question, plan
         self._base, self._rows, self._counts, self._lead, self._count = base, rows, counts, lead, used
         self._locked, self._first, self._tried = locked, first, tried
         self._whole: Solutions | None = None  # the answer before some of it was chosen: what is said is about that
@@ -54,15 +57,22 @@ class Solutions(Tabular):
     @cached_property
     def question(self) -> Question:
         """What was asked."""
-        if isinstance(self._asked, tuple):
-            bound, target = self._asked
+        if isinstance(self._question, tuple):
+            bound, target = self._question
             return bound.question(target)
-        return self._asked
+        return self._question
 
     @property
     def system(self) -> System:
         """The system that was asked."""
-        return self._asked[0].system if isinstance(self._asked, tuple) else self._asked.system
+        return self._question[0].system if isinstance(self._question, tuple) else self._question.system
+
+    def _chosen(self) -> Choice | None:
+        from kempe.solvers.analytic.ik_all import chosen
+
+        asked = self.question
+        fixed = tuple(self.plan.lines.names[i] for i in self.plan.fixed)
+        return chosen(asked.system, asked.frame, (asked.task, asked.axis), fixed)[1]
 
     @property
     def single(self) -> bool:
@@ -285,25 +295,27 @@ class Solutions(Tabular):
         """Number of the family that each is a member of, (k,) or (..., K), -1 for isolated solutions."""
         return self._pick(np.array([rows for _, rows in self._families]).reshape(self._used.shape))
 
-    @cached_property
-    def status(self) -> Any:
-        """The sentence for one target; an array of sentences for a batch. Made when asked for."""
+    def _sentence(self, index: tuple[int, ...]) -> str:
         from kempe.solvers.analytic.explain import status
 
-        if self._whole is not None:
-            said, more = self._whole.status, self._left_out
-            return said if more is None else said + more[0] if self._lead is None else said + more.reshape(self._lead)
-        if self._lead is None:
-            return status(self, 0)
-        out = np.empty(len(self._rows), dtype=object)
-        for i in range(len(out)):
-            out[i] = status(self, i)
-        return out.reshape(self._lead)
+        i = int(np.ravel_multi_index(index, self._lead)) if index and self._lead else 0
+        if self._whole is None:
+            return status(self, i)
+        return self._whole._sentence(index) + ("" if self._left_out is None else self._left_out[i])
 
-    @property
-    def success(self) -> Any:
-        """Whether a solution inside the limits was found: bool, or (...) of a batch."""
-        return bool(self.inside.any()) if self._lead is None else self.inside.any(axis=-1)
+    success = by_code
+
+    @cached_property
+    def code(self) -> Any:
+        """The outcome (...): solved where a solution is inside the limits, failures proven where it is `complete`."""
+        code = codes(self)
+        return member(code[0]) if self._lead is None else code.reshape(self._lead)
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return goals(self)
+
+    def _claimed(self) -> np.ndarray:
+        return self.mask
 
     def nearest(self, index: int = 0) -> tuple[Array, float, float]:
         """The configuration (nq,) inside the limits that comes closest to a target, and how far it is off: [m], [rad].
@@ -325,9 +337,7 @@ class Solutions(Tabular):
             rows = inside_rows(rows, self.single)
         if expand_turns:
             rows = expanded(rows, self.plan.lines)
-        chosen = Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead, None, *self._where)
-        chosen._whole = self
-        return chosen
+        return self._with(rows, self)
 
     def along(self) -> Solutions:
         """The same batch with its rows in the order in which branches continue along the last axis of the targets.
@@ -340,19 +350,18 @@ class Solutions(Tabular):
         if self._lead is None or not self._lead:
             return self
         rows = followed(self._rows, self.plan.lines, self._lead[-1])
-        return Solutions(self._asked, self.plan, self._base, rows, self._counts, self._lead, None, *self._where)
+        return self._with(rows, self._whole, self._left_out)
+
+    def _with(self, rows: Array, whole: Solutions | None, left_out: np.ndarray | None = None) -> Solutions:
+        """The same answer with other rows; what is said is about the `whole`, and what was left out."""
+        out = Solutions(self._question, self.plan, self._base, rows, self._counts, self._lead, None, *self._where)
+        out._whole, out._left_out = whole, left_out
+        return out
 
     # ---- as a sequence
 
     def __len__(self) -> int:
         return len(self.q)
-
-    def expect(self) -> Self:
-        """The answer itself, where there is one. Errors: `NoSolutionError`, with the answer as its `solution`."""
-        return expected(self)
-
-    def __bool__(self) -> bool:
-        return bool(self.inside.any())
 
     def __iter__(self) -> Iterator[Array]:
         return iter(self.q)
@@ -364,21 +373,22 @@ class Solutions(Tabular):
         what = f"{len(self)} solutions" if self.single else f"{int(self._used.sum())} solutions of {len(self._rows)}"
         return f"Solutions({self.system.name!r}, {self.question.frame!r}, {what}{'' if self.single else ' targets'})"
 
-    def __str__(self) -> str:
+    what = "targets reached"
+    also = ("complete", "inside", "multiplicity", "branch", "names", "held", "spare", "tried")
+
+    def _headline(self) -> str:
         from kempe.solvers.analytic.explain_held import held_sentence
 
-        if not self.single:
-            reached = int(np.sum(self.success))
-            text = f"{reached} of {len(self._rows)} targets reached, {int(self._used.sum())} solutions"
-            return f"{text}; {held_sentence(self)}" if self.spare else text
-        lines = [self.status]
-        heads, rows = self._table()
-        for row in rows:
-            lines.append("  " + ", ".join(f"{h} = {x}" for h, x in zip(heads, row, strict=True)))
-        return "\n".join(lines)
+        text = super()._headline()
+        if self.single:
+            return text
+        text += f", {int(self._used.sum())} solutions"
+        return f"{text}; {held_sentence(self)}" if self.spare else text
 
-    def _table(self) -> tuple[list[str], list[list[str]]]:
-        """Heads and rows of what is shown of one target: coordinates of the chain, and what is special."""
+    def _cells(self) -> Cells:
+        """What is shown of one target: coordinates of the chain, and what is special."""
+        if not self.single:
+            return (), ()
         names, at = self.system.coordinate_names, self.plan.lines.q_index
         rows = []
         for q, name, inside, m in zip(self.q, self.names, self.inside, self.multiplicity, strict=True):
@@ -387,13 +397,3 @@ class Solutions(Tabular):
             notes += [f"{m} roots"] if m > 1 else ["one of a family"] if m == 0 else []
             rows.append([*(f"{x:.9g}" for x in q[at]), ", ".join(notes) or "-"])
         return [*(names[i] for i in at), "note"], rows
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        if not self.single:
-            return f"<p>{escape(str(self))}</p>"
-        heads, rows = self._table()
-        top = "".join(f"<th>{escape(h)}</th>" for h in heads)
-        body = "".join("<tr>" + "".join(f"<td>{escape(x)}</td>" for x in row) + "</tr>" for row in rows)
-        return f"<p>{escape(self.status)}</p><table><tr>{top}</tr>{body}</table>"

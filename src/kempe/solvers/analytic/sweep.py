@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -11,19 +11,27 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.calls import explained_methods
+from kempe.constraints.targets import AXIS_TASKS, of_target
 from kempe.errors import InputError
 from kempe.kernels.layout import SLIDE
-from kempe.kinematics.tabular import Tabular
+from kempe.kinematics.asking import task_of
+from kempe.kinematics.result import Cells
 from kempe.reals import reals
 from kempe.solvers.analytic.intervals import Intervals, spelled, union
 from kempe.solvers.analytic.lines import Lines
+from kempe.solvers.answer import Answer
+from kempe.solvers.targets import Z_AXIS
 from kempe.spatial import Array
+from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
 EDGE = 1e-10
 """How far beyond a limit rounding may push a coordinate, as in `ik_all`."""
+
+HOLDS = (1e-6, 1e-6)
+"""Metres and radians that a sampled solution may miss the target by."""
 
 SAME = 1e-6
 """Largest difference of two configurations that count as one."""
@@ -102,7 +110,7 @@ class Slice:
 
 @explained_methods
 @dataclass(frozen=True, eq=False, repr=False)
-class Sweep(Tabular):
+class Sweep(Answer):
     """The solutions of a chain with one freedom to spare, over a `parameter`: a joint, or "arm_angle".
 
     `intervals` has, for each branch, the intervals (low, high) of the parameter in which its solution is inside the
@@ -115,6 +123,9 @@ class Sweep(Tabular):
     branch, continuous inside its intervals, NaN where `mask` is False. `at` gives all solutions at any value, `best`
     the best.
     """
+
+    also = ("frame", "parameter", "task", "held", "domain", "labels", "intervals", "spans", "feasible", "exact",
+            "values", "inside")  # fmt: skip
 
     system: System
     frame: str
@@ -240,12 +251,26 @@ class Sweep(Tabular):
 
         return room
 
-    def __bool__(self) -> bool:
+    @property
+    def success(self) -> bool:
+        """Whether there is any solution inside the limits."""
         return any(self.intervals)
 
     @property
-    def status(self) -> str:
-        """One sentence: whether and where the target is reached inside the limits."""
+    def code(self) -> Status:
+        """The outcome: that there is no solution is proven where the intervals are `exact`."""
+        if self.success:
+            return Status.SOLVED
+        return Status.NOT_FOUND if not self.exact else Status.OUTSIDE_LIMITS if any(self.spans) else Status.NONE_EXISTS
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        made = () if self.task in AXIS_TASKS else of_target(self.frame, self.task, Z_AXIS, self.target)
+        return [(task_of(c, self.system.dim), None, HOLDS) for c in made]
+
+    def _claimed(self) -> np.ndarray:
+        return self.mask
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
         way = "in closed form" if self.exact else "ends to 1e-10, from solutions at sampled values"
         if self:
             return f"{self.parameter} can be in {spelled(self.feasible)} ({way})"
@@ -256,27 +281,25 @@ class Sweep(Tabular):
     def __repr__(self) -> str:
         return f"Sweep({self.system.name!r}, {self.frame!r}, {self.parameter!r}, feasible=[{spelled(self.feasible)}])"
 
-    def __str__(self) -> str:
-        lines = [f"{self.frame!r} of {self.system.name}, {self.task}: {self.status}"]
+    def _headline(self) -> str:
+        return f"{self.frame!r} of {self.system.name}, {self.task}: {self.status}"
+
+    def _cells(self) -> Cells:
+        each = zip(self.labels, self.intervals, self.spans, strict=True)
+        rows = [(label, spelled(a) or "-", spelled(b)) for label, a, b in each if b]
+        return ("branch", "inside the limits", "exists"), rows
+
+    def _lines(self) -> Sequence[str]:
+        lines = []
         if self.held:
-            lines.append("  held: " + ", ".join(f"{n} = {x:.9g}" for n, x in self.held.items()))
+            lines.append("held: " + ", ".join(f"{n} = {x:.9g}" for n, x in self.held.items()))
         for label, rows in zip(self.labels, self.intervals, strict=True):
             if rows:
-                lines.append(f"  {label}: {spelled(rows)}")
+                lines.append(f"{label}: {spelled(rows)}")
         outside = sum(1 for rows, spans in zip(self.intervals, self.spans, strict=True) if spans and not rows)
         if outside and self:
-            lines.append(f"  {outside} more branch{'' if outside == 1 else 'es'} outside the limits")
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        rows = "".join(
-            f"<tr><td>{escape(label)}</td><td>{escape(spelled(a) or '-')}</td><td>{escape(spelled(b))}</td></tr>"
-            for label, a, b in zip(self.labels, self.intervals, self.spans, strict=True) if b
-        )  # fmt: skip
-        top = "<tr><th>branch</th><th>inside the limits</th><th>exists</th></tr>"
-        return f"<p>{escape(str(self).splitlines()[0])}</p><table>{top}{rows}</table>"
+            lines.append(f"{outside} more branch{'' if outside == 1 else 'es'} outside the limits")
+        return lines
 
 
 def turned(lines: Lines, q: Array, mask: np.ndarray, near: Array, along: bool) -> tuple[Array, np.ndarray]:

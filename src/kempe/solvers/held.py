@@ -1,0 +1,50 @@
+"""What is held at given values, coordinates and frames, as a judge is asked about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.constraints.kinds import Pose, Position
+from kempe.kinematics.asking import task_of
+from kempe.solvers.arguments import place_of
+from kempe.solvers.dyads import source_values
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+WITHIN = (1e-6, 1e-6)
+"""Metres and radians that what is held may be off by."""
+
+
+class HeldCoordinate(NamedTuple):
+    """The coordinate `label` of q is `value` (...)."""
+
+    label: str
+    place: int
+    turns: bool
+    value: Any
+
+    def measure(self, system: System, q: Array, goals: Any, at: Any) -> tuple[Array, Array]:
+        """How far (...) configurations q (..., nq) miss it, in metres and in radians."""
+        off = np.abs(q[..., self.place] - self.value)
+        return (np.zeros_like(off), off) if self.turns else (off, np.zeros_like(off))
+
+
+def held_at(system: System, known: Mapping[str, Any]) -> list[tuple[Any, Any, Any]]:
+    """Tasks, goals and tolerances of known values by the names of coordinates, or places by the names of frames."""
+    own = {*system.coordinate_names, *system.couplings}
+    turns = system.coordinates.turning[system.layout.vector_v].tolist()
+    turning = dict(zip(system.layout.vector_q.tolist(), turns, strict=True))
+    out: list[tuple[Any, Any, Any]] = []
+    for name, value in source_values(system, {k: x for k, x in known.items() if k in own}).items():
+        i = system.coordinate_names.index(name)
+        out.append((HeldCoordinate(name, i, turning.get(i, True), value), None, WITHIN))
+    for name in known.keys() - own:
+        whole = np.ndim(known[name]) == 2
+        place = place_of(system, name, known[name], whole)
+        out.append((task_of(Pose(name, place) if whole else Position(name, place), system.dim), None, WITHIN))
+    return out

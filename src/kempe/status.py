@@ -1,0 +1,64 @@
+"""What comes of a question: the outcomes of all solvers as one enum, each with its sentence."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+
+class Status(IntEnum):
+    """The outcome of a question, `Answer.code`: a `sentence` that says what it means, and whether it is a `proof`.
+
+    It is the general word; `Answer.status` says more of the answer at hand. Only `SOLVED` is false as a truth value:
+    compare (``answer.code is Status.SOLVED``), or ask the answer itself. Of a batch, `code` is an array of numbers, of
+    which ``Status(number)`` is the member.
+
+    >>> Status.OUT_OF_REACH.sentence
+    'outside of what the lengths of the links reach'
+    >>> [s.name for s in Status if s.proof]
+    ['OUT_OF_REACH', 'CONTRADICTORY', 'OUTSIDE_LIMITS', 'NONE_EXISTS']
+    """
+
+    sentence: str
+    proof: bool
+
+    SOLVED = 0, "what was asked for is found"
+    NOT_FOUND = 1, "not found; that is no proof that there is none"
+    BAD_INPUT = 2, "the input holds numbers that are not finite, or no pose"
+    OUT_OF_REACH = 3, "outside of what the lengths of the links reach", True
+    OUT_OF_TIME = 4, "not found within the time limit"
+    CONTRADICTORY = 5, "two things that are asked for exclude each other", True
+    OUTSIDE_LIMITS = 6, "excluded by limits: a given value, or whatever answers, is outside of them", True
+    NONE_EXISTS = 7, "there is no configuration that does what was asked, with or without limits", True
+    OTHER_BRANCH = 8, "the branch asked for cannot be closed; the answer is on another one"
+    PARTLY = 9, "only a part of what was asked for is had; the rest is not found, or cannot be"
+    INTERRUPTED = 10, "broken off from the keyboard; what was done by then is the answer"
+    DEAD_POINT = 11, "a dead point: the inputs cannot move independently"
+    UNDETERMINED = 12, "what was asked for is not determined by what was given"
+
+    def __new__(cls, value: int, sentence: str, proof: bool = False) -> Status:
+        """The member of this number, with its sentence."""
+        out = int.__new__(cls, value)
+        out._value_, out.sentence, out.proof = value, sentence, proof
+        return out
+
+    def __str__(self) -> str:
+        return self.name
+
+
+MEMBERS = tuple(Status)
+"""The members by their numbers: looking one up here takes a fraction of the time of ``Status(number)``."""
+PROOFS = tuple(s for s in MEMBERS if s.proof)
+"""Outcomes that prove that there is no answer."""
+
+
+def member(code: Any) -> Any:
+    """The member of one number; the numbers (...) of a batch as they are."""
+    return code if np.ndim(code) else MEMBERS[int(code)]
+
+
+def named(code: Any) -> Any:
+    """The name of one outcome, or nested lists of those of a batch."""
+    return [named(x) for x in code] if np.ndim(code) else MEMBERS[int(code)].name

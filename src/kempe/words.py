@@ -1,0 +1,94 @@
+"""The wording that sentences of all answers share, and answers as text, HTML and JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Sequence
+from html import escape
+from textwrap import fill
+from typing import Any
+
+import numpy as np
+
+SMALL = ("no", "one", "two", "three", "four", "five", "six")
+"""Numbers that are written out."""
+
+
+def counted(n: int, what: str) -> str:
+    """A number of things in digits: '3 starts', '1 start'."""
+    return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def in_words(n: int, what: str) -> str:
+    """A number of things with small numbers written out: 'two joints'."""
+    return f"{SMALL[n] if n < len(SMALL) else n} {what}{'' if n == 1 else 's'}"
+
+
+def cut(lines: list[str], most: int) -> list[str]:
+    """The first `most` lines, and how many more there are."""
+    return lines if len(lines) <= most else [*lines[:most], f"... and {len(lines) - most} more"]
+
+
+# ---- text, HTML, JSON
+
+
+def by_topic(headline: str, topics: Iterable[tuple[str, Sequence[str]]], wide: int = 16, width: int = 0) -> str:
+    """A report as text: the headline, and under it the lines of each (title, lines) that are not empty.
+
+    Titles take `wide` columns; with a `width`, longer lines are broken.
+    """
+    out = [headline]
+    for title, lines in topics:
+        for k, line in enumerate(x for x in lines if x):
+            head = f"  {title if k == 0 else '':<{wide}}"
+            wrapped = fill(line, width, initial_indent=head, subsequent_indent=" " * (len(head) + 2)) if width else ""
+            out.append(wrapped or head + line)
+    return "\n".join(out)
+
+
+def paragraphs(lines: Iterable[str]) -> str:
+    """Lines as paragraphs of HTML."""
+    return "".join(f"<p>{escape(line)}</p>" for line in lines)
+
+
+def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of HTML; empty without rows."""
+    body = "".join(f"<tr>{''.join(f'<td>{escape(x)}</td>' for x in row)}</tr>" for row in rows)
+    top = f"<tr>{''.join(f'<th>{escape(h)}</th>' for h in heads)}</tr>" if heads else ""
+    return f"<table>{top}{body}</table>" if body else ""
+
+
+def topics_html(topics: Iterable[tuple[str, Sequence[str]]]) -> str:
+    """The (title, lines) of a report as a table of HTML, without lines that are empty."""
+    rows = "".join(
+        f"<tr><th style='text-align:left;vertical-align:top'>{escape(title)}</th>"
+        f"<td style='text-align:left'>{'<br>'.join(escape(x) for x in lines if x)}</td></tr>"
+        for title, lines in topics
+    )
+    return f"<table>{rows}</table>"
+
+
+_NUMBERS = re.compile(r"\[\n\s+(?:[-+.\deE]+|null)(?:,\n\s+(?:[-+.\deE]+|null))*\n\s+\]")
+
+
+def json_text(data: Any, ascii_only: bool = False) -> str:
+    """Data as indented JSON, with lists of numbers on one line."""
+    text = json.dumps(data, indent=2, allow_nan=False, ensure_ascii=ascii_only)
+    return _NUMBERS.sub(lambda m: "[" + ", ".join(m[0].strip("[]").replace(",", " ").split()) + "]", text)
+
+
+def jsonable(values: Any) -> Any:
+    """Arrays as nested lists of numbers, None in place of NaN and infinities, which JSON does not have."""
+    if isinstance(values, dict):
+        return {key: jsonable(value) for key, value in values.items()}
+    if isinstance(values, np.generic):
+        return jsonable(values.item())
+    if isinstance(values, np.ndarray):
+        return jsonable(values.tolist())
+    if isinstance(values, (list, tuple)):
+        return [jsonable(v) for v in values]
+    if isinstance(values, float):
+        return values + 0.0 if math.isfinite(values) else None
+    return values

@@ -1,0 +1,314 @@
+"""Two contracts, each tested over every verb: answers (configurations) and reports (findings)."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import pickle
+import re
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import library
+from kempe.errors import InputError, KempeError
+from kempe.kinematics.result import Report, Result
+from kempe.solvers.answer import Answer
+from kempe.status import Status
+
+
+def marked(name: str, *joints: str) -> kempe.System:
+    """A shipped model with names that HTML would take for tags."""
+    text = re.sub(r"^\[postures.*?(?=^\[(?!postures)|\Z)", "", library.path(name).read_text(), flags=re.M | re.S)
+    text = text.replace(f'name = "{name}"', f'name = "<b>{name}</b>"', 1)
+    for joint in joints:
+        text = text.replace(f'name = "{joint}"', f'name = "<b>{joint}"')
+    return kempe.load(text)
+
+
+ARM, SEVEN, LINKAGE = marked("puma560"), marked("iiwa14"), marked("four_bar", *"ABCD")
+TWO, SPATIAL, CAR, BALL = marked("two_link_pose", "q1", "q2"), marked("bennett"), marked("car"), marked("ball")
+CRANK, ROCKER = "<b>A", "<b>D"
+TOOL, TIP = ARM.frame_names[-1], SEVEN.frame_names[-1]
+Q, SEVEN_Q, CLOSED = ARM.mid + 0.1, SEVEN.mid + 0.2, LINKAGE.assemble({CRANK: 0.3}).q
+X = ARM.fk(Q, TOOL)
+FAR, WRONG = X.copy(), np.full((4, 4), np.nan)
+FAR[:3, 3] += 9.0
+BATCH, EMPTY = np.stack([X, FAR, WRONG]), np.zeros((0, 4, 4))
+REACHED = ARM.fk(np.stack([Q, Q + 0.02, Q + 0.04]), TOOL)
+POSITION = kempe.tasks.Position
+NONE, POINT = np.zeros(0), np.zeros((4, 4))
+AHEAD = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-3])
+
+
+class Case(NamedTuple):
+    """A call of a verb, and the outcomes that are expected of it: names of `Status`, of a batch in their order."""
+
+    verb: str
+    call: Callable[[], Any]
+    expected: Any
+
+
+def held(n: int) -> dict[str, Any]:
+    return {CRANK: np.linspace(0.3, 0.6, n)}
+
+
+CASES = {
+    "ik": Case("ik", lambda: ARM.ik(X, TOOL), "SOLVED"),
+    "ik again": Case("ik", lambda: ARM.ik(X, TOOL, start=Q), "SOLVED"),
+    "ik failing": Case("ik", lambda: ARM.ik(FAR, TOOL), "OUT_OF_REACH"),
+    "ik of a batch": Case("ik", lambda: ARM.ik(BATCH, TOOL), ["SOLVED", "OUT_OF_REACH", "BAD_INPUT"]),
+    "ik of none": Case("ik", lambda: ARM.ik(EMPTY, TOOL), []),
+    "ik in time": Case("ik", lambda: TWO.ik(TWO.fk(TWO.neutral, "p"), "e", time_limit=1e-9), "OUT_OF_TIME"),
+    "tasks": Case("ik", lambda: ARM.ik([POSITION(TOOL, X[:3, 3])]), "SOLVED"),
+    "tasks failing": Case("ik", lambda: ARM.ik([POSITION(TOOL, FAR[:3, 3])], starts=3), "OUT_OF_REACH"),
+    "tasks that exclude each other": Case(
+        "ik", lambda: ARM.ik([POSITION(TOOL, x[:3, 3]) for x in REACHED[1:]], starts=3), "CONTRADICTORY"),
+    "tasks of a batch": Case(
+        "ik", lambda: ARM.ik([POSITION(TOOL, BATCH[:, :3, 3])], starts=3), ["SOLVED", "OUT_OF_REACH", "BAD_INPUT"]),
+    "tasks of none": Case("ik", lambda: ARM.ik([POSITION(TOOL, EMPTY[:, :3, 3])]), []),
+    "ik_all": Case("ik_all", lambda: ARM.ik_all(X, TOOL), "SOLVED"),
+    "ik_all failing": Case("ik_all", lambda: ARM.ik_all(FAR, TOOL), "NONE_EXISTS"),
+    "ik_all of a batch": Case("ik_all", lambda: ARM.ik_all(BATCH, TOOL), ["SOLVED", "NONE_EXISTS", "BAD_INPUT"]),
+    "ik_all of none": Case("ik_all", lambda: ARM.ik_all(EMPTY, TOOL), []),
+    "ik_all inside": Case(
+        "ik_all", lambda: ARM.with_limits({"q1": (2.0, 2.1)}).ik_all(X, TOOL, inside_only=True), "OUTSIDE_LIMITS"),
+    "ik_all of seven": Case("ik_all", lambda: SEVEN.ik_all(SEVEN.fk(SEVEN_Q, TIP), TIP), "SOLVED"),
+    "ik_all through a loop": Case(
+        "ik_all", lambda: LINKAGE.ik_all(LINKAGE.fk(CLOSED, "coupler_point")[:2, 3], "coupler_point"), "SOLVED"),
+    "ik_plan": Case("ik_plan", lambda: ARM.ik_plan(TOOL), "SOLVED"),
+    "ik_sweep": Case("ik_sweep", lambda: SEVEN.ik_sweep(SEVEN.fk(SEVEN_Q, TIP), TIP), "SOLVED"),
+    "ik_sweep sampled": Case("ik_sweep", lambda: SEVEN.ik_sweep(SEVEN.fk(SEVEN_Q, TIP), TIP, samples=5), "SOLVED"),
+    "ik_sweep failing": Case("ik_sweep", lambda: SEVEN.ik_sweep(FAR, TIP), "NONE_EXISTS"),
+    "ik_path": Case("ik_path", lambda: ARM.ik_path(REACHED, TOOL, Q), "SOLVED"),
+    "ik_path failing": Case("ik_path", lambda: ARM.ik_path(np.stack([X, FAR]), TOOL, Q), "PARTLY"),
+    "ik_path without a beginning": Case("ik_path", lambda: ARM.ik_path(FAR[None], TOOL, Q), "NOT_FOUND"),
+    "ik_step": Case("ik_step", lambda: ARM.ik_step(Q, AHEAD, TOOL, 0.01), "SOLVED"),
+    "ik_step failing": Case("ik_step", lambda: ARM.ik_step(Q, 1e4 * AHEAD, TOOL, 0.01), "PARTLY"),
+    "self_motion": Case("self_motion", lambda: SEVEN.self_motion(SEVEN_Q, TIP, steps=5), "SOLVED"),
+    "self_motion failing": Case(
+        "self_motion", lambda: TWO.self_motion(np.array([0.4, 0.0]), "e", task="position"), "NOT_FOUND"),
+    "assemble": Case("assemble", lambda: LINKAGE.assemble({CRANK: 0.3}), "SOLVED"),
+    "assemble failing": Case("assemble", lambda: LINKAGE.assemble({ROCKER: 0.0}), "NOT_FOUND"),
+    "assemble beyond limits": Case(
+        "assemble", lambda: LINKAGE.with_limits({CRANK: (0.0, 1.0)}).assemble({CRANK: 2.0}), "OUTSIDE_LIMITS"),
+    "assemble of a batch": Case(
+        "assemble", lambda: LINKAGE.assemble({ROCKER: np.array([1.6, 0.0, np.nan])}),
+        ["SOLVED", "NOT_FOUND", "BAD_INPUT"]),
+    "assemble of none": Case("assemble", lambda: LINKAGE.assemble({CRANK: NONE}), []),
+    "assembly_modes": Case("assembly_modes", lambda: LINKAGE.assembly_modes({CRANK: 0.3}), "SOLVED"),
+    "assembly_modes failing": Case("assembly_modes", lambda: LINKAGE.assembly_modes({ROCKER: 0.0}), "NONE_EXISTS"),
+    "assembly_modes in space": Case(
+        "assembly_modes", lambda: SPATIAL.assembly_modes({SPATIAL.coordinate_names[0]: 0.5}, starts=64), "SOLVED"),
+    "closed_form": Case("closed_form", lambda: LINKAGE.closed_form([CRANK]), "SOLVED"),
+    "closed_form failing": Case("closed_form", lambda: SPATIAL.closed_form([SPATIAL.coordinate_names[0]]), "NOT_FOUND"),
+    "independent": Case("independent", lambda: LINKAGE.independent(CLOSED), "SOLVED"),
+    "idealised": Case("idealised", lambda: rounded().idealised(), "SOLVED"),
+    "mobility": Case("mobility", lambda: LINKAGE.mobility(), "SOLVED"),
+    "mobility failing": Case("mobility", lambda: apart().mobility(), "NOT_FOUND"),
+    "mobility of a ball": Case("mobility", lambda: BALL.mobility(), "SOLVED"),
+    "classify": Case("classify", lambda: CAR.classify(), "SOLVED"),
+    "trace": Case("trace", lambda: LINKAGE.trace(start=CLOSED), "SOLVED"),
+    "trace failing": Case("trace", lambda: apart().trace(), "NOT_FOUND"),
+    "drive": Case("drive", lambda: LINKAGE.drive(held(4), start=CLOSED), "SOLVED"),
+    "drive failing": Case(
+        "drive", lambda: LINKAGE.drive({ROCKER: np.linspace(2.0, 0.0, 9)}), "PARTLY"),
+    "drive open": Case("drive", lambda: apart().drive({"A": np.zeros(2)}), "NOT_FOUND"),
+    "manoeuvre": Case(
+        "manoeuvre", lambda: CAR.manoeuvre(np.zeros(3), [0.0, 1.0, 0.0], radius=1.0, samples=9), "SOLVED"),
+    "simulate": Case("simulate", lambda: BALL.simulate(0.5, {"flight.z": 1.0}, samples=9), "SOLVED"),
+    "loop_jacobian": Case("loop_jacobian", lambda: LINKAGE.loop_jacobian(CLOSED, [CRANK], [ROCKER]), "SOLVED"),
+    "loop_jacobian of a batch": Case(
+        "loop_jacobian", lambda: LINKAGE.loop_jacobian(CLOSED + np.zeros((2, 1)), [CRANK], [ROCKER]), ["SOLVED"] * 2),
+    "loop_jacobian of none": Case(
+        "loop_jacobian", lambda: LINKAGE.loop_jacobian(np.zeros((0, 4)), [CRANK], [ROCKER]), []),
+}  # fmt: skip
+
+NO_RESULTS = {
+    "assembler", "configuration_space", "constraints", "from_maximal", "jacobian", "lock", "maximal", "plot", "query",
+    "save", "subchain", "with_limits", "with_parameters",
+}  # fmt: skip
+"""Members of `System` that give a system, a set, poses, a bound form or a drawing."""
+
+
+def rounded() -> kempe.System:
+    """A planar four-bar linkage built in space, one pin of which is off by a hundredth of a millimetre."""
+    m = kempe.Mechanism("<b>rounded")
+    a, b, c = (m.body(n) for n in "abc")
+    m.revolute("A", m.ground, a)
+    m.revolute("B", a, b, at=(0.1, 0.0, 0.0))
+    m.revolute("C", b, c, at=(0.5, 0.0, 1e-5), child_at=(0.4, 0.0, 0.0))
+    m.revolute("D", m.ground, c, at=(0.4, 0.0, 0.0))
+    return m.build()
+
+
+def apart() -> kempe.System:
+    """Two bars that are too short to meet."""
+    m = kempe.Mechanism("<b>apart", dim=2)
+    a, b = m.body("a"), m.body("b")
+    m.revolute("A", m.ground, a)
+    m.revolute("B", m.ground, b, at=(9.0, 0.0))
+    m.revolute("C", a, b, at=(1.0, 0.0), child_at=(1.0, 0.0))
+    return m.build()
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request):
+    found = CASES[request.param]
+    return found.call(), found.expected
+
+
+def test_every_verb_that_returns_a_result_is_in_the_table():
+    plain = {"Array", "Any", "System", "str", "bool", "float", "int", "None", "dict", "tuple", "list", "Path", "Axes",
+             "Callable", "Mapping", "Sequence"}  # fmt: skip
+    verbs = set()
+    for name, member in inspect.getmembers(kempe.System):
+        function = member.fget if isinstance(member, property) else member
+        if name[0] != "_" and callable(function) and set(re.findall(r"\w+", str(returned(function)))) - plain:
+            verbs.add(name)
+    own = {c.verb for c in CASES.values()}
+    assert {"ik", "mobility", "trace", "idealised"} <= verbs
+    results = {n for n in verbs if n in vars(kempe.System)} - NO_RESULTS
+    assert results == own, "a verb of System is missing in the table, or is no verb"
+
+
+def returned(function: Any) -> Any:
+    return getattr(inspect.unwrap(function), "__annotations__", {}).get("return", "None")
+
+
+def test_a_result_is_an_answer_or_a_report_and_has_the_outcome_expected(case):
+    result, expected = case
+    assert isinstance(result, Result) and isinstance(result, Answer) != isinstance(result, Report)
+    codes = [Status(c).name for c in result.code] if isinstance(expected, list) else result.code.name
+    assert codes == expected, result.status
+    assert isinstance(result.code, Status if isinstance(expected, str) else np.ndarray)
+
+
+def test_truth_sentences_and_shapes_agree_with_the_outcome(case):
+    result, expected = case
+    good = np.asarray(result.code) == Status.SOLVED
+    assert bool(result) is bool(np.all(good))
+    if isinstance(expected, list):
+        assert result.status.shape == result.code.shape == np.shape(result.success) == (len(expected),)
+        assert np.array_equal(result.success, good) and all(isinstance(s, str) and s for s in result.status)
+    else:
+        assert isinstance(result.status, str) and result.status and not result.status.endswith(".")
+        assert np.all(result.success) == bool(good) or "jump" in result.status
+
+
+def test_text_says_the_sentence_and_html_is_escaped(case):
+    result, expected = case
+    if isinstance(expected, str):
+        assert result.status in str(result)
+    else:
+        assert str(len(expected)) in str(result)
+    page = result._repr_html_()
+    assert "<b>" not in page and page.startswith("<p>") and page.count("<p>") == page.count("</p>")
+    tags = set(re.findall(r"</?(\w+)", page))
+    assert tags <= {"p", "table", "tr", "td", "th", "br"}, tags
+
+
+def test_json_holds_what_python_says(case):
+    result, expected = case
+    data = json.loads(result.to_json())
+    assert data == json.loads(json.dumps(result.data(), allow_nan=False))
+    assert data["code"] == expected and data["status"] == np.asarray(result.status).tolist()
+    assert np.array_equal(data["success"], np.asarray(result.code) == Status.SOLVED)
+
+
+def test_pickles_say_the_same(case):
+    result, _ = case
+    again = pickle.loads(pickle.dumps(result))
+    assert type(again) is type(result) and str(again) == str(result) and again.data() == result.data()
+    assert again._repr_html_() == result._repr_html_() and bool(again) is bool(result)
+
+
+def test_configurations_of_answers(case):
+    answer, expected = case
+    if isinstance(answer, Report):
+        assert np.array_equal(answer.sentence, answer.status)
+        return
+    system, lead = answer.system, answer.q.shape[:-1]
+    assert answer.q.shape[-1] == system.nq and np.shape(answer.residual) == lead == np.shape(answer.judged.holds)
+    assert "contradicted" not in answer.verdict
+    claimed = np.broadcast_to(answer._claimed(), lead)
+    assert np.all(np.asarray(answer.residual)[claimed] < 1e-5) and np.isfinite(answer.q[claimed]).all()
+    names, columns = answer.table()
+    assert columns.ndim == 2 and columns.shape[1] == len(names) and set(system.coordinate_names) <= set(names)
+    places = np.ndindex(len(expected)) if isinstance(expected, list) else [()]
+    said = [answer.sentence(place) for place in places]
+    assert said == (list(answer.status) if isinstance(expected, list) else [answer.status])
+    with pytest.raises(InputError, match="index"):
+        answer.sentence((9, 9, 9))
+
+
+def test_data_of_an_answer_hold_its_configurations(case):
+    answer, _ = case
+    if isinstance(answer, Report):
+        return
+    system, data = answer.system, json.loads(answer.to_json())
+    assert data["system"] == system.name
+
+    def rows(x: Any) -> list[Any]:
+        return [r for y in x for r in rows(y)] if isinstance(x, list) else [x]
+
+    for row, q in zip(rows(data["q"]), answer.q.reshape(-1, system.nq), strict=True):
+        if row is None:
+            assert np.isnan(q).all()
+        else:
+            assert list(row.values()) == q.tolist() and list(row) == list(system.coordinate_names)
+
+
+@pytest.mark.parametrize("name", [n for n, c in CASES.items() if "BAD_INPUT" in c.expected])
+def test_rows_that_are_no_numbers_are_nan_and_leave_the_others_alone(name):
+    answer = CASES[name].call()
+    bad = np.asarray(answer.code) == Status.BAD_INPUT
+    assert np.isnan(answer.q[bad]).all() and np.isfinite(answer.q[0][..., :]).all(axis=-1).any()
+    assert all(re.search("not finite|no pose|not a pose|NaN", s) for s in answer.status[bad])
+    single = CASES[name.replace(" of a batch", "")].call()
+    assert single.code == answer.code[0]
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: ARM.ik(WRONG, TOOL), lambda: ARM.ik([POSITION(TOOL, WRONG[:3, 3])]),
+        lambda: ARM.ik_path(WRONG[None], TOOL), lambda: LINKAGE.assemble({CRANK: np.nan}),
+        lambda: LINKAGE.assembly_modes({CRANK: np.nan}), lambda: LINKAGE.drive({CRANK: [0.3, np.nan]}),
+        lambda: ARM.ik_step(np.full(6, np.nan), AHEAD, TOOL, 0.01), lambda: SEVEN.ik_sweep(WRONG, TIP),
+        lambda: ARM.self_motion(np.full(6, np.nan), TOOL, task="position"),
+        lambda: LINKAGE.loop_jacobian(np.full(4, np.nan), [CRANK], [ROCKER]),
+    ],
+)  # fmt: skip
+def test_a_single_question_that_is_no_number_is_refused(call):
+    with pytest.raises(KempeError):
+        call()
+
+
+def test_degrees_change_the_angles_of_data_only():
+    from kempe.views.facts import answer_facts
+
+    answer = LINKAGE.assemble({CRANK: 0.3})
+    rad, deg = answer_facts(answer), answer_facts(answer, True)
+    assert (rad["angle_unit"], deg["angle_unit"]) == ("rad", "deg") and rad == answer.data()
+    assert deg["q"] == pytest.approx({n: np.degrees(x) for n, x in rad["q"].items()})
+    assert {k: v for k, v in deg.items() if k not in ("q", "angle_unit")} == {
+        k: v for k, v in rad.items() if k not in ("q", "angle_unit")}  # fmt: skip
+
+
+def test_the_judge_finds_what_was_asked_for_in_answers_that_are_altered():
+    """Of each sort of answer one is moved away from what was asked: the judge, and with it the verdict, says so."""
+    modes, path = LINKAGE.assembly_modes({CRANK: 0.3}), ARM.ik_path(REACHED, TOOL, Q)
+    drive, every = LINKAGE.drive(held(4), start=CLOSED), ARM.ik_all(X, TOOL)
+    for answer in (modes, path, drive, every):
+        assert answer.judged and answer.judged.names
+        answer = pickle.loads(pickle.dumps(answer))
+        answer.q[-1, 0] += 1e-3
+        answer.__dict__.pop("judged", None)
+        assert not answer.judged and "contradicted" in answer.verdict
+    other = LINKAGE.assembly_modes({CRANK: 0.4})
+    object.__setattr__(other, "known", {CRANK: 0.3})  # closed, but not where it was asked for
+    assert "contradicted" in other.verdict and repr(CRANK) in other.verdict
