@@ -17,6 +17,7 @@ from kempe import library
 from kempe.errors import InputError, KempeError
 from kempe.kinematics.result import Report, Result
 from kempe.solvers.answer import Answer
+from kempe.solvers.proofs import Lengths, Limits
 from kempe.status import Status
 
 
@@ -312,3 +313,30 @@ def test_the_judge_finds_what_was_asked_for_in_answers_that_are_altered():
     other = LINKAGE.assembly_modes({CRANK: 0.4})
     object.__setattr__(other, "known", {CRANK: 0.3})  # closed, but not where it was asked for
     assert "contradicted" in other.verdict and repr(CRANK) in other.verdict
+
+
+def test_proofs_are_data_and_their_words_are_in_the_sentence():
+    """What is proven of a failure can be had as numbers; where nothing is proven there are none."""
+    far = ARM.ik(BATCH, TOOL)
+    (lengths,) = far.proofs(1)
+    assert isinstance(lengths, Lengths) and lengths.place > 5.0 and lengths.text in far.status[1]
+    assert far.proofs(0) == far.proofs(2) == () and far.proven.tolist() == [False, True, False]
+    elbow = TWO.with_limits({"<b>q2": (-0.1, 0.1)}).ik(TWO.fk([0.3, 1.2], "e"), "e", task="position")
+    (limits,) = elbow.proofs()
+    assert isinstance(limits, Limits) and limits.count == 2 and limits.text in elbow.status and elbow.proven
+    two = CASES["tasks that exclude each other"].call()
+    (apart,) = two.proofs()
+    assert (apart.first, apart.second) == (0, 1) and apart.text in two.status
+    assert apart.off == pytest.approx(np.linalg.norm(REACHED[1, :3, 3] - REACHED[2, :3, 3]), abs=1e-5)
+    assert all(not p.place for p in TWO.ik([POSITION("e", (0.3, 0.3))]).proofs())
+
+
+def test_lengths_are_the_distance_beyond_the_longest_reach(hunt):
+    """For an arm of two links: the distance of the target less the sum of the lengths, and no proof within."""
+    for _ in range(hunt.cases(200)):
+        p = hunt.rng().uniform(-2.0, 2.0, 2)
+        answer = TWO.ik(p, "e", task="position", starts=4)
+        past = max(float(np.linalg.norm(p)) - 0.9, 0.1 - float(np.linalg.norm(p)), 0.0)
+        found = answer.proofs()
+        assert bool(found) == (past > 1e-6) == (answer.code == Status.OUT_OF_REACH)
+        assert not found or found[0].place == pytest.approx(past, abs=1e-12)
