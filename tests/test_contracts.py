@@ -7,6 +7,7 @@ import json
 import pickle
 import re
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -156,10 +157,10 @@ def apart() -> kempe.System:
     return m.build()
 
 
-@pytest.fixture(scope="module", params=CASES)
-def case(request):
-    found = CASES[request.param]
-    return found.call(), found.expected
+@cache
+def answered(name: str) -> tuple[Any, Any]:
+    """The result of a case, and the outcome that is expected."""
+    return CASES[name].call(), CASES[name].expected
 
 
 def test_every_verb_that_returns_a_result_is_in_the_table():
@@ -180,16 +181,18 @@ def returned(function: Any) -> Any:
     return getattr(inspect.unwrap(function), "__annotations__", {}).get("return", "None")
 
 
-def test_a_result_is_an_answer_or_a_report_and_has_the_outcome_expected(case):
-    result, expected = case
+@pytest.mark.parametrize("name", CASES)
+def test_a_result_is_an_answer_or_a_report_and_has_the_outcome_expected(name):
+    result, expected = answered(name)
     assert isinstance(result, Result) and isinstance(result, Answer) != isinstance(result, Report)
     codes = [Status(c).name for c in result.code] if isinstance(expected, list) else result.code.name
     assert codes == expected, result.status
     assert isinstance(result.code, Status if isinstance(expected, str) else np.ndarray)
 
 
-def test_truth_sentences_and_shapes_agree_with_the_outcome(case):
-    result, expected = case
+@pytest.mark.parametrize("name", CASES)
+def test_truth_sentences_and_shapes_agree_with_the_outcome(name):
+    result, expected = answered(name)
     good = np.asarray(result.code) == Status.SOLVED
     assert bool(result) is bool(np.all(good))
     if isinstance(expected, list):
@@ -200,8 +203,9 @@ def test_truth_sentences_and_shapes_agree_with_the_outcome(case):
         assert np.all(result.success) == bool(good) or "jump" in result.status
 
 
-def test_text_says_the_sentence_and_html_is_escaped(case):
-    result, expected = case
+@pytest.mark.parametrize("name", CASES)
+def test_text_says_the_sentence_and_html_is_escaped(name):
+    result, expected = answered(name)
     if isinstance(expected, str):
         assert result.status in str(result)
     else:
@@ -212,23 +216,26 @@ def test_text_says_the_sentence_and_html_is_escaped(case):
     assert tags <= {"p", "table", "tr", "td", "th", "br"}, tags
 
 
-def test_json_holds_what_python_says(case):
-    result, expected = case
+@pytest.mark.parametrize("name", CASES)
+def test_json_holds_what_python_says(name):
+    result, expected = answered(name)
     data = json.loads(result.to_json())
     assert data == json.loads(json.dumps(result.data(), allow_nan=False))
     assert data["code"] == expected and data["status"] == np.asarray(result.status).tolist()
     assert np.array_equal(data["success"], np.asarray(result.code) == Status.SOLVED)
 
 
-def test_pickles_say_the_same(case):
-    result, _ = case
+@pytest.mark.parametrize("name", CASES)
+def test_pickles_say_the_same(name):
+    result, _ = answered(name)
     again = pickle.loads(pickle.dumps(result))
     assert type(again) is type(result) and str(again) == str(result) and again.data() == result.data()
     assert again._repr_html_() == result._repr_html_() and bool(again) is bool(result)
 
 
-def test_configurations_of_answers(case):
-    answer, expected = case
+@pytest.mark.parametrize("name", CASES)
+def test_configurations_of_answers(name):
+    answer, expected = answered(name)
     if isinstance(answer, Report):
         assert np.array_equal(answer.sentence, answer.status)
         return
@@ -246,8 +253,9 @@ def test_configurations_of_answers(case):
         answer.sentence((9, 9, 9))
 
 
-def test_data_of_an_answer_hold_its_configurations(case):
-    answer, _ = case
+@pytest.mark.parametrize("name", CASES)
+def test_data_of_an_answer_hold_its_configurations(name):
+    answer, _ = answered(name)
     if isinstance(answer, Report):
         return
     system, data = answer.system, json.loads(answer.to_json())
