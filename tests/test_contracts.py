@@ -7,6 +7,7 @@ import json
 import pickle
 import re
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from kempe import library
 from kempe.errors import InputError, KempeError
 from kempe.kinematics.result import Report, Result
 from kempe.solvers.answer import Answer
+from kempe.solvers.proofs import Lengths, Limits
 from kempe.status import Status
 
 
@@ -155,10 +157,10 @@ def apart() -> kempe.System:
     return m.build()
 
 
-@pytest.fixture(scope="module", params=CASES)
-def case(request):
-    found = CASES[request.param]
-    return found.call(), found.expected
+@cache
+def answered(name: str) -> tuple[Any, Any]:
+    """The result of a case, and the outcome that is expected."""
+    return CASES[name].call(), CASES[name].expected
 
 
 def test_every_verb_that_returns_a_result_is_in_the_table():
@@ -179,16 +181,18 @@ def returned(function: Any) -> Any:
     return getattr(inspect.unwrap(function), "__annotations__", {}).get("return", "None")
 
 
-def test_a_result_is_an_answer_or_a_report_and_has_the_outcome_expected(case):
-    result, expected = case
+@pytest.mark.parametrize("name", CASES)
+def test_a_result_is_an_answer_or_a_report_and_has_the_outcome_expected(name):
+    result, expected = answered(name)
     assert isinstance(result, Result) and isinstance(result, Answer) != isinstance(result, Report)
     codes = [Status(c).name for c in result.code] if isinstance(expected, list) else result.code.name
     assert codes == expected, result.status
     assert isinstance(result.code, Status if isinstance(expected, str) else np.ndarray)
 
 
-def test_truth_sentences_and_shapes_agree_with_the_outcome(case):
-    result, expected = case
+@pytest.mark.parametrize("name", CASES)
+def test_truth_sentences_and_shapes_agree_with_the_outcome(name):
+    result, expected = answered(name)
     good = np.asarray(result.code) == Status.SOLVED
     assert bool(result) is bool(np.all(good))
     if isinstance(expected, list):
@@ -199,8 +203,9 @@ def test_truth_sentences_and_shapes_agree_with_the_outcome(case):
         assert np.all(result.success) == bool(good) or "jump" in result.status
 
 
-def test_text_says_the_sentence_and_html_is_escaped(case):
-    result, expected = case
+@pytest.mark.parametrize("name", CASES)
+def test_text_says_the_sentence_and_html_is_escaped(name):
+    result, expected = answered(name)
     if isinstance(expected, str):
         assert result.status in str(result)
     else:
@@ -211,23 +216,26 @@ def test_text_says_the_sentence_and_html_is_escaped(case):
     assert tags <= {"p", "table", "tr", "td", "th", "br"}, tags
 
 
-def test_json_holds_what_python_says(case):
-    result, expected = case
+@pytest.mark.parametrize("name", CASES)
+def test_json_holds_what_python_says(name):
+    result, expected = answered(name)
     data = json.loads(result.to_json())
     assert data == json.loads(json.dumps(result.data(), allow_nan=False))
     assert data["code"] == expected and data["status"] == np.asarray(result.status).tolist()
     assert np.array_equal(data["success"], np.asarray(result.code) == Status.SOLVED)
 
 
-def test_pickles_say_the_same(case):
-    result, _ = case
+@pytest.mark.parametrize("name", CASES)
+def test_pickles_say_the_same(name):
+    result, _ = answered(name)
     again = pickle.loads(pickle.dumps(result))
     assert type(again) is type(result) and str(again) == str(result) and again.data() == result.data()
     assert again._repr_html_() == result._repr_html_() and bool(again) is bool(result)
 
 
-def test_configurations_of_answers(case):
-    answer, expected = case
+@pytest.mark.parametrize("name", CASES)
+def test_configurations_of_answers(name):
+    answer, expected = answered(name)
     if isinstance(answer, Report):
         assert np.array_equal(answer.sentence, answer.status)
         return
@@ -245,8 +253,9 @@ def test_configurations_of_answers(case):
         answer.sentence((9, 9, 9))
 
 
-def test_data_of_an_answer_hold_its_configurations(case):
-    answer, _ = case
+@pytest.mark.parametrize("name", CASES)
+def test_data_of_an_answer_hold_its_configurations(name):
+    answer, _ = answered(name)
     if isinstance(answer, Report):
         return
     system, data = answer.system, json.loads(answer.to_json())
@@ -312,3 +321,30 @@ def test_the_judge_finds_what_was_asked_for_in_answers_that_are_altered():
     other = LINKAGE.assembly_modes({CRANK: 0.4})
     object.__setattr__(other, "known", {CRANK: 0.3})  # closed, but not where it was asked for
     assert "contradicted" in other.verdict and repr(CRANK) in other.verdict
+
+
+def test_proofs_are_data_and_their_words_are_in_the_sentence():
+    """What is proven of a failure can be had as numbers; where nothing is proven there are none."""
+    far = ARM.ik(BATCH, TOOL)
+    (lengths,) = far.proofs(1)
+    assert isinstance(lengths, Lengths) and lengths.place > 5.0 and lengths.text in far.status[1]
+    assert far.proofs(0) == far.proofs(2) == () and far.proven.tolist() == [False, True, False]
+    elbow = TWO.with_limits({"<b>q2": (-0.1, 0.1)}).ik(TWO.fk([0.3, 1.2], "e"), "e", task="position")
+    (limits,) = elbow.proofs()
+    assert isinstance(limits, Limits) and limits.count == 2 and limits.text in elbow.status and elbow.proven
+    two = CASES["tasks that exclude each other"].call()
+    (apart,) = two.proofs()
+    assert (apart.first, apart.second) == (0, 1) and apart.text in two.status
+    assert apart.off == pytest.approx(np.linalg.norm(REACHED[1, :3, 3] - REACHED[2, :3, 3]), abs=1e-5)
+    assert all(not p.place for p in TWO.ik([POSITION("e", (0.3, 0.3))]).proofs())
+
+
+def test_lengths_are_the_distance_beyond_the_longest_reach(hunt):
+    """For an arm of two links: the distance of the target less the sum of the lengths, and no proof within."""
+    for _ in range(hunt.cases(200)):
+        p = hunt.rng().uniform(-2.0, 2.0, 2)
+        answer = TWO.ik(p, "e", task="position", starts=4)
+        past = max(float(np.linalg.norm(p)) - 0.9, 0.1 - float(np.linalg.norm(p)), 0.0)
+        found = answer.proofs()
+        assert bool(found) == (past > 1e-6) == (answer.code == Status.OUT_OF_REACH)
+        assert not found or found[0].place == pytest.approx(past, abs=1e-12)

@@ -115,7 +115,7 @@ def test_sideways_by_alternation():
     path = system.manoeuvre([0, 0, 0], [0, 1, 0], radius=4.0)
     check(system, path, np.zeros(3), np.array([0.0, 1.0, 0.0]), "axle")
     assert path.cusps == 2 and {p.kind for p in path.pieces} == {"forwards", "in reverse"}
-    assert "2 cusps" in path.text
+    assert "2 cusps" in str(path)
     assert path.length == pytest.approx(4 * length_of(ways(0, 0.25, 0)[0]))
 
 

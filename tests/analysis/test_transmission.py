@@ -205,4 +205,4 @@ def test_names_and_open_loops():
         loop_jacobian(twin.build(), [0.1], ["x"], ["x"])
     J = loop_jacobian(twin.build(), [0.1], ["x"], ["joint:x", "frame:x"])
     np.testing.assert_allclose(J.matrix[:, 0], [1, 0, 0, 0, 0, 0, 1], atol=1e-15)
-    assert "determine" in str(J) and "<pre>" in J._repr_html_()
+    assert "determine" in str(J) and "<table>" in J._repr_html_()

@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from kempe import words
 from kempe.model.immovable import immovable
 from kempe.solvers.chain import Chain, chain_of
 from kempe.solvers.inverse import run
-from kempe.solvers.rounds import ITERATIONS, MOST, TOLERANCE, Task, outside
+from kempe.solvers.proofs import Lengths, Limits, Rank
+from kempe.solvers.rounds import ITERATIONS, MOST, TOLERANCE, Task, past_lengths
 from kempe.solvers.shut_out import shut_out
 from kempe.solvers.solution import Solution
 from kempe.solvers.targets import Z_AXIS, frame_of, not_a_pose
@@ -52,21 +54,20 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     )  # fmt: skip
     code, position, angle, starts, steps = (np.asarray(x)[index].item() for x in figures)
     if code == Status.SOLVED:
-        work = f"{counted(steps, 'step')}, {counted(starts, 'start')}" if starts else "analytically"
-        return f"reached: {_errors(task, f'position error {position:.1e} m', angle)} ({work})"
+        how = words.work(steps, starts) if starts else "analytically"
+        return f"reached: {_errors(task, f'position error {position:.1e} m', angle)} ({how})"
     at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
     target = task.targets[at : at + 1]
     if code == Status.BAD_INPUT:
         return not_a_pose(target[0], "start")
     near = f"the nearest configuration found misses it by {_errors(task, f'{position:.6g} m', angle)}"
     if code == Status.OUT_OF_REACH:
-        return f"{_beyond(task, target)}; {near}"
+        return f"{beyond(task, target).text}; {near}"
     tilt = float(np.arccos(np.clip(target[0, 2, 2], -1.0, 1.0))) if task.system.dim == 2 and any(task.mask[3:]) else 0.0
     if tilt > max(task.tolerance[1], TILTED):
         return f"tilted out of the plane of the system by {tilt:.2g} rad; {near}"
     if code == Status.OUT_OF_TIME:
-        tried = f"{starts} of {counted(task.starts, 'start')}"
-        return f"not reached within the time limit of {task.time_limit:g} s, after {tried}; {near}"
+        return f"{words.late(task.time_limit or 0.0, starts, task.starts)}; {near}"
     q = np.asarray(solution.q)[index][task.chain.q_index]
     size = 1.0 + float(np.linalg.norm(target[0, :3, 3]))
     if position <= ROUNDING * size and angle <= ROUNDING:
@@ -79,14 +80,22 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     return f"not reached after {counted(starts, 'start')}: {reason}; {near}{f'; {still}' if still else ''}"
 
 
-def _beyond(task: Task, target: Array) -> str:
-    """How far a target is out of reach at least, whatever the orientation and with the one asked for."""
-    if task.system.dim == 2 and abs(target[0, 2, 3]) > task.tolerance[0]:
-        return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m"
-    place, turned = outside(replace(task, name="position"), target)[0], outside(task, target)[0]
-    parts = [f" by at least {place:.6g} m"] if place > 0.0 else []
-    parts += [f" with this orientation by at least {turned:.6g} m"] if turned > place else []
-    return f"outside the workspace{','.join(parts)}, by the lengths of the links"
+def proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Lengths | Limits, ...]:
+    """What proves that there is no answer for one target of a solution."""
+    task, code = solution.task, np.asarray(solution.code)
+    at = int(np.ravel_multi_index(index, code.shape)) if index else 0
+    target = task.targets[at : at + 1]
+    if code[index] not in (Status.OUT_OF_REACH, Status.NOT_FOUND):
+        return ()
+    proof = beyond(task, target) if code[index] == Status.OUT_OF_REACH else shut_out(task, target)
+    return (proof,) if proof else ()
+
+
+def beyond(task: Task, target: Array) -> Lengths:
+    """How far a target (1, 4, 4) is out of reach at least, by the lengths of the links."""
+    off = abs(float(target[0, 2, 3])) if task.system.dim == 2 else 0.0
+    place, turned = past_lengths(task, target)[0].tolist()
+    return Lengths(place, turned, off if off > task.tolerance[0] else 0.0)
 
 
 def _errors(task: Task, position: str, angle: float) -> str:
@@ -114,19 +123,25 @@ def _rows(task: Task, q: Array, tolerance: float) -> int:
     return int((values > tolerance * values[:, :1]).sum(axis=1).max())
 
 
+def rank_of(task: Task) -> Rank:
+    """The equations of a task, and the freedoms in which the chain moves its frame at random configurations."""
+    system, rows = task.system, sum(map(bool, task.mask))
+    wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else rows
+    return Rank(wanted, _rows(task, system.random(0, 16), RANK_TOLERANCE))
+
+
 def _over_determined(task: Task, target: Array, position: float, angle: float) -> str:
     """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random configurations.
 
     `position` and `angle` are the errors of the nearest found: small ones are those of a target that was rounded.
     """
-    rows, system = [i for i, used in enumerate(task.mask) if used], task.system
-    freedoms = _rows(task, system.random(0, 16), RANK_TOLERANCE)
-    if freedoms == 0:
+    system, rank = task.system, rank_of(task)
+    if rank.freedoms == 0:
         return f"no joint moves frame {task.frame!r}"
-    wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else len(rows)
-    if freedoms >= wanted:
+    if not rank:
         return ""
-    text = f"the task has {wanted} equations, but the chain moves this frame in {freedoms} freedoms only"
+    equations, freedoms = rank
+    text = f"the task has {equations} equations, but the chain moves this frame in {freedoms} freedoms only"
     if task.name in ("pose", "position_axis"):
         place = replace(task, name="position", axis=Z_AXIS, chain=chain_of(system, task.frame))
         other = "cannot" if _solved(place, target) is None else "can"
@@ -201,18 +216,18 @@ def _limits(task: Task, target: Array, nearest: Array) -> str:
 
     def said(which: str, short: str, one: bool) -> str:
         if proof := shut_out(task, target):
-            return f"blocked by {which} ({proof}); without limits it is reachable"
-        return f"without {short} it is reached, so {'that' if one else 'these'} may be what blocks it"
+            return f"blocked by {which} ({proof.text}); without limits it is reachable"
+        return words.may_block(which, one, short)
 
     alone = [i for i in suspects if without([i])]
     if alone:
-        which = f"the limit of {' or of '.join(repr(names[chain.v_index[i]]) for i in alone)}"
+        which = words.limits_of([names[chain.v_index[i]] for i in alone], " or of ")
         return said(which, which, True)
     lifted = suspects if len(suspects) < len(bounded) and without(suspects) else list(bounded)
     for i in list(lifted):  # what is left cannot be done without
         rest = [k for k in lifted if k != i]
         lifted = rest if without(rest) else lifted
-    which = f"the limits of {' and '.join(repr(names[chain.v_index[i]]) for i in lifted)}"
+    which = words.limits_of([names[chain.v_index[i]] for i in lifted], " and ")
     return said(f"{which} together", which, False)
 
 

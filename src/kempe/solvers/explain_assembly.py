@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe import words
 from kempe.kinematics import loops
 from kempe.kinematics.configuration import random
 from kempe.model.immovable import immovable
@@ -38,8 +39,7 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     if code == Status.BAD_INPUT:
         return "known values, places or near are not finite"
     if code == Status.SOLVED:
-        work = f"{counted(steps, 'step')}, {counted(starts, 'start')}"
-        return f"closed: residual {residual:.1e} ({work}){_left(bound, q)}"
+        return f"closed: residual {residual:.1e} ({words.work(steps, starts)}){_left(bound, q)}"
     if code == Status.OUTSIDE_LIMITS:
         return f"a known value is outside its limits: {_outside(bound, q)}"
     if code == Status.OTHER_BRANCH:
@@ -158,8 +158,7 @@ def _one_sided(bound: Assembler, q: Array) -> str:
     answer = of_equations(bound.system, bound.known)(q[bound.places] * 1.0, q) if bound.plain else None
     if answer is None or not answer.success:
         return ""
-    each = _beyond(bound, answer.q)
-    found = ", ".join(f"{name!r} by {beyond:.6g} {unit}".removesuffix(" 1") for name, beyond, unit, _ in each)
+    found = words.violations(each[:3] for each in _beyond(bound, answer.q))
     if bound.known and not loops.freedoms_left(bound.system, answer.q, bound.held):
         return f"what is known contradicts {found}" if found else ""
     return f"without one-sided constraints it closes, violating {found}" if found else ""
@@ -177,7 +176,7 @@ def _limits(bound: Assembler, q: Array) -> str:
     slack = 1e-9
     names = [n for n, x, low, high in zip(system.velocity_names, v, system.lower, system.upper, strict=True)
              if not low - slack <= x <= high + slack]  # fmt: skip
-    return f"the limits of {', '.join(map(repr, names))} prevent it" if names else ""
+    return f"{words.limits_of(names)} prevent{'s' * (len(names) == 1)} it" if names else ""
 
 
 def _too_many(bound: Assembler) -> str:

@@ -7,16 +7,18 @@ hard task alone, two at a time. What is then found is true, what is not found is
 from __future__ import annotations
 
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe import words
 from kempe.kinematics.loops import characteristic_length
 from kempe.model.immovable import immovable
-from kempe.solvers.contradictions import contradictions
+from kempe.solvers.contradictions import Contradiction, contradictions
 from kempe.solvers.explain import rounded
 from kempe.solvers.freedoms import Local, freedoms_text
 from kempe.solvers.lengths import beyond
+from kempe.solvers.proofs import Lengths, Rank
 from kempe.solvers.reached import Reached, analyse
 from kempe.solvers.tasks import STARTS, judge
 from kempe.spatial import Array
@@ -44,7 +46,7 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     more = "; " + ", ".join(soft) if soft else ""
     limit = f"the time limit of {problem.time_limit:g} s" if np.asarray(answer.late)[index] else ""
     if code == Status.SOLVED:
-        work = f"{counted(steps, 'step')}, {counted(starts, 'start')}"
+        work = words.work(steps, starts)
         hard = [t for t in problem.tasks if t.weight is None]
         if limit:
             more = f"; {limit} ended it before all was lowered as far as can be{more}"
@@ -58,8 +60,8 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     what = ", ".join(f"{t.label!r} is missed by {_amount(t, misses[t.label])}" for t in failing)
     what = what or f"the hard tasks hold, but {_violated(problem, q) or 'not with closed loops'}"
     if code == Status.OUT_OF_TIME:
-        tried = f"{starts} of {counted(problem.starts, 'start')}"
-        return f"not reached within {limit}, after {tried}: {what}; q is the nearest found{more}"
+        said = words.late(problem.time_limit or 0.0, starts, problem.starts)
+        return f"{said}: {what}; q is the nearest found{more}"
     worst = np.max([misses[t.label] for t in failing], axis=0) if failing else np.full(2, np.inf)
     if (reason := _reason(problem, q)).endswith(" freedoms)") or reason.endswith(" freedom)"):
         reason += rounded(float(worst[0]), float(worst[1]), characteristic_length(problem.system))
@@ -95,8 +97,8 @@ def _violated(problem: Problem, q: Array) -> str:
     """Which declared one-sided constraints are violated at q (nq,), and by how much."""
     rows = problem.packed.one_sided
     beyond = rows.beyond(q, declared=True)
-    which = (f"{rows.names[k]!r} by {beyond[k]:.6g} {rows.units[k]}".removesuffix(" 1") for k in np.flatnonzero(beyond))
-    return "violating " + ", ".join(which) if beyond.any() else ""
+    which = [(rows.names[k], float(beyond[k]), rows.units[k]) for k in np.flatnonzero(beyond)]
+    return f"violating {words.violations(which)}" if which else ""
 
 
 def _solved(
@@ -116,11 +118,12 @@ def _reason(problem: Problem, q: Array) -> str:
     if above is not None and not proofs and (said := _violated(problem, above)):
         return f"without one-sided constraints it is reached, {said}"
     free = _solved(problem, q, hard, False)
-    names = _names(outside(problem, free)) if free is not None else ""
+    over = outside(problem, free) if free is not None else []
+    names = words.limits_of(over)
     if proofs:
         return "; ".join([*proofs, f"without {names} it is reached"] if names else proofs)
     if names:
-        return f"without {names} it is reached, so {_these(names)} may be what blocks it"
+        return words.may_block(names, len(over) == 1)
     if free is not None:
         return "more starts find an answer"
     alone = [i for i in hard if len(hard) == 1 or _solved(problem, q, [i]) is None]
@@ -138,35 +141,43 @@ def _reason(problem: Problem, q: Array) -> str:
     return f"each hard task was reached alone, but not all together{_more(problem, q, hard)}"
 
 
-def _names(coordinates: list[str]) -> str:
-    """Limits by their coordinates; empty where there are none."""
-    which = ", ".join(map(repr, coordinates))
-    return f"the limit{'s' * (len(coordinates) > 1)} of {which}" if coordinates else ""
+def proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Any, ...]:
+    """What proves that the tasks of one problem of an answer do not hold together."""
+    row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
+    code, problem = np.asarray(answer.code)[index], answer.asked.of(row)
+    if code == Status.CONTRADICTORY:
+        return tuple(_contradicting(problem))
+    hard = [i for i, t in enumerate(problem.tasks) if t.weight is None] if code == Status.OUT_OF_REACH else []
+    return tuple(proof for i in hard if (proof := _lengths(problem, i)))
 
 
-def _these(names: str) -> str:
-    return "these" if names.startswith("the limits") else "that"
+def _contradicting(problem: Problem) -> list[Contradiction]:
+    """For each two tasks of one problem that exclude each other, how they do, first found."""
+    out: dict[tuple[int, int], Contradiction] = {}
+    for found in contradictions(problem):
+        if (off := float(np.ravel(found.off)[0])) > 0.0:
+            told = found._replace(off=off, text=found.text.format(off=f"{off:.6g}"))
+            out.setdefault((found.first, found.second), told)
+    return list(out.values())
 
 
 def _contradictory(problem: Problem) -> list[str]:
     """Which tasks of one problem exclude each other, proven."""
-    labels, said = [t.label for t in problem.tasks], {}
-    for found in contradictions(problem):
-        if (off := float(np.ravel(found.off)[0])) > 0.0:
-            text = found.text.format(off=f"{off:.6g}")
-            said.setdefault((found.first, found.second), text)
-    texts = [f"{labels[i]!r} and {labels[j]!r}: {text}" for (i, j), text in said.items()]
+    labels = [t.label for t in problem.tasks]
+    texts = [f"{labels[x.first]!r} and {labels[x.second]!r}: {x.text}" for x in _contradicting(problem)]
     return [f"contradictory: {'; '.join(texts)}"] if texts else []
+
+
+def _lengths(problem: Problem, i: int) -> Lengths:
+    """How far lengths put a task out of reach."""
+    place, turned = beyond(problem, problem.tasks[i], problem.goals[i]).reshape(-1, 2)[0].tolist()
+    return Lengths(place, turned)
 
 
 def _out_of_reach(problem: Problem, i: int) -> str:
     """That lengths put a task out of reach, and how far; empty if they do not."""
-    place, turned = beyond(problem, problem.tasks[i], problem.goals[i]).reshape(-1, 2)[0]
-    how, far = ("", place) if place > 0.0 else (" with this orientation", turned)
-    if not far > 0.0:
-        return ""
-    label = repr(problem.tasks[i].label)
-    return f"{label} is outside the workspace{how} by at least {far:.6g} m, by the lengths of the links"
+    proof = _lengths(problem, i)
+    return f"{problem.tasks[i].label!r} is {proof.text}" if proof else ""
 
 
 def _alone(problem: Problem, q: Array, i: int, among: bool) -> str:
@@ -174,15 +185,16 @@ def _alone(problem: Problem, q: Array, i: int, among: bool) -> str:
     label = repr(problem.tasks[i].label)
     free = _solved(problem, q, [i], False)
     if free is not None and (names := outside(problem, free)):
-        return f"{label} alone is reached without {_names(names)}, so {_these(_names(names))} may be what blocks it"
+        them = "that" if len(names) == 1 else "these"
+        return f"{label} alone is reached without {words.limits_of(names)}, so {them} may be what blocks it"
     said = f"{label} is not found even alone" if among else "no configuration was found"
     return f"{said}{_more(problem, q, [i])}"
 
 
 def _more(problem: Problem, q: Array, tasks: list[int]) -> str:
     """Whether tasks have more equations than the system has freedoms."""
-    m, n, _, _ = analyse(problem.only(tasks), q)
-    return f" ({m} equations, but {counted(n, 'freedom')})" if m > n else ""
+    rank = Rank(*analyse(problem.only(tasks), q)[:2])
+    return f" ({rank.text})" if rank else ""
 
 
 def outside(problem: Problem, q: Array) -> list[str]:

@@ -29,6 +29,7 @@ from kempe.solvers.tasks import STARTS, Problem, judge, pose_problem
 from kempe.solvers.way import DEPTH, SINGULAR, STAYS, TOLERANCE, WEAK, Way
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.words import limits_of
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -172,7 +173,7 @@ class _Path(Way):
         ahead = self.at(i, min(part + 4.0 * 0.5**DEPTH, 1.0))
         free = self.step(replace(ahead, limits=False), q)
         if free is not None and (names := _outside(self.system, free)):
-            return f"the limit of {' and of '.join(map(repr, names))}"
+            return limits_of(names, " and of ")
         ratio = self.first_order(ahead, q).ratio
         if ratio < SINGULAR:
             return f"a singularity (ratio of singular values {ratio:.1g})"

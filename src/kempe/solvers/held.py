@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe.constraints.kinds import Pose, Position
+from kempe.constraints.targets import of_target
 from kempe.kinematics.asking import task_of
 from kempe.solvers.arguments import place_of
 from kempe.solvers.dyads import source_values
+from kempe.solvers.targets import Z_AXIS
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -44,7 +45,9 @@ def held_at(system: System, known: Mapping[str, Any]) -> list[tuple[Any, Any, An
         i = system.coordinate_names.index(name)
         out.append((HeldCoordinate(name, i, turning.get(i, True), value), None, WITHIN))
     for name in known.keys() - own:
-        whole = np.ndim(known[name]) == 2
+        whole, X = np.ndim(known[name]) == 2, np.eye(4)
         place = place_of(system, name, known[name], whole)
-        out.append((task_of(Pose(name, place) if whole else Position(name, place), system.dim), None, WITHIN))
+        X[: len(place), 3 if not whole else slice(None)] = place
+        made = of_target(name, "pose" if whole else "position", Z_AXIS, X)
+        out += [(task_of(c, system.dim), None, WITHIN) for c in made]
     return out

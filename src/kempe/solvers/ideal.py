@@ -100,6 +100,11 @@ class Idealised(Report):
     absorbed: dict[str, float]
 
     @property
+    def within(self) -> Idealised:  # type: ignore[override]
+        """Itself."""
+        return self
+
+    @property
     def status(self) -> str:
         """What is true, in one sentence."""
         return f"closed {self.least}, with {counted(self.freedoms, 'freedom')}; {self.exactly}"

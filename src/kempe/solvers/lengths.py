@@ -16,6 +16,7 @@ from kempe.model.gauge import regauge
 from kempe.model.own_tree import own_tree
 from kempe.model.table import local_chain
 from kempe.solvers.chain import ReachBound, reach_bounds
+from kempe.solvers.proofs import by_lengths
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -49,22 +50,10 @@ def beyond(problem: Problem, task: Task, goals: Goals) -> Array:
         if row >= 0 or particle:
             return none
         goal = X @ goal
-    linear, angular = problem.tolerance_of(task)
     axes = [i for i in range(3) if hold.mask >> i & 1]
     bounds, freedoms = _bounds(system, hold)
     turned = hold.turns in (L.FULL, L.ANGLE) and freedoms >= (3 if system.dim == 2 else 6)  # else that is the reason
-    out = np.zeros((*goal.shape[:-2], 2))
-    for centre, largest, smallest, point in bounds:
-        arm = float(np.linalg.norm(point))
-        if arm > 0.0 and not turned:
-            continue
-        R = goal[..., :3, :3]
-        away = np.einsum("...ji,...j->...i", R, goal[..., :3, 3] + R @ point - centre)[..., axes]
-        far = np.sqrt(np.sum(away * away, axis=-1))
-        off = far - largest if len(axes) < system.dim else np.maximum(far - largest, smallest - far)
-        k = int(arm > 0.0)
-        out[..., k] = np.where(off > linear + arm * angular, np.maximum(out[..., k], off), out[..., k])
-    return out
+    return by_lengths(bounds, goal, problem.tolerance_of(task), turned, axes, system.dim)
 
 
 def _bounds(system: System, hold: Hold) -> tuple[list[ReachBound], int]:

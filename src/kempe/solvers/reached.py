@@ -43,8 +43,10 @@ class Reached(Solution):
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return asked_of(self.asked)
 
-    def _shut_out(self, index: tuple[int, ...]) -> bool:
-        return False
+    def _proofs(self, index: tuple[int, ...]) -> tuple[Any, ...]:
+        from kempe.solvers.explain_tasks import proofs
+
+        return proofs(self, index)
 
     @cached_property
     def derivative(self) -> dict[str, Array]:

@@ -15,6 +15,7 @@ from kempe.kernels.compiled import search
 from kempe.kernels.layout import HAS_QUATERNION
 from kempe.kernels.search_layout import ANSWER, LINEAR, STARTS, STATUS, STEPS
 from kempe.solvers.chain import Chain
+from kempe.solvers.proofs import by_lengths
 from kempe.solvers.targets import TASKS, Z_AXIS, frame_of, points_along
 from kempe.spatial import Array
 from kempe.status import Status
@@ -38,8 +39,6 @@ ROUND = 32
 """Starts of a round, after which one looks at the clock, where there is a time limit."""
 LOOSE = 1e-4
 """Tolerance from which the nearest configuration may be the wrong one: another, farther off, may be within it."""
-ROUNDING = 1e-14
-"""What rounding makes of lengths, in parts of them."""
 SHARES = (1.0, 0.2, 5.0)
 """How the two tolerances are weighed against each other where they are loose."""
 
@@ -211,19 +210,15 @@ def outside(task: Task, targets: Array) -> Array:
 
     Zero within what the tolerances allow. With the target's orientation, it is a lower bound of the position error.
     """
-    linear, angular = task.tolerance
     if not task.mask[0]:
         return np.zeros(len(targets))
     out = np.abs(targets[:, 2, 3]) if task.system.dim == 2 else np.zeros(len(targets))
-    out[out <= linear] = 0.0
-    can_turn = len(task.chain.v_index) >= (3 if task.system.dim == 2 else sum(task.mask))  # else that is the reason
-    for centre, largest, smallest, point in task.chain.bounds:
-        arm = float(np.linalg.norm(point))
-        along = points_along(task.name) and float(np.linalg.norm(np.cross(point, task.axis))) < 1e-12 * arm
-        if arm > 0.0 and not (can_turn and (all(task.mask) or along)):
-            continue
-        distance = np.linalg.norm(targets[:, :3, 3] + targets[:, :3, :3] @ point - centre, axis=-1)
-        beyond = np.maximum(distance - largest, smallest - distance)
-        rounding = ROUNDING * (largest + arm + np.abs(targets[:, :3, 3]).max(axis=-1))
-        out = np.where(beyond > linear + arm * angular + rounding, np.maximum(out, beyond), out)
-    return out
+    out[out <= task.tolerance[0]] = 0.0
+    return np.maximum(out, past_lengths(task, targets).max(axis=-1))
+
+
+def past_lengths(task: Task, targets: Array) -> Array:
+    """How far (N, 2) in metres targets are past what the lengths of the links reach; see `proofs.by_lengths`."""
+    free = len(task.chain.v_index) >= (3 if task.system.dim == 2 else sum(task.mask))  # else that is the reason
+    along = np.array(task.axis) if free and points_along(task.name) else None
+    return by_lengths(task.chain.bounds, targets, task.tolerance, free and all(task.mask), along=along)

@@ -10,31 +10,34 @@ import numpy as np
 from kempe.errors import UnsupportedError
 from kempe.kernels.layout import HEADER, KIND, MULTIPLIER, N_ROWS, ROW_FLOATS, ROW_INTS, SLIDE, V_INDEX
 from kempe.solvers.chain import Chain, moved_by, of_loops
+from kempe.solvers.proofs import Limits
 from kempe.solvers.rounds import Task
 from kempe.spatial import Array
 
 CLEAR = 1e-3
 """How far beyond a limit, in radians or parts of the target's distance, each answer must be: what is nearer may be
 reached within the tolerance, or be rounding where two answers are near each other."""
+NOTHING = Limits()
+"""No proof."""
 
 
-def shut_out(task: Task, target: Array) -> str:
-    """Why a target (1, 4, 4) has no answer inside the limits, proven; empty where that is not proven."""
+def shut_out(task: Task, target: Array) -> Limits:
+    """What proves that a target (1, 4, 4) has no answer inside the limits; false where that is not proven."""
     return _slides_end(task, target) or _all_outside(task, target)
 
 
-def _all_outside(task: Task, target: Array) -> str:
-    """That all the answers there are without limits are outside them."""
+def _all_outside(task: Task, target: Array) -> Limits:
+    """Whether all the answers there are without limits are outside them."""
     system = task.system
     chain, n = task.chain, int(task.chain.ints[N_ROWS])
     factors = [abs(chain.floats[ROW_FLOATS * k + MULTIPLIER]) for k in range(n)]
     if max(task.tolerance) > CLEAR * CLEAR or len(chain.q_index) != len(chain.v_index) or factors != [1.0] * n:
-        return ""
+        return NOTHING
     from kempe.solvers.analytic.ik_all import ik_all
     from kempe.solvers.analytic.solutions import Solutions
 
     if of_loops(system, task.frame):
-        return ""
+        return NOTHING
     position = task.name == "position"
     goal = target[0, :3, 3] if position else target[0]
     if position and system.dim == 2:
@@ -42,16 +45,14 @@ def _all_outside(task: Task, target: Array) -> str:
     try:
         found = ik_all(system, goal, task.frame, task=(task.name, task.axis))
     except UnsupportedError:
-        return ""
+        return NOTHING
     if not isinstance(found, Solutions) or not found.complete or not len(found.q) or found.families:
-        return ""
+        return NOTHING
     size = 1.0 + float(np.linalg.norm(target[0, :3, 3]))
     beyond = min(_beyond(chain, q[chain.q_index]) for q in found.q)
     if not beyond > CLEAR * size:
-        return ""
-    count = len(found.q)
-    return "the only configuration that reaches it is outside" if count == 1 else (
-        f"all {count} configurations that reach it are outside")  # fmt: skip
+        return NOTHING
+    return Limits(count=len(found.q))
 
 
 def _beyond(chain: Chain, q: Array) -> float:
@@ -67,8 +68,8 @@ def _beyond(chain: Chain, q: Array) -> float:
     return float(off.max(initial=0.0))
 
 
-def _slides_end(task: Task, target: Array) -> str:
-    """That slides which nothing turns end too far from the target, along some direction, whatever the rest does."""
+def _slides_end(task: Task, target: Array) -> Limits:
+    """Whether slides which nothing turns end too far from the target, along some direction, whatever the rest does."""
     chain, n = task.chain, int(task.chain.ints[N_ROWS])
     rows = [chain.floats[ROW_FLOATS * k :][:12].reshape(3, 4) for k in range(n + 1)]
     R, place, axes, reach = np.eye(3), np.zeros(3), [], 0.0
@@ -80,14 +81,14 @@ def _slides_end(task: Task, target: Array) -> str:
             rest = rows[k + 1 :]
             reach = sum(float(np.linalg.norm(Y[:, 3])) for Y in rest)
             if any(chain.ints[HEADER + ROW_INTS * j + KIND] == SLIDE for j in range(k, n)):
-                return ""
+                return NOTHING
             break
         factor, v = chain.floats[ROW_FLOATS * k + MULTIPLIER], chain.ints[at + V_INDEX]
         ends = factor * chain.limits[:, v]
         axes.append(R[:, 2])
         moved.append((float(ends.min()), float(ends.max())))
     if not axes or not task.mask[0] or len(set(chain.ints[HEADER + V_INDEX :: ROW_INTS][: len(axes)])) < len(axes):
-        return ""
+        return NOTHING
     A, (low, high) = np.array(axes).T, np.array(moved).T
     p = target[0, :3, 3]
     for d in np.concatenate([A.T, np.linalg.pinv(A, rcond=1e-9)]):
@@ -99,5 +100,5 @@ def _slides_end(task: Task, target: Array) -> str:
         off = float(d @ (p - place))
         out = max(off - most, least - off) - reach
         if out > task.tolerance[0] + 1e-9 * (1.0 + abs(off) + reach):
-            return f"slides end {out:.6g} m before it"
-    return ""
+            return Limits(short=out)
+    return NOTHING

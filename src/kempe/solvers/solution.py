@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.calls import brief, explained_methods
+from kempe.calls import brief, explained_methods, place_in
 from kempe.errors import InputError
 from kempe.kernels.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
 from kempe.reals import plain
@@ -119,15 +119,21 @@ class Solution(Answer):
         """
         out = np.array(np.isin(self.code, PROOFS))
         for index in np.argwhere(np.asarray(self.code) == Status.NOT_FOUND):
-            out[tuple(index)] = self._shut_out(tuple(index.tolist()))
+            out[tuple(index)] = bool(self._proofs(tuple(index.tolist())))
         return plain(out)
 
-    def _shut_out(self, index: tuple[int, ...]) -> bool:
-        """Whether limits are proven to shut out all answers for one target."""
-        from kempe.solvers.shut_out import shut_out
+    def proofs(self, index: tuple[int, ...] | int = ()) -> tuple[Any, ...]:
+        """What proves that there is no answer for one question, as data; empty where nothing does.
 
-        at = int(np.ravel_multi_index(index, np.shape(self.code))) if index else 0
-        return bool(shut_out(self.task, self.task.targets[at : at + 1]))
+        Each has a `text`, and is one of `kempe.solvers.proofs`, or of tasks a `Contradiction` of two of them. Errors:
+        `InputError` for a place that is not in the batch.
+        """
+        return self._proofs(place_in(index, np.shape(self.code)))
+
+    def _proofs(self, index: tuple[int, ...]) -> tuple[Any, ...]:
+        from kempe.solvers.explain import proofs
+
+        return proofs(self, index)
 
     @property
     def system(self) -> System:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from kempe.kernels.layout import SLIDE
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.structure import EXACT, Axes, apart, keeps_point, meeting, parallel
 from kempe.spatial import Array
+from kempe.words import joined
 
 NEAR = 1e-2
 """Sine of an angle, or distance in lengths of the chain, below which a structure that is not there counts as missed."""
@@ -46,11 +46,6 @@ def relations(lines: Lines) -> tuple[str, ...]:
     return tuple(out)
 
 
-def listed(words: Sequence[str]) -> str:
-    """'a', 'a and b', 'a, b and c'."""
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
-
-
 def _last_parallel(axes: Axes, i: int) -> int:
     j = i
     while j + 1 < len(axes.kinds) and parallel(axes.h[j], axes.h[j + 1]):
@@ -72,11 +67,11 @@ def _run(lines: Lines, axes: Axes, first: int, last: int) -> list[str]:
     """Facts about joints of one direction."""
     turns = [i for i in range(first, last + 1) if axes.kinds[i] != SLIDE]
     slides = [i for i in range(first, last + 1) if axes.kinds[i] == SLIDE]
-    sliding = listed([lines.names[i] for i in slides]) if slides else ""
+    sliding = joined([lines.names[i] for i in slides]) if slides else ""
     verb = "slides" if len(slides) == 1 else "slide"
     if not turns:
         return [f"{sliding} slide in one direction"]
-    names = listed([lines.names[i] for i in turns])
+    names = joined([lines.names[i] for i in turns])
     if len(turns) == 1:
         return [f"{sliding} {verb} along the axis of {names}"]
     gaps = [apart(axes, i, j) for i, j in zip(turns, turns[1:], strict=False)]
@@ -94,7 +89,7 @@ def _run(lines: Lines, axes: Axes, first: int, last: int) -> list[str]:
 
 
 def _ball(lines: Lines, axes: Axes, first: int, last: int) -> str:
-    names = listed([lines.names[i] for i in range(first, last + 1)])
+    names = joined([lines.names[i] for i in range(first, last + 1)])
     right = all(abs(float(axes.h[i] @ axes.h[i + 1])) <= EXACT for i in range(first, last))
     return f"the axes of {names} meet in one point" + (", neighbours at right angles" if right else "")
 
@@ -133,7 +128,7 @@ def _missed_ball(lines: Lines, axes: Axes, i: int) -> str:
     gap = max(float(np.linalg.norm(points[1] - points[0])), apart(axes, i, i + 1), apart(axes, i + 1, i + 2))
     if not EXACT < gap <= NEAR:
         return ""
-    names = listed(lines.names[i : i + 3])
+    names = joined(lines.names[i : i + 3])
     return f"the axes of {names} miss a common point by {_metres(lines, gap)}: {AS_IT_IS}"
 
 

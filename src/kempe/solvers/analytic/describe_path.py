@@ -9,12 +9,11 @@ from kempe.kernels import analytic_layout as A
 from kempe.kernels.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.kernels.compiled import closed
 from kempe.kernels.layout import SLIDE
-from kempe.solvers.analytic.describe_axes import listed
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.plan import Plan, carried_lines, free_lines, freedoms, motion, spread, sweep
 from kempe.solvers.analytic.structure import EXACT, Axes, Way
 from kempe.spatial import Array
-from kempe.words import in_words
+from kempe.words import in_words, joined
 
 BY_SLIDES = {0: 16, 1: 16, 2: 8, 3: 2}
 """Isolated configurations of six joints at most, by the number that slide (Raghavan and Roth, 1993)."""
@@ -63,10 +62,10 @@ def _held(plan: Plan, given: frozenset[str]) -> list[str]:
     by_user, chosen = [n for n in names if n in given], [n for n in names if n not in given]
     out = []
     if by_user:
-        out.append(f"{listed(by_user)} {_is(by_user)} held at the given value{'s' * (len(by_user) > 1)}")
+        out.append(f"{joined(by_user)} {_is(by_user)} held at the given value{'s' * (len(by_user) > 1)}")
     if chosen:
         them = "it" if len(chosen) == 1 else "them"
-        out.append(f"the chain has {in_words(len(chosen), 'joint')} more than the task needs: {listed(chosen)} "
+        out.append(f"the chain has {in_words(len(chosen), 'joint')} more than the task needs: {joined(chosen)} "
                    f"{_is(chosen)} held where `start` has {them}, and elsewhere for targets without a solution there; "
                    "name=value holds joints at values of yours")  # fmt: skip
     return out
@@ -159,7 +158,7 @@ class _Steps:
         """Neighbours that the way has in another order, in words."""
         joints = [j for j in self.way.order if j < len(self.plan.lines)]
         moved = [self.plan.lines.names[j] for j, k in zip(joints, sorted(joints), strict=True) if j != k]
-        return f"{listed(moved)} are taken in another order" if moved else ""
+        return f"{joined(moved)} are taken in another order" if moved else ""
 
     def _degrees(self) -> tuple[int, int]:
         """Values of x and z at most: two of a turn, one of a slide whose equation is linear; one of what rests."""
@@ -212,18 +211,18 @@ class _Steps:
         """What the inner joints leave in place, and how the outer ones bring it there."""
         bring = "bring" if len(outer) > 1 else "brings"
         if self.way.what == PLANE:
-            still = f"{listed(inner)} move{'s' * (len(inner) == 1)} a plane in itself" if inner else ""
+            still = f"{joined(inner)} move{'s' * (len(inner) == 1)} a plane in itself" if inner else ""
             it = "that plane" if inner else "the plane of the tip"
         else:
             where = "where their axes meet" if len(inner) > 1 else "of its axis at the tip"
-            still = f"{listed(inner)} {'do' if len(inner) > 1 else 'does'} not move the point {where}" if inner else ""
+            still = f"{joined(inner)} {'do' if len(inner) > 1 else 'does'} not move the point {where}" if inner else ""
             it = "that point" if inner else "the tip"
-        return f"{still}{'; ' * bool(still)}{listed(outer)} {bring} {it} to its place: {self._how()}"
+        return f"{still}{'; ' * bool(still)}{joined(outer)} {bring} {it} to its place: {self._how()}"
 
     def _how(self) -> str:
         x, y, z = (self._called(k) for k in (3, 4, 5))
         if self.way.mode == COUPLED:
-            pair = listed([w for w in (x, z) if w])
+            pair = joined([w for w in (x, z) if w])
             return f"{pair} from one quartic" + (f", {y} follows" if y else "")
         words = {0: (x, self.degrees[0]), 1: (z, self.degrees[1])}
         order = (0, 1) if self.way.mode == X_FIRST else (1, 0)
@@ -244,10 +243,10 @@ class _Steps:
         then = "then " if after else ""
         if self.way.what == POINT:
             give = "give" if len(inner) > 1 else "gives"
-            return f"{then}{listed(inner)} {give} the orientation, {ways}"
+            return f"{then}{joined(inner)} {give} the orientation, {ways}"
         kind = "as a two-link arm does, " if not any(self.slides[:3]) and self.inner_ways == 2 else ""
         give = "give" if len(inner) > 1 else "gives"
-        return f"{then}{listed(inner)} {give} the motion within the plane, {kind}{ways}"
+        return f"{then}{joined(inner)} {give} the motion within the plane, {kind}{ways}"
 
 
 def _amplitudes(plan: Plan, way: Way) -> Array:

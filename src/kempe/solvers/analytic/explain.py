@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe import spatial
+from kempe import spatial, words
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.kernels.layout import SLIDE
@@ -28,10 +28,10 @@ from kempe.solvers.analytic.plan import freedoms as rank_of
 from kempe.solvers.analytic.structure import Axes, Way
 from kempe.solvers.chain import chain_of
 from kempe.solvers.explain import rounded
-from kempe.solvers.rounds import Task, outside
-from kempe.solvers.targets import Z_AXIS, not_a_pose
+from kempe.solvers.proofs import Lengths, by_lengths
+from kempe.solvers.targets import not_a_pose
 from kempe.spatial import Array
-from kempe.words import in_words
+from kempe.words import in_words, joined
 
 if TYPE_CHECKING:
     from kempe.solvers.analytic.solutions import Solutions
@@ -192,12 +192,10 @@ def _why(solutions: Solutions, index: int) -> tuple[str, bool]:
     reasons = []
     if question.task not in ("orientation", "direction"):
         if system.dim == 2 and abs(target[0, 2, 3]) > tolerance:
-            return f"outside the plane of the system by {abs(target[0, 2, 3]):.6g} m", True
-        chain = chain_of(system, question.frame)
-        task = Task(system, question.frame, target, "position", Z_AXIS, (tolerance, tolerance), 1, 0, chain)
-        far = float(outside(task, target)[0])
-        if far > tolerance:
-            reasons.append(f"outside the workspace by at least {far:.6g} m, by the lengths of the links")
+            return words.off_plane(abs(target[0, 2, 3])), True
+        bounds = chain_of(system, question.frame).bounds
+        far = Lengths(float(by_lengths(bounds, target, (tolerance, tolerance), False)[0, 0]))
+        reasons += [far.text] if far else []
     proven = bool(reasons)
     wide = plan.lines.span.wide
     failed = "" if wide or spare_joints(plan) or plan.method != "closed" else _without_root(solutions, index)
@@ -338,20 +336,20 @@ def family_motion(family: Family) -> str:
 def _moving(family: Family) -> str:
     names = list(family.joints)
     if family.dimension > 1:
-        return f"{_listed(names)} can move"
+        return f"{joined(names)} can move"
     equations = family.equations
     if equations is not None:
         parts = [_equation(e) for e in equations] or [f"{names[0]} is free"]
         rest = [f"{n} = {number(x)}" for n, x in _conditions(family)]
-        return _listed(parts) + (f" while {_listed(rest)}" if rest else "")
+        return joined(parts) + (f" while {joined(rest)}" if rest else "")
     if family.parameter is not None and family.closed:
         others = [n for n in names if n != family.parameter]
-        return f"{family.parameter} turns all the way round and {_listed(others)} follow"
+        return f"{family.parameter} turns all the way round and {joined(others)} follow"
     lines = family._motion.aim.lines
     first = family.parameter or names[0]
     x = family.q[:, lines.q_index[lines.names.index(first)]]
     how = "on a closed curve" if family.closed else "on a curve that does not close"
-    return f"{_listed(names)} move together {how}, {first} from {number(x.min())} to {number(x.max())}"
+    return f"{joined(names)} move together {how}, {first} from {number(x.min())} to {number(x.max())}"
 
 
 def _equation(terms: dict[str, float]) -> str:
@@ -380,9 +378,3 @@ def _conditions(family: Family) -> list[tuple[str, float]]:
             x = float(family.q[0, lines.q_index[i]])
             out.append((names[i], 0.0 if abs(x) < AT_ZERO and not motion.aim.slides[i] else x))
     return out
-
-
-def _listed(words: list[str]) -> str:
-    if not words:
-        return "nothing"
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
