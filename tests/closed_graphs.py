@@ -85,8 +85,9 @@ class Closed:
         for name, link in joints.items():
             names = [f"{name}.{n}" if n else name for n in link.kind.layout(self.dim)[0]]
             motions[name] = pose_of(link.kind.layout(self.dim)[1], [at[n] for n in names], self.dim, link.axis)
+        tree = system.structure
         steps = [(joints[n].F, motions[n], joints[n].M, back)
-                 for n, back in zip(system.parent_joints, system.topology.reversed_, strict=True)]  # fmt: skip
+                 for n, back in zip(tree.parent_joints, tree.topology.reversed_, strict=True)]  # fmt: skip
         poses = dict(zip(system.body_names, reference.tree_poses(system.parent, steps), strict=True))
         gaps = [np.abs(poses[k.parent] @ k.F @ motions[k.name] - poses[k.child] @ k.M).max() for k in self.links]
         return float(max(gaps))

@@ -102,7 +102,7 @@ class Graph:
         """Poses of all bodies by name at one configuration, by the reference, along the tree of the system."""
         values, edges = self.values(system, q), {e.name: e for e in self.edges}
         joints = []
-        for name, backwards in zip(system.parent_joints, system.topology.reversed_, strict=True):
+        for name, backwards in zip(system.structure.parent_joints, system.structure.topology.reversed_, strict=True):
             X_PF, X_CM = self.ends(edges[name])
             joints.append((X_PF, self.joint_pose(edges[name], values), X_CM, backwards))
         poses = dict(zip(system.body_names, reference.tree_poses(system.parent, joints), strict=True))

@@ -72,9 +72,9 @@ def joint_constraints(system: System, q: np.ndarray, held: tuple[str, ...] = ())
     pose = dict(zip(system.body_names, system.fk(q), strict=True))
     column = {b: 6 * i for i, b in enumerate(system.body_names[1:])}
     rows = []
-    for joint in system.joints.values():
+    for joint in system.structure.joints.values():
         F, M = (
-            pose[body] @ X.evaluate(system.parameters)
+            pose[body] @ X.evaluate(system.structure.parameters)
             for body, X in ((joint.parent, joint.X_PF), (joint.child, joint.X_CM))
         )
         x, z, p = F[:3, 0], F[:3, 2], F[:3, 3]

@@ -37,11 +37,11 @@ READ = {
     "ik of tasks": (lambda b: ARM.ik([kempe.tasks.Pose("tool", X)], budget=b), {"starts": 3, "time_limit": 9.0}),
     "ik_all": (lambda b: ARM.ik_all(X, "tool", budget=b), {"threads": 2}),
     "ik_path": (lambda b: ARM.ik_path(X[None], "tool", budget=b), {"starts": 5, "progress": lambda n: None}),
-    "ik_sweep": (lambda b: SEVEN.ik_sweep(P, "tool", budget=b), {"points": 64}),
+    "ik_sweep": (lambda b: SEVEN.inverse.sweep(P, "tool", budget=b), {"points": 64}),
     "assemble": (lambda b: LINKAGE.assemble({"A": 0.3}, budget=b), {"starts": 4, "rng": 2, "threads": 1}),
-    "assembler": (lambda b: LINKAGE.assembler(["A"])([0.3], budget=b), {"starts": 4}),
+    "assembler": (lambda b: LINKAGE.loops.assembler(["A"])([0.3], budget=b), {"starts": 4}),
     "assembly_modes": (lambda b: LINKAGE.assembly_modes({"A": 0.3}, budget=b), {"time_limit": math.inf, "starts": 9}),
-    "self_motion": (lambda b: SEVEN.self_motion(FREE, "tool", budget=b), {"points": 3, "step": 0.01}),
+    "self_motion": (lambda b: SEVEN.inverse.self_motion(FREE, "tool", budget=b), {"points": 3, "step": 0.01}),
     "trace": (lambda b: LINKAGE.trace("A", budget=b), {"points": 9, "step": 0.05, "time_limit": math.inf}),
     "drive": (lambda b: LINKAGE.drive({"A": [0.3, 0.4]}, budget=b), {"step": 0.05, "time_limit": 9.0}),
 }
@@ -101,10 +101,10 @@ FORMER = {
         ({THIRD: 0.2}, {"fixed": {THIRD: 0.2}}), ({"inside_only": True}, {"limits": True}),
         ({"expand_turns": True, "inside_only": True}, {"limits": "turns"}),
         ({"threads": 1}, {"budget": Budget(threads=1)})]),
-    "ik_sweep": (lambda **o: SEVEN.ik_sweep(P, "tool", **o), [
+    "ik_sweep": (lambda **o: SEVEN.inverse.sweep(P, "tool", **o), [
         ({"samples": 64}, {"budget": Budget(points=64)}),
         ({"reference": (1, 0, 0)}, {"parameter": ("arm_angle", (1, 0, 0))})]),
-    "ik_plan": (lambda **o: SEVEN.ik_plan("tool", **o), [({THIRD: 0.2}, {"fixed": [THIRD]})]),
+    "ik_plan": (lambda **o: SEVEN.inverse.plan("tool", **o), [({THIRD: 0.2}, {"fixed": [THIRD]})]),
     "assemble": (lambda **o: LINKAGE.assemble({"A": [0.3, 0.4]}, **o), [
         ({"nearest": True}, {"prefer": "nearest"}), ({"continuous": True}, {"prefer": "continuous"}),
         ({"nearest": False}, {}), ({"starts": 4}, {"budget": Budget(starts=4)}), ({"t": 0.0}, {})]),
@@ -136,7 +136,7 @@ def test_what_raised_is_expected():
             found.expect()
         assert error.value.solution is found
     with pytest.warns(DeprecationWarning), pytest.raises(NoSolutionError):
-        ARM.ik(far, "tool", throw=True)
+        ARM.ik(far, "tool").expect()
     good = ARM.ik(X, "tool")
     assert good.expect() is good
 

@@ -9,6 +9,9 @@ import pickle
 import re
 import traceback
 import warnings
+from collections.abc import Callable
+from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -19,6 +22,7 @@ from hunts import Hunt
 import kempe
 from kempe import calls, tasks
 from kempe.errors import CallError, DescriptionError, InputError, KempeError, UnknownNameError
+from kempe.model import namespaces
 
 PUMA, FOUR_BAR = kempe.load("puma560"), kempe.load("four_bar")
 X = PUMA.fk(PUMA.mid, "tool")
@@ -83,20 +87,27 @@ def test_wrong_calls(hunt):
 
 VERBS = [
     ("ik", (X, "tool"), "method"), ("ik", ([tasks.Pose("tool", X)],), "prefer"),
-    ("ik_sweep", (X, "tool"), "fixed"), ("ik_path", (X[None], "tool"), "max_step"), ("assemble", ({},), "branch"),
-    ("ik_step", (PUMA.mid, np.zeros(6), "tool", 0.01), "damping"), ("self_motion", (PUMA.mid, "tool"), "direction"),
+    ("inverse.sweep", (X, "tool"), "fixed"), ("ik_path", (X[None], "tool"), "max_step"),
+    ("assemble", ({},), "branch"),
+    ("ik_step", (PUMA.mid, np.zeros(6), "tool", 0.01), "damping"), ("inverse.self_motion", (PUMA.mid, "tool"), "direction"),
     ("assembly_modes", ({},), "limits"), ("from_maximal", (PUMA.fk(PUMA.mid)[1:],), "tolerance"),
     ("mobility", (), "local"), ("trace", (), "toward"), ("drive", ({"q1": [0.0, 0.1]},), "times"),
-    ("loop_jacobian", (PUMA.mid, ["q1"], ["tool"]), "in_frame"), ("plot", (), "labels"),
-    ("mechanical_advantage", (PUMA.mid, "q1", "q2"), "direction"), ("transmission_angle", (PUMA.mid, "q2"), "joint"),
+    ("loops.jacobian", (PUMA.mid, ["q1"], ["tool"]), "in_frame"), ("plot", (), "labels"),
+    ("loops.mechanical_advantage", (PUMA.mid, "q1", "q2"), "direction"),
+    ("loops.transmission_angle", (PUMA.mid, "q2"), "joint"),
 ]  # fmt: skip
+
+
+def verb_of(system: kempe.System, verb: str) -> Callable[..., Any]:
+    """A method, of a namespace or of the system itself, or a function of `kempe.convert`."""
+    return partial(getattr(kempe.convert, verb), system) if "maximal" in verb else attrgetter(verb)(system)
 
 
 @pytest.mark.parametrize(("verb", "args", "option"), VERBS, ids=[f"{v}-{o}" for v, _, o in VERBS])
 def test_an_unknown_option_names_the_nearest(verb, args, option):
     """As an error of Kempe's own that is a TypeError, too, as Python users expect."""
     with pytest.raises(CallError, match=f"has no option '{option}_'; did you mean .*'{option}'") as caught:
-        getattr(PUMA, verb)(*args, **{f"{option}_": 1})
+        verb_of(PUMA, verb)(*args, **{f"{option}_": 1})
     assert isinstance(caught.value, TypeError) and option in caught.value.allowed
     again = pickle.loads(pickle.dumps(caught.value))
     assert str(again) == str(caught.value) and again.allowed == caught.value.allowed
@@ -108,7 +119,7 @@ def test_an_unknown_option_of_a_task():
 
 
 def test_what_the_map_of_the_library_calls_is_explained():
-    source = inspect.getsource(kempe.System)
+    source = inspect.getsource(kempe.System) + inspect.getsource(namespaces)
     found = re.findall(r"        from (kempe[\w.]+) import (\w+)$", source, re.MULTILINE)
     functions = [getattr(importlib.import_module(module), name) for module, name in found]
     assert len(functions) > 30
@@ -162,7 +173,8 @@ def test_what_fails_with_right_arguments_is_raised_as_it_is():
 
 
 CASES = {
-    "posture of numbers": (lambda: PUMA.posture([0] * 6), UnknownNameError, "no posture .*; there are: 'qz'"),
+    "posture of numbers": (lambda: PUMA.q([0] * 6), InputError, "by coordinate name, or the name of a posture"),
+    "unknown posture": (lambda: PUMA.q("q"), UnknownNameError, "no posture .*; .* 'qz'"),
     "list of one frame": (lambda: PUMA.ik_all(X, ["tool"]), UnknownNameError, "no frame"),
     "list of one driver": (lambda: FOUR_BAR.trace(["A"]), InputError, "driver is .'A'.; it must be text or None"),
     "text as q": (lambda: PUMA.q_dict("abc"), InputError, "q is"),
@@ -172,7 +184,7 @@ CASES = {
     "start too large": (lambda: PUMA.ik(X, "tool", np.full(6, 1e101)), InputError, "start has entries .* too large"),
     "rng too large": (lambda: FOUR_BAR.assemble(budget=kempe.Budget(rng=2**63)), InputError,
                       r"rng is .* below 2\*\*62"),  # fmt: skip
-    "names of numbers": (lambda: PUMA.assembler([1]), InputError, "known is .1.; it must be a list of names"),
+    "names of numbers": (lambda: PUMA.loops.assembler([1]), InputError, "known is .1.; it must be a list of names"),
     "more than memory": (lambda: PUMA.random(0, 2**60), InputError, "this memory does not hold"),
     "row of a batch": (lambda: PUMA.ik(np.stack([X, X]), "tool").sentence((2,)), InputError, "index is .2,."),
     "text as a vector": (lambda: kempe.spatial.exp_so3("x"), InputError, "w is 'x'"),
@@ -248,13 +260,13 @@ def test_answers_print_little(name):
     frame = system.frame_names[-1]
     large = (
         []
-        if system.closures
+        if system.structure.closures
         else [system.ik(system.fk(q, frame), frame), system.ik([tasks.Pose(frame, system.fk(q, frame))])]
     )
     if name == "four_bar":
         large = [
             system.assemble({"A": q[:, 0]}),
-            system.loop_jacobian(system.assemble({"A": np.linspace(0, 1, 1000)}).q, ["A"], ["D"]),
+            system.loops.jacobian(system.assemble({"A": np.linspace(0, 1, 1000)}).q, ["A"], ["D"]),
         ]
     for answer in (*large, *(a for _, a in wrong_calls.answers(system))):
         assert len(repr(answer)) < 1500 and len(str(answer)) < 5000

@@ -32,7 +32,7 @@ def tip(robot: kempe.System) -> str:
 
 
 def inside(robot: kempe.System, q) -> bool:
-    v, x = robot.layout.vector_v, np.asarray(q)[..., robot.layout.vector_q]
+    v, x = robot.structure.layout.vector_v, np.asarray(q)[..., robot.structure.layout.vector_q]
     return bool(((x >= robot.lower[v] - 1e-9) & (x <= robot.upper[v] + 1e-9)).all())
 
 
@@ -75,7 +75,7 @@ def test_a_frame_that_moves_with_a_loop_is_answered_with_it_closed(hunt):
         assert s.position_error == pytest.approx(off, abs=1e-9)
         if s:
             reached += 1
-            assert off <= 1e-6 * (1.0 + 1e-6) and np.abs(system.closure_error(s.q)).max() < 1e-7
+            assert off <= 1e-6 * (1.0 + 1e-6) and np.abs(system.loops.closure_error(s.q)).max() < 1e-7
     assert reached > 0 or hunt.cases(30) < 20
 
 
@@ -167,7 +167,7 @@ def test_a_drive_holds_where_its_input_cannot_be(hunt):
         motion = system.drive({"S": wave}, start=start)
         S, A = motion.values("S"), motion.values("A")
         beyond = (wave > a + b + 1e-9) | (wave < b - a - 1e-9)
-        assert np.array_equal(motion.held, beyond) and np.abs(system.closure_error(motion.q)).max() < 1e-9
+        assert np.array_equal(motion.held, beyond) and np.abs(system.loops.closure_error(motion.q)).max() < 1e-9
         np.testing.assert_allclose(S[~beyond], wave[~beyond], atol=1e-9)
         for k in np.flatnonzero(beyond[1:]) + 1:
             assert abs(S[k] - S[k - 1]) < 1e-12 or not beyond[k - 1]
@@ -186,8 +186,8 @@ VERBS = {
     "fk of all": lambda r, q, X: r.fk(q),
     "ik": lambda r, q, X: r.ik(X, tip(r)),
     "ik_all": lambda r, q, X: r.ik_all(X, tip(r)),
-    "integrate": lambda r, q, X: r.integrate(q, np.zeros(r.nv)),
-    "difference": lambda r, q, X: r.difference(q, r.neutral),
+    "integrate": lambda r, q, X: r.configuration_space.integrate(q, np.zeros(r.nv)),
+    "difference": lambda r, q, X: r.configuration_space.difference(q, r.neutral),
 }
 
 

@@ -70,7 +70,7 @@ def test_targets_of_a_file(tmp_path, targets):
 
 def test_a_path_of_targets(tmp_path):
     robot = kempe.load("panda")
-    q = robot.posture("ready") + 0.2 * np.linspace(0.0, 1.0, 40)[:, None]
+    q = robot.q("ready") + 0.2 * np.linspace(0.0, 1.0, 40)[:, None]
     np.save(tmp_path / "way.npy", robot.fk(q, HAND))
     out = tmp_path / "q.csv"
     words = command("path", "panda", "--frame", HAND, "--targets", tmp_path / "way.npy", "--out", out,
@@ -90,7 +90,7 @@ def test_a_traced_motion(tmp_path, where):
     assert done.returncode == 130 and "interrupted" in done.stdout and "Traceback" not in done.stderr, done.stderr
     rows = np.loadtxt(out, delimiter=",", skiprows=1, ndmin=2)
     s = kempe.load("four_bar")
-    assert len(rows) and np.abs(s.closure_error(rows[:, 1 : 1 + s.nq])).max() < 1e-9
+    assert len(rows) and np.abs(s.loops.closure_error(rows[:, 1 : 1 + s.nq])).max() < 1e-9
 
 
 def test_assembly_modes(tmp_path):

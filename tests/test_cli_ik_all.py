@@ -99,7 +99,7 @@ def test_a_puma_has_eight():
     X = robot.fk(q, "tool")
     np.testing.assert_allclose(X, np.broadcast_to(X[0], X.shape), atol=2e-5)
     np.testing.assert_allclose(X[0][:3, 3], [0.5, 0.2, 0.1], atol=1e-5)
-    inside = ((q >= robot.limits[:, 0]) & (q <= robot.limits[:, 1])).all(axis=1)
+    inside = ((q >= robot.structure.limits[:, 0]) & (q <= robot.structure.limits[:, 1])).all(axis=1)
     assert [row[1] == "yes" for row in table] == inside.tolist()
 
 
@@ -222,7 +222,7 @@ def test_plan():
     assert "the axes of q4, q5 and q6 meet in one point" in result.out and "8 isolated configurations" in result.out
     data = Table("plan", "puma560", "--frame", "tool", "--json").json()
     assert data["most"] == 8 and data["method"] == "closed form" and len(data["relations"]) == 4
-    assert data == json.loads(json.dumps(kempe.load("puma560").ik_plan("tool").data()))
+    assert data == json.loads(json.dumps(kempe.load("puma560").inverse.plan("tool").data()))
 
 
 def test_plan_of_tasks_and_held_joints():

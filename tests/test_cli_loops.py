@@ -117,7 +117,7 @@ def table(path: Path) -> np.ndarray:
 
 def gap(system: kempe.System, q: dict[str, float]) -> float:
     """By how much the loops are open at a configuration by name."""
-    return float(np.abs(system.closure_error(system.q(q))).max())
+    return float(np.abs(system.loops.closure_error(system.q(q))).max())
 
 
 class Terminal(io.StringIO):
@@ -549,7 +549,7 @@ def test_an_interrupt_keeps_what_was_done(tmp_path):
     system, rows = kempe.load("four_bar"), table(out)
     assert 10 < len(rows) < 60
     q = np.array(rows.tolist())[:, 1:]
-    assert np.abs(system.closure_error(q)).max() < 1e-9
+    assert np.abs(system.loops.closure_error(q)).max() < 1e-9
 
 
 # ---- plot

@@ -64,35 +64,40 @@ CASES = {
     "ik failing": Case("ik", lambda: ARM.ik(FAR, TOOL), "OUT_OF_REACH"),
     "ik of a batch": Case("ik", lambda: ARM.ik(BATCH, TOOL), ["SOLVED", "OUT_OF_REACH", "BAD_INPUT"]),
     "ik of none": Case("ik", lambda: ARM.ik(EMPTY, TOOL), []),
-    "ik in time": Case("ik", lambda: TWO.ik(TWO.fk(TWO.neutral, "p"), "e", time_limit=1e-9), "OUT_OF_TIME"),
+    "ik in time": Case("ik", lambda: TWO.ik(TWO.fk(TWO.neutral, "p"), "e", budget=kempe.Budget(time_limit=1e-9)),
+                       "OUT_OF_TIME"),  # fmt: skip
     "tasks": Case("ik", lambda: ARM.ik([POSITION(TOOL, X[:3, 3])]), "SOLVED"),
-    "tasks failing": Case("ik", lambda: ARM.ik([POSITION(TOOL, FAR[:3, 3])], starts=3), "OUT_OF_REACH"),
+    "tasks failing": Case("ik", lambda: ARM.ik([POSITION(TOOL, FAR[:3, 3])], budget=kempe.Budget(starts=3)),
+                          "OUT_OF_REACH"),  # fmt: skip
     "tasks that exclude each other": Case(
-        "ik", lambda: ARM.ik([POSITION(TOOL, x[:3, 3]) for x in REACHED[1:]], starts=3), "CONTRADICTORY"),
+        "ik", lambda: ARM.ik([POSITION(TOOL, x[:3, 3]) for x in REACHED[1:]], budget=kempe.Budget(starts=3)),
+            "CONTRADICTORY"),  # fmt: skip
     "tasks of a batch": Case(
-        "ik", lambda: ARM.ik([POSITION(TOOL, BATCH[:, :3, 3])], starts=3), ["SOLVED", "OUT_OF_REACH", "BAD_INPUT"]),
+        "ik", lambda: ARM.ik([POSITION(TOOL, BATCH[:, :3, 3])], budget=kempe.Budget(starts=3)), ["SOLVED",
+                                                                                                 "OUT_OF_REACH", "BAD_INPUT"]),  # fmt: skip
     "tasks of none": Case("ik", lambda: ARM.ik([POSITION(TOOL, EMPTY[:, :3, 3])]), []),
     "ik_all": Case("ik_all", lambda: ARM.ik_all(X, TOOL), "SOLVED"),
     "ik_all failing": Case("ik_all", lambda: ARM.ik_all(FAR, TOOL), "NONE_EXISTS"),
     "ik_all of a batch": Case("ik_all", lambda: ARM.ik_all(BATCH, TOOL), ["SOLVED", "NONE_EXISTS", "BAD_INPUT"]),
     "ik_all of none": Case("ik_all", lambda: ARM.ik_all(EMPTY, TOOL), []),
     "ik_all inside": Case(
-        "ik_all", lambda: ARM.with_limits({"q1": (2.0, 2.1)}).ik_all(X, TOOL, inside_only=True), "OUTSIDE_LIMITS"),
+        "ik_all", lambda: ARM.with_limits({"q1": (2.0, 2.1)}).ik_all(X, TOOL, limits=True), "OUTSIDE_LIMITS"),
     "ik_all of seven": Case("ik_all", lambda: SEVEN.ik_all(SEVEN.fk(SEVEN_Q, TIP), TIP), "SOLVED"),
     "ik_all through a loop": Case(
         "ik_all", lambda: LINKAGE.ik_all(LINKAGE.fk(CLOSED, "coupler_point")[:2, 3], "coupler_point"), "SOLVED"),
-    "ik_plan": Case("ik_plan", lambda: ARM.ik_plan(TOOL), "SOLVED"),
-    "ik_sweep": Case("ik_sweep", lambda: SEVEN.ik_sweep(SEVEN.fk(SEVEN_Q, TIP), TIP), "SOLVED"),
-    "ik_sweep sampled": Case("ik_sweep", lambda: SEVEN.ik_sweep(SEVEN.fk(SEVEN_Q, TIP), TIP, samples=5), "SOLVED"),
-    "ik_sweep failing": Case("ik_sweep", lambda: SEVEN.ik_sweep(FAR, TIP), "NONE_EXISTS"),
+    "ik_plan": Case("ik_plan", lambda: ARM.inverse.plan(TOOL), "SOLVED"),
+    "ik_sweep": Case("ik_sweep", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP), "SOLVED"),
+    "ik_sweep sampled": Case("ik_sweep", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP, samples=5), "SOLVED"),
+    "ik_sweep failing": Case("ik_sweep", lambda: SEVEN.inverse.sweep(FAR, TIP), "NONE_EXISTS"),
     "ik_path": Case("ik_path", lambda: ARM.ik_path(REACHED, TOOL, Q), "SOLVED"),
     "ik_path failing": Case("ik_path", lambda: ARM.ik_path(np.stack([X, FAR]), TOOL, Q), "PARTLY"),
     "ik_path without a beginning": Case("ik_path", lambda: ARM.ik_path(FAR[None], TOOL, Q), "NOT_FOUND"),
     "ik_step": Case("ik_step", lambda: ARM.ik_step(Q, AHEAD, TOOL, 0.01), "SOLVED"),
     "ik_step failing": Case("ik_step", lambda: ARM.ik_step(Q, 1e4 * AHEAD, TOOL, 0.01), "PARTLY"),
-    "self_motion": Case("self_motion", lambda: SEVEN.self_motion(SEVEN_Q, TIP, steps=5), "SOLVED"),
+    "self_motion": Case("self_motion", lambda: SEVEN.inverse.self_motion(SEVEN_Q, TIP,
+                                                                         budget=kempe.Budget(points=5)), "SOLVED"),  # fmt: skip
     "self_motion failing": Case(
-        "self_motion", lambda: TWO.self_motion(np.array([0.4, 0.0]), "e", task="position"), "NOT_FOUND"),
+        "self_motion", lambda: TWO.inverse.self_motion(np.array([0.4, 0.0]), "e", task="position"), "NOT_FOUND"),
     "assemble": Case("assemble", lambda: LINKAGE.assemble({CRANK: 0.3}), "SOLVED"),
     "assemble failing": Case("assemble", lambda: LINKAGE.assemble({ROCKER: 0.0}), "NOT_FOUND"),
     "assemble beyond limits": Case(
@@ -104,9 +109,10 @@ CASES = {
     "assembly_modes": Case("assembly_modes", lambda: LINKAGE.assembly_modes({CRANK: 0.3}), "SOLVED"),
     "assembly_modes failing": Case("assembly_modes", lambda: LINKAGE.assembly_modes({ROCKER: 0.0}), "NONE_EXISTS"),
     "assembly_modes in space": Case(
-        "assembly_modes", lambda: SPATIAL.assembly_modes({SPATIAL.coordinate_names[0]: 0.5}, starts=64), "SOLVED"),
-    "closed_form": Case("closed_form", lambda: LINKAGE.closed_form([CRANK]), "SOLVED"),
-    "closed_form failing": Case("closed_form", lambda: SPATIAL.closed_form([SPATIAL.coordinate_names[0]]), "NOT_FOUND"),
+        "assembly_modes", lambda: SPATIAL.assembly_modes({SPATIAL.coordinate_names[0]: 0.5},
+                                                         budget=kempe.Budget(starts=64)), "SOLVED"),  # fmt: skip
+    "closed_form": Case("closed_form", lambda: LINKAGE.loops.closed_form([CRANK]), "SOLVED"),
+    "closed_form failing": Case("closed_form", lambda: SPATIAL.loops.closed_form([SPATIAL.coordinate_names[0]]), "NOT_FOUND"),
     "independent": Case("independent", lambda: LINKAGE.independent(CLOSED), "SOLVED"),
     "idealised": Case("idealised", lambda: rounded().idealised(), "SOLVED"),
     "mobility": Case("mobility", lambda: LINKAGE.mobility(), "SOLVED"),
@@ -120,13 +126,15 @@ CASES = {
         "drive", lambda: LINKAGE.drive({ROCKER: np.linspace(2.0, 0.0, 9)}), "PARTLY"),
     "drive open": Case("drive", lambda: apart().drive({"A": np.zeros(2)}), "NOT_FOUND"),
     "manoeuvre": Case(
-        "manoeuvre", lambda: CAR.manoeuvre(np.zeros(3), [0.0, 1.0, 0.0], radius=1.0, samples=9), "SOLVED"),
-    "simulate": Case("simulate", lambda: BALL.simulate(0.5, {"flight.z": 1.0}, samples=9), "SOLVED"),
-    "loop_jacobian": Case("loop_jacobian", lambda: LINKAGE.loop_jacobian(CLOSED, [CRANK], [ROCKER]), "SOLVED"),
+        "manoeuvre", lambda: CAR.manoeuvre(np.zeros(3), [0.0, 1.0, 0.0], radius=1.0, budget=kempe.Budget(points=9)),
+            "SOLVED"),  # fmt: skip
+    "simulate": Case("simulate", lambda: BALL.simulate(0.5, {"flight.z": 1.0}, budget=kempe.Budget(points=9)),
+                     "SOLVED"),  # fmt: skip
+    "loop_jacobian": Case("loop_jacobian", lambda: LINKAGE.loops.jacobian(CLOSED, [CRANK], [ROCKER]), "SOLVED"),
     "loop_jacobian of a batch": Case(
-        "loop_jacobian", lambda: LINKAGE.loop_jacobian(CLOSED + np.zeros((2, 1)), [CRANK], [ROCKER]), ["SOLVED"] * 2),
+        "loop_jacobian", lambda: LINKAGE.loops.jacobian(CLOSED + np.zeros((2, 1)), [CRANK], [ROCKER]), ["SOLVED"] * 2),
     "loop_jacobian of none": Case(
-        "loop_jacobian", lambda: LINKAGE.loop_jacobian(np.zeros((0, 4)), [CRANK], [ROCKER]), []),
+        "loop_jacobian", lambda: LINKAGE.loops.jacobian(np.zeros((0, 4)), [CRANK], [ROCKER]), []),
 }  # fmt: skip
 
 NO_RESULTS = {
@@ -287,9 +295,9 @@ def test_rows_that_are_no_numbers_are_nan_and_leave_the_others_alone(name):
         lambda: ARM.ik(WRONG, TOOL), lambda: ARM.ik([POSITION(TOOL, WRONG[:3, 3])]),
         lambda: ARM.ik_path(WRONG[None], TOOL), lambda: LINKAGE.assemble({CRANK: np.nan}),
         lambda: LINKAGE.assembly_modes({CRANK: np.nan}), lambda: LINKAGE.drive({CRANK: [0.3, np.nan]}),
-        lambda: ARM.ik_step(np.full(6, np.nan), AHEAD, TOOL, 0.01), lambda: SEVEN.ik_sweep(WRONG, TIP),
-        lambda: ARM.self_motion(np.full(6, np.nan), TOOL, task="position"),
-        lambda: LINKAGE.loop_jacobian(np.full(4, np.nan), [CRANK], [ROCKER]),
+        lambda: ARM.ik_step(np.full(6, np.nan), AHEAD, TOOL, 0.01), lambda: SEVEN.inverse.sweep(WRONG, TIP),
+        lambda: ARM.inverse.self_motion(np.full(6, np.nan), TOOL, task="position"),
+        lambda: LINKAGE.loops.jacobian(np.full(4, np.nan), [CRANK], [ROCKER]),
     ],
 )  # fmt: skip
 def test_a_single_question_that_is_no_number_is_refused(call):
@@ -343,7 +351,7 @@ def test_lengths_are_the_distance_beyond_the_longest_reach(hunt):
     """For an arm of two links: the distance of the target less the sum of the lengths, and no proof within."""
     for _ in range(hunt.cases(200)):
         p = hunt.rng().uniform(-2.0, 2.0, 2)
-        answer = TWO.ik(p, "e", task="position", starts=4)
+        answer = TWO.ik(p, "e", task="position", budget=kempe.Budget(starts=4))
         past = max(float(np.linalg.norm(p)) - 0.9, 0.1 - float(np.linalg.norm(p)), 0.0)
         found = answer.proofs()
         assert bool(found) == (past > 1e-6) == (answer.code == Status.OUT_OF_REACH)

@@ -20,7 +20,7 @@ from kempe.kinematics.loops import jacobian, residual
 from kempe.model.own_tree import own_tree
 
 NAMES = [p.stem for p in sorted((Path(kempe.__file__).parent / "library").glob("*.toml"))]
-CLOSED = [n for n in NAMES if kempe.load(n).closures]
+CLOSED = [n for n in NAMES if kempe.load(n).structure.closures]
 FAR, NEAR = 3.0, 0.05
 """How far starts are from a closed configuration, in radians and metres."""
 OPEN = 1e-8
@@ -37,22 +37,22 @@ def marked(system: System, cut: frozenset[str]) -> System:
 def cuts(name: str) -> tuple[System, ...]:
     """A shipped system without marks, then once for each joint that can be left out, which is."""
     plain = marked(kempe.load(name), frozenset())
-    found = {plain.closures: plain}
-    for joint in plain.joints:
+    found = {plain.structure.closures: plain}
+    for joint in plain.structure.joints:
         s = marked(plain, frozenset({joint}))
-        if joint in s.closures:
-            found.setdefault(s.closures, s)
+        if joint in s.structure.closures:
+            found.setdefault(s.structure.closures, s)
     return tuple(found.values())
 
 
 def starts(s: System, q: np.ndarray, size: float, n: int, rng: np.random.Generator) -> np.ndarray:
-    return s.integrate(q, rng.uniform(-size, size, (n, s.nv)))
+    return s.configuration_space.integrate(q, rng.uniform(-size, size, (n, s.nv)))
 
 
 def driven(s: System) -> list[str]:
     """Coordinates of motors, or the first one."""
-    names = [n for n in s.velocity_names if s.joints[n.partition(".")[0]].actuated]
-    return names or [s.velocity_names[0]]
+    names = [n for n in s.structure.velocity_names if s.structure.joints[n.partition(".")[0]].actuated]
+    return names or [s.structure.velocity_names[0]]
 
 
 def same(got: np.ndarray, want: np.ndarray, tolerance: float = 0.0) -> None:
@@ -69,7 +69,8 @@ def test_every_loop_can_be_cut_elsewhere():
     for name in CLOSED:
         plain, *others = cuts(name)
         assert len(others) >= 2, name
-        assert all(len(s.closures) == len(plain.closures) and s.coordinate_names == plain.coordinate_names
+        cut = len(plain.structure.closures)
+        assert all(len(s.structure.closures) == cut and s.coordinate_names == plain.coordinate_names
                    for s in others), name  # fmt: skip
 
 
@@ -86,7 +87,7 @@ def facts(s: System, q: np.ndarray) -> dict:
 
 
 def counted(plain: System, s: System) -> None:
-    q = plain.posture("closed")
+    q = plain.q("closed")
     assert facts(s, q) == facts(plain, q)
     # the equations themselves, which differ, have as many freedoms
     ranks = [np.linalg.matrix_rank(jacobian(x, q), 1e-7) for x in (plain, s)]
@@ -111,7 +112,7 @@ def test_counts_and_ranks_at_every_cut(name):
 
 def assembled(plain: System, s: System, n: int, rng: np.random.Generator) -> None:
     """From near and from far: as closed, and the same; each judges the answer by its own tree."""
-    home, known = plain.posture("closed"), driven(plain)[0]
+    home, known = plain.q("closed"), driven(plain)[0]
     values = {known: plain.q_dict(home)[known]} if known in plain.coordinate_names else {}
     for size in (FAR, NEAR):
         at = starts(plain, home, size, n, rng)
@@ -119,7 +120,7 @@ def assembled(plain: System, s: System, n: int, rng: np.random.Generator) -> Non
             want, got = (x.assemble(values, start=at, prefer="nearest" if nearest else None) for x in (plain, s))
             same(got.q, want.q)
             assert np.array_equal(got.success, want.success) and np.all(got.success)
-            assert np.abs(residual(s, got.q)).max() < OPEN and np.abs(s.closure_error(got.q)).max() < OPEN
+            assert np.abs(residual(s, got.q)).max() < OPEN and np.abs(s.loops.closure_error(got.q)).max() < OPEN
             for body in plain.body_names[1:]:
                 same(s.fk(got.q, body), plain.fk(want.q, body), OPEN)
 
@@ -140,13 +141,13 @@ def test_assemblies_at_every_cut(name, hunt):
 @pytest.mark.parametrize("limits", [None, {"C": (-3.0, 3.0)}])
 def test_what_a_start_says_of_the_joint_left_out_gives_way(limits):
     plain = marked(kempe.load("four_bar"), frozenset()).with_limits(limits)
-    assert plain.closures == ("C",)
-    q = starts(plain, plain.posture("closed"), 1.0, 50, np.random.default_rng(4))
+    assert plain.structure.closures == ("C",)
+    q = starts(plain, plain.q("closed"), 1.0, 50, np.random.default_rng(4))
     other = q.copy()
     other[:, 2] = -0.5 * q[:, 2]
     a, b = (plain.assemble({"A": 1.0}, start=x) for x in (q, other))
     assert a.success.all() and b.success.all()
-    away = np.abs(plain.difference(a.q, b.q))
+    away = np.abs(plain.configuration_space.difference(a.q, b.q))
     turns = np.round(away / (2.0 * np.pi)) * 2.0 * np.pi
     assert (np.abs(away - turns).max() < 1e-9) == (limits is None)
 
@@ -156,7 +157,7 @@ def test_what_a_start_says_of_the_joint_left_out_gives_way(limits):
 
 def reached(plain: System, s: System, n: int, rng: np.random.Generator) -> None:
     """Targets within reach from near and from far, one out of reach, and a step."""
-    frame, home = plain.body_names[-1], plain.posture("closed")
+    frame, home = plain.body_names[-1], plain.q("closed")
     closed = plain.assemble(start=starts(plain, home, NEAR, n, rng)).q
     targets = plain.fk(closed, frame)
     away = targets + np.array([[0.0, 0, 0, 50.0], [0] * 4, [0] * 4, [0] * 4])
@@ -190,7 +191,7 @@ def test_inverse_kinematics_at_every_cut(name, hunt):
 
 
 def sets(plain: System, s: System, n: int) -> None:
-    home = plain.posture("closed")
+    home = plain.q("closed")
     values = {k: plain.q_dict(home)[k] for k in driven(plain) if k in plain.coordinate_names}
     want, got = (x.assembly_modes(values, budget=kempe.Budget(starts=n)) for x in (plain, s))
     same(got.q, want.q)
@@ -219,7 +220,7 @@ LONG = pytest.param("scissor", marks=pytest.mark.slow)
 @pytest.mark.parametrize("name", ["four_bar", "slider_crank", "bennett", LONG])
 def test_motions(name):
     plain, *others = cuts(name)
-    home, driver = plain.posture("closed"), driven(plain)[0]
+    home, driver = plain.q("closed"), driven(plain)[0]
     values = plain.q_dict(home)[driver] + np.linspace(0.0, 1.0, 30)
     want, driven_ = plain.trace(driver, home), plain.drive({driver: values}, start=home)
     for s in few((plain, *others)):
@@ -237,13 +238,13 @@ def hunted(shape: Closed, rng: np.random.Generator) -> None:
     names, plain = [link.name for link in shape.links], shape.system()
     q = shape.values(plain)
     at = np.concatenate([starts(plain, q, size, 2, rng) for size in (FAR, NEAR)])
-    known = {n: x for n, x in plain.q_dict(q).items() if n in plain.velocity_names and rng.random() < 0.2}
+    known = {n: x for n, x in plain.q_dict(q).items() if n in plain.structure.velocity_names and rng.random() < 0.2}
     want = plain.assemble(known, start=at)
     for _ in range(2):
         s = shape.system(frozenset(n for n in names if rng.random() < 0.4))
         got = s.assemble(known, start=at)
-        if own_tree(s).closures != plain.closures:
-            left = {*plain.closures} - {*s.closures}  # in its tree are joints that hold nothing
+        if own_tree(s).structure.closures != plain.structure.closures:
+            left = {*plain.structure.closures} - {*s.structure.closures}  # in its tree are joints that hold nothing
             assert any(link.kind.constraints(shape.dim) <= 0 for link in shape.links if link.name in left)
             continue
         same(got.q, want.q)

@@ -7,6 +7,7 @@ import inspect
 import re
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,15 @@ import pytest
 import kempe
 from kempe import spatial, tasks
 from kempe.errors import InputError, KempeError
+from kempe.kinematics.space import ConfigurationSpace
+from kempe.model import namespaces
+from kempe.model.compiled import Structure
+from kempe.model.former import FORMER
 
+FAMILIES: dict[str, type] = {
+    "structure": Structure, "configuration_space": ConfigurationSpace, "loops": namespaces.Loops,
+    "inverse": namespaces.Inverse, "symbolic": namespaces.Symbolic,
+}  # fmt: skip
 API = (Path(__file__).parent.parent / "docs" / "api.md").read_text()
 
 
@@ -33,7 +42,23 @@ def listed() -> dict[str, Callable[..., Any]]:
     for name, function in vars(kempe.System).items():
         if inspect.isfunction(function) and not name.startswith("_"):
             out[f"System.{name}"] = function
+    for former, place in FORMER.items():  # methods of namespaces, by the names that tell them apart
+        family, _, name = place.partition(".")
+        function = vars(FAMILIES[family]).get(name) if family in FAMILIES else None
+        if inspect.isfunction(function):
+            out[f"System.{former}"] = through(family, function, former)
     return out
+
+
+def through(family: str, function: Callable[..., Any], title: str) -> Callable[..., Any]:
+    """A method of a namespace as a function of the system."""
+
+    @wraps(function)
+    def call(system: kempe.System, *args: Any, **options: Any) -> Any:
+        return function(getattr(system, family), *args, **options)
+
+    call.__name__ = title
+    return call
 
 
 LISTED = listed()
@@ -107,7 +132,9 @@ def tables(q: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]:
 
 def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
     """Values that a verb takes, by the name of its parameter, at a configuration that is closed."""
-    q = np.array(system.assemble({system.velocity_names[0]: 1.0}).q if system.closures else system.random(3))
+    q = np.array(
+        system.assemble({system.structure.velocity_names[0]: 1.0}).q if system.structure.closures else system.random(3)
+    )
     name, tip = system.coordinate_names[0], system.frame_names[-1]
     other, X = system.coordinate_names[-1], system.fk(q, tip)
     rates = 3 * (system.dim - 1) * len(system.parent) if verb == "maximal_integrate" else system.nv
@@ -127,7 +154,7 @@ def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
 
 NO_ARRAYS = {"self", "system", "options", "numbers", "frame", "joint", "input", "output", "inputs", "outputs", "driver"}
 NOT_ASKED = {
-    "System.save", "System.subchain", "System.frame_name", "System.coordinates_of_joint",  # no numbers
+    "System.frame_name", "System.coordinates_of_joint",  # no numbers
     "kempe.analysis.transmission.pressure_angle",  # by bodies, see test_transmission.py
     "System.manoeuvre", "System.simulate",  # of what rolls and bounces, see test_manoeuvre.py and test_simulate.py
     "kempe.analysis.manoeuvre.manoeuvre", "kempe.analysis.simulate.simulate",
@@ -211,7 +238,7 @@ def test_named_coordinates_of_a_loop_are_closed(name, place, robots):
         pytest.importorskip("matplotlib")
     function, system = OF_SYSTEMS[name], robots["four_bar"]
     closed = system.assemble({"A": 0.7}).q
-    assert np.abs(system.closure_error(closed)).max() < 1e-12
+    assert np.abs(system.loops.closure_error(closed)).max() < 1e-12
     if name == "System.q_dict":
         assert system.q_dict({"A": 0.7}) == system.q_dict(closed)
         return
@@ -251,7 +278,7 @@ def test_bound_forms_read_by_name_too(robots):
 def test_named_values_hunt(model, hunt):
     """What is named is kept, what is not closes the loops, or the reason is told; the same each time."""
     system, rng = kempe.load(model), hunt.rng()
-    names = [system.velocity_names[i] for i in system.layout.vector_v]
+    names = [system.structure.velocity_names[i] for i in system.structure.layout.vector_v]
     closed = 0
     for _ in range(hunt.cases(20)):
         some = [str(n) for n in rng.choice(names, size=min(len(names), int(rng.integers(1, 4))), replace=False)]
@@ -264,7 +291,7 @@ def test_named_values_hunt(model, hunt):
             continue
         closed += 1
         q = system.assemble(values).q
-        assert np.array_equal(X, system.fk(q)) and np.abs(system.closure_error(q)).max() < 1e-8
+        assert np.array_equal(X, system.fk(q)) and np.abs(system.loops.closure_error(q)).max() < 1e-8
         assert all(abs(system.q_dict(values)[n] - x) == 0.0 for n, x in values.items())
     assert closed
 
@@ -439,7 +466,7 @@ def rotations(rng: np.random.Generator, n: int) -> np.ndarray:
     lambda s, R: s.ik(R.tolist(), "tool"), lambda s, R: s.ik_all(R, "tool"),
     lambda s, R: s.ik_path(R, "tool"), lambda s, R: s.ik(np.stack([R, R]), "tool"),
     lambda s, R: s.ik_path(np.stack([R, R]), "tool"), lambda s, R: s.ik(tasks.Position("tool", R)),
-    lambda s, R: s.ik_path(tasks.Position("tool", np.stack([R, R]))), lambda s, R: s.ik_sweep(R, "tool"),
+    lambda s, R: s.ik_path(tasks.Position("tool", np.stack([R, R]))), lambda s, R: s.inverse.sweep(R, "tool"),
 ], ids=range(10))  # fmt: skip
 def test_a_rotation_is_not_three_positions(ask, robots, hunt):
     for R in rotations(hunt.rng(), hunt.cases(10)):

@@ -28,7 +28,7 @@ from own_joints import (
     variants,
 )
 
-from kempe import Mechanism, System, tasks
+from kempe import Mechanism, System, convert, tasks
 from kempe.description.toml import read_toml
 from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError, InputError, UnknownNameError, UnsupportedError
@@ -61,18 +61,20 @@ def check(shape: Closed, cuts: list[frozenset[str]], rng: np.random.Generator) -
     for cut in cuts:
         s = shape.system(cut)
         q = shape.values(s)
-        assert shape.open_by(s, q) < 1e-11 and np.abs(s.closure_error(q)).max(initial=0.0) < 1e-11
+        assert shape.open_by(s, q) < 1e-11 and np.abs(s.loops.closure_error(q)).max(initial=0.0) < 1e-11
         freedoms.add(nullity(s, q))
-        for constraint in s.constraints():
+        for constraint in s.loops.constraints():
             assert np.abs(constraint.residual(s, q)).max(initial=0.0) < 1e-10, constraint.name
-        start = s.integrate(q, rng.uniform(-NEAR, NEAR, s.nv))
+        start = s.configuration_space.integrate(q, rng.uniform(-NEAR, NEAR, s.nv))
         for nearest in (False, True) if cut == cuts[0] else (False,):
             answer = s.assemble(start=start, prefer="nearest" if nearest else None)
-            assert answer.success, s.closures
+            assert answer.success, s.structure.closures
             assert shape.open_by(s, answer.q) < 1e-9
         if cut != cuts[0]:
             continue  # poses know no cut
-        read = s.from_maximal(s.to_maximal(q), start=s.integrate(q, rng.uniform(-0.02, 0.02, s.nv)))
+        read = convert.from_maximal(
+            s, convert.to_maximal(s, q), start=s.configuration_space.integrate(q, rng.uniform(-0.02, 0.02, s.nv))
+        )
         assert shape.open_by(s, read) < 1e-7
         np.testing.assert_allclose(s.fk(read), s.fk(q), rtol=0, atol=1e-8)
     assert len(freedoms) == 1, freedoms
@@ -95,7 +97,7 @@ def test_each_type_as_each_cut(kind, dim, backwards):
         kinds = partners(dim)
         kinds.insert(place, kind)
         shape = closed(rng, dim, 2, kinds, backwards, ring=True)
-        cut = {s.closures for s in map(shape.system, cuts_of(shape))}
+        cut = {s.structure.closures for s in map(shape.system, cuts_of(shape))}
         assert len(cut) == 3, "each joint was cut"
         check(shape, cuts_of(shape), rng)
 
@@ -110,7 +112,7 @@ def test_closures_in_numpy(kind, dim):
         judge = closures.closure_of(s, "j2", own or reduced(kind, dim) is None)
         for closure in [c for c in loops.of_system(s, own) if c.name == "j2"]:
             q = s.random(3)
-            ends = [[closure.residual(s, s.integrate(q, x * e)) for x in (1, -1)] for e in steps]
+            ends = [[closure.residual(s, s.configuration_space.integrate(q, x * e)) for x in (1, -1)] for e in steps]
             by_differences = np.stack([(a - b) / 2e-6 for a, b in ends], axis=-1)
             np.testing.assert_allclose(closure.jacobian(s, q), by_differences, rtol=0, atol=1e-6)
             q = shape.values(s)
@@ -124,17 +126,17 @@ def test_coordinates_of_a_cut_joint_can_be_known_held_or_coupled(kind, dim):
     shape = closed(np.random.default_rng(8), dim, 2, [BALL if dim == 3 else Revolute(), Free(), kind])
     s = shape.system(frozenset({"j2"}))
     q, at = shape.values(s), s.q_dict(shape.values(s))
-    mine = [n for n in s.coordinates_of_joint("j2") if n in s.velocity_names]
-    start = s.integrate(q, np.random.default_rng(1).uniform(-NEAR, NEAR, s.nv))
+    mine = [n for n in s.structure.coordinates_of_joint("j2") if n in s.structure.velocity_names]
+    start = s.configuration_space.integrate(q, np.random.default_rng(1).uniform(-NEAR, NEAR, s.nv))
     for name in mine:
         answer = s.assemble({name: at[name]}, start=start)
         assert answer.success and s.q_dict(answer.q)[name] == at[name] and shape.open_by(s, answer.q) < 1e-9
-        held = s.lock({name: at[name]})
+        held = s.mechanism.lock({name: at[name]}).build()
         locked = held.assemble(start=held.q({n: x for n, x in s.q_dict(start).items() if n != name}))
         assert locked.success
         whole = s.q({**held.q_dict(locked.q), name: at[name]})
         assert shape.open_by(s, whole) < 1e-9
-        back = held.from_maximal(held.to_maximal(locked.q), start=locked.q)
+        back = convert.from_maximal(held, convert.to_maximal(held, locked.q), start=locked.q)
         np.testing.assert_allclose(held.fk(back), held.fk(locked.q), rtol=0, atol=1e-8)
     if mine:
         m = s.mechanism.copy()
@@ -198,14 +200,14 @@ def lever_angle(a: ArrayLike) -> np.ndarray:
 
 
 def test_cuts_are_what_they_say():
-    assert [SLOTTED[cut].closures for cut in "ABS"] == [("A",), ("B",), ("S",)]
-    assert SLOTTED["apart"].closures == ("S.x",)
+    assert [SLOTTED[cut].structure.closures for cut in "ABS"] == [("A",), ("B",), ("S",)]
+    assert SLOTTED["apart"].structure.closures == ("S.x",)
 
 
 @each_cut
 def test_the_slotted_lever_assembles(s):
     angles = np.linspace(0.0, 6.0, 61)
-    answer = s.assemble({"A": angles}, start=s.posture("closed"), prefer="continuous")
+    answer = s.assemble({"A": angles}, start=s.q("closed"), prefer="continuous")
     assert np.all(answer.success)
     at = {name: answer.q[:, i] for i, name in enumerate(s.coordinate_names)}
     np.testing.assert_allclose(at["B"], lever_angle(angles), rtol=0, atol=1e-9)
@@ -214,11 +216,11 @@ def test_the_slotted_lever_assembles(s):
 
 @each_cut
 def test_the_slotted_lever_moves(s):
-    start = s.assemble({"A": 0.3}, start=s.posture("closed")).q
+    start = s.assemble({"A": 0.3}, start=s.q("closed")).q
     m = s.mobility(start)
     assert m.dof == 1 and m.counting.gruebler == 1 and not m.idle_freedoms and m.redundancy.number == 0
     path = s.trace("A", start)
-    assert path.closed and np.abs(s.closure_error(path.q)).max() < 1e-9
+    assert path.closed and np.abs(s.loops.closure_error(path.q)).max() < 1e-9
     turned = path.q[:, s.coordinate_names.index("A")]
     assert np.ptp(turned) == pytest.approx(2 * np.pi, abs=1e-6)
     np.testing.assert_allclose(path.q[:, s.coordinate_names.index("B")], lever_angle(turned), rtol=0, atol=1e-8)
@@ -228,39 +230,39 @@ def test_the_slotted_lever_moves(s):
         drive.q[:, s.coordinate_names.index("B")], lever_angle(0.3 + 2.0 * times), rtol=0, atol=1e-9
     )
     rate = (lever_angle(0.3 + 1e-5) - lever_angle(0.3 - 1e-5)) / 2e-5
-    assert s.loop_jacobian(start, ["A"], ["B"]).matrix[0, 0] == pytest.approx(rate, abs=1e-9)
+    assert s.loops.jacobian(start, ["A"], ["B"]).matrix[0, 0] == pytest.approx(rate, abs=1e-9)
     assert s.independent(start).dim == 1
-    assert s.mechanical_advantage(start, "A", "B") == pytest.approx(1.0 / rate, rel=1e-6)
+    assert s.loops.mechanical_advantage(start, "A", "B") == pytest.approx(1.0 / rate, rel=1e-6)
 
 
 @each_cut
 def test_the_slotted_lever_is_placed(s):
-    start = s.assemble({"A": 0.9}, start=s.posture("closed")).q
+    start = s.assemble({"A": 0.9}, start=s.q("closed")).q
     X = s.fk(start, "tip")
     found = s.ik(tasks.Pose("tip", X), start=s.assemble({"A": 0.7}, start=start).q)
     assert found.success
-    assert np.abs(s.closure_error(found.q)).max() < 1e-8
+    assert np.abs(s.loops.closure_error(found.q)).max() < 1e-8
     np.testing.assert_allclose(s.fk(found.q, "tip"), X, rtol=0, atol=1e-7)
     modes = s.assembly_modes({"A": 0.9})
-    assert len(modes.q) == 2 and np.abs(s.closure_error(modes.q)).max() < 1e-9
+    assert len(modes.q) == 2 and np.abs(s.loops.closure_error(modes.q)).max() < 1e-9
     every = s.ik_all(X, "tip")
-    assert any(np.abs(s.difference(q, start)).max() < 1e-6 for q in every.q)
+    assert any(np.abs(s.configuration_space.difference(q, start)).max() < 1e-6 for q in every.q)
     np.testing.assert_allclose(s.fk(every.q, "tip"), np.broadcast_to(X, (len(every), 4, 4)), atol=1e-9)
     with pytest.raises(UnsupportedError, match="loop that joint"):
-        s.ik_plan("tip")
+        s.inverse.plan("tip")
     step = s.ik_step(start, tasks.Pose("tip", s.fk(s.assemble({"A": 0.91}, start=start).q, "tip")), dt=0.01)
-    assert step.velocity[s.velocity_names.index("A")] == pytest.approx(1.0, abs=0.05)  # it is damped
+    assert step.velocity[s.structure.velocity_names.index("A")] == pytest.approx(1.0, abs=0.05)  # it is damped
 
 
 @each_cut
 def test_poses_of_the_slotted_lever(s):
-    q = s.assemble({"A": np.linspace(-1, 1, 5)}, start=s.posture("closed")).q
-    poses = s.to_maximal(q)
-    np.testing.assert_allclose(s.from_maximal(poses, start=q), q, rtol=0, atol=1e-10)
+    q = s.assemble({"A": np.linspace(-1, 1, 5)}, start=s.q("closed")).q
+    poses = convert.to_maximal(s, q)
+    np.testing.assert_allclose(convert.from_maximal(s, poses, start=q), q, rtol=0, atol=1e-10)
     off = np.array(poses)
     off[..., 0, 0, 3] += 1e-3
     with pytest.raises(InputError, match=r"violate joint"):
-        s.from_maximal(off)
+        convert.from_maximal(s, off)
 
 
 @pytest.mark.parametrize("kind", [Revolute(), Geared()], ids=str)
@@ -289,7 +291,7 @@ def test_a_geared_hinge_returns_after_its_own_period():
     m.revolute("C", b, c, at=(0.9, 0.0))
     m.revolute("D", m.ground, c, at=(1.0, 0.0), child_at=(0.6, 0.0))
     s = m.build()
-    assert not s.coordinates.turning[s.velocity_names.index("A.motor")]
+    assert not s.structure.coordinates.turning[s.structure.velocity_names.index("A.motor")]
     q = s.assemble({"A.motor": 0.5}).q
     turns = s.assemble({"A.motor": 0.5 + 2 * np.pi * np.array([1, 5])}, start=q).q
     poses = s.fk(turns, "a")
@@ -356,7 +358,7 @@ def test_own_types_are_drawn(kind, dim):
 
     assert any(g.startswith("joint:j2") for g in drawn(q)), "a symbol"
     assert not any(g.startswith("open:j2") for g in drawn(q))
-    assert any(g.startswith("open:j2") for g in drawn(s.integrate(q, np.full(s.nv, 0.4))))
+    assert any(g.startswith("open:j2") for g in drawn(s.configuration_space.integrate(q, np.full(s.nv, 0.4))))
 
 
 def faults() -> Iterator[tuple[str, tuple, tuple, str]]:

@@ -108,7 +108,7 @@ def expected_pose(case: Case, q, backwards: bool = False, placed: bool = False) 
 def sample(system, rng, size: float = 3.0) -> np.ndarray:
     """A configuration with plain coordinates up to `size` and quaternions that are not normalised."""
     q = rng.uniform(-size, size, system.nq)
-    for i in system.layout.quaternion_q:
+    for i in system.structure.layout.quaternion_q:
         q[i : i + 4] = rng.normal(size=4) * rng.uniform(0.5, 2.0)
     return q
 
@@ -139,7 +139,7 @@ def test_number_of_coordinates(case):
     assert system.nv == case.kind.dof(case.dim, case.particle)
     assert system.nq == system.nv + balls
     assert len(system.coordinate_names) == system.nq
-    assert len(system.velocity_names) == system.nv == len(set(system.velocity_names))
+    assert len(system.structure.velocity_names) == system.nv == len(set(system.structure.velocity_names))
 
 
 @every_case
@@ -280,18 +280,18 @@ def test_bad_numbers_stay_bad(case, bad):
 def test_zero_quaternions_are_refused_and_others_normalised(case):
     system = one_joint(case)
     q = system.neutral.copy()
-    k = int(system.layout.quaternion_q[0])
+    k = int(system.structure.layout.quaternion_q[0])
     for scale in (1e-300, 1e-160, 1.0, 1e160, 1e300):
         q[k : k + 4] = np.array([0.5, 0.5, -0.5, 0.5]) * scale
         expected = reference.ball(0.5, 0.5, -0.5, 0.5)[:3, :3].astype(float)
         np.testing.assert_allclose(system.fk(q, "M")[:3, :3], expected, rtol=0, atol=1e-15)
-        moved = system.integrate(q, np.zeros(system.nv))
+        moved = system.configuration_space.integrate(q, np.zeros(system.nv))
         np.testing.assert_allclose(moved[k : k + 4], [0.5, 0.5, -0.5, 0.5], rtol=0, atol=1e-15)
     q[k : k + 4] = 0.0
     with pytest.raises(InputError, match="quaternion"):
         system.fk(q, "M")
     assert np.isnan(system.fk(q[None], "M")[0, :3]).all()
-    assert np.isnan(system.integrate(q, np.zeros(system.nv))[k : k + 4]).all()
+    assert np.isnan(system.configuration_space.integrate(q, np.zeros(system.nv))[k : k + 4]).all()
 
 
 # ------------------------------------------------------------------ velocities
@@ -309,7 +309,10 @@ def test_motion_subspace_is_the_derivative_of_the_pose(case, backwards, placed):
     body, aligned, world = (system.jacobian(q, "M", f) for f in ("body", "world_aligned", "world"))
     for i in range(system.nv):
         step = h * np.eye(system.nv)[i]
-        ahead, back = system.fk(system.integrate(q, step), "M"), system.fk(system.integrate(q, -step), "M")
+        ahead, back = (
+            system.fk(system.configuration_space.integrate(q, step), "M"),
+            system.fk(system.configuration_space.integrate(q, -step), "M"),
+        )
         twist = reference.twist_between(back, ahead, 2 * h)
         velocity = np.concatenate([(ahead - back)[:3, 3] / (2 * h), X[:3, :3] @ twist[3:]])
         np.testing.assert_allclose(body[:, i], np.concatenate([X[:3, :3].T @ velocity[:3], twist[3:]]), atol=1e-8)
@@ -323,14 +326,19 @@ def test_motion_subspace_is_the_derivative_of_the_pose(case, backwards, placed):
 def test_integrate_and_difference_are_inverse(case, seed):
     system, rng = one_joint(case), np.random.default_rng(seed)
     q0, q1 = sample(system, rng), sample(system, rng)
-    v = system.difference(q0, q1)
-    end = system.integrate(q0, v)
+    v = system.configuration_space.difference(q0, q1)
+    end = system.configuration_space.integrate(q0, v)
     np.testing.assert_allclose(system.fk(end, "M"), system.fk(q1, "M"), rtol=0, atol=1e-13)
-    np.testing.assert_allclose(system.difference(q1, q0), -v, rtol=0, atol=1e-12)  # antisymmetric
+    np.testing.assert_allclose(system.configuration_space.difference(q1, q0), -v, rtol=0, atol=1e-12)  # antisymmetric
     small = rng.uniform(-1.0, 1.0, system.nv)
-    np.testing.assert_allclose(system.difference(q0, system.integrate(q0, small)), small, rtol=0, atol=1e-13)
-    np.testing.assert_array_equal(system.difference(q0, q0), np.zeros(system.nv))
-    for i in system.layout.quaternion_q:
+    np.testing.assert_allclose(
+        system.configuration_space.difference(q0, system.configuration_space.integrate(q0, small)),
+        small,
+        rtol=0,
+        atol=1e-13,
+    )
+    np.testing.assert_array_equal(system.configuration_space.difference(q0, q0), np.zeros(system.nv))
+    for i in system.structure.layout.quaternion_q:
         assert abs(np.linalg.norm(end[i : i + 4]) - 1) < 1e-15
 
 
@@ -341,12 +349,12 @@ def test_random_stays_within_limits(case):
     bounds = {n: (0.3 * i - 1.0, 0.3 * i - 0.9) for i, n in enumerate(names)}
     system = one_joint(case, limits=bounds or None)
     q = system.random(np.random.default_rng(0), 200)
-    plain = system.layout.vector_q
-    lower, upper = system.lower[system.layout.vector_v], system.upper[system.layout.vector_v]
+    plain = system.structure.layout.vector_q
+    lower, upper = system.lower[system.structure.layout.vector_v], system.upper[system.structure.layout.vector_v]
     assert np.all(q[:, plain] >= lower) and np.all(q[:, plain] <= upper)
     if len(plain):
         assert np.all(np.ptp(q[:, plain], axis=0) > 0.09)
-    for i in system.layout.quaternion_q:
+    for i in system.structure.layout.quaternion_q:
         np.testing.assert_allclose(np.linalg.norm(q[:, i : i + 4], axis=-1), 1.0, atol=1e-14)
     assert np.all(system.mid[plain] >= lower) and np.all(system.mid[plain] <= upper)
 
@@ -427,7 +435,7 @@ def test_types_and_systems_pickle(case):
     kind, system = case.kind, one_joint(case, placed=True)
     assert pickle.loads(pickle.dumps(kind)) == kind
     copy = pickle.loads(pickle.dumps(system))
-    assert copy == system and hash(copy) == hash(system) and copy.structure_hash == system.structure_hash
+    assert copy == system and hash(copy) == hash(system) and copy.structure.hash == system.structure.hash
     q = sample(system, np.random.default_rng(0))
     np.testing.assert_array_equal(copy.fk(q), system.fk(q))
 
@@ -444,7 +452,7 @@ def test_description_survives_a_round_trip(case, backwards):
 def test_locked_joint_is_a_constant(case):
     system, rng = one_joint(case, placed=True), np.random.default_rng(9)
     q = sample(system, rng)
-    held = system.lock(dict(zip(system.coordinate_names, q.tolist(), strict=True)))
+    held = system.mechanism.lock(dict(zip(system.coordinate_names, q.tolist(), strict=True))).build()
     assert held.nq == held.nv == 0
     np.testing.assert_allclose(held.fk([], "M"), system.fk(q, "M"), rtol=0, atol=1e-15 * 10)
     assert held.jacobian([], "M").shape == (6, 0)

@@ -24,15 +24,18 @@ from kempe.model.topology import natural
 def dof_by_counting(system: System) -> int:
     """Freedoms of all bodies without joints, less the constraints that each joint imposes."""
     free = 6 if system.dim == 3 else 3
-    return free * len(system.parent) - sum(j.type.constraints(system.dim) for j in system.joints.values())
+    return free * len(system.parent) - sum(j.type.constraints(system.dim) for j in system.structure.joints.values())
 
 
 def dimension_here(system: System, q: np.ndarray) -> int:
     """Dimension of the configuration space at a configuration: coordinates less independent closure constraints."""
-    if not system.closures:
+    if not system.structure.closures:
         return system.nv
     h = 1e-6
-    ahead, back = (system.closure_error(system.integrate(q, step * np.eye(system.nv))) for step in (h, -h))
+    ahead, back = (
+        system.loops.closure_error(system.configuration_space.integrate(q, step * np.eye(system.nv)))
+        for step in (h, -h)
+    )
     rows = ((ahead - back) / (2 * h)).reshape(system.nv, -1)
     return system.nv - int(np.linalg.matrix_rank(rows, tol=1e-6))
 
@@ -42,7 +45,7 @@ def dimension_here(system: System, q: np.ndarray) -> int:
 
 def test_a_prismatic_joint_leaves_one_dof_and_imposes_five_constraints():
     system = kempe.load("slider")
-    joint = system.joints["J6"]
+    joint = system.structure.joints["J6"]
     assert (joint.parent, joint.child) == ("B0", "B5")
     assert joint.type.dof() == 1 and joint.type.constraints() == 5
     assert system.nq == 1, "one parameter specifies the position of B5 relative to B0"
@@ -53,7 +56,7 @@ def test_a_prismatic_joint_leaves_one_dof_and_imposes_five_constraints():
 
 def test_an_unconstrained_rigid_body_has_six_dof():
     system = kempe.load("joint_free")
-    assert system.nv == 6 and system.joints["joint"].type.constraints() == 0
+    assert system.nv == 6 and system.structure.joints["joint"].type.constraints() == 0
     m = Mechanism("plane", dim=2)
     m.free("J", m.ground, m.body("b"))
     assert m.build().nv == 3, "two translations and one rotation"
@@ -65,12 +68,14 @@ def test_an_unconstrained_rigid_body_has_six_dof():
 
 def test_counting_dof_of_the_planar_system():
     system = kempe.load("four_links")
-    kinds = [j.type.type_name for j in system.joints.values()]
+    kinds = [j.type.type_name for j in system.structure.joints.values()]
     assert len(system.parent) == 4 and kinds.count("revolute") == 4 and kinds.count("prismatic") == 1
-    assert all(j.type.constraints(2) == 2 for j in system.joints.values()), "each joint imposes two constraints"
+    assert all(j.type.constraints(2) == 2 for j in system.structure.joints.values()), (
+        "each joint imposes two constraints"
+    )
     assert 4 * 3 == 12 and dof_by_counting(system) == 12 - 5 * 2 == 4 * (3 - 2) - 2 == 2
-    tree = [j for j in system.joint_names if j not in system.closures]
-    assert len(tree) == 4 and len(system.closures) == 1, "one joint a link, and for the last one another"
+    tree = [j for j in system.joint_names if j not in system.structure.closures]
+    assert len(tree) == 4 and len(system.structure.closures) == 1, "one joint a link, and for the last one another"
 
 
 def test_the_same_reasoning_in_space():
@@ -81,9 +86,9 @@ def test_the_same_reasoning_in_space():
 @pytest.mark.parametrize("name", ["slider", "two_link", "seven_bodies", "four_links", "four_bar", "car"])
 def test_dof_is_the_dimension_of_the_configuration_space(name):
     system = kempe.load(name)
-    q = system.posture("closed") if system.closures else system.random(0)
+    q = system.q("closed") if system.structure.closures else system.random(0)
     assert dimension_here(system, q) == dof_by_counting(system)
-    if not system.closures:
+    if not system.structure.closures:
         assert system.configuration_space.dimension == system.nv
 
 
@@ -91,7 +96,7 @@ def test_the_loop_through_j6():
     """Its axes are parallel, so counting, which knows no lengths and axes, is three constraints too strict."""
     system = kempe.load("seven_bodies_loop")
     assert dof_by_counting(system) == 7 - 5 == 2
-    assert dimension_here(system, system.posture("closed")) == 8 - 3 == 5
+    assert dimension_here(system, system.q("closed")) == 8 - 3 == 5
 
 
 # ------------------------------------------------------------------ types of joints
@@ -139,37 +144,37 @@ def test_two_ways_to_give_a_configuration():
     q = system.random(0)
     assert q.shape == (7,)
     m = Mechanism("pairs", ground="B0")
-    m.parameters = dict(system.parameters)
+    m.parameters = dict(system.structure.parameters)
     for body in system.body_names[1:]:
         m.free(f"pair {body}", "B0", m.body(body))
-    for joint in system.joints.values():
+    for joint in system.structure.joints.values():
         m.joint(joint.name, joint.type, joint.parent, joint.child, at=joint.X_PF, child_at=joint.X_CM, cut=True)
     pairs = m.build()
-    assert pairs.closures == system.joint_names
+    assert pairs.structure.closures == system.joint_names
     space = pairs.configuration_space  # the joints' own coordinates are part of it, as of every configuration
     assert space.ambient_dimension - 7 == 7 * 6 == space.constraints and space.dimension == 7
     values = system.q_dict(q)
     for body, X in zip(system.body_names[1:], system.fk(q)[1:], strict=True):
         numbers = [*X[:3, 3], *spatial.matrix_to_quat_wxyz(X[:3, :3])]
         values |= {f"pair {body}.{c}": x for c, x in zip("x y z qw qx qy qz".split(), numbers, strict=True)}
-    np.testing.assert_allclose(pairs.closure_error(pairs.q(values)), 0.0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(pairs.loops.closure_error(pairs.q(values)), 0.0, rtol=0, atol=1e-14)
     values["pair B5.x"] += 0.01
-    assert np.abs(pairs.closure_error(pairs.q(values))).max() > 0.005, "now joint J5 is torn apart"
+    assert np.abs(pairs.loops.closure_error(pairs.q(values))).max() > 0.005, "now joint J5 is torn apart"
 
 
 def test_open_chains_take_any_joint_angles_and_closed_ones_do_not():
     tree, loop = kempe.load("seven_bodies"), kempe.load("four_bar")
-    assert tree.closures == () and tree.closure_error(tree.random(0)).shape == (0, 6)
-    assert np.abs(loop.closure_error(loop.random(0))).max() > 0.01
-    np.testing.assert_allclose(loop.closure_error(loop.posture("closed")), 0.0, rtol=0, atol=1e-14)
-    assert dimension_here(loop, loop.posture("closed")) == 1, "only one angle can be set independently"
+    assert tree.structure.closures == () and tree.loops.closure_error(tree.random(0)).shape == (0, 6)
+    assert np.abs(loop.loops.closure_error(loop.random(0))).max() > 0.01
+    np.testing.assert_allclose(loop.loops.closure_error(loop.q("closed")), 0.0, rtol=0, atol=1e-14)
+    assert dimension_here(loop, loop.q("closed")) == 1, "only one angle can be set independently"
 
 
 def test_additional_considerations_decide_between_two_assemblies():
     """The same crank angle, the same loop closed: coupler and rocker mirrored in the line between their ends."""
     loop = kempe.load("four_bar")
-    first = loop.q_dict(loop.posture("closed"))
-    a, b, c, d = (loop.parameters[k] for k in "abcd")
+    first = loop.q_dict(loop.q("closed"))
+    a, b, c, d = (loop.structure.parameters[k] for k in "abcd")
     B = a * np.array([math.cos(first["A"]), math.sin(first["A"])])
     D = np.array([d, 0.0])
     C = B + b * np.array([math.cos(first["A"] + first["B"]), math.sin(first["A"] + first["B"])])
@@ -177,7 +182,7 @@ def test_additional_considerations_decide_between_two_assemblies():
     mirrored = B + 2 * along * (along @ (C - B)) - (C - B)
     coupler, rocker = (math.atan2(v[1], v[0]) for v in (mirrored - B, mirrored - D))
     second = loop.q({"A": first["A"], "B": coupler - first["A"], "C": rocker - coupler, "D": rocker})
-    np.testing.assert_allclose(loop.closure_error(second), 0.0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(loop.loops.closure_error(second), 0.0, rtol=0, atol=1e-14)
     assert np.abs(loop.fk(second, "rocker") - loop.fk(first, "rocker")).max() > 0.5
     assert math.dist(mirrored, D) == pytest.approx(c)
 
@@ -189,14 +194,14 @@ CLOSED = ["four_links", "seven_bodies_loop", "four_bar", "five_bar", "bennett", 
 def test_only_p_joint_angles_of_a_closed_loop_can_be_set_independently(name):
     """With p of them set, inside a neighbourhood, the loop closes; with one more, set elsewhere, it does not."""
     system = kempe.load(name)
-    home = system.posture("closed")
+    home = system.q("closed")
     chart = system.independent(home)
     assert chart.dim == system.mobility(home).dof == dimension_here(system, home)
     u = chart.u(home) + 0.02
     q = chart.q(u, home)
     assert q, q.status
     np.testing.assert_allclose(chart.u(q.q), u, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(system.closure_error(q.q), 0.0, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(system.loops.closure_error(q.q), 0.0, rtol=0, atol=1e-9)
     one_more = next(n for n in chart.dependent if n in system.coordinate_names)
     values = system.q_dict(q.q)
     known = {n: values[n] for n in chart.independent}
@@ -206,7 +211,7 @@ def test_only_p_joint_angles_of_a_closed_loop_can_be_set_independently(name):
 def test_the_additional_considerations_are_arguments():
     """Both assemblies of the loop: by start, by name, and listed; limits that only one of them respects choose, too."""
     system = kempe.load("four_bar")
-    q = system.posture("closed")
+    q = system.q("closed")
     modes = system.assembly_modes({"A": q[0]}, start=q)
     assert len(modes) == 2 and modes.complete
     np.testing.assert_allclose(modes.q[0], q, rtol=0, atol=1e-12)
@@ -228,13 +233,13 @@ def test_two_parametrizations_of_a_closed_loop_and_the_ways_between_them():
     n_b = len(system.parent)
     for u in (0.0, 0.4, 0.8):
         q = chart.q([u]).q
-        pairs = system.to_maximal(q)
+        pairs = kempe.convert.to_maximal(system, q)
         assert pairs.shape == (n_b, 4, 4) and chart.dim <= n_b, "n <= n_b"
         at = maximal_q(system, q)
-        assert np.abs(system.maximal.closure_error(at)).max() < 1e-12
-        m = system.maximal.mobility(at)
+        assert np.abs(kempe.convert.maximal(system).loops.closure_error(at)).max() < 1e-12
+        m = kempe.convert.maximal(system).mobility(at)
         assert (m.counting.free, m.counting.taken) == (21, 20) and m.rank_dof == m.dof == chart.dim == 1
-        assert chart.u(system.from_maximal(pairs, start=q)) == pytest.approx([u], abs=1e-12)
+        assert chart.u(kempe.convert.from_maximal(system, pairs, start=q)) == pytest.approx([u], abs=1e-12)
 
 
 def test_configuration_space_and_task_space_of_the_two_link_arm():
@@ -249,7 +254,7 @@ def test_configuration_space_and_task_space_of_the_two_link_arm():
 
 def test_fgm_position_and_orientation_separately():
     system = kempe.load("two_link")
-    l1, l2 = system.parameters["l1"], system.parameters["l2"]
+    l1, l2 = system.structure.parameters["l1"], system.structure.parameters["l2"]
     q1, q2 = 0.4, -1.1
     R01, R12 = spatial.rot_z(q1), spatial.rot_z(q2)
     p_e = R01 @ (np.array([l1, 0, 0]) + R12 @ [l2, 0, 0])
@@ -262,7 +267,7 @@ def test_fgm_position_and_orientation_separately():
 
 def test_fgm_in_symbols():
     pytest.importorskip("sympy")
-    T = kempe.load("two_link").symbolic_fk("e")
+    T = kempe.load("two_link").symbolic.fk("e")
     assert str(T[0, 3]) == "l1*cos(q1) + l2*cos(q1 + q2)" and str(T[1, 3]) == "l1*sin(q1) + l2*sin(q1 + q2)"
 
 
@@ -300,9 +305,9 @@ def test_connectivity(name, joints):
     system = kempe.load(name)
     assert system.parent == (0, 1, 2, 1, 4, 4, 2)
     assert system.body_names == tuple(f"B{i}" for i in range(8))
-    assert system.parent_joints == tuple(f"J{i}" for i in joints)
+    assert system.structure.parent_joints == tuple(f"J{i}" for i in joints)
     for i, C_i in enumerate(system.parent, 1):  # P(B_i) = C_i
-        joint = system.joints[system.parent_joints[i - 1]]
+        joint = system.structure.joints[system.structure.parent_joints[i - 1]]
         assert (joint.parent, joint.child) == (f"B{C_i}", f"B{i}")
 
 
@@ -317,13 +322,13 @@ def test_connectivity_prints():
 
 def test_joint_i_is_the_parent_joint_of_body_i():
     system = kempe.load("seven_bodies")
-    assert sorted(system.joint_names, key=natural) == list(system.parent_joints)
+    assert sorted(system.joint_names, key=natural) == list(system.structure.parent_joints)
 
 
 def test_j6_closes_the_loop():
     system = kempe.load("seven_bodies_loop")
-    joint = system.joints["J6"]
-    assert system.closures == ("J6",) and joint.type.type_name == "prismatic"
+    joint = system.structure.joints["J6"]
+    assert system.structure.closures == ("J6",) and joint.type.type_name == "prismatic"
     assert (joint.parent, joint.child) == ("B0", "B5")
 
 
@@ -350,9 +355,9 @@ def apart(q: np.ndarray, other: tuple[float, float]) -> float:
 def test_two_configurations_reach_p():
     system = kempe.load("two_link")
     p = system.fk(system.neutral, "p")[:2, 3]
-    solutions = closed_form(*p, *system.parameters.values())
+    solutions = closed_form(*p, *system.structure.parameters.values())
     for posture, expected in zip(("elbow_up", "elbow_down"), solutions, strict=True):
-        q = system.posture(posture)
+        q = system.q(posture)
         assert (math.sin(q[1]) < 0) == (posture == "elbow_up")
         np.testing.assert_allclose(q, expected, rtol=0, atol=1e-14)
         np.testing.assert_allclose(system.fk(q, "e")[:2, 3], p, rtol=0, atol=1e-14)
@@ -390,7 +395,7 @@ def test_outside_the_workspace_if_and_only_if_c2_is_no_cosine(radius, direction)
 def test_igm_without_a_solution():
     system = kempe.load("unreachable")
     p = system.fk(system.neutral, "p")[:2, 3]
-    assert closed_form(*p, *system.parameters.values()) == []
+    assert closed_form(*p, *system.structure.parameters.values()) == []
     s = system.ik(p, "e")
     assert not s.success and s.status.startswith("outside the workspace by at least 0.1 m")
     np.testing.assert_allclose(system.fk(s.q, "e")[:2, 3], 0.9 * p, rtol=0, atol=1e-6)  # stretched towards p
@@ -404,7 +409,7 @@ def test_more_task_constraints_than_dof():
     assert not s.success and "3 equations" in s.status and "2 freedoms" in s.status
     assert system.ik(P[0], "e", task="position").success
     lucky = system.ik(P[1], "e")
-    assert lucky.success and apart(lucky.q, tuple(system.posture("elbow_down"))) < 1e-4
+    assert lucky.success and apart(lucky.q, tuple(system.q("elbow_down"))) < 1e-4
 
 
 def test_redundancy_and_further_constraints():

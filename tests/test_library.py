@@ -54,14 +54,14 @@ def test_each_model_loads_and_describes_itself(name):
 @pytest.mark.parametrize("name", MODELS)
 def test_postures_are_allowed_and_loops_closed(name):
     system = kempe.load(name)
-    assert not system.closures or "closed" in system.posture_names
-    for posture in system.posture_names:
-        q = system.posture(posture)
-        v = q[system.layout.vector_q]
-        inside = system.limits[system.layout.vector_v]
+    assert not system.structure.closures or "closed" in system.structure.posture_names
+    for posture in system.structure.posture_names:
+        q = system.q(posture)
+        v = q[system.structure.layout.vector_q]
+        inside = system.structure.limits[system.structure.layout.vector_v]
         assert (inside[:, 0] <= v).all() and (v <= inside[:, 1]).all()
         if posture == "closed":
-            np.testing.assert_allclose(system.closure_error(q), 0.0, rtol=0, atol=1e-14)
+            np.testing.assert_allclose(system.loops.closure_error(q), 0.0, rtol=0, atol=1e-14)
 
 
 def test_names_that_are_not_there():
@@ -76,7 +76,7 @@ def test_names_that_are_not_there():
 @pytest.mark.parametrize("model", sorted(JOINTS))
 def test_a_model_of_each_joint(model):
     system = kempe.load(model)
-    joint = system.joints["joint"]
+    joint = system.structure.joints["joint"]
     assert f"joint_{joint.type.type_name}" == model and joint.type.type_name in TYPES
     said = re.search(r"(\d) DoF", library.describe(model))
     assert said is not None and int(said[1]) == joint.type.dof() == system.nv
@@ -92,7 +92,7 @@ def test_the_screw_climbs_10_mm_a_turn():
 
 def test_the_four_bar_has_the_lengths_that_it_says():
     system = kempe.load("four_bar")
-    poses = dict(zip(system.body_names, system.fk(system.posture("closed")), strict=True))
+    poses = dict(zip(system.body_names, system.fk(system.q("closed")), strict=True))
     B = poses["crank"] @ [0.1, 0, 0, 1]
     C = poses["coupler"] @ [0.5, 0, 0, 1]
     np.testing.assert_allclose(B[:2], [0, 0.1], rtol=0, atol=1e-14)
@@ -115,7 +115,7 @@ def test_the_four_bar_has_the_lengths_that_it_says():
 def test_puma_poses_of_the_textbook(posture, rotation, position):
     """Corke, Robotics, Vision and Control, 2011, section 7.2: four digits."""
     robot = kempe.load("puma560")
-    X = robot.fk(robot.posture(posture), "tool")
+    X = robot.fk(robot.q(posture), "tool")
     np.testing.assert_allclose(X[:3, :3], rotation, rtol=0, atol=1e-14)
     np.testing.assert_allclose(X[:3, 3], position, rtol=0, atol=6e-5)
 
@@ -123,7 +123,7 @@ def test_puma_poses_of_the_textbook(posture, rotation, position):
 def test_ur5_upright():
     """All lengths along the way up: 1001.059 mm high, 191.45 mm aside."""
     robot = kempe.load("ur5")
-    X = robot.fk(robot.posture("up"), "tool")
+    X = robot.fk(robot.q("up"), "tool")
     np.testing.assert_allclose(X[:3, 3], [0, -0.19145, 1.001059], rtol=0, atol=1e-14)
 
 
@@ -151,7 +151,7 @@ def test_toolbox_agrees():
             expected = other.fkine(q).A
             np.testing.assert_allclose(before @ robot.fk(q, frame) @ after, expected, rtol=0, atol=1e-14)
         limited = np.isfinite(robot.lower)
-        np.testing.assert_allclose(robot.limits[limited], np.asarray(other.qlim).T[limited], rtol=1e-15)
+        np.testing.assert_allclose(robot.structure.limits[limited], np.asarray(other.qlim).T[limited], rtol=1e-15)
 
 
 def test_toolbox_agrees_on_the_jaco():
@@ -181,7 +181,7 @@ def test_toolbox_agrees_on_the_jaco():
 def test_robots_stretched(name, frame, q, rotation, position):
     """Postures in which the lengths of the data sheet add up."""
     robot = kempe.load(name)
-    X = robot.fk(robot.posture(q) if q else robot.neutral, frame)
+    X = robot.fk(robot.q(q) if q else robot.neutral, frame)
     if rotation is not None:
         np.testing.assert_allclose(X[:3, :3], rotation, rtol=0, atol=1e-14)
     np.testing.assert_allclose(X[:3, 3], position, rtol=0, atol=1e-14)
@@ -221,4 +221,4 @@ def test_pinocchio_agrees(name, file, base, ours, theirs, tolerance):
         np.testing.assert_allclose(robot.fk(q, ours), expected, rtol=0, atol=tolerance)
     if name == "panda":
         limits = np.stack([model.lowerPositionLimit, model.upperPositionLimit], axis=-1)[: robot.nq]
-        np.testing.assert_array_equal(robot.limits, limits)
+        np.testing.assert_array_equal(robot.structure.limits, limits)

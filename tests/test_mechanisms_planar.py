@@ -30,7 +30,7 @@ def solved(system: System, known: dict[str, float], near: np.ndarray) -> np.ndar
     def error(x: np.ndarray) -> np.ndarray:
         p = np.broadcast_to(q, (*x.shape[:-1], q.size)).copy()
         p[..., free] = x
-        return system.closure_error(p).reshape(*x.shape[:-1], -1)
+        return system.loops.closure_error(p).reshape(*x.shape[:-1], -1)
 
     def slope(x: np.ndarray) -> np.ndarray:
         h = 1e-6 * np.eye(len(free))
@@ -38,14 +38,14 @@ def solved(system: System, known: dict[str, float], near: np.ndarray) -> np.ndar
 
     answer = least_squares(error, q[free], slope, xtol=3e-16, ftol=3e-16, gtol=3e-16)  # pyright: ignore
     q[free] = answer.x
-    np.testing.assert_allclose(system.closure_error(q), 0.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(system.loops.closure_error(q), 0.0, rtol=0, atol=1e-12)
     return q
 
 
 def path(name: str, driver: str, angles: list[float], frame: str) -> list[complex]:
     """Places of a frame while a driver goes from `closed` through these values, as complex numbers."""
     system = kempe.load(name)
-    q, out = system.posture("closed"), []
+    q, out = system.q("closed"), []
     for angle in angles:
         q = solved(system, {driver: angle}, q)
         x, y = system.fk(q, frame)[:2, 3]
@@ -78,21 +78,21 @@ def assert_same_places(found: list[complex], expected: list[complex], tolerance:
 def test_the_table_has_every_planar_mechanism_with_loops():
     names = [case.name for case in PLANAR]
     systems = {name: kempe.load(name) for name in library.names()}
-    closed = {name for name, system in systems.items() if system.dim == 2 and system.closures}
+    closed = {name for name, system in systems.items() if system.dim == 2 and system.structure.closures}
     assert len(set(names)) == len(names) and set(names) == closed - LECTURE
 
 
 @pytest.mark.parametrize("name", [case.name for case in PLANAR])
 def test_each_posture_is_in_the_table(name):
     postures = [case.posture for case in CASES if case.name == name]
-    assert sorted(postures) == sorted(kempe.load(name).posture_names)
+    assert sorted(postures) == sorted(kempe.load(name).structure.posture_names)
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_postures_are_closed(case: Case):
     system = kempe.load(case.name)
-    q = system.posture(case.posture)
-    np.testing.assert_allclose(system.closure_error(q), 0.0, rtol=0, atol=1e-14)
+    q = system.q(case.posture)
+    np.testing.assert_allclose(system.loops.closure_error(q), 0.0, rtol=0, atol=1e-14)
     np.testing.assert_allclose(loops.residual(system, q), 0.0, rtol=0, atol=1e-14)
 
 
@@ -119,10 +119,13 @@ def nullity(J: np.ndarray, tolerance: float) -> int:
 def test_rank(case: Case):
     """By the Jacobian of the loops, and by central differences of their error."""
     system = kempe.load(case.name)
-    q = system.posture(case.posture)
+    q = system.q(case.posture)
     assert nullity(loops.jacobian(system, q), 1e-9) == case.rank
     h = 1e-5 * np.eye(system.nv)
-    ahead, behind = system.closure_error(system.integrate(q, h)), system.closure_error(system.integrate(q, -h))
+    ahead, behind = (
+        system.loops.closure_error(system.configuration_space.integrate(q, h)),
+        system.loops.closure_error(system.configuration_space.integrate(q, -h)),
+    )
     assert nullity(((ahead - behind) / 2e-5).reshape(system.nv, -1).T, 1e-6) == case.rank
 
 
@@ -136,7 +139,7 @@ def test_full_rank_is_the_truth(case: Case):
 def test_motions_through_singular_postures(case: Case):
     """They close far from the posture, start at it, have their dimension, and differ from each other."""
     system = kempe.load(case.name)
-    q0 = system.posture(case.posture)
+    q0 = system.q(case.posture)
     motions = branches(case.name)
     assert tuple(sorted((dim for dim, _ in motions), reverse=True)) == case.branches
     assert max(case.branches) == case.true
@@ -146,7 +149,7 @@ def test_motions_through_singular_postures(case: Case):
     for dim, motion in motions:
         assert motion(*[0.0] * dim) == pytest.approx(system.q_dict(q0), abs=1e-15)
         for values in rng.uniform(-0.28, 0.28, (5, dim)):
-            np.testing.assert_allclose(system.closure_error(system.q(motion(*values))), 0.0, rtol=0, atol=1e-14)
+            np.testing.assert_allclose(system.loops.closure_error(system.q(motion(*values))), 0.0, rtol=0, atol=1e-14)
         h = 1e-6 * np.eye(dim)
         tangents = np.array([system.q(motion(*e)) - system.q(motion(*-e)) for e in h]) / 2e-6
         np.testing.assert_allclose(J @ tangents.T, 0.0, rtol=0, atol=2e-9)
@@ -164,7 +167,7 @@ def projected(system: System, q: np.ndarray) -> np.ndarray:
         error = loops.residual(system, q)
         if np.abs(error).max() < 1e-16:
             break
-        q = system.integrate(q, -np.linalg.lstsq(loops.jacobian(system, q), error, rcond=1e-12)[0])
+        q = system.configuration_space.integrate(q, -np.linalg.lstsq(loops.jacobian(system, q), error, rcond=1e-12)[0])
     assert np.abs(loops.residual(system, q)).max() < 1e-7
     return q
 
@@ -172,15 +175,17 @@ def projected(system: System, q: np.ndarray) -> np.ndarray:
 def kicked(case: Case, size: float, n: int) -> tuple[System, list[np.ndarray]]:
     """Closed configurations next to a posture, from random steps along the kernel of the Jacobian."""
     system = kempe.load(case.name)
-    q = system.posture(case.posture)
+    q = system.q(case.posture)
     kernel = np.linalg.svd(loops.jacobian(system, q))[2][system.nv - case.rank :]
     steps = np.random.default_rng(3).normal(size=(n, case.rank)) * size
-    return system, [projected(system, system.integrate(q, step @ kernel)) for step in steps]
+    return system, [projected(system, system.configuration_space.integrate(q, step @ kernel)) for step in steps]
 
 
 def from_motion(system: System, q: np.ndarray, dim: int, motion: Motion) -> float:
     """How far a configuration is from a motion of the table."""
-    answer = least_squares(lambda x: system.difference(q, system.q(motion(*x))), np.zeros(dim), xtol=1e-15)
+    answer = least_squares(
+        lambda x: system.configuration_space.difference(q, system.q(motion(*x))), np.zeros(dim), xtol=1e-15
+    )
     return float(np.abs(answer.fun).max())
 
 
@@ -212,14 +217,14 @@ def test_the_cusp_of_the_double_watt_linkage():
 def test_points_of_the_two_kinds_of_motions_of_the_twelve_bar_linkage():
     system = kempe.load("wunderlich")
     motions = [motion for _, motion in branches("wunderlich")]
-    assert motions[0](0.7, -0.4) == pytest.approx(system.q_dict(system.posture("parallel")), abs=1e-15)
-    assert motions[-1](0.15) == pytest.approx(system.q_dict(system.posture("antiparallel")), abs=1e-15)
+    assert motions[0](0.7, -0.4) == pytest.approx(system.q_dict(system.q("parallel")), abs=1e-15)
+    assert motions[-1](0.15) == pytest.approx(system.q_dict(system.q("antiparallel")), abs=1e-15)
 
 
 def test_the_shaky_structures_have_no_play():
     """The fixed points are as far apart as the two bars are long: the pin has one place."""
     for name in ("shaky_3r", "pendulum_dead_centre"):
-        joints, numbers = kempe.load(name).joints, kempe.load(name).parameters
+        joints, numbers = kempe.load(name).structure.joints, kempe.load(name).structure.parameters
         ground = [joints[n].X_PF.evaluate(numbers)[:3, 3] for n in "AC"]
         bars = [joints["B"].X_PF.evaluate(numbers)[:3, 3], joints["C"].X_CM.evaluate(numbers)[:3, 3]]
         lengths = np.linalg.norm(bars, axis=1)
@@ -262,14 +267,14 @@ def test_kite():
     angles = steps([90, 120, 170])
     system = kempe.load("kite")
     for t in angles:
-        q = solved(system, {"A": t}, system.posture("closed"))
+        q = solved(system, {"A": t}, system.q("closed"))
         X = system.fk(q, "rocker") @ [0.3, 0, 0, 1]
         assert atan2(X[1], X[0]) == pytest.approx(t / 2, abs=1e-11)
 
 
 def test_straight_line_four_bars_touch_their_line():
     """Chebyshev: heights 4 at x = 2, 0 and 4; Hoecken: at 90, 180 and 270 degrees; both at most 0.01 off in between."""
-    left = kempe.load("chebyshev").posture("closed")[0] + np.linspace(0, pi / 2 - np.arcsin(0.8), 9)
+    left = kempe.load("chebyshev").q("closed")[0] + np.linspace(0, pi / 2 - np.arcsin(0.8), 9)
     found = np.array(path("chebyshev", "A", left.tolist(), "P")) * 10
     np.testing.assert_allclose(found[[0, -1]], [2 + 4j, 4j], rtol=0, atol=1e-10)
     assert 0.005 < np.abs(np.imag(found) - 4).max() < 0.01
@@ -307,7 +312,7 @@ def test_watt_curve():
 def test_five_bar():
     system = kempe.load("five_bar")
     for t1, t2 in (steps([120, 40]), steps([150, 80]), steps([95, 30])):
-        q = solved(system, {"A": t1, "D": t2}, system.posture("closed"))
+        q = solved(system, {"A": t1, "D": t2}, system.q("closed"))
         x, y = system.fk(q, "tip")[:2, 3]
         assert_same_places([complex(x, y)], [meet(0.2 * turn(t1), 0.3, 0.2 + 0.2 * turn(t2), 0.3, 1)])
 
@@ -350,7 +355,7 @@ def stephenson_six_bar(t: float) -> complex:
     [("watt_six_bar", "output", watt_six_bar), ("stephenson_six_bar", "coupler_point", stephenson_six_bar)],
 )
 def test_six_bars_turn_fully(name, frame, chain):
-    start = kempe.load(name).posture("closed")[0]
+    start = kempe.load(name).q("closed")[0]
     angles = (start + np.linspace(0, 2 * pi, 13)).tolist()
     assert_same_places(path(name, "A", angles, frame), [chain(t) for t in angles])
 
@@ -396,7 +401,7 @@ def test_klann_walks():
 def test_andrews_squeezer():
     """The six position equations of Hairer and Wanner, at their initial values and after turning the crank."""
     system = kempe.load("andrews_squeezer")
-    c, q = system.parameters, system.posture("closed")
+    c, q = system.structure.parameters, system.q("closed")
     for beta in (q[0], 0.1, 0.4):
         q = solved(system, {"beta": beta}, q)
         v = system.q_dict(q)
@@ -424,7 +429,7 @@ def test_parallel_robots_reach_poses_by_closed_forms(x, y, w):
         rpr[f"S{k}"] = abs(end - 0.5 * corner)
     for name, known in (("three_rrr", rrr), ("three_rpr", rpr)):
         system = kempe.load(name)
-        q = system.posture("closed")
+        q = system.q("closed")
         start = system.q_dict(q)
         for part in (0.25, 0.5, 0.75, 1.0):
             q = solved(system, {n: start[n] + part * (value - start[n]) for n, value in known.items()}, q)
@@ -438,6 +443,6 @@ def test_parallel_robots_reach_poses_by_closed_forms(x, y, w):
 def test_actuators_hold_the_platform(name, posture, free):
     """Motions left when the actuated joints stand still: the legs' lines of the untwisted 3-RPR meet in a point."""
     system = kempe.load(name)
-    J = loops.jacobian(system, system.posture(posture))
-    passive = [i for i, n in enumerate(system.velocity_names) if not system.joints[n].actuated]
+    J = loops.jacobian(system, system.q(posture))
+    passive = [i for i, n in enumerate(system.structure.velocity_names) if not system.structure.joints[n].actuated]
     assert nullity(J[:, passive], 1e-9) == free

@@ -18,12 +18,12 @@ PI = np.pi
 
 def close(system: System, q: np.ndarray, hold: tuple[str, ...] = ()) -> np.ndarray:
     """A configuration near q that closes all loops, some coordinates held: scipy's solver, then Newton steps."""
-    free = [i for i, name in enumerate(system.velocity_names) if name not in hold]
+    free = [i for i, name in enumerate(system.structure.velocity_names) if name not in hold]
 
     def moved(x: np.ndarray) -> np.ndarray:
         v = np.zeros((*x.shape[:-1], system.nv))
         v[..., free] = x
-        return system.integrate(q, v)
+        return system.configuration_space.integrate(q, v)
 
     def slope(x: np.ndarray) -> np.ndarray:
         """By differences, since rotations are charted about q."""
@@ -35,15 +35,15 @@ def close(system: System, q: np.ndarray, hold: tuple[str, ...] = ()) -> np.ndarr
     for _ in range(4):
         v = np.zeros(system.nv)
         v[free] = np.linalg.lstsq(jacobian(system, q)[:, free], -residual(system, q), rcond=1e-7)[0]
-        q = system.integrate(q, v)
-    assert np.abs(system.closure_error(q)).max() < 1e-12
+        q = system.configuration_space.integrate(q, v)
+    assert np.abs(system.loops.closure_error(q)).max() < 1e-12
     return q
 
 
 def driven(name: str, driver: str, angles: np.ndarray) -> tuple[System, list[np.ndarray]]:
     """Configurations with the driver at each angle, each closed from the one before; the first from the posture."""
     system = kempe.load(name)
-    q = system.posture("closed")
+    q = system.q("closed")
     start = q[system.coordinate_names.index(driver)]
     out = []
     for angle in np.linspace(start, angles[0], 8).tolist()[:-1] + list(angles):
@@ -58,7 +58,7 @@ def driven(name: str, driver: str, angles: np.ndarray) -> tuple[System, list[np.
 @every_mechanism
 def test_the_posture_closes_all_loops(row: Spatial):
     system = kempe.load(row.name)
-    assert np.abs(system.closure_error(system.posture("closed"))).max() < 1e-14
+    assert np.abs(system.loops.closure_error(system.q("closed"))).max() < 1e-14
 
 
 @every_mechanism
@@ -66,7 +66,7 @@ def test_counting(row: Spatial):
     """6 for each moving body, minus 6 less its freedoms for each joint."""
     system = kempe.load(row.name)
     freedoms = {"revolute": 1, "prismatic": 1, "universal": 2, "spherical": 3}
-    taken = sum(6 - freedoms[j.type.type_name] for j in system.joints.values())
+    taken = sum(6 - freedoms[j.type.type_name] for j in system.structure.joints.values())
     assert 6 * (len(system.body_names) - 1) - taken == row.count
     assert row.rank - row.count == row.redundant
 
@@ -74,8 +74,8 @@ def test_counting(row: Spatial):
 @every_mechanism
 def test_the_rank_of_the_equations(row: Spatial):
     system = kempe.load(row.name)
-    J = jacobian(system, system.posture("closed"))
-    assert J.shape == (6 * len(system.closures), system.nv)
+    J = jacobian(system, system.q("closed"))
+    assert J.shape == (6 * len(system.structure.closures), system.nv)
     rank = singular_values(J)[1]
     assert system.nv - rank == row.rank
     assert len(J) - rank == row.redundant
@@ -85,7 +85,7 @@ def test_the_rank_of_the_equations(row: Spatial):
 def test_the_rank_of_the_joints(row: Spatial):
     """Twists of bodies in place of coordinates, and no loops: the same freedoms and redundancies."""
     system = kempe.load(row.name)
-    A = joint_constraints(system, system.posture("closed"))
+    A = joint_constraints(system, system.q("closed"))
     rank = singular_values(A)[1]
     assert A.shape[1] - rank == row.rank
     assert len(A) - rank == row.redundant
@@ -94,12 +94,12 @@ def test_the_rank_of_the_joints(row: Spatial):
 @every_mechanism
 def test_what_is_idle_moves_when_the_motors_hold(row: Spatial):
     system = kempe.load(row.name)
-    motors = tuple(j.name for j in system.joints.values() if j.actuated)
+    motors = tuple(j.name for j in system.structure.joints.values() if j.actuated)
     if not motors:
         assert row.name == "seven_bodies_loop"
         return
     assert len(motors) == row.dof - row.idle
-    A = joint_constraints(system, system.posture("closed"), motors)
+    A = joint_constraints(system, system.q("closed"), motors)
     left = A.shape[1] - singular_values(A)[1]
     assert left - row.idle == row.rank - row.dof  # what is neither driven nor idle: of a singular posture only
 
@@ -108,7 +108,7 @@ def test_what_is_idle_moves_when_the_motors_hold(row: Spatial):
 def test_each_velocity_is_the_start_of_a_motion(row: Spatial):
     """True freedoms: a step in any direction of the kernel leads to a closed configuration within the step squared."""
     system = kempe.load(row.name)
-    q0, step = system.posture("closed"), 1e-3
+    q0, step = system.q("closed"), 1e-3
     J = jacobian(system, q0)
     kernel = np.linalg.svd(J)[2][-row.rank :]
     rng = np.random.default_rng(0)
@@ -116,11 +116,13 @@ def test_each_velocity_is_the_start_of_a_motion(row: Spatial):
     ends = []
     for v in directions:
         v /= np.abs(v).max()
-        q = system.integrate(q0, step * v)
+        q = system.configuration_space.integrate(q0, step * v)
         for _ in range(6):
-            q = system.integrate(q, np.linalg.lstsq(jacobian(system, q), -residual(system, q), rcond=1e-5)[0])
+            q = system.configuration_space.integrate(
+                q, np.linalg.lstsq(jacobian(system, q), -residual(system, q), rcond=1e-5)[0]
+            )
         assert np.abs(residual(system, q)).max() < 1e-13
-        ends.append(system.difference(q0, q) / step - v)
+        ends.append(system.configuration_space.difference(q0, q) / step - v)
     if row.dof == row.rank:
         assert np.abs(ends).max() < 30 * step
     else:  # a velocity that mixes two motions starts neither of them
@@ -164,7 +166,7 @@ def test_pinocchio_closes_the_loop_and_finds_its_freedom(name):
         before = pin.SE3(Rotation.from_euler("x", alpha).as_matrix(), np.array([a, 0, d]))
     end = model.addFrame(pin.Frame("end", number, before, pin.FrameType.OP_FRAME))
     data, system = model.createData(), kempe.load(name)
-    q = system.posture("closed")
+    q = system.q("closed")
     assert system.coordinate_names == tuple(model.names[1:])
     J = pin.computeFrameJacobian(model, data, q, end, pin.WORLD)
     np.testing.assert_allclose(data.oMf[end].homogeneous, np.eye(4), rtol=0, atol=1e-14)
@@ -178,7 +180,7 @@ def test_pinocchio_closes_the_loop_and_finds_its_freedom(name):
 def test_each_loop_turns(name):
     """Not only to first order: half a radian to both sides in steps, one freedom everywhere."""
     system = kempe.load(name)
-    start = system.posture("closed")[0]
+    start = system.q("closed")[0]
     for side in (0.5, -0.5):
         _, found = driven(name, "q1", start + np.linspace(0.1, 1.0, 4) * side)
         for q in found:
@@ -200,12 +202,12 @@ def test_the_paradox_does_not_depend_on_the_numbers(name, parameters):
     """The conditions stand in the files' expressions: other lengths and twists move as well."""
     before = kempe.load(name)
     system = before.with_parameters(**parameters)
-    opened = np.abs(system.closure_error(before.posture("closed"))).max()
+    opened = np.abs(system.loops.closure_error(before.q("closed"))).max()
     if name in ("bricard_rectangular", "schatz"):  # one length only: the angles are the same in every size
         assert opened < 1e-14
     else:
         assert opened > 1e-3
-    q = close(system, before.posture("closed"))
+    q = close(system, before.q("closed"))
     assert system.nv - singular_values(jacobian(system, q))[1] == 1
 
 
@@ -230,7 +232,7 @@ def test_goldberg_is_two_of_bennetts_linkages():
 
 
 def test_half_a_turn_takes_the_line_symmetric_loop_to_itself():
-    start = kempe.load("bricard_line_symmetric").posture("closed")[0]
+    start = kempe.load("bricard_line_symmetric").q("closed")[0]
     for side in (0.8, -0.8):
         for q in driven("bricard_line_symmetric", "q1", start + np.linspace(0.2, 1, 4) * side)[1]:
             np.testing.assert_allclose(np.exp(1j * q[3:]), np.exp(1j * q[:3]), rtol=0, atol=1e-12)
@@ -238,7 +240,7 @@ def test_half_a_turn_takes_the_line_symmetric_loop_to_itself():
 
 def test_the_rectangular_loop_lies_on_the_edges_of_a_cube():
     system = kempe.load("bricard_rectangular")
-    corners = system.fk(system.posture("closed"), ["ground", *(f"link{i}" for i in range(1, 6))])[:, :3, 3]
+    corners = system.fk(system.q("closed"), ["ground", *(f"link{i}" for i in range(1, 6))])[:, :3, 3]
     steps = np.diff([*corners, corners[0]], axis=0)
     np.testing.assert_allclose(np.sort(np.abs(steps), axis=1), [[0, 0, 1]] * 6, rtol=0, atol=1e-14)
     np.testing.assert_allclose(np.ptp(corners, axis=0), 1, rtol=0, atol=1e-14)
@@ -261,7 +263,7 @@ def test_the_four_bar_in_space_moves_as_in_the_plane():
     system, found = driven("four_bar_spatial", "A", np.linspace(0, 6, 7))
     assert system.coordinate_names == plane.coordinate_names
     for q in found:
-        assert np.abs(plane.closure_error(q)).max() < 1e-13
+        assert np.abs(plane.loops.closure_error(q)).max() < 1e-13
         np.testing.assert_allclose(system.fk(q), plane.fk(q), rtol=0, atol=1e-14)
 
 
@@ -271,7 +273,7 @@ def test_the_rssr_crank_turns_fully_and_the_rocker_follows_its_equation():
     for q in found:
         values = system.q_dict(q)
         # C = pivot + r (cos, 0, -sin)(D) in the basis of the rocker's frame
-        X = system.joints["D"].X_PF.evaluate(system.parameters)
+        X = system.structure.joints["D"].X_PF.evaluate(system.structure.parameters)
         e1, e2, offset = X[:3, 0], X[:3, 1], X[:3, 3] - 0.1 * np.array([np.cos(values["A"]), np.sin(values["A"]), 0])
         u, v = 2 * 0.25 * e1 @ offset, 2 * 0.25 * e2 @ offset
         w = 0.4**2 - 0.25**2 - offset @ offset
@@ -287,12 +289,12 @@ def test_the_rssr_crank_turns_fully_and_the_rocker_follows_its_equation():
 def moved(name: str, seed: int, size: float = 0.1) -> tuple[System, np.ndarray]:
     """A configuration a random way from the posture `closed`, in six small steps."""
     system = kempe.load(name)
-    q, rng = system.posture("closed"), np.random.default_rng(seed)
+    q, rng = system.q("closed"), np.random.default_rng(seed)
     v = rng.normal(size=system.nv)
     for _ in range(6):
         kernel = np.linalg.svd(jacobian(system, q))[2][np.linalg.matrix_rank(jacobian(system, q), tol=1e-7) :]
         step = kernel.T @ (kernel @ v)
-        q = close(system, system.integrate(q, size / 6 * step / np.abs(step).max()))
+        q = close(system, system.configuration_space.integrate(q, size / 6 * step / np.abs(step).max()))
     return system, q
 
 
@@ -300,7 +302,7 @@ def moved(name: str, seed: int, size: float = 0.1) -> tuple[System, np.ndarray]:
 def test_translational_platforms_do_not_turn(name):
     for seed in range(3):
         system, q = moved(name, seed)
-        X, X0 = (system.fk(each, "platform") for each in (q, system.posture("closed")))
+        X, X0 = (system.fk(each, "platform") for each in (q, system.q("closed")))
         assert np.linalg.norm(X[:3, 3] - X0[:3, 3]) > 0.003
         np.testing.assert_allclose(X[:3, :3], np.eye(3), rtol=0, atol=1e-12)
 
@@ -319,12 +321,12 @@ def test_delta_arms_are_those_of_the_textbook():
 @pytest.mark.parametrize("name", ["stewart", "stewart_sps", "stewart_dietmaier", "three_upu", "three_rps"])
 def test_a_leg_is_as_long_as_its_coordinate(name):
     system, q = moved(name, 2)
-    joints, values = system.joints, system.q_dict(q)
+    joints, values = system.structure.joints, system.q_dict(q)
     below = {j.child: j for j in joints.values() if j.parent == "ground"}
     for i in range(1, 1 + sum(n.startswith("leg") for n in joints)):
-        foot = below[f"lower{i}"].X_PF.evaluate(system.parameters)[:3, 3]
+        foot = below[f"lower{i}"].X_PF.evaluate(system.structure.parameters)[:3, 3]
         hand = next(j for j in joints.values() if j.parent == "platform" and j.child == f"upper{i}")
-        head = (system.fk(q, "platform") @ hand.X_PF.evaluate(system.parameters))[:3, 3]
+        head = (system.fk(q, "platform") @ hand.X_PF.evaluate(system.structure.parameters))[:3, 3]
         assert np.linalg.norm(head - foot) == pytest.approx(values[f"leg{i}"], abs=1e-13)
 
 
@@ -339,7 +341,7 @@ def test_hunts_platform_has_no_torsion():
 def test_two_motions_meet_in_the_singular_3_upu():
     """Away from the posture either of them has three freedoms: one without turning, one in which the platform tilts."""
     system = kempe.load("three_upu_snu")
-    q0 = system.posture("closed")
+    q0 = system.q("closed")
     kernel = np.linalg.svd(jacobian(system, q0))[2][-5:].T
     twist = system.jacobian(q0, "platform") @ kernel
     assert np.linalg.matrix_rank(twist, tol=1e-9) == 5 and np.abs(twist[5]).max() < 1e-12
@@ -347,7 +349,7 @@ def test_two_motions_meet_in_the_singular_3_upu():
     def nearby(*velocity: float) -> tuple[np.ndarray, np.ndarray]:
         """Closed configuration and pose of the platform, from a velocity (x, y, z, tilts)."""
         v = kernel @ np.linalg.lstsq(twist[:5], np.array(velocity), rcond=None)[0]
-        q = close(system, system.integrate(q0, v))
+        q = close(system, system.configuration_space.integrate(q0, v))
         assert system.nv - singular_values(jacobian(system, q))[1] == 3
         return q, system.fk(q, "platform")
 
@@ -392,9 +394,10 @@ def forty(base: np.ndarray, platform: np.ndarray, legs: np.ndarray, starts: int 
 def test_dietmaiers_platform_has_forty_poses():
     """Dietmaier, 1998. From the lengths of the posture and the file's geometry, by Newton from 4000 random poses."""
     system = kempe.load("stewart_dietmaier")
-    q, joints = system.posture("closed"), system.joints
+    q, joints = system.q("closed"), system.structure.joints
     base, platform = (
-        np.array([joints[f"{kind}{i}"].X_PF.evaluate(system.parameters)[:3, 3] for i in range(1, 7)]) for kind in "US"
+        np.array([joints[f"{kind}{i}"].X_PF.evaluate(system.structure.parameters)[:3, 3] for i in range(1, 7)])
+        for kind in "US"
     )
     legs = np.array([system.q_dict(q)[f"leg{i}"] for i in range(1, 7)])
     np.testing.assert_array_equal(legs, [1, 0.645275, 1.086284, 1.503439, 1.281933, 0.771071])
@@ -433,7 +436,7 @@ def mujoco_freedoms(bodies: str, pairs: list[tuple[str, str]], q: dict[str, list
 
 def platform(system: System, sites: dict[str, np.ndarray]) -> tuple[str, list[float]]:
     """A free body with sites, and its coordinates as in the posture."""
-    X = system.fk(system.posture("closed"), "platform")
+    X = system.fk(system.q("closed"), "platform")
     text = "".join(f'<site name="{name}" pos="{numbers(p)}"/>' for name, p in sites.items())
     turn = np.roll(Rotation.from_matrix(X[:3, :3]).as_quat(), 1)
     return f'<body><freejoint name="platform"/>{BALL}{text}</body>', [*X[:3, 3], *turn]
@@ -443,7 +446,7 @@ def platform(system: System, sites: dict[str, np.ndarray]) -> tuple[str, list[fl
 def test_mujoco_agrees_on_the_hexapod(name, freedoms):
     """Legs on the ground, a free platform, six connections: written from the dimensions, not from the file."""
     system = kempe.load(name)
-    values = system.q_dict(system.posture("closed"))
+    values = system.q_dict(system.q("closed"))
     bodies, heads, q = "", {}, {}
     for i in range(6):
         side, third = (-1, 1)[i % 2], i // 2 * 2 * PI / 3
@@ -467,7 +470,7 @@ def test_mujoco_agrees_on_the_hexapod(name, freedoms):
 def test_mujoco_agrees_on_the_delta():
     """Arms on the ground, rods in ball joints, a free platform: 27 coordinates, 18 equations, 9 freedoms."""
     system = kempe.load("delta_ss")
-    values = system.q_dict(system.posture("closed"))
+    values = system.q_dict(system.q("closed"))
     bodies, edges, q = "", {}, {}
     for i in range(3):
         phi = i * 2 * PI / 3

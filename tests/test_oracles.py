@@ -73,8 +73,8 @@ class Pinocchio:
 def configurations(s: System, rng: np.random.Generator) -> list[np.ndarray]:
     """Two inside the limits, and one in which the unlimited joints have turned many times."""
     far = s.random(rng)
-    wide = np.isinf(s.upper) & s.coordinates.turning
-    far[s.layout.vector_q[wide[s.layout.vector_v]]] *= 1e4
+    wide = np.isinf(s.upper) & s.structure.coordinates.turning
+    far[s.structure.layout.vector_q[wide[s.structure.layout.vector_v]]] *= 1e4
     return [s.random(rng), s.random(rng), far]
 
 
@@ -102,14 +102,14 @@ def test_jacobians_are_pinocchios(path):
     values = joint_values(s, path, q)
     for name in other.bodies[:: max(1, len(other.bodies) // 4)] + other.bodies[-1:]:
         for frame, kind in FRAMES.items():
-            expected = dict.fromkeys(s.velocity_names, 0.0)
+            expected = dict.fromkeys(s.structure.velocity_names, 0.0)
             for joint, column in other.jacobian(values, name, kind).items():
                 factor = 1.0
                 while joint in follows:
                     joint, more = follows[joint]
                     factor *= more
                 expected[joint] = expected[joint] + factor * column
-            columns = np.stack([np.broadcast_to(expected[v], 6) for v in s.velocity_names], axis=-1)
+            columns = np.stack([np.broadcast_to(expected[v], 6) for v in s.structure.velocity_names], axis=-1)
             np.testing.assert_allclose(
                 s.jacobian(q, name, frame), columns, rtol=0, atol=1e-10, err_msg=f"{name} {frame}"
             )
@@ -141,8 +141,8 @@ def test_limits_and_mimics_are_pinocchios(path):
     plain = {n: j for n, j in zip(list(model.names)[1:], list(model.joints)[1:], strict=True) if j.nq == 1}
     followed = {source for source, _, _ in mimics(path).values()}
     for name, joint in plain.items():
-        if name in s.velocity_names and name not in followed:
-            i = s.velocity_names.index(name)
+        if name in s.structure.velocity_names and name not in followed:
+            i = s.structure.velocity_names.index(name)
             assert s.lower[i] == model.lowerPositionLimit[joint.idx_q]
             assert s.upper[i] == model.upperPositionLimit[joint.idx_q]
     q = s.random(0)

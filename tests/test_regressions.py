@@ -23,7 +23,7 @@ def test_out_that_overlaps_q_gives_the_same_poses():
 
 def test_transposed_pose_is_refused_as_target():
     robot = kempe.load("puma560")
-    X = robot.fk(robot.posture("qn"), "tool")
+    X = robot.fk(robot.q("qn"), "tool")
     with pytest.raises(InputError, match="its last row is"):
         robot.ik(X.T, "tool")
     batch = robot.ik(np.stack([X, X.T]), "tool")
@@ -72,14 +72,14 @@ def test_limits_that_do_not_overlap_name_both_joints_whatever_their_order(driven
 )
 def test_limits_that_touch_through_a_gear_are_accepted(driver, driven, driven_first):
     for ratio in (1.0 / 3.0, np.nextafter(1.0 / 3.0, 0.0), np.nextafter(1.0 / 3.0, 1.0)):
-        limits = _geared(driver, driven, ratio, driven_first).limits
+        limits = _geared(driver, driven, ratio, driven_first).structure.limits
         np.testing.assert_allclose(limits, [[0.3, 0.3]], rtol=1e-15)
         assert limits[0, 0] <= limits[0, 1]
 
 
 def test_wrong_arguments_are_named():
     robot = kempe.load("puma560")
-    target = robot.fk(robot.posture("qn"), "tool")
+    target = robot.fk(robot.q("qn"), "tool")
     with pytest.raises(InputError, match="starts is"):
         robot.ik(target, "tool", budget=kempe.Budget(starts=10**30))
     with pytest.raises(InputError, match=r"it must be \(6,\)$"):

@@ -46,7 +46,7 @@ def test_the_nearest_is_nearest():
     crank = answer.q[0] + np.linspace(-0.2, 0.2, 2001)
     around = s.assemble({"A": crank}, start=answer.q)
     assert around
-    assert s.distance(near, answer.q) <= s.distance(near, around.q).min() + 1e-9
+    assert s.configuration_space.distance(near, answer.q) <= s.configuration_space.distance(near, around.q).min() + 1e-9
 
 
 @pytest.mark.parametrize("cut", "ABCD")
@@ -61,12 +61,12 @@ def test_a_mechanism_far_from_the_origin():
     m = Mechanism("far", ground="world")
     m.attach(kempe.load("sarrus"), m.ground, at=(1000.0, 2000.0, 0.0), rpy=(0.3, 0.2, 1.0))
     far, home = m.build(), kempe.load("sarrus")
-    driver = home.velocity_names[0]
-    start = far.q({k: v for k, v in home.q_dict(home.posture("closed")).items()})
+    driver = home.structure.velocity_names[0]
+    start = far.q({k: v for k, v in home.q_dict(home.q("closed")).items()})
     assert far.trace(driver, start).length == pytest.approx(home.trace(driver, "closed").length, rel=1e-6)
     s = four_bar(at=(1e6, 0.0))
     answer = s.assemble({"A": 1.0})
-    assert answer and np.abs(s.closure_error(answer.q)).max() < 1e-9
+    assert answer and np.abs(s.loops.closure_error(answer.q)).max() < 1e-9
     tip = s.fk(answer.q, "rocker")[:3, 3] + s.fk(answer.q, "rocker")[:3, :3] @ [0.4, 0, 0]
     assert np.linalg.norm(tip[:2] - [1e6 + 0.1 * np.cos(1.0), 0.1 * np.sin(1.0)]) == pytest.approx(0.5, abs=1e-9)
 
@@ -125,7 +125,7 @@ def test_a_tolerance_that_would_call_open_loops_closed_is_refused(tolerance):
 @pytest.mark.parametrize("values", [{}, {"B": 1.0}, {"A": 1.0, "B": 1.0}])
 def test_a_bound_assembler_says_which_values_it_needs(values):
     with pytest.raises(InputError, match=r"needed are \('A',\)"):
-        kempe.load("four_bar").assembler(["A"])(values)
+        kempe.load("four_bar").loops.assembler(["A"])(values)
 
 
 def test_a_bad_row_leaves_the_others_alone_where_rows_follow_each_other():
@@ -164,7 +164,7 @@ def test_gears_close_wherever_the_loop_is_cut(cut, driven, driver):
     m.gear(driven, driver, -0.5, 0.4)
     s = m.build()
     answer = s.assemble()
-    assert np.abs(s.closure_error(answer.q)).max() < 1e-9 or not answer
+    assert np.abs(s.loops.closure_error(answer.q)).max() < 1e-9 or not answer
     assert answer
 
 
@@ -177,7 +177,7 @@ def test_all_modes_of_a_gear_that_comes_back_after_several_turns(cut, driven, dr
     s = m.build()
     modes = s.assembly_modes({})
     assert len(modes) == count and not modes.complete
-    assert max(np.abs(s.closure_error(q)).max() for q in modes) < 1e-8
+    assert max(np.abs(s.loops.closure_error(q)).max() for q in modes) < 1e-8
 
 
 # ---- motion
@@ -287,4 +287,4 @@ def test_a_joint_on_the_ground_has_no_transmission_angle():
 
     s = kempe.load("four_bar")
     with pytest.raises(InputError, match="on the ground"):
-        transmission_angle(s, s.posture("closed"), "A")
+        transmission_angle(s, s.q("closed"), "A")

@@ -143,7 +143,7 @@ ASKED = {
     "ik_path": (MANY, lambda x: ARM.ik_path(x, TOOL, ARM.random(0)).q),
     "ik_step": (GOAL, lambda x: ARM.ik_step(Q + 0.01, x, TOOL, dt=0.1).velocity),
     "assemble": (HELD, lambda x: PLATFORM.assemble({"platform": x}).q),
-    "from_maximal": (GOAL[None], lambda x: FREE.from_maximal(x)),
+    "from_maximal": (GOAL[None], lambda x: kempe.convert.from_maximal(FREE, x)),
     "placement": (GOAL, _at),
 }
 """Verbs that take poses: what is given as an array, and what comes out."""

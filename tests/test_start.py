@@ -15,7 +15,7 @@ TOOL = ARM.frame_names[-1]
 Q = ARM.mid + 0.1
 X = ARM.fk(Q + 0.05, TOOL)
 START = LINKAGE.assemble({"A": 0.2}).q
-POSES = LINKAGE.to_maximal(START)
+POSES = kempe.convert.to_maximal(LINKAGE, START)
 FREE = SEVEN.mid + 0.2
 
 VERBS = {
@@ -23,11 +23,11 @@ VERBS = {
     "ik of tasks": (lambda **o: ARM.ik([kempe.tasks.Pose(TOOL, X)], **o), Q, "seed"),
     "ik_path": (lambda **o: ARM.ik_path(X[None], TOOL, **o), Q, "seed"),
     "ik_all": (lambda **o: ARM.ik_all(X, TOOL, **o), Q, "near"),
-    "ik_sweep": (lambda **o: SEVEN.ik_sweep(SEVEN.fk(FREE, "tool"), "tool", **o), FREE, "near"),
+    "ik_sweep": (lambda **o: SEVEN.inverse.sweep(SEVEN.fk(FREE, "tool"), "tool", **o), FREE, "near"),
     "assemble": (lambda **o: LINKAGE.assemble({"A": 0.3}, **o), START, "near"),
-    "assembler": (lambda **o: LINKAGE.assembler(["A"])([0.3], **o), START, "near"),
+    "assembler": (lambda **o: LINKAGE.loops.assembler(["A"])([0.3], **o), START, "near"),
     "assembly_modes": (lambda **o: LINKAGE.assembly_modes({"A": 0.3}, **o), START, "near"),
-    "from_maximal": (lambda **o: LINKAGE.from_maximal(POSES, **o), START, "near"),
+    "from_maximal": (lambda **o: kempe.convert.from_maximal(LINKAGE, POSES, **o), START, "near"),
     "chart": (lambda **o: LINKAGE.independent(START).q([0.3], **o), START, "near"),
 }
 

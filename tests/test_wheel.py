@@ -147,7 +147,7 @@ for name in ("panda", "puma560", "ur5", "jaco2", "stanford", "youbot"):
     out[f"{name} all q"] = np.take_along_axis(rows, order[..., None], axis=1)
 for name in ("four_bar", "jansen", "stewart", "bennett", "delta_uu", "andrews_squeezer"):
     system = kempe.load(name)
-    q0 = system.posture("closed") if "closed" in system.posture_names else system.neutral
+    q0 = system.q("closed") if "closed" in system.structure.posture_names else system.neutral
     s = system.assemble({}, near=q0)
     out[f"{name} closed"], out[f"{name} residual"] = s.q, np.array(s.residual)
     out[f"{name} dof"] = np.array(system.mobility(s.q).dof)

@@ -190,15 +190,17 @@ def answers(system: System) -> Iterator[tuple[str, Any]]:
     made: list[tuple[str, Callable[[], Any]]] = [
         ("ik", lambda: system.ik(X, frame)), ("iks", lambda: system.ik(np.stack([X, X]), frame)),
         ("reach", lambda: system.ik([tasks.Position(frame, X[:3, 3])])), ("ik_all", lambda: system.ik_all(X, frame)),
-        ("ik_alls", lambda: system.ik_all(np.stack([X, X]), frame)), ("ik_plan", lambda: system.ik_plan(frame)),
+        ("ik_alls", lambda: system.ik_all(np.stack([X, X]), frame)), ("ik_plan", lambda: system.inverse.plan(frame)),
         ("path", lambda: system.ik_path(np.stack([X, X]), frame, q)),
         ("step", lambda: system.ik_step(q, X, frame, 0.01)),
-        ("self_motion", lambda: system.self_motion(q, frame)), ("sweep", lambda: system.ik_sweep(X, frame)),
-        ("assemble", lambda: system.assemble({first: 0.5})), ("assembler", lambda: system.assembler([first])),
-        ("modes", lambda: system.assembly_modes({first: 0.5})), ("closed_form", lambda: system.closed_form([first])),
+        ("self_motion", lambda: system.inverse.self_motion(q, frame)),
+        ("sweep", lambda: system.inverse.sweep(X, frame)),
+        ("assemble", lambda: system.assemble({first: 0.5})), ("assembler", lambda: system.loops.assembler([first])),
+        ("modes", lambda: system.assembly_modes({first: 0.5})),
+        ("closed_form", lambda: system.loops.closed_form([first])),
         ("trace", lambda: system.trace(first)), ("drive", lambda: system.drive({first: [0.5, 0.6]}, [0.0, 1.0])),
         ("mobility", lambda: system.mobility()), ("independent", lambda: system.independent()),
-        ("loop_jacobian", lambda: system.loop_jacobian(system.assemble({first: 0.5}).q, [first], [frame])),
+        ("loop_jacobian", lambda: system.loops.jacobian(system.assemble({first: 0.5}).q, [first], [frame])),
         ("space", lambda: system.configuration_space),
     ]  # fmt: skip
     for title, make in made:
@@ -245,6 +247,8 @@ def functions() -> list[tuple[str, Callable[..., Any], System | None]]:
     out: list[tuple[str, Callable[..., Any], System | None]] = []
     for name, system in systems_cache.items():
         out += [(f"{name}.{n}", f, system) for n, f in public(system)] * 3
+        for family in ("structure", "configuration_space", "loops", "inverse", "symbolic"):
+            out += [(f"{name}.{family}.{n}", f, system) for n, f in public(getattr(system, family))] * 3
         out += [(f"{name}.mechanism.{n}", fresh(system, n), system) for n, _ in public(system.mechanism)]
         for title, answer in answers(system):
             out += [(f"{name}.{title}.{n}", f, system) for n, f in public(answer)]

@@ -44,7 +44,7 @@ class Kempe(Solver):
         self.chain, self.free = arm.chain, arm.free
         self.system = arm.build(scale)
         self.options: dict[str, Any] = {"fixed": arm.held} if arm.held else {}
-        self.system.ik_plan(FRAME, **self.options)
+        self.system.inverse.plan(FRAME, **self.options)
 
     def call(self, target: Any, /) -> Any:
         """One public call."""

@@ -121,8 +121,8 @@ def place(system: System, q: Array, spot: Spot) -> Array:
     kind, name = spot
     if kind == "frame":
         return system.fk(q, name)[..., :2, 3]
-    joint = system.joints[name]
-    X = joint.X_PF.evaluate(system.parameters)
+    joint = system.structure.joints[name]
+    X = joint.X_PF.evaluate(system.structure.parameters)
     parent = system.fk(q)[..., system.body_names.index(joint.parent), :, :]
     return (parent @ X)[..., :2, 3]
 
@@ -135,9 +135,9 @@ def angles(drive: Drive, n: int) -> Array:
 def linkage(system: System, n: int) -> Linkage:
     """The mechanism as a model of pylinkage whose crank takes n steps, compiled."""
     drive = DRIVES[system.name]
-    q = system.assemble({drive.crank: drive.start}, start=system.posture("closed")).q
+    q = system.assemble({drive.crank: drive.start}, start=system.q("closed")).q
     points = _Points(system, q, drive, (drive.end - drive.start) / n)
-    BUILDERS[system.name](points, system.parameters)
+    BUILDERS[system.name](points, system.structure.parameters)
     model = peers.module("pylinkage.simulation").Linkage(tuple(points.parts))
     coords = [(float(x), float(y)) for x, y in model.get_coords()]
     out = Linkage(model, coords, tuple(points.spots))

@@ -35,7 +35,7 @@ def dyads(bench: Bench) -> Grid:
         system = kempe.load(name)
         plan = closed_form(system, (drive.crank,))
         assert isinstance(plan, Plan), f"{name} is made of dyads"
-        start = system.assemble({drive.crank: drive.start}, start=system.posture("closed"))
+        start = system.assemble({drive.crank: drive.start}, start=system.q("closed"))
         values = angles(drive, STEPS)[:, None]
         names = {"solve": plan.solve, "values": values, "one": values[0], "branch": plan.branch_of(start.q)}
         timed = [
@@ -63,7 +63,7 @@ def row(bench: Bench) -> Grid:
     table = Grid("Row of four-bars in one solve, by their number", "ms")
     for n in ROWS:
         system = four_bars(n)
-        q = system.integrate(system.neutral, _noise(system))
+        q = system.configuration_space.integrate(system.neutral, _noise(system))
         line, timed = f"{n:,}", cases("Kempe", {"row": system, "q": q}, (f"{n:,}", "row.assemble({'A0': 0.2}, near=q)"))
         answer = system.assemble({"A0": 0.2}, start=q)
         if not answer:

@@ -36,7 +36,7 @@ def dof(bench: Bench) -> Grid:
     table = Grid("Degrees of freedom: who is right", "freedoms")
     for name, truth in TRUTH.items():
         system = kempe.load(name)
-        q = system.posture(POSTURES.get(name, "closed"))
+        q = system.q(POSTURES.get(name, "closed"))
         report = mobility(system, q)
         answers = {PUBLISHED: truth, TRUE: report.dof, FIRST_ORDER: report.rank_dof}
         if "exudyn" in bench.versions:
@@ -77,8 +77,8 @@ def mobility(bench: Bench) -> Grid:
     table = Grid("Report on the degrees of freedom: time, by joints", "ms")
     for name in TIMED:
         system = kempe.load(name)
-        q = system.posture(POSTURES.get(name, "closed"))
-        line = f"{name}, {len(system.joints)}"
+        q = system.q(POSTURES.get(name, "closed"))
+        line = f"{name}, {len(system.structure.joints)}"
         names = {"mobility": module.mobility, "system": system, "q": q}
         timed = [
             Case("Kempe, rank and redundancy", line, "mobility(system, q, local=False)", names),

@@ -43,7 +43,7 @@ class Drake(Assembler):
 
     def _hold(self, known: Iterable[str]) -> None:
         columns = {self.tree.columns[name] for name in known}
-        home = self.ready(self.tree.system.posture("closed")[None])[0]
+        home = self.ready(self.tree.system.q("closed")[None])[0]
         for move, i in zip(self.tree.moves, self.first, strict=True):
             if move.column in columns:
                 self.program.AddBoundingBoxConstraint(home[i], home[i], self.variables[i])
@@ -193,7 +193,7 @@ class Exudyn(Assembler):
         """Of all joints."""
         y = np.array(answers)
         given_up = np.isinf(y[:, 0])
-        y = np.where(given_up[:, None], self.ready(self.system.posture("closed")[None])[0], y)
+        y = np.where(given_up[:, None], self.ready(self.system.q("closed")[None])[0], y)
         X: list[Array] = [np.broadcast_to(np.eye(4), (len(y), 4, 4))]
         size = 3 if self.planar else 7
         for part in np.moveaxis(y.reshape(len(y), -1, size), 1, 0):

@@ -83,27 +83,31 @@ class Tree:
     """
 
     def __init__(self, system: System):
-        beside = [*system.couplings, *system.mechanism.constraints, *(r.of for r in system.relations)]
+        beside = [
+            *system.structure.couplings,
+            *system.mechanism.constraints,
+            *(r.of for r in system.structure.relations),
+        ]
         if beside:
             raise UnsupportedError(f"{system.name}: {beside[0]} is tied by more than joints")
         self.system = system
         self.columns = {name: i for i, name in enumerate(system.coordinate_names)}
         self.numbers = {name: i for i, name in enumerate(system.body_names)}
-        self.links = {joint.name: self._link(joint) for joint in system.joints.values()}
+        self.links = {joint.name: self._link(joint) for joint in system.structure.joints.values()}
         self.limbs = tuple(self._limb(i) for i in range(len(system.parent)))
         self.moves = tuple(m for limb in self.limbs for m in limb.moves)
         self.firsts = np.cumsum([0, *(m.size for m in self.moves)])
         self.nx = int(self.firsts[-1])
-        self.cuts = tuple(self.links[name] for name in system.closures)
+        self.cuts = tuple(self.links[name] for name in system.structure.closures)
 
     def _link(self, joint: Joint) -> Link:
-        X_a, X_b = (place.evaluate(self.system.parameters) for place in (joint.X_PF, joint.X_CM))
+        X_a, X_b = (place.evaluate(self.system.structure.parameters) for place in (joint.X_PF, joint.X_CM))
         return Link(joint, self.numbers[joint.parent], X_a, self.numbers[joint.child], X_b)
 
     def _limb(self, i: int) -> Limb:
-        system, back = self.system, self.system.topology.reversed_[i]
-        link = self.links[system.parent_joints[i]]
-        names = system.coordinates_of_joint(link.joint.name)
+        system, back = self.system, self.system.structure.topology.reversed_[i]
+        link = self.links[system.structure.parent_joints[i]]
+        names = system.structure.coordinates_of_joint(link.joint.name)
         moves = []
         for k, p in enumerate(link.joint.type.layout(system.dim)[1]):
             if p.multiplier != 1.0:
@@ -134,14 +138,14 @@ class Tree:
         for link in self.cuts:
             names = link.joint.type.velocities(self.system.dim)
             cut |= {f"{link.joint.name}.{v}" if v else link.joint.name for v in names}
-        return np.array([name not in cut for name in self.system.velocity_names])
+        return np.array([name not in cut for name in self.system.structure.velocity_names])
 
     def guesses(self, sigma: float, n: int, known: Iterable[str] = ()) -> spatial.Array:
         """Configurations q (n, nq): the posture 'closed' with normal noise on all coordinates of the tree not known."""
         system, held = self.system, set(known)
-        moved = self.in_tree & np.array([name not in held for name in system.velocity_names])
+        moved = self.in_tree & np.array([name not in held for name in system.structure.velocity_names])
         noise = sigma * np.random.default_rng(7).normal(size=(n, system.nv)) * moved
-        return system.integrate(system.posture("closed"), noise)
+        return system.configuration_space.integrate(system.q("closed"), noise)
 
     def coordinates(self, q: spatial.Array) -> spatial.Array:
         """Coordinates x (..., nx) of the moves at configurations q (..., nq)."""

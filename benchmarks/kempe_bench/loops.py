@@ -92,9 +92,9 @@ def known_line(name: str) -> str:
 
 
 def _line(table: Grid, bench: Bench, tree: Tree, line: str, sigma: float, known: tuple[str, ...]) -> None:
-    system, home = tree.system, tree.system.posture("closed")
+    system, home = tree.system, tree.system.q("closed")
     given = {n: float(home[tree.columns[n]]) for n in known}
-    bound = system.assembler(known)
+    bound = system.loops.assembler(known)
     solvers: dict[str, Assembler] = {
         CALL: Kempe(tree, lambda q: system.assemble(given, start=q)),
         NEAREST: Kempe(tree, lambda q: system.assemble(given, start=q, prefer="nearest")),

@@ -47,7 +47,7 @@ class Robot:
             path = folder / f"{self.model}.urdf"
             path.write_text(write_urdf(kempe.read(self.model)), encoding="utf-8")
         system = kempe.load(path)
-        known = (*system.frames, *system.body_names)
+        known = (*system.structure.frames, *system.body_names)
         whole = peers.arm_of(system, next(f for f in (self.frame, "tool") if f in known), path)
         return written(self.title, whole.links[self.dropped :], whole.tool, folder)
 

@@ -65,7 +65,7 @@ class Kempe(Assembler):
 
     def __init__(self, goals: Goals):
         self.goals, self.system = goals, goals.tree.system
-        self.home = self.system.posture("closed")
+        self.home = self.system.q("closed")
 
     def ready(self, q: Array) -> Sequence[Array]:
         """The goals."""
@@ -96,7 +96,7 @@ class Holding(GaussNewton):
     def __init__(self, goals: Goals):
         super().__init__(goals.tree)  # pyright: ignore[reportCallIssue]
         self.goals, self.goal = goals, np.eye(4)
-        self.home = super().ready(goals.tree.system.posture("closed")[None])[0]
+        self.home = super().ready(goals.tree.system.q("closed")[None])[0]
 
     def platform(self) -> tuple[Array, Array]:
         """Pose (4, 4) of the platform, and its Jacobian (6, nv) in axes of the world."""

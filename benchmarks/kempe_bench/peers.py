@@ -119,25 +119,29 @@ class Arm:
 
 def arm_of(system: System, frame: str, file: Path) -> Arm:
     """The chain to a frame, everything beside it locked, written out for libraries that take chains only."""
-    body = system.frames[frame].body if frame in system.frames else frame
+    body = system.structure.frames[frame].body if frame in system.structure.frames else frame
     path = []
     number = system.body_names.index(body)
     while number:
-        path.append(system.joints[system.parent_joints[number - 1]])
+        path.append(system.structure.joints[system.structure.parent_joints[number - 1]])
         number = system.parent[number - 1]
     path.reverse()
     beside = set(system.coordinate_names) - {j.name for j in path}
-    limits = dict(zip(system.coordinate_names, system.limits.tolist(), strict=True))
-    system = system.lock({n: float(np.clip(0.0, *limits[n])) for n in beside})
+    limits = dict(zip(system.coordinate_names, system.structure.limits.tolist(), strict=True))
+    system = system.mechanism.lock({n: float(np.clip(0.0, *limits[n])) for n in beside}).build()
     links, X = [], np.eye(4)
     for joint in path:
-        X = X @ joint.X_PF.evaluate(system.parameters)
+        X = X @ joint.X_PF.evaluate(system.structure.parameters)
         if joint.type.type_name != "fixed":
             low, high = limits[joint.name]
             links.append(Link(joint.name, X, joint.type.type_name == "prismatic", (low, high)))
             X = np.eye(4)
-        X = X @ spatial.inverse(joint.X_CM.evaluate(system.parameters))
-    tool = system.frames[frame].X_BF.evaluate(system.parameters) if frame in system.frames else np.eye(4)
+        X = X @ spatial.inverse(joint.X_CM.evaluate(system.structure.parameters))
+    tool = (
+        system.structure.frames[frame].X_BF.evaluate(system.structure.parameters)
+        if frame in system.structure.frames
+        else np.eye(4)
+    )
     return Arm(system, frame, tuple(links), X @ tool, file)
 
 

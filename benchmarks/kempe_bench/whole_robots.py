@@ -83,7 +83,7 @@ class Body:
     @property
     def limits(self) -> Array:
         """Bounds (joints, 2)."""
-        return self.system.limits[-len(self.names) :]
+        return self.system.structure.limits[-len(self.names) :]
 
     @property
     def start(self) -> Array:

@@ -19,7 +19,7 @@ MORE = ("goldberg_5r", "three_rps", "delta_uu", "three_upu", "stephenson_six_bar
 
 def assembled(s: kempe.System, n: int) -> np.ndarray:
     """Closed configurations (n, nq) around the posture 'closed'."""
-    q = s.integrate(s.posture("closed"), 0.3 * np.random.default_rng(3).normal(size=(n, s.nv)))
+    q = s.configuration_space.integrate(s.q("closed"), 0.3 * np.random.default_rng(3).normal(size=(n, s.nv)))
     answer = s.assemble(start=q)
     assert answer.success.all()
     return answer.q
@@ -27,7 +27,7 @@ def assembled(s: kempe.System, n: int) -> np.ndarray:
 
 def gaps(s: kempe.System, q: np.ndarray) -> np.ndarray:
     """Distances (n, closures) of the centres of the cut joints, whose own coordinates turn only."""
-    return np.linalg.norm(kempe.spatial.exp_se3(s.closure_error(q))[..., :3, 3], axis=-1)
+    return np.linalg.norm(kempe.spatial.exp_se3(s.loops.closure_error(q))[..., :3, 3], axis=-1)
 
 
 def points_tell(tree: Tree) -> bool:
@@ -122,7 +122,7 @@ def test_sparse_equations_are_the_dense_ones():
     (r, J), (rs, Js) = (p.equations(p.ready(q[None])[0]) for p in (dense, sparse))
     np.testing.assert_array_equal(r, rs)
     np.testing.assert_allclose(Js.toarray(), J, atol=1e-15)
-    q = s.integrate(s.neutral, 0.1 * np.random.default_rng(0).normal(size=s.nv))
+    q = s.configuration_space.integrate(s.neutral, 0.1 * np.random.default_rng(0).normal(size=s.nv))
     answer = sparse.call(sparse.ready(q[None])[0])
     assert sparse.opening([answer])[0] < 1e-8 and s.assemble({"A0": 0.2}, start=q)
 
@@ -166,7 +166,7 @@ def test_exudyn_gets_the_same_mechanism(name):
     from kempe.kinematics.loops import jacobian
 
     s = kempe.load(name)
-    tree, q = Tree(s), s.posture("closed")
+    tree, q = Tree(s), s.q("closed")
     values = np.linalg.svd(jacobian(s, q), compute_uv=False)
     peer = Exudyn(tree, q)
     assert peer.freedoms() == s.nv - int(np.sum(values > 1e-8 * values.max()))
@@ -183,7 +183,7 @@ def test_pylinkage_draws_what_kempe_draws(name):
     s, drive, n = kempe.load(name), crank_peers.DRIVES[name], 400
     told = crank_peers.linkage(s, n)
     drawn = told.model.step_fast(iterations=n)
-    start = s.assemble({drive.crank: drive.start}, start=s.posture("closed")).q
+    start = s.assemble({drive.crank: drive.start}, start=s.q("closed")).q
     plan = closed_form(s, (drive.crank,))
     q, ok, _ = plan.solve(crank_peers.angles(drive, n)[:, None], plan.branch_of(start))
     assert ok.all() and drawn.shape == (n, len(told.spots), 2)

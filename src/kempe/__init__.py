@@ -18,13 +18,14 @@ from kempe.model.system import System
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from kempe import convert
     from kempe.budget import Budget, Tolerance
     from kempe.status import Status
 
 __version__ = "0.1.0"
 __all__ = [
-    "Budget", "KempeError", "Mechanism", "Status", "System", "Tolerance", "constraints", "errors", "from_dh",
-    "from_screws", "load", "read", "spatial", "tasks",
+    "Budget", "KempeError", "Mechanism", "Status", "System", "Tolerance", "constraints", "convert", "errors",
+    "from_dh", "from_screws", "load", "read", "spatial", "tasks",
 ]  # fmt: skip
 
 
@@ -73,6 +74,6 @@ def __getattr__(name: str) -> Any:
         return getattr(budget, name)
     if name == "Status":
         return import_module("kempe.status").Status
-    if name in ("constraints", "tasks"):
+    if name in ("constraints", "convert", "tasks"):
         return import_module(f"kempe.{name}")
     raise AttributeError(f"module 'kempe' has no attribute {name!r}")

@@ -34,9 +34,9 @@ def joint_frames(system: System, q: np.ndarray) -> dict[str, np.ndarray]:
     """Frame of each joint in the ground whose axes are those of its motion; for universal joints its cross."""
     pose = dict(zip(system.body_names, system.fk(q), strict=True))
     out = {}
-    for joint in system.joints.values():
-        F = pose[joint.parent] @ joint.X_PF.evaluate(system.parameters)
-        M = pose[joint.child] @ joint.X_CM.evaluate(system.parameters)
+    for joint in system.structure.joints.values():
+        F = pose[joint.parent] @ joint.X_PF.evaluate(system.structure.parameters)
+        M = pose[joint.child] @ joint.X_CM.evaluate(system.structure.parameters)
         K = np.eye(4)
         if joint.type.type_name == "universal":
             x, y = F[:3, 0], M[:3, 1]
@@ -53,7 +53,7 @@ def rebuilt(system: System, q: np.ndarray, change: Change) -> System:
     ground = change.ground or system.body_names[0]
     name = (lambda n: f"{change.prefix}{n}") if change.prefix else (lambda n: n)
     m = Mechanism("rebuilt", system.dim, ground=name(ground))
-    joints = list(system.joints.values())
+    joints = list(system.structure.joints.values())
     order = change.order or tuple(range(len(joints)))
     rank = {j.child: order[k] for k, j in enumerate(joints)}
     for body in sorted(system.body_names, key=lambda b: rank.get(b, -1)):

@@ -171,7 +171,7 @@ def test_coupled_angles_have_a_meaning_of_their_own():
 def test_branches_of_one_linkage_in_two_models(rods, seed):
     """Five motions of two freedoms and eight of one, whether bars are bodies or distances of particles."""
     system = kempe.load("wunderlich")
-    q = system.posture("closed")
+    q = system.q("closed")
     if rods:
         system, q = box_of_rods(0.9, 0.6, 0.3)
     m = mobility(system, q, rng=seed)
@@ -189,7 +189,7 @@ def box_of_rods(*length: float) -> tuple[System, np.ndarray]:
 
 def test_two_curves_that_cross_are_counted():
     system = kempe.load("parallelogram")
-    m = mobility(system, system.posture("flat"))
+    m = mobility(system, system.q("flat"))
     assert m.local.counted and "2 branches meet" in m.kind
 
 
@@ -212,9 +212,9 @@ def test_a_long_row_of_flat_parallelograms():
 ])  # fmt: skip
 def test_certain_is_not_wrong_however_it_is_described(name, posture, hunt):
     system = kempe.load(name)
-    q, rng = system.posture(posture), hunt.rng()
+    q, rng = system.q(posture), hunt.rng()
     truth = mobility(system, q)
-    names = [j.name for j in system.joints.values()]
+    names = [j.name for j in system.structure.joints.values()]
     assert truth.certain
     for _ in range(hunt.cases(4)):
         change = Change(

@@ -66,7 +66,7 @@ def test_reached_by_motions(name: str) -> None:
     wishes = rng.normal(size=(9, system.nv))
     changes = 1e-4 * np.eye(wishes.size).reshape(-1, *wishes.shape)
     ends = [end_of_motion(system, start, wishes + sign * changes) for sign in (-1, 1)]
-    values = np.linalg.svd(system.difference(*ends) / 2e-4, compute_uv=False)
+    values = np.linalg.svd(system.configuration_space.difference(*ends) / 2e-4, compute_uv=False)
     least = values[growth[-1] - 1]
     assert least > 2e-5
     assert np.all(values[growth[-1] :] < 0.1 * least)
@@ -82,17 +82,19 @@ def end_of_motion(system: System, start: Array, wishes: Array, h: float = 0.1) -
 
     for wish in np.repeat(np.moveaxis(wishes, 1, 0), 8, axis=0):
         k1 = slope(q, wish)
-        k2 = slope(system.integrate(q, 0.5 * h * k1), wish)
-        k3 = slope(system.integrate(q, 0.5 * h * k2), wish)
-        k4 = slope(system.integrate(q, h * k3), wish)
-        q = system.integrate(q, h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+        k2 = slope(system.configuration_space.integrate(q, 0.5 * h * k1), wish)
+        k3 = slope(system.configuration_space.integrate(q, 0.5 * h * k2), wish)
+        k4 = slope(system.configuration_space.integrate(q, h * k3), wish)
+        q = system.configuration_space.integrate(q, h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
     return q
 
 
 def holding(system: System, q: Array) -> Array:
     """Rows (n, m, nv) of velocities, and the change of what holds positions by differences."""
     steps = 1e-6 * np.eye(system.nv)
-    moved = (np.reshape(system.integrate(q[:, None], sign * steps), (-1, system.nq)) for sign in (1, -1))
+    moved = (
+        np.reshape(system.configuration_space.integrate(q[:, None], sign * steps), (-1, system.nq)) for sign in (1, -1)
+    )
     more, less = (evaluate(system, x, False, True)[0] for x in moved)
     by_step = np.reshape((more - less) / 2e-6, (len(q), system.nv, -1))
     return np.concatenate([rates(system, q)[0], np.swapaxes(by_step, 1, 2)], axis=1)
@@ -283,7 +285,7 @@ def test_loops_alone_are_holonomic() -> None:
     """A four-bar has no rows of velocity."""
     found = steered_car(True)
     assert found.classify().constraints["C"].kind == "holonomic"
-    assert found.lock({"car.x": 0.0, "car.y": 0.0, "car.rz": 0.0}).nq == 4
+    assert found.mechanism.lock({"car.x": 0.0, "car.y": 0.0, "car.rz": 0.0}).build().nq == 4
 
 
 # ---- time

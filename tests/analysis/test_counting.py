@@ -38,7 +38,7 @@ def between_free_bodies(kind: JointType, dim: int, rng: np.random.Generator) -> 
     m.free("B", m.ground, b)
     m.joint("J", kind, a, b, cut=True, **place(""), **place("child_"), **({"axis": (0.6, 0.8)} if slider else {}))
     s = m.build()
-    assert s.closures == ("J",)
+    assert s.structure.closures == ("J",)
     # the joint is given values, and b is put where it then is
     q = s.random(rng)
     known = {n: x for n, x in s.q_dict(q).items() if n.split(".")[0] in ("A", "J")}
@@ -54,7 +54,7 @@ def rank(J: np.ndarray) -> int:
 def taken(s: System, q: np.ndarray) -> int:
     """What the joint takes away: the rank of its equations, less that of what its own coordinates can give in."""
     J = loops.jacobian(s, q)
-    own = [i for i, n in enumerate(s.velocity_names) if n.split(".")[0] == "J"]
+    own = [i for i, n in enumerate(s.structure.velocity_names) if n.split(".")[0] == "J"]
     return rank(J) - rank(J[:, own])
 
 
@@ -74,7 +74,7 @@ def seen(kind: JointType, dim: int, values: np.ndarray) -> int:
 def check(kind: JointType, dim: int, rng: np.random.Generator) -> int:
     s, q = between_free_bodies(kind, dim, rng)
     full = 6 if dim == 3 else 3
-    values = np.array([s.q_dict(q)[n] for n in s.coordinates_of_joint("J")])
+    values = np.array([s.q_dict(q)[n] for n in s.structure.coordinates_of_joint("J")])
     found = taken(s, q)
     assert found == full - seen(kind, dim, values)
     m = s.mobility(q, local=False)
@@ -167,7 +167,7 @@ def test_holding_a_slider_at_its_dead_centre(slider, rank_dof):
 
 
 def test_sarrus_counts_to_nothing_and_moves():
-    m = kempe.load("sarrus").maximal.mobility()
+    m = kempe.convert.maximal(kempe.load("sarrus")).mobility()
     assert (m.counting.free, m.counting.taken, m.counting.free - m.rank_dof, m.dof) == (30, 30, 29, 1)
 
 
@@ -202,7 +202,7 @@ def test_expressions_count_as_rods_do(count, twice):
     assert said is not None and said.number == count * twice
     assert not reports[1].certain  # nothing bounds second derivatives of expressions
     q = found[1].neutral
-    assert found[1].maximal.mobility(maximal_q(found[1], q), local=False).rank_dof == 6 - count
+    assert kempe.convert.maximal(found[1]).mobility(maximal_q(found[1], q), local=False).rank_dof == 6 - count
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def test_a_pendulum_on_bars_in_line_turns_all_round():
         np.testing.assert_allclose(path.q[:, :3], 0.0, atol=1e-12)
         np.testing.assert_allclose(path.q[:, 3] - path.q[0, 3], path.s, atol=1e-9)
         assert path.s[-1] == pytest.approx(2 * np.pi, abs=1e-9)
-    start = system.q_dict(system.posture("closed"))["P"]
+    start = system.q_dict(system.q("closed"))["P"]
     motion = system.drive({"P": start + np.linspace(0, 3, 9)})
     assert motion.success
     np.testing.assert_allclose(motion.q[:, :3], 0.0, atol=1e-12)

@@ -87,8 +87,8 @@ def test_what_runs_away_is_said_to(name):
     path = s.trace()
     assert path and not path.closed and len(path) < 3000
     assert all(end.startswith("infinity: nothing turns back as far as it was followed") for end in path.ends)
-    if s.closures:
-        assert np.abs(s.closure_error(path.q)).max() < 1e-9
+    if s.structure.closures:
+        assert np.abs(s.loops.closure_error(path.q)).max() < 1e-9
 
 
 def test_a_limit_ends_what_would_run_away():
@@ -184,9 +184,9 @@ def test_samples_points_and_self_motions_keep_what_was_done(looks):
     looks(3)
     points = path.resample(100_000, budget=kempe.Budget(time_limit=5.0))
     assert points.late and not points and not points.closed and 0 < len(points) < 100_000
-    assert "of 100000 points" in points.status and np.abs(s.closure_error(points.q)).max() < 1e-12
+    assert "of 100000 points" in points.status and np.abs(s.loops.closure_error(points.q)).max() < 1e-12
     looks(5)
-    family = panda.self_motion(panda.posture("ready"), "panda_hand_tcp", budget=kempe.Budget(time_limit=5.0))
+    family = panda.inverse.self_motion(panda.q("ready"), "panda_hand_tcp", budget=kempe.Budget(time_limit=5.0))
     assert family.late and 1 < len(family) < 10 and "time limit of 5 s" in family.ends[1]
 
 
@@ -195,7 +195,7 @@ def test_modes_and_paths_of_targets_keep_what_was_done(looks):
     looks(2)
     modes = s.assembly_modes({"A": 0.4}, frame="rocker", budget=kempe.Budget(time_limit=5.0))
     assert modes.late and modes and "found from 256 starts" in modes.status and "time limit" in modes.status
-    q = panda.posture("ready") + 0.3 * np.linspace(0.0, 1.0, 50)[:, None]
+    q = panda.q("ready") + 0.3 * np.linspace(0.0, 1.0, 50)[:, None]
     looks(9)
     path = panda.ik_path(panda.fk(q, "panda_hand_tcp"), "panda_hand_tcp", q[0], budget=kempe.Budget(time_limit=5.0))
     assert path.late and not path and 0 < path.success.sum() < 50 and "time limit" in path.status
@@ -209,7 +209,7 @@ def test_wrong_limits_are_refused(verb, limit):
         "trace": lambda: s.trace(budget=kempe.Budget(time_limit=limit)),
         "resample": lambda: s.trace().resample(5, budget=kempe.Budget(time_limit=limit)),
         "drive": lambda: s.drive({"A": [0.0, 0.1]}, budget=kempe.Budget(time_limit=limit)),
-        "self_motion": lambda: panda.self_motion(panda.posture("ready"), "panda_hand_tcp",
+        "self_motion": lambda: panda.inverse.self_motion(panda.q("ready"), "panda_hand_tcp",
                                                  budget=kempe.Budget(time_limit=limit)),  # fmt: skip
         "assembly_modes": lambda: s.assembly_modes({"A": 0.3}, budget=kempe.Budget(time_limit=limit)),
         "ik_path": lambda: panda.ik_path(panda.fk(panda.mid, "panda_hand_tcp")[None], "panda_hand_tcp",

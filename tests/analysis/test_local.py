@@ -108,7 +108,7 @@ def tripod(seed: int, bars: int, scale: float = 1.0, mirrored: bool = False, fli
 
 def of_library(name: str, posture: str) -> LocalDimension:
     system = kempe.load(name)
-    return local_dimension(system, system.posture(posture))
+    return local_dimension(system, system.q(posture))
 
 
 @pytest.mark.parametrize("case", PLANAR + SINGULAR, ids=str)
@@ -148,7 +148,13 @@ def test_branches_are_the_motions_in_closed_form(name):
     for dim, motion in branches(name):
         h = 1e-4
         steps = [[h if i == j else 0.0 for j in range(dim)] for i in range(dim)]
-        T = np.stack([system.difference(system.q(motion(*[-x for x in s])), system.q(motion(*s))) for s in steps], 1)
+        T = np.stack(
+            [
+                system.configuration_space.difference(system.q(motion(*[-x for x in s])), system.q(motion(*s)))
+                for s in steps
+            ],
+            1,
+        )
         T = np.linalg.qr(T / scale)[0]
         distance = {}
         for i in free:
@@ -157,7 +163,7 @@ def test_branches_are_the_motions_in_closed_form(name):
                 distance[i] = np.linalg.norm(U - T @ (T.T @ U))
         best = min(distance, key=lambda i: distance[i])
         assert distance[best] < 1e-2, (name, distance)
-        assert np.abs(system.closure_error(found.branches[best].q)).max() < 1e-10
+        assert np.abs(system.loops.closure_error(found.branches[best].q)).max() < 1e-10
         free.remove(best)
     assert not free
 
@@ -180,7 +186,7 @@ def test_leading_coefficient_of_stretched_bars():
     equations = Equations(system)
     at = reduction.split(equations, q)
     g = reduction._solve(equations, at, reduction.lines(np.ones((1, 1)), 4), None)[0][0]
-    turn = at.kernel[list(system.velocity_names).index("j0"), 0]  # of the first bar
+    turn = at.kernel[list(system.structure.velocity_names).index("j0"), 0]  # of the first bar
     assert abs(g[2, 0]) == pytest.approx(0.5 * (a * turn) ** 2 * (1 / a + 1 / b) / equations.length, rel=1e-12)
     assert np.abs(g[[1, 3]]).max() < 1e-14  # mirrored motions are alike
 
@@ -297,7 +303,7 @@ def freedoms_of_bodies(m: Mechanism) -> int:
 def test_random_mechanisms_of_three_loops(seed, bars):
     m = tripod(seed, bars)
     system = m.build()
-    assert len(system.closures) == 3
+    assert len(system.structure.closures) == 3
     found = local_dimension(system, system.neutral)
     expected = freedoms_of_bodies(m)
     assert found.rank_dim == expected
@@ -348,7 +354,7 @@ def test_random_mechanisms_anyhow(seed, power, mirrored):
 def test_an_overconstrained_loop_away_from_its_library_posture(name):
     """Assembled anew elsewhere on the same motion it is the same."""
     system = kempe.load(name)
-    first = local_dimension(system, system.posture("closed"))
+    first = local_dimension(system, system.q("closed"))
     at = reduction.split(Equations(system), first.q)
     equations = Equations(system)
     found = equations.project(equations.move(first.q, 0.3 * at.kernel[:, 0]), first.q)
@@ -358,7 +364,7 @@ def test_an_overconstrained_loop_away_from_its_library_posture(name):
 
 def test_both_methods_are_independent_of_the_seed():
     system = kempe.load("three_upu_snu")
-    answers = {key_tuple(local_dimension(system, system.posture("closed"), rng=seed)) for seed in range(4)}
+    answers = {key_tuple(local_dimension(system, system.q("closed"), rng=seed)) for seed in range(4)}
     assert answers == {(3, 5, 2, (3, 3), False)}
 
 
@@ -373,7 +379,7 @@ def key_tuple(found: LocalDimension) -> tuple:
 def test_equations_say_the_same_as_the_loops(name):
     """Their Jacobians at a closed configuration have the same kernel as those of `kinematics.loops`."""
     system = kempe.load(name)
-    q = system.posture("closed")
+    q = system.q("closed")
     equations = Equations(system)
     value, J = equations.linearise(q)
     assert np.abs(value).max() < 1e-12
@@ -394,7 +400,7 @@ def test_declared_constraints_and_relations_count():
     found = local_dimension(system, system.neutral)
     assert (found.dim, found.smooth, found.corank) == (1, True, 0)
     d = Equations(system).linearise(system.neutral)[1][0, 0]
-    ab = [list(system.velocity_names).index(n) for n in "ab"]
+    ab = [list(system.structure.velocity_names).index(n) for n in "ab"]
     assert d[ab[0]] == pytest.approx(2 * d[ab[1]])  # by symmetry: lever arms 2 and 1
     assert sampled_dimension(Equations(system), reduction.split(Equations(system), system.neutral),
                              np.random.default_rng(0)) == 1  # fmt: skip

@@ -23,7 +23,7 @@ def check(system, path, start, goal, frame: str) -> None:
     """
     assert path.success, path.status
     scale = 1.0 + np.abs(path.q).max() + path.length
-    off = system.difference(path.q[-1], goal)
+    off = system.configuration_space.difference(path.q[-1], goal)
     assert np.array_equal(path.q[0], start)
     assert np.abs(off - 2 * math.pi * np.round(off / (2 * math.pi))).max() < 1e-12 * scale
     assert np.all(np.diff(path.t) > 0.0)
@@ -35,7 +35,7 @@ def check(system, path, start, goal, frame: str) -> None:
         return
     mid = 0.5 * (path.t[1:] + path.t[:-1])
     h = np.minimum(1e-5, 0.25 * np.diff(path.t))
-    slope = system.difference(path.at(mid - h), path.at(mid + h)) / (2 * h)[:, None]
+    slope = system.configuration_space.difference(path.at(mid - h), path.at(mid + h)) / (2 * h)[:, None]
     v = path.velocity(mid)
     rounding = 1e-15 * scale / h[:, None]
     assert (np.abs(slope - v) < 1e-7 * np.maximum(1.0, np.abs(v).max()) ** 3 + 10 * rounding).all()
@@ -246,7 +246,7 @@ def test_radii_and_distances_of_all_sizes(hunt):
         turn = rng.choice([0.0, 1e-9, 1e-5, 0.1, 3.0, math.pi, -math.pi / 2])
         goal = np.append(rng.uniform(-1, 1, 2) * 10.0 ** rng.uniform(-5, 4) * (rng.random() < 0.8), turn)
         path = system.manoeuvre(np.zeros(3), goal, radius=10.0 ** rng.uniform(-5, 5), budget=kempe.Budget(points=30))
-        off = system.difference(path.q[-1], goal)
+        off = system.configuration_space.difference(path.q[-1], goal)
         off[2] = math.remainder(off[2], 2 * math.pi)
         assert path and np.abs(off).max() < 1e-12 * (1 + np.abs(path.q).max() + path.length) and path.slip < 1e-12
 

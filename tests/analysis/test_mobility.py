@@ -28,7 +28,7 @@ from kempe.placement import Placement
 @pytest.mark.parametrize("case", PLANAR + SINGULAR, ids=str)
 def test_planar_mechanisms(case: Case):
     system = kempe.load(case.name)
-    m = mobility(system, system.posture(case.posture))
+    m = mobility(system, system.q(case.posture))
     assert (m.gruebler, m.rank_dof, m.dof) == (case.count, case.rank, case.true)
     assert m.redundant_here == case.rank - case.count and m.redundant == m.generic_rank_dof - case.count
     assert m.singular == bool(case.branches or case.rank > case.true)
@@ -41,7 +41,7 @@ def test_planar_mechanisms(case: Case):
 @pytest.mark.parametrize("case", SPATIAL, ids=lambda c: c.name)
 def test_spatial_mechanisms(case: Spatial):
     system = kempe.load(case.name)
-    m = mobility(system, system.posture("closed") if "closed" in system.posture_names else None)
+    m = mobility(system, system.q("closed") if "closed" in system.structure.posture_names else None)
     assert (m.gruebler, m.rank_dof, m.dof, m.idle) == (case.count, case.rank, case.dof, case.idle)
     assert m.redundant_here == case.redundant and m.gruebler_spatial == m.gruebler
     assert m.redundant == (case.redundant if not m.singular else m.generic_rank_dof - case.count)
@@ -130,7 +130,8 @@ def test_rods_lines_and_planes():
 def m_rank(system: System) -> int:
     """Nullity of the loop equations by differences."""
     q, h = system.neutral, 1e-6
-    columns = [(residual(system, system.integrate(q, h * e)) - residual(system, system.integrate(q, -h * e))) / (2 * h)
+    space = system.configuration_space
+    columns = [(residual(system, space.integrate(q, h * e)) - residual(system, space.integrate(q, -h * e))) / (2 * h)
                for e in np.eye(system.nv)]  # fmt: skip
     return system.nv - int(np.linalg.matrix_rank(np.array(columns).T, 1e-6))
 
@@ -162,7 +163,7 @@ def test_an_open_mechanism_is_counted_only():
 
 def test_a_sloppy_configuration_is_closed_first():
     system = kempe.load("bennett")
-    q = system.posture("closed").round(4)
+    q = system.q("closed").round(4)
     assert np.abs(closure_error(system, q)).max() > 1e-6
     report = mobility(system, q)
     assert (report.rank_dof, report.dof) == (1, 1) and report.given_residual > 1e-6
@@ -193,10 +194,10 @@ def test_rods_spin_about_the_line_through_their_ends():
     assert len({f.bodies for f in m.idle_freedoms}) == 6 and all(len(f.bodies) == 1 for f in m.idle_freedoms)
     for f in m.idle_freedoms:
         assert f.joined and str(f).endswith(f"spins about the line through {f.joints[0]} and {f.joints[1]}")
-        moved = system.fk(system.integrate(m.q, 1e-6 * f.velocity)) - system.fk(m.q)
+        moved = system.fk(system.configuration_space.integrate(m.q, 1e-6 * f.velocity)) - system.fk(m.q)
         still = [b for b in range(len(moved)) if np.abs(moved[b]).max() < 1e-11]
         assert len(still) == len(moved) - 1  # only the rod moves, and keeps the loops closed
-        assert np.abs(closure_error(system, system.integrate(m.q, 0.7 * f.velocity))).max() < 1e-12
+        assert np.abs(closure_error(system, system.configuration_space.integrate(m.q, 0.7 * f.velocity))).max() < 1e-12
 
 
 def test_a_door_on_two_hinges_is_not_idle():
@@ -266,7 +267,7 @@ def test_releases_remove_what_is_redundant_and_nothing_else(name):
     assert rank_of(full) == rank_of(kept) == len(kept)
     assert rank_of(full) == rank_of(joint_constraints(system, m.q))
     stressed = dict(m.redundancy.stressed)
-    for joint in system.joints:  # a direction carries self-stress if it can be left out without a new freedom
+    for joint in system.structure.joints:  # a direction carries self-stress if it can be left out without a new freedom
         for reaction in ("Fx", "Fy", "Fz", "Mx", "My", "Mz"):
             less = held_rows(system, m.q, {joint: (reaction,)})
             if len(less) < len(full):
@@ -287,9 +288,9 @@ def held_rows(system: System, q: np.ndarray, released: dict[str, tuple[str, ...]
     pose = dict(zip(system.body_names, system.fk(q), strict=True))
     column = {b: 6 * i for i, b in enumerate(system.body_names[1:])}
     rows = []
-    for joint in system.joints.values():
-        F = pose[joint.parent] @ joint.X_PF.evaluate(system.parameters)
-        M = pose[joint.child] @ joint.X_CM.evaluate(system.parameters)
+    for joint in system.structure.joints.values():
+        F = pose[joint.parent] @ joint.X_PF.evaluate(system.structure.parameters)
+        M = pose[joint.child] @ joint.X_CM.evaluate(system.structure.parameters)
         R, p = F[:3, :3], M[:3, 3]
         if joint.type.type_name == "universal":
             x, y = F[:3, 0], M[:3, 1]
@@ -322,7 +323,7 @@ def test_a_sarrus_linkage_with_its_repair_has_no_redundancy():
     j = m.joints[release.joint]  # turns about z; the repaired one about z and about x or y besides
     to_x = (("ry", (math.pi / 2,)),)  # the x axis of the universal joint is the old z, its y the released direction
     turn = Placement(to_x if release.reactions == ("My",) else (("rz", (math.pi / 2,)), *to_x))
-    q = system.posture("closed")
+    q = system.q("closed")
     angle = float(q[system.coordinate_names.index(j.name)])
     X_CM = Placement((*j.X_CM.steps, ("rz", (-angle,))))  # at q its frames coincide
     m.joints[j.name] = replace(j, type=Universal(), X_PF=j.X_PF @ turn, X_CM=X_CM @ turn)
@@ -365,14 +366,14 @@ def test_motors_that_control_are_too_few_or_too_many():
     assert mobility(four, actuated=["A"]).control.complete
     both = mobility(four, actuated=["A", "D"]).control
     assert both.complete and both.excess == 1 and "redundant actuation" in str(both)
-    driven = next(iter(five.joints))
+    driven = next(iter(five.structure.joints))
     one = mobility(five, actuated=[driven]).control
     assert not one.complete and (one.controlled, one.useful, one.excess) == (1, 2, 0)
     (free,) = one.free
     assert driven not in free and max(map(abs, free.values())) == pytest.approx(1.0)
-    v = np.array([free.get(n, 0.0) for n in five.velocity_names])
+    v = np.array([free.get(n, 0.0) for n in five.structure.velocity_names])
     q = mobility(five).q
-    assert np.abs(closure_error(five, five.integrate(q, 1e-6 * v))).max() < 1e-10
+    assert np.abs(closure_error(five, five.configuration_space.integrate(q, 1e-6 * v))).max() < 1e-10
     assert mobility(system_without_motors()).control is None
 
 
@@ -391,11 +392,11 @@ def test_idle_spins_need_no_motor():
 
 def test_a_slider_cannot_drive_its_crank_through_the_dead_point():
     system = kempe.load("slider_crank")
-    r, rod = system.parameters["r"], system.parameters["l"]
-    slide = next(j.name for j in system.joints.values() if j.type.type_name == "prismatic")
+    r, rod = system.structure.parameters["r"], system.structure.parameters["l"]
+    slide = next(j.name for j in system.structure.joints.values() if j.type.type_name == "prismatic")
     dead = system.assemble({slide: r + rod - 1e-9}, start=system.assemble({"A": 0.01}).q).q
     stretched = system.assemble({"A": 0.0}, start=dead).q
-    at_dead, beside = (mobility(system, q, actuated=[slide]).control for q in (stretched, system.posture("closed")))
+    at_dead, beside = (mobility(system, q, actuated=[slide]).control for q in (stretched, system.q("closed")))
     assert beside.complete and not beside.singular
     assert not at_dead.complete and at_dead.singular and at_dead.excess == 0
     assert mobility(system, stretched, actuated=["A"]).control.complete
@@ -422,7 +423,7 @@ def test_what_is_not_known_is_not_said():
 
 def test_trees_and_nothing():
     arm = mobility(kempe.load("panda"))
-    assert arm.dof == arm.gruebler == arm.rank_dof == len(kempe.load("panda").velocity_names)
+    assert arm.dof == arm.gruebler == arm.rank_dof == len(kempe.load("panda").structure.velocity_names)
     assert arm.redundant == 0 and arm.loops == () and not arm.singular
     empty = mobility(Mechanism("empty").build())
     assert empty.dof == empty.gruebler == 0

@@ -24,7 +24,7 @@ NAMES = ["four_bar", "slider_crank", "double_parallelogram", "peaucellier", "thr
 
 @st.composite
 def changes(draw, system: System) -> Change:
-    joints, bodies = list(system.joints.values()), system.body_names
+    joints, bodies = list(system.structure.joints.values()), system.body_names
     planar = system.dim == 2
     seed = draw(st.integers(0, 2**16))
     rng = np.random.default_rng(seed)
@@ -56,7 +56,7 @@ def facts(m: Mobility, prefix: str = "") -> dict:
 @given(data=st.data())
 def test_names_orders_cuts_ground_units_and_hands_do_not_matter(name, data):
     system = kempe.load(name)
-    q = system.posture("closed")
+    q = system.q("closed")
     passive = rebuilt(system, q, Change())
     change = data.draw(changes(system))
     other = rebuilt(system, q, change)
@@ -74,7 +74,7 @@ def test_names_orders_cuts_ground_units_and_hands_do_not_matter(name, data):
 @given(data=st.data())
 def test_the_truth_does_not_change_either(name, data):
     system = kempe.load(name)
-    q = system.posture("closed")
+    q = system.q("closed")
     other = rebuilt(system, q, data.draw(changes(system)))
     assert mobility(other, other.neutral).dof == mobility(system, q).dof == 1
 

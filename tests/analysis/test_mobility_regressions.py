@@ -326,10 +326,10 @@ def test_what_is_nearly_a_mechanism_is_none_for_certain_or_probably_one(off):
     """A Bennett linkage whose axes are off by this much is no mechanism, but nearly one."""
     system = kempe.load("bennett")
     rng = np.random.default_rng(0)
-    pose = dict(zip(system.body_names, system.fk(system.posture("closed")), strict=True))
+    pose = dict(zip(system.body_names, system.fk(system.q("closed")), strict=True))
     world = World("nearly")
-    for j in system.joints.values():
-        F = pose[j.parent] @ j.X_PF.evaluate(system.parameters)
+    for j in system.structure.joints.values():
+        F = pose[j.parent] @ j.X_PF.evaluate(system.structure.parameters)
         p, z = F[:3, 3] + off * rng.normal(size=3), F[:3, 2] + off * rng.normal(size=3)
         world.turn(*("ground" if b == system.body_names[0] else b for b in (j.parent, j.child)), p, z)
     report = look(world)
@@ -345,7 +345,7 @@ def empty() -> System:
 
 def test_wrong_arguments_are_refused():
     system = kempe.load("four_bar")
-    q = system.posture("closed")
+    q = system.q("closed")
     with pytest.raises(InputError, match="list of names"):
         mobility(system, q, actuated=3)  # pyright: ignore[reportArgumentType]
     for tolerance in (0.0, -1.0, 1.0, 2.0, float("nan")):

@@ -44,7 +44,7 @@ def test_limits_that_are_reached(name, hunt):
     """Limits are put where coordinates are, below, above, or both; oracle: linear programs over the whole cone."""
     system, rng = kempe.load(name), hunt.rng()
     q = system.mobility(local=False).q
-    at, v = system.layout.vector_q, system.layout.vector_v
+    at, v = system.structure.layout.vector_q, system.structure.layout.vector_v
     for _ in range(hunt.cases(5)):
         limits = np.column_stack([np.full(system.nv, -np.inf), np.full(system.nv, np.inf)])
         G = []
@@ -63,13 +63,13 @@ def test_limits_that_are_reached(name, hunt):
         assert found.dimension == spanned(E, G, system.nv)
         for k in range(system.nv):
             row = np.eye(system.nv)[k]
-            ways = found.coordinates[system.velocity_names[k]]
+            ways = found.coordinates[system.structure.velocity_names[k]]
             assert ways == (least(row, E, G) < -1e-6, least(-row, E, G) < -1e-6)
 
 
 def test_states_and_slacks():
     system = kempe.load("puma560")
-    low, high = system.limits.T
+    low, high = system.structure.limits.T
     q = system.mid.copy()
     q[0], q[1], q[2] = high[0], low[1] - 0.25, low[2] + 0.5
     found = one_sided(system, q)
@@ -162,7 +162,11 @@ def gaps(system, q):
         ])  # fmt: skip
 
     steps = 1e-6 * np.eye(system.nv)
-    J = [(values(system.integrate(q, h)) - values(system.integrate(q, -h))) / 2e-6 for h in steps]
+    J = [
+        (values(system.configuration_space.integrate(q, h)) - values(system.configuration_space.integrate(q, -h)))
+        / 2e-6
+        for h in steps
+    ]
     return values(q), np.array(J).T
 
 
@@ -223,7 +227,7 @@ def test_what_declared_constraints_allow(number, hunt):
         if not len(G):
             continue
         assert found.dimension == spanned(E, G, system.nv)
-        for k, name in enumerate(made.velocity_names):
+        for k, name in enumerate(made.structure.velocity_names):
             row = np.eye(system.nv)[k]
             assert found.coordinates[name] == (least(row, E, G) < -1e-6, least(-row, E, G) < -1e-6)
     assert closed > hunt.cases(number)

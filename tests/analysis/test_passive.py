@@ -36,7 +36,7 @@ def assert_spins(system: System, q: np.ndarray, f: IdleFreedom) -> None:
     angle = ANGLE / np.max(speed**2)
     turn[:3, :3] = exp_so3(angle * direction)
     turn[:3, 3] = point - turn[:3, :3] @ point
-    start = system.integrate(q, angle * speed)
+    start = system.configuration_space.integrate(q, angle * speed)
     first = turn @ before[system.body_names.index(f.bodies[0])]
     answer = system.assemble(others | {f.bodies[0]: first}, start, budget=kempe.Budget(starts=1))
     assert answer.success and np.abs(residual(system, answer.q)).max() < 1e-9
@@ -55,7 +55,7 @@ def rate_of(system: System, q: np.ndarray, f: IdleFreedom) -> float:
 
 def alone(system: System, q: np.ndarray, bodies) -> int:
     """In how many ways these bodies can move while all others rest: a kernel in maximal coordinates."""
-    J = maximal_jacobian(system, system.to_maximal(q))
+    J = maximal_jacobian(system, kempe.convert.to_maximal(system, q))
     columns = [6 * (system.body_names.index(b) - 1) + k for b in bodies for k in range(6)]
     values = np.linalg.svd(J[:, columns], compute_uv=False)
     return len(columns) - int((values > 1e-9 * values.max()).sum())

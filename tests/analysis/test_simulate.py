@@ -277,7 +277,7 @@ def test_loops_stay_closed():
     system = m.build()
     start = system.assemble({"A": 0.5}).q
     r = system.simulate(20.0, start, inputs={"A": 1.0})
-    assert r and np.abs(system.closure_error(r.q)).max() < 1e-12
+    assert r and np.abs(system.loops.closure_error(r.q)).max() < 1e-12
     i = system.coordinate_names.index("A")
     assert r.q[:, i] == pytest.approx(0.5 + r.t, abs=1e-9)
     driven = system.drive({"A": 0.5 + r.t}, r.t, start)

@@ -53,11 +53,11 @@ def assert_same(path: Path, other: Path) -> None:
     """The named coordinates take the same course, and what spins comes back with the others."""
     assert path.closed == other.closed and path.success == other.success and len(path) > 1
     np.testing.assert_allclose(events(path), events(other), atol=1e-6)
-    assert np.abs(path.system.closure_error(path.q)).max() < 1e-9
+    assert np.abs(path.system.loops.closure_error(path.q)).max() < 1e-9
     if path.closed:
         np.testing.assert_allclose(of(path)[-1] - of(path)[0], of(other)[-1] - of(other)[0], atol=1e-9)
-        balls = path.system.layout.quaternion_v[:, None] + np.arange(3)
-        assert np.abs(path.system.difference(path.q[0], path.q[-1])[balls]).max(initial=0.0) < 1e-9
+        balls = path.system.structure.layout.quaternion_v[:, None] + np.arange(3)
+        assert np.abs(path.system.configuration_space.difference(path.q[0], path.q[-1])[balls]).max(initial=0.0) < 1e-9
 
 
 def pair(seed, form: str, **options) -> tuple[kempe.System, kempe.System]:
@@ -86,7 +86,7 @@ def _hunt_rods(hunt, cases: int) -> None:
         seed = int(rng.integers(2**32))
         spins, rests = pair(seed, "SS", planar=bool(rng.random() < 0.25), cut=str(rng.choice(["", "B", "C"])))
         start, rod = spins.neutral.copy(), spins.mobility(spins.neutral, local=False).idle_freedoms[0]
-        start = spins.integrate(start, rng.uniform(-3, 3) * rod.velocity)
+        start = spins.configuration_space.integrate(start, rng.uniform(-3, 3) * rod.velocity)
         assert_same(spins.trace("A", start), rests.trace("A", rests.neutral.copy()))
 
 
@@ -113,7 +113,7 @@ def assert_spun_is_the_same(unit, rng: np.random.Generator) -> None:
     assert chart.dim == report.rank_dof and len(chart.idle) == report.idle == len(r.idle) and chart.useful
     spun = q
     for f in report.idle_freedoms:
-        spun = system.integrate(spun, rng.uniform(-1, 1) * f.velocity / np.linalg.norm(f.velocity))
+        spun = system.configuration_space.integrate(spun, rng.uniform(-1, 1) * f.velocity / np.linalg.norm(f.velocity))
     t, values = np.linspace(0.0, 0.02, 3), system.q_dict(q)
     inputs = {n: values[n] + t * (-1) ** i for i, n in enumerate(chart.useful)}
     spinning = {b for f in report.idle_freedoms for b in (*f.bodies, *f.links)}
@@ -161,7 +161,7 @@ def test_a_platform_on_balls_moves_as_one_on_universal_joints(driver):
     ends, places = [], []
     for name in ("stewart_sps", "stewart"):
         system = kempe.load(name)
-        q = system.posture("closed")
+        q = system.q("closed")
         legs = {n: system.q_dict(q)[n] for n in LEGS}
         t = np.linspace(0.0, 1.0, 6)
         motion = system.drive({n: x + 0.03 * np.sin(t * (i + 2)) for i, (n, x) in enumerate(legs.items())}, start=q)
@@ -180,7 +180,7 @@ def test_a_delta_robot_on_balls_is_driven_as_one_on_universal_joints():
     poses = []
     for name in ("delta_ss", "delta_uu"):
         system = kempe.load(name)
-        q = system.posture("closed")
+        q = system.q("closed")
         t = np.linspace(0.0, 1.0, 8)
         motion = system.drive({n: system.q_dict(q)[n] + 0.2 * t * (i - 1) for i, n in enumerate(("A1", "A2", "A3"))},
                               start=q)  # fmt: skip
@@ -205,7 +205,7 @@ def test_a_spin_can_be_asked_for():
 def test_a_spin_is_no_answer_to_what_cannot_move():
     """Two inputs for one useful freedom, and a driver whose motion is held."""
     system = kempe.load("rssr")
-    q = system.posture("closed")
+    q = system.q("closed")
     with pytest.raises(UnsupportedError, match="fewer freedoms than inputs: 'A', 'D'"):
         system.drive({"A": [q[0], q[0] + 0.1], "D": [q[-1], q[-1]]})
     path = system.trace("A", q, hold={"D": q[-1]})
@@ -224,7 +224,7 @@ def test_paths_of_what_spins_are_pickled():
     path = kempe.load("rssr").trace("A")
     again = pickle.loads(pickle.dumps(path))
     np.testing.assert_array_equal(again.at(1.0), path.at(1.0))
-    assert np.abs(path.system.closure_error(path.resample(40).q)).max() < 1e-9
+    assert np.abs(path.system.loops.closure_error(path.resample(40).q)).max() < 1e-9
 
 
 def test_more_than_spins_is_still_refused():

@@ -28,7 +28,7 @@ def allowed(system: System, q: np.ndarray) -> np.ndarray:
 
 def twist(system: System, q: np.ndarray, v: np.ndarray, body: str, p: np.ndarray) -> np.ndarray:
     """[v; w] of a body at the point p along a velocity, in axes of the ground, by differences of poses."""
-    a, b = (Poses(system, system.integrate(q, h * v))(body) for h in (H, -H))
+    a, b = (Poses(system, system.configuration_space.integrate(q, h * v))(body) for h in (H, -H))
     W = (a - b)[:3, :3] @ Poses(system, q)(body)[:3, :3].T / (2.0 * H)
     w = np.array([W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1]]) / 2.0
     return np.append((a - b)[:3, 3] / (2.0 * H) + np.cross(w, p - Poses(system, q)(body)[:3, 3]), w)
@@ -157,14 +157,14 @@ def test_a_contact_pushes_along_the_normal_and_a_wheel_across():
 # ---- self-stress
 
 
-@pytest.mark.parametrize("name", [n for n in library.names() if kempe.load(n).closures])
+@pytest.mark.parametrize("name", [n for n in library.names() if kempe.load(n).structure.closures])
 def test_as_many_states_as_redundant_constraints(name):
     """The multipliers of maximal coordinates against the rank of screws; bodies and axes are in balance."""
     system = kempe.load(name)
     m = system.mobility(local=False)
     w = m.wrenches
     assert len(w.stresses) == m.redundant_here
-    ground, joints = system.body_names[0], system.joints
+    ground, joints = system.body_names[0], system.structure.joints
     for state in w.stresses:
         total = {body: np.zeros(6) for body in system.body_names}
         for n, wrench in state.wrenches.items():
@@ -172,7 +172,7 @@ def test_as_many_states_as_redundant_constraints(name):
             total[joints[n].child] += about
             total[joints[n].parent] -= about
             left = wrench - w[n].T @ np.linalg.lstsq(w[n].T, wrench, rcond=None)[0]
-            assert np.abs(left).max() < 1e-7 or system.couplings
+            assert np.abs(left).max() < 1e-7 or system.structure.couplings
         assert max(np.abs(x).max() for body, x in total.items() if body != ground) < 1e-7
 
 
@@ -221,7 +221,9 @@ def test_the_torque_of_a_crank_by_virtual_work(hunt):
         at = [system.fk(system.assemble({"A": a + h}, start=q).q, "coupler_point")[:2, 3] for h in (H, -H)]
         found = Wrenches(system, q).under({"coupler_point": force}, held="A")
         assert found.efforts["A"] == pytest.approx(-force @ (at[0] - at[1]) / (2.0 * H), abs=1e-7)
-        pins = found.wrenches["A"][:2] + found.wrenches["D"][:2] * (1 if system.joints["D"].parent == "ground" else -1)
+        pins = found.wrenches["A"][:2] + found.wrenches["D"][:2] * (
+            1 if system.structure.joints["D"].parent == "ground" else -1
+        )
         np.testing.assert_allclose(pins, -force, atol=1e-9)
 
 

@@ -152,4 +152,4 @@ Viewpoint*, chapter 24, Bor, Montgomery (2009), *G2 and the rolling distribution
 
 def close_by(system: System, rng: np.random.Generator) -> np.ndarray:
     """A configuration at random, near enough to zero for loops to be closed from there."""
-    return system.integrate(system.neutral, 0.4 * rng.normal(size=system.nv))
+    return system.configuration_space.integrate(system.neutral, 0.4 * rng.normal(size=system.nv))

@@ -96,7 +96,7 @@ def asked(made: c.Constraint, s: System) -> None:
     assert answer.success, answer.status
     assert max(tasks.miss(s, made, answer.q)) < 1e-6
     J, h = tasks.jacobian(s, made, q), 1e-6
-    ends = [tasks.error(s, made, s.integrate(q, x * np.eye(s.nv))) for x in (h, -h)]
+    ends = [tasks.error(s, made, s.configuration_space.integrate(q, x * np.eye(s.nv))) for x in (h, -h)]
     np.testing.assert_allclose(J, ((ends[0] - ends[1]) / (2.0 * h)).T, atol=1e-6)
 
 
@@ -107,7 +107,7 @@ def declared(made: c.Constraint, s: System, dim: int) -> None:
     r, J = loops.residual(s, q), loops.jacobian(s, q)
     assert r.shape == (held,) or made.kind in ("pointing", "look_at")
     h = 1e-6
-    ends = [loops.residual(s, s.integrate(q, x * np.eye(s.nv))) for x in (h, -h)]
+    ends = [loops.residual(s, s.configuration_space.integrate(q, x * np.eye(s.nv))) for x in (h, -h)]
     np.testing.assert_allclose(J, ((ends[0] - ends[1]) / (2.0 * h)).T, atol=1e-6)
     closed = s.assemble(start=q)
     assert closed.success, closed.status

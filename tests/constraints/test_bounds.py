@@ -84,15 +84,15 @@ def test_held_and_asked(name, dim, bounds, hunt):
     moved = 0
     for k in range(max(hunt.cases(6), 2)):  # from where the kind holds without bounds, and from far away
         q = free.random(rng) if k % 2 else free.ik(EXAMPLES[name](dim), start=free.random(rng)).q
-        q = free.integrate(q, rng.uniform(-1.0, 1.0, free.nv) * (6.0 if k % 2 else 0.05))
+        q = free.configuration_space.integrate(q, rng.uniform(-1.0, 1.0, free.nv) * (6.0 if k % 2 else 0.05))
         while k == 1 and high < math.inf and low <= measured(name, dim, made, free, q) <= high:
-            q = free.integrate(q, rng.uniform(-1.0, 1.0, free.nv))
+            q = free.configuration_space.integrate(q, rng.uniform(-1.0, 1.0, free.nv))
         before = measured(name, dim, made, free, q)
         for answer in (free.ik(made, start=q), held.assemble({}, q)):
             assert answer.success, answer.status
             assert low - 1e-6 <= measured(name, dim, made, free, answer.q) <= high + 1e-6
             if low <= before <= high:
-                assert np.allclose(free.difference(q, answer.q), 0.0), "nothing has to move"
+                assert np.allclose(free.configuration_space.difference(q, answer.q), 0.0), "nothing has to move"
             else:
                 moved += 1
     assert moved, "the bounds mattered somewhere"
@@ -160,11 +160,11 @@ def test_expressions_and_centres_have_bounds(name, bounds, hunt):
         solve.append(lambda q: held.assemble({}, q).q)
     slack = set()
     for _ in range(hunt.cases(10)):
-        q = free.integrate(free.neutral, rng.uniform(-1.0, 1.0, free.nv))
+        q = free.configuration_space.integrate(free.neutral, rng.uniform(-1.0, 1.0, free.nv))
         for f in solve:
             assert low - 1e-6 <= number(free, found := f(q)) <= high + 1e-6
             if low <= number(free, q) <= high:
-                assert np.allclose(free.difference(q, found), 0.0), "nothing has to move"
+                assert np.allclose(free.configuration_space.difference(q, found), 0.0), "nothing has to move"
             slack.add(bool(low <= number(free, q) <= high))
     assert False in slack
 
@@ -186,7 +186,7 @@ def test_bounds_of_numbers_from_target_to_target(name, hunt):
 def test_bounds_of_each_of_several_values(hunt):
     s, most = two_bodies(3).build(), np.array([[0.1, 0.2], [-0.3, 0.4], [0.5, -0.6]])
     made = c.Equation(["`Ja.x`", "`Ja.y`"], at_least=-1.0, at_most=most)
-    q = s.ik(made, start=s.integrate(s.neutral, np.full(s.nv, 0.9))).q
+    q = s.ik(made, start=s.configuration_space.integrate(s.neutral, np.full(s.nv, 0.9))).q
     np.testing.assert_allclose(q[:, :2], most, atol=1e-6)
     assert c.Equation(["x", "y"], at_most=[1.0, 2.0]).sentence == "x, y are at most (1, 2)"
     for low, high, said in ((None, [1, 2, 3], "must be a number, or"), ([1, 2], [1, 0], "leave nothing")):

@@ -170,7 +170,7 @@ def test_a_circle_of_many_points_is_a_crank():
     paths = [s.trace("A", start=s.assemble({"A": 0.9}).q) for s in (curve, rod)]
     assert [p.closed for p in paths] == [True, True]
     assert paths[0].length == pytest.approx(paths[1].length, rel=1e-6)
-    J = [s.loop_jacobian(b[0], ["A"], ["B"]).matrix for s in (curve, rod)]
+    J = [s.loops.jacobian(b[0], ["A"], ["B"]).matrix for s in (curve, rod)]
     assert J[0] == pytest.approx(J[1], rel=1e-6)
     assert curve.classify().constraints["cam"].kind == "holonomic"
 
@@ -193,8 +193,8 @@ def test_written_and_read():
     again = read_toml(write_toml(m))
     assert again == m
     q = m.build().random(1)
-    np.testing.assert_array_equal(again.build().constraints()[0].residual(again.build(), q),
-                                  m.build().constraints()[0].residual(m.build(), q))  # fmt: skip
+    np.testing.assert_array_equal(again.build().loops.constraints()[0].residual(again.build(), q),
+                                  m.build().loops.constraints()[0].residual(m.build(), q))  # fmt: skip
 
 
 @pytest.mark.parametrize(("points", "closed", "said"), [

@@ -122,7 +122,7 @@ def written(path: Path) -> dict[str, Joint]:
 def values_of(joints: dict[str, Joint], system: kempe.System, q: np.ndarray) -> dict[str, np.ndarray]:
     """Coordinates of each joint that moves, those that follow others by the file's own numbers."""
     named = system.q_dict(q)
-    own = {n: np.array([named[c] for c in system.coordinates_of_joint(n) if c in named])
+    own = {n: np.array([named[c] for c in system.structure.coordinates_of_joint(n) if c in named])
            for n, j in joints.items() if j.kind != "fixed" and j.mimic is None}  # fmt: skip
     waiting = {n: j.mimic for n, j in joints.items() if j.mimic}
     while waiting:

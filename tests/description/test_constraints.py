@@ -121,7 +121,7 @@ def test_they_belong_to_what_the_mechanism_is():
     m.distance("rod", "tip", "b", "l")
     assert m != same and same.constraints == {}
     assert m.build() != plain and m.copy() == m
-    assert m.build().lock({"Ja.x": 0.5}).mechanism.constraints == m.constraints
+    assert m.build().mechanism.lock({"Ja.x": 0.5}).build().mechanism.constraints == m.constraints
     assert System(m).mechanism.constraints == m.constraints
     assert "constraints" in vars(m) and hash(m.constraints["rod"]) == hash(m.copy().constraints["rod"])
 
@@ -133,7 +133,7 @@ def test_they_are_no_connection():
     with pytest.raises(DescriptionError, match="no joints lead from 'ground' to 'b'"):
         m.build()
     m.free("J", m.ground, "b")
-    assert m.build().closures == () and m.build().nv == 6
+    assert m.build().structure.closures == () and m.build().nv == 6
 
 
 def test_mounting_and_cutting_out():

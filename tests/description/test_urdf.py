@@ -270,7 +270,7 @@ def test_floating_base():
 def test_root_is_chosen_where_the_file_leaves_it_open():
     circle = robot(joint("a"), joint("b", parent="arm", child="hand"), joint("c", parent="hand", child="base"))
     m = read_urdf(circle, root="arm")
-    assert m.ground.name == "arm" and m.build().closures
+    assert m.ground.name == "arm" and m.build().structure.closures
     two = robot(joint("a", child="hand"), joint("b", parent="arm", child="hand"))
     assert read_urdf(two, root="arm").build().body_names[0] == "arm"
     with pytest.raises(UnknownNameError, match="no link 'amr'; did you mean 'arm'"):

@@ -29,7 +29,7 @@ def same_poses(m: Mechanism, seed: int = 0) -> None:
     """All bodies and frames of the mechanism must be where those of its URDF are."""
     before, after = m.build(), read_urdf(write_urdf(m)).build()
     assert set(before.coordinate_names) == set(after.coordinate_names)
-    q = before.layout.neutral + np.random.default_rng(seed).normal(size=before.nq)
+    q = before.structure.layout.neutral + np.random.default_rng(seed).normal(size=before.nq)
     by_name = before.q_dict(q)
     for name in before.frame_names:
         X, Y = before.fk(q, name), after.fk(by_name, name)

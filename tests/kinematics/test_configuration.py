@@ -34,7 +34,7 @@ def test_array_and_dict():
     s = system(turn="revolute", ball="spherical", block="planar")
     names = ("turn", "ball.qw", "ball.qx", "ball.qy", "ball.qz", "block.x", "block.y", "block.rz")
     assert s.coordinate_names == names
-    assert s.velocity_names == ("turn", "ball.wx", "ball.wy", "ball.wz", "block.x", "block.y", "block.rz")
+    assert s.structure.velocity_names == ("turn", "ball.wx", "ball.wy", "ball.wz", "block.x", "block.y", "block.rz")
     q = s.q({"block.y": 0.5, "turn": -1})
     np.testing.assert_array_equal(q, [-1, 1, 0, 0, 0, 0, 0.5, 0])
     assert s.q_dict(q) == dict(zip(names, q.tolist(), strict=True))
@@ -75,12 +75,16 @@ def test_one_source_of_names():
 def test_bad_tangents(v, words):
     s = system(shoulder="spherical", elbow="revolute")
     with pytest.raises(InputError, match=words):
-        s.integrate(s.neutral, v)
+        s.configuration_space.integrate(s.neutral, v)
 
 
 def test_bad_ends():
     s = system(shoulder="spherical", elbow="revolute")
-    for call in (s.difference, s.distance, lambda a, b: s.interpolate(a, b, 0.5)):
+    for call in (
+        s.configuration_space.difference,
+        s.configuration_space.distance,
+        lambda a, b: s.configuration_space.interpolate(a, b, 0.5),
+    ):
         for a, b in ((s.neutral, np.zeros(4)), (np.zeros(4), s.neutral)):
             with pytest.raises(InputError, match="q has 4 coordinates; chain needs 5"):
                 call(a, b)
@@ -155,14 +159,14 @@ def test_unlimited_turns_go_the_short_way():
     s = system(a="revolute", b=("revolute", {"limits": (-4, 4)}), c="prismatic")
     q0, q1 = np.array([3.0, 3.0, 3.0]), np.array([-3.0, -3.0, -3.0])
     short = 2 * np.pi - 6
-    assert s.distance(q0, q1) == pytest.approx(np.sqrt(short**2 + 36 + 36))
-    half = s.interpolate(q0, q1, 0.5)
+    assert s.configuration_space.distance(q0, q1) == pytest.approx(np.sqrt(short**2 + 36 + 36))
+    half = s.configuration_space.interpolate(q0, q1, 0.5)
     np.testing.assert_allclose(half, [3 + short / 2, 0, 0], atol=1e-14)
-    np.testing.assert_allclose(s.interpolate(q0, q1, [0, 1])[1] - q1, [2 * np.pi, 0, 0], atol=1e-14)
-    np.testing.assert_array_equal(s.interpolate(q0, q1, 0.0), q0)
-    assert s.difference(q0, q1)[0] == -6.0, "the difference is that of the coordinates"
+    np.testing.assert_allclose(s.configuration_space.interpolate(q0, q1, [0, 1])[1] - q1, [2 * np.pi, 0, 0], atol=1e-14)
+    np.testing.assert_array_equal(s.configuration_space.interpolate(q0, q1, 0.0), q0)
+    assert s.configuration_space.difference(q0, q1)[0] == -6.0, "the difference is that of the coordinates"
     far = np.array([1e6 * 2 * np.pi, 0, 0])
-    assert s.distance(np.zeros(3), far) == pytest.approx(0.0, abs=1e-8)
+    assert s.configuration_space.distance(np.zeros(3), far) == pytest.approx(0.0, abs=1e-8)
 
 
 @given(seed=st.integers(0, 10**6))
@@ -172,33 +176,41 @@ def test_ways_on_balls_are_great_circles(seed):
     rng = np.random.default_rng(seed)
     q0, q1 = s.random(rng), s.random(rng)
     t = np.linspace(0, 1, 7)
-    way = s.interpolate(q0, q1, t)
+    way = s.configuration_space.interpolate(q0, q1, t)
     assert way.shape == (7, s.nq)
     poses, ends = s.fk(way, "turn body"), s.fk(np.array([q0, q1]), "turn body")
     np.testing.assert_allclose(poses[[0, -1]], ends, rtol=0, atol=1e-13)
-    whole = s.distance(q0, q1)
-    np.testing.assert_allclose([s.distance(q0, x) for x in way], t * whole, rtol=0, atol=1e-7)
-    np.testing.assert_allclose([s.distance(a, b) for a, b in zip(way, way[1:], strict=False)], whole / 6, atol=1e-7)
-    assert s.distance(q0, q1) == pytest.approx(s.distance(q1, q0))
+    whole = s.configuration_space.distance(q0, q1)
+    np.testing.assert_allclose([s.configuration_space.distance(q0, x) for x in way], t * whole, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(
+        [s.configuration_space.distance(a, b) for a, b in zip(way, way[1:], strict=False)], whole / 6, atol=1e-7
+    )
+    assert s.configuration_space.distance(q0, q1) == pytest.approx(s.configuration_space.distance(q1, q0))
     flipped = q1.copy()
     flipped[3:7] *= -1
-    assert s.distance(q0, flipped) == pytest.approx(whole), "q and -q are one rotation"
+    assert s.configuration_space.distance(q0, flipped) == pytest.approx(whole), "q and -q are one rotation"
 
 
 def test_distance_is_a_metric():
     s = system(ball="spherical", turn="revolute", slide="prismatic")
     q = s.random(0, (200, 3))
-    ab, bc, ac = s.distance(q[:, 0], q[:, 1]), s.distance(q[:, 1], q[:, 2]), s.distance(q[:, 0], q[:, 2])
-    assert np.all(ab >= 0) and np.all(ac <= ab + bc + 1e-12) and np.all(s.distance(q, q) < 1e-7)
+    ab, bc, ac = (
+        s.configuration_space.distance(q[:, 0], q[:, 1]),
+        s.configuration_space.distance(q[:, 1], q[:, 2]),
+        s.configuration_space.distance(q[:, 0], q[:, 2]),
+    )
+    assert np.all(ab >= 0) and np.all(ac <= ab + bc + 1e-12) and np.all(s.configuration_space.distance(q, q) < 1e-7)
 
 
 def test_ways_broadcast():
     s = system(ball="spherical", turn="revolute")
     q0, q1 = s.random(0), s.random(1, (4, 1))
-    assert s.interpolate(q0, q1, np.linspace(0, 1, 3)).shape == (4, 3, 5)
-    assert s.distance(q0, q1).shape == (4, 1) and s.difference(q0, q1).shape == (4, 1, 4)
-    assert s.integrate(q0, np.zeros((2, 0, 4))).shape == (2, 0, 5)
-    assert s.interpolate(s.random(0, 0), q0, 0.5).shape == (0, 5)
+    assert s.configuration_space.interpolate(q0, q1, np.linspace(0, 1, 3)).shape == (4, 3, 5)
+    assert s.configuration_space.distance(q0, q1).shape == (4, 1) and s.configuration_space.difference(
+        q0, q1
+    ).shape == (4, 1, 4)
+    assert s.configuration_space.integrate(q0, np.zeros((2, 0, 4))).shape == (2, 0, 5)
+    assert s.configuration_space.interpolate(s.random(0, 0), q0, 0.5).shape == (0, 5)
 
 
 def geared(kind: str, ratio: float, cut: bool = False) -> np.ndarray:
@@ -214,8 +226,8 @@ def geared(kind: str, ratio: float, cut: bool = False) -> np.ndarray:
     else:
         m.gear("b", "a", ratio)
     s = m.build()
-    assert s.closures == (("e",) if cut else ())
-    return dict(zip(s.velocity_names, circles(s).tolist(), strict=True))
+    assert s.structure.closures == (("e",) if cut else ())
+    return dict(zip(s.structure.velocity_names, circles(s).tolist(), strict=True))
 
 
 @pytest.mark.parametrize("cut", [False, True])

@@ -38,14 +38,14 @@ def test_one_configuration_for_all():
     designs = s.with_parameters(l1=np.linspace(1, 2, 5))
     T = designs.fk({"q1": 0.3, "q2": 0.4}, "tip")
     np.testing.assert_allclose(T[:, :2, 3], closed_form(np.linspace(1, 2, 5), 0.7, 0.0, 0.3, 0.4), rtol=0, atol=1e-15)
-    np.testing.assert_array_equal(designs.fk([0.3, 0.4], s.frames["tip"]), T)
+    np.testing.assert_array_equal(designs.fk([0.3, 0.4], s.structure.frames["tip"]), T)
 
 
 def test_a_design_can_be_taken_out():
     s = two_link()
     designs = s.with_parameters(l1=np.linspace(1, 2, 6).reshape(2, 3), l2=0.5)
     one = designs[1, 2]
-    assert isinstance(one, System) and one.parameters == {"l1": 2.0, "l2": 0.5, "alpha": 0.0}
+    assert isinstance(one, System) and one.structure.parameters == {"l1": 2.0, "l2": 0.5, "alpha": 0.0}
     assert (
         designs[0].shape == (3,)
         and designs[:, 1:].shape == (2, 2)

@@ -86,7 +86,7 @@ def test_a_chain_alone_is_the_chain_in_its_system(graph: Graph, seed):
     s = graph.mechanism().build()
     q = s.random(seed)
     for name in s.body_names:
-        table, to_q, to_v = local_chain(s.table, name)
+        table, to_q, to_v = local_chain(s.structure.table, name)
         pose, columns = np.empty((4, 4)), np.zeros((6, table.nv))
         assert bound.pose(fuse(*table.pack([name])), q[to_q], pose) == 0
         np.testing.assert_allclose(pose, s.fk(q, name), rtol=0, atol=1e-14)
@@ -106,7 +106,10 @@ def test_jacobians_are_derivatives_of_poses_on_the_manifold(graph: Graph, seed):
     name = s.body_names[int(rng.integers(len(s.body_names)))]
     X = s.fk(q, name)
     steps = h * np.eye(s.nv)
-    ahead, back = s.fk(s.integrate(q, steps), name), s.fk(s.integrate(q, -steps), name)
+    ahead, back = (
+        s.fk(s.configuration_space.integrate(q, steps), name),
+        s.fk(s.configuration_space.integrate(q, -steps), name),
+    )
     aligned, world, body = (s.jacobian(q, name, frame) for frame in FRAMES)
     for i in range(s.nv):
         w = X[:3, :3] @ reference.twist_between(back[i], ahead[i], 2 * h)[3:]
@@ -336,16 +339,16 @@ def test_closure_error_is_zero_where_the_loop_is_closed():
     s = four_bar()
     a = np.linspace(-3, 3, 20)
     q = np.stack([s.q({"A": x, "B": -x, "C": x, "D": x}) for x in a])
-    np.testing.assert_allclose(s.closure_error(q), np.zeros((20, 1, 6)), rtol=0, atol=1e-15 * 10)
-    assert s.closure_error(q[0]).shape == (1, 6)
+    np.testing.assert_allclose(s.loops.closure_error(q), np.zeros((20, 1, 6)), rtol=0, atol=1e-15 * 10)
+    assert s.loops.closure_error(q[0]).shape == (1, 6)
 
 
 def test_closure_error_is_the_missing_twist():
     s = four_bar()
-    (name,) = s.closures
+    (name,) = s.structure.closures
     q = s.q({"A": 0.3, "B": -0.3, "C": 0.3, "D": 0.3})
     off = s.q({name: 0.3 + 0.01}, base=q)
-    np.testing.assert_allclose(np.abs(s.closure_error(off)[0]), [0, 0, 0, 0, 0, 0.01], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(np.abs(s.loops.closure_error(off)[0]), [0, 0, 0, 0, 0, 0.01], rtol=0, atol=1e-15)
 
 
 @given(graph=graphs(loops=5), seed=st.integers(0, 10**6))
@@ -353,12 +356,12 @@ def test_closure_errors_of_random_systems(graph: Graph, seed):
     """exp(error) leads from the joint's own M to the tree's."""
     s = graph.mechanism().build()
     q = s.random(seed, 2)
-    error = s.closure_error(q)
-    assert error.shape == (2, len(s.closures), 6) and np.isfinite(error).all()
+    error = s.loops.closure_error(q)
+    assert error.shape == (2, len(s.structure.closures), 6) and np.isfinite(error).all()
     edges = {e.name: e for e in graph.edges}
     for row in range(2):
         poses, values = graph.poses(s, q[row]), graph.values(s, q[row])
-        for k, name in enumerate(s.closures):
+        for k, name in enumerate(s.structure.closures):
             e = edges[name]
             X_PF, X_CM = graph.ends(e)
             X_WM = poses[e.parent] @ np.asarray(X_PF @ graph.joint_pose(e, values), dtype=float)
@@ -399,7 +402,7 @@ def test_arrays_that_are_not_aligned_are_copied():
     bar = kempe.load("four_bar")
     closed = bar.assemble({"A": 1.0}).q
     assert bar.mobility(unaligned(closed)).dof == 1
-    np.testing.assert_array_equal(bar.closure_error(unaligned(closed)), bar.closure_error(closed))
+    np.testing.assert_array_equal(bar.loops.closure_error(unaligned(closed)), bar.loops.closure_error(closed))
     np.testing.assert_array_equal(
         bar.assemble({"A": 0.9}, unaligned(closed)).q, bar.assemble({"A": 0.9}, closed).q
     )

@@ -25,7 +25,7 @@ def check(of: c.Function, s: System, q: np.ndarray, atol: float = 1e-6) -> Whole
     for x in q:
         J = whole.jacobian(x)
         assert whole.values(x).shape == (whole.count,) and J.shape == (whole.count, s.nv)
-        ends = [[whole.values(s.integrate(x, h * e)) for h in (STEP, -STEP)] for e in np.eye(s.nv)]
+        ends = [[whole.values(s.configuration_space.integrate(x, h * e)) for h in (STEP, -STEP)] for e in np.eye(s.nv)]
         np.testing.assert_allclose(J, np.stack([(a - b) / (2 * STEP) for a, b in ends], axis=-1), atol=atol)
     return whole
 
@@ -85,7 +85,7 @@ def test_poses_in_assembly_and_in_ik():
     height = c.Function(lambda X: X[1, 3] - 0.3 if X[0, 3] > -9.0 else 1.0, frames="coupler_point", name="height")
     answer = s.assemble(also=height)
     assert answer and s.fk(answer.q, "coupler_point")[1, 3] == pytest.approx(0.3, abs=1e-9)
-    assert np.abs(s.closure_error(answer.q)).max() < 1e-9
+    assert np.abs(s.loops.closure_error(answer.q)).max() < 1e-9
     band = c.Function(lambda X: X[1, 3], low=0.25, high=0.28, frames="coupler_point")
     answer = s.assemble(also=[band])
     assert answer and 0.25 - 1e-9 < s.fk(answer.q, "coupler_point")[1, 3] < 0.28 + 1e-9
@@ -102,7 +102,7 @@ def test_poses_in_assembly_and_in_ik():
 
 def test_places_of_frames_and_functions_together():
     s = kempe.load("five_bar")
-    place = s.fk(s.posture("closed"), s.frame_names[-1])[:2, 3]
+    place = s.fk(s.q("closed"), s.frame_names[-1])[:2, 3]
     answer = s.assemble({s.frame_names[-1]: place}, also=lambda q: q[0] - q[0])
     assert answer and np.abs(s.fk(answer.q, s.frame_names[-1])[:2, 3] - place).max() < 1e-9
 
@@ -112,7 +112,7 @@ def test_wrong_jacobians_are_refused():
     right = Whole(s, c.Function(analytic))
     wrong = np.zeros((2, s.nv))
     wrong[1, 2] = 0.5
-    name = s.velocity_names[2]
+    name = s.structure.velocity_names[2]
     said = f"'Function of mine': its Jacobian is wrong: the derivative of row 1 by '{name}'"
     mine = lambda q: analytic(q)  # noqa: E731
     mine.__name__ = "mine"

@@ -14,6 +14,7 @@ import pytest
 import kempe
 from kempe import Mechanism
 from kempe.errors import InputError, KempeError, UnknownNameError
+from kempe.model.compiled import Structure
 
 MODELS = ("panda", "four_bar", "stewart", "two_link_pose", "seven_bodies_loop", "joint_cylindrical", "rssr")
 
@@ -27,11 +28,11 @@ def answers(system: kempe.System) -> list[object]:
     """An answer of each kind that a system gives without much work."""
     q = system.assemble().q
     tip = system.frame_names[-1]
-    out = [system, system.configuration_space, system.assemble(), system.mobility(), system.mechanism]
-    if not system.closures:
+    out = [system, system.structure, system.configuration_space, system.assemble(), system.mobility(), system.mechanism]
+    if not system.structure.closures:
         X = system.fk(q, tip)
         out += [system.ik(X, tip), system.ik_path(np.stack([X, X]), tip), system.ik_step(q, np.zeros(6), tip, 0.01)]
-    if system.closures and system.dim == 2:
+    if system.structure.closures and system.dim == 2:
         out += [system.trace(), system.assembly_modes({system.coordinate_names[0]: q[0]}), system.independent()]
     return out
 
@@ -69,7 +70,7 @@ def test_writing_changes_something_or_is_refused(model):
                 else:
                     with pytest.raises(ValueError, match="read-only"):
                         x[0] = 1.0
-            if isinstance(x, dict) and x and isinstance(thing, kempe.System):
+            if isinstance(x, dict) and x and isinstance(thing, Structure):
                 looked += 1
                 key = next(iter(x))
                 for write in (lambda x=x, key=key: x.__setitem__(key, 1.0), x.clear, x.popitem,
@@ -82,12 +83,12 @@ def test_writing_changes_something_or_is_refused(model):
 
 def test_copies_can_be_written():
     system = kempe.load("panda")
-    copies = (system.mid.copy(), system.neutral.copy(), system.limits.copy(), system.posture("ready"))
+    copies = (system.mid.copy(), system.neutral.copy(), system.structure.limits.copy(), system.q("ready"))
     for array in (*copies, system.random(0), system.q({})):
         array[0] = 0.5
-    joints = {**system.joints}
+    joints = {**system.structure.joints}
     joints.clear()
-    assert isinstance(system.joints, Mapping) and system.joints
+    assert isinstance(system.structure.joints, Mapping) and system.structure.joints
 
 
 # ---- other limits
@@ -96,7 +97,7 @@ def test_copies_can_be_written():
 @pytest.mark.parametrize("model", MODELS)
 def test_limits_are_changed_and_nothing_else(model, hunt):
     system, rng = kempe.load(model), hunt.rng()
-    names = [system.velocity_names[i] for i in system.layout.vector_v]
+    names = [system.structure.velocity_names[i] for i in system.structure.layout.vector_v]
     for _ in range(hunt.cases(10)):
         some = rng.choice(names, size=int(rng.integers(1, len(names) + 1)), replace=False).tolist()
         ends = np.sort(rng.normal(size=(len(some), 2)), axis=1)
@@ -104,26 +105,28 @@ def test_limits_are_changed_and_nothing_else(model, hunt):
                  for n, (a, b) in zip(some, ends, strict=True)}  # fmt: skip
         speeds = {n: [None, 0.0, 2.5][rng.integers(3)] for n in some[: len(some) // 2]}
         made = system.with_limits(asked, velocity=speeds)
-        lower, upper, fast = system.lower.copy(), system.upper.copy(), system.velocity_limits.copy()
+        lower, upper, fast = system.lower.copy(), system.upper.copy(), system.structure.velocity_limits.copy()
         for n, pair in asked.items():
-            i = system.velocity_names.index(n)
+            i = system.structure.velocity_names.index(n)
             low, high = (None, None) if pair is None else pair
             lower[i], upper[i] = -np.inf if low is None else low, np.inf if high is None else high
         for n, speed in speeds.items():
-            fast[system.velocity_names.index(n)] = np.inf if speed is None else speed
+            fast[system.structure.velocity_names.index(n)] = np.inf if speed is None else speed
         assert np.array_equal(made.lower, lower) and np.array_equal(made.upper, upper)
-        assert np.array_equal(made.velocity_limits, fast) and np.array_equal(made.limits.T, [lower, upper])
-        assert made.coordinate_names == system.coordinate_names and made.closures == system.closures
-        assert made.parent == system.parent and made.posture_names == system.posture_names
-        assert made.structure_hash == system.structure_hash and made.parameters == system.parameters
+        assert np.array_equal(made.structure.velocity_limits, fast) and np.array_equal(
+            made.structure.limits.T, [lower, upper]
+        )
+        assert made.coordinate_names == system.coordinate_names and made.structure.closures == system.structure.closures
+        assert made.parent == system.parent and made.structure.posture_names == system.structure.posture_names
+        assert made.structure.hash == system.structure.hash and made.structure.parameters == system.structure.parameters
         q = system.random(rng)
         assert np.array_equal(made.fk(q), system.fk(q)), "where things are does not depend on limits"
-        assert np.array_equal(made.closure_error(q), system.closure_error(q))
-        mid = made.mid[made.layout.vector_q]
-        assert np.all((mid >= lower[made.layout.vector_v]) & (mid <= upper[made.layout.vector_v]))
-        back = made.with_limits(system.limits, system.velocity_limits)
-        assert np.array_equal(back.limits, system.limits)
-        assert np.array_equal(back.velocity_limits, system.velocity_limits)
+        assert np.array_equal(made.loops.closure_error(q), system.loops.closure_error(q))
+        mid = made.mid[made.structure.layout.vector_q]
+        assert np.all((mid >= lower[made.structure.layout.vector_v]) & (mid <= upper[made.structure.layout.vector_v]))
+        back = made.with_limits(system.structure.limits, system.structure.velocity_limits)
+        assert np.array_equal(back.structure.limits, system.structure.limits)
+        assert np.array_equal(back.structure.velocity_limits, system.structure.velocity_limits)
         assert pickle.loads(pickle.dumps(made)) == made
 
 
@@ -137,7 +140,7 @@ def test_it_is_what_the_mechanism_would_give():
         return m.build()
 
     told, made = arm((-0.4, 0.4)), arm(None).with_limits({"q1": (-0.4, 0.4)})
-    assert told == made and told.content_hash == made.content_hash
+    assert told == made and told.structure.content_hash == made.structure.content_hash
     targets = np.random.default_rng(1).uniform(-1.5, 1.5, (50, 2))
     a, b = (s.ik(targets, "tip") for s in (told, made))
     assert np.array_equal(a.q, b.q) and np.array_equal(a.success, b.success) and not a.success.all()
@@ -146,13 +149,13 @@ def test_it_is_what_the_mechanism_would_give():
 
 def test_arrays_and_tables_of_limits():
     system = kempe.load("panda")
-    limits = system.limits.copy()
+    limits = system.structure.limits.copy()
     limits[0] = -0.1, 0.1
-    assert np.array_equal(system.with_limits(limits).limits, limits)
-    assert system.with_limits(velocity=0.5).velocity_limits.tolist() == [0.5] * 7
+    assert np.array_equal(system.with_limits(limits).structure.limits, limits)
+    assert system.with_limits(velocity=0.5).structure.velocity_limits.tolist() == [0.5] * 7
     assert system.with_limits() == system
-    many = {n: (-1.0, 1.0) for n in system.velocity_names}
-    assert system.with_limits(many).limits.tolist() == [[-1.0, 1.0]] * 7
+    many = {n: (-1.0, 1.0) for n in system.structure.velocity_names}
+    assert system.with_limits(many).structure.limits.tolist() == [[-1.0, 1.0]] * 7
 
 
 def test_the_solvers_hold_other_limits():
@@ -170,20 +173,20 @@ def test_the_solvers_hold_other_limits():
 
 def test_coordinates_that_move_together():
     system = mechanism().build()
-    i = system.velocity_names.index("a")
-    assert system.limits[i].tolist() == [-1.0, 2.0], "b = 0.1 - a / 2 in [-1.5, 1.5] leaves a in [-2.8, 3.2]"
+    i = system.structure.velocity_names.index("a")
+    assert system.structure.limits[i].tolist() == [-1.0, 2.0], "b = 0.1 - a / 2 in [-1.5, 1.5] leaves a in [-2.8, 3.2]"
     with pytest.raises(InputError, match=r"'a' cannot have the limits \[-1, 10\]: .* \[-1, 3.2\]; give .* 'b', too"):
         system.with_limits({"a": (-1.0, 10.0)})
     made = system.with_limits({"a": (-1.0, 10.0), "b": None})
-    assert made.limits[i].tolist() == [-1.0, 10.0]
-    assert system.with_limits({"b": (-0.4, 0.3)}).limits[i] == pytest.approx([-0.4, 1.0])
+    assert made.structure.limits[i].tolist() == [-1.0, 10.0]
+    assert system.with_limits({"b": (-0.4, 0.3)}).structure.limits[i] == pytest.approx([-0.4, 1.0])
     with pytest.raises(InputError, match="'b' cannot have the limits"):
         system.with_limits({"b": (-5.0, 5.0)})
-    assert system.with_limits(velocity={"b": 1.0}).velocity_limits[i] == 2.0
+    assert system.with_limits(velocity={"b": 1.0}).structure.velocity_limits[i] == 2.0
     with pytest.raises(InputError, match="'b' cannot have the speed 2: .* leaves 1.5; give that of 'a', too"):
         system.with_limits(velocity={"b": 2.0})
-    assert system.with_limits({"c.z": (0.2, 0.3)}).lower[system.velocity_names.index("c.z")] == 0.2
-    assert system.with_limits({"a": (0.0, 1.0)}).posture("up")[0] == 0.5
+    assert system.with_limits({"c.z": (0.2, 0.3)}).lower[system.structure.velocity_names.index("c.z")] == 0.2
+    assert system.with_limits({"a": (0.0, 1.0)}).q("up")[0] == 0.5
 
 
 @pytest.mark.parametrize(("limits", "velocity", "error", "words"), [
@@ -209,10 +212,12 @@ LEGGED = ("stewart", "stewart_sps", "stewart_dietmaier", "three_rpr", "three_rps
 def test_legs_are_not_shorter_than_nothing(model, hunt):
     """The legs of the library's platforms: no search gives one a negative length, and none can be asked for."""
     system = kempe.load(model)
-    legs = [n for n, joint in system.joints.items() if joint.type.type_name == "prismatic"]
+    legs = [n for n, joint in system.structure.joints.items() if joint.type.type_name == "prismatic"]
     at = [system.coordinate_names.index(n) for n in legs]
-    rng, home = hunt.rng(), system.posture("closed")
-    starts = np.stack([system.integrate(home, rng.normal(size=system.nv)) for _ in range(hunt.cases(60))])
+    rng, home = hunt.rng(), system.q("closed")
+    starts = np.stack(
+        [system.configuration_space.integrate(home, rng.normal(size=system.nv)) for _ in range(hunt.cases(60))]
+    )
     answer = system.assemble(start=starts)
     assert len(legs) in (3, 6) and answer.success.all() and np.all(answer.q[:, at] >= 0.0)
     assert not system.assemble({legs[0]: -0.4})

@@ -24,7 +24,7 @@ STEP = 1e-6
 def by_differences(constraint: loops.SystemConstraint, s: System, q: np.ndarray) -> np.ndarray:
     """Jacobian by central differences along the manifold."""
     steps = STEP * np.eye(s.nv)
-    ends = [[constraint.residual(s, s.integrate(q, x * e)) for x in (1, -1)] for e in steps]
+    ends = [[constraint.residual(s, s.configuration_space.integrate(q, x * e)) for x in (1, -1)] for e in steps]
     return np.stack([(a - b) / (2 * STEP) for a, b in ends], axis=-1)
 
 
@@ -66,7 +66,7 @@ def test_pairs_of_frames(dim, other):
     m.constrain(c.OnPlane("a", origin, direction, other=other), "plane")
     s = m.build()
     q = s.random(1, 5)
-    found = {x.name: x for x in s.constraints()}
+    found = {x.name: x for x in s.loops.constraints()}
     for x in found.values():
         check(x, s, q)
     A, B = s.fk(q, "a"), s.fk(q, other)
@@ -106,7 +106,7 @@ def loop(kind: str, options: dict, dim: int = 3, particle: bool = False, backwar
     child = {} if ends[1].particle else place("child_")
     m.joint("J", kind, *ends, cut=True, **place(), **child, **axis, **options)
     s = m.build()
-    assert s.closures == ("J",)
+    assert s.structure.closures == ("J",)
     return s
 
 
@@ -142,13 +142,13 @@ def test_closed_loops_have_no_residual(kind, options, dim, particle, backwards):
         return
     s = loop(kind, options, dim, particle, backwards)
     q = s.random(5)
-    joint = s.joints["J"]
+    joint = s.structure.joints["J"]
     m = Mechanism("open", dim)
     for body in "ab":
         m.bodies[body] = s.mechanism.bodies[body]
-    m.joints = {n: s.joints[n] for n in ("Ja", "J")}
+    m.joints = {n: s.structure.joints[n] for n in ("Ja", "J")}
     X_b = m.build().fk({n: v for n, v in s.q_dict(q).items() if n.split(".")[0] in ("Ja", "J")}, "b")
-    X = spatial.inverse(s.joints["Jb"].X_PF.evaluate({})) @ X_b
+    X = spatial.inverse(s.structure.joints["Jb"].X_PF.evaluate({})) @ X_b
     if particle or dim == 2:
         values = {f"Jb.{c}": X[i, 3] for i, c in enumerate("xyz"[:dim])}
         if not particle:
@@ -157,7 +157,7 @@ def test_closed_loops_have_no_residual(kind, options, dim, particle, backwards):
         values = {f"Jb.{c}": X[i, 3] for i, c in enumerate("xyz")}
         values |= dict(zip(["Jb.qw", "Jb.qx", "Jb.qy", "Jb.qz"], spatial.matrix_to_quat_wxyz(X[:3, :3]), strict=True))
     q = s.q(values, q)
-    assert np.abs(s.closure_error(q)).max() < 1e-12, joint
+    assert np.abs(s.loops.closure_error(q)).max() < 1e-12, joint
     for own in (False, True):
         closure = closure_of(s, "J", own)
         np.testing.assert_allclose(closure.residual(s, q), 0, atol=1e-12)
@@ -245,11 +245,11 @@ def test_same_zeros_as_closure_error(graph, seed):
     """With rows for own coordinates the residual vanishes with the closure error, and grows with it."""
     s = graph.mechanism().build()
     q = s.random(seed)
-    for k, name in enumerate(s.closures):
-        particle = s.mechanism.bodies[s.joints[name].child].particle
+    for k, name in enumerate(s.structure.closures):
+        particle = s.mechanism.bodies[s.structure.joints[name].child].particle
         small = closure_of(s, name, own=True).residual(s, q)
         other = closures.closure_of(s, name, own=True).residual(s, q)
-        full = s.closure_error(q)[k]
+        full = s.loops.closure_error(q)[k]
         if np.linalg.norm(full) > 1e-6:
             assert np.linalg.norm(small) > 1e-9 and np.linalg.norm(other) > 1e-9
         assert small.size == (s.dim if particle else 6 if s.dim == 3 else 3)

@@ -17,7 +17,7 @@ from oracles.maximal_form import maximal_velocity_names
 from own_joints import OWN
 from robots import good_urdf_files
 
-from kempe import Mechanism, System, load, spatial
+from kempe import Mechanism, System, convert, load, spatial
 from kempe.analysis.counting import counting
 from kempe.description.toml import read_toml
 from kempe.description.toml_writer import write_toml
@@ -35,9 +35,9 @@ def closed(graph: Graph, seed: int) -> tuple[System, np.ndarray]:
     s = graph.mechanism().build()
     q = s.random(seed)
     m = s.mechanism
-    for name in s.closures:
+    for name in s.structure.closures:
         joint = m.joints[name]
-        names = s.coordinates_of_joint(name)
+        names = s.structure.coordinates_of_joint(name)
         own = np.array([coordinate_value(s, q, n) for n in names])
         X_FM = joint_pose(joint.type, own, s.dim, m.bodies[joint.child].particle)
         X_WM = s.fk(q, joint.child) @ joint.X_CM.evaluate({})
@@ -50,7 +50,7 @@ def closed(graph: Graph, seed: int) -> tuple[System, np.ndarray]:
             X_PF[:3, 3] += s.fk(q, joint.parent)[:3, :3].T @ shift
         m.joints[name] = replace(joint, X_PF=placement_of_pose(X_PF))
     out = m.build()
-    assert out.closures == s.closures and np.abs(out.closure_error(q)).max(initial=0.0) < 1e-8
+    assert out.structure.closures == s.structure.closures and np.abs(out.loops.closure_error(q)).max(initial=0.0) < 1e-8
     return out, q
 
 
@@ -76,9 +76,9 @@ def chain() -> System:
 
 def test_it_is_the_same_bodies_on_free_joints():
     s = chain()
-    other = s.maximal
-    assert other is s.maximal and other.body_names == s.body_names and set(other.parent) == {0}
-    assert other.closures == s.joint_names
+    other = convert.maximal(s)
+    assert other is convert.maximal(s) and other.body_names == s.body_names and set(other.parent) == {0}
+    assert other.structure.closures == s.joint_names
     assert other.coordinate_names[-s.nq :] == s.coordinate_names
     assert other.nv == 6 * 12 + 3 + s.nv and other.coordinate_names[84:87] == ("p.x", "p.y", "p.z")
     found = other.mobility().counting
@@ -90,7 +90,7 @@ def test_it_is_the_same_bodies_on_free_joints():
 @pytest.mark.parametrize(("name", "numbers", "constraints"), [("four_links", 12, 10), ("seven_bodies", 42, 35)])
 def test_lecture_count(name, numbers, constraints):
     """Four bodies in the plane, four revolute joints and a slider: 12 - 10 = 2; seven in space: 42 - 35 = 7."""
-    found = load(name).maximal.mobility().counting
+    found = convert.maximal(load(name)).mobility().counting
     assert (found.free, found.taken) == (numbers, constraints)
 
 
@@ -98,10 +98,10 @@ def test_lecture_count(name, numbers, constraints):
 def test_count_of_graphs(graph):
     """Bodies times 6 (3) less what joints and couplings take away, as of the system itself."""
     s = graph.mechanism().build()
-    taken = [j.type.constraints(s.dim, s.mechanism.bodies[j.child].particle) for j in s.joints.values()]
+    taken = [j.type.constraints(s.dim, s.mechanism.bodies[j.child].particle) for j in s.structure.joints.values()]
     particles, full, few = len(graph.particles), *((6, 3) if s.dim == 3 else (3, 2))
-    found, own = counting(s.maximal), counting(s)
-    assert found.taken == own.taken == sum(taken) + len(s.couplings) + len(s.relations)
+    found, own = counting(convert.maximal(s)), counting(s)
+    assert found.taken == own.taken == sum(taken) + len(s.structure.couplings) + len(s.structure.relations)
     assert found.free == own.free == full * (len(s.parent) - particles) + few * particles
 
 
@@ -112,17 +112,17 @@ def test_names_are_taken():
     m.revolute("a", m.ground, "b")
     m.revolute("a_2", "b", "a", at=(1, 0))
     s = m.build()
-    assert s.maximal.joint_names == ("b", "a_3", "a", "a_2")
+    assert convert.maximal(s).joint_names == ("b", "a_3", "a", "a_2")
     q = maximal_q(s, [0.1, 0.2])
-    np.testing.assert_allclose(s.maximal.fk(q), s.fk([0.1, 0.2]), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(convert.maximal(s).fk(q), s.fk([0.1, 0.2]), rtol=0, atol=1e-15)
 
 
 def test_postures_put_the_bodies_in_place():
     s = load("jansen")
-    other = s.maximal
-    assert other.posture_names == s.posture_names
-    np.testing.assert_allclose(other.posture("closed"), maximal_q(s, s.posture("closed")), rtol=0, atol=1e-14)
-    assert chain().maximal.posture_names == ("closed",)
+    other = convert.maximal(s)
+    assert other.structure.posture_names == s.structure.posture_names
+    np.testing.assert_allclose(other.q("closed"), maximal_q(s, s.q("closed")), rtol=0, atol=1e-14)
+    assert convert.maximal(chain()).structure.posture_names == ("closed",)
 
 
 # ------------------------------------------------------------------ the same zeros and the same motions
@@ -130,7 +130,7 @@ def test_postures_put_the_bodies_in_place():
 
 def judged(s: System, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residual and Jacobian by the twists of the bodies where q puts them, in numpy."""
-    X = s.to_maximal(q)
+    X = convert.to_maximal(s, q)
     return maximal_residual(s, X, q), maximal_jacobian(s, X, q)
 
 
@@ -144,18 +144,18 @@ def twists(s: System, q_max: np.ndarray) -> np.ndarray:
     kept = range(6) if s.dim == 3 else (0, 1, 5)
     rows = []
     for body in s.body_names[1:]:
-        J = s.maximal.jacobian(q_max, body)
+        J = convert.maximal(s).jacobian(q_max, body)
         rows.append(J[: s.dim] if s.mechanism.bodies[body].particle else J[list(kept)])
-    return np.concatenate(rows) if rows else np.zeros((0, s.maximal.nv))
+    return np.concatenate(rows) if rows else np.zeros((0, convert.maximal(s).nv))
 
 
 def compare(s: System, q: np.ndarray) -> None:
     """At a closed q the system in maximal coordinates and the judge have the same motions of the bodies."""
     q_max = maximal_q(s, q)
-    assert np.abs(loops.residual(s.maximal, q_max)).max(initial=0.0) < 1e-7
+    assert np.abs(loops.residual(convert.maximal(s), q_max)).max(initial=0.0) < 1e-7
     r, K = judged(s, q)
     assert np.abs(r).max(initial=0.0) < 1e-7
-    J = loops.jacobian(s.maximal, q_max)
+    J = loops.jacobian(convert.maximal(s), q_max)
     moving = twists(s, q_max) @ null_space(J)
     assert np.abs(K @ moving).max(initial=0.0) < 1e-6
     singular = np.linalg.svd(K, compute_uv=False) if min(K.shape) else np.zeros(0)
@@ -164,7 +164,7 @@ def compare(s: System, q: np.ndarray) -> None:
         assert np.linalg.matrix_rank(moving, tol=1e-6) == free if moving.size else free == 0
     minimal = loops.jacobian(s, q)
     ranks = [np.linalg.matrix_rank(M, tol=1e-7) for M in (J, minimal)]
-    assert s.maximal.nv - ranks[0] == s.nv - ranks[1]
+    assert convert.maximal(s).nv - ranks[0] == s.nv - ranks[1]
 
 
 @given(graphs(most=6, loops=3), st.integers(0, 2**32))
@@ -202,8 +202,8 @@ def test_same_motions_with_couplings_of_all_sorts():
 def test_same_zeros(graph, seed):
     """Where bodies are put aside the residual is as large as the judge's, up to a factor."""
     s, q = closed(graph, seed)
-    X = disturbed(s, s.to_maximal(q), 0.1, seed)
-    ours = np.linalg.norm(loops.residual(s.maximal, maximal_q(s, q, X)))
+    X = disturbed(s, convert.to_maximal(s, q), 0.1, seed)
+    ours = np.linalg.norm(loops.residual(convert.maximal(s), maximal_q(s, q, X)))
     judge = np.linalg.norm(maximal_residual(s, X, q))
     assert (judge > 1e-6) <= (ours > 1e-7)
 
@@ -225,7 +225,7 @@ def test_there_and_back(graph, seed):
     np.testing.assert_allclose(from_maximal(s, X, start=q), q, atol=1e-6)
     again = from_maximal(s, X)
     np.testing.assert_allclose(to_maximal(s, again), X, atol=1e-6)
-    np.testing.assert_allclose(s.closure_error(again), 0, atol=1e-6)
+    np.testing.assert_allclose(s.loops.closure_error(again), 0, atol=1e-6)
 
 
 def test_a_batch():
@@ -307,14 +307,14 @@ def test_declared_constraints_in_three_forms():
     """18 freedoms less 4 of a universal joint, 1 + 2 + 1 of constraints, 1 of a relation."""
     s = mixed()
     for seed in range(5):
-        X, reached = project(s, s.to_maximal(s.random(seed)))
+        X, reached = project(s, convert.to_maximal(s, s.random(seed)))
         assert reached
-        q = s.from_maximal(X)
+        q = convert.from_maximal(s, X)
         np.testing.assert_allclose(loops.residual(s, q), 0, atol=1e-9)
-        for c in s.constraints():
+        for c in s.loops.constraints():
             np.testing.assert_allclose(c.residual(s, q), 0, atol=1e-9)
-        stacked = np.concatenate([c.jacobian(s, q) for c in s.constraints()])
-        forms = loops.jacobian(s.maximal, maximal_q(s, q)), stacked, loops.jacobian(s, q), judged(s, q)[1]
+        stacked = np.concatenate([c.jacobian(s, q) for c in s.loops.constraints()])
+        forms = loops.jacobian(convert.maximal(s), maximal_q(s, q)), stacked, loops.jacobian(s, q), judged(s, q)[1]
         assert [J.shape[1] - np.linalg.matrix_rank(J, tol=1e-6) for J in forms] == [9, 9, 9, 9]
 
 
@@ -323,15 +323,15 @@ def test_declared_constraints_in_three_forms():
 
 def project(s: System, X: np.ndarray, near=None, **options) -> tuple[np.ndarray, np.ndarray]:
     """Poses that satisfy all constraints, near the given ones, and whether that was reached."""
-    answer = s.maximal.assemble(start=maximal_q(s, near, X), **options)
-    return s.maximal.fk(answer.q)[..., 1:, :, :], answer.success
+    answer = convert.maximal(s).assemble(start=maximal_q(s, near, X), **options)
+    return convert.maximal(s).fk(answer.q)[..., 1:, :, :], answer.success
 
 
 @given(graphs(most=5, loops=2), st.integers(0, 2**32))
 @settings(max_examples=30)
 def test_projection(graph, seed):
     s, q = closed(graph, seed)
-    X = s.to_maximal(q)
+    X = convert.to_maximal(s, q)
     start = disturbed(s, X, 0.02, seed)
     back, reached = project(s, start, q, limits=False)
     if reached:
@@ -361,14 +361,16 @@ def test_redundant_equations_are_no_obstacle():
     reached = 0
     for _ in range(20):
         q = rng.uniform(-2, 2, s.nq)
-        X, good = project(s, s.to_maximal(q), q)
+        X, good = project(s, convert.to_maximal(s, q), q)
         if good:
             reached += 1
-            q = s.from_maximal(X)
-            assert np.abs(s.closure_error(q)).max() < 1e-9
-            assert s.maximal.mobility(maximal_q(s, q)).dof == 1  # 20 equations for 18 unknowns, and still it moves
+            q = convert.from_maximal(s, X)
+            assert np.abs(s.loops.closure_error(q)).max() < 1e-9
+            assert (
+                convert.maximal(s).mobility(maximal_q(s, q)).dof == 1
+            )  # 20 equations for 18 unknowns, and still it moves
     assert reached >= 15
-    found = s.maximal.mobility(maximal_q(s, q)).counting
+    found = convert.maximal(s).mobility(maximal_q(s, q)).counting
     assert (found.free, found.taken) == (18, 20)
 
 
@@ -391,11 +393,11 @@ def test_projection_of_a_batch_says_what_failed():
     m.distance("rod", m.ground, "a", 1.0)
     m.distance("stick", m.ground, "a", 1.0, at=(3, 0))  # the circles do not meet
     s = m.build()
-    X, reached = project(s, s.to_maximal(s.random(0, (2, 2))))
+    X, reached = project(s, convert.to_maximal(s, s.random(0, (2, 2))))
     assert X.shape == (2, 2, 1, 4, 4) and reached.shape == (2, 2) and not reached.any()
     m.constraints.pop("stick")
     s = m.build()
-    assert project(s, s.to_maximal(s.random(0, (2, 2))))[1].all()
+    assert project(s, convert.to_maximal(s, s.random(0, (2, 2))))[1].all()
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e4])
@@ -409,13 +411,13 @@ def test_units_do_not_matter(unit):
                    child_at=(0.6 * unit, 0, 0) if i == 3 else (0, 0, 0))  # fmt: skip
     s = m.build()
     q = s.assemble({"A": 0.7}).q
-    X = s.to_maximal(q)
+    X = convert.to_maximal(s, q)
     off = disturbed(s, X / np.array([[1.0] * 3 + [unit]] * 3 + [[1.0] * 4]), 0.05) * 1.0
     off[..., :3, 3] *= unit
     back, reached = project(s, off, q)
     assert reached and np.abs(maximal_residual(s, back)[...]).max() < 1e-9 * max(unit, 1e-3)
-    np.testing.assert_allclose(s.from_maximal(X, start=q), q, rtol=0, atol=1e-9)
-    assert s.maximal.mobility(maximal_q(s, q)).dof == s.mobility(q).dof == 1
+    np.testing.assert_allclose(convert.from_maximal(s, X, start=q), q, rtol=0, atol=1e-9)
+    assert convert.maximal(s).mobility(maximal_q(s, q)).dof == s.mobility(q).dof == 1
 
 
 def test_bodies_far_from_the_origin():
@@ -426,21 +428,23 @@ def test_bodies_far_from_the_origin():
     m.distance("rod", m.ground, b, 0.5, at=(1e6 + 0.4, -1e6, 3e5), child_at=(0.3, 0.0, 0.1))
     s = m.build()
     q = s.assemble().q
-    np.testing.assert_allclose(s.from_maximal(s.to_maximal(q), start=q), q, rtol=0, atol=1e-8)
-    answer = s.maximal.assemble(start=s.maximal.integrate(maximal_q(s, q), np.full(s.maximal.nv, 0.01)))
-    assert answer.success and s.maximal.mobility(maximal_q(s, q)).dof == 2
+    np.testing.assert_allclose(convert.from_maximal(s, convert.to_maximal(s, q), start=q), q, rtol=0, atol=1e-8)
+    answer = convert.maximal(s).assemble(
+        start=convert.maximal(s).configuration_space.integrate(maximal_q(s, q), np.full(convert.maximal(s).nv, 0.01))
+    )
+    assert answer.success and convert.maximal(s).mobility(maximal_q(s, q)).dof == 2
 
 
 def test_nothing_moves():
     m = Mechanism("rigid", 2)
     m.fixed("J", m.ground, m.body("a"), at=(1, 2))
     s = m.build()
-    X = s.to_maximal(s.neutral)
-    assert s.from_maximal(X).shape == (0,) and project(s, X, s.neutral)[1]
+    X = convert.to_maximal(s, s.neutral)
+    assert convert.from_maximal(s, X).shape == (0,) and project(s, X, s.neutral)[1]
     s = Mechanism("nothing").build()
-    X = s.to_maximal(s.neutral)
-    assert X.shape == (0, 4, 4) and s.from_maximal(X).shape == (0,)
-    assert s.maximal.nq == 0 and project(s, X)[1]
+    X = convert.to_maximal(s, s.neutral)
+    assert X.shape == (0, 4, 4) and convert.from_maximal(s, X).shape == (0,)
+    assert convert.maximal(s).nq == 0 and project(s, X)[1]
 
 
 # ------------------------------------------------------------------ what is refused
@@ -459,7 +463,7 @@ def test_nothing_moves():
 )
 def test_refused(change, said):
     s = load("four_bar")
-    X = s.to_maximal(s.assemble({"A": 0.4}).q)
+    X = convert.to_maximal(s, s.assemble({"A": 0.4}).q)
     assert from_maximal(s, X).shape == (s.nq,)
     with pytest.raises(InputError, match=said):
         from_maximal(s, change(X))
@@ -520,9 +524,9 @@ def test_types_of_ones_own(kind, dim):
     s = shape.system(frozenset({"j0"}))
     q = shape.values(s)
     compare(s, q)
-    off = disturbed(s, s.to_maximal(q), 0.02)
+    off = disturbed(s, convert.to_maximal(s, q), 0.02)
     near, found = project(s, off, q)
     assert found and np.abs(maximal_residual(s, near)).max() < 1e-8
-    back = s.from_maximal(near, start=q)
-    np.testing.assert_allclose(s.to_maximal(back), near, rtol=0, atol=1e-7)
+    back = convert.from_maximal(s, near, start=q)
+    np.testing.assert_allclose(convert.to_maximal(s, back), near, rtol=0, atol=1e-7)
     assert shape.open_by(s, back) < 1e-7

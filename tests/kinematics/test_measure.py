@@ -58,12 +58,12 @@ def test_joints_that_close_loops(hunt):
         system = made.system()
         q = np.stack([made.values(system), system.random(rng)])
         found = judge(system, q)
-        error = system.closure_error(q)
+        error = system.loops.closure_error(q)
         size = np.stack([np.linalg.norm(error[..., 3:], axis=-1)], axis=-1)
         np.testing.assert_allclose(np.moveaxis(found.errors, 0, 1)[..., 1:], size, atol=2e-7)
         place = np.array([made.open_by(system, x) for x in q], dtype=float)
         assert found.holds.tolist() == (place < 1e-6).tolist() == [True, False]
-        kinds |= {system.joints[n].type.type_name.split("(")[0] for n in system.closures}
+        kinds |= {system.structure.joints[n].type.type_name.split("(")[0] for n in system.structure.closures}
     assert len(kinds) >= 6
 
 

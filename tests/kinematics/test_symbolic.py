@@ -25,7 +25,7 @@ from kempe.kinematics.symbolic import TURN_LIMIT, symbolic_fk  # noqa: E402
 
 def numbers(formula, system: System, q, **parameters) -> np.ndarray:
     """The formula as numbers, by sympy, at a configuration."""
-    values = {**system.parameters, **parameters, **dict(zip(system.coordinate_names, q, strict=True))}
+    values = {**system.structure.parameters, **parameters, **dict(zip(system.coordinate_names, q, strict=True))}
     function = sympy.lambdify([sympy.Symbol(n) for n in values], formula, modules="numpy", cse=True)
     return np.array(function(*values.values()), dtype=float)
 
@@ -43,7 +43,7 @@ def two_link() -> Mechanism:
 
 
 def test_the_lectures_formula():
-    T = two_link().build().symbolic_fk("e")
+    T = two_link().build().symbolic.fk("e")
     assert isinstance(T, sympy.Matrix) and T.shape == (4, 4)
     assert [str(x) for x in T[:2, 3]] == ["l1*cos(q1) + l2*cos(q1 + q2)", "l1*sin(q1) + l2*sin(q1 + q2)"]
     assert [str(x) for x in T[:2, 0]] == ["cos(q1 + q2)", "sin(q1 + q2)"]
@@ -53,7 +53,7 @@ def test_the_lectures_formula():
 
 
 def test_it_prints_as_latex():
-    T = two_link().build().symbolic_fk("e")
+    T = two_link().build().symbolic.fk("e")
     assert sympy.latex(T[0, 3]) == r"l_{1} \cos{\left(q_{1} \right)} + l_{2} \cos{\left(q_{1} + q_{2} \right)}"
     shown = T._repr_latex_()
     assert shown.startswith("$") and r"l_{2} \sin{\left(q_{1} + q_{2} \right)}" in shown
@@ -76,14 +76,14 @@ def test_three_parallel_joints_whatever_axes_they_are_written_in(tilt):
         m.revolute(f"q{i}", here, link, at=(length, 0, 0), axis=axis, **turn)
         here = link
     m.frame("e", here, at=("l3", 0, 0))
-    T = m.build().symbolic_fk("e")
+    T = m.build().symbolic.fk("e")
     assert str(T[0, 3]) == "l1*cos(q1) + l2*cos(q1 + q2) + l3*cos(q1 + q2 + q3)"
     assert str(T[1, 3]) == "l1*sin(q1) + l2*sin(q1 + q2) + l3*sin(q1 + q2 + q3)"
     assert str(T[0, 0]) == "cos(q1 + q2 + q3)" and T[2, 3] == 0
 
 
 def test_a_scara():
-    T = kempe.load("cobra600").symbolic_fk("tool")
+    T = kempe.load("cobra600").symbolic.fk("tool")
     assert str(T[0, 3]) == "a1*cos(q1) + a2*cos(q1 + q2)"
     assert str(T[1, 3]) == "a1*sin(q1) + a2*sin(q1 + q2)"
     assert str(T[2, 3]) == "d1 - q3"
@@ -95,13 +95,13 @@ def test_a_joint_turned_over_counts_backwards():
     m.revolute("A", m.ground, m.body("a"))
     m.revolute("B", "a", m.body("b"), at=(1, 0, 0), axis=(0, 0, -1))
     m.revolute("C", m.body("c"), "b", child_at=(2, 0, 0))  # the tree walks it from its child to its parent
-    T = m.build().symbolic_fk("c")
+    T = m.build().symbolic.fk("c")
     assert str(T[0, 3]) == "cos(A) + 2*cos(A - B)" and str(T[0, 0]) == "cos(-A + B + C)"
 
 
 def test_the_puma_of_the_textbooks():
     """Position of the wrist (Paul and Zhang, 1986)."""
-    T = kempe.load("puma560").symbolic_fk("tool")
+    T = kempe.load("puma560").symbolic.fk("tool")
     c1, s1, c2, s2, c23, s23 = sympy.symbols("c1 s1 c2 s2 c23 s23")
     q1, q2, q3 = sympy.symbols("q1 q2 q3")
     names = {sympy.cos(q1): c1, sympy.sin(q1): s1, sympy.cos(q2): c2, sympy.sin(q2): s2,
@@ -116,7 +116,7 @@ def test_the_puma_of_the_textbooks():
 def test_the_stanford_arm_of_the_textbooks():
     """Pose of the hand (Spong, Hutchinson, Vidyasagar, 2006, chapter 3), where the shoulder is the origin."""
     arm = kempe.load("stanford")
-    T = arm.symbolic_fk("tool", symbols={"d1": 0})
+    T = arm.symbolic.fk("tool", symbols={"d1": 0})
     d2, d3, d6 = sympy.symbols("d2 d3 d6")
     (c1, s1), (c2, s2), (c4, s4), (c5, s5), (c6, s6) = (
         (sympy.cos(x), sympy.sin(x)) for x in sympy.symbols("q1 q2 q4 q5 q6")
@@ -134,7 +134,7 @@ def test_the_stanford_arm_of_the_textbooks():
 def test_a_quaternion_is_a_polynomial():
     m = Mechanism("ball")
     m.spherical("S", m.ground, m.body("b"))
-    T = m.build().symbolic_fk("b")
+    T = m.build().symbolic.fk("b")
     w, x, y, z = (sympy.Symbol(f"S.q{c}") for c in "wxyz")
     assert T[0, 0] == 1 - 2 * y**2 - 2 * z**2 and T[1, 0] == 2 * w * z + 2 * x * y
 
@@ -151,7 +151,7 @@ def test_random_systems(graph: Graph, seed):
     expected = graph.poses(s, q)
     rng = np.random.default_rng(seed)
     for name in rng.choice(s.body_names, min(2, len(s.body_names)), replace=False).tolist():
-        np.testing.assert_allclose(numbers(s.symbolic_fk(name), s, q), expected[name], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(numbers(s.symbolic.fk(name), s, q), expected[name], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("backwards", [False, True])
@@ -164,7 +164,7 @@ def test_each_joint(kind, options, backwards):
     q = s.random(3)
     X = reference.joint_pose(kind, q, **options)
     expected = (reference.inverse(X) if backwards else X).astype(float)
-    np.testing.assert_allclose(numbers(s.symbolic_fk("b"), s, q), expected, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(numbers(s.symbolic.fk("b"), s, q), expected, rtol=0, atol=1e-14)
 
 
 ANGLES = [math.pi / 2, -math.pi / 2, math.pi, math.pi / 3, -3 * math.pi / 4, 0.0, 0.7, "alpha", "pi/2 - alpha", "pi/6"]
@@ -206,7 +206,7 @@ def chains(draw) -> System:
 @settings(max_examples=50)
 def test_chains_with_parameters(s: System, seed):
     q = s.random(seed)
-    T = s.symbolic_fk("e")
+    T = s.symbolic.fk("e")
     for new in ({}, {"alpha": -1.1, "l": 0.25}):
         expected = s.with_parameters(**new).fk(q, "e")
         np.testing.assert_allclose(numbers(T, s, q, **new), expected, rtol=0, atol=1e-12)
@@ -217,7 +217,7 @@ def test_shipped_models(name):
     s = kempe.load(name)
     q = s.random(1)
     for frame in (s.frame_names[-1], s.body_names[-1]):
-        np.testing.assert_allclose(numbers(s.symbolic_fk(frame), s, q), s.fk(q, frame), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(numbers(s.symbolic.fk(frame), s, q), s.fk(q, frame), rtol=0, atol=1e-12)
 
 
 def test_panda_from_its_file():
@@ -227,7 +227,7 @@ def test_panda_from_its_file():
         pytest.skip("example-robot-data is not installed")
     s = kempe.load(found[0])
     q = s.random(5)
-    T = s.symbolic_fk("panda_hand_tcp")
+    T = s.symbolic.fk("panda_hand_tcp")
     np.testing.assert_allclose(numbers(T, s, q), s.fk(q, "panda_hand_tcp"), rtol=0, atol=1e-12)
 
 
@@ -244,8 +244,8 @@ def test_loose_ends():
     s = m.build()
     q = s.random(0)
     for name in s.frame_names:
-        np.testing.assert_allclose(numbers(s.symbolic_fk(name), s, q), s.fk(q, name), rtol=0, atol=1e-14)
-    assert s.symbolic_fk("dot")[:3, :3] == sympy.eye(3) and s.symbolic_fk("ground") == sympy.eye(4)
+        np.testing.assert_allclose(numbers(s.symbolic.fk(name), s, q), s.fk(q, name), rtol=0, atol=1e-14)
+    assert s.symbolic.fk("dot")[:3, :3] == sympy.eye(3) and s.symbolic.fk("ground") == sympy.eye(4)
 
 
 # ------------------------------------------------------------------ constants
@@ -260,13 +260,13 @@ def turned(angle) -> System:
 @pytest.mark.parametrize("k", range(-24, 25))
 def test_exact_angles(k):
     for angle in (k * math.pi / 12, math.radians(15 * k), float(sympy.pi * k / 12)):
-        x = turned(angle).symbolic_fk("b")[0, 3]
+        x = turned(angle).symbolic.fk("b")[0, 3]
         assert x == sympy.cos(sympy.pi * k / 12) * sympy.Symbol("x") and not x.has(sympy.Float)
 
 
 @pytest.mark.parametrize("angle", [1.5708, 0.5, 1.0, math.pi / 7, math.nextafter(math.nextafter(math.pi, 4), 4)])
 def test_other_angles_stay_what_they_are(angle):
-    factor = turned(angle).symbolic_fk("b")[0, 3].coeff(sympy.Symbol("x"))
+    factor = turned(angle).symbolic.fk("b")[0, 3].coeff(sympy.Symbol("x"))
     assert isinstance(factor, sympy.Float) and float(factor) == pytest.approx(math.cos(angle), rel=1e-15)
 
 
@@ -275,15 +275,15 @@ def test_lengths_stay_decimals_and_print_well():
     m.revolute("A", m.ground, m.body("a"))
     m.revolute("B", "a", m.body("b"), at=(0.333, 0))
     m.frame("e", "b", at=(2.0, 0))
-    x = m.build().symbolic_fk("e")[0, 3]
+    x = m.build().symbolic.fk("e")[0, 3]
     assert str(x) == "0.333*cos(A) + 2*cos(A + B)"
     assert float(x.coeff(sympy.cos(sympy.Symbol("A")))) == 0.333
 
 
 def test_snap():
     s = turned(1.5708)
-    assert s.symbolic_fk("b").snapped == s.symbolic_fk("b", snap=1e-6).snapped == ()
-    T = s.symbolic_fk("b", snap=1e-5)
+    assert s.symbolic.fk("b").snapped == s.symbolic.fk("b", snap=1e-6).snapped == ()
+    T = s.symbolic.fk("b", snap=1e-5)
     assert T[0, 3] == 0 and T[1, 3] == sympy.Symbol("x")
     assert T.snapped == ("joint 'x': angle 1.5708 taken as pi/2",)
 
@@ -292,18 +292,18 @@ def test_snap_of_a_matrix():
     m = Mechanism("matrix")
     m.frame("f", m.ground, matrix=reference.placement((0, 0, 0), (1e-6, 0, math.pi / 2))[:3, :3].astype(float))
     s = m.build()
-    T = s.symbolic_fk("f", snap=1e-5)
+    T = s.symbolic.fk("f", snap=1e-5)
     assert T[:3, :3] == sympy.Matrix([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
     assert T.snapped == ("frame 'f': rotation matrix moved by 1e-06 rad to quarter turns",)
-    assert s.symbolic_fk("f", snap=1e-7).snapped == ()
+    assert s.symbolic.fk("f", snap=1e-7).snapped == ()
 
 
 def test_snap_of_an_axis():
     m = Mechanism("axis")
     m.revolute("A", m.ground, m.body("b"), axis=(1e-7, 0, -2))
     s = m.build()
-    assert s.symbolic_fk("b").has(sympy.Float)
-    T = s.symbolic_fk("b", snap=1e-6)
+    assert s.symbolic.fk("b").has(sympy.Float)
+    T = s.symbolic.fk("b", snap=1e-6)
     assert str(T[1, 0]) == "-sin(A)" and T[2, 2] == 1
     assert T.snapped == ("joint 'A': axis (1e-07, 0.0, -2.0) taken as (0.0, 0.0, -1.0)",)
 
@@ -317,8 +317,8 @@ def test_couplings_keep_their_names():
     m.gear("B", "A", ratio)
     m.couple("C", {"B": -1.0}, math.pi / 2)
     s = m.build()
-    assert str(s.symbolic_fk("b")[0, 0]) == "cos(A*ratio + A)"
-    assert str(s.symbolic_fk("c")[0, 0]) == "-sin(A)"
+    assert str(s.symbolic.fk("b")[0, 0]) == "cos(A*ratio + A)"
+    assert str(s.symbolic.fk("c")[0, 0]) == "-sin(A)"
 
 
 # ------------------------------------------------------------------ other symbols, wrong arguments
@@ -327,17 +327,17 @@ def test_couplings_keep_their_names():
 def test_symbols_of_ones_own():
     s = two_link().build()
     theta = sympy.Symbol("theta_1", real=True)
-    T = s.symbolic_fk("e", symbols={"q1": theta, "l1": 1, "l2": "a/2"})
+    T = s.symbolic.fk("e", symbols={"q1": theta, "l1": 1, "l2": "a/2"})
     assert str(T[0, 3]) == "a*cos(q2 + theta_1)/2 + cos(theta_1)"
-    assert str(s.symbolic_fk("e", symbols={"q2": 0})[0, 3]) == "(l1 + l2)*cos(q1)"  # one body, then
+    assert str(s.symbolic.fk("e", symbols={"q2": 0})[0, 3]) == "(l1 + l2)*cos(q1)"  # one body, then
 
 
 def test_wrong_arguments():
     s = two_link().build()
     with pytest.raises(UnknownNameError, match="did you mean 'e'"):
-        s.symbolic_fk("E")
+        s.symbolic.fk("E")
     with pytest.raises(UnknownNameError, match="no coordinate or parameter 'q3'"):
-        s.symbolic_fk("e", symbols={"q3": 1})
+        s.symbolic.fk("e", symbols={"q3": 1})
     for snap in (-1.0, math.nan, 1.0, "a", True):
         with pytest.raises(InputError, match="snap"):
             symbolic_fk(s, "e", snap=snap)
@@ -345,7 +345,7 @@ def test_wrong_arguments():
     m.parameter("q", 1.0)
     m.revolute("q", m.ground, m.body("b"), at=("q", 0))
     with pytest.raises(InputError, match="'q' is the name of a parameter and of a coordinate"):
-        m.build().symbolic_fk("b")
+        m.build().symbolic.fk("b")
 
 
 def test_a_formula_of_too_many_turns_is_refused():
@@ -356,8 +356,8 @@ def test_a_formula_of_too_many_turns_is_refused():
         here = f"b{i}"
     s = m.build()
     with pytest.raises(UnsupportedError, match=f"more than {TURN_LIMIT} turns"):
-        s.symbolic_fk(here)
-    assert s.symbolic_fk("b3").shape == (4, 4)
+        s.symbolic.fk(here)
+    assert s.symbolic.fk("b3").shape == (4, 4)
 
 
 def test_without_sympy():
@@ -365,7 +365,7 @@ def test_without_sympy():
         "import sys; sys.modules['sympy'] = None\n"
         "import kempe\n"
         "m = kempe.Mechanism('m', dim=2); m.revolute('q', m.ground, m.body('b'))\n"
-        "try:\n    m.build().symbolic_fk('b')\n"
+        "try:\n    m.build().symbolic.fk('b')\n"
         "except kempe.errors.MissingExtraError as error:\n    print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)

@@ -41,7 +41,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "all solutions of a batch": lambda: kempe.load("ur5").ik_all(targets(kempe.load("ur5"), 3), "tool"),
     "tasks": lambda: redundant().ik([kempe.tasks.Position("tool", [0.5, 0.5, 0])]),
     "ik_path": lambda: redundant().ik_path(np.linspace([0.9, 0.1, 0], [0.6, 0.3, 0], 9), "tool"),
-    "self_motion": lambda: redundant().self_motion([0.3, 0.4, 0.5], "tool", task="position",
+    "self_motion": lambda: redundant().inverse.self_motion([0.3, 0.4, 0.5], "tool", task="position",
                                                    budget=kempe.Budget(points=20)),  # fmt: skip
 }  # fmt: skip
 
@@ -118,4 +118,4 @@ def test_files_that_cannot_be_written(name: str, words: str, tmp_path: Path, mon
 def test_files_of_the_home_folder(tmp_path: Path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     assert bar().assemble({"A": 0.3}).save("~/x.csv") == tmp_path / "x.csv"
-    assert bar().save("~/m.toml") == tmp_path / "m.toml" and kempe.load("~/m.toml") == bar()
+    assert bar().mechanism.save("~/m.toml") == tmp_path / "m.toml" and kempe.load("~/m.toml") == bar()

@@ -29,7 +29,7 @@ def zoo(s: System, frame: str, other: str, rng: np.random.Generator) -> list[tas
         return rng.uniform(-1, 1, dim)
 
     X = spatial.exp_se3(rng.normal(size=6)) if dim == 3 else spatial.pose(spatial.rot_z(rng.normal()), [*p(), 0.0])
-    particles = {n for n, (_, _, particle) in s.table.at.items() if particle}
+    particles = {n for n, (_, _, particle) in s.structure.table.at.items() if particle}
     out: list[tasks.Task] = [
         tasks.Position(frame, p()), tasks.OnLine(frame, p(), p()), tasks.OnPlane(frame, p(), p()),
         tasks.HalfSpace(frame, p(), p(), margin=0.3), tasks.OnSphere(frame, p() + 3.0, 0.7),
@@ -53,7 +53,7 @@ def zoo(s: System, frame: str, other: str, rng: np.random.Generator) -> list[tas
 
 
 def by_differences(task: tasks.Task, s: System, q: np.ndarray) -> np.ndarray:
-    ends = [tasks.error(s, task, s.integrate(q, x * STEP * np.eye(s.nv))) for x in (1, -1)]
+    ends = [tasks.error(s, task, s.configuration_space.integrate(q, x * STEP * np.eye(s.nv))) for x in (1, -1)]
     return (ends[0] - ends[1]).T / (2 * STEP)
 
 
@@ -150,7 +150,7 @@ def test_masses_survive_files(tmp_path: Path):
     s = m.build()
     q = s.random(2)
     expected = tasks.error(s, tasks.CentreOfMass([0, 0, 0]), q)
-    again = kempe.load(s.save(tmp_path / "robot.toml"))
+    again = kempe.load(s.mechanism.save(tmp_path / "robot.toml"))
     found = tasks.error(again, tasks.CentreOfMass([0, 0, 0]), again.q(s.q_dict(q)))
     np.testing.assert_allclose(found, expected, atol=1e-14)
 
@@ -173,7 +173,7 @@ def test_centre_of_mass_and_its_jacobian_against_pinocchio(name):
     task = tasks.CentreOfMass([0.0, 0.0, 0.0])
     # Pinocchio leaves out what is fixed to the ground, so masses on the root link are compared with it put back
     ground = s.mechanism.bodies[s.body_names[0]]
-    fixed = [n for n in s.body_names if s.table.at[n][0] < 0]
+    fixed = [n for n in s.body_names if s.structure.table.at[n][0] < 0]
     rest = [(s.mechanism.bodies[n].mass or 0.0, s.fk(q, n), s.mechanism.bodies[n].center or (0, 0, 0)) for n in fixed]
     moving, com = sum(i.mass for i in model.inertias[1:]), pinocchio.centerOfMass(model, data, theirs)
     total = moving + sum(m for m, _, _ in rest)
@@ -267,7 +267,10 @@ def test_derivatives_of_ends_that_differ():
 
 
 def by_differences_of_rows(task: tasks.Task, s: System, q: np.ndarray) -> np.ndarray:
-    out = [[tasks.error(s, task, s.integrate(q, x * STEP * e)[None])[0] for x in (1, -1)] for e in np.eye(s.nv)]
+    out = [
+        [tasks.error(s, task, s.configuration_space.integrate(q, x * STEP * e)[None])[0] for x in (1, -1)]
+        for e in np.eye(s.nv)
+    ]
     return np.array([(a - b) / (2 * STEP) for a, b in out]).T
 
 

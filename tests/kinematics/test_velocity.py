@@ -25,7 +25,7 @@ def twist_of(system: System, declared, q: Array, k: int) -> Array:
 
     def pose(step: float) -> Array:
         A, B = (
-            system.fk(system.integrate(q, step * np.eye(system.nv)[k]), n) @ X
+            system.fk(system.configuration_space.integrate(q, step * np.eye(system.nv)[k]), n) @ X
             for n, X in zip((declared.parent, declared.child), ends, strict=True)
         )
         return inverse(A) @ B

@@ -30,7 +30,7 @@ def test_q_holds_all_coordinates_in_the_order_of_the_joints(graph: Graph):
             names += [n for n in [f"{e.name}.{c}" if c else e.name] if n not in gone]
         for c in kind.velocities(graph.dim, particle):
             velocities += [n for n in [f"{e.name}.{c}" if c else e.name] if n not in gone]
-    assert s.coordinate_names == tuple(names) and s.velocity_names == tuple(velocities)
+    assert s.coordinate_names == tuple(names) and s.structure.velocity_names == tuple(velocities)
     assert (s.nq, s.nv) == (len(names), len(velocities)) == (len(s.neutral), len(s.lower))
 
 
@@ -38,14 +38,14 @@ def test_q_holds_all_coordinates_in_the_order_of_the_joints(graph: Graph):
 @settings(max_examples=80)
 def test_the_layout_uses_every_entry_once(graph: Graph):
     s = graph.mechanism().build()
-    lay = s.layout
+    lay = s.structure.layout
     in_q = [*lay.vector_q, *(lay.quaternion_q[:, None] + np.arange(4)).ravel()]
     in_v = [*lay.vector_v, *(lay.quaternion_v[:, None] + np.arange(3)).ravel()]
     assert sorted(in_q) == list(range(s.nq)) and sorted(in_v) == list(range(s.nv))
     for iq, iv in zip(lay.vector_q, lay.vector_v, strict=True):
-        assert s.coordinate_names[iq] == s.velocity_names[iv]
+        assert s.coordinate_names[iq] == s.structure.velocity_names[iv]
     for iq, iv in zip(lay.quaternion_q, lay.quaternion_v, strict=True):
-        assert s.coordinate_names[iq].removesuffix("qw") == s.velocity_names[iv].removesuffix("wx")
+        assert s.coordinate_names[iq].removesuffix("qw") == s.structure.velocity_names[iv].removesuffix("wx")
         np.testing.assert_array_equal(s.neutral[iq : iq + 4], [1, 0, 0, 0])
 
 
@@ -65,11 +65,11 @@ def test_any_coordinate_has_a_value(graph: Graph, seed):
 @settings(max_examples=80)
 def test_the_table_has_a_row_for_each_moving_primitive_of_the_tree(graph: Graph):
     s = graph.mechanism().build()
-    table = s.table
-    held = {name for name, f in s.couplings.items() if f.source is None}
+    table = s.structure.table
+    held = {name for name, f in s.structure.couplings.items() if f.source is None}
     expected = 0
     for e in graph.edges:
-        if e.name in s.closures or e.name in held:
+        if e.name in s.structure.closures or e.name in held:
             continue
         expected += len(joint_type(e.kind, **e.options).layout(graph.dim, e.child in graph.particles)[1])
     assert len(table.kind) == expected and set(table.kind) <= {R, P, Q}
@@ -77,9 +77,13 @@ def test_the_table_has_a_row_for_each_moving_primitive_of_the_tree(graph: Graph)
     for row in range(expected):
         iq, iv = int(table.iq[row]), int(table.iv[row])
         if table.kind[row] == Q:
-            assert iq in s.layout.quaternion_q and iv in s.layout.quaternion_v and abs(table.multiplier[row]) == 1.0
+            assert (
+                iq in s.structure.layout.quaternion_q
+                and iv in s.structure.layout.quaternion_v
+                and abs(table.multiplier[row]) == 1.0
+            )
         else:
-            assert s.coordinate_names[iq] == s.velocity_names[iv]
+            assert s.coordinate_names[iq] == s.structure.velocity_names[iv]
     assert np.all(table.gauge[table.kind != R] == 0.0)
 
 
@@ -87,14 +91,14 @@ def test_the_table_has_a_row_for_each_moving_primitive_of_the_tree(graph: Graph)
 def test_packs_hold_what_moves_their_outputs(graph: Graph, seed):
     s, rng = graph.mechanism().build(), np.random.default_rng(seed)
     names = [s.body_names[i] for i in rng.integers(0, len(s.body_names), 3)]
-    ints, floats = s.table.pack(names)
-    rows = sorted({r for n in names for r in s.table.path(n)})
+    ints, floats = s.structure.table.pack(names)
+    rows = sorted({r for n in names for r in s.structure.table.path(n)})
     assert (ints[0], ints[1], ints[2], ints[3]) == (len(rows), 3, s.nq, s.nv)
     assert len(ints) == 8 + 6 * len(rows) + 2 * 3 and len(floats) == 16 * len(rows) + 12 * 3
     q, out = s.random(rng), np.empty((3, 4, 4))
     assert sweep.poses1(ints, floats, q, out) == 0
     np.testing.assert_allclose(out, s.fk(q, names), rtol=0, atol=1e-14)
-    ints, floats = s.table.pack(names[:1], s.table.path(names[0]))
+    ints, floats = s.structure.table.pack(names[:1], s.structure.table.path(names[0]))
     assert ints[4] == 1, "the way to one body is a chain"
 
 
@@ -105,7 +109,7 @@ def test_constants_are_folded():
     m.fixed("f", m.ground, a, at=(1, 0, 0)), m.revolute("r", a, b), m.prismatic("p", b, c), m.cylindrical("c", c, d)
     m.gear("p", "r", 0.5, offset=0.25)
     m.lock({"c.z": 0.1})
-    table = m.build().table
+    table = m.build().structure.table
     np.testing.assert_array_equal(table.kind, [R, P, R])
     np.testing.assert_array_equal(table.iq, [0, 0, 1])
     np.testing.assert_array_equal(table.multiplier, [1.0, 0.5, 1.0])
@@ -132,11 +136,11 @@ def test_limits_by_coordinate():
     m.free("f", "b", m.body("c"), limits={"z": (0, 1)}, velocity={"wx": 3.0})
     s = m.build()
     inf = np.inf
-    assert s.velocity_names == ("j.x", "j.y", "j.rz", "f.x", "f.y", "f.z", "f.wx", "f.wy", "f.wz")
+    assert s.structure.velocity_names == ("j.x", "j.y", "j.rz", "f.x", "f.y", "f.z", "f.wx", "f.wy", "f.wz")
     np.testing.assert_array_equal(s.lower, [0, -inf, -1, -inf, -inf, 0, -inf, -inf, -inf])
     np.testing.assert_array_equal(s.upper, [inf, inf, 1, inf, inf, 1, inf, inf, inf])
-    np.testing.assert_array_equal(s.velocity_limits, [inf, 2, inf, inf, inf, inf, 3, inf, inf])
-    np.testing.assert_array_equal(s.limits, np.stack([s.lower, s.upper], axis=-1))
+    np.testing.assert_array_equal(s.structure.velocity_limits, [inf, 2, inf, inf, inf, inf, 3, inf, inf])
+    np.testing.assert_array_equal(s.structure.limits, np.stack([s.lower, s.upper], axis=-1))
 
 
 def test_limits_of_cut_joints_count():
@@ -144,10 +148,10 @@ def test_limits_of_cut_joints_count():
     m.revolute("a", m.ground, m.body("b"), limits=(-1, 1))
     m.revolute("c", m.ground, "b", limits=(-0.5, 0.5), cut=True)
     s = m.build()
-    assert s.closures == ("c",)
-    np.testing.assert_array_equal(s.limits, [[-1, 1], [-0.5, 0.5]])
+    assert s.structure.closures == ("c",)
+    np.testing.assert_array_equal(s.structure.limits, [[-1, 1], [-0.5, 0.5]])
     with pytest.raises(DescriptionError, match="lock of 'c'"):
-        s.lock({"c": 0.7})
+        s.mechanism.lock({"c": 0.7}).build()
 
 
 def test_relations_in_words():
@@ -155,7 +159,7 @@ def test_relations_in_words():
     for name in "abc":
         m.revolute(name, m.ground, m.body(name.upper()))
     m.couple("c", {"a": 0.5, "b": -2}, offset=0.1)
-    (relation,) = m.build().relations
+    (relation,) = m.build().structure.relations
     assert relation_text(relation) == "c = 0.5 a + -2 b + 0.1"
 
 
@@ -165,4 +169,4 @@ def test_followers_say_what_they_follow():
         m.revolute(name, m.ground, m.body(name.upper()))
     m.gear("b", "a", 2.0, offset=1.0)
     m.lock({"c": 0.5})
-    assert m.build().couplings == {"c": Follower(None, 0.0, 0.5), "b": Follower("a", 2.0, 1.0)}
+    assert m.build().structure.couplings == {"c": Follower(None, 0.0, 0.5), "b": Follower("a", 2.0, 1.0)}

@@ -61,7 +61,9 @@ def test_what_comes_along_with_copies():
     m = kempe.Mechanism("host")
     m.attach(kempe.read(text), prefix="a_")
     assert immovable(m.build()).startswith("'a_j0' cannot move (0..0 because")
-    assert immovable(kempe.load(text).subchain("l0", "l1")).startswith("'j0' cannot move (0..0 because")
+    assert immovable(kempe.load(text).mechanism.subchain("l0", "l1").build()).startswith(
+        "'j0' cannot move (0..0 because"
+    )
     assert kempe.read(text) == kempe.read(text.replace(EFFORT, '<limit lower="0" upper="0" effort="1" velocity="1"/>'))
 
 

@@ -61,6 +61,6 @@ def test_a_system_does_not_grow_with_what_it_is_asked(hunt):
 def test_copies_keep_nothing_of_the_original():
     s = kempe.load("four_bar")
     s.assemble({"A": 0.3})
-    other = s.with_parameters(a=0.2) if "a" in s.parameters else s.mechanism.build()
+    other = s.with_parameters(a=0.2) if "a" in s.structure.parameters else s.mechanism.build()
     assert s._kept and not other._kept
     assert np.all(np.isfinite(other.assemble({"A": 0.3}).q))

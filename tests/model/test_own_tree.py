@@ -28,18 +28,18 @@ def four_bar(*cut: str, **more) -> System:
 def test_a_mark_changes_what_is_left_out_but_not_the_tree_of_solvers(cut):
     s, plain = four_bar(*cut), four_bar()
     tree = own_tree(s)
-    assert tree.topology == plain.topology and tree.closures == ("C",)
-    assert (tree is s) == (s.closures == ("C",))
+    assert tree.structure.topology == plain.structure.topology and tree.structure.closures == ("C",)
+    assert (tree is s) == (s.structure.closures == ("C",))
     assert own_tree(s) is tree and own_tree(tree) is tree
-    assert tree.coordinate_names == s.coordinate_names and np.array_equal(tree.limits, s.limits)
+    assert tree.coordinate_names == s.coordinate_names and np.array_equal(tree.structure.limits, s.structure.limits)
 
 
 def test_other_parameters_and_limits_come_along():
     s = four_bar("B").with_limits({"A": (-1.0, 1.0)}).with_parameters(crank=0.15)
     assert isinstance(s, System)
     tree = own_tree(s)
-    assert s.closures == ("B",) and tree.closures == ("C",)
-    assert tree.parameters["crank"] == 0.15 and tree.limits[0].tolist() == [-1.0, 1.0]
+    assert s.structure.closures == ("B",) and tree.structure.closures == ("C",)
+    assert tree.structure.parameters["crank"] == 0.15 and tree.structure.limits[0].tolist() == [-1.0, 1.0]
 
 
 @pytest.mark.parametrize("planar", [True, False])
@@ -49,9 +49,9 @@ def test_bodies_that_hang_on_free_joints_stay_there(planar):
     m.free("body", m.ground, m.body("b"))
     m.revolute("J", m.ground, "b", cut=True)
     s = m.build()
-    assert s.closures == ("J",) and own_tree(s) is s
+    assert s.structure.closures == ("J",) and own_tree(s) is s
     m.joints["J"] = replace(m.joints["J"], cut=False)
-    assert m.build().closures == ("body",)
+    assert m.build().structure.closures == ("body",)
 
 
 def test_a_fixed_joint_that_is_cut_does_not_make_two_links_of_one():
@@ -66,7 +66,7 @@ def test_a_fixed_joint_that_is_cut_does_not_make_two_links_of_one():
         m.revolute("C", half, rocker, at=(0.1, 0), child_at=(0.4, 0))
         m.revolute("D", m.ground, rocker, at=(0.4, 0), cut=cut == "D")
         s = m.build()
-        assert s.closures == (cut,)
+        assert s.structure.closures == (cut,)
         lengths.append(characteristic_length(s))
     assert lengths == [pytest.approx(0.4, rel=1e-12)] * 3
 

@@ -51,7 +51,7 @@ def loop(rng: np.random.Generator, kind: JointType, dim: int) -> tuple[System, n
     """A body that moves freely, and a joint of this kind that closes a loop; closed at the configuration given back."""
     shape = closed(rng, dim, 2, [Spherical() if dim == 3 else Revolute(), Free(), kind])
     s = shape.system(frozenset({"j2"}))
-    assert s.closures == ("j2",)
+    assert s.structure.closures == ("j2",)
     return s, shape.values(s)
 
 
@@ -70,16 +70,16 @@ def nullity(J: np.ndarray) -> int:
 
 def compare(system: System, q: np.ndarray, rng: np.random.Generator) -> None:
     """Both forms of the only loop: closed at q, as many freedoms, and each closes where the other does."""
-    carried = frozenset(system.closures)
+    carried = frozenset(system.structure.closures)
     small, large = loops_of(system, frozenset()), loops_of(system, carried)
     at = q[None]
     (r, J), (R_, K) = evaluated(system, small, at), evaluated(system, large, at)
     assert np.abs(r).max(initial=0.0) < 1e-12 and np.abs(R_).max(initial=0.0) < 1e-12
-    own = [system.velocity_names.index(n) for n in system.velocity_names if n.split(".")[0] == "j2"]
+    own = [system.structure.velocity_names.index(n) for n in system.structure.velocity_names if n.split(".")[0] == "j2"]
     others = [v for v in range(system.nv) if v not in own]
     assert nullity(J[0][:, others]) == nullity(K[0])
     assert np.linalg.matrix_rank(J[0], tol=1e-8) == len(small.names), "no row too many"
-    start = system.integrate(q, rng.uniform(-0.3, 0.3, system.nv))
+    start = system.configuration_space.integrate(q, rng.uniform(-0.3, 0.3, system.nv))
     for form in (small, large):
         solver = Assembler(system)
         solver.loops = form

@@ -18,7 +18,7 @@ from kempe.model.topology import natural, spanning_tree
 
 
 def tree_by_name(system: System) -> dict:
-    t = system.topology
+    t = system.structure.topology
     return {
         b: (t.bodies[p], j, r) for b, p, j, r in zip(t.bodies[1:], t.parent, t.parent_joints, t.reversed_, strict=True)
     }
@@ -31,10 +31,10 @@ def tree_by_name(system: System) -> dict:
 @settings(max_examples=120)
 def test_the_order_of_the_file_changes_no_answer_by_name(graph, seed):
     one, other = graph.mechanism().build(), graph.shuffled(seed).mechanism().build()
-    assert set(one.closures) == set(other.closures)
+    assert set(one.structure.closures) == set(other.structure.closures)
     assert tree_by_name(one) == tree_by_name(other)
     assert sorted(one.coordinate_names) == sorted(other.coordinate_names)
-    by_name = lambda s, x: dict(zip(s.velocity_names, x.tolist(), strict=True))  # noqa: E731
+    by_name = lambda s, x: dict(zip(s.structure.velocity_names, x.tolist(), strict=True))  # noqa: E731
     assert by_name(one, one.lower) == by_name(other, other.lower)
     q, p = one.random(3), other.random(3)
     assert one.q_dict(q) == other.q_dict(p)
@@ -43,9 +43,10 @@ def test_the_order_of_the_file_changes_no_answer_by_name(graph, seed):
         np.testing.assert_allclose(
             poses[one.body_names.index(name)], others[other.body_names.index(name)], rtol=0, atol=1e-13
         )
-    for name in one.closures:
-        np.testing.assert_allclose(one.closure_error(q)[one.closures.index(name)],
-                                   other.closure_error(p)[other.closures.index(name)], rtol=0, atol=1e-9)  # fmt: skip
+    for name in one.structure.closures:
+        open_one = one.loops.closure_error(q)[one.structure.closures.index(name)]
+        open_other = other.loops.closure_error(p)[other.structure.closures.index(name)]
+        np.testing.assert_allclose(open_one, open_other, rtol=0, atol=1e-9)
 
 
 # ------------------------------------------------------------------ the tree
@@ -134,15 +135,15 @@ def seven_bodies(loop: bool = False) -> Mechanism:
 def test_the_lectures_connectivity_vector():
     s = seven_bodies().build()
     assert s.parent == (0, 1, 2, 1, 4, 4, 2)
-    assert s.parent_joints == tuple(f"J{i}" for i in range(1, 8))  # joint i is the parent joint of body i
-    assert s.body_names == tuple(f"B{i}" for i in range(8)) and s.closures == ()
-    assert s.topology.reversed_ == (False,) * 7
+    assert s.structure.parent_joints == tuple(f"J{i}" for i in range(1, 8))  # joint i is the parent joint of body i
+    assert s.body_names == tuple(f"B{i}" for i in range(8)) and s.structure.closures == ()
+    assert s.structure.topology.reversed_ == (False,) * 7
 
 
 def test_a_loop_through_the_ground_does_not_change_the_rest():
     s = seven_bodies(loop=True).build()
-    assert len(s.closures) == 1 and s.nq == 8
-    cut = s.mechanism.joints[s.closures[0]]
+    assert len(s.structure.closures) == 1 and s.nq == 8
+    cut = s.mechanism.joints[s.structure.closures[0]]
     assert {cut.parent, cut.child} & {"B5", "B4", "B1"}
 
 
@@ -220,14 +221,14 @@ def test_coupled_joints_are_found_behind_dots():
 def test_a_cut_that_would_detach_is_ignored():
     m = Mechanism()
     m.revolute("only", "ground", m.body("b"), cut=True)
-    assert m.build().closures == ()
+    assert m.build().structure.closures == ()
 
 
 def test_two_joints_between_the_same_two_bodies_are_a_loop():
     m = Mechanism()
     m.revolute("j1", "ground", m.body("b"))
     m.revolute("j2", "b", "ground", at=(1, 0, 0))
-    assert m.build().closures == ("j2",) and m.build().topology.reversed_ == (False,)
+    assert m.build().structure.closures == ("j2",) and m.build().structure.topology.reversed_ == (False,)
 
 
 def test_ties_are_broken_by_natural_names():
@@ -235,7 +236,7 @@ def test_ties_are_broken_by_natural_names():
     m.body("b")
     for name in ("J10", "J9", "J2"):
         m.revolute(name, "ground", "b")
-    assert set(m.build().closures) == {"J9", "J10"} and m.build().parent_joints == ("J2",)
+    assert set(m.build().structure.closures) == {"J9", "J10"} and m.build().structure.parent_joints == ("J2",)
 
 
 def test_natural_order():
@@ -269,7 +270,7 @@ def test_the_ground_alone_is_a_system():
     assert (s.nq, s.nv, s.parent, s.body_names) == (0, 0, (), ("ground",))
     np.testing.assert_array_equal(s.fk([]), np.eye(4)[None])
     np.testing.assert_array_equal(s.fk(np.zeros((3, 0)), "ground"), np.tile(np.eye(4), (3, 1, 1)))
-    assert s.closure_error([]).shape == (0, 6) and str(s.configuration_space).startswith("a point")
+    assert s.loops.closure_error([]).shape == (0, 6) and str(s.configuration_space).startswith("a point")
 
 
 def chain(n: int, rungs: int = 0) -> Mechanism:

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 def coordinate_row(system: System, name: str) -> np.ndarray:
     """Derivatives (nv,) of any coordinate that is an angle or a length, also of one that is not in q."""
     row, factor = np.zeros(system.nv), 1.0
-    follower = system.couplings.get(name)
+    follower = system.structure.couplings.get(name)
     if follower is not None:
         if follower.source is None:
             return row
         name, factor = follower.source, follower.multiplier
-    row[system.coordinates.first[name][1]] = factor
+    row[system.structure.coordinates.first[name][1]] = factor
     return row
 
 
@@ -65,7 +65,7 @@ class Carried(Pair):
             out[velocity] = coordinate_row(system, self.own.names[value])
         for s in self.own.steps:
             if s.value == self.own.ball >= 0:
-                first = system.coordinates.first[self.own.names[s.value]][1]
+                first = system.structure.coordinates.first[self.own.names[s.value]][1]
                 out[s.velocity : s.velocity + 3, first : first + 3] = np.eye(3)
         return out
 

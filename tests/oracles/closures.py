@@ -74,8 +74,8 @@ def _own_rows(system: System, names: tuple[str, ...]) -> Array:
     if len(names) == 3:
         return np.stack([coordinate_row(system, n) for n in names])
     out = np.zeros((3, system.nv))
-    if names[0] not in system.couplings:
-        first = system.coordinates.first[names[0]][1]
+    if names[0] not in system.structure.couplings:
+        first = system.structure.coordinates.first[names[0]][1]
         out[:, first : first + 3] = np.eye(3)
     return out
 
@@ -94,11 +94,11 @@ def closure_of(system: System, joint: str, own: bool = False) -> Closure | Carri
     particle = mechanism.bodies[j.child].particle
     X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (j.X_PF, j.X_CM))
     X_PF, X_CM = pairs.frames_of(j.type, X_PF, X_CM, system.dim, particle)
-    names, hold = system.coordinates_of_joint(joint), pairs.hold_of(j.type, system.dim, particle)
+    names, hold = system.structure.coordinates_of_joint(joint), pairs.hold_of(j.type, system.dim, particle)
     if hold is None:
         motion = motion_of(system, j, slides_along_z(j.type, system.dim, particle))
         return Carried(joint, j.parent, j.child, motion, X_A=X_PF, X_B=X_CM)
-    related = {n for r in system.relations for n in (r.of, *r.sources)} | system.couplings.keys()
+    related = {n for r in system.structure.relations for n in (r.of, *r.sources)} | system.structure.couplings.keys()
     groups = pairs.reading_groups(j.type, system.dim, particle)
     tied = [(tuple(names[i] for i in group), kind) for group, kind in groups]
     tied = [t for t in tied if own or related & {*t[0]}]

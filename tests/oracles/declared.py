@@ -80,11 +80,11 @@ def _slides(X: Array, axes: str) -> Rows:
 
 def declared(system: System, constraint: Declared) -> Pair:
     """The constraint of a record of the description."""
-    X_A, X_B = constraint.frames(system.parameters, system.dim)
+    X_A, X_B = constraint.frames(system.structure.parameters, system.dim)
     ends: Any = {"X_A": X_A, "X_B": X_B}
     names = constraint.name, constraint.parent, constraint.child
     if constraint.rod:
-        return Distance(*names, constraint.length(system.parameters), **ends)
+        return Distance(*names, constraint.length(system.structure.parameters), **ends)
     if len(position_rows(constraint.of, 3)) == 2:
         return PointOnLine(*names, system.dim == 2, **ends)
     return PointOnPlane(*names, **ends)

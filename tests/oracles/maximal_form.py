@@ -69,7 +69,7 @@ class Form(NamedTuple):
 @kept
 def form_of(system: System) -> Form:
     """The equations of a system."""
-    mechanism, followers = system.mechanism, system.couplings
+    mechanism, followers = system.mechanism, system.structure.couplings
     every = [closure_of(system, name, own=True) for name in mechanism.joints]
     joints = [j for j in every if isinstance(j, Closure)]
     turning = {names[0] for j in joints for names, kind in j.tied if kind.startswith("turn")}
@@ -79,8 +79,11 @@ def form_of(system: System) -> Form:
              if kind == "quaternion" and names[0] in followers]  # fmt: skip
     in_balls = {n for j in mechanism.joints.values() for n in _quaternion(system, j)}
     rows = [(n, ((f.source, -f.multiplier),) if f.source else (), f.offset) for n, f in followers.items()]
-    rows += [(r.of, tuple((s, -m) for s, m in r.sources.items()), r.offset) for r in system.relations]
-    wide = {n: not high - low < FULL_TURN for n, (low, high) in zip(system.velocity_names, system.limits, strict=True)}
+    rows += [(r.of, tuple((s, -m) for s, m in r.sources.items()), r.offset) for r in system.structure.relations]
+    wide = {
+        n: not high - low < FULL_TURN
+        for n, (low, high) in zip(system.structure.velocity_names, system.structure.limits, strict=True)
+    }
     relations = []
     for name, sources, offset in rows:
         if name not in in_balls:
@@ -101,7 +104,7 @@ def form_of(system: System) -> Form:
 
 def _quaternion(system: System, joint: Joint) -> list[str]:
     """Names of the coordinates of a joint that make up its quaternion."""
-    names = system.coordinates_of_joint(joint.name)
+    names = system.structure.coordinates_of_joint(joint.name)
     primitives = joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1]
     return [n for p in primitives if p.kind == Q for n in names[p.coordinate : p.coordinate + 4]]
 

@@ -218,16 +218,16 @@ class Error(NamedTuple):
 def motion_of(system: System, joint: Joint, flat: bool) -> Motion:
     """The motion of a joint of a system; `flat`: its slides along z of F are along x of the turned frame."""
     particle = system.mechanism.bodies[joint.child].particle
-    names = system.coordinates_of_joint(joint.name)
+    names = system.structure.coordinates_of_joint(joint.name)
     primitives = joint.type.layout(system.dim, particle)[1]
-    held = {k for p in primitives if p.kind == Q and names[p.coordinate] in system.couplings
+    held = {k for p in primitives if p.kind == Q and names[p.coordinate] in system.structure.couplings
             for k in range(p.coordinate, p.coordinate + 4)}  # fmt: skip
     value = {k: i for i, k in enumerate(k for k in range(len(names)) if k not in held)}
     velocity: dict[int, int] = {}
     steps, size, ball = [], 0, -1
     for p in primitives:
         if p.coordinate in held:
-            quat = [system.couplings[n].offset for n in names[p.coordinate : p.coordinate + 4]]
+            quat = [system.structure.couplings[n].offset for n in names[p.coordinate : p.coordinate + 4]]
             steps.append(Step(Q, 2, 1.0, -1, -1, spatial.quat_wxyz_to_matrix(spatial.unit(quat))))
             continue
         if p.coordinate not in velocity:

@@ -47,7 +47,7 @@ def rocker_angles(a, b, c, d, theta):
 def test_four_bar_is_the_intersection_of_two_circles(theta, cut):
     s = four_bar(cut=cut)
     answer = s.assemble({"A": theta}, start=s.q({"B": -0.9, "C": 0.9, "D": 1.5}))
-    assert answer.success and s.closure_error(answer.q) == pytest.approx(0.0, abs=1e-14)
+    assert answer.success and s.loops.closure_error(answer.q) == pytest.approx(0.0, abs=1e-14)
     expected = rocker_angles(0.1, 0.5, 0.4, 0.4, theta)
     d = s.q_dict(answer.q)["D"]
     assert min(abs(math.remainder(d - e, 2 * math.pi)) for e in expected) < 1e-12
@@ -58,14 +58,14 @@ def test_four_bar_is_the_intersection_of_two_circles(theta, cut):
 def test_perturbed_mechanisms_close(name, sigma):
     """From Gaussian noise at least 95 % close at the first start, and all with the usual starts inside the limits."""
     s = kempe.load(name)
-    home = s.posture("closed")
+    home = s.q("closed")
     rng = np.random.default_rng(5)
-    q = np.stack([s.integrate(home, sigma * rng.normal(size=s.nv)) for _ in range(400)])
+    q = np.stack([s.configuration_space.integrate(home, sigma * rng.normal(size=s.nv)) for _ in range(400)])
     once = s.assemble(start=q, limits=False, budget=kempe.Budget(starts=1))
     assert once.success.mean() >= 0.95
     answer = s.assemble(start=q)
     assert answer.success.all()
-    assert np.abs(s.closure_error(answer.q)).max() < 1e-9
+    assert np.abs(s.loops.closure_error(answer.q)).max() < 1e-9
     assert np.abs(loops.residual(s, answer.q)).max() < 1e-9
 
 
@@ -77,7 +77,7 @@ def test_convergence_is_quadratic(name):
     s = kempe.load(name)
     b = Assembler(s, ())
     rng = np.random.default_rng(2)
-    start = s.integrate(s.posture("closed"), 0.02 * rng.normal(size=s.nv))[None]
+    start = s.configuration_space.integrate(s.q("closed"), 0.02 * rng.normal(size=s.nv))[None]
     q, r, info = np.empty_like(start), np.empty(1), np.empty((1, 3), dtype=np.int64)
     sizes = []
     arrays = b.loops.ints, b.loops.floats, b.loops.plan, b.loops.weights
@@ -94,7 +94,9 @@ def test_closed_in_pinocchio_too(name):
     """Poses of both ends of each cut joint, computed by Pinocchio from a tree written by hand, coincide."""
     pin = pytest.importorskip("pinocchio")
     s = kempe.load(name)
-    answer = s.assemble(start=s.integrate(s.posture("closed"), 0.2 * np.random.default_rng(0).normal(size=s.nv)))
+    answer = s.assemble(
+        start=s.configuration_space.integrate(s.q("closed"), 0.2 * np.random.default_rng(0).normal(size=s.nv))
+    )
     assert answer
     model, place = pinocchio_tree(pin, s)
     data = model.createData()
@@ -116,14 +118,14 @@ def pinocchio_tree(pin, s):
     ids = {0: 0}
     at = {0: pin.SE3.Identity()}
     m = s.mechanism
-    for i, (parent, name) in enumerate(zip(s.parent, s.parent_joints, strict=True), start=1):
+    for i, (parent, name) in enumerate(zip(s.parent, s.structure.parent_joints, strict=True), start=1):
         joint = m.joints[name]
-        if s.topology.reversed_[i - 1]:
+        if s.structure.topology.reversed_[i - 1]:
             pytest.skip("a reversed joint")
         before = at[parent] * pin.SE3(joint.X_PF.evaluate(m.parameters))
         here = ids[parent]
         primitives = joint.type.layout(s.dim)[1]
-        names = s.coordinates_of_joint(name)
+        names = s.structure.coordinates_of_joint(name)
         for k, p in enumerate(primitives):
             axis = "xyz".index(p.axis)
             if p.kind == 2:
@@ -153,8 +155,9 @@ def test_equations_have_exact_derivatives(graph, seed):
     q = s.random(seed)
     J = loops.jacobian(s, q)
     h = 1e-6
+    integrate = s.configuration_space.integrate
     numeric = np.stack(
-        [(loops.residual(s, s.integrate(q, h * e)) - loops.residual(s, s.integrate(q, -h * e))) / (2 * h)
+        [(loops.residual(s, integrate(q, h * e)) - loops.residual(s, integrate(q, -h * e))) / (2 * h)
          for e in np.eye(s.nv)], -1,
     ) if s.nv else J  # fmt: skip
     angles = np.array([k.startswith("r") for _, k in loops.row_names(s)], dtype=bool)
@@ -168,10 +171,10 @@ def test_equations_have_exact_derivatives(graph, seed):
 def test_equations_vanish_where_the_closure_error_does(graph, seed):
     s = graph.mechanism().build()
     q = s.random(seed)
-    error = s.closure_error(q)
+    error = s.loops.closure_error(q)
     rows = loops.residual(s, q)
     names = loops.row_names(s)
-    for k, name in enumerate(s.closures):
+    for k, name in enumerate(s.structure.closures):
         mine = np.array([r for r, (n, _) in zip(rows, names, strict=True) if n == name])
         assert np.linalg.norm(mine) == pytest.approx(0.0, abs=1e-9) or np.linalg.norm(error[k]) > 1e-10
         if len(mine) == 6:  # the rotation vector is the same, the position is taken without the screw's pitch
@@ -185,8 +188,8 @@ def test_what_is_assembled_is_closed(graph, seed):
     s = graph.mechanism().build()
     answer = s.assemble(start=s.random(seed), budget=kempe.Budget(starts=3))
     if answer:
-        assert np.abs(s.closure_error(answer.q)).max(initial=0.0) < 1e-7
-        assert np.all(answer.q[s.layout.vector_q] >= s.lower[s.layout.vector_v] - 1e-12)
+        assert np.abs(s.loops.closure_error(answer.q)).max(initial=0.0) < 1e-7
+        assert np.all(answer.q[s.structure.layout.vector_q] >= s.lower[s.structure.layout.vector_v] - 1e-12)
 
 
 # ---- what is known
@@ -205,11 +208,11 @@ def test_places_of_frames_can_be_known():
     s = kempe.load("four_bar")
     q = s.assemble({"A": 0.7}).q
     place = s.fk(q, "coupler_point")[:2, 3]
-    answer = s.assemble({"coupler_point": place}, start=s.posture("closed"))
+    answer = s.assemble({"coupler_point": place}, start=s.q("closed"))
     np.testing.assert_allclose(s.fk(answer.q, "coupler_point")[:2, 3], place, atol=1e-12)
-    assert answer and np.abs(s.closure_error(answer.q)).max() < 1e-12
+    assert answer and np.abs(s.loops.closure_error(answer.q)).max() < 1e-12
     stewart = kempe.load("stewart")
-    X = stewart.fk(stewart.posture("closed"), "platform")
+    X = stewart.fk(stewart.q("closed"), "platform")
     X[:3, 3] += [0.02, -0.03, 0.05]
     pose = stewart.assemble({"platform": X})
     np.testing.assert_allclose(stewart.fk(pose.q, "platform"), X, atol=1e-12)
@@ -242,7 +245,7 @@ def test_an_open_loop_says_which_and_by_how_much():
     assert not answer and answer.code == 1
     gap = 1.0 - 0.2 - 0.3 - 0.1
     assert f"open by {gap:.6g} m" in answer.status and "'C'" in answer.status
-    assert np.linalg.norm(s.closure_error(answer.q)[0, :3]) == pytest.approx(gap, rel=1e-6)
+    assert np.linalg.norm(s.loops.closure_error(answer.q)[0, :3]) == pytest.approx(gap, rel=1e-6)
     with pytest.raises(NoSolutionError, match="open by"):
         s.assemble().expect()
 
@@ -302,7 +305,7 @@ def test_continuous_rows_follow_each_other():
     driver = s.coordinate_names[0]
     for n in (36, 101, 360):
         angles = np.linspace(0.4, 0.4 + 2 * np.pi, n)
-        start = s.assemble({driver: 0.4}, start=s.posture("closed"))
+        start = s.assemble({driver: 0.4}, start=s.q("closed"))
         q = s.assemble({driver: angles}, start=start.q, prefer="continuous").q
         X = s.fk(q, "coupler") if "coupler" in s.body_names else s.fk(q)[:, 2]
         assert np.abs(X[:, 1, 0] - X[0, 1, 0]).max() < 1e-9, n  # the coupler does not turn
@@ -318,12 +321,12 @@ def test_what_is_left_open_is_nearest(seed):
     from kempe.solvers.charts import tangent_space
 
     s = kempe.load("stewart")
-    near = s.integrate(s.posture("closed"), 0.15 * np.random.default_rng(seed).normal(size=s.nv))
+    near = s.configuration_space.integrate(s.q("closed"), 0.15 * np.random.default_rng(seed).normal(size=s.nv))
     answer = s.assemble(start=near, prefer="nearest")
     assert answer
-    b = s.assembler(())
+    b = s.loops.assembler(())
     N, scale = tangent_space(s, answer.q)
-    away = s.difference(answer.q, near) / scale
+    away = s.configuration_space.difference(answer.q, near) / scale
     assert np.abs(N.T @ away).max() < 1e-5 * max(1.0, np.linalg.norm(away))
     assert b.freedoms == 6
 
@@ -344,7 +347,7 @@ def test_large_systems_are_sparse():
     sizes = [int(Assembler(row(n), ()).loops.plan[5]) for n in (100, 200)]
     assert sizes[1] < 2.1 * sizes[0]
     s = row(200)
-    near = s.integrate(s.neutral, 0.1 * np.random.default_rng(0).normal(size=s.nv))
+    near = s.configuration_space.integrate(s.neutral, 0.1 * np.random.default_rng(0).normal(size=s.nv))
     answer = s.assemble({"A0": 0.2}, start=near)
     assert answer.code == Status.SOLVED and answer.starts == 1
     assert np.abs(loops.residual(s, answer.q)).max() < 1e-12
@@ -370,7 +373,7 @@ def test_further_constraints():
     s = kempe.load("four_bar")
     answer = s.assemble(also=lambda q: q[0] + q[3] - 2.0)
     assert answer and answer.q[0] + answer.q[3] == pytest.approx(2.0, abs=1e-12)
-    assert np.abs(s.closure_error(answer.q)).max() < 1e-12
+    assert np.abs(s.loops.closure_error(answer.q)).max() < 1e-12
     rockers = rocker_angles(0.1, 0.5, 0.4, 0.4, answer.q[0])
     assert min(abs(math.remainder(answer.q[3] - r, 2 * math.pi)) for r in rockers) < 1e-12
     never = constraints.Function(lambda q: q[0] * 0.0 + 1.0, name="never")
@@ -387,7 +390,7 @@ def test_constraints_of_one_call():
     s = kempe.load("four_bar")
     answer = s.assemble(also=[constraints.Equation("A + D = 2")])
     assert answer and answer.q[0] + answer.q[3] == pytest.approx(2.0, abs=1e-12)
-    assert np.abs(s.closure_error(answer.q)).max() < 1e-12 and not s.mechanism.constraints
+    assert np.abs(s.loops.closure_error(answer.q)).max() < 1e-12 and not s.mechanism.constraints
     rockers = rocker_angles(0.1, 0.5, 0.4, 0.4, answer.q[0])
     assert min(abs(math.remainder(answer.q[3] - r, 2 * math.pi)) for r in rockers) < 1e-12
     rope = constraints.Distance("coupler_point", "ground", at_most=0.01)

@@ -160,8 +160,8 @@ def seen(system: kempe.System, q: np.ndarray, kind: str) -> str:
 
     Body k of a standard table has the axis of joint k + 1 as its z; body 5 begins where axes 5 and 6 meet.
     """
-    first = system.joints["q1"]
-    X = [system.fk(q, first.parent) @ first.X_PF.evaluate(system.parameters), *system.fk(q, LINKS)]
+    first = system.structure.joints["q1"]
+    X = [system.fk(q, first.parent) @ first.X_PF.evaluate(system.structure.parameters), *system.fk(q, LINKS)]
     z, p, wrist = [Y[:3, 2] for Y in X], [Y[:3, 3] for Y in X], X[5][:3, 3]
     n = np.cross(z[0], z[1])
     ahead = float((wrist - p[0]) @ n)

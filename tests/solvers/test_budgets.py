@@ -185,7 +185,7 @@ def test_what_is_lowered_is_said_to_be_cut_short(looks):
     looks(whole.starts + 2)
     cut = s.ik([tasks.Pose(HAND, X), posture], budget=kempe.Budget(time_limit=1.0))
     assert cut.success and cut.late and "time limit of 1 s ended it before all was lowered" in cut.status
-    missed = [np.sum(s.difference(posture.q, answer.q) ** 2) for answer in (cut, whole)]
+    missed = [np.sum(s.configuration_space.difference(posture.q, answer.q) ** 2) for answer in (cut, whole)]
     assert missed[0] >= missed[1] and cut.iterations < whole.iterations
     assert cut.position_error < ROUNDING and not whole.late
 

@@ -40,9 +40,9 @@ SYSTEMS = {"geared": geared, "balls": balls, "rssr": lambda: kempe.load("rssr"),
 def images(system: System, rng: np.random.Generator, q: np.ndarray, period: np.ndarray) -> np.ndarray:
     """The same places of all bodies in other coordinates: after full turns, with quaternions of the other sign."""
     q = q + 0.0
-    v = system.layout.vector_v
-    q[system.layout.vector_q] += rng.integers(-2, 3, size=len(v)) * period[v]
-    for i in system.layout.quaternion_q:
+    v = system.structure.layout.vector_v
+    q[system.structure.layout.vector_q] += rng.integers(-2, 3, size=len(v)) * period[v]
+    for i in system.structure.layout.quaternion_q:
         q[i : i + 4] *= rng.choice([-1.0, 1.0])
     return q
 
@@ -68,7 +68,7 @@ def check(hunt: Hunt, name: str, cases: int) -> None:
         noise = 10.0 ** rng.uniform(-9, -7.3)
         chosen = places[rng.integers(len(places), size=40)]
         q = np.array([images(system, rng, x, clusters.metric.period) for x in chosen])
-        q = system.integrate(q, rng.uniform(-1, 1, (40, system.nv)) * noise * clusters.metric.scale)
+        q = system.configuration_space.integrate(q, rng.uniform(-1, 1, (40, system.nv)) * noise * clusters.metric.scale)
         tolerance = 10.0 ** rng.uniform(-6, -4, 40)
         batches = np.split(np.arange(40), np.sort(rng.integers(41, size=2)))
         found = np.concatenate([clusters.add(q[b], tolerance[b]) for b in batches if len(b)])
@@ -95,7 +95,7 @@ def test_keys_differ_by_no_more_than_configurations(name, hunt):
     metric = Clusters(system).metric
     q = system.random(rng, 2000)
     for size in (1e-8, 1e-3, 1.0):
-        to = system.integrate(q, rng.uniform(-1, 1, (len(q), system.nv)) * size * metric.scale)
+        to = system.configuration_space.integrate(q, rng.uniform(-1, 1, (len(q), system.nv)) * size * metric.scale)
         to = np.array([images(system, rng, x, metric.period) for x in to])
         apart = np.abs(metric.keys(to) - metric.keys(q))
         assert (apart <= metric.steepest * metric.distances(to, q) + 1e-12).all()

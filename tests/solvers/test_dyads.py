@@ -49,7 +49,7 @@ def slider_crank(r=1.0, rod=3.0, offset=0.5) -> kempe.System:
 
 
 def assert_closed(system, q, tolerance=1e-12):
-    assert np.abs(system.closure_error(q)).max(initial=0.0) < tolerance
+    assert np.abs(system.loops.closure_error(q)).max(initial=0.0) < tolerance
 
 
 def angle_between(a, b):
@@ -354,7 +354,7 @@ def test_circles_that_do_not_meet_nearly_touch(b, gap):
     assert abs(got - gap) < 1e-12 and ok == (gap == 0.0)
     tip = system.fk(q, "coupler") @ [b, 0, 0, 1]
     assert np.abs(tip[:2] - [-1.0 + b, 0.0]).max() < 1e-12
-    assert abs(np.linalg.norm(system.closure_error(q)[0, :3]) - gap) < 1e-12
+    assert abs(np.linalg.norm(system.loops.closure_error(q)[0, :3]) - gap) < 1e-12
     double = plan.all([math.pi])[0]
     assert np.abs(double[0] - double[1]).max() < 1e-12 or angle_between(*double).max() < 1e-12
 

@@ -111,7 +111,7 @@ def test_hunt_folded_cells(hunt):
 
 def test_a_change_point_is_compared_with_home():
     system = kempe.load("parallelogram")
-    status = system.assemble(start=system.posture("flat")).status
+    status = system.assemble(start=system.q("flat")).status
     assert status.endswith("2 freedoms left open, 1 at home: singular here, or on another branch")
 
 
@@ -121,7 +121,7 @@ def test_a_change_point_is_compared_with_home():
 def test_no_warning_where_nothing_is_wrong(name):
     """Neither redundant constraints nor idle spins nor compound pins are anything to warn of."""
     system = kempe.load(name)
-    assert system.assemble(start=system.posture("closed")).status.endswith("left open")
+    assert system.assemble(start=system.q("closed")).status.endswith("left open")
 
 
 def test_all_given_leaves_nothing_to_say():

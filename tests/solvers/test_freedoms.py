@@ -58,9 +58,9 @@ def test_at_the_edge_of_the_workspace_a_freedom_is_there_to_first_order_only(see
     answer = s.ik(task, start=np.array(seed))
     assert (answer.success, answer.m, answer.n, answer.rank, answer.redundancy) == (True, 2, 2, 1, 1)
     assert f"1 freedom {RANK_LOST}" in answer.status
-    m = s.self_motion(answer.q, task)
+    m = s.inverse.self_motion(answer.q, task)
     assert len(m) == 1 and m.freedoms == 0 and not m.closed and RANK_LOST in str(m)
-    assert RANK_LOST in str(s.self_motion(np.array([0.4, 0.0]), "e", task="position"))
+    assert RANK_LOST in str(s.inverse.self_motion(np.array([0.4, 0.0]), "e", task="position"))
 
 
 @pytest.mark.parametrize("bend", [1e-2, 1e-3, 1e-4, 1e-5])
@@ -118,7 +118,7 @@ def lines(hunt, count: int) -> tuple[int, int]:
         if definite:
             isolated += 1
             assert RANK_LOST in answer.status, (lengths, q)
-            assert len(s.self_motion(q, task)) == 1
+            assert len(s.inverse.self_motion(q, task)) == 1
         else:
             crossed += 1
             left = n - 2
@@ -130,7 +130,7 @@ def lines(hunt, count: int) -> tuple[int, int]:
             wish = np.cross(along, rng.normal(size=3)) if n == 3 else rng.normal(size=n)
             if abs(along @ wish) > 0.95 * np.linalg.norm(along) * np.linalg.norm(wish):
                 continue  # the tasks leave too little of this direction
-            m = s.self_motion(q, task, direction=wish, budget=kempe.Budget(points=5))
+            m = s.inverse.self_motion(q, task, direction=wish, budget=kempe.Budget(points=5))
             assert m.freedoms == left and np.abs(tips(lengths, m.q) - task.target).max() < 1e-8
             assert np.linalg.norm(m.q - q, axis=1).max() > 0.05
     return isolated, crossed
@@ -226,7 +226,7 @@ def loop_length(jacobian, q, longest: float) -> tuple[float, object]:
 
 def check_walk(s: kempe.System, q, task, jacobian, steps: int, hidden) -> bool | None:
     """Whether a walk is closed where the integrated curve is, has points on it, evenly, and ends in words otherwise."""
-    m = s.self_motion(q, task, budget=kempe.Budget(points=steps))
+    m = s.inverse.self_motion(q, task, budget=kempe.Budget(points=steps))
     assert m.freedoms == 1 and hidden(m.q) < 1e-8
     longest = 0.05 * (2.2 * steps + 4)
     length, curve = loop_length(jacobian, np.asarray(q, dtype=float), longest)
@@ -234,7 +234,7 @@ def check_walk(s: kempe.System, q, task, jacobian, steps: int, hidden) -> bool |
     assert gaps.max() < 0.08 and gaps.min() > 1e-7
     walked = gaps.sum()
     if m.closed:
-        gap = s.difference(m.q[-1], m.q[0])
+        gap = s.configuration_space.difference(m.q[-1], m.q[0])
         gap -= 2 * np.pi * np.round(gap / (2 * np.pi))
         assert np.linalg.norm(gap) < 0.06 and length < math.inf
         assert walked + np.linalg.norm(gap) == pytest.approx(length, rel=0.02, abs=0.02)
@@ -249,7 +249,7 @@ def test_a_closed_curve_is_recognised_from_both_sides(steps):
     """349 configurations: with 174 steps each way the two ends meet, with fewer they do not."""
     lengths, q = np.array([1.0, 0.8, 0.6]), np.array([0.4, 1.9, 1.2])
     s = planar(lengths)
-    m = s.self_motion(q, "tip", task="position", budget=kempe.Budget(points=steps))
+    m = s.inverse.self_motion(q, "tip", task="position", budget=kempe.Budget(points=steps))
     assert m.closed == (steps > 174)
     assert len(m) <= 349 and (not m.closed or len(m) >= 348)
     assert np.abs(tips(lengths, m.q) - tips(lengths, q)).max() < 1e-9
@@ -293,7 +293,7 @@ def test_many_walks_of_redundant_arms(hunt):
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_a_direction_says_which_way_is_forth(sense):
     s = kempe.load("panda")
-    m = s.self_motion(s.mid, "tool", direction=sense * np.eye(7)[0], budget=kempe.Budget(points=3))
+    m = s.inverse.self_motion(s.mid, "tool", direction=sense * np.eye(7)[0], budget=kempe.Budget(points=3))
     assert sense * (m.q[m.start + 1, 0] - m.q[m.start, 0]) > 0.0
 
 
@@ -302,9 +302,9 @@ def test_where_self_motions_branch_the_direction_chooses():
     s = planar((1.0, 1.0, 1.0))
     q = np.array([0.0, math.pi, 0.0])
     with pytest.raises(InputError, match="branch here: say by `direction`"):
-        s.self_motion(q, "tip", task="position")
+        s.inverse.self_motion(q, "tip", task="position")
     for direction, way in (("q1", (1.0, 0.0, -1.0)), ("q2", (-1.0, 1.0, -1.0))):
-        m = s.self_motion(q, "tip", task="position", direction=direction, budget=kempe.Budget(points=5))
+        m = s.inverse.self_motion(q, "tip", task="position", direction=direction, budget=kempe.Budget(points=5))
         np.testing.assert_allclose((m.q[-1] - q) / np.linalg.norm(m.q[-1] - q), way / np.linalg.norm(way), atol=1e-6)
 
 
@@ -313,11 +313,11 @@ def test_a_frame_is_held_at_what_the_task_names(task):
     s = kempe.load("panda")
     q = s.mid
     X = s.fk(q, "tool")
-    m = s.self_motion(q, "tool", task=task, direction=np.ones(7), budget=kempe.Budget(points=10))
+    m = s.inverse.self_motion(q, "tool", task=task, direction=np.ones(7), budget=kempe.Budget(points=10))
     Y = s.fk(m.q, "tool")
     place, turned = np.abs(Y[:, :3, 3] - X[:3, 3]).max(), np.abs(Y[:, :3, :3] - X[:3, :3]).max()
     pointed = np.abs(Y[:, :3, 2] - X[:3, 2]).max()
     assert (place < 1e-8) == ("position" in task) and (turned < 1e-8) == (task == "orientation")
     assert (pointed < 1e-8) == (task != "position")
     with pytest.raises(InputError, match="task"):
-        s.self_motion(q, tasks.Pose("tool", X), task=task)
+        s.inverse.self_motion(q, tasks.Pose("tool", X), task=task)

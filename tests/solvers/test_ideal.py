@@ -23,7 +23,11 @@ CASES = pytest.mark.parametrize("name", NAMES)
 
 def of(name: str, digits: int, hunt) -> tuple[System, System, np.ndarray]:
     system = exact(name)
-    return system, rounded(system, digits, hunt.rng()), system.posture("closed") if system.posture_names else system.mid
+    return (
+        system,
+        rounded(system, digits, hunt.rng()),
+        system.q("closed") if system.structure.posture_names else system.mid,
+    )
 
 
 def moves_like(system: System, given: System, digits: int, tolerance: float | str | None) -> None:
@@ -32,20 +36,20 @@ def moves_like(system: System, given: System, digits: int, tolerance: float | st
     off, driver, other = 10.0**-digits, system.coordinate_names[0], system.coordinate_names[1]
     m: Any = given.mobility(**more)
     assert m.dof == 1 and m.closed and not m.certain and "within" in m.sentence and m.within.tolerance < 3.0 * off
-    start = system.posture("closed")[0] if "closed" in system.posture_names else system.assemble().q[0]
+    start = system.q("closed")[0] if "closed" in system.structure.posture_names else system.assemble().q[0]
     answer: Any = given.assemble({driver: start + 0.1}, **more)
     assert answer and answer.residual < 1e-12 and "within" in answer.status
     ideal = answer.within.system
     path = given.trace(driver, **more)
     assert path.success and path.closed and "within" in path.status
-    assert np.abs(ideal.closure_error(path.q)).max() < 1e-11
-    assert np.abs(given.closure_error(path.q)).max() < 30.0 * off
+    assert np.abs(ideal.loops.closure_error(path.q)).max() < 1e-11
+    assert np.abs(given.loops.closure_error(path.q)).max() < 30.0 * off
     truth = system.assemble(start=path.q, limits=False, prefer="nearest")
     assert np.all(truth.success) and np.abs(truth.q - path.q).max() < 100.0 * math.sqrt(off) and np.median(
         np.abs(truth.q - path.q).max(axis=1)) < 100.0 * off  # fmt: skip
     assert given.drive({driver: start + np.linspace(0.0, 0.2, 5)}, **more).success
     assert given.independent(answer.q, **more).dim == 1 and given.classify(answer.q, **more).position_dof == 1
-    found = given.loop_jacobian(answer.q, [driver], [other], **more)
+    found = given.loops.jacobian(answer.q, [driver], [other], **more)
     near, h = system.assemble({driver: start + 0.1}, start=answer.q).q, 1e-5
     a, b = (system.assemble({driver: near[0] + s * h}, start=near).q[1] for s in (-1.0, 1.0))
     assert found and abs(found.matrix[0, 0] - (b - a) / (2.0 * h)) < 1e3 * off + 1e-8
@@ -118,7 +122,7 @@ def test_an_angle_near_a_right_one_is_made_one():
     found: Any = given.idealised()
     assert "1.5708" in found.changes[0].old and found.changes[0].new == "roll pi/2" and len(found.changes) == 1
     assert found.tolerance == pytest.approx(1.5708 - math.pi / 2) and found.freedoms == 1
-    assert set(found.absorbed) <= set(given.closures)
+    assert set(found.absorbed) <= set(given.structure.closures)
     np.testing.assert_allclose(given.trace("A").length, right.trace("A").length, rtol=1e-9)
     report = given.mobility()
     assert "'D' on its parent" in str(report) and "would lock it" in report.sentence
@@ -177,7 +181,7 @@ def test_a_tolerance_of_the_mechanism_holds_for_all_verbs_and_in_files(hunt, tmp
     m = given.mechanism
     m.tolerance = 2e-3
     system = kempe.load(m.save(tmp_path / "rounded.toml"))
-    assert system.tolerance == 2e-3 and system.mobility().dof == 1 and system.trace("q1").closed
+    assert system.structure.tolerance == 2e-3 and system.mobility().dof == 1 and system.trace("q1").closed
     assert system == m.build() and system != given
     path = tmp_path / "wrong.toml"
     path.write_text('format = 1\ntolerance = "no"\n')

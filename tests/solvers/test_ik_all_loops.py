@@ -15,29 +15,29 @@ from kempe.errors import InputError, NoSolutionError, UnknownNameError, Unsuppor
 def test_each_leg_stands_in_its_own_ways(name, count):
     """An arm of the delta robot has two angles for a place of the platform (circle and sphere): 2^3 in all."""
     system = kempe.load(name)
-    X = system.fk(system.posture("closed"), "platform")
+    X = system.fk(system.q("closed"), "platform")
     found = system.ik_all(X, "platform")
     assert len(found) == count and found.inside.all() and not found.complete and "idle spins left out" in found.status
     np.testing.assert_allclose(system.fk(found.q, "platform"), np.broadcast_to(X, (count, 4, 4)), atol=1e-9)
-    assert np.abs(system.closure_error(found.q)).max() < 1e-9
+    assert np.abs(system.loops.closure_error(found.q)).max() < 1e-9
 
 
 def test_working_modes_of_planar_robots():
     """Two angles of each leg by the cosine law: 2^2 for the five-bar's tip, 2^3 for 3-RRR."""
     five = kempe.load("five_bar")
-    tip = five.fk(five.posture("closed"), "tip")[:2, 3]
+    tip = five.fk(five.q("closed"), "tip")[:2, 3]
     assert len(five.ik_all(tip, "tip")) == 4
     robot = kempe.load("three_rrr")
-    q = robot.posture("closed")
+    q = robot.q("closed")
     found = robot.ik_all(robot.fk(q, "tool"), "tool", start=q)
     assert len(found) == 8
     np.testing.assert_allclose(robot.fk(found.q, "tool"), np.broadcast_to(robot.fk(q, "tool"), (8, 4, 4)), atol=1e-9)
-    np.testing.assert_allclose(robot.difference(found.q[0], q), 0.0, atol=1e-7)
+    np.testing.assert_allclose(robot.configuration_space.difference(found.q[0], q), 0.0, atol=1e-7)
 
 
 def test_inside_the_limits_first():
     system = kempe.load("stewart")
-    X = system.fk(system.posture("closed"), "platform")
+    X = system.fk(system.q("closed"), "platform")
     legs = [i for i, n in enumerate(system.coordinate_names) if n.startswith("leg")]
     everything = system.ik_all(X, "platform")
     few = system.ik_all(X, "platform", limits=True)
@@ -64,7 +64,7 @@ def test_what_cannot_be_reached_is_empty():
 )
 def test_what_is_refused(change, options, error, says):
     system = kempe.load("three_rrr")
-    X = system.fk(system.posture("closed"), "tool")
+    X = system.fk(system.q("closed"), "tool")
     with pytest.raises(error, match=says):
         system.ik_all(X * change, "tool", **options)
 
@@ -72,7 +72,7 @@ def test_what_is_refused(change, options, error, says):
 def test_held_joints_choose():
     """One leg held at each of its two angles leaves the others' 2^2."""
     robot = kempe.load("three_rrr")
-    q = robot.posture("closed")
+    q = robot.q("closed")
     X, first = robot.fk(q, "tool"), robot.coordinate_names[0]
     found = robot.ik_all(X, "tool")
     _, at = np.unique(np.round(found.q[:, 0], 6), return_index=True)
@@ -81,4 +81,4 @@ def test_held_joints_choose():
     parts = [robot.ik_all(X, "tool", fixed={first: v}) for v in values]
     assert [len(p) for p in parts] == [4, 4]
     pairs = itertools.product(found.q, np.concatenate([p.q for p in parts]))
-    assert sum(np.abs(robot.difference(a, b)).max() < 1e-6 for a, b in pairs) == 8
+    assert sum(np.abs(robot.configuration_space.difference(a, b)).max() < 1e-6 for a, b in pairs) == 8

@@ -73,7 +73,7 @@ def configurations(system: kempe.System, rng: np.random.Generator, number: int) 
     """Configurations (number, nq) inside the limits: anywhere, half of the joints at a limit, all of them, and many at
     zero, where arms are stretched."""
     q = system.random(rng, number)
-    low, high = system.limits.T
+    low, high = system.structure.limits.T
     ends = np.where(rng.random(q.shape) < 0.5, low, high)
     ends = np.where(np.isfinite(ends), ends, q)
     kind = np.arange(number)[:, None] % 4
@@ -88,7 +88,7 @@ def assert_reached(system, frame, answer, poses, targets, tolerance=1e-8):
     assert off[answer.mask].max() < tolerance
     chain = answer.plan.lines.v_index
     q = answer.q[answer.inside][:, answer.plan.lines.q_index]
-    assert (q >= system.limits[chain, 0]).all() and (q <= system.limits[chain, 1]).all()
+    assert (q >= system.structure.limits[chain, 0]).all() and (q <= system.structure.limits[chain, 1]).all()
     for name, value in answer.held.items():
         own = answer.q[..., system.coordinate_names.index(name)]
         turns = (own - value[:, None])[answer.mask] / (2 * PI)
@@ -318,10 +318,10 @@ def test_a_sweep_holds_the_others_where_there_is_a_solution():
 def test_values_of_their_own_give_the_same_bits_in_batches(name, hunt):
     """Held by name at arrays, held near configurations, and held elsewhere by choice: as each target alone."""
     rng, robot = hunt.rng(), kempe.load(name)
-    frame, joint = list(robot.frames)[-1], robot.coordinate_names[-1]
+    frame, joint = list(robot.structure.frames)[-1], robot.coordinate_names[-1]
     q = robot.random(rng, hunt.cases(30))
     X = robot.fk(q, frame)
-    ways = [lambda k: {}, lambda k: {"near": q[k]}, lambda k: {"fixed": {joint: q[k][..., -1]}}]
+    ways = [lambda k: {}, lambda k: {"start": q[k]}, lambda k: {"fixed": {joint: q[k][..., -1]}}]
     for way in ways:
         together = ik_all(robot, X, frame, **way(slice(None)))
         few = ik_all(robot, X[:3], frame, **way(slice(3)))
@@ -335,7 +335,7 @@ def test_values_of_their_own_give_the_same_bits_in_batches(name, hunt):
 def test_what_is_held_beyond_its_limits_is_outside(name, hunt):
     """Also where the value less a turn is inside; alone, in a batch, and with values of their own."""
     rng, robot = hunt.rng(), kempe.load(name)
-    frame = list(robot.frames)[-1]
+    frame = list(robot.structure.frames)[-1]
     at = max(i for i in range(robot.nq) if np.isfinite(robot.upper[i]))
     joint, X = robot.coordinate_names[at], robot.fk(robot.random(rng, hunt.cases(20)), frame)
     first = robot.lower[at] + 0.1

@@ -19,7 +19,7 @@ def panda() -> System:
 
 @pytest.fixture(scope="module")
 def six(panda) -> System:
-    return panda.lock({"panda_joint3": 0.4})
+    return panda.mechanism.lock({"panda_joint3": 0.4}).build()
 
 
 def moved(X: np.ndarray, twist: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ def again(s: System, make: Make, q: np.ndarray, step: float, direction: np.ndarr
     def difference(h: float) -> np.ndarray:
         ends = [s.ik(make(x * h * direction), start=q, **TIGHT, **options) for x in (1.0, -1.0)]
         assert all(ends), ends[0].status
-        return s.difference(ends[1].q, ends[0].q) / (2.0 * h)
+        return s.configuration_space.difference(ends[1].q, ends[0].q) / (2.0 * h)
 
     return (4.0 * difference(step / 2.0) - difference(step)) / 3.0
 
@@ -117,7 +117,11 @@ def test_quaternions():
     names = s.coordinate_names[i : i + 4]
     held = s.ik(tasks.Posture(dict(zip(names, q[i : i + 4], strict=True)), weight=None), start=q, **TIGHT)
     D = held.derivative[next(iter(held.derivative))]
-    v = s.velocity_names.index("S1.wx") if "S1.wx" in s.velocity_names else int(s.layout.quaternion_v[0])
+    v = (
+        s.structure.velocity_names.index("S1.wx")
+        if "S1.wx" in s.structure.velocity_names
+        else int(s.structure.layout.quaternion_v[0])
+    )
     assert D.shape == (s.nv, 3)
     np.testing.assert_allclose(D[v : v + 3], np.eye(3), atol=1e-8)
 

@@ -70,7 +70,7 @@ def robot_of(name):
 
 
 def inside(robot, q):
-    at_q, at_v = robot.layout.vector_q, robot.layout.vector_v
+    at_q, at_v = robot.structure.layout.vector_q, robot.structure.layout.vector_v
     return bool((q[..., at_q] >= robot.lower[at_v]).all() and (q[..., at_q] <= robot.upper[at_v]).all())
 
 
@@ -132,7 +132,7 @@ def test_arguments_are_checked():
     with pytest.raises(InputError, match="'sideways'; it must be one of 'pose'"):
         robot.ik(X, frame, task="sideways")
     with pytest.raises(InputError, match="position_only"):
-        robot.ik(X, frame, task="orientation", position_only=True)
+        robot.ik(X, frame, task="orientation", task="position")
     with pytest.raises(InputError, match="asks for an orientation"):
         robot.ik(X[:3, 3], frame, task="pose")
     with pytest.raises(InputError, match="not all zero"):
@@ -292,9 +292,9 @@ BATTERY = 10_000
 
 def at_limits(robot, frame, q, rng):
     """Half of the chain's joints exactly at a limit, of those that have limits."""
-    rows = robot.table.path(frame)
-    v = np.array(sorted({int(robot.table.iv[k]) for k in rows}))
-    at = np.array([int(robot.table.iq[next(k for k in rows if robot.table.iv[k] == i)]) for i in v])
+    rows = robot.structure.table.path(frame)
+    v = np.array(sorted({int(robot.structure.table.iv[k]) for k in rows}))
+    at = np.array([int(robot.structure.table.iq[next(k for k in rows if robot.structure.table.iv[k] == i)]) for i in v])
     low, high = robot.lower[v], robot.upper[v]
     low, high = np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
     chosen = np.argsort(rng.random((len(q), len(v))), axis=1) < len(v) // 2

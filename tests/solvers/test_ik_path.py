@@ -157,7 +157,7 @@ def test_closed_loops_stay_closed():
     p = platform.ik_path(tasks.Pose("platform", targets), start=start)
     assert p, p.status
     np.testing.assert_allclose(platform.fk(p.q, "platform"), targets, atol=1e-9)
-    assert np.abs(platform.closure_error(p.q)).max() < 1e-9
+    assert np.abs(platform.loops.closure_error(p.q)).max() < 1e-9
 
 
 def test_bad_input_is_refused_and_no_start_is_said():

@@ -25,7 +25,7 @@ def panda() -> System:
 @pytest.fixture(scope="module")
 def six(panda) -> System:
     """Six joints, no redundancy."""
-    return panda.lock({"panda_joint3": 0.4})
+    return panda.mechanism.lock({"panda_joint3": 0.4}).build()
 
 
 def box(system: System, q: np.ndarray, speed: float) -> tuple[np.ndarray, np.ndarray]:
@@ -79,7 +79,7 @@ def test_limits_are_those_of_a_bounded_least_squares_problem(six):
         np.testing.assert_allclose(s.twist, J @ s.velocity, atol=1e-12)
         assert np.all(s.q >= six.lower) and np.all(s.q <= six.upper)
         at = (s.velocity <= low) | (s.velocity >= high)
-        assert s.saturated == tuple(np.array(six.velocity_names)[at])
+        assert s.saturated == tuple(np.array(six.structure.velocity_names)[at])
         met += at.any()
     assert met > 10
 

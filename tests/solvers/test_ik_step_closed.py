@@ -64,7 +64,7 @@ def test_loops_stay_closed_over_many_steps(system, frame, known, axes, weights, 
             assert np.abs(residual(system, q)).max() < 1e-11
             C = evaluate(system, before)[1]
             np.testing.assert_allclose(C @ s.velocity, 0.0, atol=1e-9)  # first order
-            np.testing.assert_allclose(system.difference(before, q) / DT, s.velocity, atol=0.02)
+            np.testing.assert_allclose(system.configuration_space.difference(before, q) / DT, s.velocity, atol=0.02)
             np.testing.assert_allclose(s.twist, system.jacobian(before, frame) @ s.velocity, atol=1e-12)
 
 
@@ -84,17 +84,17 @@ def test_the_part_of_a_direction_is_that_of_a_linear_program():
         got = s.ik_step(q, [*twist, 0, 0, 0, 0], "toe", DT, velocity_limits=fast, keep_direction=True, weights=PLANE)
         assert got.fraction == pytest.approx(best.x[-1], abs=1e-4)
         np.testing.assert_allclose(got.twist[:2], got.fraction * twist, atol=1e-4)
-        assert np.all(np.abs(s.difference(q, got.q)) <= fast * DT * (1 + 1e-9))
+        assert np.all(np.abs(s.configuration_space.difference(q, got.q)) <= fast * DT * (1 + 1e-9))
         met += got.fraction < 0.99
     assert met > 5
 
 
 def test_limits_of_speed_and_position_are_those_of_a_general_optimiser():
     s, rng, met = leg(0.8), np.random.default_rng(1), 0
-    assert s.velocity_limits[s.velocity_names.index("motor")] == 0.8
+    assert s.structure.velocity_limits[s.structure.velocity_names.index("motor")] == 0.8
     for _ in range(12):
         q = s.assemble({"motor": rng.uniform(-0.5, 1.2), "rail": rng.choice([-0.3, 0.0, 0.3])}).q
-        wish, speed = rng.normal(size=2), np.minimum(s.velocity_limits, 3.0)
+        wish, speed = rng.normal(size=2), np.minimum(s.structure.velocity_limits, 3.0)
         got = s.ik_step(q, [*wish, 0, 0, 0, 0], "toe", DT, velocity_limits=speed, weights=PLANE, damping=0.0)
         J, C = s.jacobian(q, "toe")[:2], evaluate(s, q)[1]
         low, high = np.maximum(-speed, (s.lower - q) / DT), np.minimum(speed, (s.upper - q) / DT)

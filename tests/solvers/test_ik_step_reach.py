@@ -187,7 +187,11 @@ def test_without_limits_of_speed_stated_ones_hold():
     m.couple("fast", {"geared": 4.0})
     m.frame("tip", "disc", at=(0.5, 0.0, 0.0))
     s = m.build()
-    assert dict(zip(s.velocity_names, speeds(s), strict=True)) == {"rail": SLIDING, "turn": 9.0, "geared": TURNING / 4}
+    assert dict(zip(s.structure.velocity_names, speeds(s), strict=True)) == {
+        "rail": SLIDING,
+        "turn": 9.0,
+        "geared": TURNING / 4,
+    }
     for wanted in (np.full(6, 1e4), spatial.pose(p=[50.0, 30.0, 0.0])):
         assert (np.abs(s.ik_step(s.neutral + 0.1, wanted, "tip", 0.01, damping=0.0).velocity) <= speeds(s)).all()
     free = s.ik_step(s.neutral + 0.1, np.full(6, 1e4), "tip", 0.01, damping=0.0, velocity_limits=math.inf)
@@ -212,7 +216,7 @@ def test_under_loops_it_settles_too(name, frame, by, weights):
     X[:3, 3] += by
     Q = motion(s, q, X, frame, 0.01, 3.0, weights=weights)
     assert turns_back(Q, 0.01) == 0
-    assert np.abs(s.closure_error(Q[-1])).max() < 1e-11
+    assert np.abs(s.loops.closure_error(Q[-1])).max() < 1e-11
 
 
 def asked_of(name: str, s: System, frame: str, q: np.ndarray) -> list[list]:

@@ -310,7 +310,7 @@ def test_loops_and_relations_hold_where_the_frame_moves_with_them():
     robot = m.build()
     pose = robot.fk(robot.assemble({"A": 0.7}).q, "b")
     s = robot.ik(pose, "b")
-    assert s.success and np.abs(robot.closure_error(s.q)).max() < 1e-9
+    assert s.success and np.abs(robot.loops.closure_error(s.q)).max() < 1e-9
     assert robot.q_dict(s.q)["A"] == pytest.approx(0.7, abs=1e-6)
     assert not robot.ik([0.0, 1.5], "b")
     assert robot.ik([0.0, 6.0], "tip").success

@@ -17,8 +17,10 @@ FILES = good_urdf_files()
 def tips(robot):
     """Ends of the two longest chains, and the last body that carries on from one of them."""
     inner = set(robot.parent)
-    ends = [name for i, name in enumerate(robot.body_names) if i and i not in inner and robot.table.path(name)]
-    return sorted(ends, key=lambda name: (-len(robot.table.path(name)), name))[:2]
+    ends = [
+        name for i, name in enumerate(robot.body_names) if i and i not in inner and robot.structure.table.path(name)
+    ]
+    return sorted(ends, key=lambda name: (-len(robot.structure.table.path(name)), name))[:2]
 
 
 def model_of(path):
@@ -65,7 +67,7 @@ def test_every_reachable_target_is_found(name):
         q = robot.random(1, TARGETS)
         X = pinocchio_poses(model, robot, q, frame)
         s = robot.ik(X, frame)
-        at_q, at_v = robot.layout.vector_q, robot.layout.vector_v
+        at_q, at_v = robot.structure.layout.vector_q, robot.structure.layout.vector_v
         assert s.success.all(), f"{frame}: {s}"
         assert (s.q[:, at_q] >= robot.lower[at_v]).all() and (s.q[:, at_q] <= robot.upper[at_v]).all()
         Y = pinocchio_poses(model, robot, s.q, frame)

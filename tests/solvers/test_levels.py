@@ -57,8 +57,8 @@ def task(s: System, rng: np.random.Generator, q: np.ndarray, level: int, soft: b
 def missed(s: System, answer: Reached, wanted: tasks.Task) -> float:
     """What a task misses, by the forward model; lengths in those of the solver."""
     if isinstance(wanted, tasks.Posture):
-        far = s.difference(np.asarray(wanted.q), answer.q)
-        slides = s.layout.vector_v[~s.coordinates.turning[s.layout.vector_v]]
+        far = s.configuration_space.difference(np.asarray(wanted.q), answer.q)
+        slides = s.structure.layout.vector_v[~s.structure.coordinates.turning[s.structure.layout.vector_v]]
         far[slides] /= answer.asked.packed.loops.length
         return float(np.linalg.norm(far))
     linear, angular = answer.errors[wanted.name]

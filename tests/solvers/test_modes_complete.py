@@ -80,9 +80,9 @@ def test_an_idle_spin_does_not_make_modes_infinitely_many(frame):
 @pytest.mark.parametrize("frame", [None, "platform"])
 def test_legs_between_balls_are_counted_by_their_platform(frame):
     system = kempe.load("stewart_sps")
-    q = system.q_dict(system.posture("closed"))
+    q = system.q_dict(system.q("closed"))
     known = {n: q[n] for n in system.coordinate_names if n.startswith("leg")} or {
-        j.name: q[j.name] for j in system.joints.values() if j.actuated
+        j.name: q[j.name] for j in system.structure.joints.values() if j.actuated
     }
     modes = assembly_modes(system, known, frame=frame, limits=False)
     heights = system.fk(modes.q, "platform")[:, 2, 3]
@@ -108,7 +108,7 @@ def test_what_moves_besides_the_spin_is_still_not_finite():
 def test_a_known_spin_is_none():
     """The rod held by its ball: the spin is given, and nothing is left out."""
     system = kempe.load("rssr")
-    closed = system.q_dict(system.posture("closed"))
+    closed = system.q_dict(system.q("closed"))
     known = {n: closed[n] for n in ("A", "B.qw", "B.qx", "B.qy", "B.qz")}
     modes = assembly_modes(system, known)
     assert "idle" not in modes.status and not modes.freedoms.any()
@@ -140,7 +140,7 @@ def test_where_the_number_is_even_by_theorem():
     system, known = six_sps(rng, False)
     assert must_be_even(found(system, known)) and not must_be_even(found(system, known, "platform"))
     system = kempe.load("three_rrr")
-    assert must_be_even(found(system, {n: system.q_dict(system.posture("closed"))[n] for n in ("A1", "A2", "A3")}))
+    assert must_be_even(found(system, {n: system.q_dict(system.q("closed"))[n] for n in ("A1", "A2", "A3")}))
     assert must_be_even(found(kempe.load("rssr"), {"A": 0.4}))
 
 
@@ -209,7 +209,7 @@ def test_the_bound_holds_as_often_as_it_says():
 
 def test_no_search_claims_all():
     system = kempe.load("three_rrr")
-    modes = assembly_modes(system, {n: system.q_dict(system.posture("closed"))[n] for n in ("A1", "A2", "A3")})
+    modes = assembly_modes(system, {n: system.q_dict(system.q("closed"))[n] for n in ("A1", "A2", "A3")})
     assert 0.9 < modes.coverage < 1.0 and "100 %" not in modes.status and "95 % confidence" in modes.status
 
 

@@ -65,7 +65,7 @@ def assert_all_found(system: System, known: dict[str, float], q: np.ndarray, cou
     assert len(found) == len(wanted) == count and not modes.freedoms.any() and not modes.complete
     apart = np.abs(found[:, None] - wanted[None]).max(axis=(2, 3))
     assert apart.min(axis=0).max() < 1e-6
-    assert np.abs(system.closure_error(modes.q)).max() < 1e-9
+    assert np.abs(system.loops.closure_error(modes.q)).max() < 1e-9
     assert "6 idle spins left out" in modes.status
     few = system.assembly_modes(known, limits=False, frame="platform")
     assert len(few) == count
@@ -74,7 +74,7 @@ def assert_all_found(system: System, known: dict[str, float], q: np.ndarray, cou
 def test_dietmaiers_platform_on_balls_has_forty_poses():
     """Dietmaier, 1998: 40, not 40 times infinitely many, as its legs spin."""
     shipped = kempe.load("stewart_dietmaier")
-    q, system = shipped.posture("closed"), on_balls("stewart_dietmaier").build()
+    q, system = shipped.q("closed"), on_balls("stewart_dietmaier").build()
     known = {n: v for n, v in shipped.q_dict(q).items() if n.startswith("leg")}
     at = system.assemble(known).q
     assert_all_found(system, known, at, 40)
@@ -83,7 +83,7 @@ def test_dietmaiers_platform_on_balls_has_forty_poses():
 def test_a_delta_robot_on_balls_has_twelve_poses_for_its_arms():
     """Six distances: of the 12 two are translations, those of the same robot on universal joints."""
     system, other = kempe.load("delta_ss"), kempe.load("delta_uu")
-    q = system.posture("closed")
+    q = system.q("closed")
     known = {n: system.q_dict(q)[n] for n in ("A1", "A2", "A3")}
     assert_all_found(system, known, q, 12)
     poses = system.fk(system.assembly_modes(known).q, "platform")

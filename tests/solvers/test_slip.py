@@ -46,8 +46,8 @@ def test_steps_do_not_slip(hunt):
                            None, dt),
         ):  # fmt: skip
             assert abs(slips(system, "body", q, step.velocity)) < 1e-9
-            way = system.difference(q, step.q)
-            middle = system.integrate(q, 0.5 * way)
+            way = system.configuration_space.difference(q, step.q)
+            middle = system.configuration_space.integrate(q, 0.5 * way)
             assert abs(slips(system, "body", middle, way)) < 1e-3 * dt**3 + 0.5 * np.linalg.norm(way) ** 3
 
 
@@ -77,14 +77,14 @@ def test_cycles_lead_a_mobile_arm_to_its_target():
 
 def test_velocities_of_a_car():
     system = wheels.car(length=1.2)
-    J = system.loop_jacobian([1.0, 2.0, 0.7, 0.3], ["pose.x", "steer"], ["pose.y", "pose.rz", "fork"])
+    J = system.loops.jacobian([1.0, 2.0, 0.7, 0.3], ["pose.x", "steer"], ["pose.y", "pose.rz", "fork"])
     assert J.success and J.nullity == 2
     forward = 1.0 / math.cos(0.7)
     assert J.matrix[0] == pytest.approx([math.tan(0.7), 0.0])
     assert J.matrix[1] == pytest.approx([forward * math.tan(0.3) / 1.2, 0.0])
-    loose = system.loop_jacobian([0, 0, 0, 0.3], ["steer"], ["pose.x"])
+    loose = system.loops.jacobian([0, 0, 0, 0.3], ["steer"], ["pose.x"])
     assert not loose and "not determined" in loose.status
-    assert system.mechanical_advantage([0, 0, 0, 0.3], "pose.x", "pose.rz") == pytest.approx(1.2 / math.tan(0.3))
+    assert system.loops.mechanical_advantage([0, 0, 0, 0.3], "pose.x", "pose.rz") == pytest.approx(1.2 / math.tan(0.3))
 
 
 def test_a_belt_under_the_wheel_is_no_proportion():
@@ -93,7 +93,7 @@ def test_a_belt_under_the_wheel_is_no_proportion():
     m.no_sideslip("edge", "body", speed=0.5)
     system = m.build()
     with pytest.raises(UnsupportedError, match="speed of its own"):
-        system.loop_jacobian(np.zeros(3), ["pose.x"], ["pose.y"])
+        system.loops.jacobian(np.zeros(3), ["pose.x"], ["pose.y"])
     step = system.ik_step(np.zeros(3), [0.2, 0.0, 0, 0, 0, 0], "body", 0.01, damping=0.0)
     assert step.velocity == pytest.approx([0.2, 0.5, 0.0])
 
@@ -193,7 +193,7 @@ def test_traces_and_self_motions_tell_where_they_slip():
     along = system.trace("pose.x", [0, 0, 0], hold={"pose.y": 0.0, "pose.rz": 0.0}, budget=kempe.Budget(points=20))
     assert "slips" not in along.status
     with pytest.raises(UnsupportedError, match="self-motion of mobile arm slips"):
-        with_arm().self_motion([0, 0, 0, 0.5, 0.7], "tip", direction="pose.y", budget=kempe.Budget(points=5))
+        with_arm().inverse.self_motion([0, 0, 0, 0.5, 0.7], "tip", direction="pose.y", budget=kempe.Budget(points=5))
 
 
 def test_inputs_that_leave_freedoms_and_limits():

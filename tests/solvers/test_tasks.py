@@ -52,7 +52,7 @@ def two_arms() -> System:
 
 
 def inside(s: System, q: np.ndarray) -> bool:
-    x, v = q[..., s.layout.vector_q], s.layout.vector_v
+    x, v = q[..., s.structure.layout.vector_q], s.structure.layout.vector_v
     return bool(np.all(x >= s.lower[v] - 1e-12) and np.all(x <= s.upper[v] + 1e-12))
 
 
@@ -289,7 +289,9 @@ def test_the_nearest_closed_configuration_is_that_of_assembly(name):
         there = s.assemble(start=near, prefer="nearest")
         answer = s.ik(tasks.Posture(near), start=there.q)
         scale = Packed(s, [tasks.Posture(near)]).scale
-        far, least = (float(np.sum((s.difference(q, near) / scale) ** 2)) for q in (there.q, answer.q))
+        far, least = (
+            float(np.sum((s.configuration_space.difference(q, near) / scale) ** 2)) for q in (there.q, answer.q)
+        )
         assert there.success and answer.success and least <= far + 1e-9
         np.testing.assert_allclose(residual(s, answer.q), 0.0, atol=1e-9)
 
@@ -469,18 +471,18 @@ def test_the_self_motion_of_three_links_closes():
     s = planar_arm((1.0, 0.8, 0.6))
     q = np.array([0.4, 1.9, 1.2])
     p = s.fk(q, "tip")
-    m = s.self_motion(q, tasks.Position("tip", p[:2, 3]), budget=kempe.Budget(points=400))
+    m = s.inverse.self_motion(q, tasks.Position("tip", p[:2, 3]), budget=kempe.Budget(points=400))
     assert m.closed and m.freedoms == 1 and len(m) > 50
     np.testing.assert_allclose(s.fk(m.q, "tip")[:, :3, 3] - p[:3, 3], 0.0, atol=1e-9)
-    steps = np.linalg.norm([s.difference(a, b) for a, b in itertools.pairwise(m.q)], axis=-1)
+    steps = np.linalg.norm([s.configuration_space.difference(a, b) for a, b in itertools.pairwise(m.q)], axis=-1)
     assert steps.max() < 0.06
-    assert s.distance(m.q[-1], m.q[0]) < 0.06
+    assert s.configuration_space.distance(m.q[-1], m.q[0]) < 0.06
 
 
 def test_a_self_motion_stops_at_limits_and_keeps_the_pose():
     s = kempe.load("panda")
     q = s.random(4)
-    m = s.self_motion(q, HAND)
+    m = s.inverse.self_motion(q, HAND)
     assert not m.closed and all(end.startswith("the limit of") for end in m.ends) and inside(s, m.q)
     np.testing.assert_allclose(s.fk(m.q, HAND), np.broadcast_to(s.fk(q, HAND), (len(m), 4, 4)), atol=1e-9)
     np.testing.assert_allclose(m.q[m.start], q, atol=1e-9)
@@ -494,14 +496,14 @@ def test_one_direction_of_a_larger_self_motion():
     q = s.random(4)
     task = tasks.Position(HAND, s.fk(q, HAND)[:3, 3])
     with pytest.raises(InputError, match="4 freedoms"):
-        s.self_motion(q, task)
-    m = s.self_motion(q, task, direction="panda_joint1", budget=kempe.Budget(points=10))
+        s.inverse.self_motion(q, task)
+    m = s.inverse.self_motion(q, task, direction="panda_joint1", budget=kempe.Budget(points=10))
     assert m.freedoms == 4 and np.all(np.diff(m.q[:, 0]) > 0)
     np.testing.assert_allclose(s.fk(m.q, HAND)[:, :3, 3] - task.target, 0.0, atol=1e-9)
     with pytest.raises(InputError, match="do not hold"):
-        s.self_motion(q, tasks.Position(HAND, [0.3, 0.3, 0.3]))
+        s.inverse.self_motion(q, tasks.Position(HAND, [0.3, 0.3, 0.3]))
     with pytest.raises(InputError, match="no freedom"):
-        s.self_motion(q, tasks.Posture(q, weight=None))
+        s.inverse.self_motion(q, tasks.Posture(q, weight=None))
 
 
 def test_the_self_motion_of_a_platform_is_the_spin_of_its_legs():
@@ -512,7 +514,7 @@ def test_the_self_motion_of_a_platform_is_the_spin_of_its_legs():
     assert (answer.success, answer.n, answer.rank, answer.redundancy) == (True, 12, 6, 6)
     length = Packed(s, [tasks.Pose("platform", np.eye(4))]).scale
     v = 1e-4 * length * answer.self_motion[:, 2]
-    moved = s.integrate(answer.q, v)
+    moved = s.configuration_space.integrate(answer.q, v)
     assert np.abs(s.fk(moved, "platform") - s.fk(answer.q, "platform")).max() < 1e-7
     assert np.abs(residual(s, moved)).max() < 1e-7
 

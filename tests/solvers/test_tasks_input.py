@@ -63,7 +63,9 @@ def test_axes_that_are_nearly_opposite_are_turned(task, back):
 def test_tilts_have_the_length_and_the_rates_that_they_should(task, angle):
     s = ball("free")
     t, q, h = task("b", turned(angle)), s.neutral, 1e-6 if angle < 3.1 else 1e-3 * (math.pi - angle)
-    ends = [[tasks.error(s, t, s.integrate(q, sign * h * e)) for sign in (1, -1)] for e in np.eye(6)]
+    ends = [
+        [tasks.error(s, t, s.configuration_space.integrate(q, sign * h * e)) for sign in (1, -1)] for e in np.eye(6)
+    ]
     J = np.stack([(a - b) / (2.0 * h) for a, b in ends], axis=-1)
     assert np.linalg.norm(tasks.error(s, t, q)) == pytest.approx(2.0 * math.sin(angle / 2.0), abs=1e-12)
     np.testing.assert_allclose(tasks.jacobian(s, t, q), J, atol=2e-6 * np.abs(J).max())
@@ -283,7 +285,7 @@ def test_a_slide_that_is_too_short_is_blocked_by_its_limit():
 @pytest.mark.parametrize("i", range(0, 15, 3))
 def test_the_limit_at_which_a_self_motion_ends_is_named(panda, i):
     q = panda.random(i)
-    m = panda.self_motion(q, "panda_hand_tcp", budget=kempe.Budget(points=2000))
+    m = panda.inverse.self_motion(q, "panda_hand_tcp", budget=kempe.Budget(points=2000))
     for end, why in zip((m.q[0], m.q[-1]), m.ends, strict=True):
         assert why.startswith("the limit of ")
         k = panda.coordinate_names.index(why.split("'")[1])
@@ -294,7 +296,7 @@ def test_the_half_space_at_which_a_self_motion_ends_is_named():
     s, q = flat_arm(), np.array([0.4, 1.0, 0.7])
     elbow = s.fk(q, "b2")[:2, 3]
     wall = tasks.HalfSpace("b2", elbow + [0.1, 0.0], [-1.0, 0.0], name="wall")
-    m = s.self_motion(q, [tasks.Position("tip", s.fk(q, "tip")[:2, 3]), wall], budget=kempe.Budget(points=300))
+    m = s.inverse.self_motion(q, [tasks.Position("tip", s.fk(q, "tip")[:2, 3]), wall], budget=kempe.Budget(points=300))
     assert not m.closed and "the bound of 'wall'" in m.ends
     end = m.q[0] if m.ends[0].startswith("the bound") else m.q[-1]
     assert s.fk(end, "b2")[0, 3] == pytest.approx(elbow[0] + 0.1, abs=1e-4)
@@ -302,11 +304,11 @@ def test_the_half_space_at_which_a_self_motion_ends_is_named():
 
 def test_what_self_motions_are_given(panda):
     q = panda.random(4)
-    assert len(panda.self_motion(q, HAND, budget=kempe.Budget(points=np.int64(3)))) == 7
+    assert len(panda.inverse.self_motion(q, HAND, budget=kempe.Budget(points=np.int64(3)))) == 7
     for more, match in (({"points": 2.0}, "points"), ({"step": "a"}, "step")):
         with pytest.raises(InputError, match=match):
-            panda.self_motion(q, HAND, budget=kempe.Budget(**more))
+            panda.inverse.self_motion(q, HAND, budget=kempe.Budget(**more))
     with pytest.raises(InputError, match="direction"):
-        panda.self_motion(q, HAND, direction=["a"])
+        panda.inverse.self_motion(q, HAND, direction=["a"])
     with pytest.raises(InputError, match="leading shape"):
-        panda.self_motion(q, tasks.Position(HAND, np.zeros((2, 3))))
+        panda.inverse.self_motion(q, tasks.Position(HAND, np.zeros((2, 3))))

@@ -44,7 +44,7 @@ def robot(name: str) -> System:
 
 def configurations(s: System, rng: np.random.Generator, n: int, kind: str) -> np.ndarray:
     """Configurations (n, nq) inside the limits, with some coordinates at them."""
-    q, at_q, at_v = np.array(s.random(rng, n)), s.layout.vector_q, s.layout.vector_v
+    q, at_q, at_v = np.array(s.random(rng, n)), s.structure.layout.vector_q, s.structure.layout.vector_v
     low, high = s.lower[at_v], s.upper[at_v]
     at = (rng.random((n, len(at_q))) < AT_LIMITS[kind]) & np.isfinite(low) & np.isfinite(high)
     q[:, at_q] = np.where(at, np.where(rng.random(at.shape) < 0.5, low, high), q[:, at_q])
@@ -73,7 +73,7 @@ def tree(rng: np.random.Generator) -> System:
 def bundle(s: System, rng: np.random.Generator, q: np.ndarray) -> list[tasks.Task]:
     """Two to five tasks that q holds."""
     out: list[tasks.Task] = []
-    frames = [f for f in s.frame_names if not s.table.at[f][2]]
+    frames = [f for f in s.frame_names if not s.structure.table.at[f][2]]
     for i in range(int(rng.integers(2, 6))):
         frame, other = (frames[k] for k in rng.choice(len(frames), 2, replace=False))
         X, Y, n = s.fk(q, frame), s.fk(q, other), rng.normal(size=3)

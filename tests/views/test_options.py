@@ -26,9 +26,10 @@ NOT_OF_COMMANDS = {
     "analysis/path.py": "trace(start=path.elsewhere[0])",  # the command names --start and its value
     "analysis/transmission.py": "coupler=...",
     "analysis/elsewhere.py": "",
-    "analysis/wheeled.py": "(system.interpolate)",
+    "analysis/wheeled.py": "(system.configuration_space.interpolate)",
     "constraints/equations.py": "of=(...)",
     "model/coordinates.py": "time=True",
+    "model/former.py": "is the former name of",
     "constraints/recording.py": "(float(), or a function of math: use that of numpy)",
     "description/compose.py": "`at` cannot be given",
     "description/mechanism.py": "kempe.read first",

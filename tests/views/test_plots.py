@@ -28,15 +28,15 @@ SPATIAL = ["stewart", "delta_uu", "bennett", "sarrus", "puma560", "panda", "stan
 
 
 def start(system):
-    return system.posture("closed") if "closed" in system.posture_names else system.mid
+    return system.q("closed") if "closed" in system.structure.posture_names else system.mid
 
 
 def centres(system, q) -> dict[str, np.ndarray]:
     """Origin (3,) of frame M of every joint that moves, by way of `fk` of its child alone."""
     out = {}
-    for name, joint in system.joints.items():
+    for name, joint in system.structure.joints.items():
         if joint.type.dof(system.dim):
-            X = system.fk(q, joint.child) @ joint.X_CM.evaluate(system.parameters)
+            X = system.fk(q, joint.child) @ joint.X_CM.evaluate(system.structure.parameters)
             out[name] = X[:3, 3]
     return out
 
@@ -92,7 +92,7 @@ def test_a_circle_at_every_revolute_joint(name):
     system = kempe.load(name)
     found = artists(plots.plot(system))
     for joint, p in centres(system, start(system)).items():
-        if system.joints[joint].type.type_name == "revolute":
+        if system.structure.joints[joint].type.type_name == "revolute":
             (patch,) = found[f"joint:{joint}"]
             assert np.allclose(middle(patch), p[:2], atol=1e-9), joint
             assert patch.get_facecolor()[:3] == (1, 1, 1), "white"
@@ -103,7 +103,7 @@ def test_the_four_bar_stands_where_its_file_says():
     found = artists(plots.plot(kempe.load("four_bar")))
     for joint, p in {"A": (0, 0), "B": (0, 0.1), "C": (0.4, 0.4), "D": (0.4, 0)}.items():
         assert np.allclose(middle(found[f"joint:{joint}"][0]), p, atol=1e-12)
-    X = kempe.load("four_bar").fk(kempe.load("four_bar").posture("closed"), "coupler_point")
+    X = kempe.load("four_bar").fk(kempe.load("four_bar").q("closed"), "coupler_point")
     assert np.allclose(middle(found["frame:coupler_point"][0]), X[:2, 3], atol=1e-12)
 
 
@@ -113,7 +113,7 @@ def test_ground_symbols_at_ground_pivots_only(name):
     found = artists(plots.plot(system))
     at = centres(system, start(system))
     ground = system.body_names[0]
-    pivots = {n: at[n][:2] for n, j in system.joints.items()
+    pivots = {n: at[n][:2] for n, j in system.structure.joints.items()
               if j.type.type_name == "revolute" and ground in (j.parent, j.child)}  # fmt: skip
     drawn = [a[0].get_path().vertices[0] for gid, a in found.items() if gid.startswith("ground:")]
     assert {tuple(np.round(p, 9)) for p in drawn} == {tuple(np.round(p, 9)) for p in pivots.values()}
@@ -177,10 +177,10 @@ def test_a_slider_is_a_block_on_a_hatched_rail():
     system = kempe.load("slider_crank")
     q = start(system)
     found = artists(plots.plot(system))
-    (name,) = [n for n, j in system.joints.items() if j.type.type_name == "prismatic"]
+    (name,) = [n for n, j in system.structure.joints.items() if j.type.type_name == "prismatic"]
     block, rail = found[f"block:{name}"][0], found[f"rail:{name}"][0]
-    joint = system.joints[name]
-    axis = (system.fk(q, joint.parent) @ joint.X_PF.evaluate(system.parameters))[:2, 2]
+    joint = system.structure.joints[name]
+    axis = (system.fk(q, joint.parent) @ joint.X_PF.evaluate(system.structure.parameters))[:2, 2]
     centre = centres(system, q)[name][:2]
     assert np.allclose(block.get_path().vertices[:4].mean(axis=0), centre, atol=1e-12)
     ends = rail.get_path().vertices[:2]
@@ -207,7 +207,7 @@ def test_driven_legs_are_cylinder_and_rod():
     system = kempe.load("three_rpr")
     found = artists(plots.plot(system))
     at = centres(system, start(system))
-    legs = [n for n, j in system.joints.items() if j.type.type_name == "prismatic"]
+    legs = [n for n, j in system.structure.joints.items() if j.type.type_name == "prismatic"]
     assert len(legs) == 3
     for leg in legs:
         assert found[f"cylinder:{leg}"] and found[f"driver:{leg}"]
@@ -219,7 +219,7 @@ def test_driven_legs_are_cylinder_and_rod():
 def test_drivers_are_marked():
     system = kempe.load("four_bar")
     plain = {g for g in artists(plots.plot(system)) if g.startswith("driver:")}
-    actuated = {f"driver:{n}" for n, j in system.joints.items() if j.actuated}
+    actuated = {f"driver:{n}" for n, j in system.structure.joints.items() if j.actuated}
     assert {g for g in plain if not g.endswith(":head")} == actuated
     q = start(system)[None]
     found = artists(plots.plot(system, path=Motion(system, q, np.zeros(1), driver="D")))
@@ -235,7 +235,7 @@ def test_open_loops_are_shown():
     assert "open:C" not in artists(plots.plot(system))
     q[system.coordinate_names.index("A")] += 0.2
     line = artists(plots.plot(system, q))["open:C"][0].get_xydata()
-    crank = system.fk(q, "coupler") @ system.joints["C"].X_PF.evaluate(system.parameters)
+    crank = system.fk(q, "coupler") @ system.structure.joints["C"].X_PF.evaluate(system.structure.parameters)
     assert np.allclose(line, [crank[:2, 3], (0.4, 0.4)], atol=1e-12)
 
 
@@ -445,7 +445,7 @@ def test_ground_marks_hang_below_ground_joints():
     q = start(system)
     solids, _ = solids_of(system, q)
     ground = system.body_names[0]
-    joints = [n for n, j in system.joints.items() if ground in (j.parent, j.child)]
+    joints = [n for n, j in system.structure.joints.items() if ground in (j.parent, j.child)]
     tips = [vertices(solids, n)[0] for n in solids.named if n.startswith("ground:")]
     at = centres(system, q)
     assert {tuple(np.round(t, 9)) for t in tips} == {tuple(np.round(at[j], 9)) for j in joints}
@@ -467,7 +467,7 @@ def test_rails_in_space_run_along_the_axis():
 def test_curves_in_space_are_fk_over_the_path():
     system = kempe.load("puma560")
     q = np.linspace(system.mid, system.mid + 0.5, 9)
-    name = next(iter(system.frames))
+    name = next(iter(system.structure.frames))
     found = artists(plots.plot(system, path=q, frames=name, ghosts=2))
     curve = np.array(found[f"curve:{name}"][0].get_data_3d()).T
     assert np.allclose(curve, system.fk(q, name)[:, :3, 3], atol=1e-12)

@@ -58,11 +58,11 @@ def wish_of(system: System, toward: Mapping[str, float] | None) -> Array:
 
 def angle_or_slide(system: System, name: str) -> int:
     """Velocity index of a coordinate that is not part of a quaternion."""
-    names = list(system.velocity_names)
-    layout = system.layout
+    names = list(system.structure.velocity_names)
+    layout = system.structure.layout
     if name in names and (i := names.index(name)) in layout.vector_v:
         return i
-    follower = system.couplings.get(name)
+    follower = system.structure.couplings.get(name)
     if follower is not None:
         said = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"
         raise InputError(f"coordinate {name!r} is not part of q: {said}")
@@ -75,7 +75,7 @@ def start_of(system: System, start: Any, hold: Mapping[str, float]) -> Array:
     if start is None:
         q = home_of(system)
     elif isinstance(start, str):
-        q = system.posture(start)
+        q = system.q(start)
     elif isinstance(start, Mapping):
         q = system.q(start, home_of(system))
     else:
@@ -132,10 +132,10 @@ def followers(system: System, limits: bool = True) -> list[Follower]:
 
 
 def _turning(system: System, limits: bool) -> tuple[Array, list[Follower]]:
-    c = system.coordinates
+    c = system.structure.coordinates
     whole = np.where(c.turning & ((np.isinf(c.lower) & np.isinf(c.upper)) | (not limits)), 1, 0).astype(object)
-    number = {name: i for i, name in enumerate(system.velocity_names)}
-    mechanism, couplings = system.mechanism, system.couplings
+    number = {name: i for i, name in enumerate(system.structure.velocity_names)}
+    mechanism, couplings = system.mechanism, system.structure.couplings
     never: list[Follower] = []
     for joint in mechanism.joints.values() if couplings else ():
         names = coordinate_names(mechanism, joint)
@@ -162,7 +162,9 @@ def _told_apart(system: System, period: Array) -> np.ndarray:
         q = random(system, np.random.default_rng(0), 3)
         before = rows.values(q, declared=True)
         for i in np.flatnonzero(period):
-            after = rows.values(system.integrate(q, period[i] * np.eye(system.nv)[i]), declared=True)
+            after = rows.values(
+                system.structure.layout.integrate(q, period[i] * np.eye(system.nv)[i]), declared=True
+            )
             out[i] = np.any(np.abs(after - before) > SAME_VALUE * (1.0 + np.abs(before)))
     return out
 
@@ -221,13 +223,13 @@ def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     if drivers:
         _, s, Vt = np.linalg.svd(rows)
         kernel = Vt[int(np.sum(s > RANK)) :] @ kernel
-    sizes = dict(zip(system.velocity_names, np.abs(kernel).max(axis=0), strict=True))
+    sizes = dict(zip(system.structure.velocity_names, np.abs(kernel).max(axis=0), strict=True))
     moving = [n for n, size in sizes.items() if size > 1e-6]
     named = [n for n in moving if n in system.coordinate_names]
     balls = list(dict.fromkeys(n.rpartition(".")[0] for n in moving if n not in named))
     still = f"with {' and '.join(map(repr, drivers))} held still, these still move" if drivers else "these move"
     many = len(kernel) - (not drivers)
-    own = kernel[:, [n in named for n in system.velocity_names]]
+    own = kernel[:, [n in named for n in system.structure.velocity_names]]
     enough = int(np.sum(np.linalg.svd(own, compute_uv=False) > 1e-6)) >= many if named else False
     head = f"to first order {system.name} has {count} freedoms here, more than are driven; {still}: "
     if not named:

@@ -102,9 +102,11 @@ class Limits:
         place = equations.place
         for i in range(system.nv) if limits else ():
             if place[i] >= 0 and i not in equations.held:
-                for bound, sign in zip(system.limits[i].tolist(), (-1.0, 1.0), strict=True):
+                for bound, sign in zip(system.structure.limits[i].tolist(), (-1.0, 1.0), strict=True):
                     if np.isfinite(bound):
-                        self.all.append(CoordinateBound(system.velocity_names[i], bound, sign, i, int(place[i])))
+                        self.all.append(
+                            CoordinateBound(system.structure.velocity_names[i], bound, sign, i, int(place[i]))
+                        )
         for k in range(rows.declared):
             for bound, sign in ((rows.low[k], -1.0), (rows.high[k], 1.0)):
                 if np.isfinite(bound):

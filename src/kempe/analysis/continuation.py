@@ -67,7 +67,7 @@ class Closure:
     def __init__(self, system: System, held: Sequence[int] = (), at: Array | None = None):
         self.system, self.held, self.tree = system, tuple(held), own_tree(system)
         self._held = np.array(self.held, dtype=np.int64)
-        layout, turning = system.layout, system.coordinates.turning
+        layout, turning = system.structure.layout, system.structure.coordinates.turning
         length = loops.characteristic_length(system)
         self.rounding = 4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / length
         self.unit = np.where(turning, 1.0, length)
@@ -76,7 +76,7 @@ class Closure:
         self.place = np.full(system.nv, -1, dtype=np.int64)
         self.place[layout.vector_v] = layout.vector_q
         self.n = system.nv
-        index = {n: i for i, n in enumerate(system.velocity_names)}
+        index = {n: i for i, n in enumerate(system.structure.velocity_names)}
         self.weight = np.array([
             1.0 if row in ANGLES or (tie.plain and tie.relation is None)
             else 1.0 / (length if tie.relation is None else self.unit[index[tie.relation.of]])
@@ -154,15 +154,15 @@ class Closure:
 
     def move(self, x: Array, y: Array) -> Array:
         """The point reached from `x` by the tangent vector `y` (n,)."""
-        return self.system.layout.integrate(x, y * self.unit)
+        return self.system.structure.layout.integrate(x, y * self.unit)
 
     def between(self, x: Array, other: Array) -> Array:
         """The tangent vector (n,) from `x` to `other`, turns as many as they are."""
-        return self.system.layout.difference(x, other) / self.unit
+        return self.system.structure.layout.difference(x, other) / self.unit
 
     def index(self, names: Sequence[str]) -> list[int]:
         """Velocity indices of angles and slides by name."""
-        number = {n: i for i, n in enumerate(self.system.velocity_names)}
+        number = {n: i for i, n in enumerate(self.system.structure.velocity_names)}
         return [number[n] for n in names]
 
 

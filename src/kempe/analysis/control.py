@@ -82,7 +82,7 @@ def control(
     most = max((_rank_and_kernel(r.kernel[indices])[0] for r in generic), default=controlled)
     useful = rank.nullity - len(idle)
     patterns = tuple(_pattern(system, x * rank.units) for x in _sparse(left).T)
-    names = tuple(system.velocity_names[i] for i in indices)
+    names = tuple(system.structure.velocity_names[i] for i in indices)
     fewer = useful - controlled > min((r.nullity for r in generic), default=rank.nullity) - len(idle) - most
     return Control(names, useful, controlled, len(indices) - max(controlled, most), fewer, patterns)
 
@@ -146,7 +146,11 @@ def _sparse(X: Array) -> Array:
 
 def _pattern(system: System, v: Array) -> dict[str, float]:
     largest = v[np.argmax(np.abs(v))]
-    return {n: float(x / largest) for n, x in zip(system.velocity_names, v, strict=True) if abs(x / largest) > SHOWN}
+    return {
+        n: float(x / largest)
+        for n, x in zip(system.structure.velocity_names, v, strict=True)
+        if abs(x / largest) > SHOWN
+    }
 
 
 def motion_text(motion: dict[str, float]) -> str:

@@ -113,9 +113,15 @@ def _takes(edge: Edge, dim: int) -> tuple[int, str]:
 def _held(s: Structure, system: System) -> list[tuple[int, str]]:
     """What couplings, locks and constraints that are expressions take away."""
     locked = sum(c.index < 0 for e in s.edges for c in e.columns)
-    follow = sum(c.index >= 0 and c.name != system.velocity_names[c.index] for e in s.edges for c in e.columns)
+    follow = sum(
+        c.index >= 0 and c.name != system.structure.velocity_names[c.index] for e in s.edges for c in e.columns
+    )
     written = sum(law.rows for law in s.laws if isinstance(law.of, Declared))
-    found = [(locked, "locked coordinate"), (follow + len(system.relations), "coupling"), (written, "equation")]
+    found = [
+        (locked, "locked coordinate"),
+        (follow + len(system.structure.relations), "coupling"),
+        (written, "equation"),
+    ]
     return [(n, what) for n, what in found if n]
 
 
@@ -146,7 +152,7 @@ def _lecture_text(
     whole, point = (6, 3) if system.dim == 3 else (3, 2)
     by_name = {e.name: n for n, _, e in takes}
     tree = Counter((point if p else whole, by_name[j])
-                   for p, j in zip(particles, system.parent_joints, strict=True))  # fmt: skip
+                   for p, j in zip(particles, system.structure.parent_joints, strict=True))  # fmt: skip
     if not tree:
         return ""
     extra = Counter(takes[loop.edge][0] for loop in s.loops)

@@ -198,7 +198,7 @@ class Course:
         if here.nullity == 1:
             return here if here.t[-1] >= 0.0 else here.reversed()
         if here.nullity == 0:
-            names = ", ".join(repr(self.closure.system.velocity_names[i]) for i in self.index)
+            names = ", ".join(repr(self.closure.system.structure.velocity_names[i]) for i in self.index)
             raise UnsupportedError(
                 f"{self.closure.system.name} has fewer freedoms than inputs: {names} cannot be moved independently; "
                 "drive fewer of them"
@@ -208,7 +208,7 @@ class Course:
         lines = lines[np.abs(lines[:, -1]) > FORWARD]
         if not len(lines):
             J = self.closure.matrix(state.q)
-            names = [self.closure.system.velocity_names[i] for i in self.index]
+            names = [self.closure.system.structure.velocity_names[i] for i in self.index]
             raise UnsupportedError(too_free(self.closure, J, names))
         lines = lines * np.sign(lines[:, -1:])
         motion = lines[:, :-1] / np.linalg.norm(lines[:, :-1], axis=1)[:, None]

@@ -297,7 +297,7 @@ def _begin(
     system: System, start: Any, hold: dict[str, float], first: dict[str, float], index: Sequence[int]
 ) -> tuple[Closure, Array | None]:  # fmt: skip
     """The equations, and a closed configuration to begin with."""
-    if start is None and "closed" not in system.posture_names:
+    if start is None and "closed" not in system.structure.posture_names:
         start = first
     closure, q = begin(system, start, hold)
     if q is None:

@@ -26,7 +26,7 @@ def elsewhere(path: Path) -> tuple[str, Array]:
     from kempe.solvers.dyads import Incomplete, closed_form
 
     system, nothing = path.system, ("", np.zeros((0, path.system.nq)))
-    if not system.closures or not path.success or len(path.track.s) < 2:
+    if not system.structure.closures or not path.success or len(path.track.s) < 2:
         return nothing
     start = system.q_dict(path.q[0])
     held = {name: start[name] for name in path.held}
@@ -45,6 +45,6 @@ def _passes(path: Path, q: Array) -> bool:
     """Whether a path may pass q: on the way from one node to the next it is no farther from one than these are."""
     track, e = path.track, path.track.equations
     y = np.array([e.between(node, q) for node in track.q]) * e.unit
-    turning = path.system.coordinates.turning
+    turning = path.system.structure.coordinates.turning
     y = np.where(turning, y - 2.0 * np.pi * np.round(y / (2.0 * np.pi)), y) / e.unit
     return bool(np.linalg.norm(y, axis=1).min() <= np.diff(track.s).max())

@@ -42,7 +42,7 @@ class Endless:
     def __init__(self, equations: Closure, first: Node, periods: Array, limits: Limits):
         self.equations, self.first, self.periods, self.limits = equations, first, periods, limits
         system = equations.system
-        self.away = np.array([i for i in system.layout.vector_v if not periods[i]], dtype=np.int64)
+        self.away = np.array([i for i in system.structure.layout.vector_v if not periods[i]], dtype=np.int64)
         self.place = equations.place[self.away]
         self.followers = followers(system, limits.limits)
         self.next, self.asked = FAR, False
@@ -70,7 +70,7 @@ class Endless:
         i = max(whole.tolist(), key=lambda i: self._turned(b, i), default=-1)
         if i < 0 or self._turned(b, i) < 2.0 * math.pi:
             return ""
-        name, turns = self.equations.system.velocity_names[i], round(self.periods[i] / (2.0 * math.pi))
+        name, turns = self.equations.system.structure.velocity_names[i], round(self.periods[i] / (2.0 * math.pi))
         done = self._turned(b, i) / (2.0 * math.pi)
         return f", after {done:.4g} turns of {name!r}: by its gear ratios all is as before after {turns}"
 
@@ -81,7 +81,7 @@ class Endless:
 
     def _straight(self, b: Node) -> str:
         """The same of a curve that has been straight so far: coordinates grow at constant rates."""
-        moving = [int(i) for i in self.equations.system.layout.vector_v if abs(b.t[i]) > MOVES]
+        moving = [int(i) for i in self.equations.system.structure.layout.vector_v if abs(b.t[i]) > MOVES]
         for f in self.followers:
             if f.turns and f.source in moving:
                 return self._unrelated(f.name, f.factor, f.source)
@@ -92,12 +92,12 @@ class Endless:
             factor = float(b.t[i] / b.t[lead])
             ratio = Fraction(factor * self.periods[lead] / self.periods[i]).limit_denominator(MOST_TURNS)
             if abs(float(ratio) * self.periods[i] / self.periods[lead] - factor) > SAME_RATE:
-                return self._unrelated(self.equations.system.velocity_names[i], factor, lead, SAME_RATE)
+                return self._unrelated(self.equations.system.structure.velocity_names[i], factor, lead, SAME_RATE)
         return ""
 
     def _unrelated(self, name: str, factor: float, source: int, within: float = SAME_RATIO) -> str:
         digits = round(-math.log10(within))
-        of = self.equations.system.velocity_names[source]
+        of = self.equations.system.structure.velocity_names[source]
         return (
             f"{NO_RETURN} within {MOST_TURNS} turns of {of!r}: {name!r} turns {abs(factor):.{digits}g} times as fast, "
             f"which to {digits} digits is no ratio of whole numbers up to {MOST_TURNS}"
@@ -119,6 +119,6 @@ class Endless:
                 continue
             gone, a = gone + h, c
             h = min(2.0 * h, max(gone, 1.0))
-        names = equations.system.velocity_names
+        names = equations.system.structure.velocity_names
         shown = [f"{names[i]!r} = {a.x[equations.place[i]]:.3g}" for i in sorted(rest, key=lambda i: -abs(a.t[i]))[:3]]
         return f"infinity: nothing turns back as far as it was followed, to {', '.join(shown)}"

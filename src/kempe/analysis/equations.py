@@ -58,7 +58,7 @@ class Equations:
 
     def __init__(self, system: System):
         self.system = system
-        self._loops = loops_of(system, frozenset(system.closures))
+        self._loops = loops_of(system, frozenset(system.structure.closures))
         self.names = self._loops.names
         found = called(system)
         if found:
@@ -66,8 +66,8 @@ class Equations:
         self.m, self.nv, self.nq = len(self.names), system.nv, system.nq
         self.length = self._loops.length
         self.ints, self.floats = self._loops.ints, self._loops.floats
-        turning = np.array(system.coordinates.turning)
-        for iv in system.layout.quaternion_v:
+        turning = np.array(system.structure.coordinates.turning)
+        for iv in system.structure.layout.quaternion_v:
             turning[iv : iv + 3] = True
         self.turning = turning | np.isin(np.arange(self.nv), self._driving(TURN))
         self.sliding = np.isin(np.arange(self.nv), self._driving(SLIDE))
@@ -75,8 +75,8 @@ class Equations:
         self.scale = np.where(self.turning, 1.0, self.length)
         self.ties, self.numbers = self._pack()
         self.places = np.full(self.nv, BALL_REST, dtype=np.int64)
-        self.places[system.layout.vector_v] = system.layout.vector_q
-        for iq, iv in zip(system.layout.quaternion_q, system.layout.quaternion_v, strict=True):
+        self.places[system.structure.layout.vector_v] = system.structure.layout.vector_q
+        for iq, iv in zip(system.structure.layout.quaternion_q, system.structure.layout.quaternion_v, strict=True):
             self.places[iv] = -1 - iq
 
     def _driving(self, kind: int) -> list[int]:
@@ -87,7 +87,7 @@ class Equations:
     def _pack(self) -> tuple[np.ndarray, Array]:
         """The arrays `ties` and `numbers` of `kempe.kernels.jet`."""
         heads, entries, factors, numbers, recorded, row = [], [], [], [1.0 / self.length], [], 0
-        first = self.system.coordinates.first
+        first = self.system.structure.coordinates.first
         for tie in self._loops.ties:
             count, size, number = 0, len(tie.rows), tie.number
             start = len(entries)
@@ -194,11 +194,11 @@ class Equations:
 
     def move(self, q: Array, x: Array) -> Array:
         """Configurations reached from q by scaled tangent vectors x (..., nv)."""
-        return self.system.layout.integrate(q, np.asarray(x) * self.scale)
+        return self.system.structure.layout.integrate(q, np.asarray(x) * self.scale)
 
     def offset(self, q0: Array, q: Array) -> Array:
         """Scaled tangent vectors (..., nv) from q0 to q."""
-        return self.system.layout.difference(q0, q) / self.scale
+        return self.system.structure.layout.difference(q0, q) / self.scale
 
     def series(self, q: Array, n: int, order: int) -> Series:
         """Taylor series along n curves that begin at q (nq,) or at n configurations (n, nq)."""

@@ -111,7 +111,7 @@ def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> N
     `periods` (nv,) are 0 for coordinates that do not come back by turning on.
     """
     shift = periods * np.round(_ratio(equations.between(b.x, start.x) * equations.unit, periods))
-    there = equations.system.layout.integrate(start.x, -shift)
+    there = equations.system.structure.layout.integrate(start.x, -shift)
     if np.linalg.norm(equations.between(b.x, there)) < HOME:
         return replace(start, x=there) if start.t @ b.t > ARRIVED else None
     z, chord = equations.between(a.x, there), equations.between(a.x, b.x)

@@ -53,7 +53,7 @@ class Falling:
         y, dy = flight.at(t)
         turning = v.copy()
         turning[self.slides_v] = 0.0
-        out = self.system.layout.integrate(q, turning * t[:, None])
+        out = self.system.structure.layout.integrate(q, turning * t[:, None])
         back = np.linalg.inv(self.shape)
         out[:, self.slides_q] = y @ back.T
         rate = np.repeat(turning[None], len(t), axis=0)
@@ -75,7 +75,7 @@ def falling(system: System, q: Array, v: Array, duration: float) -> Falling:
     steady = np.abs(centre[:, :, slides] - D).max(initial=0.0) < SAME
     swung = np.flatnonzero(np.abs(centre[:, :, turning]).max(axis=(0, 1), initial=0.0) > SAME)
     if len(swung) or not steady:
-        names = [system.velocity_names[i] for i in np.flatnonzero(turning)]
+        names = [system.structure.velocity_names[i] for i in np.flatnonzero(turning)]
         raise UnsupportedError(f"{system.name}: {', '.join(map(repr, names))} swings the centre of {body!r} about a "
                                f"joint, as a pendulum: that needs its moments of inertia; {NEEDED} one ball or "
                                "particle that slides freely")  # fmt: skip
@@ -84,7 +84,7 @@ def falling(system: System, q: Array, v: Array, duration: float) -> Falling:
         raise UnsupportedError(f"{system.name}: the slides of {body!r} are not independent; {NEEDED} one ball or "
                                "particle with independent slides")  # fmt: skip
     slides_v = np.flatnonzero(slides)
-    place = dict(zip(system.layout.vector_v.tolist(), system.layout.vector_q.tolist(), strict=True))
+    place = dict(zip(system.structure.layout.vector_v.tolist(), system.structure.layout.vector_q.tolist(), strict=True))
     slides_q = np.array([place[int(i)] for i in slides_v])
     planes = _planes(system, body, q, slides_q, shape, samples)
     _turns(system, body, q, v, turning, duration)
@@ -178,14 +178,14 @@ def _turns(
     moving = np.flatnonzero(turning & (v != 0.0))
     if not len(moving):
         return
-    names = ", ".join(repr(system.velocity_names[i]) for i in moving)
-    vectors = set(system.layout.vector_v.tolist())
+    names = ", ".join(repr(system.structure.velocity_names[i]) for i in moving)
+    vectors = set(system.structure.layout.vector_v.tolist())
     angles = [int(i) for i in moving if int(i) in vectors]
     if len(angles) and int(turning.sum()) > 1:
         raise UnsupportedError(f"{system.name}: {names} would not turn {body!r} evenly; give a free joint (with a "
                                "quaternion), or no turning velocity")  # fmt: skip
     for i in angles:
-        place = int(system.layout.vector_q[system.layout.vector_v.tolist().index(i)])
+        place = int(system.structure.layout.vector_q[system.structure.layout.vector_v.tolist().index(i)])
         end = q[place] + v[i] * duration
         if not system.lower[i] - 1e-12 <= end <= system.upper[i] + 1e-12:
             raise UnsupportedError(f"{system.name}: {names} would turn {body!r} to its limit: an impact there needs "

@@ -29,7 +29,7 @@ def dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
     """Largest dimension of a family of closed configurations through q (nq,) with rates in some of `spans` (nv, k)."""
     e = equations
     angles = np.zeros(e.nv, dtype=bool)
-    angles[e.system.layout.vector_v] = True
+    angles[e.system.structure.layout.vector_v] = True
     angles &= e.turning & ~e.sliding
     best = 0
     for span in spans:

@@ -58,7 +58,7 @@ def close(system: System, q: Array) -> Closed:
 
 def find_closed(system: System) -> Closed:
     """A closed configuration: the posture 'closed', the middle of the limits, or else one that is searched."""
-    at = close(system, system.posture("closed") if "closed" in system.posture_names else system.mid)
+    at = close(system, system.q("closed") if "closed" in system.structure.posture_names else system.mid)
     if at.closed and not one_sided_rows(system).beyond(at.q, declared=True).any():
         return at
     from kempe.solvers.assembly import assemble
@@ -92,8 +92,8 @@ def _walk(system: System, rank: Rank, rng: np.random.Generator, count: int) -> l
     z = rng.normal(size=(count, rank.nullity)) @ rank.kernel.T
     size = STEP * np.sqrt(rank.nullity)
     z *= size / np.linalg.norm(z, axis=1, keepdims=True)
-    starts = system.integrate(np.broadcast_to(rank.q, (count, system.nq)), z * rank.units)
+    starts = system.structure.layout.integrate(np.broadcast_to(rank.q, (count, system.nq)), z * rank.units)
     answer = of_equations(system)(start=starts, limits=False, budget=Budget(starts=1))
-    moved = np.linalg.norm(system.difference(rank.q, answer.q) / rank.units, axis=1)
+    moved = np.linalg.norm(system.structure.layout.difference(rank.q, answer.q) / rank.units, axis=1)
     good = np.asarray(answer.success) & (moved > AWAY * size)
     return [rank_at(system, q) for q in answer.q[good]]

@@ -218,7 +218,7 @@ def _structure(system: System) -> Structure:
     ends = np.array([(e.parent, e.child) for e in edges], dtype=np.int64).reshape(-1, 2)
     slides = np.zeros(system.nv, dtype=bool)
     for name, iv, _, slide in (c for e in edges for c in e.columns):
-        if iv >= 0 and name == system.velocity_names[iv]:
+        if iv >= 0 and name == system.structure.velocity_names[iv]:
             slides[iv] = slide
     return Structure(
         tuple(edges), tuple(loops), laws, clusters, ends[:, 0], ends[:, 1], stack[:, 0], stack[:, 1], slides
@@ -229,8 +229,8 @@ def _edges(system: System) -> list[Edge]:
     m, dim = system.mechanism, system.dim
     number = {b: i for i, b in enumerate(system.body_names)}
     in_q = {n: i for i, n in enumerate(system.coordinate_names)}
-    in_v = {n: i for i, n in enumerate(system.velocity_names)}
-    followers = system.couplings
+    in_v = {n: i for i, n in enumerate(system.structure.velocity_names)}
+    followers = system.structure.couplings
     out = []
     for joint in m.joints.values():
         particle = m.bodies[joint.child].particle
@@ -270,13 +270,13 @@ def _full(joint: str, coordinate: str) -> str:
 
 def _loops(system: System, edges: list[Edge]) -> list[Loop]:
     index = {e.name: i for i, e in enumerate(edges)}
-    up = [-1, *(index[n] for n in system.parent_joints)]
+    up = [-1, *(index[n] for n in system.structure.parent_joints)]
     parent = (-1, *system.parent)
     depth = [0] * len(parent)
     for body in _tree_order(parent):
         depth[body] = depth[parent[body]] + 1 if body else 0
     out = []
-    closing = [index[n] for n in system.closures] + [i for i, e in enumerate(edges) if not e.joint]
+    closing = [index[n] for n in system.structure.closures] + [i for i, e in enumerate(edges) if not e.joint]
     for k in closing:
         a, b = edges[k].parent, edges[k].child
         from_b, to_a = [], []
@@ -301,7 +301,7 @@ def _laws(system: System) -> tuple[Law, ...]:
         places = list(range(first, first + len(tie.rows)))
         first += len(tie.rows)
         if tie.relation is not None:
-            key, of = (0, system.relations.index(tie.relation)), tie.relation
+            key, of = (0, system.structure.relations.index(tie.relation)), tie.relation
         elif tie.written:
             key, of = (1, order[tie.name]), system.mechanism.constraints[tie.name]
         else:

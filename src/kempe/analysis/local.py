@@ -118,7 +118,7 @@ def local_dimension(
 
     >>> import kempe
     >>> system = kempe.load("parallelogram")
-    >>> flat = local_dimension(system, system.posture("flat"))
+    >>> flat = local_dimension(system, system.q("flat"))
     >>> flat.rank_dim, flat.dim, flat.branch_dims
     (2, 1, (1, 1))
     """

@@ -113,7 +113,7 @@ def _one(system: System, q: Any, what: str) -> Array:
 
 def _loose(system: System, goal: Any, free: Iterable[str], car: Wheeled) -> tuple[int, ...]:
     """Velocity indices of what may end anywhere. Errors: `InputError`, `UnknownNameError`."""
-    names, out = list(system.velocity_names), []
+    names, out = list(system.structure.velocity_names), []
     for name in listed(free, "free"):
         if name not in names:
             raise UnknownNameError("coordinate", name, names, system.name)
@@ -147,12 +147,12 @@ def _course(car: Wheeled, q: Array, goal: Array, plan: Plan) -> Course | None:
     if car.steering is not None:
         steer((float(goal[car.steering_q]),))
     idle = np.zeros(car.system.nv)
-    idle[list(car.idle)] = car.system.difference(q, goal)[list(car.idle)]
+    idle[list(car.idle)] = car.system.structure.layout.difference(q, goal)[list(car.idle)]
     if not pieces and idle.any():
         pieces.append(Piece("rest", 0.0, float(np.abs(idle).max()), 0.0, 0.0, 0.0))
     if not pieces:
         return None
-    course, limits = Course(car, q, idle, pieces), car.system.velocity_limits
+    course, limits = Course(car, q, idle, pieces), car.system.structure.velocity_limits
     if not np.isfinite(limits).any():
         return course
     return Course(car, q, idle, _slower(course, limits))
@@ -198,7 +198,7 @@ def _outside(system: System, course: Course, samples: int) -> str:
     """What a course does that it must not, in words: it leaves limits, or violates one-sided constraints."""
     q = course.at(_times(course, max(samples, 200)))[0]
     if (course.car.pose.spread(q) <= PARALLEL).any():
-        slides = " and ".join(repr(system.velocity_names[v]) for v in course.car.pose.slides_v)
+        slides = " and ".join(repr(system.structure.velocity_names[v]) for v in course.car.pose.slides_v)
         return f"on the way {slides} would be parallel, and cannot go on"
     rows = one_sided_rows(system)
     over = rows.beyond(q)
@@ -215,16 +215,16 @@ def _arrive(car: Wheeled, course: Course, x: Array, q: Array, goal: Array, free:
     Errors: `UnsupportedError` where the course does not lead to the goal.
     """
     system, end = car.system, goal.copy()
-    place = dict(zip(system.layout.vector_v.tolist(), system.layout.vector_q.tolist(), strict=True))
+    place = dict(zip(system.structure.layout.vector_v.tolist(), system.structure.layout.vector_q.tolist(), strict=True))
     for v in free:
         end[place[v]] = x[-1, place[v]]
     i = car.pose.turn_q
     turns = round(float(car.pose.gear * (x[-1, i] - goal[i])) / (2.0 * math.pi))
     end[i] += 2.0 * math.pi * turns / car.pose.gear
-    off = np.abs(system.difference(x[-1], end))
-    scale = 1.0 + float(np.abs(x[:, system.layout.vector_q]).max(initial=0.0)) + course.total
+    off = np.abs(system.structure.layout.difference(x[-1], end))
+    scale = 1.0 + float(np.abs(x[:, system.structure.layout.vector_q]).max(initial=0.0)) + course.total
     if off.max() > 1e-12 * scale:
-        name = system.velocity_names[int(np.argmax(off))]
+        name = system.structure.velocity_names[int(np.argmax(off))]
         if int(np.argmax(off)) not in car.driven:
             raise UnsupportedError(f"{system.name}: {name!r} would miss the goal by {off.max():.3g}: this radius is "
                                    "too large beside the distance for the digits of numbers")  # fmt: skip

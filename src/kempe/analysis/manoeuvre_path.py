@@ -148,7 +148,7 @@ class Course:
         )
         self.total = pieces[-1].start + pieces[-1].duration
         self.idle = idle / self.total
-        n, layout = len(pieces), car.system.layout
+        n, layout = len(pieces), car.system.structure.layout
         place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
         self.driven_q = [place[v] for v in car.driven]
         wheel, steer, driven = np.empty((n, 3)), np.empty(n), np.empty((n, len(car.driven)))
@@ -177,7 +177,7 @@ class Course:
         wheel = _moved(self.wheel[k], self.forward[k] * past, self.turning[k] * past)
         v = np.zeros((len(t), system.nv))
         v[:, list(car.idle)] = self.idle[list(car.idle)]
-        q = system.layout.integrate(np.broadcast_to(self.q, (len(t), system.nq)), v * t[:, None])
+        q = system.structure.layout.integrate(np.broadcast_to(self.q, (len(t), system.nq)), v * t[:, None])
         if car.steering is not None:
             q[:, car.steering_q] = self.steer[k] + self.steering[k] * past
             v[:, car.steering] = self.steering[k]

@@ -225,14 +225,14 @@ def _path(
     """The answer from the nodes of a branch."""
     system, found, remark = equations.system, [], ""
     options.time.put_in_order()
-    indices = [int(i) for i in system.layout.vector_v if i not in equations.held]
+    indices = [int(i) for i in system.structure.layout.vector_v if i not in equations.held]
     s, k = None, 0
     try:
         nodes = hidden_crossings(equations, nodes)
         s = _lengths(equations, nodes)
         for k, m, i in turns(nodes, closed, indices):
             if (n := extreme(equations, nodes, k, m, i)) is not None:
-                name = system.velocity_names[i]
+                name = system.structure.velocity_names[i]
                 kind = "fold of the driver" if name == options.driver else "extreme"
                 at = float(s[k]) + arc(equations, nodes[k], n) if n is not nodes[0] else 0.0
                 found.append(Event(n.x, at, kind, name, float(n.x[equations.place[i]])))
@@ -243,7 +243,7 @@ def _path(
     found.sort(key=lambda e: e.s)
     track = Track(equations, np.array([n.x for n in nodes]), s, np.array([n.t for n in nodes]))
     turning = tuple(e for e in found if options.driver is None or e.coordinate == options.driver)
-    held = tuple(system.velocity_names[i] for i in equations.held)
+    held = tuple(system.structure.velocity_names[i] for i in equations.held)
     return Path(
         track.q, s, closed, ends, turning, _singular(equations, nodes[:-1] if closed else nodes, s), tuple(found),
         options.driver, held, (), broken is None, isinstance(broken, KeyboardInterrupt), track,
@@ -272,7 +272,7 @@ def _singular(equations: Closure, nodes: list[Node], s: Array) -> tuple[Event, .
 def _failed(equations: Closure, options: _Options, reason: str, q: Array, success: bool = False) -> Path:
     """The path of one point that could not be left."""
     track = Track(equations, q[None], np.zeros(1), np.zeros((1, equations.n)))
-    held = tuple(equations.system.velocity_names[i] for i in equations.held)
+    held = tuple(equations.system.structure.velocity_names[i] for i in equations.held)
     return Path(
         track.q, track.s, False, (reason, reason), (), (), (), options.driver, held, (), success, False,
         track,

@@ -99,7 +99,7 @@ class OneSidedReport(Report):
     def coordinates(self) -> dict[str, Ways]:
         """What each coordinate may do, to first order: whether it may fall, and rise."""
         each = np.eye(self.system.nv)
-        return {n: self.cone.ways(row) for n, row in zip(self.system.velocity_names, each, strict=True)}
+        return {n: self.cone.ways(row) for n, row in zip(self.system.structure.velocity_names, each, strict=True)}
 
     def frame(self, frame: FrameLike) -> dict[str, Ways]:
         """What the origin of a frame may do along the axes of the ground, and its turns about them, to first order."""

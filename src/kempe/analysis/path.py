@@ -117,7 +117,7 @@ class Motion(Configurations):
         names, columns = [first, *self.system.coordinate_names], [column[:, None], self.q]
         axes = "xyz"[: self.system.dim]
         for frame in [frames] if isinstance(frames, str) else frames:
-            names += [f"{self.system.frame_name(frame)}.{axis}" for axis in axes]
+            names += [f"{self.system.structure.frame_name(frame)}.{axis}" for axis in axes]
             columns.append(self.curve(frame)[:, : len(axes)])
         return names, np.hstack(columns)
 
@@ -178,7 +178,8 @@ class Path(Motion):
             return {}
         e = self.track.equations
         change = self.q[-1] - self.q[0]
-        return {name: round(change[e.place[i]] / (2.0 * np.pi)) for i, name in enumerate(self.system.velocity_names)
+        names = self.system.structure.velocity_names
+        return {name: round(change[e.place[i]] / (2.0 * np.pi)) for i, name in enumerate(names)
                 if e.place[i] >= 0 and abs(change[e.place[i]]) > 1.0}  # fmt: skip
 
     def __repr__(self) -> str:
@@ -200,7 +201,7 @@ class Path(Motion):
         around = self.closed & ((flat < 0.0) | (flat > length))
         rounds = np.where(around, np.floor(flat / max(length, 1e-300)), 0.0)
         change = self.track.q[-1] - self.track.q[0]
-        change[self.system.layout.quaternion_q[:, None] + np.arange(4)] = 0.0
+        change[self.system.structure.layout.quaternion_q[:, None] + np.arange(4)] = 0.0
         out = self.track.at(np.clip(flat - rounds * length, 0.0, length)) + rounds[:, None] * change
         return out.reshape(*s.shape, self.system.nq)
 

@@ -198,7 +198,7 @@ def _law(system: System, law: Law, written: Mapping[str, Array], columns: np.nda
         return written[law.name][:, columns]
     row = np.zeros((1, system.nv))
     for name, m in ((law.of.of, -1.0), *law.of.sources.items()):
-        v = system.velocity_names.index(name)
+        v = system.structure.velocity_names.index(name)
         row[0, v] += m * units[v]
     return row[:, columns] / np.abs(row).max()
 
@@ -214,7 +214,7 @@ def written_rows(system: System, q: Array) -> dict[str, Array]:
     rng = np.random.default_rng(0)  # the same around each q
     scale = loops.full(system, True).weights[SCALES : SCALES + system.nv]
     steps = np.concatenate([np.zeros((1, system.nv)), AROUND * rng.normal(size=(POINTS, system.nv)) * scale])
-    there = system.layout.integrate(np.broadcast_to(q, (len(steps), len(q))), steps)
+    there = system.structure.layout.integrate(np.broadcast_to(q, (len(steps), len(q))), steps)
     J = loops.evaluate(system, there, True, True)[1]
     out = {}
     for law in laws:

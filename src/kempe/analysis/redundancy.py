@@ -155,7 +155,7 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_Row]:
             if name not in free:
                 rows.append(_Row(edge.name, REACTIONS[name], not edge.actuated, edge, twist @ wrench, free))
         for column, twist in zip(edge.columns, at.twists[i].T, strict=True):
-            if column.index < 0 or column.name != system.velocity_names[column.index]:
+            if column.index < 0 or column.name != system.structure.velocity_names[column.index]:
                 what = f"{'lock' if column.index < 0 else 'coupling'} of {column.name}"
                 rows.append(_Row(what, "", False, None, twist @ wrench))
     for law in (s.laws[k] for k in c.cluster.laws):

@@ -99,7 +99,7 @@ class Velocities:
         return z * scale
 
     def _loose(self, kernel: Array) -> str:
-        names = self.system.velocity_names
+        names = self.system.structure.velocity_names
         moving = [n for n, x in zip(names, np.abs(kernel).max(axis=0), strict=True) if x > 1e-6]
         said = ", ".join(map(repr, moving[:6])) + ", ..." * (len(moving) > 6)
         many = len(kernel)
@@ -129,7 +129,7 @@ class Velocities:
 
     def slope(self, t: float, q: Array) -> Array:
         """The rates (nq,) of the coordinates, those of quaternions included."""
-        layout = self.system.layout
+        layout = self.system.structure.layout
         v, out = self.at(q, t), np.zeros(len(q))
         out[layout.vector_q] = v[layout.vector_v]
         for i, k in zip(layout.quaternion_q.tolist(), layout.quaternion_v.tolist(), strict=True):
@@ -139,7 +139,7 @@ class Velocities:
 
     def closed(self, q: Array) -> Array:
         """The configuration (nq,) nearest to q that meets the position constraints, quaternions of length 1."""
-        layout, q = self.system.layout, q.copy()
+        layout, q = self.system.structure.layout, q.copy()
         for i in layout.quaternion_q.tolist():
             q[i : i + 4] = unit(q[i : i + 4])
         for _ in range(CORRECTIONS if self.loops else 0):
@@ -160,7 +160,7 @@ def _checked(name: str, u: Any) -> Input:
 
 def _row(system: System, name: str) -> Callable[[Array], Array]:
     """The row (nv,) of an input as a function of q: a velocity coordinate, or a twist in the axes of a frame."""
-    names = list(system.velocity_names)
+    names = list(system.structure.velocity_names)
     if name in names:
         row = np.eye(system.nv)[names.index(name)]
         return lambda q: row

@@ -125,7 +125,11 @@ class _Follow:
         free = int(np.sum(s > RANK))
         if free < N.shape[1]:
             loose = Vt[free:] @ N.T
-            moving = [n for n, x in zip(self.system.velocity_names, np.abs(loose).max(axis=0), strict=True) if x > 1e-6]
+            moving = [
+                n
+                for n, x in zip(self.system.structure.velocity_names, np.abs(loose).max(axis=0), strict=True)
+                if x > 1e-6
+            ]
             many = len(loose)
             raise UnsupportedError(f"the inputs {', '.join(map(repr, self.names))} leave {many} "
                                    f"freedom{'s' * (many != 1)} of motion, among {', '.join(map(repr, moving[:6]))}; "

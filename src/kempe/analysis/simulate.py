@@ -110,9 +110,9 @@ class Simulation(Motion):
         k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
         h = (self.t[k + 1] - self.t[k])[:, None]
         u = (t - self.t[k])[:, None] / h
-        way, a, b = self.system.layout.difference(self.q[k], self.q[k + 1]), h * self.v[k], h * self.v[k + 1]
+        way, a, b = self.system.structure.layout.difference(self.q[k], self.q[k + 1]), h * self.v[k], h * self.v[k + 1]
         y = u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * way - u * u * (1 - u) * b
-        return self.system.layout.integrate(self.q[k], y), (1 - u) * self.v[k] + u * self.v[k + 1]
+        return self.system.structure.layout.integrate(self.q[k], y), (1 - u) * self.v[k] + u * self.v[k + 1]
 
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: time, all coordinates, x, y (and z) of frames."""
@@ -212,7 +212,7 @@ def _velocity(system: System, velocity: Any) -> Array:
     """Velocities (nv,) at the start. Errors: `InputError`, `UnknownNameError`."""
     v = np.zeros(system.nv)
     given = None if velocity is None else named(velocity)
-    names = list(system.velocity_names)
+    names = list(system.structure.velocity_names)
     if given is not None:
         for name, x in given.items():
             if name not in names:

@@ -46,8 +46,8 @@ class Steering:
         self.car, self.q, self.unit = car, q, loops.characteristic_length(car.system)
         i = car.steering
         assert i is not None
-        self.name, here = car.system.velocity_names[i], float(q[car.steering_q])
-        reach = math.pi if car.system.coordinates.turning[i] else FAR * self.unit
+        self.name, here = car.system.structure.velocity_names[i], float(q[car.steering_q])
+        reach = math.pi if car.system.structure.coordinates.turning[i] else FAR * self.unit
         low, high = float(car.system.lower[i]), float(car.system.upper[i])
         low = low if math.isfinite(low) else min(here, high) - reach
         high = high if math.isfinite(high) else max(here, low) + reach
@@ -153,8 +153,8 @@ def _signed_length(
         return np.full(len(bound), np.nan) if out is None else out[bound]
 
     ahead, about = rate(1.0, 0.0, straight), rate(0.0, 1.0, turn)
-    missing = car.system.difference(q, goal)[[car.driven[k] for k in bound]] - about * angle
-    names = [car.system.velocity_names[car.driven[k]] for k in bound]
+    missing = car.system.structure.layout.difference(q, goal)[[car.driven[k] for k in bound]] - about * angle
+    names = [car.system.structure.velocity_names[car.driven[k]] for k in bound]
     size = float(ahead @ ahead)
     length = float(ahead @ missing) / size if size > 0.0 else 0.0
     off = np.abs(ahead * length - missing)

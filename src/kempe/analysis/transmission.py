@@ -160,12 +160,14 @@ def _output(system: System, name: str) -> tuple[str, str]:
     """("joint" or "frame", name) of an output."""
     kind, colon, rest = str(name).partition(":")
     if colon and kind in ("joint", "frame"):
-        return kind, rest if kind == "joint" else system.frame_name(rest)
-    coordinate, frame = name in system.velocity_names, name in system.frame_names
+        return kind, rest if kind == "joint" else system.structure.frame_name(rest)
+    coordinate, frame = name in system.structure.velocity_names, name in system.frame_names
     if coordinate and frame:
         raise InputError(f"{name!r} is a coordinate and a frame; write 'joint:{name}' or 'frame:{name}'")
     if not coordinate and not frame:
-        raise UnknownNameError("coordinate or frame", name, (*system.velocity_names, *system.frame_names), system.name)
+        raise UnknownNameError(
+            "coordinate or frame", name, (*system.structure.velocity_names, *system.frame_names), system.name
+        )
     return ("joint", name) if coordinate else ("frame", name)
 
 
@@ -266,14 +268,14 @@ def transmission_angle(
 
 def _kind(system: System, name: str) -> int | None:
     """R or P for a joint with one turn or one slide, else None."""
-    joint = system.joints[name]
+    joint = system.structure.joints[name]
     primitives = joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1]
     return primitives[0].kind if len(primitives) == 1 and primitives[0].kind in (R, P) else None
 
 
 def _dyad(system: System, joint: str, coupler: str | None, output: str | None) -> tuple[str, str]:
     """The other joints of the coupler and of the output link."""
-    joints = system.joints
+    joints = system.structure.joints
     for name in (joint, coupler, output):
         if name is not None and name not in joints:
             raise UnknownNameError("joint", name, system.joint_names, system.name)
@@ -305,5 +307,5 @@ def _dyad(system: System, joint: str, coupler: str | None, output: str | None) -
 
 def _at(system: System, q: Array, name: str) -> Array:
     """Pose (..., 4, 4) of frame F of a joint."""
-    joint = system.joints[name]
-    return system.fk(q, joint.parent) @ joint.X_PF.evaluate(system.parameters)
+    joint = system.structure.joints[name]
+    return system.fk(q, joint.parent) @ joint.X_PF.evaluate(system.structure.parameters)

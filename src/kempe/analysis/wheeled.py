@@ -100,7 +100,9 @@ def pose_of(system: System) -> Pose:
     """The body nearest to the ground that moves in a plane by two slides and a turn. Errors: `UnsupportedError`."""
     rng = np.random.default_rng(SEED)
     samples = random(system, rng, (TRIALS,))
-    vectors = dict(zip(system.layout.vector_v.tolist(), system.layout.vector_q.tolist(), strict=True))
+    vectors = dict(
+        zip(system.structure.layout.vector_v.tolist(), system.structure.layout.vector_q.tolist(), strict=True)
+    )
     for body in system.body_names[1:]:
         J = np.asarray(system.jacobian(samples, body))
         moved = np.flatnonzero(np.abs(J).max(axis=(0, 1)) > SAME)
@@ -190,7 +192,7 @@ def wheeled(system: System, q: Array) -> Wheeled:
     A, b = rates(system, q)
     if not A.shape[-2]:
         raise UnsupportedError(f"{system.name} has no velocity constraints: nothing keeps it from going straight there "
-                               "(system.interpolate)")  # fmt: skip
+                               "(system.configuration_space.interpolate)")  # fmt: skip
     if np.abs(b).max(initial=0.0) > 0.0:
         raise UnsupportedError(f"{system.name}: a velocity constraint asks for a speed of its own (b is not zero): the "
                                "system cannot rest, and a manoeuvre is not known")  # fmt: skip
@@ -201,7 +203,7 @@ def wheeled(system: System, q: Array) -> Wheeled:
     driven, idle, steering = _kinds(pose, q)
     steering_q = -1
     if steering is not None:
-        steering_q = int(system.layout.vector_q[system.layout.vector_v.tolist().index(steering)])
+        steering_q = int(system.structure.layout.vector_q[system.structure.layout.vector_v.tolist().index(steering)])
     a, loose = _normal(pose, q, driven, steering, steering_q)
     if math.hypot(a[0], a[1]) < SAME * abs(a[2]):
         raise UnsupportedError(f"{system.name}: {pose.body!r} cannot turn; its heading stays, and that is a constraint "
@@ -245,7 +247,7 @@ def _middle(pose: Pose, q: Array, foot: Array, forward: Array) -> tuple[Array, f
 def ends_of_velocity_constraints(system: System) -> list[tuple[str, Array]]:
     """For each declared velocity constraint between frames the body of its end B, and the pose of that end on it."""
     found = [c for c in system._mechanism.constraints.values() if any(r.velocity for r in c.of.rows(system.dim))]
-    return [(c.child, c.frames(system.parameters, system.dim)[1]) for c in found if c.child]
+    return [(c.child, c.frames(system.structure.parameters, system.dim)[1]) for c in found if c.child]
 
 
 def binding(system: System, q: Array) -> str | None:
@@ -267,8 +269,8 @@ def _rows(pose: Pose, q: Array) -> Array:
 def _unit(pose: Pose) -> Array:
     """What one unit is (3 + nv,): radians, and characteristic lengths."""
     length = loops.characteristic_length(pose.system)
-    turning = pose.system.coordinates.turning.copy()
-    turning[pose.system.layout.quaternion_v[:, None] + np.arange(3)] = True
+    turning = pose.system.structure.coordinates.turning.copy()
+    turning[pose.system.structure.layout.quaternion_v[:, None] + np.arange(3)] = True
     return np.concatenate([[length, length, 1.0], np.where(turning, 1.0, length)])
 
 
@@ -288,8 +290,13 @@ def _kinds(pose: Pose, q: Array) -> tuple[tuple[int, ...], tuple[int, ...], int 
     """Driven and idle velocity indices, and the steering. Errors: `UnsupportedError`."""
     system, unit, rng = pose.system, _unit(pose), np.random.default_rng(SEED)
     samples = random(system, rng, (TRIALS,))
-    places = {int(v): [int(i)] for v, i in zip(system.layout.vector_v, system.layout.vector_q, strict=True)}
-    for v, i in zip(system.layout.quaternion_v.tolist(), system.layout.quaternion_q.tolist(), strict=True):
+    places = {
+        int(v): [int(i)]
+        for v, i in zip(system.structure.layout.vector_v, system.structure.layout.vector_q, strict=True)
+    }
+    for v, i in zip(
+        system.structure.layout.quaternion_v.tolist(), system.structure.layout.quaternion_q.tolist(), strict=True
+    ):
         places |= {v + k: list(range(i, i + 4)) for k in range(3)}
 
     def space(x: Array) -> Array:
@@ -312,13 +319,13 @@ def _kinds(pose: Pose, q: Array) -> tuple[tuple[int, ...], tuple[int, ...], int 
     for v in sorted(set(places) - set(pose.own)):
         column = max(float(np.abs(space(x)[3 + v]).max()) for x in (q, *samples)) > SAME
         shape = any(varies(places[v], base) for base in (q, samples[0], samples[1]))
-        name = system.velocity_names[v]
+        name = system.structure.velocity_names[v]
         if column and shape:
             raise UnsupportedError(f"{system.name}: the rate of {name!r} depends on {name!r} itself, as a trailer's "
                                    "does; a manoeuvre is not known for that")  # fmt: skip
         (driven if column else steering if shape else idle).append(v)
     if len(steering) > 1 or any(len(places[v]) > 1 for v in steering):
-        both = " and ".join(repr(system.velocity_names[v]) for v in steering)
+        both = " and ".join(repr(system.structure.velocity_names[v]) for v in steering)
         raise UnsupportedError(f"{system.name}: {both} steer together; a manoeuvre is known for one steering angle")
     return tuple(driven), tuple(idle), steering[0] if steering else None
 
@@ -340,7 +347,7 @@ def _normal(
         N = _null(_rows(pose, x)[:, own] * unit[own])
         s = np.linalg.svd(N[:3], compute_uv=False)
         if N.shape[1] > 3 or (N.shape[1] and s[N.shape[1] - 1] < RANK):
-            names = ", ".join(repr(system.velocity_names[v]) for v in driven)
+            names = ", ".join(repr(system.structure.velocity_names[v]) for v in driven)
             raise UnsupportedError(f"{system.name}: with {pose.body!r} at rest some of {names} still turn: a manoeuvre "
                                    "is not known for that")  # fmt: skip
         twists.append(N[:3] * unit[:3, None])
@@ -349,12 +356,12 @@ def _normal(
         return np.cross(twists[0][:, 0], twists[0][:, 1]), True
     if counts == {3}:
         raise UnsupportedError(f"{system.name}: the velocity constraints let {pose.body!r} move in every direction: "
-                               "no manoeuvre is needed (system.interpolate)")  # fmt: skip
+                               "no manoeuvre is needed (system.configuration_space.interpolate)")  # fmt: skip
     if counts == {1} and steering is not None:
         _, s, Vt = np.linalg.svd(np.concatenate([N.T / unit[:3] for N in twists]))
         if s[2] < SAME * s[0] and s[1] > RANK * s[0]:
             return Vt[2] / unit[:3], False
-        name = system.velocity_names[steering]
+        name = system.structure.velocity_names[steering]
         raise UnsupportedError(f"{system.name}: no point of {pose.body!r} is without sideslip for every value of "
                                f"{name!r}: a manoeuvre is known for a body with an axle of its own")  # fmt: skip
     raise UnsupportedError(f"{system.name}: the velocity constraints leave {pose.body!r} {min(counts)} freedoms of "

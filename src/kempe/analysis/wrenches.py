@@ -102,7 +102,7 @@ class Wrenches:
     def __getitem__(self, name: str) -> Array:
         rows = self._of(name)
         own = np.stack([self._wrench(name, r.rates) for r in rows])
-        if name not in self.system.joints:
+        if name not in self.system.structure.joints:
             return own
         moves = np.stack([r.rates for r in rows])[:, self._bodies[-1][1] :]
         U, sizes, _ = np.linalg.svd(moves)
@@ -157,7 +157,7 @@ class Wrenches:
         loads, because the mechanism would move.
         """
         held = (held,) if isinstance(held, str) else tuple(held)
-        wanted, names = np.zeros(self._size), self.system.velocity_names
+        wanted, names = np.zeros(self._size), self.system.structure.velocity_names
         for frame, load in loads.items():
             wanted += self._load(frame, load)
         for name in held:
@@ -237,7 +237,7 @@ class Wrenches:
             name = tie.name if tie.relation is None else f"coupling of {tie.relation.of}"
             out += [_Row(name, row, packed.units[k + i], True, J[k + i]) for i, row in enumerate(tie.rows)]
             k += len(tie.rows)
-        order = {n: i for i, n in enumerate((*self.system.joints, *self._mechanism.constraints))}
+        order = {n: i for i, n in enumerate((*self.system.structure.joints, *self._mechanism.constraints))}
         out.sort(key=lambda r: order.get(r.of, len(order)))
         rates = velocity_rows(M)
         A = rates.values(Q, np.zeros(()))[0]
@@ -337,8 +337,8 @@ class Wrenches:
     def _load(self, frame: str, load: Any) -> Array:
         """A load on a frame as generalised forces in maximal coordinates."""
         system, x = self.system, numbers(load, f"load on {frame!r}")
-        name = system.frame_name(frame)
-        body = system.frames[name].body if name in system.frames else name
+        name = system.structure.frame_name(frame)
+        body = system.structure.frames[name].body if name in system.structure.frames else name
         wrench = np.zeros(6)
         allowed = (2, 3) if system.dim == 2 else (3, 6)
         if x.ndim != 1 or len(x) not in allowed:

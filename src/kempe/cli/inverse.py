@@ -90,7 +90,7 @@ def ik(
             budget=Budget(rng=rng),
         ), deg, out, json)  # fmt: skip
         return
-    system.frame_name(frame)  # a wrong name is told before kernels are compiled
+    system.structure.frame_name(frame)  # a wrong name is told before kernels are compiled
     X, position = rows.target(system, target, deg)
     start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
     position = position or position_only
@@ -182,7 +182,7 @@ def path(
         asked = _read_tasks(system, tasks, deg)
         wanted, count = asked.tasks(), asked.count
     else:
-        system.frame_name(frame)
+        system.structure.frame_name(frame)
         wanted, position = rows.target(system, target, deg)
         count = len(wanted) if wanted.ndim > 2 else None
         wanted = wanted[..., :3, 3] if position or position_only else wanted
@@ -293,7 +293,7 @@ def plan(
     from kempe.solvers.analytic.describe import ik_plan
     from kempe.views import ik_report
 
-    system.frame_name(frame)
+    system.structure.frame_name(frame)
     words = [w if "=" in w else f"{w}=0" for w in hold or []]
     answer = ik_plan(system, frame, _asked(task, axis), tuple(_held(system, words, False)))
     print_json(answer.data()) if json else show(ik_report.plan(answer))

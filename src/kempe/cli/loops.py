@@ -243,7 +243,7 @@ def trace(
 
     results(out)
     _picture(plot)
-    names = [system.frame_name(f) for f in frame or ()]
+    names = [system.structure.frame_name(f) for f in frame or ()]
     held = given.known(system, hold or [], deg, frames=False)
     begin, closing = given.first(system, start, held, deg)
     if closing is not None and not closing:
@@ -291,7 +291,7 @@ def plot(
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import given
 
-    names = [system.frame_name(f) for f in frame or ()]
+    names = [system.structure.frame_name(f) for f in frame or ()]
     _picture(out)
     at, closing = given.configuration(system, q, posture, deg)
     _save(system.plot(at, frames=names), out)

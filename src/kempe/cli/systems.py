@@ -138,7 +138,7 @@ def fk(
     from kempe.views import facts, report, rows
 
     if frame is not None:
-        system.frame_name(frame)  # a wrong name is told before kernels are compiled
+        system.structure.frame_name(frame)  # a wrong name is told before kernels are compiled
     results(out)
     values = rows.configuration(system, q, posture, deg)
     X = system.fk(values, frame)

@@ -66,10 +66,10 @@ def back(system: System, q: Array, turned: dict[str, Array]) -> Array:
 def _balls(system: System) -> dict[str, list[int]]:
     """Places in q of the three angles of each ball that has its own."""
     names = {n: i for i, n in enumerate(system.coordinate_names)}
-    related = {f.source for f in system.couplings.values()} | set(system.couplings)
-    related |= {n for r in system.relations for n in (r.of, *r.sources)}
+    related = {f.source for f in system.structure.couplings.values()} | set(system.structure.couplings)
+    related |= {n for r in system.structure.relations for n in (r.of, *r.sources)}
     found = {}
-    for joint in system.joints.values():
+    for joint in system.structure.joints.values():
         particle = system.mechanism.bodies[joint.child].particle
         own, steps = joint.type.layout(system.dim, particle)
         last = steps[-3:] if plain(steps) else ()

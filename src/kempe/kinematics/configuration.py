@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.calls import explained, generator, numbers, together
+from kempe.calls import explained, generator, known, numbers, together
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.coordinates import returning
 from kempe.model.kept import kept
@@ -62,14 +62,14 @@ def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]]
 @kept
 def has_loops(system: System) -> bool:
     """Whether equations tie the coordinates: of loops, of declared constraints, or relations of several coordinates."""
-    tied = system.closures or system.relations
+    tied = system.structure.closures or system.structure.relations
     return bool(tied) or any(c.equations(system.dim) for c in system._mechanism.constraints.values())
 
 
 def home_of(system: System) -> Array:
     """Where a search starts that is told nothing: the posture 'closed' if there is one, else within the limits."""
-    if "closed" in system.posture_names:
-        return system.posture("closed")
+    if "closed" in system.structure.posture_names:
+        return system.q("closed")
     return system.mid.copy()
 
 
@@ -106,17 +106,28 @@ def _places(system: System) -> dict[str, int]:
     return {n: i for i, n in enumerate(system.coordinate_names)}
 
 
+def _posture(system: System, name: str) -> dict[str, float]:
+    """Values of a named posture, of those coordinates that are in `q`. Errors: `UnknownNameError`."""
+    postures = system._mechanism.postures
+    index = _places(system)
+    return {n: x for n, x in postures[known("posture", name, postures, system.name)].items() if n in index}
+
+
 @explained
-def q_from_dict(system: System, coordinates: Mapping[str, Any], base: ArrayLike | None = None) -> Array:
-    """Configuration (..., nq) from values by coordinate name; the others are neutral, or as in `base` (..., nq)."""
-    given = named(coordinates)
+def q_from_dict(system: System, coordinates: Mapping[str, Any] | str, base: ArrayLike | None = None) -> Array:
+    """Configuration (..., nq) from values by coordinate name, or of the posture of a name.
+
+    What is not named is neutral, or as in `base` (..., nq).
+    """
+    given = _posture(system, coordinates) if isinstance(coordinates, str) else named(coordinates)
     if given is None:
-        raise InputError(f"coordinates are {type(coordinates).__name__}; they must be a dict by coordinate name")
+        needed = "a dict by coordinate name, or the name of a posture"
+        raise InputError(f"coordinates are {type(coordinates).__name__}; they must be {needed}")
     index = _places(system)
     values, single = [], True
     for name, number in given.items():
         if name not in index:
-            follower = system.couplings.get(name)
+            follower = system.structure.couplings.get(name)
             if follower is not None:
                 follows = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"
                 raise InputError(f"coordinate {name!r} is not part of q: {follows}")
@@ -167,7 +178,7 @@ def mid(system: System) -> Array:
     with np.errstate(invalid="ignore"):
         v = np.where(both, 0.5 * lower + 0.5 * upper, np.clip(0.0, lower, upper))
     q = system.neutral.copy()
-    q[system.layout.vector_q] = v[system.layout.vector_v]
+    q[system.structure.layout.vector_q] = v[system.structure.layout.vector_v]
     q.setflags(write=False)
     return q
 
@@ -185,7 +196,7 @@ def random(system: System, rng: np.random.Generator | int | None, shape: int | t
         raise InputError(f"shape is {shape!r}; it must be a whole number or a tuple of them, not negative")
     shape = tuple(int(n) for n in sizes)
     rng = generator(rng)
-    layout, names = system.layout, system.velocity_names
+    layout, names = system.structure.layout, system.structure.velocity_names
     try:
         q = np.broadcast_to(system.neutral, (*shape, system.nq)).copy()
     except (MemoryError, ValueError):
@@ -204,7 +215,7 @@ def random(system: System, rng: np.random.Generator | int | None, shape: int | t
 def sampling_box(system: System) -> tuple[Array, Array]:
     """Finite bounds (nv,) to draw from: the limits, and where one is missing a turn or a length of 1 m on each side."""
     lower, upper = system.lower, system.upper
-    reach = np.where(system.coordinates.turning, math.pi, 1.0)
+    reach = np.where(system.structure.coordinates.turning, math.pi, 1.0)
     with np.errstate(invalid="ignore"):
         low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2.0 * reach, -reach))
         high = np.where(np.isfinite(upper), upper, np.where(np.isfinite(lower), lower + 2.0 * reach, reach))
@@ -221,7 +232,7 @@ def integrate(system: System, q: Any, v: ArrayLike) -> Array:
     q = as_q(system, q)
     if q.shape != v.shape and q.ndim + v.ndim > 2:
         together({"q": q.shape[:-1], "v": v.shape[:-1]})
-    return system.layout.integrate(q, v)
+    return system.structure.layout.integrate(q, v)
 
 
 @explained
@@ -230,7 +241,7 @@ def difference(system: System, q0: Any, q1: Any) -> Array:
     a, b = as_q(system, q0), as_q(system, q1)
     if a.shape != b.shape:
         together({"q0": a.shape[:-1], "q1": b.shape[:-1]})
-    return system.layout.difference(a, b)
+    return system.structure.layout.difference(a, b)
 
 
 def _tangent(system: System, q0: Any, q1: Any) -> Array:
@@ -243,7 +254,7 @@ def _tangent(system: System, q0: Any, q1: Any) -> Array:
 
 def circles(system: System) -> np.ndarray:
     """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes nothing."""
-    return returning(system.mechanism, system.coordinates)
+    return returning(system.mechanism, system.structure.coordinates)
 
 
 @explained

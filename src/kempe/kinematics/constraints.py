@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def coordinate_value(system: System, q: spatial.Array, name: str) -> spatial.Array:
     """Value (...) of any joint coordinate, one that follows another or is held included."""
-    follower: Follower | None = system.couplings.get(name)
+    follower: Follower | None = system.structure.couplings.get(name)
     if follower is None:
         return q[..., system.coordinate_names.index(name)]
     source = 0.0 if follower.source is None else q[..., system.coordinate_names.index(follower.source)]
@@ -38,10 +38,10 @@ def closure_error(system: System, q: Any) -> spatial.Array:
     """
     q = as_q(system, q)
     bodies = fk(system, q)
-    out = np.zeros((*q.shape[:-1], len(system.closures), 6))
+    out = np.zeros((*q.shape[:-1], len(system.structure.closures), 6))
     number = {b: i for i, b in enumerate(system.body_names)}
     mechanism = system.mechanism
-    for k, name in enumerate(system.closures):
+    for k, name in enumerate(system.structure.closures):
         joint = mechanism.joints[name]
         names = coordinate_names(mechanism, joint)
         local = np.stack([coordinate_value(system, q, c) for c in names], axis=-1) if names else q[..., :0]

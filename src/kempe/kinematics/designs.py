@@ -25,8 +25,8 @@ def with_parameters(system: System, numbers: Mapping[str, Any]) -> System | Desi
     """The system with other parameter values, or `Designs` where a value is an array (all of one broadcast shape)."""
     arrays: dict[str, np.ndarray] = {}
     for name, x in numbers.items():
-        if name not in system.parameters:
-            raise UnknownNameError("parameter", name, system.parameters, system.name)
+        if name not in system.structure.parameters:
+            raise UnknownNameError("parameter", name, system.structure.parameters, system.name)
         arrays[name] = reals(x, f"parameter {name!r}", "a number or an array of numbers")
         if not np.all(np.isfinite(arrays[name])):
             raise InputError(f"parameter {name!r} is not finite")
@@ -39,7 +39,7 @@ def with_parameters(system: System, numbers: Mapping[str, Any]) -> System | Desi
         return Designs(system, arrays)
     mechanism = system.mechanism
     mechanism.parameters |= {k: float(v) for k, v in arrays.items()}
-    return System(mechanism, system.topology)
+    return System(mechanism, system.structure.topology)
 
 
 @explained_methods
@@ -49,21 +49,21 @@ class Designs:
     def __init__(self, system: System, numbers: Mapping[str, ArrayLike]):
         arrays = np.broadcast_arrays(*numbers.values())
         self.system, self.shape = system, arrays[0].shape
-        self.parameters = {**system.parameters, **dict(zip(numbers, arrays, strict=True))}
+        self.parameters = {**system.structure.parameters, **dict(zip(numbers, arrays, strict=True))}
         for coupling in system.mechanism.couplings.values():
             terms = (*coupling.sources.values(), coupling.offset)
             used = {n for v in terms if isinstance(v, Expression) for n in v.names if n in numbers}
             if used:
                 raise UnsupportedError(f"the coupling of {coupling.of!r} depends on {', '.join(sorted(used))}: "
                                        "a batch of designs must share its couplings")  # fmt: skip
-        self._table = lower(system.mechanism, system.topology, system.coordinates, self.parameters)
+        self._table = lower(system.mechanism, system.structure.topology, system.structure.coordinates, self.parameters)
 
     def fk(self, q: Any, frame: FrameLike) -> Array:
         """Poses (*shape, ..., 4, 4) of a frame: every design in every configuration.
 
         `q` is (nq,) for one configuration of all designs, or (*shape, ..., nq) with configurations of each design.
         """
-        name = self.system.frame_name(frame)
+        name = self.system.structure.frame_name(frame)
         ints, floats = self._table.pack([name])
         q = as_q(self.system, q)
         k = len(self.shape)

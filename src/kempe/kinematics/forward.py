@@ -59,7 +59,7 @@ class Query(Protocol):
 @explained
 def query(system: System, frame: FrameLike) -> Query:
     """The bound forward model of a frame. Errors: `UnknownNameError`."""
-    chain_of = _Chain(system, system.frame_name(frame))
+    chain_of = _Chain(system, system.structure.frame_name(frame))
     bound_to: Any = MethodType(_model(chain_of), chain_of)  # a method, for it is pickled as an attribute of its object
     return bound_to
 
@@ -118,7 +118,7 @@ class _Chain:
 
     def __init__(self, system: System, name: str):
         self.system, self.name = system, name
-        self.ints, self.floats = system.table.pack([name], system.table.path(name))
+        self.ints, self.floats = system.structure.table.pack([name], system.structure.table.path(name))
         self.tables = {key: fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
         self.regauged = regauge(self.ints, self.floats)
 
@@ -177,13 +177,13 @@ def _query(system: System, frame: FrameLike) -> Any:
     except TypeError:  # nothing that could be a key is a name
         found = None
     if found is None:
-        found = system._queries[frame] = _model(_Chain(system, system.frame_name(frame)))
+        found = system._queries[frame] = _model(_Chain(system, system.structure.frame_name(frame)))
     return found
 
 
 @kept
 def _packed(system: System, frames: tuple[str, ...] | None) -> tuple[np.ndarray, Array]:
-    return system.table.pack(system.body_names if frames is None else frames)
+    return system.structure.table.pack(system.body_names if frames is None else frames)
 
 
 @explained
@@ -203,7 +203,7 @@ def fk(
     """
     if frame is not None and not isinstance(frame, (list, tuple)):
         return _query(system, frame)(None, q, out, threads)
-    key = None if frame is None else tuple(system.frame_name(f) for f in frame)
+    key = None if frame is None else tuple(system.structure.frame_name(f) for f in frame)
     ints, floats = _packed(system, key)
     q = as_q(system, q)
     k = len(system.body_names) if key is None else len(key)
@@ -242,7 +242,7 @@ def refuse_bad(system: System, q: Array) -> None:
     for name, x in zip(system.coordinate_names, q.tolist(), strict=True):
         if not np.isfinite(x):
             raise InputError(f"q[{name!r}] is {x}; it must be a finite number")
-    for i in system.layout.quaternion_q:
+    for i in system.structure.layout.quaternion_q:
         if not np.any(q[i : i + 4]):
             raise InputError(
                 f"the quaternion at q[{system.coordinate_names[i]!r}] is zero; (1, 0, 0, 0) is no rotation"

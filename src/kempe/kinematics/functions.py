@@ -37,7 +37,7 @@ class Whole:
 
     def __init__(self, system: System, of: Any):
         self.system, self.label, self.given, self.supplied = system, of.label, of.function, of.derivative
-        self.frames = tuple(system.frame_name(f) for f in listed(of.frames, f"frames of {of.label}"))
+        self.frames = tuple(system.structure.frame_name(f) for f in listed(of.frames, f"frames of {of.label}"))
         takes = f"of {len(self.frames)} poses (4, 4)" if self.frames else f"of q ({system.nq},)"
         if not callable(of.function):
             raise InputError(f"{of.label} is given {of.function!r}; it must be a function {takes}")
@@ -51,10 +51,10 @@ class Whole:
         self.how = ""
         if self.supplied is not None:
             rows = self.derivative if found.ndim else lambda x: np.atleast_2d(self.derivative(x))
-            check_supplied(self.label, self.raw, rows, system.layout, q, system.velocity_names)
+            check_supplied(self.label, self.raw, rows, system.structure.layout, q, system.structure.velocity_names)
             self.how = SUPPLIED
         elif not self.frames:
-            self.how = way_of(of.function, system.layout, q)
+            self.how = way_of(of.function, system.structure.layout, q)
         self.low, self.high = ends_of(of.low, of.high, f"bounds of {of.label}", self.count)
 
     def raw(self, q: Array) -> Any:
@@ -82,7 +82,8 @@ class Whole:
         """The derivatives (m, nv) at q: through poses by differences of the function alone, six for each."""
         shape = (self.count, self.system.nv)
         if self.how:
-            return reals(jacobian_of(self.raw, self.supplied and self.derivative, self.how, self.system.layout, q),
+            layout = self.system.structure.layout
+            return reals(jacobian_of(self.raw, self.supplied and self.derivative, self.how, layout, q),
                          f"the Jacobian of {self.label}").reshape(shape)  # fmt: skip
         poses, J = self._inputs(q), np.zeros(shape)
         steps = STEP * np.repeat([characteristic_length(self.system), 1.0], 3)
@@ -190,4 +191,4 @@ def held_too(system: System, further: Any) -> System:
             raise InputError(f"{made.label} has a weight, which ik reads of a wish: what also holds, holds")
         else:
             m.constraints[name] = Declared(name, own, "", "")
-    return type(system)(m, system.topology)
+    return type(system)(m, system.structure.topology)

@@ -24,7 +24,7 @@ def with_limits(system: System, limits: Any = None, velocity: Any = None) -> Sys
     """The system with other limits; tree, coordinates, parameters and postures are the same.
 
     `limits` are pairs (lower, upper) in radians and metres by coordinate name, None for no limit (of a pair, or of one
-    of its ends); or, as in `System.limits`, an array (nv, 2) of all. `velocity` are largest speeds by coordinate name,
+    of its ends); or, as in `structure.limits`, an array (nv, 2) of all. `velocity` are largest speeds by name,
     None for no limit; or one number for all, or an array (nv,). What is not named keeps its limits. A coordinate that
     follows another can be named, too. Errors: `UnknownNameError`; `InputError` for values, and where a coordinate that
     moves with a named one would not let it have the limits that are given.
@@ -47,7 +47,7 @@ def with_limits(system: System, limits: Any = None, velocity: Any = None) -> Sys
                                   joint.type.velocities(system.dim, particle), None)  # fmt: skip
             now = replace(now, velocity_limits={**now.velocity_limits, **found})
         mechanism.joints[joint.name] = now
-    made = System(mechanism, system.topology, system.table)
+    made = System(mechanism, system.structure.topology, system.structure.table)
     for name in pairs:
         _check(made, name, mechanism.joints[_owner(system, name)[0].name])
     for name in speeds:
@@ -67,37 +67,37 @@ def _by_name(system: System, given: Any, what: str, width: int) -> dict[str, Any
         array = np.broadcast_to(array, shape)
     if array.shape != shape:
         raise InputError(f"{what} have shape {array.shape}; they must be a dict by coordinate name, or {shape}")
-    before = system.limits if width == 2 else system.velocity_limits
+    before = system.structure.limits if width == 2 else system.structure.velocity_limits
     changed = (array != before).reshape(system.nv, width).any(axis=1)  # NaN, too
-    return {system.velocity_names[i]: tuple(array[i].tolist()) if width == 2 else array[i].item()
+    return {system.structure.velocity_names[i]: tuple(array[i].tolist()) if width == 2 else array[i].item()
             for i in np.flatnonzero(changed)}  # fmt: skip
 
 
 def _owner(system: System, name: str) -> tuple[Joint, str]:
     """The joint that a velocity coordinate belongs to, and its name within the joint. Errors: `UnknownNameError`."""
     bodies = system.mechanism.bodies
-    for joint in system.joints.values():
+    for joint in system.structure.joints.values():
         for local in joint.type.velocities(system.dim, bodies[joint.child].particle):
             if name == (f"{joint.name}.{local}" if local else joint.name):
-                follower = system.couplings.get(name)
+                follower = system.structure.couplings.get(name)
                 if follower is not None and follower.source is None:
                     raise InputError(f"coordinate {name!r} is held at {follower.offset:g}: it has no limits")
                 return joint, local
-    raise UnknownNameError("coordinate", name, system.velocity_names, system.name)
+    raise UnknownNameError("coordinate", name, system.structure.velocity_names, system.name)
 
 
 def _led(system: System, name: str) -> tuple[int, float, float]:
     """Which velocity coordinate moves this one, with multiplier and offset."""
-    follower = system.couplings.get(name)
+    follower = system.structure.couplings.get(name)
     if follower is None:
-        return system.velocity_names.index(name), 1.0, 0.0
-    return system.velocity_names.index(follower.source), follower.multiplier, follower.offset
+        return system.structure.velocity_names.index(name), 1.0, 0.0
+    return system.structure.velocity_names.index(follower.source), follower.multiplier, follower.offset
 
 
 def _check(made: System, name: str, joint: Joint) -> None:
     """Refuse limits that a coordinate cannot have, because another one moves with it."""
     i, m, offset = _led(made, name)
-    has = sorted((m * made.limits[i] + offset).tolist())
+    has = sorted((m * made.structure.limits[i] + offset).tolist())
     asked = joint.limits[_local(joint, name)]
     if not all(a == b or abs(a - b) <= HELD_TOLERANCE * (1.0 + abs(b)) for a, b in zip(has, asked, strict=True)):
         raise InputError(f"{name!r} cannot have the limits [{asked[0]:g}, {asked[1]:g}]: what moves with it leaves "
@@ -107,7 +107,7 @@ def _check(made: System, name: str, joint: Joint) -> None:
 def _check_speed(made: System, name: str, joint: Joint) -> None:
     """Refuse a speed that a coordinate cannot have, because another one moves with it."""
     i, m, _ = _led(made, name)
-    has, asked = abs(m) * float(made.velocity_limits[i]), joint.velocity_limits[_local(joint, name)]
+    has, asked = abs(m) * float(made.structure.velocity_limits[i]), joint.velocity_limits[_local(joint, name)]
     if not (has == asked or abs(has - asked) <= HELD_TOLERANCE * (1.0 + asked)):
         raise InputError(f"{name!r} cannot have the speed {asked:g}: what moves with it leaves {has:g}; give that of "
                          f"{_others(made, name)}, too")  # fmt: skip
@@ -121,7 +121,7 @@ def _others(system: System, name: str) -> str:
     """The coordinates that move with one, by name."""
     i = _led(system, name)[0]
     moved = [
-        system.velocity_names[i],
-        *(n for n, f in system.couplings.items() if f.source == system.velocity_names[i]),
+        system.structure.velocity_names[i],
+        *(n for n, f in system.structure.couplings.items() if f.source == system.structure.velocity_names[i]),
     ]
     return ", ".join(repr(n) for n in moved if n != name)

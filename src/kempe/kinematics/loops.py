@@ -77,7 +77,7 @@ def row_names(system: System) -> list[tuple[str, str]]:
 def full(system: System, scaled: bool) -> Loops:
     """The packed loops in full form, in metres or `scaled`."""
     tree = own_tree(system) if scaled else system
-    return loops_of(tree, frozenset(tree.closures), length=None if scaled else 1.0)
+    return loops_of(tree, frozenset(tree.structure.closures), length=None if scaled else 1.0)
 
 
 def scales(system: System) -> Array:
@@ -122,8 +122,8 @@ def of_system(system: System, own: bool = True) -> list[SystemConstraint]:
     rows: dict[tuple[str, bool], list[int]] = {}
     for i, (name, what) in enumerate(loops.names):
         rows.setdefault((name, what == "relation"), []).append(i)
-    order = [(n, False) for n in (*system.closures, *system.mechanism.constraints)]
-    order += [(r.of, True) for r in system.relations]
+    order = [(n, False) for n in (*system.structure.closures, *system.mechanism.constraints)]
+    order += [(r.of, True) for r in system.structure.relations]
     return [SystemConstraint(key[0], loops, tuple(rows[key])) for key in order if key in rows]
 
 
@@ -135,7 +135,7 @@ def freedoms_left(system: System, q: Array, held: frozenset[str] = frozenset()) 
     from kempe.kinematics.ball_angles import regular_chart  # only here: to assemble needs none of it
 
     system, q, _ = regular_chart(system, q, held)
-    free = [i for i, n in enumerate(system.velocity_names) if n not in held]
+    free = [i for i, n in enumerate(system.structure.velocity_names) if n not in held]
     J = evaluate(system, q, True, True)[1][:, free]
     values = np.linalg.svd(J, compute_uv=False) if J.size else np.zeros(0)
     return len(free) - int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())

@@ -48,7 +48,7 @@ def maximal(system: System) -> System:
         m.free(name, m.ground, body, at=origin)
         taken.add(name)
     m.joints |= {name: replace(joint, cut=True) for name, joint in joints.items()}
-    at = {"closed": home_of(system)} | {name: system.posture(name) for name in system.posture_names}
+    at = {"closed": home_of(system)} | {name: system.q(name) for name in system.structure.posture_names}
     m.postures = {}
     names = m.build().coordinate_names
     for name, q in at.items():

@@ -190,7 +190,7 @@ class Poses:
     """Poses of the bodies and frames of a system at q (..., nq): the joints of its tree, multiplied out."""
 
     def __init__(self, system: System, q: Array):
-        self.system, self.q, self.mechanism, tree = system, q, system.mechanism, system.topology
+        self.system, self.q, self.mechanism, tree = system, q, system.mechanism, system.structure.topology
         self.bodies = {tree.bodies[0]: np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))}
         for body, parent, name, back in zip(
             tree.bodies[1:], tree.parent, tree.parent_joints, tree.reversed_, strict=True
@@ -241,7 +241,7 @@ class Poses:
         for name, factor in sources.items():
             off = off - factor * coordinate_value(self.system, self.q, name)
         off = np.abs(off) / max(1.0, *map(abs, sources.values()))
-        turning = self.system.coordinates.turning[self.system.coordinates.first[of][1]]
+        turning = self.system.structure.coordinates.turning[self.system.structure.coordinates.first[of][1]]
         return (np.zeros_like(off), off) if turning else (off, np.zeros_like(off))
 
 
@@ -323,9 +323,9 @@ def judge(
     q = as_q(system, q)
     at = Poses(system, q)
     m = at.mechanism
-    found = [(name, at.joint(m.joints[name])) for name in system.closures]
+    found = [(name, at.joint(m.joints[name])) for name in system.structure.closures]
     found += [(c.name, at.declared(c)) for c in m.constraints.values() if c.positions(system.dim)]
-    found += [(r.of, at.relation(r.of, r.sources, r.offset)) for r in system.relations]
+    found += [(r.of, at.relation(r.of, r.sources, r.offset)) for r in system.structure.relations]
     far = max((float(np.abs(X[..., :3, 3]).max(initial=0.0)) for X in at.bodies.values()), default=0.0)
     within = (WITHIN + 10.0 * np.asarray(more, dtype=float))[..., None] * [characteristic_length(system), 1.0]
     within = within + ROUNDING * np.array([far, 1.0])

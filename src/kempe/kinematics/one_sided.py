@@ -137,13 +137,13 @@ class OneSided:
 @kept
 def one_sided_rows(system: System) -> OneSided:
     """The one-sided rows of a system, packed."""
-    at, v = system.layout.vector_q, system.layout.vector_v
+    at, v = system.structure.layout.vector_q, system.structure.layout.vector_v
     limited = np.isfinite(system.lower[v]) | np.isfinite(system.upper[v])
     at, v = at[limited], v[limited]
     names, units, bounds, chosen, loops = _declared(system) if system.mechanism.constraints else ([], [], [], [], None)
     low, high = np.array(bounds, dtype=float).reshape(-1, 2).T
-    names += [system.velocity_names[i] for i in v]
-    units += ["rad" if system.coordinates.turning[i] else "m" for i in v]
+    names += [system.structure.velocity_names[i] for i in v]
+    units += ["rad" if system.structure.coordinates.turning[i] else "m" for i in v]
     return OneSided(
         system, tuple(names), tuple(units), np.append(low, system.lower[v]), np.append(high, system.upper[v]),
         len(bounds), loops if bounds else None, np.array(chosen, dtype=np.int64), at, v,
@@ -152,7 +152,7 @@ def one_sided_rows(system: System) -> OneSided:
 
 def _declared(system: System) -> tuple[list[str], list[str], list[tuple[float, float]], list[int], Loops]:
     """Names, units, bounds and places of the declared rows between bounds, and the ties that they are among."""
-    loops = loops_of(system, frozenset(system.closures), one_sided=True)
+    loops = loops_of(system, frozenset(system.structure.closures), one_sided=True)
     several = Counter(t.name for t in loops.ties if t.bounds for _ in t.rows)
     names, units, bounds, chosen, at, every = [], [], [], [], 0, loops.units
     for tie in loops.ties:

@@ -52,17 +52,17 @@ def lead_of(goals: Sequence[Goals]) -> tuple[int, ...]:
 
 def _wide(system: System, tasks: Sequence[Task]) -> np.ndarray:
     """Angles (nv,) with limits a whole turn apart or more, which a whole turn does not change in anything else."""
-    table, c = own_tree(system).table, system.coordinates
+    table, c = own_tree(system).structure.table, system.structure.coordinates
     with np.errstate(invalid="ignore"):
         wide = c.turning & np.isfinite(c.upper - c.lower) & (c.upper - c.lower >= 2.0 * np.pi)
     for v in np.flatnonzero(wide):
         rows = table.iv == v
         wide[v] = np.sum(rows) == 1 and abs(table.multiplier[rows][0]) == 1.0
-    bound = {n for r in system.relations for n in (r.of, *r.sources)}
+    bound = {n for r in system.structure.relations for n in (r.of, *r.sources)}
     for task in tasks:
         bound |= task.coordinates(system)
     wide = wide & ~told_apart(system.mechanism, c)
-    return wide & np.array([name not in bound for name in system.velocity_names], dtype=bool)
+    return wide & np.array([name not in bound for name in system.structure.velocity_names], dtype=bool)
 
 
 class Packed:
@@ -91,7 +91,7 @@ class Packed:
 
         self.wide = _wide(system, self.tasks) if turns else np.zeros(system.nv, dtype=bool)
         tree = own_tree(system)
-        carried = frozenset(tree.closures)
+        carried = frozenset(tree.structure.closures)
         level = (lambda tie: levels[owner[id(tie)][0]] if id(tie) in owner else 0) if any(levels) else None
         self.one_sided = one_sided_rows(system)
         """One-sided rows of the system; those that are declared hold, too."""
@@ -112,7 +112,7 @@ class Packed:
         self.rows[ends[[system.dim == 2 and t.turns in TILTS for t in self.loops.ties]]] = -2
         self.closed = bool(np.any(self.rows == -1))
         """Whether loops or relations hold, too."""
-        at, v = system.layout.vector_q, system.layout.vector_v
+        at, v = system.structure.layout.vector_q, system.structure.layout.vector_v
         which = slice(len(at)) if np.array_equal(at, np.arange(len(at))) else at
         self.limits = which, system.lower[v] - ROUNDING, system.upper[v] + ROUNDING
         """Places in q of what has limits, and these."""

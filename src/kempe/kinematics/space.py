@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from kempe.kinematics.configuration import has_loops
+from kempe.kinematics.configuration import difference, distance, has_loops, integrate, interpolate
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -41,6 +42,26 @@ class ConfigurationSpace:
     ambient: Product
     limited: int
     constraints: int
+
+    # ---- its geometry
+
+    def integrate(self, q: Any, v: ArrayLike) -> Array:
+        """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv)."""
+        return integrate(self.system, q, v)
+
+    def difference(self, q0: Any, q1: Any) -> Array:
+        """Tangent vector (..., nv) from `q0` to `q1`: ``integrate(q0, difference(q0, q1)) == q1``."""
+        return difference(self.system, q0, q1)
+
+    def interpolate(self, q0: Any, q1: Any, t: ArrayLike) -> Array:
+        """Configuration (..., nq) at the fraction `t` (...) of the straight way from `q0` to `q1`."""
+        return interpolate(self.system, q0, q1, t)
+
+    def distance(self, q0: Any, q1: Any) -> Array:
+        """Length (...) of the straight way from `q0` to `q1`; unlimited joints turn the short way."""
+        return distance(self.system, q0, q1)
+
+    # ---- what it is
 
     @property
     def ambient_dimension(self) -> int:
@@ -93,18 +114,18 @@ class ConfigurationSpace:
 
 def configuration_space(system: System) -> ConfigurationSpace:
     """The configuration space of a system; its dimension is found when asked for."""
-    turning = system.coordinates.turning[system.layout.vector_v]
+    turning = system.structure.coordinates.turning[system.structure.layout.vector_v]
     turns, slides = int(turning.sum()), int((~turning).sum())
-    balls = len(system.layout.quaternion_q)
+    balls = len(system.structure.layout.quaternion_q)
     factors = [("SO(3)", balls), ("T", turns), ("R", slides)]
     if turns == 0 and slides and balls:
         factors = [("R", slides), ("SO(3)", balls)]
     parts = [name if n == 1 else f"{name}^{n}" for name, n in factors if n]
     limited = int((np.isfinite(system.lower) | np.isfinite(system.upper)).sum())
-    rows = len(system.relations)
+    rows = len(system.structure.relations)
     rows += sum(c.equations(system.dim) for c in system.mechanism.constraints.values())
-    for name in system.closures:
-        joint = system.joints[name]
+    for name in system.structure.closures:
+        joint = system.structure.joints[name]
         particle = system.mechanism.bodies[joint.child].particle
         # q holds the joint's own coordinates too: all freedoms of the child are tied to it
         rows += joint.type.constraints(system.dim, particle) + joint.type.dof(system.dim, particle)

@@ -69,7 +69,7 @@ def symbolic_fk(
     [l1*cos(q1)],
     [l1*sin(q1)]])
     """
-    name = system.frame_name(frame)
+    name = system.structure.frame_name(frame)
     if isinstance(snap, bool) or not isinstance(snap, (int, float)) or not 0.0 <= snap < math.pi / 4:
         raise InputError(f"snap is {snap!r}; it must be an angle in radians, from 0 to less than pi/4")
     leaves = _Leaves(system, symbols or {}, float(snap))
@@ -77,7 +77,7 @@ def symbolic_fk(
     for step in _unwrapped(_steps(system, name, leaves)):
         chain.add(step, leaves)
     rotation, position = chain.pose()
-    on = system.frames[name].body if name in system.frames else name
+    on = system.structure.frames[name].body if name in system.structure.frames else name
     if system.mechanism.bodies[on].particle:
         rotation = sympy.eye(3)  # a particle has no orientation
     out: Any = sympy.Matrix(sympy.BlockMatrix([[rotation, position], [sympy.zeros(1, 3), sympy.eye(1)]]))
@@ -100,7 +100,7 @@ class _Step:
 
 def _steps(system: System, name: str, leaves: _Leaves) -> Iterator[_Step]:
     """Elementary motions from the ground to a body or frame."""
-    mechanism, tree = system.mechanism, system.topology
+    mechanism, tree = system.mechanism, system.structure.topology
     frame = mechanism.frames.get(name)
     number = tree.bodies.index(frame.body if frame else name)
     path = []
@@ -193,7 +193,7 @@ class _Leaves:
             if name in self.coordinates:
                 raise InputError(f"{name!r} is the name of a parameter and of a coordinate; rename one of them")
         turning = _turning(system)
-        for name in system.couplings:  # each comes after those that it depends on
+        for name in system.structure.couplings:  # each comes after those that it depends on
             self.coordinates[name] = self._follower(system, name, name in turning)
 
     def _follower(self, system: System, name: str, turning: bool) -> Any:

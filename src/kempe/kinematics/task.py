@@ -123,8 +123,8 @@ class Placed(Task):
     def hold(self, system: System) -> Hold:
         """Its tie, without bounds."""
         a, b = self.of.ends
-        name = None if a is None else system.frame_name(a)
-        return Hold(system.frame_name(b), self.of.tool(self.dim), self.shape.mask, self.shape.turns, name, (),
+        name = None if a is None else system.structure.frame_name(a)
+        return Hold(system.structure.frame_name(b), self.of.tool(self.dim), self.shape.mask, self.shape.turns, name, (),
                     self.shape.turns == L.DISTANCE)  # fmt: skip
 
     def goal(self, system: System) -> Array:
@@ -267,7 +267,7 @@ class Centred(Placed):
         """Frames, points on them and their masses, whose sum is 1."""
         if self._shares is None:
             shares = self.of.masses(system._mechanism.bodies, system.name)
-            self._shares = tuple((system.frame_name(m.frame), m.point, m.part) for m in shares)
+            self._shares = tuple((system.structure.frame_name(m.frame), m.point, m.part) for m in shares)
         return self._shares
 
     def structure(self, system: System) -> Hashable:

@@ -28,7 +28,7 @@ class Coordinates(Task):
 
     def _values(self, system: System) -> tuple[Array, list[tuple[str, int, int, bool]]]:
         """The values as (..., nq), and for each tie its name, place in q, velocity coordinate, whether it is a ball."""
-        layout = system.layout
+        layout = system.structure.layout
         items = [(system.coordinate_names[i], int(i), int(v), False)
                  for i, v in zip(layout.vector_q, layout.vector_v, strict=True)]  # fmt: skip
         items += [(system.coordinate_names[i], int(i), int(v), True)
@@ -63,7 +63,7 @@ class Coordinates(Task):
 
     def coordinates(self, system: System) -> set[str]:
         """Its own."""
-        return {system.velocity_names[v] for _, _, v, _ in self._values(system)[1]}
+        return {system.structure.velocity_names[v] for _, _, v, _ in self._values(system)[1]}
 
     def goals(self, system: System) -> Goals:
         """The values."""
@@ -86,10 +86,10 @@ class Coordinates(Task):
             for (_, i, _, ball), (_, x) in zip(items, goals, strict=True):
                 assert x is not None
                 values[..., i : i + (4 if ball else 1)] = x
-        d = np.abs(system.difference(np.broadcast_to(values, q.shape), q))
+        d = np.abs(system.structure.layout.difference(np.broadcast_to(values, q.shape), q))
         round_ = circles(system)
         d[..., round_] = np.abs(d[..., round_] - 2.0 * np.pi * np.round(d[..., round_] / (2.0 * np.pi)))
-        turning = system.coordinates.turning
+        turning = system.structure.coordinates.turning
         slides = [v for _, _, v, ball in items if not ball and not turning[v]]
         turns = [v for _, _, v, ball in items if not ball and turning[v]]
         balls = [np.linalg.norm(d[..., v : v + 3], axis=-1) for _, _, v, ball in items if ball]

@@ -50,7 +50,7 @@ def row_names(system: System) -> tuple[tuple[str, str], ...]:
 @kept
 def velocity_rows(system: System) -> Rows:
     """The rows of the declared velocity constraints, recorded."""
-    return _recorded(system, system.table, False)
+    return _recorded(system, system.structure.table, False)
 
 
 @kept
@@ -61,7 +61,13 @@ def tangent_rows(system: System) -> Rows:
     there, as if they were active.
     """
     m = system.mechanism
-    table = lower(m, system.topology, system.coordinates, m.parameters, dict.fromkeys(system.closures, True))
+    table = lower(
+        m,
+        system.structure.topology,
+        system.structure.coordinates,
+        m.parameters,
+        dict.fromkeys(system.structure.closures, True),
+    )
     return _recorded(system, table, True)
 
 
@@ -81,13 +87,13 @@ class _Recording:
     def __init__(self, system: System, table: Table, parameters: Mapping[str, float]):
         self.system, self.parameters, self.names = system, parameters, list[RowName]()
         self.recorder = Recorder(table, system.coordinate_names, CLOCK)
-        first = system.coordinates.first
+        first = system.structure.coordinates.first
         self.known: dict[str, Num] = {n: i for i, n in enumerate(system.coordinate_names)}
         self.rates: dict[str, Form] = {n: {("v", iv): 1.0} for n, (_, iv) in first.items()}
-        for iq, iv in zip(system.layout.quaternion_q, system.layout.quaternion_v, strict=True):
+        for iq, iv in zip(system.structure.layout.quaternion_q, system.structure.layout.quaternion_v, strict=True):
             self._quaternion(int(iq), int(iv))
         numbers = self.recorder.numbers
-        for name, f in system.couplings.items():
+        for name, f in system.structure.couplings.items():
             self.known[name], self.rates[name] = float(f.offset), {}
             if f.source is not None:
                 self.known[name] = numbers.add(numbers.mul(f.multiplier, self.known[f.source]), float(f.offset))
@@ -170,4 +176,4 @@ class _Recording:
         turning |= {v + i for v in table.iv[table.kind == Q].tolist() for i in range(3)}
         length = characteristic_length(system)
         units = np.array([1.0 if v in turning else length for v in range(system.nv)] + [1.0])
-        return Rows(system.layout, system.coordinate_names, tape, entries, tuple(self.names), units)
+        return Rows(system.structure.layout, system.coordinate_names, tape, entries, tuple(self.names), units)

@@ -55,7 +55,7 @@ class Written(Task):
     def made(self, system: System) -> Made:
         """It in a system. Errors: `UnknownNameError` for coordinates that do not exist."""
         if self._made is None or self._made.system is not system:
-            of = bound(system, with_numbers(self.of.knowing(system.parameters), system.parameters))
+            of = bound(system, with_numbers(self.of.knowing(system.structure.parameters), system.structure.parameters))
             check_read(system, of.reads, self.label)
             ties = every_tie(system, self.label, of, GROUND, GROUND, True)
             check_read(system, [n for t in ties if t.tape for n in t.tape.coordinates], self.label)
@@ -64,7 +64,7 @@ class Written(Task):
 
     def names(self, system: System) -> tuple[str | None, str | None]:
         """The frames A and B. Errors: `UnknownNameError`."""
-        a, b = (None if e is None else system.frame_name(e) for e in self.of.ends)
+        a, b = (None if e is None else system.structure.frame_name(e) for e in self.of.ends)
         return a, b
 
     def structure(self, system: System) -> Hashable:
@@ -89,11 +89,11 @@ class Written(Task):
 
     def coordinates(self, system: System) -> set[str]:
         """Those that it reads, or those that they follow."""
-        first, found = system.coordinates.first, set()
+        first, found = system.structure.coordinates.first, set()
         for t in self.made(system).ties:
             found |= {first[n][1] for n in t.tape.coordinates} if t.tape else set()
             found |= set(t.function.support) if t.function else set()
-        return {system.velocity_names[v] for v in found}
+        return {system.structure.velocity_names[v] for v in found}
 
     def goals(self, system: System) -> Goals:
         """For each tie the goal, and its numbers; ends that only some targets have are far away."""

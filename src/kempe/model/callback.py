@@ -63,7 +63,7 @@ class Callback:
     @classmethod
     def of_call(cls, system: System, call: Call, rows: Sequence[int], numbers: Mapping[str, float]) -> Callback:
         """Some numbers of a function of named coordinates; derivatives by differences."""
-        first, followers = system.coordinates.first, system.couplings
+        first, followers = system.structure.coordinates.first, system.structure.couplings
         read: dict[str, tuple[int, float, float]] = {}
         for name in (n for n in call.of if n not in numbers):
             f = followers.get(name)

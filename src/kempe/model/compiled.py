@@ -1,7 +1,8 @@
-"""What a system is, without what one can ask it: tree, coordinates, table, limits, identity."""
+"""What a system is, without what one can ask it; its `Structure`: tree, coordinates, table, limits, identity."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +19,129 @@ from kempe.model.topology import Topology, spanning_tree
 from kempe.spatial import Array
 
 FrameLike = Body | Frame | str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Structure:
+    """What a system is made of: what its description says, and the tree, the coordinates and the table made from that.
+
+    It is read-only. The names and sizes that every computation needs are attributes of the `System` itself.
+    """
+
+    _mechanism: Mechanism
+    topology: Topology
+    """The spanning tree."""
+    coordinates: Coordinates
+    """The coordinates with limits, followers and relations."""
+    table: Table
+    """The primitive table that the kernels walk."""
+    layout: Layout
+    """Where quaternions sit in `q`."""
+
+    # ---- what the description says
+
+    @property
+    def joints(self) -> dict[str, Joint]:
+        """All joints, fixed ones and loop closures included, in the order of the description."""
+        return Fixed(self._mechanism.joints)
+
+    @property
+    def frames(self) -> dict[str, Frame]:
+        """The named frames."""
+        return Fixed(self._mechanism.frames)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Named parameters and their values."""
+        return Fixed(self._mechanism.parameters)
+
+    @property
+    def posture_names(self) -> tuple[str, ...]:
+        """Names of the postures, which `System.q` takes."""
+        return tuple(self._mechanism.postures)
+
+    @property
+    def tolerance(self) -> float | str | None:
+        """What its dimensions may be off by, in metres and radians; None: nothing but rounding."""
+        return self._mechanism.tolerance
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader found worth saying about the file."""
+        return tuple(self._mechanism.notes)
+
+    # ---- the tree
+
+    @property
+    def parent_joints(self) -> tuple[str, ...]:
+        """For each body from 1 on, the joint that connects it to its parent."""
+        return self.topology.parent_joints
+
+    @property
+    def closures(self) -> tuple[str, ...]:
+        """Joints that the spanning tree left out: each closes a loop."""
+        return self.topology.closures
+
+    # ---- coordinates
+
+    @property
+    def velocity_names(self) -> tuple[str, ...]:
+        """A name for each velocity coordinate: as `System.coordinate_names`, but 'joint.wx', ... for quaternions."""
+        return self.coordinates.velocity_names
+
+    @property
+    def relations(self) -> tuple[Relation, ...]:
+        """Linear relations between several coordinates, which restrict `q`."""
+        return self.coordinates.relations
+
+    @property
+    def couplings(self) -> dict[str, Any]:
+        """Coordinates that follow one other (mimic joints, gears) or are held: they are not in `q`."""
+        return Fixed(self.coordinates.followers)
+
+    @property
+    def limits(self) -> Array:
+        """Lower and upper limits (nv, 2) of the velocity coordinates; read-only: see `System.with_limits`."""
+        return self.coordinates.limits
+
+    @property
+    def velocity_limits(self) -> Array:
+        """Largest speeds (nv,) of the velocity coordinates, inf where there is none; read-only, as `limits`."""
+        return self.coordinates.velocity
+
+    def coordinates_of_joint(self, name: str) -> list[str]:
+        """Coordinate names of a joint, those that follow others or are locked included."""
+        m = self._mechanism
+        return coordinate_names(m, m.joints[known("joint", name, m.joints, m.name)])
+
+    def frame_name(self, frame: FrameLike) -> str:
+        """Name of a frame or body of this system, checked. Errors: `UnknownNameError` with the nearest names."""
+        name = frame if isinstance(frame, str) else getattr(frame, "name", frame)
+        if not isinstance(name, str) or name not in self.table.at:
+            names = (*self.topology.bodies, *self._mechanism.frames)
+            raise UnknownNameError("frame", name, names, self._mechanism.name)
+        return name
+
+    # ---- identity
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Digest of everything that the system is: equal systems have equal digests, in every process."""
+        return _digest(self._mechanism.content())
+
+    @cached_property
+    def hash(self) -> str:
+        """Digest of bodies, joints and tree without their numbers: the same for all designs of one kind."""
+        m = self._mechanism
+        joints = [(j.name, j.type.type_name, j.parent, j.child) for j in m.joints.values()]
+        constraints = [(c.name, c.kind, c.parent, c.child) for c in m.constraints.values()]
+        return _digest((m.dim, self.topology, joints, constraints, self.coordinates.names, tuple(m.frames)))
+
+    def __repr__(self) -> str:
+        counts = f"{len(self.topology.parent)} bodies, {len(self._mechanism.joints)} joints"
+        cut = f", loops closed by {', '.join(map(repr, self.closures))}" if self.closures else ""
+        tied = f", {len(self.relations)} relations" if self.relations else ""
+        return f"Structure of {self._mechanism.name!r}: {counts}{cut}{tied}"
 
 
 class Compiled:
@@ -79,6 +203,12 @@ class Compiled:
         """A copy of the description, to change and build again."""
         return self._mechanism.copy()
 
+    @cached_property
+    def structure(self) -> Structure:
+        """What it is made of: joints, frames, loop closures, couplings, limits, parameters, tree, table, identity."""
+        m, coordinates = self._mechanism, self._coordinates
+        return Structure(m, self._topology, coordinates, self._table, coordinates.layout)
+
     @property
     def body_names(self) -> tuple[str, ...]:
         """Bodies by number; the ground is number 0."""
@@ -88,16 +218,6 @@ class Compiled:
     def frame_names(self) -> tuple[str, ...]:
         """Names that `fk` takes: all bodies, then the named frames."""
         return (*self._topology.bodies, *self._mechanism.frames)
-
-    @property
-    def frames(self) -> dict[str, Frame]:
-        """The named frames."""
-        return Fixed(self._mechanism.frames)
-
-    @property
-    def joints(self) -> dict[str, Joint]:
-        """All joints, fixed ones and loop closures included, in the order of the description."""
-        return Fixed(self._mechanism.joints)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
@@ -110,44 +230,9 @@ class Compiled:
         return self._coordinates.names
 
     @property
-    def velocity_names(self) -> tuple[str, ...]:
-        """A name for each velocity coordinate: as `coordinate_names`, but 'joint.wx', ... for quaternions."""
-        return self._coordinates.velocity_names
-
-    @property
     def parent(self) -> tuple[int, ...]:
         """The connectivity vector C: `parent[i - 1]` is the number of the parent of body i."""
         return self._topology.parent
-
-    @property
-    def parent_joints(self) -> tuple[str, ...]:
-        """For each body from 1 on, the joint that connects it to its parent."""
-        return self._topology.parent_joints
-
-    @property
-    def closures(self) -> tuple[str, ...]:
-        """Joints that the spanning tree left out: each closes a loop."""
-        return self._topology.closures
-
-    @property
-    def relations(self) -> tuple[Relation, ...]:
-        """Linear relations between several coordinates, which restrict `q`."""
-        return self._coordinates.relations
-
-    @property
-    def couplings(self) -> dict[str, Any]:
-        """Coordinates that follow one other (mimic joints, gears) or are held: they are not in `q`."""
-        return Fixed(self._coordinates.followers)
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Named parameters and their values."""
-        return Fixed(self._mechanism.parameters)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What a reader found worth saying about the file."""
-        return tuple(self._mechanism.notes)
 
     @property
     def nq(self) -> int:
@@ -159,12 +244,7 @@ class Compiled:
         """Number of velocity coordinates: the degrees of freedom of all joints."""
         return self._coordinates.layout.nv
 
-    @property
-    def layout(self) -> Layout:
-        """Where quaternions sit in `q`."""
-        return self._coordinates.layout
-
-    # ---- limits and postures
+    # ---- limits
 
     @property
     def lower(self) -> Array:
@@ -177,83 +257,28 @@ class Compiled:
         return self._coordinates.upper
 
     @property
-    def limits(self) -> Array:
-        """Lower and upper limits (nv, 2) of the velocity coordinates; read-only: see `with_limits`."""
-        return self._coordinates.limits
-
-    @property
-    def velocity_limits(self) -> Array:
-        """Largest speeds (nv,) of the velocity coordinates, inf where there is none; read-only: see `with_limits`."""
-        return self._coordinates.velocity
-
-    @property
     def neutral(self) -> Array:
         """Zero angles and lengths, identity quaternions (nq,), even where that is outside the limits; read-only."""
-        return self.layout.neutral
-
-    @property
-    def posture_names(self) -> tuple[str, ...]:
-        """Names of the postures."""
-        return tuple(self._mechanism.postures)
+        return self._coordinates.layout.neutral
 
     # ---- identity
 
-    @cached_property
-    def content_hash(self) -> str:
-        """Digest of everything that it is: equal systems have equal digests, in every process."""
-        return _digest(self._mechanism.content())
-
-    @cached_property
-    def structure_hash(self) -> str:
-        """Digest of bodies, joints and tree without their numbers: the same for all designs of one kind."""
-        m = self._mechanism
-        joints = [(j.name, j.type.type_name, j.parent, j.child) for j in m.joints.values()]
-        constraints = [(c.name, c.kind, c.parent, c.child) for c in m.constraints.values()]
-        return _digest((m.dim, self._topology, joints, constraints, self.coordinate_names, tuple(m.frames)))
-
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Compiled) and (self is other or self.content_hash == other.content_hash)
+        return isinstance(other, Compiled) and (
+            self is other or self.structure.content_hash == other.structure.content_hash
+        )
 
     def __hash__(self) -> int:
-        return hash(self.content_hash)
+        return hash(self.structure.content_hash)
 
     def __reduce__(self):
         return (type(self), (self._mechanism,), None if self._ideal is None else {"_ideal": self._ideal})
 
     def __repr__(self) -> str:
-        loops = f", loops={len(self.closures)}" if self.closures else ""
+        loops = f", loops={len(self._topology.closures)}" if self._topology.closures else ""
         more = loops + (", planar" if self.dim == 2 else "")
         counts = f"bodies={len(self.parent)}, joints={len(self.joint_names)}, nq={self.nq}"
         return f"System({self.name!r}, {counts}{more})"
-
-    # ---- inside
-
-    @property
-    def table(self) -> Table:
-        """The primitive table that the kernels walk."""
-        return self._table
-
-    @property
-    def topology(self) -> Topology:
-        """The spanning tree."""
-        return self._topology
-
-    @property
-    def coordinates(self) -> Coordinates:
-        """The coordinate layout with limits, followers and relations."""
-        return self._coordinates
-
-    def frame_name(self, frame: FrameLike) -> str:
-        """Name of a frame or body of this system, checked. Errors: `UnknownNameError` with the nearest names."""
-        name = frame if isinstance(frame, str) else getattr(frame, "name", frame)
-        if not isinstance(name, str) or name not in self._table.at:
-            raise UnknownNameError("frame", name, self.frame_names, self.name)
-        return name
-
-    def coordinates_of_joint(self, name: str) -> list[str]:
-        """Coordinate names of a joint, those that follow others or are locked included."""
-        joint = self._mechanism.joints[known("joint", name, self._mechanism.joints, self.name)]
-        return coordinate_names(self._mechanism, joint)
 
 
 def _digest(content: tuple) -> str:

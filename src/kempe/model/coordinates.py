@@ -186,11 +186,11 @@ OF_BALL = "use a joint with angles=True, or a constraint on a frame"
 
 def check_read(system: System, names: Iterable[str], what: str) -> None:
     """Refuse coordinates that do not exist or are parts of quaternions. Errors: `UnknownNameError`, `InputError`."""
-    known = [*system.coordinate_names, *system.couplings]
+    known = [*system.coordinate_names, *system.structure.couplings]
     for name in names:
         if name not in known:
             raise UnknownNameError("coordinate", name, known, what)
-        if name not in system.couplings and name not in system.velocity_names:
+        if name not in system.structure.couplings and name not in system.structure.velocity_names:
             raise InputError(f"{what}: {PART_OF_BALL.format(name)}: {OF_BALL}")
 
 

@@ -19,14 +19,14 @@ def immovable(system: System, coordinates: Iterable[int] | None = None, unstated
 
     `coordinates` are their numbers, all where None; `unstated` leaves out limits that were given.
     """
-    low, high = system.limits.T
+    low, high = system.structure.limits.T
     still = np.flatnonzero(low == high).tolist()
     if not still:
         return ""
     asked = set(still) if coordinates is None else {int(i) for i in coordinates}
-    names = [system.velocity_names[i] for i in still if i in asked]
-    ours = {name for name, joint in system.joints.items() if joint.unstated}
-    ours |= {f.source for of, f in system.couplings.items() if of in ours and f.source is not None}
+    names = [system.structure.velocity_names[i] for i in still if i in asked]
+    ours = {name for name, joint in system.structure.joints.items() if joint.unstated}
+    ours |= {f.source for of, f in system.structure.couplings.items() if of in ours and f.source is not None}
     told, given = [n for n in names if n in ours], [n for n in names if n not in ours and not unstated]
     parts = []
     for group, why in (

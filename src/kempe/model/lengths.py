@@ -38,7 +38,7 @@ def characteristic_length(system: System) -> float:
     if found:
         least = SHORT * sorted(found)[-2:][0]
         return float(np.median([x for x in found if x > least]))
-    table = own_tree(system).table
+    table = own_tree(system).structure.table
     found = np.linalg.norm(table.placement[..., :3, 3], axis=-1).ravel().tolist()
     found += [float(np.linalg.norm(np.asarray(X)[..., :3, 3], axis=-1).max()) for _, X, _ in table.at.values()]
     real = [x for x in found if x > NOTHING * (1.0 + max(found))]
@@ -66,7 +66,7 @@ def _links(system: System) -> dict[int, list[np.ndarray]]:
     """For each row of the table (-1 is the ground) where joints and constraints sit on it; fixed joints are none."""
     system, out = own_tree(system), {}
     for body, point in _ends(system):
-        row, X, _ = system.table.at[body]
+        row, X, _ = system.structure.table.at[body]
         out.setdefault(row, []).append(np.asarray(X)[:3, :3] @ point + np.asarray(X)[:3, 3])
     return out
 

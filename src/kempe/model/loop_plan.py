@@ -25,7 +25,7 @@ READINGS = {
 
 def _readings(system: System, joint: Joint) -> list[tuple[int, int]]:
     """For each coordinate of a joint how it is read off the pose of M in F, and its place in q."""
-    names, first = coordinate_names(system.mechanism, joint), system.coordinates.first
+    names, first = coordinate_names(system.mechanism, joint), system.structure.coordinates.first
     form = reduced(joint.type, system.dim, system.mechanism.bodies[joint.child].particle)
     return [(READINGS[how], first[names[k]][0]) for k, how in (form.readings if form else ())]
 
@@ -69,21 +69,21 @@ class Plan:
         n = int(ints[0])
         self.rows = ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
         self.outputs = ints[HEADER + ROW_INTS * n :].reshape(-1, OUTPUT_INTS)
-        self.held = np.array([name in held for name in system.velocity_names], dtype=bool)
-        c = system.coordinates
+        self.held = np.array([name in held for name in system.structure.velocity_names], dtype=bool)
+        c = system.structure.coordinates
         self.turns = c.turning.copy()
-        for iv in system.layout.quaternion_v:
+        for iv in system.structure.layout.quaternion_v:
             self.turns[iv : iv + 3] = True
         self.turns[self.rows[self.rows[:, 0] == R, 3]] = True  # what slides and turns together counts as a turn
         self.scale = np.where(self.turns, 1.0, length)
         self.place, self.sort = np.full(system.nv, -1, dtype=np.int64), np.full(system.nv, L.SLIDE, dtype=np.int64)
-        self.place[system.layout.vector_v] = system.layout.vector_q
-        self.place[system.layout.quaternion_v] = system.layout.quaternion_q
+        self.place[system.structure.layout.vector_v] = system.structure.layout.vector_q
+        self.place[system.structure.layout.quaternion_v] = system.structure.layout.quaternion_q
         self.sort[self.turns] = L.BOUND_TURN
         self.sort[returning(system.mechanism, c)] = L.CIRCLE
         self.wide = np.zeros(system.nv, dtype=bool) if wide is None else wide
         self.sort[self.wide] = L.CIRCLE
-        for iv in system.layout.quaternion_v:
+        for iv in system.structure.layout.quaternion_v:
             self.sort[iv : iv + 3] = L.BALL_FIRST, L.BALL_MORE, L.BALL_MORE
         self.entries: list[tuple[int, int]] = []
         self.factors: list[float] = []
@@ -123,7 +123,7 @@ class Plan:
     def _record(self, recorded: Recorded, columns: dict[int, int]) -> None:
         """Collect what a TAPE tie reads: its tape, and for each input what it is."""
         ints, floats = recorded.tape.arrays()
-        first, inputs = self.system.coordinates.first, []
+        first, inputs = self.system.structure.coordinates.first, []
         for name in recorded.tape.inputs:
             place, column = -1, -1
             if (what := recorded.input(name)) == L.COORDINATE:
@@ -135,7 +135,7 @@ class Plan:
         self.recorded.append((ints, floats, inputs))
 
     def _linear(self, k: int, relation: Relation, columns: dict[int, int]) -> None:
-        first = self.system.coordinates.first
+        first = self.system.structure.coordinates.first
         terms = {relation.of: 1.0}
         for name, m in relation.sources.items():
             terms[name] = terms.get(name, 0.0) - m
@@ -236,7 +236,7 @@ class Plan:
 
     def _ranges(self) -> list[float]:
         """Limits, and where to draw random coordinates from."""
-        low, high = self.system.coordinates.lower, self.system.coordinates.upper
+        low, high = self.system.structure.coordinates.lower, self.system.structure.coordinates.upper
         reach = np.where(self.turns, np.pi, self.length)
         far, near = np.where(np.isfinite(low), low, -np.inf), np.where(np.isfinite(high), high, np.inf)
         draw_low = np.where(np.isfinite(low), low, np.where(np.isfinite(high), near - 2.0 * reach, -reach))

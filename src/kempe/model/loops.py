@@ -38,16 +38,18 @@ TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FU
 
 def must_carry(system: System, known: Iterable[str] = ()) -> frozenset[str]:
     """The joints left out of the tree that are carried: without a reduced form, or known, limited or coupled ones."""
-    related = {n for r in system.relations for n in (r.of, *r.sources)} | set(known)
+    related = {n for r in system.structure.relations for n in (r.of, *r.sources)} | set(known)
     related |= {n for c in system.mechanism.constraints.values() for n in c.of.reads}
-    related |= {f.source for f in system.couplings.values() if f.source is not None}  # others move with them
-    v_index = {n: i for i, n in enumerate(system.velocity_names)}
+    related |= {f.source for f in system.structure.couplings.values() if f.source is not None}  # others move with them
+    v_index = {n: i for i, n in enumerate(system.structure.velocity_names)}
     limited = np.isfinite(system.lower) | np.isfinite(system.upper)
     out = set()
-    for name in system.closures:
-        names = system.coordinates_of_joint(name)
-        none = _reduced(system, system.joints[name]) is None
-        if none or any(c in system.couplings or c in related or (c in v_index and limited[v_index[c]]) for c in names):
+    for name in system.structure.closures:
+        names = system.structure.coordinates_of_joint(name)
+        none = _reduced(system, system.structure.joints[name]) is None
+        if none or any(
+            c in system.structure.couplings or c in related or (c in v_index and limited[v_index[c]]) for c in names
+        ):
             out.add(name)
     return frozenset(out)
 
@@ -86,13 +88,17 @@ def pack(
     """
     mechanism = system.mechanism
     table = lower(
-        mechanism, system.topology, system.coordinates, mechanism.parameters, {n: n in carried for n in system.closures}
+        mechanism,
+        system.structure.topology,
+        system.structure.coordinates,
+        mechanism.parameters,
+        {n: n in carried for n in system.structure.closures},
     )
     size, origin = characteristic_length(system) if length is None else length, origin_of(system)
     if origin.any():
         table = moved(table, -origin)
     ties = _ties(system, table, carried, pins, one_sided) + (further(table) if further else [])
-    ties, first = [t for t in ties if t.rows or t.joint], system.coordinates.first
+    ties, first = [t for t in ties if t.rows or t.joint], system.structure.coordinates.first
     ties = _by_level(ties, table, level, first) if level else _in_order(ties, table, first)
     at = dict(table.at)
     for k, tie in enumerate(ties):
@@ -105,7 +111,7 @@ def pack(
         if tie.function is not None:
             tie.function.scale = weights[L.SCALES : L.SCALES + system.nv]
     names = tuple((t.name, row) for t in ties for row in t.rows)
-    unknown = np.array([i for i, n in enumerate(system.velocity_names) if n not in held], dtype=np.int64)
+    unknown = np.array([i for i, n in enumerate(system.structure.velocity_names) if n not in held], dtype=np.int64)
     return Loops(tuple(ties), names, ints, floats, plan, weights, unknown, size, origin)
 
 
@@ -117,17 +123,17 @@ def held_ties(system: System, table: Table) -> list[Tie]:
 
     `table` has the frames of these joints, led on through their motion.
     """
-    return _ties(system, table, frozenset(system.closures), (), True)
+    return _ties(system, table, frozenset(system.structure.closures), (), True)
 
 
 def _ties(
     system: System, table: Table, carried: frozenset[str], pins: tuple[tuple[str, bool], ...], one_sided: bool
 ) -> list[Tie]:  # fmt: skip
     mechanism = system.mechanism
-    ties = [_of_joint(system, table, mechanism.joints[n], n in carried) for n in system.closures]
+    ties = [_of_joint(system, table, mechanism.joints[n], n in carried) for n in system.structure.closures]
     ties += declared_ties(system, table, one_sided)
     ground = (-1, np.eye(4), False)
-    for relation in system.relations:
+    for relation in system.structure.relations:
         ties.append(Tie(relation.of, ground, ground, turns=L.LINEAR, number=relation.offset, relation=relation))
     for frame, turned in pins:
         mask = _mask("xyz"[: system.dim])

@@ -26,11 +26,11 @@ def own_tree(system: System) -> System:
     mechanism = system.mechanism
     mechanism.joints |= {name: replace(joint, cut=False) for name, joint in mechanism.joints.items()}
     tree = spanning_tree(mechanism)
-    return system if tree == system.topology or _keeps_free(system, tree) else type(system)(mechanism, tree)
+    return system if tree == system.structure.topology or _keeps_free(system, tree) else type(system)(mechanism, tree)
 
 
 def _keeps_free(system: System, tree: Topology) -> bool:
     """Whether the system's tree has a joint that holds nothing and that the other tree leaves out."""
     m = system._mechanism
-    joints = (m.joints[name] for name in {*tree.closures} - {*system.closures})
+    joints = (m.joints[name] for name in {*tree.closures} - {*system.structure.closures})
     return any(j.type.constraints(m.dim, m.bodies[j.child].particle) <= 0 for j in joints)

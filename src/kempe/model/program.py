@@ -135,7 +135,7 @@ def every_tie(system: System, name: str, made: Constraint, a: End, b: End, given
             bound = getattr(what, "callback", None)  # a function of the whole configuration
             call = bound(which) if bound else Callback.of_call(system, what, which, numbers)
             found.append(Tie(name, a, b, turns=L.FUNCTION, bounds=bounds, function=call))
-    sources = {n: (f.source, f.multiplier, f.offset) for n, f in system.couplings.items()}
+    sources = {n: (f.source, f.multiplier, f.offset) for n, f in system.structure.couplings.items()}
     return [t if t.tape is None else replace(t, tape=t.tape.over(sources)) for t in found]
 
 

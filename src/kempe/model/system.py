@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.calls import explained, known
-from kempe.description.mechanism import BodyLike
+from kempe.calls import explained
 from kempe.model.compiled import Compiled, FrameLike
+from kempe.model.former import FormerNames
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from pathlib import Path
 
     from matplotlib.axes import Axes
 
@@ -24,35 +24,33 @@ if TYPE_CHECKING:
     from kempe.analysis.mobility import Mobility
     from kempe.analysis.path import Path as Motion
     from kempe.analysis.simulate import Simulation
-    from kempe.analysis.transmission import LoopJacobian
     from kempe.budget import Budget
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
-    from kempe.kinematics.loops import SystemConstraint
     from kempe.kinematics.space import ConfigurationSpace
-    from kempe.solvers.analytic.describe import Recognised
+    from kempe.model.namespaces import Inverse, Loops, Symbolic
     from kempe.solvers.analytic.solutions import Solutions
-    from kempe.solvers.analytic.sweep import Sweep
-    from kempe.solvers.assembly import Assembler, Assembly
+    from kempe.solvers.assembly import Assembly
     from kempe.solvers.charts import Chart
-    from kempe.solvers.dyads import Incomplete, Plan
     from kempe.solvers.following import IkPath
     from kempe.solvers.ideal import Idealised
     from kempe.solvers.modes import Modes
-    from kempe.solvers.self_motion import SelfMotion
     from kempe.solvers.servo import IkStep
     from kempe.solvers.solution import Solution
 
 __all__ = ["FrameLike", "System"]
 
 
-class System(Compiled):
+class System(Compiled, FormerNames):
     """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates, primitive table.
 
     Frozen, hashable by content, picklable, safe to share between threads. A configuration `q` is an array (..., nq) in
     the order of `coordinate_names`, in radians and metres; a dict by coordinate name is accepted in its place, of a
     system with loops as what `assemble` closes. Poses are relative to body 0, the ground. What the methods take is
     explained at the functions that they name.
+
+    What is needed daily has a name here. Families have one name together: `structure` (what it is made of),
+    `configuration_space`, `loops`, `inverse`, `symbolic`; what the description says, and writes, is the `mechanism`.
     """
 
     # ---- configurations
@@ -67,22 +65,17 @@ class System(Compiled):
 
         return mid(self)
 
-    def posture(self, name: str) -> Array:
-        """Configuration (nq,) of a named posture; coordinates that it does not name are neutral."""
-        posture = self._mechanism.postures[known("posture", name, self._mechanism.postures, self.name)]
-        names = set(self.coordinate_names)
-        return self.q({k: v for k, v in posture.items() if k in names})
-
     def random(self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()) -> Array:
         """Configurations (*shape, nq), uniform inside the limits; free angles in (-pi, pi], free lengths in (-1, 1)."""
         from kempe.kinematics.configuration import random
 
         return random(self, rng, shape)
 
-    def q(self, coordinates: Mapping[str, float], base: ArrayLike | None = None) -> Array:
-        """Configuration (..., nq) from values by coordinate name; the others are neutral, or as in `base` (..., nq).
+    def q(self, coordinates: Mapping[str, float] | str, base: ArrayLike | None = None) -> Array:
+        """Configuration (..., nq) from values by coordinate name, or of a named posture.
 
-        Numbers are only written down: no loop is closed (`assemble` closes them).
+        Coordinates that are not named are neutral, or as in `base` (..., nq). Numbers are only written down: no loop is
+        closed (`assemble` closes them).
         """
         from kempe.kinematics.configuration import q_from_dict
 
@@ -96,36 +89,12 @@ class System(Compiled):
 
     # ---- the space of configurations
 
-    @property
+    @cached_property
     def configuration_space(self) -> ConfigurationSpace:
         """The set that `q` ranges over: its true dimension and its shape, such as T^2 x R, and the space around it."""
         from kempe.kinematics.space import configuration_space
 
         return configuration_space(self)
-
-    def integrate(self, q: Any, v: ArrayLike) -> Array:
-        """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv)."""
-        from kempe.kinematics.configuration import integrate
-
-        return integrate(self, q, v)
-
-    def difference(self, q0: Any, q1: Any) -> Array:
-        """Tangent vector (..., nv) from `q0` to `q1`: ``integrate(q0, difference(q0, q1)) == q1``."""
-        from kempe.kinematics.configuration import difference
-
-        return difference(self, q0, q1)
-
-    def interpolate(self, q0: Any, q1: Any, t: ArrayLike) -> Array:
-        """Configuration (..., nq) at the fraction `t` (...) of the straight way from `q0` to `q1`."""
-        from kempe.kinematics.configuration import interpolate
-
-        return interpolate(self, q0, q1, t)
-
-    def distance(self, q0: Any, q1: Any) -> Array:
-        """Length (...) of the shortest way from `q0` to `q1`; unlimited joints turn the short way."""
-        from kempe.kinematics.configuration import distance
-
-        return distance(self, q0, q1)
 
     # ---- where everything is
 
@@ -156,17 +125,12 @@ class System(Compiled):
 
         return query(self, frame)
 
-    def symbolic_fk(self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0) -> Any:
-        """The forward model in symbols (sympy Matrix 4x4); see `kempe.kinematics.symbolic.symbolic_fk`."""
-        from kempe.kinematics.symbolic import symbolic_fk
+    @cached_property
+    def symbolic(self) -> Symbolic:
+        """Its models as formulas: `symbolic.fk(frame)`."""
+        from kempe.model.namespaces import Symbolic
 
-        return symbolic_fk(self, frame, symbols=symbols, snap=snap)
-
-    def closure_error(self, q: Any) -> Array:
-        """How far each loop is open (..., len(closures), 6): the twist [m; rad] missing in each left-out joint."""
-        from kempe.kinematics.constraints import closure_error
-
-        return closure_error(self, q)
+        return Symbolic(self)
 
     @explained
     def ik(
@@ -202,26 +166,6 @@ class System(Compiled):
                       budget=budget)  # fmt: skip
 
     @explained
-    def ik_plan(
-        self, frame: FrameLike, task: str | tuple[str, ArrayLike] | None = None, fixed: Iterable[str] = ()
-    ) -> Recognised:
-        """What is recognised of a frame's chain, and how `ik_all` solves it; see `kempe.solvers.analytic.describe`."""
-        from kempe.solvers.analytic.describe import ik_plan
-
-        return ik_plan(self, frame, task, fixed)
-
-    @explained
-    def ik_sweep(
-        self, target: ArrayLike, frame: FrameLike, parameter: str | tuple[str, ArrayLike] | None = None, *,
-        n: int | None = None, task: str | tuple[str, ArrayLike] | None = None, start: Any = None,
-        fixed: Mapping[str, Any] | None = None, budget: Budget | None = None,
-    ) -> Sweep:  # fmt: skip
-        """The solutions of a redundant chain along one parameter; see `kempe.solvers.analytic.redundancy.ik_sweep`."""
-        from kempe.solvers.analytic.redundancy import ik_sweep
-
-        return ik_sweep(self, target, frame, parameter, n=n, task=task, start=start, fixed=fixed, budget=budget)
-
-    @explained
     def ik_path(
         self, targets: Any, frame: FrameLike | None = None, start: Any = None, *, max_step: float = 0.5,
         restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] | None = None,
@@ -244,21 +188,12 @@ class System(Compiled):
         return ik_step(self, q, wanted, frame, dt, velocity_limits=velocity_limits, damping=damping,
                        keep_direction=keep_direction, weights=weights)  # fmt: skip
 
-    @explained
-    def self_motion(
-        self, q: Any, tasks: Any, *, task: str | tuple[str, ArrayLike] | None = None, direction: Any = None,
-        budget: Budget | None = None,
-    ) -> SelfMotion:  # fmt: skip
-        """The configurations reached from q while a frame or tasks stay; see `kempe.solvers.self_motion`."""
-        from kempe.solvers.self_motion import self_motion
+    @cached_property
+    def inverse(self) -> Inverse:
+        """About the inverse model of a frame: `plan`, `sweep`, `arm_angle`, `self_motion`."""
+        from kempe.model.namespaces import Inverse
 
-        return self_motion(self, q, tasks, task=task, direction=direction, budget=budget)
-
-    def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
-        """Arm angle (...) of seven joints with spherical shoulder and wrist; see `kempe.solvers.analytic.arm_angle`."""
-        from kempe.solvers.analytic.arm_angle import arm_angle
-
-        return arm_angle(self, q, frame, reference)
+        return Inverse(self)
 
     # ---- closed loops
 
@@ -274,22 +209,11 @@ class System(Compiled):
         return assemble(self, known, start, branch=branch, prefer=prefer, limits=limits, also=also, tolerance=tolerance,
                         budget=budget)  # fmt: skip
 
-    @property
-    def tolerance(self) -> float | str | None:
-        """What its dimensions may be off by, in metres and radians; None: nothing but rounding."""
-        return self._mechanism.tolerance
-
     def idealised(self, tolerance: float | str | None = "measured") -> Idealised | None:
         """The nearest system that closes exactly and moves, with what differs; see `kempe.solvers.ideal`."""
         from kempe.solvers.ideal import idealised
 
         return idealised(self, tolerance)
-
-    def assembler(self, known: Iterable[str] = ()) -> Assembler:
-        """The bound form of `assemble`: names looked up once; see `kempe.solvers.assembly.Assembler`."""
-        from kempe.solvers.assembly import assembler
-
-        return assembler(self, known)
 
     @explained
     def assembly_modes(
@@ -301,12 +225,6 @@ class System(Compiled):
 
         return assembly_modes(self, known, start, limits=limits, frame=frame, tolerance=tolerance, budget=budget)
 
-    def closed_form(self, known: Sequence[str]) -> Plan | Incomplete:
-        """The closed form of a planar system of dyads for these known coordinates; see `kempe.solvers.dyads`."""
-        from kempe.solvers.dyads import closed_form
-
-        return closed_form(self, known)
-
     @explained
     def independent(
         self, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
@@ -316,31 +234,12 @@ class System(Compiled):
 
         return independent(self, q, prefer, tolerance=tolerance)
 
-    def constraints(self) -> list[SystemConstraint]:
-        """The constraints of the system: closures, declared ones, relations; see `kempe.kinematics.loops`."""
-        from kempe.kinematics.loops import of_system
+    @cached_property
+    def loops(self) -> Loops:
+        """About closed loops: `constraints`, `closure_error`, `assembler`, `jacobian`, `transmission_angle`, ..."""
+        from kempe.model.namespaces import Loops
 
-        return of_system(self)
-
-    @property
-    def maximal(self) -> System:
-        """The system with each body on a free joint and all its joints cut; see `kempe.kinematics.maximal.maximal`."""
-        from kempe.kinematics.maximal import maximal
-
-        return maximal(self)
-
-    def to_maximal(self, q: Any) -> Array:
-        """Poses (..., n_b, 4, 4) of all bodies but the ground, the maximal coordinates."""
-        from kempe.kinematics.maximal import to_maximal
-
-        return to_maximal(self, q)
-
-    @explained
-    def from_maximal(self, poses: ArrayLike, start: Any = None, tolerance: float | None = None) -> Array:
-        """Configuration (..., nq) from the poses (..., n_b, 4, 4) of all bodies; see `kempe.solvers.poses`."""
-        from kempe.solvers.poses import from_maximal
-
-        return from_maximal(self, poses, start, tolerance)
+        return Loops(self)
 
     # ---- degrees of freedom and motion
 
@@ -410,32 +309,6 @@ class System(Compiled):
                         restitution=restitution, tolerance=tolerance, budget=budget)  # fmt: skip
 
     @explained
-    def loop_jacobian(
-        self, q: Any, inputs: Sequence[str], outputs: Sequence[str], in_frame: str = "world_aligned", *,
-        tolerance: float | str | None = None,
-    ) -> LoopJacobian:  # fmt: skip
-        """Velocities of joints or frames by those of inputs, through the loops; see `kempe.analysis.transmission`."""
-        from kempe.analysis.transmission import loop_jacobian
-
-        return loop_jacobian(self, q, inputs, outputs, in_frame, tolerance=tolerance)
-
-    @explained
-    def mechanical_advantage(
-        self, q: Any, input: str, output: str, direction: ArrayLike | None = None, still: Sequence[str] = ()
-    ) -> Any:
-        """Force at the output per force at the input, at closed q (..., nq); see `kempe.analysis.transmission`."""
-        from kempe.analysis.transmission import mechanical_advantage
-
-        return mechanical_advantage(self, q, input, output, direction, still)
-
-    @explained
-    def transmission_angle(self, q: Any, joint: str, coupler: str | None = None, output: str | None = None) -> Any:
-        """Angle (...) between coupler and output link at their joint; see `kempe.analysis.transmission`."""
-        from kempe.analysis.transmission import transmission_angle
-
-        return transmission_angle(self, q, joint, coupler, output)
-
-    @explained
     def plot(
         self, q: Any = None, *, path: Any = None, frames: Iterable[Any] | None = (), labels: bool = True,
         ax: Axes | None = None, ghosts: int = 0,
@@ -458,15 +331,3 @@ class System(Compiled):
         from kempe.kinematics.limits import with_limits
 
         return with_limits(self, limits, velocity)
-
-    def lock(self, coordinates: Mapping[str, float]) -> System:
-        """The same system with some coordinates held at values: they leave `q`."""
-        return System(self.mechanism.lock(coordinates))
-
-    def subchain(self, base: BodyLike, tip: FrameLike) -> System:
-        """The bodies and joints between `base`, the new ground, and `tip`."""
-        return System(self._mechanism.subchain(base, str(tip)))
-
-    def save(self, path: str | Path) -> Path:
-        """Write the description to a file: .toml holds everything, .urdf what URDF can express; returns the path."""
-        return self._mechanism.save(path)

@@ -34,7 +34,7 @@ def apart(packed: Packed, pins: Array) -> np.ndarray:
 
 def _left_alone(packed: Packed, tasks: Array, loops: Array) -> np.ndarray:
     """Places in q that Jacobians (N, m, nv) of tasks and loops leave alone."""
-    layout = packed.system.layout
+    layout = packed.system.structure.layout
     asked: np.ndarray = np.any(np.abs(tasks) > NOTHING, axis=(0, 1))
     bound: np.ndarray = np.any(np.abs(loops) > NOTHING, axis=0)
     for _ in range(len(bound)):  # what moves a loop moves all of it

@@ -76,11 +76,11 @@ class Assembler:
         index = {n: i for i, n in enumerate(system.coordinate_names)}
         places, factors, offsets = [], [], []
         for name in names:
-            follower = system.couplings.get(name)
+            follower = system.structure.couplings.get(name)
             if follower is not None and follower.source is None:
                 raise InputError(f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given")
             if follower is None and name not in index:
-                allowed = (*system.coordinate_names, *system.couplings, *system.frames)
+                allowed = (*system.coordinate_names, *system.structure.couplings, *system.structure.frames)
                 raise UnknownNameError("coordinate or frame", name, allowed, system.name)
             places.append(index[name if follower is None or follower.source is None else follower.source])
             factors.append(1.0 if follower is None else 1.0 / follower.multiplier)
@@ -91,7 +91,7 @@ class Assembler:
         self.places, self.place_list, self.shape = np.array(places, dtype=np.int64), places, (system.nq,)
         self.factors, self.offsets = np.array(factors), np.array(offsets)
         self.plain = bool(np.all(self.factors == 1.0) and not np.any(self.offsets))
-        layout = system.layout
+        layout = system.structure.layout
         self.sources = [system.coordinate_names[i] for i in places]
         velocity = dict(zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True))
         held = [velocity[i] for i in places if i in velocity]
@@ -101,11 +101,14 @@ class Assembler:
                 missing = [system.coordinate_names[i] for i in range(iq, iq + 4) if i not in given]
                 raise InputError(f"a quaternion is given as a whole; missing are {', '.join(missing)}")
             held += [iv, iv + 1, iv + 2] if given else []
-        self.held = frozenset(system.velocity_names[v] for v in held)
+        self.held = frozenset(system.structure.velocity_names[v] for v in held)
         limits = np.full((2, len(places)), np.inf) * [[-1.0], [1.0]]
         for k, i in enumerate(places):
             if i in velocity:
-                limits[:, k] = system.coordinates.lower[velocity[i]], system.coordinates.upper[velocity[i]]
+                limits[:, k] = (
+                    system.structure.coordinates.lower[velocity[i]],
+                    system.structure.coordinates.upper[velocity[i]],
+                )
         slack = 1e-9 * (1.0 + np.abs(np.where(np.isfinite(limits), limits, 0.0)))
         self.low, self.high = limits[0] - slack[0], limits[1] + slack[1]
         self.bounds = list(zip(self.low.tolist(), self.high.tolist(), strict=True))
@@ -118,7 +121,7 @@ class Assembler:
         nearest does not depend on where the loops are cut.
         """
         bounded = self.one_sided is not None
-        carried = frozenset(self.tree.closures) if whole or bounded else self.carried
+        carried = frozenset(self.tree.structure.closures) if whole or bounded else self.carried
         pins = tuple(zip(self.frames, turned, strict=True))
         return loops_of(self.tree, carried, self.held, pins, one_sided=bounded)
 
@@ -367,12 +370,12 @@ def assemble(
 
         system, tolerance = allowing(system, tolerance)
     bound = _within(system, tuple(given))
-    if branch is not None and branch not in system.posture_names:
+    if branch is not None and branch not in system.structure.posture_names:
         from kempe.solvers.assembly_asked import on_named_branch
 
         answer = on_named_branch(bound, given, start, branch, limits)
     else:
-        start = start if start is not None or branch is None else system.posture(branch)
+        start = start if start is not None or branch is None else system.q(branch)
         answer = bound._ask(
             given, start, prefer=prefer, limits=limits, tolerance=tolerance or TOLERANCE, budget=budget,
         )  # fmt: skip

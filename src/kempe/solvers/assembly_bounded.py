@@ -53,8 +53,8 @@ class Bounded:
         for i in range(len(starts)):
             first = starts[i : i + 1]
             if i:
-                ahead = self.system.difference(q[max(i - 2, 0)], q[i - 1])
-                first = self._with_known(self.system.integrate(q[i - 1], ahead)[None], first)
+                ahead = self.system.structure.layout.difference(q[max(i - 2, 0)], q[i - 1])
+                first = self._with_known(self.system.structure.layout.integrate(q[i - 1], ahead)[None], first)
             q[i : i + 1], info[i : i + 1] = self._search(first, pins[i : i + 1] if len(pins) > 1 else pins, tries, i)
         return q, self.residuals(q, pins), info
 
@@ -77,7 +77,9 @@ class Bounded:
             each = [np.random.default_rng((self.rng, offset + int(i), count)).uniform(-1.0, 1.0, nv) for i in left]
             spread = min(1.0, L.WIDER * count) * np.pi * scale
             some = pins[left] if len(pins) > 1 else pins
-            found, more = self._solve(self.system.integrate(starts[left], np.stack(each) * spread), starts[left], some)
+            found, more = self._solve(
+                self.system.structure.layout.integrate(starts[left], np.stack(each) * spread), starts[left], some
+            )
             size = self.residuals(found, some)
             better = (more[:, 0] == S.SOLVED) | (size < least[left])
             q[left[better]], least[left[better]] = found[better], size[better]
@@ -104,7 +106,7 @@ class Bounded:
 
     def _with_known(self, q: Array, known: Array) -> Array:
         """Configurations with the held coordinates of others."""
-        layout, held, out = self.system.layout, self.held, q.copy()
+        layout, held, out = self.system.structure.layout, self.held, q.copy()
         at = layout.vector_q[held[layout.vector_v]]
         out[:, at] = known[:, at]
         for iq, iv in zip(layout.quaternion_q, layout.quaternion_v, strict=True):

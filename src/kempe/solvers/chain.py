@@ -77,9 +77,9 @@ def _chain(system: System, name: str) -> Chain:
     refusal = obstacle(system, name)
     if refusal is not None:
         raise UnsupportedError(refusal)
-    table, q_index, v_index = local_chain(system.table, name)
+    table, q_index, v_index = local_chain(system.structure.table, name)
     packed = table.pack([name], table.path(name))
-    limits = np.ascontiguousarray(system.limits[v_index].T)
+    limits = np.ascontiguousarray(system.structure.limits[v_index].T)
     largest = float(np.abs(packed[1]).max(initial=0.0))
     if not largest < LARGEST:
         raise UnsupportedError(f"the chain of {name!r} has a length of {largest:.3g} m; it must be below {LARGEST:g} m")
@@ -112,11 +112,11 @@ def of_loops(system: System, name: str) -> bool:
 @kept
 def obstacle(system: System, name: str) -> str | None:
     """Why no chain of its own leads to a frame: a loop or a relation that moves it; None if one does."""
-    used = {system.velocity_names[i] for i in local_chain(system.table, name)[2]}
-    for closure in system.closures:
+    used = {system.structure.velocity_names[i] for i in local_chain(system.structure.table, name)[2]}
+    for closure in system.structure.closures:
         if used & loop_coordinates(system, closure):
             return f"frame {name!r} moves with the loop that joint {closure!r} closes: no chain of its own leads there"
-    for relation in system.relations:
+    for relation in system.structure.relations:
         if used & {relation.of, *relation.sources}:
             return (
                 f"frame {name!r} moves with coordinate {relation.of!r}, which follows several others: no chain of its "
@@ -128,7 +128,7 @@ def obstacle(system: System, name: str) -> str | None:
 def loop_coordinates(system: System, closure: str) -> set[str]:
     """Velocity coordinates of the joints of the loop that a left-out joint closes, its own included."""
     number = {b: i for i, b in enumerate(system.body_names)}
-    joint = system.joints[closure]
+    joint = system.structure.joints[closure]
     ways: list[set[int]] = []
     for body in (joint.parent, joint.child):
         i, way = number[body], set()
@@ -136,13 +136,13 @@ def loop_coordinates(system: System, closure: str) -> set[str]:
             way.add(i)
             i = system.parent[i - 1]
         ways.append(way)
-    joints = {closure} | {system.parent_joints[i - 1] for i in ways[0] ^ ways[1]}
+    joints = {closure} | {system.structure.parent_joints[i - 1] for i in ways[0] ^ ways[1]}
     names: set[str] = set()
     for j in joints:
-        for c in system.coordinates_of_joint(j):
-            follower = system.couplings.get(c)
+        for c in system.structure.coordinates_of_joint(j):
+            follower = system.structure.couplings.get(c)
             names.add(c if follower is None else follower.source or c)
-        names |= {v for v in system.velocity_names if v.startswith(f"{j}.")}
+        names |= {v for v in system.structure.velocity_names if v.startswith(f"{j}.")}
     return names
 
 
@@ -185,6 +185,6 @@ def _bound(start: Array, p: Array, slides: float, any_slide: bool, point: Array)
 
 def inside(system: System, q: Array) -> Array:
     """The configurations (N, nq) with every limited coordinate brought inside its limits, in place."""
-    at_q, at_v = system.layout.vector_q, system.layout.vector_v
+    at_q, at_v = system.structure.layout.vector_q, system.structure.layout.vector_v
     q[:, at_q] = np.clip(q[:, at_q], system.lower[at_v], system.upper[at_v])
     return q

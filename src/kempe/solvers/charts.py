@@ -93,8 +93,8 @@ class Chart(Report):
         q = as_q(self.system, q)
         if self._plain:
             return q[..., [self.system.coordinate_names.index(n) for n in self.independent]]
-        way = self.system.layout.difference(self.origin, q)
-        way[..., self.system.layout.vector_v] = q[..., self.system.layout.vector_q]
+        way = self.system.structure.layout.difference(self.origin, q)
+        way[..., self.system.structure.layout.vector_v] = q[..., self.system.structure.layout.vector_q]
         return way[..., self._rows()]
 
     def q(self, u: Any, start: Any = None) -> Assembly:
@@ -128,14 +128,14 @@ class Chart(Report):
 
     def _rows(self, names: Iterable[str] | None = None) -> list[int]:
         """Velocity indices of the independent coordinates, or of others."""
-        names, own = self.independent if names is None else tuple(names), self.system.velocity_names
+        names, own = self.independent if names is None else tuple(names), self.system.structure.velocity_names
         return [own.index(n) if n in own else _numbers(self.system)[n] for n in names]
 
     def _rates(self, q: Array, names: tuple[str, ...]) -> Array:
         """Rates (len(names), nv) of some independent coordinates by the velocities, in units, at q (nq,)."""
         system, rows = self.system, self._rows(names)
-        out, way = np.eye(system.nv), system.layout.difference(self.origin, q)
-        for i in system.layout.quaternion_v.tolist():
+        out, way = np.eye(system.nv), system.structure.layout.difference(self.origin, q)
+        for i in system.structure.layout.quaternion_v.tolist():
             out[i : i + 3, i : i + 3] = _of_log(way[i : i + 3])
         return out[rows]
 
@@ -157,7 +157,7 @@ class Chart(Report):
                 size = float(np.linalg.norm(step))
                 if not np.isfinite(size):
                     break
-                q = system.layout.integrate(q, scale * step * min(1.0, LONGEST / max(size, 1e-300)))
+                q = system.structure.layout.integrate(q, scale * step * min(1.0, LONGEST / max(size, 1e-300)))
                 if size < 1e-14:
                     break
             out[k] = q
@@ -180,8 +180,8 @@ class Chart(Report):
         if self._plain:
             return _quality(N, self._rows())
         q = as_q(self.system, q)
-        way = self.system.layout.difference(self.origin, q)
-        own = {int(i) for i in self.system.layout.quaternion_v if {i, i + 1, i + 2} & {*self._rows()}}
+        way = self.system.structure.layout.difference(self.origin, q)
+        own = {int(i) for i in self.system.structure.layout.quaternion_v if {i, i + 1, i + 2} & {*self._rows()}}
         if any(np.linalg.norm(way[i : i + 3]) > FARTHEST for i in own):
             return 0.0
         rates = self._rates(q, self.independent) * scale / scale[self._rows(), None]
@@ -239,7 +239,7 @@ def independent(
             f"{', '.join(wish)} cannot be set independently here: conditioning {_quality(N, rows):.2g}, at least "
             f"{least:.2g} is needed; the best choice is {', '.join(independent(system, q).independent)}"
         )
-    plain = sorted(system.layout.vector_v.tolist())
+    plain = sorted(system.structure.layout.vector_v.tolist())
     found, idle = _extend(N, rows, plain), []
     quality = _quality(N, found)
     sure = len(found) == p and quality >= least
@@ -252,8 +252,8 @@ def independent(
         raise InputError(f"no choice of coordinates is independent here: the best has conditioning {quality:.2g}")
     idle = sorted(idle)
     chosen = [*sorted({*found} - {*idle}), *idle]
-    names = system.velocity_names if {*chosen} <= {*plain} else tuple(_numbers(system))
-    rest = tuple(n for v, n in enumerate(system.velocity_names) if v not in chosen)
+    names = system.structure.velocity_names if {*chosen} <= {*plain} else tuple(_numbers(system))
+    rest = tuple(n for v, n in enumerate(system.structure.velocity_names) if v not in chosen)
     return Chart(system, tuple(names[v] for v in chosen), rest, q.copy(), quality, tuple(names[v] for v in idle))
 
 
@@ -291,7 +291,7 @@ def _is_exponential(system: System, name: str) -> bool:
 
 def _numbers(system: System) -> dict[str, int]:
     """Velocity index of each name that a coordinate of a chart can have."""
-    names, vector = system.velocity_names, {*system.layout.vector_v.tolist()}
+    names, vector = system.structure.velocity_names, {*system.structure.layout.vector_v.tolist()}
     return {n if v in vector else f"{n[:-2]}e{n[-1]}": v for v, n in enumerate(names)}
 
 

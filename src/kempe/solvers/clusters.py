@@ -37,8 +37,8 @@ class Metric:
 
     def __init__(self, system: System):
         self.system, self.length = system, characteristic_length(system)
-        self.scale = np.where(system.coordinates.turning, 1.0, self.length)
-        self.scale[(system.layout.quaternion_v[:, None] + np.arange(3)).ravel()] = 1.0
+        self.scale = np.where(system.structure.coordinates.turning, 1.0, self.length)
+        self.scale[(system.structure.layout.quaternion_v[:, None] + np.arange(3)).ravel()] = 1.0
         self.period = _periods(system)
         self._weights = np.random.default_rng(0).uniform(0.5, 1.0, size=(system.nq + 4, 4))
         self.steepest = float(np.pi * system.nq + np.sum(2.0 * np.pi / self.period[self.period > 0.0]) + system.nq)
@@ -46,7 +46,7 @@ class Metric:
 
     def keys(self, q: Array) -> Array:
         """Numbers (n,) that are nearly equal for configurations (n, nq) that are nearly one: what differs, differs."""
-        layout, w = self.system.layout, self._weights
+        layout, w = self.system.structure.layout, self._weights
         x, period = q[:, layout.vector_q], self.period[layout.vector_v]
         back, weight = period > 0.0, w[: len(period), 0]
         turned = np.cos(2.0 * np.pi * x[:, back] / period[back] + w[: len(period), 1][back])
@@ -59,7 +59,7 @@ class Metric:
 
     def distances(self, q: Array, to: Array) -> Array:
         """Largest difference (...) in any coordinate, in radians and characteristic lengths."""
-        v = self.system.layout.difference(to, q)
+        v = self.system.structure.layout.difference(to, q)
         back = self.period > 0.0
         v[..., back] -= self.period[back] * np.round(v[..., back] / self.period[back])
         return np.abs(v / self.scale).max(axis=-1, initial=0.0)
@@ -69,7 +69,9 @@ class Metric:
         system = self.system
         low, high = np.maximum(system.lower, -1e300), np.minimum(system.upper, 1e300)
         q = np.array(q)
-        for iq, iv in zip(system.layout.vector_q.tolist(), system.layout.vector_v.tolist(), strict=True):
+        for iq, iv in zip(
+            system.structure.layout.vector_q.tolist(), system.structure.layout.vector_v.tolist(), strict=True
+        ):
             turn = float(self.period[iv])
             if not turn:
                 continue
@@ -92,9 +94,9 @@ def _periods(system: System) -> Array:
 
     A gear p / q brings its follower back only after q turns of its source.
     """
-    turns = np.where(system.coordinates.turning, 1, 0)
-    number = {name: i for i, name in enumerate(system.velocity_names)}
-    mechanism, followers = system.mechanism, system.couplings
+    turns = np.where(system.structure.coordinates.turning, 1, 0)
+    number = {name: i for i, name in enumerate(system.structure.velocity_names)}
+    mechanism, followers = system.mechanism, system.structure.couplings
     for joint in mechanism.joints.values():
         names = coordinate_names(mechanism, joint)
         for p in joint.type.layout(system.dim, mechanism.bodies[joint.child].particle)[1]:
@@ -104,7 +106,7 @@ def _periods(system: System) -> Array:
                 ratio = Fraction(factor).limit_denominator(MOST_TURNS)
                 again = p.kind == R and abs(float(ratio) - factor) < 1e-12
                 turns[i] = math.lcm(int(turns[i]), ratio.denominator) if again else 0
-    for relation in system.relations:
+    for relation in system.structure.relations:
         for name in (relation.of, *relation.sources):
             turns[number[name]] = 0
     return 2.0 * math.pi * np.where(turns <= MOST_TURNS, turns, 0)

@@ -87,7 +87,7 @@ def _held(problem: Problem, i: int) -> Held | None:
     if task.shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE, L.ALIGN):
         return None
     (hold,) = task.holds(system)
-    row, X, particle = system.table.at[hold.b]
+    row, X, particle = system.structure.table.at[hold.b]
     if particle or row < 0 or hold.a is not None:
         return None
     linear, angular = problem.tolerance_of(task)
@@ -184,11 +184,11 @@ def longest_between(system: System, a: Held, b: Held) -> float:
     for h, rows in zip((a, b), above, strict=True):
         end = h.local[:3, 3]
         for row in rows[: rows.index(common)] if common in rows else rows[:-1]:
-            if system.table.kind[row] == P:
-                limit = system.limits[system.table.iv[row]]
-                total += float(np.max(np.abs(system.table.multiplier[row] * np.asarray(limit))))
+            if system.structure.table.kind[row] == P:
+                limit = system.structure.limits[system.structure.table.iv[row]]
+                total += float(np.max(np.abs(system.structure.table.multiplier[row] * np.asarray(limit))))
             total += float(np.linalg.norm(end))
-            end = system.table.placement[row][:3, 3]
+            end = system.structure.table.placement[row][:3, 3]
         ends.append(end)
     return total + float(np.linalg.norm(ends[0] - ends[1]))
 
@@ -197,5 +197,5 @@ def _up(system: System, row: int) -> list[int]:
     """Rows from one to the ground, which is -1."""
     out = [row]
     while out[-1] >= 0:
-        out.append(int(system.table.parent[out[-1]]))
+        out.append(int(system.structure.table.parent[out[-1]]))
     return out

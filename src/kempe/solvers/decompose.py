@@ -183,7 +183,7 @@ def parts_of(system: System) -> Parts:
     moving: list[Joint] = []
     for name in sorted(mechanism.joints, key=natural):
         joint = mechanism.joints[name]
-        followers = [system.couplings.get(c) for c in coordinate_names(mechanism, joint)]
+        followers = [system.structure.couplings.get(c) for c in coordinate_names(mechanism, joint)]
         if all(f is not None and f.source is None for f in followers):
             values = np.array([f.offset for f in followers if f is not None])
             X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
@@ -201,7 +201,7 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
     at, groups, misfit = _merge(order, held)
     number = {b: i for i, b in enumerate(system.body_names)}
     slots = {c: i for i, c in enumerate(system.coordinate_names)}
-    parameters = system.parameters
+    parameters = system.structure.parameters
     links = []
     for joint in moving:
         (a, X_A), (b, X_B) = at[joint.parent], at[joint.child]
@@ -211,7 +211,7 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
         turns, axis = motion.kind == R, "xyz".index(motion.axis)
         F, M = (times(X, _flat(Y) if turns else _rail(Y, axis)) for X, Y in ((X_A, X_PF), (X_B, X_CM)))
         source, multiplier, offset = coordinate_names(system.mechanism, joint)[0], 1.0, 0.0
-        follower = system.couplings.get(source)
+        follower = system.structure.couplings.get(source)
         if follower is not None:
             source, multiplier, offset = follower.source or "", follower.multiplier, follower.offset
         links.append(Link(joint.name, R if turns else P, a, b, F, M, slots[source], multiplier, offset))
@@ -227,7 +227,7 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
 
 def _tie(system: System, name: str, part: int, at: dict[str, tuple[int, Pose]]) -> list[Link]:
     """The two links of a constraint, on a part of its own."""
-    constraint, parameters = system.mechanism.constraints[name], system.parameters
+    constraint, parameters = system.mechanism.constraints[name], system.structure.parameters
     (a, X_A), (b, X_B) = at[constraint.parent], at[constraint.child]
     X_PF, X_CM = constraint.frames(parameters, 2)
     here, there = (f"{name} ({body})" for body in (constraint.parent, constraint.child))

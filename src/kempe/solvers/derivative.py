@@ -36,8 +36,8 @@ def derivative(solution: Solution) -> Array:
     S[..., :3, :3] = S[..., 3:, 3:] = np.swapaxes(R, -1, -2)
     S *= np.array(task.mask, dtype=float)[:, None]
     J = np.where(system.upper > system.lower, 1.0, 0.0)[chain.v_index] * (S @ J)  # what has no room moves nothing
-    x, v = np.full((*q.shape[:-1], system.nv), np.nan), system.layout.vector_v
-    x[..., v] = q[..., system.layout.vector_q]
+    x, v = np.full((*q.shape[:-1], system.nv), np.nan), system.structure.layout.vector_v
+    x[..., v] = q[..., system.structure.layout.vector_q]
     held = ((x <= system.lower + AT_LIMIT) | (x >= system.upper - AT_LIMIT))[..., chain.v_index]
     free = np.where(held[..., None, :], 0.0, J)
     stay = held & (_rank(free, J) == _rank(J, J))[..., None]

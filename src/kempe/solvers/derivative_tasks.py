@@ -80,7 +80,7 @@ def _one(problem: Problem, q: Array) -> dict[str, Array]:
         return np.einsum("nij,ni->nj", rows.S, rows.soft) + np.einsum("nij,i->nj", rows.H, multipliers)
 
     steps = REAL_STEP * np.concatenate([np.eye(system.nv), -np.eye(system.nv)]) * scale
-    near = slope(_rows(problem, system.integrate(q, steps), problem.pins, counts))
+    near = slope(_rows(problem, system.structure.layout.integrate(q, steps), problem.pins, counts))
     second = (near[: system.nv] - near[system.nv :]) / (2.0 * REAL_STEP)
     second = 0.5 * (second + second.T)
     free = _free(problem, q, at.H)
@@ -126,7 +126,7 @@ def _rows(problem: Problem, q: Array, pins: Array, counts: tuple[np.ndarray, np.
     miss = (error - np.clip(error, low, high))[..., soft] * weight[soft]
     S = J[..., soft, :] * (weight[soft, None] * ((low == high)[soft] | (miss != 0.0))[..., None])
     if problem.mode == AHEAD and problem.aim is not None:
-        miss = problem.system.difference(np.broadcast_to(problem.aim[0], q.shape), q) / packed.scale
+        miss = problem.system.structure.layout.difference(np.broadcast_to(problem.aim[0], q.shape), q) / packed.scale
         S = np.broadcast_to(np.eye(len(packed.scale)), (*q.shape[:-1], len(packed.scale), len(packed.scale)))
     return _Rows(np.concatenate([error[..., held], closed], axis=-1),
                  np.concatenate([J[..., held, :], C], axis=-2), miss, S)  # fmt: skip
@@ -134,8 +134,8 @@ def _rows(problem: Problem, q: Array, pins: Array, counts: tuple[np.ndarray, np.
 
 def _free(problem: Problem, q: Array, H: Array) -> np.ndarray:
     """Which velocity coordinates (nv,) move: not those at a limit, unless the others cannot do without them."""
-    system, v = problem.system, problem.system.layout.vector_v
-    x = q[system.layout.vector_q]
+    system, v = problem.system, problem.system.structure.layout.vector_v
+    x = q[system.structure.layout.vector_q]
     free = np.ones(system.nv, dtype=bool)
     if problem.limits:
         free[v] = (x > system.lower[v] + AT_LIMIT) & (x < system.upper[v] - AT_LIMIT)

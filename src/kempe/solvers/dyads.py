@@ -220,7 +220,9 @@ class Plan(Report):
         signs = reals(given, "branch", "signs, +1 or -1")
         if signs.ndim == 0 or signs.shape[-1] != self.signs or not np.all(np.abs(signs) == 1.0):
             each = f"{counted(self.signs, 'sign')}, + or - (1 or -1), one for each dyad"
-            raise InputError(f"branch is {branch!r}; it must be {each}; closed_form({self.known}).describe() tells")
+            raise InputError(
+                f"branch is {branch!r}; it must be {each}; loops.closed_form({self.known}).describe() tells"
+            )
         return _rows(signs, lead, "branch")
 
 
@@ -249,7 +251,7 @@ def source_values(system: System, known: Mapping[str, Any]) -> dict[str, Any]:
     """
     out: dict[str, Any] = {}
     for name, given in known.items():
-        follower = system.couplings.get(name)
+        follower = system.structure.couplings.get(name)
         if follower is None and name not in system.coordinate_names:
             raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
         if follower is not None and follower.source is None:
@@ -283,7 +285,7 @@ def _closed_form(system: System, names: tuple[str, ...]) -> Plan | Incomplete:
     for name in names:
         if name in slots:
             continue
-        follower = system.couplings.get(name)
+        follower = system.structure.couplings.get(name)
         if follower is None:
             raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
         follows = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"

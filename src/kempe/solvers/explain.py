@@ -197,7 +197,7 @@ def _limits(task: Task, target: Array, nearest: Array) -> str:
 
     Or that they do not, for all starts may fail where there is an answer.
     """
-    chain, names = task.chain, task.system.velocity_names
+    chain, names = task.chain, task.system.structure.velocity_names
     bounded = np.flatnonzero(np.isfinite(chain.limits).any(axis=0) & (chain.circular == 0))
     open_ = np.stack([np.full(len(chain.v_index), -np.inf), np.full(len(chain.v_index), np.inf)])
     many = _many(task)

@@ -129,7 +129,7 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
             what = "constraint" if name in system.mechanism.constraints else "the relation of"
             text = f"{what} {name!r} is off by {turned:.6g}"
             continue
-        text = f"the loop of joint {name!r}" if name in system.joints else f"constraint {name!r}"
+        text = f"the loop of joint {name!r}" if name in system.structure.joints else f"constraint {name!r}"
         text += f" stays open by {apart:.6g} m" + (f" and {turned:.3g} rad" if turned > 1e-9 else "")
     for name, beyond, unit, size in _beyond(bound, q):
         if size > worst:
@@ -167,14 +167,14 @@ def _one_sided(bound: Assembler, q: Array) -> str:
 def _limits(bound: Assembler, q: Array) -> str:
     """Whether it closes without the limits, and which coordinates are then outside."""
     system = bound.system
-    if bound.frames or not np.isfinite(system.limits).any():
+    if bound.frames or not np.isfinite(system.structure.limits).any():
         return ""
     free, _, info = bound.run(q[None], bound.no_pins, limits=False)
     if info[0, 0] != Status.SOLVED:
         return ""
-    v = system.difference(system.neutral, free[0])
+    v = system.structure.layout.difference(system.neutral, free[0])
     slack = 1e-9
-    names = [n for n, x, low, high in zip(system.velocity_names, v, system.lower, system.upper, strict=True)
+    names = [n for n, x, low, high in zip(system.structure.velocity_names, v, system.lower, system.upper, strict=True)
              if not low - slack <= x <= high + slack]  # fmt: skip
     return f"{words.limits_of(names)} prevent{'s' * (len(names) == 1)} it" if names else ""
 

@@ -200,11 +200,11 @@ def _more(problem: Problem, q: Array, tasks: list[int]) -> str:
 def outside(problem: Problem, q: Array) -> list[str]:
     """Coordinates that are outside their limits at q (nq,), whatever whole turns are added."""
     system, names = problem.system, []
-    for i, v in zip(system.layout.vector_q, system.layout.vector_v, strict=True):
+    for i, v in zip(system.structure.layout.vector_q, system.structure.layout.vector_v, strict=True):
         low, high, x = system.lower[v], system.upper[v], q[i]
-        if system.coordinates.turning[v]:
+        if system.structure.coordinates.turning[v]:
             x -= 2.0 * np.pi * np.ceil((x - high) / (2.0 * np.pi)) if x > high else 0.0
             x += 2.0 * np.pi * np.ceil((low - x) / (2.0 * np.pi)) if x < low else 0.0
         if not low - 1e-9 <= x <= high + 1e-9:
-            names.append(system.velocity_names[v])
+            names.append(system.structure.velocity_names[v])
     return names

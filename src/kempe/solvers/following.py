@@ -159,8 +159,8 @@ def _held(system: System, targets: Any, frame: FrameLike) -> Constraint:
     for i in np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2)))[:1]:
         raise InputError(f"target {i} is not finite, or no pose, whose last row must be 0 0 0 1")
     poses = poses.reshape(*lead, 4, 4)
-    name = system.frame_name(frame)
-    is_position = is_position or bool(system.table.at[name][2])
+    name = system.structure.frame_name(frame)
+    is_position = is_position or bool(system.structure.table.at[name][2])
     (held,) = of_target(name, "position" if is_position else "pose", Z_AXIS, poses)
     return held
 
@@ -198,7 +198,9 @@ class _Path(Way):
         seeds[:, unasked] = q[unasked]
         found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run(seeds)
         good = found[info[:, 0] == Status.SOLVED]
-        return sorted(good, key=lambda x: float(np.linalg.norm(self.system.difference(q, x) / self.scale)))
+        return sorted(
+            good, key=lambda x: float(np.linalg.norm(self.system.structure.layout.difference(q, x) / self.scale))
+        )
 
     def path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
         """The path from q, which holds target `begin`; those before cannot be reached."""
@@ -254,7 +256,7 @@ class _Path(Way):
                     continue
                 found, q = others[0], others[0]
             if way > STAYS:  # else the target stays, and one goes on as before it
-                moved = self.system.difference(q, found) / self.scale
+                moved = self.system.structure.layout.difference(q, found) / self.scale
                 before, last = moved if not before.any() else moved + self.calm * (before - moved), way
             q = found
             out[i] = q
@@ -272,24 +274,27 @@ class _Path(Way):
 
 def _outside(system: System, q: Array) -> list[str]:
     """Coordinates outside their limits at q (nq,); a turn less would be a jump."""
-    v, x = system.layout.vector_v, q[system.layout.vector_q]
-    return [system.velocity_names[i] for i in v[(x < system.lower[v] - ROUNDING) | (x > system.upper[v] + ROUNDING)]]
+    v, x = system.structure.layout.vector_v, q[system.structure.layout.vector_q]
+    return [
+        system.structure.velocity_names[i]
+        for i in v[(x < system.lower[v] - ROUNDING) | (x > system.upper[v] + ROUNDING)]
+    ]
 
 
 def _sentence(system: System, i: int, why: str, q: Array, others: list[Array], restart: bool) -> str:
     where = f"{'jumps' if restart and others else 'stops'} {why}" if why else f"goes on at target {i}"
     if not others:
         return f"{where}; target {i} was not reached from {TRIED} other starts either"
-    change = np.abs(system.difference(q, others[0]))
+    change = np.abs(system.structure.layout.difference(q, others[0]))
     far = int(np.argmax(change))
-    return f"{where}; target {i} is reached by a jump of {change[far]:.3g} in {system.velocity_names[far]!r}"
+    return f"{where}; target {i} is reached by a jump of {change[far]:.3g} in {system.structure.velocity_names[far]!r}"
 
 
 def _all(
     system: System, targets: Any, frame: FrameLike | None, row: Problem, begin: int, q: Array
 ) -> list[Array]:  # fmt: skip
     """What `ik_all` finds for target `begin`, inside the limits; what the target does not ask for is as in q (nq,)."""
-    if frame is None or of_loops(system, system.frame_name(frame)):
+    if frame is None or of_loops(system, system.structure.frame_name(frame)):
         return []
     try:
         found = system.ik_all(reals(targets, "targets")[begin], frame)
@@ -317,4 +322,4 @@ def _farthest(path: IkPath) -> int:
 
 def _length(path: IkPath) -> float:
     q = path.q[path.success]
-    return float(np.linalg.norm(path.system.difference(q[:-1], q[1:]), axis=-1).sum())
+    return float(np.linalg.norm(path.system.structure.layout.difference(q[:-1], q[1:]), axis=-1).sum())

@@ -76,11 +76,11 @@ class Local:
 
     def moved(self, q: Array, d: Array) -> Array:
         """The configuration (nq,) a step d (nv,) from q."""
-        return self.problem.system.integrate(q, d * self.problem.packed.scale)
+        return self.problem.system.structure.layout.integrate(q, d * self.problem.packed.scale)
 
     def way(self, a: Array, b: Array) -> Array:
         """The step (nv,) from a to b."""
-        return self.problem.system.difference(a, b) / self.problem.packed.scale
+        return self.problem.system.structure.layout.difference(a, b) / self.problem.packed.scale
 
     def led(self, q: Array) -> Array:
         """The nearest configuration (nq,) where the equations hold as well as they can, by least squares.

@@ -46,7 +46,9 @@ def beside(problem: Problem, home: Array) -> Array:
             continue
         dx = away @ np.linalg.pinv(J, rcond=1e-9).T
         moved = np.tile(home, (*dx.shape[:-1], 1))
-        places = dict(zip(system.layout.vector_v.tolist(), system.layout.vector_q.tolist(), strict=True))
+        places = dict(
+            zip(system.structure.layout.vector_v.tolist(), system.structure.layout.vector_q.tolist(), strict=True)
+        )
         moved[..., [places[v] for v in base]] += dx
         moved = np.where(far & np.isfinite(dx).all(axis=-1, keepdims=True), moved, home)
         return np.broadcast_to(moved, (*(problem.lead if dx.ndim > 1 else ()), system.nq)).reshape(-1, system.nq).copy()
@@ -56,7 +58,7 @@ def beside(problem: Problem, home: Array) -> Array:
 @kept
 def _slides(system: System) -> list[int]:
     """Velocity coordinates without limits that slide along axes that nothing turns."""
-    table, out = system.table, []
+    table, out = system.structure.table, []
     straight: set[int] = {-1}
     for row, (kind, parent, v) in enumerate(zip(table.kind, table.parent, table.iv, strict=True)):
         if kind == P and int(parent) in straight:
@@ -70,7 +72,7 @@ def scatter(system: System, n: int, rng: np.random.Generator) -> Array:
     """Starts (n, nq) all over the coordinates' ranges, for those who look for all closed configurations."""
     low, high = sampling_box(system)
     q = np.broadcast_to(system.neutral, (n, system.nq)).copy()
-    at_q, at_v = system.layout.vector_q, system.layout.vector_v
+    at_q, at_v = system.structure.layout.vector_q, system.structure.layout.vector_v
     q[:, at_q] = low[at_v] + (high - low)[at_v] * rng.random((n, len(at_v)))
-    system.layout.random_quaternions(q, rng)
+    system.structure.layout.random_quaternions(q, rng)
     return q

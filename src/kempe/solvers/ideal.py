@@ -180,7 +180,7 @@ def within(system: System, tolerance: Any = None) -> Idealised | None:
     `tolerance` is a number in metres and radians, "measured", or None: that of the system, else what is rounding.
     """
     if tolerance is None:
-        tolerance = system.tolerance
+        tolerance = system.structure.tolerance
     answers, key = system._kept.setdefault(within, {}), tolerance
     if tolerance.__class__ not in (float, int, str):
         key = repr(tolerance)
@@ -220,7 +220,7 @@ def said(found: Idealised | None) -> str:
 
 
 def _searched(system: System, most: float, thorough: bool = True) -> Idealised | None:
-    if system._ideal is not None or not (system.closures or system.mechanism.constraints):
+    if system._ideal is not None or not (system.structure.closures or system.mechanism.constraints):
         return None
     if not 0 < system.nv <= MOST:
         return None

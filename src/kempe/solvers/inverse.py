@@ -98,7 +98,7 @@ def _of_frame(
     budget: Budget | None,
 ) -> Solution:  # fmt: skip
     """The answer for targets of one frame."""
-    name, target = system.frame_name(frame), arrays(target, "target")
+    name, target = system.structure.frame_name(frame), arrays(target, "target")
     said, axis = task_and_axis(task)
     asked, targets, lead = _asked(system, name, target, said, axis)
     if method not in METHODS:
@@ -248,7 +248,7 @@ def _asked(
         target, task = in_plane(target, task, axis)
     direction = axis_for(axis, task)
     targets, lead, is_position = targets_of(system, target, task, direction)
-    particle = bool(system.table.at[frame][2])
+    particle = bool(system.structure.table.at[frame][2])
     name = task_of(task, is_position, particle)
     if is_position and name != "position":
         raise InputError(f"target is a position, but task {name!r} asks for an orientation; give a pose (..., 4, 4)")
@@ -304,7 +304,7 @@ class Bound:
         self.part = slice(first, first + self.size) if in_a_row else self.chain.q_index
         self.whole = in_a_row and self.size == system.nq
         """Whether the chain has all coordinates of the system."""
-        self.plain = system.nq == system.nv == len(system.layout.vector_q)
+        self.plain = system.nq == system.nv == len(system.structure.layout.vector_q)
         """Whether entry i of q and of the limits belong together."""
         self.lower, self.upper, self.unmoved = system.lower, system.upper, np.eye(4)[None]
         self.shape, self.posed, self.new = shape, len(shape) == 2, maker(1, self.size + ANSWER)

@@ -46,7 +46,7 @@ def beyond(problem: Problem, task: Task, goals: Goals) -> Array:
         return none
     hold = task.hold(system)
     if hold.a is not None:
-        row, X, particle = system.table.at[hold.a]
+        row, X, particle = system.structure.table.at[hold.a]
         if row >= 0 or particle:
             return none
         goal = X @ goal
@@ -58,8 +58,8 @@ def beyond(problem: Problem, task: Task, goals: Goals) -> Array:
 
 def _bounds(system: System, hold: Hold) -> tuple[list[ReachBound], int]:
     """Bounds for the point that a task holds, and how many coordinates move it."""
-    table, _, v_index = local_chain(system.table, hold.b)
+    table, _, v_index = local_chain(system.structure.table, hold.b)
     row, X, particle = table.at[hold.b]
     table = replace(table, at={hold.b: (row, X @ np.reshape(hold.X_B, (4, 4)), particle)})
-    packed, limits = table.pack([hold.b]), system.limits[v_index].T
+    packed, limits = table.pack([hold.b]), system.structure.limits[v_index].T
     return [b for arrays in (packed, regauge(*packed)) for b in reach_bounds(*arrays, limits)], len(v_index)

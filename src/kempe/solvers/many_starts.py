@@ -116,7 +116,7 @@ class Search:
 
     def _leave_out_spins(self, q: Array, tolerance: Array) -> None:
         """Count configurations that differ only by idle spins as one, from here on."""
-        held = [self.system.velocity_names.index(n) for n in self.bound.held]
+        held = [self.system.structure.velocity_names.index(n) for n in self.bound.held]
         report = self.system.mobility(self.clusters.q[int(np.argmax(self.free > 0))], local=False)
         self.spins = tuple(f for f in report.idle_freedoms if not f.velocity[held].any())
         moved = {b for f in self.spins for b in (*f.bodies, *f.links)}
@@ -208,8 +208,8 @@ def _places(system: System, frame: str | None) -> tuple[str, ...]:
     """
     if frame is not None:
         return (frame,)
-    turning = dict(zip(system.velocity_names, system.coordinates.turning.tolist(), strict=True))
-    winds = any(sum(turning[n] for n in (r.of, *r.sources)) > 1 for r in system.relations)
+    turning = dict(zip(system.structure.velocity_names, system.structure.coordinates.turning.tolist(), strict=True))
+    winds = any(sum(turning[n] for n in (r.of, *r.sources)) > 1 for r in system.structure.relations)
     return tuple(system.body_names[1:]) if winds else ()
 
 
@@ -217,11 +217,13 @@ def _scattered(s: Search, n: int) -> Array:
     """Starts (n, nq) all over the limits, angles over their period, free lengths up to two characteristic ones."""
     system, metric = s.system, s.clusters.metric
     q = random(system, s.rng, n)
-    endless = ~np.isfinite(system.limits).all(axis=-1) & ~system.coordinates.turning
-    slides = endless[system.layout.vector_v]
-    q[:, system.layout.vector_q[slides]] *= 2.0 * metric.length
-    geared = (metric.period > 6.3) & np.isinf(system.limits).all(axis=-1)
-    q[:, system.layout.vector_q[geared[system.layout.vector_v]]] *= metric.period[geared] / (2.0 * np.pi)
+    endless = ~np.isfinite(system.structure.limits).all(axis=-1) & ~system.structure.coordinates.turning
+    slides = endless[system.structure.layout.vector_v]
+    q[:, system.structure.layout.vector_q[slides]] *= 2.0 * metric.length
+    geared = (metric.period > 6.3) & np.isinf(system.structure.limits).all(axis=-1)
+    q[:, system.structure.layout.vector_q[geared[system.structure.layout.vector_v]]] *= metric.period[geared] / (
+        2.0 * np.pi
+    )
     return q
 
 
@@ -234,7 +236,7 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
     Where only some frames count, those that move them. Where frames are known, which the Jacobian does not hold, steps
     go in random directions, and 1 stands for any.
     """
-    free = [i for i, n in enumerate(system.velocity_names) if n not in bound.held]
+    free = [i for i, n in enumerate(system.structure.velocity_names) if n not in bound.held]
     out = np.zeros(len(q), dtype=np.int64)
     if not len(q):
         return out
@@ -256,7 +258,9 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
         return out
     v = np.zeros((len(kicks), system.nv))
     v[:, free] = KICK * np.array(kicks)
-    answer = bound(known, system.integrate(q[owner], v * clusters.metric.scale), limits=False, budget=ONCE)
+    answer = bound(
+        known, system.structure.layout.integrate(q[owner], v * clusters.metric.scale), limits=False, budget=ONCE
+    )
     moved = clusters.distances(np.asarray(answer.q), q[owner]) > STAYED * KICK * np.array(sizes)
     moved &= np.asarray(answer.success)
     found = np.unique(np.array(owner)[moved])
@@ -288,7 +292,7 @@ def must_be_even(s: Search) -> bool:
     system, bound, metric = s.system, s.bound, s.clusters.metric
     if bound.frames or (s.clusters.frames and not s.spins) or not len(s.clusters.q):
         return False
-    free = [i for i, n in enumerate(system.velocity_names) if n not in bound.held]
+    free = [i for i, n in enumerate(system.structure.velocity_names) if n not in bound.held]
     J = evaluate(system, s.clusters.q, True, True)[1][..., free]
     if J.shape[1] + len(s.spins) != J.shape[2] or not J.size or not all(_rigid(s, f) for f in s.spins):
         return False
@@ -303,12 +307,12 @@ def _rigid(s: Search, spin: Any) -> bool:
     mechanism = s.system.mechanism
     inside = [j for j in mechanism.joints.values() if {j.parent, j.child} <= {*spin.bodies}]
     names = {f"{j.name}.{v}" if v else j.name for j in inside for v in j.type.velocities(s.system.dim, False)}
-    return not spin.links and not (names & {*s.system.velocity_names}) - s.bound.held
+    return not spin.links and not (names & {*s.system.structure.velocity_names}) - s.bound.held
 
 
 def _round(system: System, i: int) -> bool:
     """Whether a velocity is one of a quaternion, which runs around a sphere."""
-    return bool(np.any((i >= system.layout.quaternion_v) & (i < system.layout.quaternion_v + 3)))
+    return bool(np.any((i >= system.structure.layout.quaternion_v) & (i < system.structure.layout.quaternion_v + 3)))
 
 
 def _equations(system: System) -> list[Declared]:
@@ -320,8 +324,8 @@ def _tied(system: System, i: int) -> bool:
     """Whether a velocity is one of a particle's place, and distances are the only constraints: as some solution is
     regular, these tie it to what stays near."""  # fmt: skip
     mechanism, kinds = system.mechanism, {c.rod for c in _equations(system)}
-    joint = mechanism.joints.get(system.velocity_names[i].rpartition(".")[0])
-    if joint is None or kinds != {True} or system.relations or not mechanism.bodies[joint.child].particle:
+    joint = mechanism.joints.get(system.structure.velocity_names[i].rpartition(".")[0])
+    if joint is None or kinds != {True} or system.structure.relations or not mechanism.bodies[joint.child].particle:
         return False
     names, primitives = joint.type.layout(system.dim, True)
     slides = sorted((p.kind, p.axis) for p in primitives)

@@ -132,7 +132,7 @@ def assembly_modes(
     spend = USUAL.of(budget)
     generator(spend.rng), start_count(spend.starts), TimeLimit(spend.time_limit)
     flag(limits, "limits")
-    name = None if frame is None else system.frame_name(frame)
+    name = None if frame is None else system.structure.frame_name(frame)
     problem = Problem(system, "all", name, known=dict(given), start=base, limits=bool(limits), budget=spend)
     solver, choice = choose(SOLVERS, system, tuple(given))
     return chosen_by(solver.run(problem), choice)
@@ -251,8 +251,8 @@ def _answer(
 ) -> Modes:  # fmt: skip
     """The modes, sorted, with what is outside the limits dropped or flagged."""
     system = question.system
-    v = q[:, system.layout.vector_q]
-    low, high = (x[system.layout.vector_v] for x in (system.lower, system.upper))
+    v = q[:, system.structure.layout.vector_q]
+    low, high = (x[system.structure.layout.vector_v] for x in (system.lower, system.upper))
     inside = np.all((v >= low - INSIDE) & (v <= high + INSIDE), axis=-1)
     bounds, left_out = one_sided_rows(system), 0
     keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))

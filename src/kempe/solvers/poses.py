@@ -99,7 +99,7 @@ def read_joints(
                 X_BE = flat_frame(X_BE) if slides_along_z(kind, system.dim, particle) else X_BE
                 ends.append(poses[..., i - 1, :, :] @ X_BE if i else X_BE)
             X[k] = spatial.inverse(ends[0]) @ ends[1]
-            values = [coordinate_value(system, near, n) for n in system.coordinates_of_joint(joint.name)]
+            values = [coordinate_value(system, near, n) for n in system.structure.coordinates_of_joint(joint.name)]
             at.append(np.broadcast_to(np.stack(values, axis=-1) if values else near[..., :0], (*lead, len(values))))
         found = fit(kind, system.dim, particle, X, np.stack(at), tolerance)
         out |= {joint.name: (own, length, angle) for joint, own, length, angle in zip(joints, *found, strict=True)}
@@ -115,7 +115,7 @@ def coordinates_at(system: System, poses: Array, near: Array) -> Array:
 
 
 def _by_name(system: System, joint: str, own: Array) -> dict[str, Array]:
-    return {n: own[..., i] for i, n in enumerate(system.coordinates_of_joint(joint))}
+    return {n: own[..., i] for i, n in enumerate(system.structure.coordinates_of_joint(joint))}
 
 
 def fit(
@@ -193,16 +193,19 @@ class LinearRow(NamedTuple):
 
 def _relations(system: System) -> list[LinearRow]:
     """What couplings, locks and relations say, but for quaternions that are held."""
-    followers, turning, balls = system.couplings, set(), set()
+    followers, turning, balls = system.structure.couplings, set(), set()
     for joint in system.mechanism.joints.values():
-        names = system.coordinates_of_joint(joint.name)
+        names = system.structure.coordinates_of_joint(joint.name)
         steps = joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1]
         slow = {p.coordinate for p in steps if p.kind == P and p.multiplier or not float(p.multiplier).is_integer()}
         turning |= {names[p.coordinate] for p in steps if p.coordinate not in slow and p.kind != Q}
         balls |= {n for p in steps if p.kind == Q for n in names[p.coordinate : p.coordinate + 4]}
-    wide = {n: not high - low < FULL_TURN for n, (low, high) in zip(system.velocity_names, system.limits, strict=True)}
+    wide = {
+        n: not high - low < FULL_TURN
+        for n, (low, high) in zip(system.structure.velocity_names, system.structure.limits, strict=True)
+    }
     rows = [(n, {f.source: f.multiplier} if f.source else {}, f.offset) for n, f in followers.items() if n not in balls]
-    rows += [(r.of, r.sources, r.offset) for r in system.relations]
+    rows += [(r.of, r.sources, r.offset) for r in system.structure.relations]
     return [LinearRow(n, ((n, 1.0), *((s, -m) for s, m in sources.items())), offset, n in turning, n not in followers,
                       tuple((s, -m) for s, m in sources.items() if s in turning and (wide[s] or n in followers)))
             for n, sources, offset in rows]  # fmt: skip
@@ -289,11 +292,11 @@ def _refuse_constraints(system: System, poses: Array, q: Array, tolerance: float
 def _refuse_held(system: System, values: dict[str, Array], tolerance: float) -> None:
     """Refuse rotations that are not those of quaternions that are held."""
     for joint in system.mechanism.joints.values():
-        names = [n for n in system.coordinates_of_joint(joint.name) if n in system.couplings]
+        names = [n for n in system.structure.coordinates_of_joint(joint.name) if n in system.structure.couplings]
         for p in joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1]:
-            four = system.coordinates_of_joint(joint.name)[p.coordinate : p.coordinate + 4]
+            four = system.structure.coordinates_of_joint(joint.name)[p.coordinate : p.coordinate + 4]
             if p.kind == Q and four[0] in names:
-                quat = np.array([system.couplings[n].offset for n in four])
+                quat = np.array([system.structure.couplings[n].offset for n in four])
                 found = spatial.quat_wxyz_to_matrix(np.stack([values[n] for n in four], axis=-1))
                 turn = spatial.log_so3(spatial.quat_wxyz_to_matrix(spatial.unit(quat)).T @ found)
                 subject = f"joint {joint.name!r} ({joint.type.type_name}) is locked"

@@ -53,14 +53,14 @@ def _with_differences(problem: Problem, function: Callable[[Array], Array]) -> C
     steps = REAL_STEP * np.concatenate([np.eye(system.nv), -np.eye(system.nv), np.zeros((1, system.nv))])
 
     def work(q: Array) -> tuple[Any, Array]:
-        f = function(system.integrate(q, steps))
+        f = function(system.structure.layout.integrate(q, steps))
         return f[-1:], ((f[: system.nv] - f[system.nv : -1]) / (2.0 * REAL_STEP))[None]
 
     return work
 
 
 def _of_user(problem: Problem, function: Callable[[Array], Any]) -> Callable[[Array], tuple[Any, Array]]:
-    layout, q0 = problem.system.layout, problem.system.random(0)
+    layout, q0 = problem.system.structure.layout, problem.system.random(0)
     if checked_value("prefer", function, q0).size != 1:
         raise InputError("what is preferred must be one number: a function of q (nq,) to be made least")
     how = way_of(function, layout, q0)

@@ -115,7 +115,7 @@ def snapped(system: System, most: float) -> System | None:
                 if new != old:
                     part = table[name] = replace(part, **{side: Placement(new)})
                     found = True
-    return type(system)(m, system.topology) if found else None
+    return type(system)(m, system.structure.topology) if found else None
 
 
 def _simple(x: Value, most: float) -> Value:

@@ -49,10 +49,10 @@ class Decomposition:
         self.known: set[int] = set()
         self.drives: deque[int] = deque()
         self.near: deque[int] = deque(range(n))
-        self.relations: list[Relation] = list(system.relations)
+        self.relations: list[Relation] = list(system.structure.relations)
         self.number = {link.name: i for i, link in enumerate(parts.links)}
-        layout = system.layout
-        bounds = zip(layout.vector_q.tolist(), system.limits[layout.vector_v].tolist(), strict=True)
+        layout = system.structure.layout
+        bounds = zip(layout.vector_q.tolist(), system.structure.limits[layout.vector_v].tolist(), strict=True)
         self.limits: dict[int, list[float]] = {NOWHERE: [-math.inf, math.inf], **dict(bounds)}
         if parts.misfit > 0.0:
             self._expect(parts.misfit, {})

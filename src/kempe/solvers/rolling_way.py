@@ -74,13 +74,13 @@ def _step(way: Way, i: int, part: float, q: Array) -> Array | None:
     """
     system, problem, d = way.system, way.at(i, part), np.zeros(way.system.nv)
     for _ in range(ITERATIONS):
-        x = system.integrate(q, d * way.scale)
+        x = system.structure.layout.integrate(q, d * way.scale)
         e, J = way.missing(problem, x)
-        A, b = hard_rows(system, system.integrate(q, 0.5 * d * way.scale), way.scale)
+        A, b = hard_rows(system, system.structure.layout.integrate(q, 0.5 * d * way.scale), way.scale)
         if b.any():
             return None
         if max(np.abs(e).max(initial=0.0), np.abs(A @ d).max(initial=0.0)) < HELD:
-            v, at = system.layout.vector_v, system.layout.vector_q
+            v, at = system.structure.layout.vector_v, system.structure.layout.vector_q
             inside = (x[at] >= system.lower[v] - HELD) & (x[at] <= system.upper[v] + HELD)
             return x if inside.all() else None
         M = np.concatenate([J, A])

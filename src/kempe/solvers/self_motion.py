@@ -157,8 +157,8 @@ def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayL
         if task is not None:
             raise InputError(f"task is {task!r}; it belongs to a frame, tasks say themselves what they ask")
         return tasks
-    name = system.frame_name(tasks)
-    kind = task_of(task, False, bool(system.table.at[name][2]))
+    name = system.structure.frame_name(tasks)
+    kind = task_of(task, False, bool(system.structure.table.at[name][2]))
     if system.dim == 2 and points_along(kind):
         kind = "orientation" if kind == "direction" else "pose"
     return of_target(name, kind, axis_of(axis), system.fk(q, name))
@@ -188,9 +188,9 @@ def _wish(system: System, direction: Any, local: Local, problem: Problem) -> Arr
         return found[0]
     scale = problem.packed.scale
     if isinstance(direction, str):
-        if direction not in system.velocity_names:
-            raise UnknownNameError("coordinate", direction, system.velocity_names, system.name)
-        return np.eye(system.nv)[system.velocity_names.index(direction)]
+        if direction not in system.structure.velocity_names:
+            raise UnknownNameError("coordinate", direction, system.structure.velocity_names, system.name)
+        return np.eye(system.nv)[system.structure.velocity_names.index(direction)]
     wish = numbers_of(direction, "direction")
     if wish.shape != (system.nv,) or not np.isfinite(wish).all() or not wish.any():
         raise InputError(f"direction has shape {wish.shape}; it must be a velocity ({system.nv},), not zero")
@@ -241,8 +241,8 @@ class _Way:
             t /= np.linalg.norm(t)
             goal = (q, t) if goal is None else goal
             for part in PARTS:
-                found, info = problem.run(system.integrate(q, part * step * t * scale)[None])
-                moved = system.difference(q, found[0]) / scale
+                found, info = problem.run(system.structure.layout.integrate(q, part * step * t * scale)[None])
+                moved = system.structure.layout.difference(q, found[0]) / scale
                 if info[0, 0] == Status.SOLVED and moved @ t >= 0.01 * part * step:
                     break
             else:
@@ -267,12 +267,12 @@ class _Way:
         system, scale = problem.system, problem.packed.scale
         home = _short(system, a, there) / scale
         ahead = float(home @ t)
-        reach = float(np.linalg.norm(system.difference(a, b) / scale))
+        reach = float(np.linalg.norm(system.structure.layout.difference(a, b) / scale))
         if t @ along < 0.5 or not 0.0 <= ahead <= 1.2 * reach or np.linalg.norm(home) > 2.0 * reach:
             return False
         q = a
         for _ in range(HOMING):
-            found, info = problem.run(system.integrate(q, ahead * t * scale)[None])
+            found, info = problem.run(system.structure.layout.integrate(q, ahead * t * scale)[None])
             if info[0, 0] != Status.SOLVED:
                 return False
             q, gap = found[0], _short(system, found[0], there) / scale
@@ -287,7 +287,7 @@ def _stop(problem: Problem, q: Array, t: Array, ahead: float) -> str:
     system, scale = problem.system, problem.packed.scale
     if names := _at_limits(system, q, t, ahead * scale):
         return f"the limit of {names[0]!r}"
-    there = system.integrate(q, ahead * t * scale)
+    there = system.structure.layout.integrate(q, ahead * t * scale)
     rows = problem.packed.one_sided
     beyond = np.append(rows.beyond(there, declared=True) * rows.scale[: rows.declared], 0.0)
     if beyond.max() > 0.01 * ahead:
@@ -304,15 +304,15 @@ def _short(system: System, a: Array, b: Array) -> Array:
     """The shortest way (nv,) from a to b; unlimited joints turn the short way."""
     from kempe.kinematics.configuration import circles
 
-    v, round_ = system.difference(a, b), circles(system)
+    v, round_ = system.structure.layout.difference(a, b), circles(system)
     v[round_] -= 2.0 * np.pi * np.round(v[round_] / (2.0 * np.pi))
     return v
 
 
 def _at_limits(system: System, q: Array, t: Array, ahead: Array | float = 0.0) -> list[str]:
     """Coordinates at a limit that the direction t (nv,) pushes outwards, or takes there within `ahead` (nv,)."""
-    v, x = system.layout.vector_v, q[system.layout.vector_q]
+    v, x = system.structure.layout.vector_v, q[system.structure.layout.vector_q]
     near = AT_LIMIT + np.abs(ahead * t)[v]
     low = (x <= system.lower[v] + near) & (t[v] < 0.0)
     high = (x >= system.upper[v] - near) & (t[v] > 0.0)
-    return [system.velocity_names[v[i]] for i in np.flatnonzero(low | high)]
+    return [system.structure.velocity_names[v[i]] for i in np.flatnonzero(low | high)]

@@ -89,18 +89,22 @@ class Servo:
         self.v, reach = chain.v_index, min((b.largest for b in chain.bounds), default=math.inf)
         self.near = NEAR * min(1.0, reach) if reach > 0.0 else NEAR
         """Singular values to be damped: metres, so less where the whole chain is shorter than one."""
-        layout = system.layout
+        layout = system.structure.layout
         place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
         limited = [(k, place[v]) for k, v in enumerate(self.v.tolist()) if v in place]
         self.at_v = np.array([k for k, _ in limited], dtype=np.int64)
         self.at_q = np.array([i for _, i in limited], dtype=np.int64)
         own = self.v[self.at_v]
-        self.lower, self.upper, self.speed = system.lower[own], system.upper[own], system.velocity_limits[self.v]
+        self.lower, self.upper, self.speed = (
+            system.lower[own],
+            system.upper[own],
+            system.structure.velocity_limits[self.v],
+        )
         self.plain = len(limited) == len(self.v)
         self.ahead, self.behind = np.arange(2 * len(self.v)).reshape(2, -1)
-        self.names = [system.velocity_names[i] for i in self.v]
-        length, slides = chain_length(chain), ~system.coordinates.turning[self.v]
-        slides[~np.isin(self.v, system.layout.vector_v)] = False
+        self.names = [system.structure.velocity_names[i] for i in self.v]
+        length, slides = chain_length(chain), ~system.structure.coordinates.turning[self.v]
+        slides[~np.isin(self.v, system.structure.layout.vector_v)] = False
         self.metric = np.array([1.0 / length] * 3 + [1.0] * 3)
         """What weighs the error of a pose as `ik` does."""
         self.unit = np.where(slides, length, 1.0)
@@ -132,12 +136,12 @@ class Servo:
             return out
         moves = np.zeros((2 * n, self.system.nv))
         moves[range(n), self.v], moves[range(n, 2 * n), self.v] = step, -step
-        return self.system.integrate(q, moves)
+        return self.system.structure.layout.integrate(q, moves)
 
     def after(self, q: Array, velocity: Array, dt: float) -> Array:
         """The configuration (nq,) after dt, limits kept to the last bit where q kept them."""
         if not self.plain:
-            out = self.system.integrate(q, velocity * dt)
+            out = self.system.structure.layout.integrate(q, velocity * dt)
         else:
             out = q.copy()
             out[self.at_q] += velocity[self.v] * dt
@@ -186,7 +190,7 @@ def ik_step(
         if keep_direction or w is not None:
             raise InputError("keep_direction and weights are for the twist of a frame; tasks have weights of their own")
         return _held_step(system, q, wanted, None, dt, speed, damping, False, None)
-    name = system.frame_name(frame)
+    name = system.structure.frame_name(frame)
     if rolls(system) or obstacle(system, name) or one_sided_rows(system).declared:
         return _held_step(system, q, wanted, name, dt, speed, damping, keep_direction, w)
     servo = _servo(system, name)
@@ -234,7 +238,7 @@ def _held_step(
     asked = np.concatenate([NONE, *(s.b for s in stages if s.hard)])
     had = np.concatenate([NONE, *(s.A @ u for s in stages if s.hard)])
     twist = had if frame is None else J @ velocity
-    names = tuple(system.velocity_names[i] for i in at)
+    names = tuple(system.structure.velocity_names[i] for i in at)
     return IkStep(after, velocity, twist, _part(had, asked), names, system)
 
 
@@ -294,9 +298,9 @@ def speeds(system: System) -> Array:
 
     What follows a coordinate counts, too: nothing that it turns or slides is faster than that.
     """
-    table, given = own_tree(system).table, system.velocity_limits
-    usual = np.where(system.coordinates.turning, TURNING, SLIDING)
-    usual[system.layout.quaternion_v[:, None] + np.arange(3)] = TURNING
+    table, given = own_tree(system).structure.table, system.structure.velocity_limits
+    usual = np.where(system.structure.coordinates.turning, TURNING, SLIDING)
+    usual[system.structure.layout.quaternion_v[:, None] + np.arange(3)] = TURNING
     for kind, v, m in zip(table.kind.tolist(), table.iv.tolist(), table.multiplier.tolist(), strict=True):
         if kind != BALL:
             usual[v] = min(usual[v], (TURNING if kind == TURN else SLIDING) / abs(m))

@@ -92,7 +92,7 @@ class Closed:
     """All of a system's steps under its constraints that does not depend on the configuration."""
 
     def __init__(self, system: System):
-        self.system, layout = system, system.layout
+        self.system, layout = system, system.structure.layout
         loops = full(system, True)
         self.length, self.names, self.rolls = loops.length, loops.names, rolls(system)
         self.scale: Array = loops.weights[L.SCALES : L.SCALES + system.nv]
@@ -230,7 +230,7 @@ class Closed:
         for way in N.T:
             ends = []
             for h in (DIFFERENCE, -DIFFERENCE):
-                x = self.system.integrate(q, h * way * self.scale)
+                x = self.system.structure.layout.integrate(q, h * way * self.scale)
                 pulled, kept = push(x, at(x)[: len(stages)])
                 ends.append(pulled - forces @ kept)
             slopes.append((ends[1] - ends[0]) / (2.0 * DIFFERENCE))
@@ -251,24 +251,29 @@ class Closed:
 
         By the smallest corrections (Newton), bounded where these would leave the box.
         """
-        system, x = self.system, self.system.integrate(q, (self.bent(q, u, dt) if self.rolls else u) * self.scale * dt)
+        system, x = (
+            self.system,
+            self.system.structure.layout.integrate(q, (self.bent(q, u, dt) if self.rolls else u) * self.scale * dt),
+        )
         before = self.bounds.beyond(q, declared=True) if self.bounds.declared else x
         for _ in range(CORRECTIONS):
             error, C = self._missed(x, before)
             if np.abs(error).max(initial=0.0) <= CLOSED:
                 return self._inside(q, x)
-            moved = system.difference(q, x) / self.scale
+            moved = system.structure.layout.difference(q, x) / self.scale
             least, most = np.minimum(low * dt - moved, 0.0), np.maximum(high * dt - moved, 0.0)
             more = -np.linalg.pinv(C, rcond=1e-8) @ error
             if (more < least).any() or (more > most).any():
                 A = np.concatenate([C, LEAST * np.eye(len(more))])
                 more = bounded(A, np.concatenate([-error, np.zeros(len(more))]), least, most, more)
-            x = system.integrate(x, more * self.scale)
+            x = system.structure.layout.integrate(x, more * self.scale)
         return None
 
     def bent(self, q: Array, u: Array, dt: float) -> Array:
         """Scaled velocities (nv,) over dt for those at q: without slip in the middle of the way, to second order."""
-        A, b = hard_rows(self.system, self.system.integrate(q, 0.5 * dt * u * self.scale), self.scale)
+        A, b = hard_rows(
+            self.system, self.system.structure.layout.integrate(q, 0.5 * dt * u * self.scale), self.scale
+        )
         return u - np.linalg.pinv(A, rcond=1e-8) @ (A @ u - b)
 
     def _inside(self, q: Array, x: Array) -> Array:

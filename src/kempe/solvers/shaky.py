@@ -38,5 +38,5 @@ def moving(system: System, q: Array, left: Array, kernel: Array, scale: Array) -
 def _change(system: System, q: Array, left: Array, kernel: Array, scale: Array, along: Array) -> Array:
     """Second derivatives (n, k, p) for left null vectors, combinations (n, p) of the kernel, and the kernel."""
     steps = DIFFERENCE * scale * (along @ kernel.T)
-    J = evaluate(system, system.layout.integrate(q, np.concatenate([steps, -steps])), True, True)[1]
+    J = evaluate(system, system.structure.layout.integrate(q, np.concatenate([steps, -steps])), True, True)[1]
     return left.T @ ((J[: len(steps)] - J[len(steps) :]) / (2.0 * DIFFERENCE)) @ kernel

@@ -75,7 +75,7 @@ class Shape:
             parts = getattr(m, table)
             more = tuple((motion, (float(x),)) for motion, x in zip(self.motions, d, strict=True) if x)
             parts[name] = replace(parts[name], **{side: Placement(getattr(parts[name], side).steps + more)})
-        return type(system)(m, system.topology)
+        return type(system)(m, system.structure.topology)
 
     def derivative(self, p: Array, q: Array) -> Array:
         """Derivatives (N, m, size) of the loop equations at configurations q (N, nq) by the changes."""
@@ -107,7 +107,7 @@ class Valley:
             size = float(np.linalg.norm(step))
             if not np.isfinite(size):
                 return q
-            q = self.system.integrate(q, self.scale * step * min(1.0, 0.3 / max(size, 1e-300)))
+            q = self.system.structure.layout.integrate(q, self.scale * step * min(1.0, 0.3 / max(size, 1e-300)))
             if size < 1e-13:
                 break
         return q
@@ -123,7 +123,7 @@ class Valley:
 
     def ahead(self, q: Array, direction: Array, length: float) -> tuple[Array, Array]:
         """The configuration one step ahead along the valley, and the direction (n,) in which it goes on."""
-        there = self.settle(self.system.integrate(q, self.scale * direction * length))
+        there = self.settle(self.system.structure.layout.integrate(q, self.scale * direction * length))
         kernel = self.at(there)[3][self.rank :]
         onward = kernel.T @ (kernel @ direction)
         return there, onward / max(float(np.linalg.norm(onward)), 1e-300)
@@ -146,7 +146,7 @@ class Valley:
             for _ in range(FAR if freedoms == 1 else NEAR):
                 before, heading = x, way
                 x, way = self.ahead(x, way, STRIDE)
-                moved = float(np.linalg.norm(self.system.difference(before, x) / self.scale))
+                moved = float(np.linalg.norm(self.system.structure.layout.difference(before, x) / self.scale))
                 if not self.residual(x) <= most or not 0.5 * STRIDE < moved < 2.0 * STRIDE or way @ heading < 0.5:
                     break
                 if self.regular(x):

@@ -90,7 +90,7 @@ def slip_of(system: System, q: Array, times: Sequence[float] | Array | None = No
     clock = np.arange(float(len(q))) if times is None else np.asarray(times, dtype=float)
     one = _ways(system, q, clock, 1)
     if len(q) == 2:
-        way = system.difference(q[0], q[1])
+        way = system.structure.layout.difference(q[0], q[1])
         bend = np.abs((rates(system, q[1], clock[1])[0] - rates(system, q[0], clock[0])[0]) @ way)
         slips, allowed = one.slip, EXPLAINED * bend[None] + ABSOLUTE + RELATIVE * one.size
         span, first = one.time, 1
@@ -134,8 +134,8 @@ class _Ways(NamedTuple):
 
 
 def _ways(system: System, q: Array, clock: Array, step: int) -> _Ways:
-    way = system.difference(q[:-step], q[step:])
-    middle = q[1:-1] if step == 2 else system.integrate(q[:-1], 0.5 * way)
+    way = system.structure.layout.difference(q[:-step], q[step:])
+    middle = q[1:-1] if step == 2 else system.structure.layout.integrate(q[:-1], 0.5 * way)
     time = clock[step:] - clock[:-step]
     when = 0.5 * (clock[step:] + clock[:-step])
     A, b = rates(system, middle, when)

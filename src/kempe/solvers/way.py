@@ -146,11 +146,11 @@ class Way:
 
     def truncated(self, problem: Problem, q: Array, before: Array) -> Array | None:
         """Where (nq,) one gets to by going on as before and making good what is not singular; None if elsewhere."""
-        x = self.system.integrate(q, before * self.scale)
+        x = self.system.structure.layout.integrate(q, before * self.scale)
         for _ in range(TRUNCATED):
-            x = self.system.integrate(x, self.first_order(problem, x, SINGULAR).ahead * self.scale)
+            x = self.system.structure.layout.integrate(x, self.first_order(problem, x, SINGULAR).ahead * self.scale)
             x = inside(self.system, x[None])[0] if problem.limits else x
-        return x if self.smooth(self.system.difference(q, x) / self.scale, before) else None
+        return x if self.smooth(self.system.structure.layout.difference(q, x) / self.scale, before) else None
 
     def smooth(self, moved: Array, before: Array) -> bool:
         """Whether a scaled step (nv,) goes on as one before."""
@@ -180,9 +180,10 @@ class Way:
         starts = (np.zeros(self.system.nv), order.ahead, before)
         tried = [self.land(self.rows[i], q, x) for x in starts if np.abs(x).max(initial=0.0) <= self.max_step]
         found = [(np.abs(moved).max(initial=0.0), x, moved) for x, moved in tried if x is not None]
+        integrate = self.system.structure.layout.integrate
         for most, x, moved in sorted(found, key=lambda f: float(f[0])):
             if most <= self.max_step and all(
-                np.linalg.norm(self.missing(self.at(i, part), self.system.integrate(q, part * moved * self.scale))[0])
+                np.linalg.norm(self.missing(self.at(i, part), integrate(q, part * moved * self.scale))[0])
                 <= BESIDE * order.way for part in (0.25, 0.5, 0.75)):  # fmt: skip
                 return x
         return None
@@ -190,9 +191,9 @@ class Way:
     def land(self, problem: Problem, q: Array, ahead: Array) -> tuple[Array | None, Array]:
         """Where (nq,) the solver gets to from a scaled step (nv,) away from q, None without success, and the step."""
         self.budget.check()
-        start = self.system.integrate(q, ahead * self.scale)[None]
+        start = self.system.structure.layout.integrate(q, ahead * self.scale)[None]
         found, info = replace(problem, starts=1).run(inside(self.system, start) if problem.limits else start)
-        moved = self.system.difference(q, found[0]) / self.scale
+        moved = self.system.structure.layout.difference(q, found[0]) / self.scale
         return found[0] if info[0, 0] == Status.SOLVED else None, moved
 
     def follow(self, i: int, q: Array, before: Array, last: float) -> tuple[Array, float, float]:

@@ -33,7 +33,7 @@ def units(system: System) -> dict[str, str]:
     """Unit of every coordinate and velocity coordinate by name: 'rad', 'm', or '' in a quaternion."""
     out: dict[str, str] = {}
     bodies = system.mechanism.bodies
-    for joint in system.joints.values():
+    for joint in system.structure.joints.values():
         particle = bodies[joint.child].particle
         names, primitives = joint.type.layout(system.dim, particle)
         own = {p.coordinate: "m" for p in primitives if p.kind == P}
@@ -54,7 +54,7 @@ def in_degrees(values: Any, names: Iterable[str], unit: dict[str, str], degrees:
 def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
     """All that `kempe info` says of a system, by topic; limits of angles in radians, or in degrees."""
     space = system.configuration_space
-    closures = set(system.closures)
+    closures = set(system.structure.closures)
     return {
         "name": system.name,
         "dim": system.dim,
@@ -68,23 +68,23 @@ def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
             "constraints": space.constraints, "text": space.within,
         },
         "bodies": _bodies(system),
-        "joints": [_joint(system, j, j.name not in closures) for j in system.joints.values()],
+        "joints": [_joint(system, j, j.name not in closures) for j in system.structure.joints.values()],
         "coordinates": coordinates(system, degrees),
-        "closures": list(system.closures),
-        "frames": [{"name": f.name, "body": f.body} for f in system.frames.values()],
-        "couplings": [_coupling(of, f) for of, f in system.couplings.items()],
-        "relations": [relation_text(r) for r in system.relations],
+        "closures": list(system.structure.closures),
+        "frames": [{"name": f.name, "body": f.body} for f in system.structure.frames.values()],
+        "couplings": [_coupling(of, f) for of, f in system.structure.couplings.items()],
+        "relations": [relation_text(r) for r in system.structure.relations],
         "constraints": [_constraint(system, c) for c in system.mechanism.constraints.values()],
-        "postures": list(system.posture_names),
-        "parameters": system.parameters,
-        "notes": list(system.notes),
+        "postures": list(system.structure.posture_names),
+        "parameters": system.structure.parameters,
+        "notes": list(system.structure.notes),
     }  # fmt: skip
 
 
 def _dof_of_tree(system: System) -> int:
     """Degrees of freedom of the tree: those of all joints without those of the joints that it left out."""
-    bodies, joints, known = system.mechanism.bodies, system.joints, set(system.velocity_names)
-    cut = [joints[name] for name in system.closures]
+    bodies, joints, known = system.mechanism.bodies, system.structure.joints, set(system.structure.velocity_names)
+    cut = [joints[name] for name in system.structure.closures]
     names = (_full(j, v) for j in cut for v in j.type.velocities(system.dim, bodies[j.child].particle))
     return system.nv - sum(name in known for name in names)
 
@@ -93,7 +93,7 @@ def _bodies(system: System) -> list[dict[str, Any]]:
     names = system.body_names
     records = system.mechanism.bodies
     out: list[dict[str, Any]] = [{"number": 0, "name": names[0], "parent": None, "joint": None, "particle": False}]
-    for i, (parent, joint) in enumerate(zip(system.parent, system.parent_joints, strict=True), start=1):
+    for i, (parent, joint) in enumerate(zip(system.parent, system.structure.parent_joints, strict=True), start=1):
         out.append({"number": i, "name": names[i], "parent": parent, "joint": joint,
                     "particle": records[names[i]].particle})  # fmt: skip
     return out
@@ -103,15 +103,15 @@ def _joint(system: System, joint: Joint, in_tree: bool) -> dict[str, Any]:
     return {
         "name": joint.name, "type": joint.type.type_name, "options": joint.type.options,
         "parent": joint.parent, "child": joint.child, "in_tree": in_tree,
-        "coordinates": system.coordinates_of_joint(joint.name), "actuated": joint.actuated,
+        "coordinates": system.structure.coordinates_of_joint(joint.name), "actuated": joint.actuated,
     }  # fmt: skip
 
 
 def coordinates(system: System, degrees: bool = False) -> list[dict[str, Any]]:
     """Each entry of q: its index, name, unit and limits (None where there is none)."""
     unit = units(system)
-    limits = in_degrees(system.limits.T, system.velocity_names, unit, degrees)
-    of = dict(zip(system.velocity_names, limits.T.tolist(), strict=True))
+    limits = in_degrees(system.structure.limits.T, system.structure.velocity_names, unit, degrees)
+    of = dict(zip(system.structure.velocity_names, limits.T.tolist(), strict=True))
     out = []
     for i, name in enumerate(system.coordinate_names):
         lower, upper = of.get(name, (-math.inf, math.inf))
@@ -126,11 +126,11 @@ def _coupling(of: str, follower: Follower) -> dict[str, Any]:
 
 def _constraint(system: System, c: Declared) -> dict[str, Any]:
     """A declared constraint with the freedoms of position that it takes away, and its number of one-sided rows."""
-    length = c.length(system.parameters) if c.rod else None
+    length = c.length(system.structure.parameters) if c.rod else None
     return {
         "name": c.name, "type": c.kind, "parent": c.parent, "child": c.child, "length": length,
         "equations": c.equations(system.dim), "one_sided": c.bounds(system.dim),
-        "says": with_numbers(c.of, system.parameters).sentence,
+        "says": with_numbers(c.of, system.structure.parameters).sentence,
     } | ({"of": list(reads)} if (reads := c.of.reads) else {})  # fmt: skip
 
 

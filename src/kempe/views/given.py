@@ -65,16 +65,16 @@ def _value(system: System, name: str, numbers: list[float], degrees: bool, frame
 
 def _by_source(system: System, name: str, value: Any) -> tuple[str, Any]:
     """A coordinate that follows another, as the one that it follows, which is part of q."""
-    follower = system.couplings.get(name)
+    follower = system.structure.couplings.get(name)
     if follower is None or follower.source is None:
         return name, value
     return follower.source, (value - follower.offset) / follower.multiplier
 
 
 def _check_coordinate(system: System, name: str, frames: bool) -> None:
-    coordinates = (*system.coordinate_names, *system.couplings)
+    coordinates = (*system.coordinate_names, *system.structure.couplings)
     if name not in coordinates:
-        places = system.frames if frames else ()
+        places = system.structure.frames if frames else ()
         what = "coordinate or frame" if frames else "coordinate"
         raise UnknownNameError(what, name, (*coordinates, *places), system.name)
 
@@ -114,10 +114,10 @@ def start(system: System, text: str | None, degrees: bool = False) -> spatial.Ar
 
 
 def _start(system: System, text: str, degrees: bool) -> spatial.Array:
-    if text in (*system.posture_names, *SPECIAL):
+    if text in (*system.structure.posture_names, *SPECIAL):
         return rows.configuration(system, None, text, degrees)
     if not any(c in text for c in ",=.") and not text.strip().lstrip("+-").isdigit():
-        raise UnknownNameError("posture", text, (*system.posture_names, *SPECIAL), system.name)
+        raise UnknownNameError("posture", text, (*system.structure.posture_names, *SPECIAL), system.name)
     return rows.configuration(system, text, None, degrees, start=True)
 
 
@@ -159,10 +159,10 @@ def configuration(
 
 def branch(system: System, given: Mapping[str, Any], text: str | None) -> str | None:
     """A branch: signs of dyads, or the name of a posture. Errors: `InputError` where it is neither."""
-    if text is None or text in system.posture_names:
+    if text is None or text in system.structure.posture_names:
         return text
     if not text or set(text) - set("+-"):
-        postures = ", ".join(map(repr, system.posture_names)) or "none"
+        postures = ", ".join(map(repr, system.structure.posture_names)) or "none"
         raise InputError(f"branch {text!r} is neither signs such as '+-' nor a posture; postures are: {postures}")
     places = [name for name in given if name not in system.coordinate_names]
     if places:

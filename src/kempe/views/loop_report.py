@@ -82,7 +82,7 @@ def assembly(answer: Assembly, degrees: bool = False, given: Mapping[str, Any] |
     q = _shown(system, answer.q, degrees)
     sources = set(answer.assembler.sources)
     for c, x in zip(facts.coordinates(system, degrees), q.tolist(), strict=True):
-        cut = any(c["name"] == j or c["name"].startswith(f"{j}.") for j in system.closures)
+        cut = any(c["name"] == j or c["name"].startswith(f"{j}.") for j in system.structure.closures)
         lines.append((c["name"], report.number(x, 9), c["unit"], "known" if c["name"] in sources else "cut" * cut))
     shown.append(report.table(("coordinate" if answer else "nearest found", ">value", "=unit", ""), lines))
     for name in answer.assembler.frames:

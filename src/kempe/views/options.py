@@ -25,7 +25,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"; drive or hold more, or give velocities \(system\.simulate\)", "; drive or hold more"),
     (r": see nearest\(\)", ""),
     (r"\bproject=True takes it", "--project takes it"),
-    (r"; closed_form\(.*?\)\.describe\(\) tells", "; --modes tells"),
+    (r"; loops\.closed_form\(.*?\)\.describe\(\) tells", "; --modes tells"),
     (r"\baxis=\(x, y\)", "axis = [x, y]"),
 )
 """What the library says, as regular expressions, and what the command line says in its place."""

@@ -64,7 +64,7 @@ def names_of(system: System, frames: Any) -> list[str]:
     """Names of the frames that are given: a list, one, or None for all bodies and frames."""
     if frames is None:
         return list(system.frame_names)
-    return [system.frame_name(f) for f in (frames if isinstance(frames, (list, tuple)) else [frames])]
+    return [system.structure.frame_name(f) for f in (frames if isinstance(frames, (list, tuple)) else [frames])]
 
 
 def plot_path(
@@ -164,7 +164,7 @@ def _path(system: System, path: Any) -> tuple[Array | None, tuple[str, ...]]:
         raise InputError(f"path has shape {configurations.shape}; it must be (n, {system.nq}), not all of it NaN")
     driver = getattr(path, "driver", None)
     names = [driver] if isinstance(driver, str) else list(driver or ()) if isinstance(driver, (list, tuple)) else []
-    joints = {c: j for j in system.joint_names for c in system.coordinates_of_joint(j)}
+    joints = {c: j for j in system.joint_names for c in system.structure.coordinates_of_joint(j)}
     return configurations, tuple(joints.get(n, n) for n in names if isinstance(n, str))
 
 

@@ -68,11 +68,11 @@ def _posture(system: System, name: str | None) -> spatial.Array:
     special = {"neutral": system.neutral.copy(), "mid": system.mid.copy()}
     if name is None:
         return system.neutral.copy()
-    if name not in system.posture_names and name in special:
+    if name not in system.structure.posture_names and name in special:
         return special[name]
-    if name not in system.posture_names:
-        raise UnknownNameError("posture", name, (*system.posture_names, *special), system.name)
-    return system.posture(name)
+    if name not in system.structure.posture_names:
+        raise UnknownNameError("posture", name, (*system.structure.posture_names, *special), system.name)
+    return system.q(name)
 
 
 def _named(system: System, text: str, degrees: bool) -> dict[str, float]:

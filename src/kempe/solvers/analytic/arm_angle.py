@@ -156,7 +156,7 @@ def arm_angle(system: System, q: Any, frame: FrameLike, reference: ArrayLike | N
     reference: a direction (3,) in ground axes, by default that of the first joint's axis. Errors: `UnsupportedError`
     for chains that are not shoulder, elbow and wrist of seven joints, `InputError`.
     """
-    arm = required_arm(system, system.frame_name(frame), reference)
+    arm = required_arm(system, system.structure.frame_name(frame), reference)
     theta = arm.lines.theta(as_q(system, q)[..., arm.lines.q_index])
     R = np.eye(3)
     for i in SHOULDER:

@@ -87,9 +87,9 @@ def ik_plan(
     >>> print(ik_plan(kempe.load("puma560"), "tool").most)
     8
     """
-    name = system.frame_name(frame)
+    name = system.structure.frame_name(frame)
     said, axis = task_and_axis(task)
-    what = task_of(said, False, bool(system.table.at[name][2]))
+    what = task_of(said, False, bool(system.structure.table.at[name][2]))
     direction = axis_for(axis, what)
     lines = chain_lines(system, name, direction)
     given = held(name, lines.names, dict.fromkeys(listed(fixed, "fixed"), 0.0))

@@ -176,7 +176,7 @@ def _beyond(solutions: Solutions, index: int, alone: np.ndarray) -> str:
     row = over[int(np.argmin(over.max(axis=1)))]
     worst = int(np.argmax(row))
     unit = "m" if lines.kinds[worst] == SLIDE else "rad"
-    names = solutions.system.velocity_names
+    names = solutions.system.structure.velocity_names
     still = immovable(solutions.system, [i for i, name in enumerate(names) if name in lines.names])
     far = f"the nearest to them has {lines.names[worst]!r} {row[worst]:.6g} {unit} beyond its limit"
     return f" ({far}{f'; {still}' if still else ''})"

@@ -73,9 +73,9 @@ def ik_all(
     `budget` are read: threads. Errors: `UnsupportedError` for chains with quaternions or shared coordinates,
     `InputError`, `UnknownNameError`.
     For one pose or position of a frame that moves with loops the answer is that of `assembly_modes` with it known.
-    Method: see `ik_plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
+    Method: see `System.inverse.plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
     """
-    name = system.frame_name(frame)
+    name = system.structure.frame_name(frame)
     target, (said, axis) = arrays(target, "target"), task_and_axis(task)
     if limits not in LIMITS:
         raise InputError(f"limits is {limits!r}; it must be False, True or 'turns'")
@@ -83,7 +83,7 @@ def ik_all(
         target, said = in_plane(target, said, axis)
     direction = axis_for(axis, said)
     targets, lead, is_position = targets_of(system, target, said, direction)
-    task = task_of(said, is_position, bool(system.table.at[name][2]))
+    task = task_of(said, is_position, bool(system.structure.table.at[name][2]))
     if lead == () and not np.isfinite(targets).all():
         raise InputError("target has entries that are not finite")
     known = held_by(fixed)
@@ -132,7 +132,7 @@ def _of_chain(problem: Problem) -> Solutions:
 
 
 def _no_loops(system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> str | None:
-    return None if system.closures and of_loops(system, frame) else "the frame does not move with loops"
+    return None if system.structure.closures and of_loops(system, frame) else "the frame does not move with loops"
 
 
 def _needs(method: str, side_by_side: bool, why: str) -> Callable[..., str | None]:
@@ -203,7 +203,7 @@ def bind(system: System, frame: str) -> Bound | None:
     """The bound form for poses of a frame, None where there is none; made once."""
     lines = chain_lines(system, frame, Z_AXIS)
     plan = plan_for(system, frame, lines, "pose", Z_AXIS, ())
-    kernel = None if plan.locked or system.table.at[frame][2] else side_by_side_of(plan)
+    kernel = None if plan.locked or system.structure.table.at[frame][2] else side_by_side_of(plan)
     bound = None if kernel is None else Bound(system, frame, plan, kernel)
     system._queries[(frame,)] = bound
     return bound

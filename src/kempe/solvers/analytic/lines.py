@@ -78,7 +78,7 @@ def lines_of(system: System, frame: str) -> Lines:
     n = int(ints[N_ROWS])
     rows = ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
     numbers = floats[: ROW_FLOATS * n].reshape(n, ROW_FLOATS)
-    names = tuple(system.velocity_names[i] for i in chain.v_index)
+    names = tuple(system.structure.velocity_names[i] for i in chain.v_index)
     if n == 0:
         raise UnsupportedError(f"no joint moves frame {frame!r}")
     if np.any(rows[:, KIND] == BALL):

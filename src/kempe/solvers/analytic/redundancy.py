@@ -64,7 +64,7 @@ def ik_sweep(
     >>> sweep.at(0.2).q[0].round(3).tolist()
     [0.252, -0.341, -0.177, -1.3, 0.474, -0.535, -0.241]
     """
-    name = system.frame_name(frame)
+    name = system.structure.frame_name(frame)
     said, axis = task_and_axis(task)
     parameter, reference = parameter if isinstance(parameter, (tuple, list)) else (parameter, None)
     points = _count(USUAL.of(budget).points)
@@ -72,7 +72,7 @@ def ik_sweep(
     targets, lead, is_position = targets_of(system, arrays(target, "target"), said, direction)
     if lead != () or not np.isfinite(targets).all():
         raise InputError("a sweep needs one target, of finite numbers")
-    task = task_of(said, is_position, bool(system.table.at[name][2]))
+    task = task_of(said, is_position, bool(system.structure.table.at[name][2]))
     given_near = near_of(system, start, None)
     base = system.neutral if given_near is None else given_near[0]
     lines = chain_lines(system, name, Z_AXIS)

@@ -166,7 +166,7 @@ def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
     mechanism = system.mechanism
     poses = dict(zip(system.body_names, fk(system, q), strict=True))
     number = _links(system)
-    gaps = dict(zip(system.closures, closure_error(system, q)[:, :3], strict=True))
+    gaps = dict(zip(system.structure.closures, closure_error(system, q)[:, :3], strict=True))
     joints: list[SeenJoint] = []
     mine: dict[int, list[int]] = {}
     for joint in mechanism.joints.values():
@@ -236,7 +236,7 @@ def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]
 
 def _mark(system: System, c: Declared, link: int, A: Array, B: Array) -> SeenMark:
     """A constraint that is no rod or line, with the plane that it touches, if it touches one."""
-    made, plane = with_numbers(c.of, system.parameters), None
+    made, plane = with_numbers(c.of, system.structure.parameters), None
     rows = [r for r in made.rows(system.dim) if not r.velocity]
     if made.symbol in ("contact", "wheel") and len(rows) == 1:
         normal = A[:3, 1 if system.dim == 2 and rows[0].op is not Op.POINT else 2]

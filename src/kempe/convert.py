@@ -1,0 +1,15 @@
+"""A system and its configurations in other coordinates: the poses of all bodies, which the joints tie together.
+
+>>> import kempe
+>>> robot = kempe.load("two_link")
+>>> poses = kempe.convert.to_maximal(robot, robot.mid)
+>>> bool(abs(kempe.convert.from_maximal(robot, poses) - robot.mid).max() < 1e-12)
+True
+>>> kempe.convert.maximal(robot).name
+'two_link, maximal'
+"""
+
+from kempe.kinematics.maximal import maximal, maximal_q, to_maximal
+from kempe.solvers.poses import from_maximal
+
+__all__ = ["from_maximal", "maximal", "maximal_q", "to_maximal"]
