@@ -351,13 +351,13 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     if packed.one_sided.declared and problem.one_sided:
         good &= ~packed.one_sided.beyond(sound, declared=True).any(axis=-1)
     late = status >= S.LATE
-    code = np.full(len(status), Status.SOLVED)
+    code = np.full(len(status), S.SOLVED)
     if some_bad or not good.all():
         code = np.where(good.ravel(), Status.SOLVED, np.where(late, Status.OUT_OF_TIME, Status.NOT_FOUND))
         code[bad] = Status.BAD_INPUT
         if problem.limits and np.any(code == Status.NOT_FOUND):
             code = np.where((code == Status.NOT_FOUND) & (problem.proofs > 0), problem.proofs, code)
-    columns = (code == Status.SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
+    columns = (code == S.SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
     fields = [x.reshape(lead) if lead else x.item() for x in columns]
     errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}
     success, code, *fields, cut_off = fields
