@@ -33,9 +33,11 @@ def marked(name: str, *joints: str) -> kempe.System:
 
 ARM, SEVEN, LINKAGE = marked("puma560"), marked("iiwa14"), marked("four_bar", *"ABCD")
 TWO, SPATIAL, CAR, BALL = marked("two_link_pose", "q1", "q2"), marked("bennett"), marked("car"), marked("ball")
-CRANK, ROCKER = "<b>A", "<b>D"
+FIVE, CRANK, ROCKER = marked("five_bar"), "<b>A", "<b>D"
 TOOL, TIP = ARM.frame_names[-1], SEVEN.frame_names[-1]
 Q, SEVEN_Q, CLOSED = ARM.mid + 0.1, SEVEN.mid + 0.2, LINKAGE.assemble({CRANK: 0.3}).q
+STRETCHED = LINKAGE.assemble({CRANK: np.arccos((0.6**2 + 0.4**2 - 0.4**2) / (2 * 0.6 * 0.4))}).q
+"""Crank and coupler in one line, 0.6 m, by the law of cosines: a dead point of the rocker."""
 X = ARM.fk(Q, TOOL)
 FAR, WRONG = X.copy(), np.full((4, 4), np.nan)
 FAR[:3, 3] += 9.0
@@ -52,6 +54,11 @@ class Case(NamedTuple):
     verb: str
     call: Callable[[], Any]
     expected: Any
+
+
+def interrupt(*done: Any) -> None:
+    """As Ctrl-C."""
+    raise KeyboardInterrupt
 
 
 def held(n: int) -> dict[str, Any]:
@@ -86,6 +93,7 @@ CASES = {
     "ik_sweep sampled": Case("ik_sweep", lambda: SEVEN.ik_sweep(SEVEN.fk(SEVEN_Q, TIP), TIP, samples=5), "SOLVED"),
     "ik_sweep failing": Case("ik_sweep", lambda: SEVEN.ik_sweep(FAR, TIP), "NONE_EXISTS"),
     "ik_path": Case("ik_path", lambda: ARM.ik_path(REACHED, TOOL, Q), "SOLVED"),
+    "ik_path broken off": Case("ik_path", lambda: ARM.ik_path(REACHED, TOOL, Q, progress=interrupt), "INTERRUPTED"),
     "ik_path failing": Case("ik_path", lambda: ARM.ik_path(np.stack([X, FAR]), TOOL, Q), "PARTLY"),
     "ik_path without a beginning": Case("ik_path", lambda: ARM.ik_path(FAR[None], TOOL, Q), "NOT_FOUND"),
     "ik_step": Case("ik_step", lambda: ARM.ik_step(Q, AHEAD, TOOL, 0.01), "SOLVED"),
@@ -103,6 +111,9 @@ CASES = {
     "assemble of none": Case("assemble", lambda: LINKAGE.assemble({CRANK: NONE}), []),
     "assembly_modes": Case("assembly_modes", lambda: LINKAGE.assembly_modes({CRANK: 0.3}), "SOLVED"),
     "assembly_modes failing": Case("assembly_modes", lambda: LINKAGE.assembly_modes({ROCKER: 0.0}), "NONE_EXISTS"),
+    "assembly_modes beyond limits": Case(
+        "assembly_modes", lambda: LINKAGE.with_limits({ROCKER: (3.0, 3.1)}).assembly_modes({CRANK: 0.3}),
+        "OUTSIDE_LIMITS"),
     "assembly_modes in space": Case(
         "assembly_modes", lambda: SPATIAL.assembly_modes({SPATIAL.coordinate_names[0]: 0.5}, starts=64), "SOLVED"),
     "closed_form": Case("closed_form", lambda: LINKAGE.closed_form([CRANK]), "SOLVED"),
@@ -114,8 +125,12 @@ CASES = {
     "mobility of a ball": Case("mobility", lambda: BALL.mobility(), "SOLVED"),
     "classify": Case("classify", lambda: CAR.classify(), "SOLVED"),
     "trace": Case("trace", lambda: LINKAGE.trace(start=CLOSED), "SOLVED"),
+    "trace in time": Case("trace", lambda: LINKAGE.trace(start=CLOSED, time_limit=1e-9), "OUT_OF_TIME"),
+    "trace broken off": Case("trace", lambda: LINKAGE.trace(start=CLOSED, progress=interrupt), "INTERRUPTED"),
     "trace failing": Case("trace", lambda: apart().trace(), "NOT_FOUND"),
     "drive": Case("drive", lambda: LINKAGE.drive(held(4), start=CLOSED), "SOLVED"),
+    "drive in time": Case("drive", lambda: LINKAGE.drive(held(4), start=CLOSED, time_limit=1e-9), "OUT_OF_TIME"),
+    "drive broken off": Case("drive", lambda: LINKAGE.drive(held(99), start=CLOSED, progress=interrupt), "INTERRUPTED"),
     "drive failing": Case(
         "drive", lambda: LINKAGE.drive({ROCKER: np.linspace(2.0, 0.0, 9)}), "PARTLY"),
     "drive open": Case("drive", lambda: apart().drive({"A": np.zeros(2)}), "NOT_FOUND"),
@@ -123,6 +138,11 @@ CASES = {
         "manoeuvre", lambda: CAR.manoeuvre(np.zeros(3), [0.0, 1.0, 0.0], radius=1.0, samples=9), "SOLVED"),
     "simulate": Case("simulate", lambda: BALL.simulate(0.5, {"flight.z": 1.0}, samples=9), "SOLVED"),
     "loop_jacobian": Case("loop_jacobian", lambda: LINKAGE.loop_jacobian(CLOSED, [CRANK], [ROCKER]), "SOLVED"),
+    "loop_jacobian at a dead point": Case(
+        "loop_jacobian", lambda: LINKAGE.loop_jacobian(STRETCHED, [ROCKER], [CRANK]), "DEAD_POINT"),
+    "loop_jacobian of too few inputs": Case(
+        "loop_jacobian", lambda: FIVE.loop_jacobian(FIVE.assemble().q, ["A"], ["D"]),
+        "UNDETERMINED"),
     "loop_jacobian of a batch": Case(
         "loop_jacobian", lambda: LINKAGE.loop_jacobian(CLOSED + np.zeros((2, 1)), [CRANK], [ROCKER]), ["SOLVED"] * 2),
     "loop_jacobian of none": Case(
