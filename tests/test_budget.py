@@ -136,7 +136,7 @@ def test_what_raised_is_expected():
             found.expect()
         assert error.value.solution is found
     with pytest.warns(DeprecationWarning), pytest.raises(NoSolutionError):
-        ARM.ik(far, "tool").expect()
+        ARM.ik(far, "tool", throw=True)
     good = ARM.ik(X, "tool")
     assert good.expect() is good
 

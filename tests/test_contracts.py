@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe import library
+from kempe import Budget, library
 from kempe.errors import InputError, KempeError
 from kempe.kinematics.result import Report, Result
 from kempe.solvers.answer import Answer
@@ -33,15 +33,19 @@ def marked(name: str, *joints: str) -> kempe.System:
 
 ARM, SEVEN, LINKAGE = marked("puma560"), marked("iiwa14"), marked("four_bar", *"ABCD")
 TWO, SPATIAL, CAR, BALL = marked("two_link_pose", "q1", "q2"), marked("bennett"), marked("car"), marked("ball")
-CRANK, ROCKER = "<b>A", "<b>D"
+FIVE, CRANK, ROCKER = marked("five_bar"), "<b>A", "<b>D"
 TOOL, TIP = ARM.frame_names[-1], SEVEN.frame_names[-1]
 Q, SEVEN_Q, CLOSED = ARM.mid + 0.1, SEVEN.mid + 0.2, LINKAGE.assemble({CRANK: 0.3}).q
+STRETCHED = LINKAGE.assemble({CRANK: np.arccos((0.6**2 + 0.4**2 - 0.4**2) / (2 * 0.6 * 0.4))}).q
+"""Crank and coupler in one line, 0.6 m, by the law of cosines: a dead point of the rocker."""
 X = ARM.fk(Q, TOOL)
 FAR, WRONG = X.copy(), np.full((4, 4), np.nan)
 FAR[:3, 3] += 9.0
 BATCH, EMPTY = np.stack([X, FAR, WRONG]), np.zeros((0, 4, 4))
 REACHED = ARM.fk(np.stack([Q, Q + 0.02, Q + 0.04]), TOOL)
 POSITION = kempe.tasks.Position
+THREE, FIVES, MANY, NINE = Budget(starts=3), Budget(points=5), Budget(starts=64), Budget(points=9)
+AT_ONCE = Budget(time_limit=1e-9)
 NONE, POINT = np.zeros(0), np.zeros((4, 4))
 AHEAD = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-3])
 
@@ -54,6 +58,11 @@ class Case(NamedTuple):
     expected: Any
 
 
+def interrupt(*done: Any) -> None:
+    """As Ctrl-C."""
+    raise KeyboardInterrupt
+
+
 def held(n: int) -> dict[str, Any]:
     return {CRANK: np.linspace(0.3, 0.6, n)}
 
@@ -64,17 +73,17 @@ CASES = {
     "ik failing": Case("ik", lambda: ARM.ik(FAR, TOOL), "OUT_OF_REACH"),
     "ik of a batch": Case("ik", lambda: ARM.ik(BATCH, TOOL), ["SOLVED", "OUT_OF_REACH", "BAD_INPUT"]),
     "ik of none": Case("ik", lambda: ARM.ik(EMPTY, TOOL), []),
-    "ik in time": Case("ik", lambda: TWO.ik(TWO.fk(TWO.neutral, "p"), "e", budget=kempe.Budget(time_limit=1e-9)),
+    "ik in time": Case("ik", lambda: TWO.ik(TWO.fk(TWO.neutral, "p"), "e", budget=AT_ONCE),
                        "OUT_OF_TIME"),  # fmt: skip
     "tasks": Case("ik", lambda: ARM.ik([POSITION(TOOL, X[:3, 3])]), "SOLVED"),
-    "tasks failing": Case("ik", lambda: ARM.ik([POSITION(TOOL, FAR[:3, 3])], budget=kempe.Budget(starts=3)),
+    "tasks failing": Case("ik", lambda: ARM.ik([POSITION(TOOL, FAR[:3, 3])], budget=THREE),
                           "OUT_OF_REACH"),  # fmt: skip
     "tasks that exclude each other": Case(
-        "ik", lambda: ARM.ik([POSITION(TOOL, x[:3, 3]) for x in REACHED[1:]], budget=kempe.Budget(starts=3)),
+        "ik", lambda: ARM.ik([POSITION(TOOL, x[:3, 3]) for x in REACHED[1:]], budget=THREE),
             "CONTRADICTORY"),  # fmt: skip
     "tasks of a batch": Case(
-        "ik", lambda: ARM.ik([POSITION(TOOL, BATCH[:, :3, 3])], budget=kempe.Budget(starts=3)), ["SOLVED",
-                                                                                                 "OUT_OF_REACH", "BAD_INPUT"]),  # fmt: skip
+        "ik", lambda: ARM.ik([POSITION(TOOL, BATCH[:, :3, 3])], budget=THREE),
+        ["SOLVED", "OUT_OF_REACH", "BAD_INPUT"]),
     "tasks of none": Case("ik", lambda: ARM.ik([POSITION(TOOL, EMPTY[:, :3, 3])]), []),
     "ik_all": Case("ik_all", lambda: ARM.ik_all(X, TOOL), "SOLVED"),
     "ik_all failing": Case("ik_all", lambda: ARM.ik_all(FAR, TOOL), "NONE_EXISTS"),
@@ -87,15 +96,15 @@ CASES = {
         "ik_all", lambda: LINKAGE.ik_all(LINKAGE.fk(CLOSED, "coupler_point")[:2, 3], "coupler_point"), "SOLVED"),
     "ik_plan": Case("ik_plan", lambda: ARM.inverse.plan(TOOL), "SOLVED"),
     "ik_sweep": Case("ik_sweep", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP), "SOLVED"),
-    "ik_sweep sampled": Case("ik_sweep", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP, samples=5), "SOLVED"),
+    "ik_sweep sampled": Case("ik_sweep", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP, n=5), "SOLVED"),
     "ik_sweep failing": Case("ik_sweep", lambda: SEVEN.inverse.sweep(FAR, TIP), "NONE_EXISTS"),
     "ik_path": Case("ik_path", lambda: ARM.ik_path(REACHED, TOOL, Q), "SOLVED"),
+    "ik_path broken off": Case("ik_path", lambda: ARM.ik_path(REACHED, TOOL, Q, progress=interrupt), "INTERRUPTED"),
     "ik_path failing": Case("ik_path", lambda: ARM.ik_path(np.stack([X, FAR]), TOOL, Q), "PARTLY"),
     "ik_path without a beginning": Case("ik_path", lambda: ARM.ik_path(FAR[None], TOOL, Q), "NOT_FOUND"),
     "ik_step": Case("ik_step", lambda: ARM.ik_step(Q, AHEAD, TOOL, 0.01), "SOLVED"),
     "ik_step failing": Case("ik_step", lambda: ARM.ik_step(Q, 1e4 * AHEAD, TOOL, 0.01), "PARTLY"),
-    "self_motion": Case("self_motion", lambda: SEVEN.inverse.self_motion(SEVEN_Q, TIP,
-                                                                         budget=kempe.Budget(points=5)), "SOLVED"),  # fmt: skip
+    "self_motion": Case("self_motion", lambda: SEVEN.inverse.self_motion(SEVEN_Q, TIP, budget=FIVES), "SOLVED"),
     "self_motion failing": Case(
         "self_motion", lambda: TWO.inverse.self_motion(np.array([0.4, 0.0]), "e", task="position"), "NOT_FOUND"),
     "assemble": Case("assemble", lambda: LINKAGE.assemble({CRANK: 0.3}), "SOLVED"),
@@ -108,11 +117,15 @@ CASES = {
     "assemble of none": Case("assemble", lambda: LINKAGE.assemble({CRANK: NONE}), []),
     "assembly_modes": Case("assembly_modes", lambda: LINKAGE.assembly_modes({CRANK: 0.3}), "SOLVED"),
     "assembly_modes failing": Case("assembly_modes", lambda: LINKAGE.assembly_modes({ROCKER: 0.0}), "NONE_EXISTS"),
+    "assembly_modes beyond limits": Case(
+        "assembly_modes", lambda: LINKAGE.with_limits({ROCKER: (3.0, 3.1)}).assembly_modes({CRANK: 0.3}),
+        "OUTSIDE_LIMITS"),
     "assembly_modes in space": Case(
-        "assembly_modes", lambda: SPATIAL.assembly_modes({SPATIAL.coordinate_names[0]: 0.5},
-                                                         budget=kempe.Budget(starts=64)), "SOLVED"),  # fmt: skip
+        "assembly_modes", lambda: SPATIAL.assembly_modes({SPATIAL.coordinate_names[0]: 0.5}, budget=MANY),
+        "SOLVED"),
     "closed_form": Case("closed_form", lambda: LINKAGE.loops.closed_form([CRANK]), "SOLVED"),
-    "closed_form failing": Case("closed_form", lambda: SPATIAL.loops.closed_form([SPATIAL.coordinate_names[0]]), "NOT_FOUND"),
+    "closed_form failing": Case(
+        "closed_form", lambda: SPATIAL.loops.closed_form([SPATIAL.coordinate_names[0]]), "NOT_FOUND"),
     "independent": Case("independent", lambda: LINKAGE.independent(CLOSED), "SOLVED"),
     "idealised": Case("idealised", lambda: rounded().idealised(), "SOLVED"),
     "mobility": Case("mobility", lambda: LINKAGE.mobility(), "SOLVED"),
@@ -120,17 +133,24 @@ CASES = {
     "mobility of a ball": Case("mobility", lambda: BALL.mobility(), "SOLVED"),
     "classify": Case("classify", lambda: CAR.classify(), "SOLVED"),
     "trace": Case("trace", lambda: LINKAGE.trace(start=CLOSED), "SOLVED"),
+    "trace in time": Case("trace", lambda: LINKAGE.trace(start=CLOSED, budget=AT_ONCE), "OUT_OF_TIME"),
+    "trace broken off": Case("trace", lambda: LINKAGE.trace(start=CLOSED, progress=interrupt), "INTERRUPTED"),
     "trace failing": Case("trace", lambda: apart().trace(), "NOT_FOUND"),
     "drive": Case("drive", lambda: LINKAGE.drive(held(4), start=CLOSED), "SOLVED"),
+    "drive in time": Case("drive", lambda: LINKAGE.drive(held(4), start=CLOSED, budget=AT_ONCE), "OUT_OF_TIME"),
+    "drive broken off": Case("drive", lambda: LINKAGE.drive(held(99), start=CLOSED, progress=interrupt), "INTERRUPTED"),
     "drive failing": Case(
         "drive", lambda: LINKAGE.drive({ROCKER: np.linspace(2.0, 0.0, 9)}), "PARTLY"),
     "drive open": Case("drive", lambda: apart().drive({"A": np.zeros(2)}), "NOT_FOUND"),
     "manoeuvre": Case(
-        "manoeuvre", lambda: CAR.manoeuvre(np.zeros(3), [0.0, 1.0, 0.0], radius=1.0, budget=kempe.Budget(points=9)),
-            "SOLVED"),  # fmt: skip
-    "simulate": Case("simulate", lambda: BALL.simulate(0.5, {"flight.z": 1.0}, budget=kempe.Budget(points=9)),
-                     "SOLVED"),  # fmt: skip
+        "manoeuvre", lambda: CAR.manoeuvre(np.zeros(3), [0.0, 1.0, 0.0], radius=1.0, budget=NINE), "SOLVED"),
+    "simulate": Case("simulate", lambda: BALL.simulate(0.5, {"flight.z": 1.0}, budget=NINE), "SOLVED"),
     "loop_jacobian": Case("loop_jacobian", lambda: LINKAGE.loops.jacobian(CLOSED, [CRANK], [ROCKER]), "SOLVED"),
+    "loop_jacobian at a dead point": Case(
+        "loop_jacobian", lambda: LINKAGE.loops.jacobian(STRETCHED, [ROCKER], [CRANK]), "DEAD_POINT"),
+    "loop_jacobian of too few inputs": Case(
+        "loop_jacobian", lambda: FIVE.loops.jacobian(FIVE.assemble().q, ["A"], ["D"]),
+        "UNDETERMINED"),
     "loop_jacobian of a batch": Case(
         "loop_jacobian", lambda: LINKAGE.loops.jacobian(CLOSED + np.zeros((2, 1)), [CRANK], [ROCKER]), ["SOLVED"] * 2),
     "loop_jacobian of none": Case(

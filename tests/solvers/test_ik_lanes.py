@@ -132,7 +132,7 @@ def test_arguments_are_checked():
     with pytest.raises(InputError, match="'sideways'; it must be one of 'pose'"):
         robot.ik(X, frame, task="sideways")
     with pytest.raises(InputError, match="position_only"):
-        robot.ik(X, frame, task="orientation", task="position")
+        robot.ik(X, frame, task="orientation", position_only=True)
     with pytest.raises(InputError, match="asks for an orientation"):
         robot.ik(X[:3, 3], frame, task="pose")
     with pytest.raises(InputError, match="not all zero"):

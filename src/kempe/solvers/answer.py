@@ -48,7 +48,12 @@ class Answer(Result, Tabular):
 
     def sentence(self, index: tuple[int, ...] | int = ()) -> str:
         """The sentence for one question, by its place in a batch. Errors: `InputError`."""
-        return self._sentence(place_in(index, np.shape(self.code)))
+        return self._sentence(place_in(index, self._shape))
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        """The leading shape of a batch; () for a single question."""
+        return np.shape(self.code)
 
     def _sentence(self, index: tuple[int, ...]) -> str:
         raise NotImplementedError
@@ -57,9 +62,9 @@ class Answer(Result, Tabular):
     def status(self) -> Any:
         """The sentence for a single answer; an array of sentences for a batch. Made when asked for."""
         more = "" if self.within is None else f"; {self.within.sentence}"
-        if np.ndim(self.code) == 0:
+        if not self._shape:
             return self._sentence(()) + more
-        out = np.empty(np.shape(self.code), dtype=object)
+        out = np.empty(self._shape, dtype=object)
         for index in np.ndindex(out.shape):
             out[index] = self._sentence(index) + more
         return out
@@ -104,7 +109,7 @@ class Answer(Result, Tabular):
         if not claimed.any() or not self.judged.names:
             return ""
         false = int((claimed & ~np.asarray(self.judged.holds)).sum())
-        if np.ndim(self.code):
+        if self._shape:
             return f"{false} are contradicted by poses multiplied out in numpy" if false else ""
         said = self.judged.of(claimed)
         return f"success is contradicted, {said}" if false else str(said)
@@ -134,7 +139,7 @@ class Answer(Result, Tabular):
         return len(self.success)
 
     def _headline(self) -> str:
-        if np.ndim(self.code):
+        if self._shape:
             return f"{int(np.sum(self.success))} of {np.size(self.success)} {self.what}"
         return self.status
 
@@ -144,7 +149,7 @@ class Answer(Result, Tabular):
         return (), [(name, f"{x:.9g}") for name, x in zip(self.system.coordinate_names, self.q, strict=True)]
 
     def _notes(self) -> Sequence[str]:
-        said = "" if np.ndim(self.code) else self.verdict
+        said = "" if self._shape else self.verdict
         return [said] if said else []
 
     def _head(self) -> dict[str, Any]:

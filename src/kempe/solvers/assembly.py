@@ -15,6 +15,7 @@ from kempe.constraints.tape import TIME
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels import loop_layout as L
 from kempe.kernels.compiled import assembly as kernel
+from kempe.kernels.search_layout import BAD_INPUT, SOLVED
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.functions import held_too
 from kempe.kinematics.loops import freedoms_left
@@ -132,7 +133,7 @@ class Assembler:
             return -1
         home = home_of(self.system)[None]
         q, _, info = self.run(home, self.no_pins)
-        if info[0, 0] != Status.SOLVED:
+        if info[0, 0] != SOLVED:
             return -1
         return freedoms_left(self.system, q[0], self.held)
 
@@ -155,7 +156,7 @@ class Assembler:
         if follow:
             sound = np.isfinite(starts).all(axis=-1) & np.isfinite(pins).all(axis=-1)
             if not sound.all():  # the others follow as if these rows were not there
-                q[:], residual[:], info[:] = np.nan, np.nan, (Status.BAD_INPUT, 0, 0)
+                q[:], residual[:], info[:] = np.nan, np.nan, (BAD_INPUT, 0, 0)
                 inner = self.run(starts[sound], pins[sound] if len(pins) > 1 else pins, tries, nearest, rng, threads,
                                  limits, tolerance, True, loops)  # fmt: skip
                 q[sound], residual[sound], info[sound] = inner
@@ -208,20 +209,20 @@ class Assembler:
         self, base: Array, lead: tuple[int, ...], q: Array, residual: Array, info: np.ndarray, limits: bool
     ) -> Assembly:  # fmt: skip
         if not lead:
-            code = MEMBERS[info[0, 0]]
-            if code is Status.BAD_INPUT:
+            code = int(info[0, 0])
+            if code == BAD_INPUT:
                 raise InputError("known values, places or start are not finite, or a quaternion is zero")
             if self.limited and limits:  # in Python: for a few numbers an array costs as much as the assembly
                 known = base[0, self.places].tolist()
                 if any(x < low or x > high for x, (low, high) in zip(known, self.bounds, strict=True)):
                     code = Status.OUTSIDE_LIMITS
-            work = int(info[0, 1]), int(info[0, 2])
-            return Assembly(q[0], code is Status.SOLVED, code, float(residual[0]), *work, self)
+            how, steps, starts = MEMBERS[code], int(info[0, 1]), int(info[0, 2])
+            return Assembly(q[0], code == SOLVED, how, float(residual[0]), steps, starts, self)
         code = info[:, 0]
         if self.limited and limits:
-            code = np.where(self._outside(base) & (code != Status.BAD_INPUT), Status.OUTSIDE_LIMITS, code)
+            code = np.where(self._outside(base) & (code != BAD_INPUT), Status.OUTSIDE_LIMITS, code)
         good, code, residual, steps, starts = (
-            x.reshape(lead) for x in (code == Status.SOLVED, code, residual, info[:, 1], info[:, 2])
+            x.reshape(lead) for x in (code == SOLVED, code, residual, info[:, 1], info[:, 2])
         )
         return Assembly(q.reshape(*lead, self.system.nq), good, code, residual, steps, starts, self)
 

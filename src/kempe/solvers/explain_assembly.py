@@ -176,7 +176,7 @@ def _limits(bound: Assembler, q: Array) -> str:
     slack = 1e-9
     names = [n for n, x, low, high in zip(system.structure.velocity_names, v, system.lower, system.upper, strict=True)
              if not low - slack <= x <= high + slack]  # fmt: skip
-    return f"{words.limits_of(names)} prevent{'s' * (len(names) == 1)} it" if names else ""
+    return f"the limits of {', '.join(map(repr, names))} prevent it" if names else ""
 
 
 def _too_many(bound: Assembler) -> str:

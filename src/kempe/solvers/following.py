@@ -14,6 +14,7 @@ from kempe.calls import brief, explained, explained_methods
 from kempe.constraints.base import Constraint
 from kempe.constraints.targets import of_target
 from kempe.errors import InputError, UnsupportedError
+from kempe.kernels.search_layout import SOLVED
 from kempe.kinematics.packed import refuse
 from kempe.reals import reals
 from kempe.rigid import arrays, sound
@@ -134,10 +135,10 @@ def ik_path(
     way = _Path(problem, max_step, time, spend.progress)
     q0, info = way.rows[0].run(first)
     begin, n = 0, problem.lead[0]
-    while restart and info[0, 0] != Status.SOLVED and begin + 1 < n:
+    while restart and info[0, 0] != SOLVED and begin + 1 < n:
         begin += 1
         q0, info = way.rows[begin].run(first)
-    if info[0, 0] != Status.SOLVED:
+    if info[0, 0] != SOLVED:
         status = f"the path does not begin: target {begin} is {judge(way.rows[begin], q0, info).status}"
         return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status, problem)
     if not branches:
@@ -186,7 +187,7 @@ class _Path(Way):
         x = self.truncated(self.rows[i], q, before)
         if x is None:
             return ""
-        missed = judge(self.rows[i], x[None], np.full((1, 3), Status.SOLVED))
+        missed = judge(self.rows[i], x[None], np.full((1, 3), SOLVED))
         most = float(max(np.max(missed.position_error), np.max(missed.orientation_error)))
         return f", where tolerance={1.5 * most:.1g} lets it go on" if most <= ROUNDED else ""
 
@@ -197,7 +198,7 @@ class _Path(Way):
         unasked = apart(row.packed, row.pins)
         seeds[:, unasked] = q[unasked]
         found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run(seeds)
-        good = found[info[:, 0] == Status.SOLVED]
+        good = found[info[:, 0] == SOLVED]
         return sorted(
             good, key=lambda x: float(np.linalg.norm(self.system.structure.layout.difference(q, x) / self.scale))
         )
@@ -303,7 +304,7 @@ def _all(
     starts, unasked = found.q[found.inside], apart(row.packed, row.pins)
     starts[:, unasked] = q[unasked]
     answers = [row.run(x[None]) for x in starts]
-    return [x[0] for x, info in answers if info[0, 0] == Status.SOLVED]
+    return [x[0] for x, info in answers if info[0, 0] == SOLVED]
 
 
 def _distinct(configurations: list[Array]) -> list[Array]:

@@ -15,7 +15,7 @@ from kempe.constraints.targets import of_target
 from kempe.errors import InputError
 from kempe.kernels.compiled import maker, search
 from kempe.kernels.layout import HAS_QUATERNION
-from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, STATUS
+from kempe.kernels.search_layout import ANSWER, LARGEST, LINEAR, SOLVED, STATUS
 from kempe.kinematics.configuration import as_start
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.parallel import over_chunks
@@ -389,7 +389,7 @@ def _seeds(system: System, chain: Chain, start: Any, lead: tuple[int, ...]) -> t
 def _answer(
     task: Task, q: Array, code: np.ndarray, residual: Array, info: np.ndarray, lead: tuple[int, ...]
 ) -> Solution:  # fmt: skip
-    columns = (code == Status.SOLVED, code, residual[:, 0], residual[:, 1], info[:, 1], info[:, 2])
+    columns = (code == SOLVED, code, residual[:, 0], residual[:, 1], info[:, 1], info[:, 2])
     fields = [x.reshape(lead) if lead else x[0].item() for x in columns]
     success, code_, position, angle, steps, starts = fields
     q = q.reshape(*lead, task.system.nq)

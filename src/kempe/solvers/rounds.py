@@ -13,7 +13,7 @@ import numpy as np
 from kempe import spatial
 from kempe.kernels.compiled import search
 from kempe.kernels.layout import HAS_QUATERNION
-from kempe.kernels.search_layout import ANSWER, LINEAR, STARTS, STATUS, STEPS
+from kempe.kernels.search_layout import ANSWER, LINEAR, NOT_FOUND, SOLVED, STARTS, STATUS, STEPS
 from kempe.solvers.chain import Chain
 from kempe.solvers.proofs import by_lengths
 from kempe.solvers.targets import TASKS, Z_AXIS, frame_of, points_along
@@ -96,7 +96,7 @@ def answered(
     if postpone and count > GLANCE:
         if not _search(chain)(*head, 0, GLANCE, task.iterations, *task.tolerance, 0.0, out):
             return 0
-        left = np.flatnonzero(out[:, n + STATUS] == Status.NOT_FOUND)
+        left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
         hard = len(left) <= HARD
         left = _more(task, head, left, GLANCE, count - GLANCE, out) if hard else left
         far = outside(task, targets[left]) > 0.0 if len(left) else np.zeros(0, dtype=bool)
@@ -123,17 +123,17 @@ def go_on(task: Task, targets: Array, head: tuple[Any, ...], done: int, out: Arr
     from kempe.kernels.compiled import closest
 
     n = out.shape[1] - ANSWER
-    left = np.flatnonzero(out[:, n + STATUS] == Status.NOT_FOUND)
+    left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
     left = left[outside(task, targets[left]) == 0.0]
     linear, angular = task.tolerance
     if max(linear, angular) > LOOSE and any(task.mask[:3]) and any(task.mask[3:]):
         for share in SHARES:
-            left = left[out[left, n + STATUS] == Status.NOT_FOUND]
+            left = left[out[left, n + STATUS] == NOT_FOUND]
             found = _some(task, head, left, 0, min(task.starts, 4 * FEW), share * linear / angular)
             found[:, n + STEPS :] += out[left, n + STEPS :]
-            good = found[:, n + STATUS] == Status.SOLVED
+            good = found[:, n + STATUS] == SOLVED
             out[left[good]] = found[good]
-    left = left[out[left, n + STATUS] == Status.NOT_FOUND]
+    left = left[out[left, n + STATUS] == NOT_FOUND]
     while done < task.starts and len(left) and time.monotonic() < task.end:
         count = task.starts - done if task.time_limit is None else min(ROUND, task.starts - done)
         left, done = _more(task, head, left, done, count, out), done + count
@@ -166,10 +166,10 @@ def _more(task: Task, head: tuple[Any, ...], rows: np.ndarray, first: int, count
     found = _some(task, head, rows, first, count, 0.0)
     found[:, n + STARTS] += first
     found[:, n + STEPS] += out[rows, n + STEPS]
-    better = (found[:, n + STATUS] == Status.SOLVED) | (found[:, n + LINEAR] < out[rows, n + LINEAR])
+    better = (found[:, n + STATUS] == SOLVED) | (found[:, n + LINEAR] < out[rows, n + LINEAR])
     out[rows[better]] = found[better]
     out[rows, n + STEPS :] = found[:, n + STEPS :]
-    return rows[out[rows, n + STATUS] == Status.NOT_FOUND]
+    return rows[out[rows, n + STATUS] == NOT_FOUND]
 
 
 def _end(task: Task, targets: Array, left: np.ndarray, out: Array) -> None:

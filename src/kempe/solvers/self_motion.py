@@ -14,6 +14,7 @@ from kempe.constraints.base import Constraint
 from kempe.constraints.reading import numbers_of
 from kempe.constraints.targets import of_target
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.kernels.search_layout import SOLVED
 from kempe.kinematics.configuration import as_q
 from kempe.reals import is_whole
 from kempe.solvers.answer import Configurations
@@ -24,7 +25,6 @@ from kempe.solvers.slip import slip_of
 from kempe.solvers.targets import axis_of, points_along, task_and_axis, task_of
 from kempe.solvers.tasks import judge, pose_problem
 from kempe.spatial import Array, ArrayLike
-from kempe.status import Status
 from kempe.words import counted
 
 if TYPE_CHECKING:
@@ -243,7 +243,7 @@ class _Way:
             for part in PARTS:
                 found, info = problem.run(system.structure.layout.integrate(q, part * step * t * scale)[None])
                 moved = system.structure.layout.difference(q, found[0]) / scale
-                if info[0, 0] == Status.SOLVED and moved @ t >= 0.01 * part * step:
+                if info[0, 0] == SOLVED and moved @ t >= 0.01 * part * step:
                     break
             else:
                 return _Half(out, False, _stop(problem, q, t, 10.0 * PARTS[-1] * step), t)
@@ -273,7 +273,7 @@ class _Way:
         q = a
         for _ in range(HOMING):
             found, info = problem.run(system.structure.layout.integrate(q, ahead * t * scale)[None])
-            if info[0, 0] != Status.SOLVED:
+            if info[0, 0] != SOLVED:
                 return False
             q, gap = found[0], _short(system, found[0], there) / scale
             if np.linalg.norm(gap) < MET:

@@ -13,12 +13,11 @@ import numpy as np
 from kempe import spatial
 from kempe.kernels.compiled import search
 from kempe.kernels.layout import N_ROWS, ROW_FLOATS
-from kempe.kernels.search_layout import ANSWER, LINEAR, STATUS
+from kempe.kernels.search_layout import ANSWER, LINEAR, NOT_FOUND, SOLVED, STATUS
 from kempe.solvers.chain import moved_by
 from kempe.solvers.rounds import Task, misses
 from kempe.solvers.targets import frame_of, points_along
 from kempe.spatial import Array
-from kempe.status import Status
 
 TRIES = 24
 """Starts that are sharpened."""
@@ -45,7 +44,7 @@ def search_again(task: Task, targets: Array, head: tuple[Any, ...], out: Array) 
         tip = floats[ROW_FLOATS * int(ints[N_ROWS]) :][:12].reshape(3, 4)
         goals[:, :3, 3] -= (goals[:, :3, :3] @ (tip[:, :3].T @ tip[:, 3])[:, None])[..., 0]
         tip[:, 3] = 0.0
-    left = np.flatnonzero(out[:, n + STATUS] == Status.NOT_FOUND)
+    left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
     for k in range(TRIES + 1):
         if not len(left):
             break
@@ -62,8 +61,8 @@ def search_again(task: Task, targets: Array, head: tuple[Any, ...], out: Array) 
         better = np.max(error / task.tolerance, axis=1) < np.max(out[left, n:][:, :2] / task.tolerance, axis=1)
         at = left[better]
         out[at, :n], out[at, n + LINEAR : n + STATUS] = q[better], error[better]
-        out[left[np.all(error <= task.tolerance, axis=1)], n + STATUS] = Status.SOLVED
-        left = left[out[left, n + STATUS] == Status.NOT_FOUND]
+        out[left[np.all(error <= task.tolerance, axis=1)], n + STATUS] = SOLVED
+        left = left[out[left, n + STATUS] == NOT_FOUND]
     return len(left)
 
 

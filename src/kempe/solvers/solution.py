@@ -128,7 +128,7 @@ class Solution(Answer):
         Each has a `text`, and is one of `kempe.solvers.proofs`, or of tasks a `Contradiction` of two of them. Errors:
         `InputError` for a place that is not in the batch.
         """
-        return self._proofs(place_in(index, np.shape(self.code)))
+        return self._proofs(place_in(index, self._shape))
 
     def _proofs(self, index: tuple[int, ...]) -> tuple[Any, ...]:
         from kempe.solvers.explain import proofs

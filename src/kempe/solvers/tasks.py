@@ -54,8 +54,6 @@ CHUNK, SERIAL_BELOW = 16, 32
 SLACK = 1.0 + 1e-6
 """By which part of a tolerance the check by the forward model may differ from the solver's own: rounding."""
 PREFER = ("nearest", "mid")
-SOLVED = int(Status.SOLVED)
-"""As a plain number, which numpy compares in a fraction of the time."""
 USUAL = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threads=None)
 
 
@@ -352,13 +350,13 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     if packed.one_sided.declared and problem.one_sided:
         good &= ~packed.one_sided.beyond(sound, declared=True).any(axis=-1)
     late = status >= S.LATE
-    code = np.full(len(status), SOLVED)
+    code = np.full(len(status), S.SOLVED)
     if some_bad or not good.all():
         code = np.where(good.ravel(), Status.SOLVED, np.where(late, Status.OUT_OF_TIME, Status.NOT_FOUND))
         code[bad] = Status.BAD_INPUT
         if problem.limits and np.any(code == Status.NOT_FOUND):
             code = np.where((code == Status.NOT_FOUND) & (problem.proofs > 0), problem.proofs, code)
-    columns = (code == SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
+    columns = (code == S.SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
     fields = [x.reshape(lead) if lead else x.item() for x in columns]
     errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}
     success, code, *fields, cut_off = fields

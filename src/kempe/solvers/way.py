@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kempe import spatial
+from kempe.kernels.search_layout import SOLVED
 from kempe.solvers.chain import inside
 from kempe.solvers.clock import TimeLimit
 from kempe.solvers.tasks import Problem, judge
 from kempe.spatial import Array
-from kempe.status import Status
 
 TOLERANCE = 1e-10
 """Largest error of the targets along a path, in metres and radians."""
@@ -141,7 +141,7 @@ class Way:
     def loose(self, problem: Problem, q: Array, before: Array) -> Array | None:
         """The same where it holds within the tolerance only: what a singularity cannot give is left out."""
         x = self.truncated(problem, q, before) if self.given > TOLERANCE else None
-        good = x is not None and judge(problem, x[None], np.full((1, 3), Status.SOLVED)).success
+        good = x is not None and judge(problem, x[None], np.full((1, 3), SOLVED)).success
         return x if good else None
 
     def truncated(self, problem: Problem, q: Array, before: Array) -> Array | None:
@@ -194,7 +194,7 @@ class Way:
         start = self.system.structure.layout.integrate(q, ahead * self.scale)[None]
         found, info = replace(problem, starts=1).run(inside(self.system, start) if problem.limits else start)
         moved = self.system.structure.layout.difference(q, found[0]) / self.scale
-        return found[0] if info[0, 0] == Status.SOLVED else None, moved
+        return found[0] if info[0, 0] == SOLVED else None, moved
 
     def follow(self, i: int, q: Array, before: Array, last: float) -> tuple[Array, float, float]:
         """Where one gets from q at target i - 1 towards target i, which part of the way that is, and its length.

@@ -15,6 +15,7 @@ from kempe.errors import DescriptionError, KempeError, Problem
 from kempe.joints import P, R
 from kempe.kinematics.configuration import has_loops
 from kempe.model.coordinates import Follower, relation_text
+from kempe.solvers.answer import MOST_JUDGED
 from kempe.words import jsonable
 
 if TYPE_CHECKING:
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from kempe.solvers.answer import Answer
 
 DEGREE = math.pi / 180.0
-MOST_JUDGED = 1_000_000
-"""Coordinates in a batch up to which it is judged for a report."""
 CLOSED = 1e-5
 """Metres and radians that a loop may be open by before it is mentioned: numbers with six decimals count as closed."""
 

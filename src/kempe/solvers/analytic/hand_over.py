@@ -8,13 +8,13 @@ import numpy as np
 
 from kempe.errors import UnsupportedError
 from kempe.kernels import analytic_layout as A
+from kempe.kernels.search_layout import SOLVED
 from kempe.solvers.analytic.ik_all import TOLERANCE, attainable, chain_lines, plan_for, solve, solve_held
 from kempe.solvers.analytic.plan import Plan
 from kempe.solvers.analytic.question import Question
 from kempe.solvers.inverse import run
 from kempe.solvers.rounds import Task, misses
 from kempe.spatial import Array
-from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -63,7 +63,7 @@ def answer(task: Task, plan: Plan, near: Array, seeds: Array, threads: int | Non
     at = {int(x): i for i, x in enumerate(plan.lines.q_index)}
     q[:] = own[np.arange(n), best][:, [at[int(x)] for x in chain.q_index]]
     residual[there] = misses(task, task.targets[there], q[there])
-    info[:, 0] = Status.SOLVED
+    info[:, 0] = SOLVED
     rest = np.flatnonzero(~there)
     if len(rest):
         some = seeds[rest] if len(seeds) > 1 else seeds

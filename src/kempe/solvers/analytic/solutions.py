@@ -295,10 +295,14 @@ class Solutions(Answer):
         """Number of the family that each is a member of, (k,) or (..., K), -1 for isolated solutions."""
         return self._pick(np.array([rows for _, rows in self._families]).reshape(self._used.shape))
 
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return self._lead or ()
+
     def _sentence(self, index: tuple[int, ...]) -> str:
         from kempe.solvers.analytic.explain import status
 
-        i = int(np.ravel_multi_index(index, self._lead)) if index and self._lead else 0
+        i = int(np.ravel_multi_index(index, self._shape)) if index else 0
         if self._whole is None:
             return status(self, i)
         return self._whole._sentence(index) + ("" if self._left_out is None else self._left_out[i])
