@@ -153,7 +153,8 @@ class Answer(Result, Tabular):
         return [said] if said else []
 
     def _head(self) -> dict[str, Any]:
-        return {"system": self.system.name, "angle_unit": "rad"}
+        solver = {} if self.solver is None else {"solver": self.solver.name}
+        return {"system": self.system.name, "angle_unit": "rad"} | solver
 
     def _data(self) -> dict[str, Any]:
         out = {name: getattr(self, name) for name in self.also} | {"residual": np.asarray(self.residual).tolist()}

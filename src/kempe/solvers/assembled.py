@@ -14,6 +14,7 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.assembly import Assembler
+    from kempe.solvers.problem import Choice
 
 
 @explained_methods
@@ -43,6 +44,11 @@ class Assembly(Answer):
     def system(self) -> System:
         """The system that was asked."""
         return self.assembler.system
+
+    def _chosen(self) -> Choice:
+        from kempe.solvers.assembly_asked import chosen
+
+        return chosen(self.assembler.one_sided is not None)
 
     def _left(self) -> Any:
         return np.where(self.success, self.residual, 0.0)

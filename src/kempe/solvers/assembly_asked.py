@@ -11,16 +11,24 @@ import numpy as np
 from kempe.budget import Budget
 from kempe.reals import plain
 from kempe.solvers.assembled import Assembly
-from kempe.solvers.assembly import LOOSEST, TOLERANCE
+from kempe.solvers.assembly import LOOSEST, TOLERANCE, Assembler
 from kempe.solvers.dyads import closed_form, on_branch
 from kempe.solvers.ideal import within
+from kempe.solvers.problem import Choice, Solver, choose, chosen_by
 from kempe.status import Status, member
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.assembly import Assembler
 
 ONCE = Budget(starts=1)
+
+
+def _no_signs(one_sided: bool, signs: bool) -> str | None:
+    return None if signs else "no branch is named by signs"
+
+
+def _no_bounds(one_sided: bool, signs: bool) -> str | None:
+    return None if one_sided else "the system has no one-sided constraints"
 
 
 def allowing(system: System, tolerance: float | str) -> tuple[System, float]:
@@ -45,4 +53,18 @@ def on_named_branch(bound: Assembler, given: Mapping[str, Any], near: Any, branc
     if np.any(strayed):
         code = np.where(strayed, Status.OTHER_BRANCH, answer.code)
         answer = replace(answer, success=plain(code == Status.SOLVED), code=member(code))
-    return answer
+    return chosen_by(answer, chosen(bound.one_sided is not None, True))
+
+
+SOLVERS = (
+    Solver("dyads", "closed form on the branch with these signs, then least squares", _no_signs, on_named_branch),
+    Solver("active set", "damped least squares in which bounds are taken up and released", _no_bounds, Assembler._ask),
+    Solver("least squares", "damped least squares of the closure equations, with steps of minimum norm",
+           lambda *structure: None, Assembler._ask),
+)  # fmt: skip
+"""Who answers for one closed configuration."""
+
+
+def chosen(one_sided: bool, signs: bool = False) -> Choice:
+    """Who answers for a system with or without one-sided constraints, a branch named by signs or not."""
+    return choose(SOLVERS, one_sided, signs)[1]

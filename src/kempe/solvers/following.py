@@ -23,6 +23,7 @@ from kempe.solvers.apart import apart
 from kempe.solvers.chain import of_loops
 from kempe.solvers.clock import BROKEN_OFF, LONG, TimeLimit, partial
 from kempe.solvers.ideal import ideal_of
+from kempe.solvers.problem import Choice, Solver
 from kempe.solvers.reached import asked_of
 from kempe.solvers.slip import rolls
 from kempe.solvers.targets import Z_AXIS, parse_targets
@@ -77,6 +78,9 @@ class IkPath(Configurations):
 
     def __bool__(self) -> bool:
         return bool(np.all(self.success)) and not self.jumps
+
+    def _chosen(self) -> Choice:
+        return SOLVERS[0].choice()
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return asked_of(self.asked)
@@ -324,3 +328,10 @@ def _farthest(path: IkPath) -> int:
 def _length(path: IkPath) -> float:
     q = path.q[path.success]
     return float(np.linalg.norm(path.system.structure.layout.difference(q[:-1], q[1:]), axis=-1).sum())
+
+
+SOLVERS = (
+    Solver("steps", "each step from its first order on, halved where it is not much longer than that",
+           lambda *structure: None, ik_path),
+)  # fmt: skip
+"""Who answers for a path."""

@@ -53,6 +53,10 @@ class Solver(NamedTuple):
     refuses: Callable[..., str | None]
     run: Callable[..., Any]
 
+    def choice(self, refused: Sequence[tuple[str, str]] = ()) -> Choice:
+        """What an answer of it says, with those before it that refused."""
+        return Choice(self.name, self.how, tuple(refused))
+
 
 class Choice(NamedTuple):
     """Which solver answered and how it works, and why those before it in the table did not: names and sentences."""
@@ -71,7 +75,7 @@ def choose(rows: Sequence[Solver], *structure: Any) -> tuple[Solver, Choice]:
     for solver in rows:
         why = solver.refuses(*structure)
         if why is None:
-            return solver, Choice(solver.name, solver.how, tuple(refused))
+            return solver, solver.choice(refused)
         refused.append((solver.name, why))
     raise UnsupportedError(refused[0][1])
 

@@ -1,0 +1,17 @@
+"""The table of solvers: who answers which question, in the order in which they are asked whether they can."""
+
+from __future__ import annotations
+
+from kempe.solvers import assembly_asked, following, inverse, modes
+from kempe.solvers.analytic import ik_all
+from kempe.solvers.problem import Solver
+
+TABLE: dict[str, tuple[Solver, ...]] = {
+    "ik": inverse.SOLVERS, "ik_all": ik_all.SOLVERS, "ik_path": following.SOLVERS,
+    "assemble": assembly_asked.SOLVERS, "assembly_modes": modes.SOLVERS,
+}  # fmt: skip
+"""The rows by verb: the first that does not refuse answers; `Answer.solver` names it, and why those before it did not.
+
+`ik` without a frame is answered by "levels". Of `ik_all` for a frame that moves with loops, "assembly modes" are those
+of `assembly_modes`.
+"""
