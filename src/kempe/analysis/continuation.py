@@ -7,7 +7,6 @@ Source: Allgower, Georg, *Numerical Continuation Methods*, 1990, chapters 2, 6 a
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from kempe.kinematics import loops
+from kempe.kinematics.gauss_newton import LARGE, gauss_newton, least_squares
 from kempe.model.lengths import origin_of
 from kempe.model.own_tree import own_tree
 from kempe.solvers.clock import Budget
@@ -35,10 +35,6 @@ ACROSS = 0.25
 """Largest correction, relative to the step, that is still taken for the same curve."""
 BLUNT = 1e-7
 """Relative singular values below which a correction is only rounding noise, blown up."""
-LARGE = 60
-"""Equations from which on normal equations are solved in place of singular value decompositions, where both will do."""
-WELL = 1e7
-"""Size of a solution of normal equations with a right-hand side of size 1 below which they are far from singular."""
 ANGLES = ("rx", "ry", "rz", "x.y")
 """Names of equations that are angles."""
 
@@ -242,75 +238,24 @@ def node(equations: Closure, x: Array, toward: Array | None = None) -> Node:
     return Node(x, t, sigma, nullity, J, image)
 
 
-def least_squares(A: Array, b: Array, smallest: float = BLUNT) -> Array:
-    """The least x (n,) with least |A x - b|; singular values below `smallest` of the largest count as zero."""
-    if len(b) > LARGE and smallest == BLUNT:
-        return least_squares_of_many(A[None], b[None])[0]
-    return _least_squares(A, b, smallest)
-
-
-def _least_squares(A: Array, b: Array, smallest: float) -> Array:
-    return np.asarray(np.linalg.lstsq(A, b, rcond=smallest)[0], dtype=float)
-
-
-def least_squares_of_many(A: Array, b: Array) -> Array:
-    """`least_squares` of many A (k, m, n) and b (k, m): the normal equations, where these are far from singular.
-
-    A second right-hand side, in no special direction, tells how near to singular they are.
-    """
-    G, n = np.swapaxes(A, -1, -2) @ A, A.shape[-1]
-    right = np.empty((len(A), n, 2))
-    right[..., 0] = np.einsum("kmn,km->kn", A, b)
-    right[..., 1] = np.cos(np.arange(n))
-    scale = np.einsum("kii->k", G)
-    bad = np.ones(len(A), dtype=bool)
-    y = np.zeros((len(A), n))
-    with contextlib.suppress(np.linalg.LinAlgError):
-        found = np.linalg.solve(G, right)
-        bad = ~(np.linalg.norm(found[..., 1], axis=-1) * scale < WELL)
-        y[:] = found[..., 0]
-    for k in np.flatnonzero(bad):
-        y[k] = _least_squares(A[k], b[k], BLUNT)
-    return y
-
-
 def correct(equations: Closure, x: Array, across: Array, tries: int = 12) -> Array | None:
     """The point of the curve in the plane through `x` across the direction `across` (n,), or None.
 
     Newton's method with least squares, so that dependent equations do no harm.
     """
-    before = np.inf
-    for _ in range(tries):
-        residual, J = equations.both(x)
-        size = float(np.abs(residual).max())
-        if not np.isfinite(size):
-            return None
-        A = np.vstack([J, across])
-        y = least_squares(A, np.append(-residual, 0.0))
-        moved = float(np.linalg.norm(y))
-        if moved > 0.5 * before:  # rounding, or no convergence
-            return x if size < equations.tolerance(x) else None
-        x = equations.move(x, y)
-        if moved < 1e-15:
-            break
-        before = moved
-    return x if float(np.abs(equations.values(x)).max()) < equations.tolerance(x) else None
+
+    def both(x: Array) -> tuple[Array, Array]:
+        F, J = equations.both(x)
+        return np.append(F, 0.0), np.vstack([J, across])
+
+    found = gauss_newton(both, x, tries, cut=BLUNT, halving=True, move=equations.move)
+    return found.x if found.size < equations.tolerance(found.x) else None
 
 
 def close(equations: Closure, x: Array, tries: int = 60) -> Array | None:
     """The configuration with closed loops near `x`, by steps of least size, or None."""
-    best = np.inf
-    for _ in range(tries):
-        residual, J = equations.both(x)
-        size = float(np.abs(residual).max(initial=0.0))
-        if not np.isfinite(size):
-            return None
-        if size < 1e-15 or (size < equations.tolerance(x) and size > 0.5 * best):
-            return x
-        best = min(best, size)
-        y = least_squares(J, -residual)
-        x = equations.move(x, y * min(1.0, 0.5 / max(float(np.linalg.norm(y)), 1e-300)))
-    return x if float(np.abs(equations.values(x)).max()) < equations.tolerance(x) else None
+    found = gauss_newton(equations.both, x, tries, cut=BLUNT, met=1e-15, longest=0.5, move=equations.move)
+    return found.x if found.size < equations.tolerance(found.x) else None
 
 
 def step(equations: Closure, a: Node, h: float) -> Node | None:
@@ -361,7 +306,7 @@ def inside(equations: Closure, a: Node, b: Node, distance: float, whole: bool = 
     if whole or equations.rows <= LARGE:
         return node(equations, x, along)
     A = np.vstack([equations.matrix(x), along])
-    t = least_squares(A, np.append(np.zeros(equations.rows), 1.0))
+    t = least_squares(A, np.append(np.zeros(equations.rows), 1.0), BLUNT)
     return Node(x, t / np.linalg.norm(t), np.nan, 1, NONE, NONE)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from kempe.analysis.continuation import (
     BEND,
     IDEAL_BEND,
-    LARGE,
     Closure,
     Node,
     bend,
@@ -20,6 +19,7 @@ from kempe.analysis.continuation import (
     step,
 )
 from kempe.analysis.crossings import AHEAD, crossing, locate, singular_node
+from kempe.kinematics.gauss_newton import LARGE
 from kempe.kinematics.roots import sign_change
 from kempe.spatial import Array
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.kinematics.gauss_newton import damped_least_squares, gauss_newton
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 
@@ -88,17 +89,10 @@ class Local:
         The damping is the residual (Fan and Yuan, 2005): quadratic where the equations are independent, and by a part
         of the way each step where solutions merge.
         """
-        for _ in range(CLOSE):
-            r, J = self.equations(q)
-            size = float(np.linalg.norm(r))
-            if size < ROUNDING or not np.isfinite(size):
-                return q
-            U, s, Vt = np.linalg.svd(J, full_matrices=False)
-            d = -Vt.T @ (s / (s**2 + size) * (U.T @ r))
-            q = self.moved(q, d)
-            if np.linalg.norm(d) < STAYS:
-                return q
-        return q
+        def step(q: Array, r: Array, J: Array) -> Array:
+            return damped_least_squares(J, -r, float(np.linalg.norm(r)))
+
+        return gauss_newton(self.equations, q, CLOSE, step=step, met=ROUNDING, last=STAYS, move=self.moved).x
 
     def kernel(self, q: Array, tasks: bool = True) -> tuple[Array, bool]:
         """An orthonormal basis (nv, k) of velocities that keep the equations, and whether these are independent.

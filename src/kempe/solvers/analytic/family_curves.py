@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kempe.kinematics.gauss_newton import gauss_newton, least_squares
 from kempe.solvers.analytic.family_points import (
     CORRECTIONS,
-    CUT,
     DIRECTIONS,
-    SETTLED,
     SINGULAR,
     SLACK,
     Points,
@@ -255,15 +254,14 @@ class Motion(Points):
     def _with_value(self, theta: Array, at: list[int], values: Array) -> Array | None:
         """A configuration on target near theta (n,) in which joints have values; None if none is found."""
         units = np.eye(len(theta))[at]
-        for _ in range(2 * CORRECTIONS):
+
+        def both(theta: Array) -> tuple[Array, Array]:
             e, J = self.linear(theta)
-            step = np.linalg.lstsq(np.vstack([J, units]), np.concatenate([e, values - theta[at]]), rcond=1e-9)[0]
-            size = float(np.abs(step).max())
-            theta = theta + step * min(1.0, 0.5 / max(size, 1e-300))
-            if size < SETTLED:
-                break
-        good = np.abs(theta[at] - values).max() < 1e-9 and self.on_target(self.linear(theta)[0])
-        return theta if good else None
+            return np.concatenate([-e, theta[at] - values]), np.vstack([J, units])
+
+        theta, left, _ = gauss_newton(both, theta, 2 * CORRECTIONS, longest=0.5)
+        e, off = np.split(left, [len(left) - len(at)])
+        return theta if np.abs(off).max() < 1e-9 and self.on_target(e) else None
 
     # ---- more than one freedom
 
@@ -284,16 +282,12 @@ class Motion(Points):
 
     def projected(self, theta: Array, dimension: int) -> Array:
         """The configuration on target next to theta (n,), by shortest steps."""
-        x = theta
-        for _ in range(2 * CORRECTIONS):
-            e, J = self.linear(x)
+        def step(_: Array, e: Array, J: Array) -> Array:
             free = self.kernel(J, dimension)
-            step = np.linalg.lstsq(J - (J @ free.T) @ free, e, rcond=CUT)[0]
-            size = float(np.abs(step).max())
-            x = x + step * min(1.0, 0.5 / max(size, 1e-300))
-            if size < SETTLED:
-                break
-        return x if self.on_target(self.linear(x)[0]) else np.full_like(x, math.inf)
+            return least_squares(J - (J @ free.T) @ free, e)
+
+        x, e, _ = gauss_newton(self.linear, theta, 2 * CORRECTIONS, step=step, longest=0.5)
+        return x if self.on_target(e) else np.full_like(x, math.inf)
 
     def joined(self, theta: Array, samples: Array, dimension: int) -> bool:
         """Whether a walk straight towards one of the samples reaches it without leaving the target."""

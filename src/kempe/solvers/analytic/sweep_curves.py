@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kempe.kernels.layout import SLIDE
+from kempe.kinematics.gauss_newton import gauss_newton_of_many
 from kempe.kinematics.roots import sign_change
 from kempe.model.system import System
 from kempe.solvers.analytic.lines import Lines
@@ -28,8 +29,8 @@ LONGEST, SHORTEST, MOST_STEPS = 0.15, 1e-6, 4000
 BEND, ASIDE = 0.2, 0.3
 """Largest turn of the tangent in a step [rad], and largest correction, as a fraction of the step."""
 
-CONVERGED, RANK = 1e-13, 1e-9
-"""Error of a corrected configuration; singular values below this fraction of the largest are zero."""
+CONVERGED, HELD = 1e-13, 1e-11
+"""Error of a configuration that is corrected no further, and of one that is taken for good."""
 
 CHECKS = np.linspace(0.0, 1.0, 6)
 """Places in a step where folds and limits are looked for: a pair of them closer than that is missed."""
@@ -118,17 +119,15 @@ class Motion:
 
     def corrected(self, x: Array, across: Array, rounds: int = 8) -> tuple[Array, np.ndarray]:
         """Points (m, nf) of the curve in planes through x (m, nf) across directions (m, nf), and whether found (m,)."""
-        x, at = x.copy(), np.sum(across * x, axis=-1)
-        good = np.zeros(len(x), dtype=bool)
-        for _ in range(rounds):
+        at = np.sum(across * x, axis=-1)
+
+        def both(x: Array, some: np.ndarray) -> tuple[Array, Array]:
             e, J = self.error(x)
-            A = np.concatenate([J, across[:, None]], axis=-2)
-            b = np.concatenate([e, (at - np.sum(across * x, axis=-1))[:, None]], axis=-1)
-            good = np.abs(b).max(axis=-1) < CONVERGED
-            if good.all():
-                break
-            x = x + np.einsum("...ij,...j->...i", np.linalg.pinv(A, rcond=RANK), b)
-        return x, good | (np.abs(self.missing(self.q(x))).max(axis=-1) < 1e-11)
+            away = np.sum(across[some] * x, axis=-1) - at[some]
+            return np.append(-e, away[:, None], axis=-1), np.append(J, across[some, None], axis=-2)
+
+        x = gauss_newton_of_many(both, x, rounds, met=CONVERGED)
+        return x, np.abs(self.missing(self.q(x))).max(axis=-1) < HELD
 
     def tangent(self, x: Array, like: Array | None = None) -> Array:
         """Unit tangent (nf,) of the curve at x (nf,), in the sense of `like`."""
