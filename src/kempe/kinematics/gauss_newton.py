@@ -21,6 +21,8 @@ CUT = 1e-9
 """Singular values below this fraction of the largest are left out."""
 LAST = 1e-8
 """A step up to this length is the last one: where convergence is quadratic, the next would be rounding."""
+NOTHING = 1e-14
+"""A step up to this length is rounding: it is not taken."""
 LARGE = 60
 """Equations from which on normal equations are solved in place of singular value decompositions, where both will do."""
 WELL = 1e7
@@ -86,8 +88,8 @@ def gauss_newton(
 ) -> Found:  # fmt: skip
     """Where at most `tries` steps from `x` lead.
 
-    It ends where no more than `met` is missing, after a step up to `last`, before one that is not finite, and with
-    `halving` before one longer than half the one before. Steps are shortened to `longest`. `step` gives another step
+    It ends where no more than `met` is missing, after a step up to `last`, before one that is nothing or not finite, and
+    with `halving` before one longer than half the one before. Steps are shortened to `longest`. `step` gives another step
     (n,) at (x, r, J) than `least_squares`, `move` the point to which one leads.
     """
     before = math.inf
@@ -97,7 +99,7 @@ def gauss_newton(
             break
         y = least_squares(J, -r, cut) if step is None else step(x, r, J)
         size = math.sqrt(float(y @ y))
-        if not size < math.inf or (halving and size > 0.5 * before):
+        if not NOTHING < size < math.inf or (halving and size > 0.5 * before):
             break
         x, before = move(x, y * (longest / size) if size > longest else y), size
     return Found(x, r, J)
