@@ -10,8 +10,8 @@ import pytest
 
 import kempe
 from kempe import Mechanism
-from kempe.analysis.continuation import least_squares
 from kempe.errors import InputError
+from kempe.kinematics.gauss_newton import least_squares
 
 
 def two_slides(tilt: float) -> kempe.System:

@@ -12,23 +12,14 @@ import numpy as np
 
 from kempe.analysis.beginning import too_free
 from kempe.analysis.bounds import Limits
-from kempe.analysis.continuation import (
-    ACROSS,
-    BEND,
-    Closure,
-    Driven,
-    Node,
-    bend,
-    correct,
-    node,
-    step,
-)
+from kempe.analysis.continuation import Closure, Driven
 from kempe.analysis.crossings import branch_lines, locate, singular_node
 from kempe.analysis.deflation import hold_rank
-from kempe.analysis.events import AWKWARD, LEAST_STEP, checked, next_step, root
+from kempe.analysis.events import AWKWARD, checked, root
 from kempe.analysis.path import Event
 from kempe.analysis.spins import hold_spins, spins_held
 from kempe.errors import UnsupportedError
+from kempe.solvers.tracing import ACROSS, BEND, LEAST_STEP, Node, bend, correct, next_step, node, step
 from kempe.spatial import Array
 
 SAME_INPUT = 1e-9

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from kempe.analysis.continuation import RANK, Closure, Node, correct, node
+from kempe.analysis.continuation import Closure
 from kempe.kinematics.gauss_newton import gauss_newton, least_squares
 from kempe.solvers.clock import Budget
+from kempe.solvers.tracing import RANK, Node, correct, node
 from kempe.spatial import Array
 
 DIFFERENCE = 1e-5

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.analysis.continuation import BLUNT, Closure
+from kempe.analysis.continuation import Closure
 from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.kinematics.gauss_newton import gauss_newton_of_many
@@ -21,6 +21,7 @@ from kempe.model.immovable import immovable
 from kempe.reals import is_whole
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, Budget, TimeUp, partial
 from kempe.solvers.ideal import said
+from kempe.solvers.tracing import BLUNT
 from kempe.solvers.words import counted
 from kempe.spatial import Array
 

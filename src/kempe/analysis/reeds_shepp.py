@@ -103,7 +103,7 @@ def refined(way: Way, x: float, y: float, h: float) -> Way:
 def _corrected(
     way: Way, x: float, y: float, h: float, tries: int, met: float = 0.0, most: float = math.inf
 ) -> tuple[list[float], Array]:
-    """The lengths of the pieces of a way that leads to a pose, and by what it misses: more than `most` is left as is."""
+    """The lengths of the pieces of a way that leads to a pose, and by what it misses; by more than `most` it stays."""
 
     def both(lengths: Array) -> tuple[Array, Array]:
         there = _with(way, lengths)

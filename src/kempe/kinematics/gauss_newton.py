@@ -1,4 +1,4 @@
-"""Where equations hold, or come nearest to holding: Gauss-Newton steps, each the least change that linear equations ask.
+"""Where equations hold, or come nearest to it: Gauss-Newton steps, each the least change that linear equations ask.
 
 There may be more equations than unknowns, or fewer, and dependent ones do no harm: the step is that of the
 pseudo-inverse, whose small singular values are left out. Sources: Ben-Israel, "A Newton-Raphson method for the solution
@@ -88,9 +88,9 @@ def gauss_newton(
 ) -> Found:  # fmt: skip
     """Where at most `tries` steps from `x` lead.
 
-    It ends where no more than `met` is missing, after a step up to `last`, before one that is nothing or not finite, and
-    with `halving` before one longer than half the one before. Steps are shortened to `longest`. `step` gives another step
-    (n,) at (x, r, J) than `least_squares`, `move` the point to which one leads.
+    It ends where no more than `met` is missing, after a step up to `last`, before one that is nothing or not finite,
+    and with `halving` before one longer than half the one before. Steps are shortened to `longest`. `step` gives
+    another step (n,) at (x, r, J) than `least_squares`, `move` the point to which one leads.
     """
     before = math.inf
     for k in range(tries + 1):
@@ -112,9 +112,9 @@ def gauss_newton_of_many(
 ) -> Array:  # fmt: skip
     """Where (k, n) such steps lead from many starts (k, n), each by itself.
 
-    `equations` gives what is missing (j, m) and the derivatives (j, m, n) at points (j, n), those at places (j,) of all.
-    `step` gives other steps (j, n) for r and J than `least_squares_of_many`. A length is the largest change of a number.
-    A start from which one comes to something that is not finite becomes NaN.
+    `equations` gives what is missing (j, m) and the derivatives (j, m, n) at points (j, n), at places (j,) among all.
+    `step` gives other steps (j, n) for r and J than `least_squares_of_many`. A length is the largest change of one
+    number. A start from which one comes to something that is not finite becomes NaN.
     """
     x, left = np.array(x), np.arange(len(x))
     for _ in range(tries):

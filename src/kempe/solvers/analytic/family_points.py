@@ -93,7 +93,7 @@ class Points:
         out[:, moves] = Vt[len(moves) - d :]
         return out
 
-    def corrected(self, theta: Array, free: Array) -> tuple[Array, Array, Array]:
+    def led(self, theta: Array, free: Array) -> tuple[Array, Array, Array]:
         """Variables (n,) moved across directions `free` (d, n) until the error is least; error and Jacobian there."""
         def step(theta: Array, e: Array, J: Array) -> Array:
             y = least_squares(J - (J @ free.T) @ free, e)
