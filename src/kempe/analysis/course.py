@@ -220,12 +220,12 @@ def land(way: Driven, a: Node, length: float) -> Node | None:
     guess = way.move(a.x, size * a.t)
     across = np.zeros(way.n)
     across[-1] = 1.0
-    x = correct(way, guess, across)
-    if x is None or float(np.linalg.norm(way.between(guess, x))) > ACROSS * size:
+    there = correct(way, guess, across)
+    if there is None or float(np.linalg.norm(way.between(guess, there.x))) > ACROSS * size:
         return _land_on_crossing(way, a, guess, length, size)
-    b = node(way, x, way.between(a.x, x))
+    b = node(way, there.x, way.between(a.x, there.x), there.J)
     if b.sigma < AWKWARD:
-        b = _land_on_crossing(way, a, x, length, size) or b
+        b = _land_on_crossing(way, a, there.x, length, size) or b
     return b if b.t[-1] > STEEP and bend(a, b) <= BEND else None
 
 

@@ -140,8 +140,8 @@ def branch_lines(equations: Closure, x: Array) -> Array:
             other = correct(equations, equations.move(x, sign * PROBE * t), t)
             if other is None:
                 continue
-            y = equations.between(x, other) * sign
-            if y @ t < 0.9 * np.linalg.norm(y) or node(equations, other).nullity > 1:
+            y = equations.between(x, other.x) * sign
+            if y @ t < 0.9 * np.linalg.norm(y) or node(equations, other.x, None, other.J).nullity > 1:
                 continue
             if all(abs(t @ v) < 1.0 - SAME_LINE for v in lines):
                 lines.append(t)

@@ -21,7 +21,7 @@ CUT = 1e-9
 """Singular values below this fraction of the largest are left out."""
 LAST = 1e-8
 """A step up to this length is the last one: where convergence is quadratic, the next would be rounding."""
-NOTHING = 3e-15
+NOTHING = 1e-15
 """A step up to this length is rounding: it is not taken."""
 LARGE = 60
 """Equations from which on normal equations are solved in place of singular value decompositions, where both will do."""

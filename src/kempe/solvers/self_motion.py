@@ -21,7 +21,7 @@ from kempe.solvers.slip import slip_of
 from kempe.solvers.solution import SOLVED
 from kempe.solvers.targets import axis_of, points_along, task_of
 from kempe.solvers.tasks import judge, pose_problem
-from kempe.solvers.tracing import NONE, Curve, Node, walk
+from kempe.solvers.tracing import NONE, Node, walk
 from kempe.spatial import Array, ArrayLike
 
 if TYPE_CHECKING:
@@ -198,7 +198,7 @@ class _Half(NamedTuple):
     last: bool = False
 
 
-class _Way(Curve):
+class _Way:
     """Follows self-motions by steps along the tangent that are led back."""
 
     def __init__(
@@ -221,7 +221,7 @@ class _Way(Curve):
 
     def _follow(self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None, out: list[Array]) -> _Half:
         system, way = self.problem.system, sign * self.wish
-        a, given = self.node(q, way), goal is not None
+        a, given = self._node(q, way), goal is not None
         goal = (q, a.t) if goal is None else goal
         nothing = _Half(out, False, "where the tasks leave nothing of this direction", a.t)
         if a.sigma < LEAST_PART:
@@ -229,9 +229,10 @@ class _Way(Curve):
 
         def taken(a: Node, h: float) -> list[Node] | None:
             self.budget.check()
-            x = self.corrected(self.move(a.x, h * a.t), a.t)
-            moved = x is not None and self.between(a.x, x) @ a.t >= 0.01 * h
-            return [self.node(x, way if self.wished else a.t)] if x is not None and moved else None
+            x = self._led(self.local.move(a.x, h * a.t))
+            if x is None or self.local.between(a.x, x) @ a.t < 0.01 * h:
+                return None
+            return [self._node(x, way if self.wished else a.t)]
 
         for b in walk(a, taken, self.step, self.step, least=SHORTEST * self.step, ideal=np.inf):
             if (out or given) and not self.wished and self._passes(a, b, goal):
@@ -249,20 +250,12 @@ class _Way(Curve):
             a = b
         return _Half(out, False, _stop(self.problem, a.x, a.t, 10.0 * SHORTEST * self.step), a.t)
 
-    def move(self, x: Array, y: Array) -> Array:
-        """The configuration (nq,) a step y (nv,) from x."""
-        return self.local.move(x, y)
-
-    def between(self, x: Array, other: Array) -> Array:
-        """The step (nv,) from x to another configuration."""
-        return self.local.between(x, other)
-
-    def corrected(self, x: Array, across: Array) -> Array | None:
+    def _led(self, x: Array) -> Array | None:
         """The configuration (nq,) in which the tasks hold, nearest to x, as the solver of tasks finds it; or None."""
         found, info = self.problem.run(x[None])
         return found[0] if info[0, 0] == SOLVED else None
 
-    def node(self, x: Array, toward: Array) -> Node:
+    def _node(self, x: Array, toward: Array) -> Node:
         """The node at x, its tangent what the freedoms have of a direction; `sigma` is how large that part is."""
         N = null(self.local.equations(x)[1])
         t = N @ (N.T @ toward)
@@ -276,12 +269,12 @@ class _Way(Curve):
         """
         (there, along), t = goal, a.t
         home = self._short(a.x, there)
-        ahead, reach = float(home @ t), float(np.linalg.norm(self.between(a.x, b.x)))
+        ahead, reach = float(home @ t), float(np.linalg.norm(self.local.between(a.x, b.x)))
         if t @ along < 0.5 or not 0.0 <= ahead <= 1.2 * reach or np.linalg.norm(home) > 2.0 * reach:
             return False
         q: Array | None = a.x
         for _ in range(HOMING):
-            q = self.corrected(self.move(q, ahead * t), t)
+            q = self._led(self.local.move(q, ahead * t))
             if q is None:
                 return False
             gap = self._short(q, there)

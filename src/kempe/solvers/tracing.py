@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kempe.kinematics.gauss_newton import LARGE, gauss_newton, least_squares
+from kempe.kinematics.gauss_newton import LARGE, Found, gauss_newton, least_squares
 from kempe.spatial import Array
 
 RANK = 1e-8
@@ -60,13 +60,13 @@ class Curve:
         """Residual below which the equations hold at `x`."""
         return CLOSED
 
-    def corrected(self, x: Array, across: Array) -> Array | None:
-        """The point of the curve near `x`, in the plane across the direction `across` (n,), or None."""
+    def corrected(self, x: Array, across: Array) -> Found | None:
+        """What is found near `x` on the curve, in the plane across the direction `across` (n,), or None."""
         return correct(self, x, across)
 
-    def node(self, x: Array, toward: Array) -> Node:
-        """The node at a point of the curve, its tangent in the sense of `toward` (n,)."""
-        return node(self, x, toward)
+    def node(self, x: Array, toward: Array, J: Array) -> Node:
+        """The node at a point of the curve, with its derivatives, the tangent in the sense of `toward` (n,)."""
+        return node(self, x, toward, J)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +91,9 @@ class Node:
         return Node(self.x, -self.t, self.sigma, self.nullity, self.matrix, self.image, self.lines)
 
 
-def node(equations: Curve, x: Array, toward: Array | None = None) -> Node:
+def node(equations: Curve, x: Array, toward: Array | None = None, J: Array | None = None) -> Node:
     """The `Node` at a point of the curve; its tangent is the kernel vector nearest to `toward` (n,)."""
-    J = equations.matrix(x)
+    J = equations.matrix(x) if J is None else J
     U, s, Vt = np.linalg.svd(J, full_matrices=False)
     n = equations.n
     scale = s[0] if s[0] > 0.0 else 1.0
@@ -109,8 +109,8 @@ def node(equations: Curve, x: Array, toward: Array | None = None) -> Node:
     return Node(x, t, sigma, nullity, J, image)
 
 
-def correct(equations: Curve, x: Array, across: Array, tries: int = 12) -> Array | None:
-    """The point of the curve in the plane through `x` across the direction `across` (n,), or None.
+def correct(equations: Curve, x: Array, across: Array, tries: int = 12) -> Found | None:
+    """What is found on the curve in the plane through `x` across the direction `across` (n,), or None.
 
     Newton's method with least squares, so that dependent equations do no harm.
     """
@@ -120,16 +120,16 @@ def correct(equations: Curve, x: Array, across: Array, tries: int = 12) -> Array
         return np.append(F, 0.0), np.vstack([J, across])
 
     found = gauss_newton(both, x, tries, cut=BLUNT, halving=True, move=equations.move)
-    return found.x if found.size < equations.tolerance(found.x) else None
+    return Found(found.x, found.r[:-1], found.J[:-1]) if found.size < equations.tolerance(found.x) else None
 
 
 def step(curve: Curve, a: Node, h: float) -> Node | None:
     """The next node at a distance of about `h`, or None where that is too far to be sure of the curve."""
     guess = curve.move(a.x, h * a.t)
-    x = curve.corrected(guess, a.t)
-    if x is None or float(np.linalg.norm(curve.between(guess, x))) > ACROSS * h:
+    there = curve.corrected(guess, a.t)
+    if there is None or float(np.linalg.norm(curve.between(guess, there.x))) > ACROSS * h:
         return None
-    b = curve.node(x, curve.between(a.x, x))
+    b = curve.node(there.x, curve.between(a.x, there.x), there.J)
     return b if bend(a, b) <= BEND else None
 
 
@@ -189,15 +189,14 @@ def inside(equations: Curve, a: Node, b: Node, distance: float, whole: bool = Tr
     h = float(a.t @ y)
     f = distance / h
     guess = equations.move(a.x, distance * a.t + f * f * (y - h * a.t))
-    x = correct(equations, guess, a.t)
-    if x is None:
+    there = correct(equations, guess, a.t)
+    if there is None:
         return None
     along = (1.0 - f) * a.t + f * b.t
-    if whole or equations.rows <= LARGE:
-        return node(equations, x, along)
-    A = np.vstack([equations.matrix(x), along])
-    t = least_squares(A, np.append(np.zeros(equations.rows), 1.0), BLUNT)
-    return Node(x, t / np.linalg.norm(t), np.nan, 1, NONE, NONE)
+    if whole or len(there.r) <= LARGE:
+        return node(equations, there.x, along, there.J)
+    t = least_squares(np.vstack([there.J, along]), np.append(np.zeros(len(there.r)), 1.0), BLUNT)
+    return Node(there.x, t / np.linalg.norm(t), np.nan, 1, NONE, NONE)
 
 
 def arc(equations: Curve, a: Node, b: Node) -> float:

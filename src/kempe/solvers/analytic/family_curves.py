@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kempe.kinematics.gauss_newton import gauss_newton, least_squares
+from kempe.kinematics.gauss_newton import Found, gauss_newton, least_squares
 from kempe.solvers.analytic.family_points import (
     CORRECTIONS,
     DIRECTIONS,
@@ -106,7 +106,7 @@ class Motion(Points, Curve):
     def follow(self, theta: Array, way: Array) -> Samples | None:
         """The curve through a configuration (n,), which starts in a direction; None if it leaves the target."""
         theta, _, J = self.led(theta, way[None])
-        first = self.node(theta, way)
+        first = self.node(theta, way, J)
         nodes, end = self._trace(first)
         other = end
         if end != "closed":
@@ -118,16 +118,21 @@ class Motion(Points, Curve):
             return None
         return Samples(1, x, t, t[:1], end == "closed", worst, np.array([a.sigma for a in nodes]))
 
-    def corrected(self, x: Array, across: Array) -> Array | None:
-        """The configuration on target near x (n,), in the plane across a direction, or None."""
-        theta, e, _ = self.led(x, across[None])
-        return theta if self.on_target(e) else None
+    def corrected(self, x: Array, across: Array) -> Found | None:
+        """What is found on target near x (n,), in the plane across a direction, or None."""
+        found = self.led(x, across[None])
+        return found if self.on_target(found.r) else None
 
-    def node(self, x: Array, toward: Array) -> Node:
+    def node(self, x: Array, toward: Array, J: Array) -> Node:
         """The node at a configuration (n,); its `sigma` is the second smallest singular value."""
-        J = self.linear(x)[1]
-        t = self._tangent(J, toward / np.linalg.norm(toward))
-        return Node(x, t, self.spectrum(J)[1], 1, NONE, NONE)
+        moves, t = self.aim.moves, np.zeros(len(x))
+        _, s, Vt = np.linalg.svd(J[:, moves])
+        s = np.append(s, np.zeros(len(moves) - len(s)))
+        free = Vt[len(moves) - max(1, int((s <= SINGULAR).sum())) :]
+        t[moves] = (free @ toward[moves]) @ free
+        size, whole = math.sqrt(t @ t), math.sqrt(toward @ toward)
+        t = t / size if size > 0.1 * whole else toward / whole
+        return Node(x, t, float(s[-2]) if len(s) > 1 else math.inf, 1, NONE, NONE)
 
     def crossings_of(self, curve: Samples) -> Iterator[Array]:
         """Points (n,) of a curve in which others may cross it: its Jacobian loses one more rank."""
@@ -146,12 +151,6 @@ class Motion(Points, Curve):
                                     method="bounded", options={"xatol": 1e-8})  # fmt: skip
             if found.fun < SINGULAR:
                 yield at(found.x)[0]
-
-    def _tangent(self, J: Array, way: Array) -> Array:
-        free = self.kernel(J)
-        t = (free @ way) @ free
-        size = float(np.linalg.norm(t))
-        return t / size if size > 0.1 else way
 
     def _trace(self, first: Node) -> tuple[list[Node], str]:
         """Nodes one way, and its end: "closed", "far", or "off"."""
@@ -200,7 +199,7 @@ class Motion(Points, Curve):
             return samples[0]
         x, way = samples[k], self.gap(samples[k - 1], samples[k]) if k else self.gap(samples[0], samples[1])
         for _ in range(20):
-            way = self._tangent(self.linear(x)[1], way / np.linalg.norm(way))
+            way = self.node(x, way, self.linear(x)[1]).t
             step = float(self.gap(theta, x) @ way)
             if abs(step) < 1e-12:
                 break
@@ -234,15 +233,15 @@ class Motion(Points, Curve):
         out, before = [x[0]], None
         for a, b in zip(x[:-1], x[1:], strict=True):
             way = (b - a) / max(float(np.linalg.norm(b - a)), 1e-300)
-            ta = self._tangent(self.linear(a)[1], way)[i] if before is None else before
-            tb = self._tangent(self.linear(b)[1], way)[i]
+            ta = self.node(a, way, self.linear(a)[1]).t[i] if before is None else before
+            tb = self.node(b, way, self.linear(b)[1]).t[i]
             before = tb
             if ta * tb < 0.0:
                 low, high, point = 0.0, 1.0, a
                 for _ in range(40):
                     middle = 0.5 * (low + high)
                     point, _, J = self.led(a + middle * (b - a), way[None])
-                    low, high = (middle, high) if self._tangent(J, way)[i] * ta > 0.0 else (low, middle)
+                    low, high = (middle, high) if self.node(point, way, J).t[i] * ta > 0.0 else (low, middle)
                 out.append(point)
             out.append(b)
         return np.array(out)

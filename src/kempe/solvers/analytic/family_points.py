@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from kempe import spatial
-from kempe.kinematics.gauss_newton import gauss_newton, gauss_newton_of_many, least_squares
+from kempe.kinematics.gauss_newton import Found, gauss_newton, gauss_newton_of_many, least_squares
 from kempe.solvers.analytic.nearest import Aim
 from kempe.spatial import Array
 
@@ -21,8 +21,8 @@ UNDETERMINED = 5e-9
 """Singular values below this leave a solution undetermined by more than rounding of its target times 1e8: then the part
 of a curve that is on target within the tolerance counts as a family, though it is not all of it."""
 
-CORRECTIONS, FURTHEST = 12, 1.0
-"""Corrections of a step at most; one that is longer leads elsewhere, and is not taken."""
+CORRECTIONS, FURTHEST, EXACT = 12, 1.0, 4e-15
+"""Corrections of a step at most; one that is longer leads elsewhere, and is not taken; an error that is rounding."""
 
 SLACK = 1.01
 """How much more than the tolerance the error may be along a family."""
@@ -93,13 +93,13 @@ class Points:
         out[:, moves] = Vt[len(moves) - d :]
         return out
 
-    def led(self, theta: Array, free: Array) -> tuple[Array, Array, Array]:
+    def led(self, theta: Array, free: Array) -> Found:
         """Variables (n,) moved across directions `free` (d, n) until the error is least; error and Jacobian there."""
         def step(theta: Array, e: Array, J: Array) -> Array:
             y = least_squares(J - (J @ free.T) @ free, e)
             return y if np.abs(y).max(initial=0.0) <= FURTHEST else np.full(len(y), math.inf)
 
-        return gauss_newton(self.linear, theta, CORRECTIONS, step=step)
+        return gauss_newton(self.linear, theta, CORRECTIONS, step=step, met=EXACT)
 
     def on_target(self, e: Array) -> bool:
         """Whether these errors are within the tolerance."""

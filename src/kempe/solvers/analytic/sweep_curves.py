@@ -15,13 +15,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kempe.kernels.layout import SLIDE
-from kempe.kinematics.gauss_newton import gauss_newton_of_many
+from kempe.kinematics.gauss_newton import Found, gauss_newton_of_many
 from kempe.kinematics.roots import sign_change
 from kempe.model.system import System
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.plan import TASKS
 from kempe.solvers.targets import frame_of, points_along
-from kempe.solvers.tracing import ACROSS, Curve, Node, step, walk
+from kempe.solvers.tracing import ACROSS, Curve, Node, node, step, walk
 from kempe.spatial import Array
 
 LONGEST, MOST_STEPS = 0.15, 4000
@@ -207,9 +207,9 @@ class Arc:
         better, good = self.motion.closed(x, across)
         steps = np.linalg.norm(self.x[k + 1] - self.x[k], axis=-1)
         good &= np.linalg.norm(better - x, axis=-1) < 0.5 * steps + 1e-6
-        for node in (0, -1):  # the ends are folds, where the corrector has nothing to hold on to
-            at_end = np.abs(v - known[node]) <= 1e-14 * (1.0 + abs(known[node]))
-            better[at_end], good[at_end] = self.x[node], True
+        for end in (0, -1):  # the ends are folds, where the corrector has nothing to hold on to
+            at_end = np.abs(v - known[end]) <= 1e-14 * (1.0 + abs(known[end]))
+            better[at_end], good[at_end] = self.x[end], True
         out[there], there[there] = better, good
         return out, there
 
@@ -296,14 +296,14 @@ def follow(
 
     Where the curve has no tangent, or is too long, the last node is inside.
     """
-    nodes, ends = [motion.node(start, tangent)], list[Node]()
+    nodes, ends = [node(motion, start, tangent)], list[Node]()
 
     def taken(a: Node, h: float) -> list[Node] | None:
         b = step(motion, a, h)
         if b is None or between[0] <= b.x[motion.p] <= between[1]:
             return None if b is None else [b]
         end = _landed(motion, a, b, between[0] if b.x[motion.p] < between[0] else between[1])
-        ends[:] = [] if end is None else [motion.node(end, a.t)]
+        ends[:] = [] if end is None else [node(motion, end.x, a.t, end.J)]
         return ends or None
 
     for b in walk(nodes[0], taken, LONGEST, LONGEST):
@@ -313,8 +313,8 @@ def follow(
     return [a.x for a in nodes], [a.t for a in nodes]
 
 
-def _landed(motion: Motion, a: Node, b: Node, value: float) -> Array | None:
-    """The point of a step where the parameter has a value, None where there is none."""
+def _landed(motion: Motion, a: Node, b: Node, value: float) -> Found | None:
+    """What is found in a step where the parameter has a value, None where there is none."""
     p = motion.p
     ends = a.x[None], a.t[None], b.x[None], b.t[None]
     s = sign_change(lambda s: float(hermite(*ends, np.array([s]))[0, p] - value), 1e-9, 1.0)
@@ -323,7 +323,7 @@ def _landed(motion: Motion, a: Node, b: Node, value: float) -> Array | None:
     guess = hermite(*ends, np.array([s]))[0]
     guess[p] = value
     end = motion.corrected(guess, np.eye(motion.n)[p])
-    near = end is not None and np.linalg.norm(end - guess) <= ACROSS * np.linalg.norm(b.x - a.x)
+    near = end is not None and np.linalg.norm(end.x - guess) <= ACROSS * np.linalg.norm(b.x - a.x)
     return end if near else None
 
 
