@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -234,7 +235,7 @@ class _Way:
                 return None
             return [self._node(x, way if self.wished else a.t)]
 
-        for b in walk(a, taken, self.step, self.step, least=SHORTEST * self.step, ideal=np.inf):
+        for b in walk(a, taken, self.step, self.step, least=SHORTEST * self.step, ideal=math.inf):
             if (out or given) and not self.wished and self._passes(a, b, goal):
                 return _Half(out, True, "", a.t)
             out.append(b.x)

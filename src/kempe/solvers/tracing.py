@@ -7,6 +7,7 @@ Source: Allgower, Georg, *Numerical Continuation Methods*, 1990, chapters 2, 6 a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
@@ -135,7 +136,8 @@ def step(curve: Curve, a: Node, h: float) -> Node | None:
 
 def next_step(h: float, longest: float, a: Node, b: Node, ideal: float = IDEAL_BEND) -> float:
     """The next step length, from how much the tangent turned in the last one."""
-    return min(longest, h * min(1.5, max(0.5, ideal / max(bend(a, b), 1e-9))))
+    factor = 1.5 if ideal == math.inf else min(1.5, max(0.5, ideal / max(bend(a, b), 1e-9)))
+    return min(longest, h * factor)
 
 
 def walk(

@@ -21,7 +21,7 @@ UNDETERMINED = 5e-9
 """Singular values below this leave a solution undetermined by more than rounding of its target times 1e8: then the part
 of a curve that is on target within the tolerance counts as a family, though it is not all of it."""
 
-CORRECTIONS, FURTHEST, EXACT = 12, 1.0, 4e-15
+CORRECTIONS, FURTHEST, EXACT = 12, 1.0, 3e-14
 """Corrections of a step at most; one that is longer leads elsewhere, and is not taken; an error that is rounding."""
 
 SLACK = 1.01
