@@ -54,22 +54,18 @@ def _solutions(question: Question, plan: Plan, target: Array, locked: Array) -> 
     theta = np.where(lines.kinds == SLIDE, rng.uniform(-2.0, 2.0, (STARTS, len(lines))),
                      rng.uniform(-np.pi, np.pi, (STARTS, len(lines))))  # fmt: skip
     theta[:, list(plan.locked)] = lines.theta(locked)[list(plan.locked)]
-    first = theta[0].copy()
-
-    def full(x: Array) -> Array:
-        out = np.tile(first, (len(x), 1))
-        out[:, moves] = x
-        return out
 
     def damped(e: Array, J: Array) -> Array:
         damping = np.minimum(0.05 * (e * e).sum(axis=1), 0.1) + FLOOR
         N = np.swapaxes(J, 1, 2) @ J
         damping += FLOOR * np.trace(N, axis1=1, axis2=2)  # else LU may find it singular
         N += damping[:, None, None] * np.eye(len(moves))
-        return np.linalg.solve(N, np.swapaxes(J, 1, 2) @ e[..., None])[..., 0]
+        y = np.zeros((len(e), len(lines)))
+        y[:, moves] = np.linalg.solve(N, np.swapaxes(J, 1, 2) @ e[..., None])[..., 0]
+        return y
 
-    theta = full(gauss_newton_of_many(lambda x, _: aim.at(full(x)), theta[:, moves], STEPS, step=damped, met=1e-15,
-                                      last=0.0, longest=LONGEST))  # fmt: skip
+    theta = gauss_newton_of_many(lambda x, _: aim.at(x), theta, STEPS, step=damped, met=1e-15, last=0.0,
+                                 longest=LONGEST)  # fmt: skip
     size = np.linalg.norm(aim.at(theta)[0], axis=1)
     found, error = [], []
     for k in np.flatnonzero(size <= question.tolerance / max(lines.length, 1.0)):

@@ -140,11 +140,6 @@ class Motion(Curve):
         x = gauss_newton_of_many(both, x, rounds, met=CONVERGED)
         return x, np.abs(self.missing(self.q(x))).max(axis=-1) < HELD
 
-    def tangent(self, x: Array, like: Array | None = None) -> Array:
-        """Unit tangent (nf,) of the curve at x (nf,), in the sense of `like`."""
-        t = np.linalg.svd(self.jacobian(x[None])[0])[2][-1]
-        return -t if like is not None and t @ like < 0.0 else t
-
     def gap(self, x: Array, y: Array) -> Array:
         """y - x (..., nf), angles the short way."""
         d, period = y - x, self.period
@@ -347,7 +342,7 @@ def _folds(motion: Motion, x: Array, t: Array, y: Array, u: Array) -> Iterator[t
     p, piece, at_0 = motion.p, Arc(motion, np.array([x, y]), np.array([t, u])), np.array([0])
 
     def slope(s: float) -> float:
-        return float(motion.tangent(piece.points(at_0, np.array([s]))[0], t)[p])
+        return float(node(motion, piece.points(at_0, np.array([s]))[0], t).t[p])
 
     size = float(np.linalg.norm(y - x))
     s, d = CHECKS, (y - x)[p]
@@ -356,10 +351,10 @@ def _folds(motion: Motion, x: Array, t: Array, y: Array, u: Array) -> Iterator[t
     if not np.any((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
         return
     # the cubic says that there is one; the curve itself says where
-    tangents = [motion.tangent(z, t) for z in piece.points(np.zeros(len(s), dtype=int), s)]
+    tangents = [node(motion, z, t).t for z in piece.points(np.zeros(len(s), dtype=int), s)]
     rates = np.array([t[p], *(v[p] for v in tangents[1:-1]), u[p]])
     for i in np.flatnonzero((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
         at = sign_change(slope, float(s[i]), float(s[i + 1]))
         if at is not None and 0.0 < at < 1.0:
             z = piece.points(at_0, np.array([at]))[0]
-            yield z, motion.tangent(z, t)
+            yield z, node(motion, z, t).t
