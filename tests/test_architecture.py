@@ -166,3 +166,84 @@ def test_no_paths_of_a_machine():
             continue
         text = path.read_text(encoding="utf-8", errors="replace")
         assert not (hit := found.search(text)), f"{path.relative_to(ROOT)}: {hit.group() if hit else ''}"
+
+
+SOLVERS = {"lstsq", "pinv", "solve", "svd", "least_squares", "least_squares_of_many", "damped_least_squares"}
+"""Calls by which a step of Gauss, Newton or least squares is made in numpy."""
+
+OWN_LOOPS = {
+    "kinematics/gauss_newton.py gauss_newton": "the one for one start",
+    "kinematics/gauss_newton.py gauss_newton_of_many": "the one for many starts",
+    "analysis/forms.py _regular_zero": "of quadratic forms, on a sphere, judged after each step",
+    "analysis/passive.py _spins": "a basis that grows",
+    "analysis/reach.py moved_place": "motions integrated one after the other",
+    "analysis/redundancy.py _choose": "a basis that grows",
+    "analysis/transmission.py mechanical_advantage": "one kernel after the other",
+    "solvers/analytic/nearest.py descend": "bounded in each lane, with damping that grows until the error falls",
+    "solvers/home.py beside": "one move for the first task that has one",
+    "solvers/least_squares.py bounded": "an active set: the problem is linear",
+    "solvers/servo_closed.py closed": "bounded by limits of velocity, which move with the point",
+    "solvers/servo_pose.py least_in_box": "an active set: the problem is quadratic",
+    "solvers/shape.py _fit": "over the numbers of a mechanism, its configurations solved for in each step",
+}
+"""Functions outside the kernels whose loops solve linear equations for what their next round begins with, and why."""
+
+
+def calls_in(node: ast.AST) -> set[str]:
+    """The last names of all that is called in a piece of code."""
+    return {ast.unparse(n.func).rpartition(".")[2] for n in ast.walk(node) if isinstance(n, ast.Call)}
+
+
+def roots_of(target: ast.AST) -> set[str]:
+    """The names that an assignment changes."""
+    if isinstance(target, (ast.Tuple, ast.List)):
+        return set().union(*map(roots_of, target.elts))
+    while isinstance(target, (ast.Subscript, ast.Starred)):
+        target = target.value
+    return {ast.unparse(target)}
+
+
+def reads(node: ast.AST) -> set[str]:
+    return {ast.unparse(n) for n in ast.walk(node) if isinstance(n, (ast.Name, ast.Attribute))}
+
+
+def iterates(loop: ast.AST) -> bool:
+    """Whether what a loop solves changes that from which it is solved in the next round."""
+    assigned: list[tuple[set[str], set[str], bool]] = []
+    for n in ast.walk(loop):
+        if isinstance(n, (ast.Assign, ast.AugAssign)):
+            targets = n.targets if isinstance(n, ast.Assign) else [n.target]
+            changed = set().union(*map(roots_of, targets))
+            more = changed if isinstance(n, ast.AugAssign) else set()
+            assigned.append((changed, reads(n.value) | more, bool(calls_in(n.value) & SOLVERS)))
+    solved: set[str] = set()
+    for _ in assigned:
+        solved |= {name for to, of, direct in assigned if direct or of & solved for name in to}
+    return any(direct or of & solved for to, of, direct in assigned if to & of)
+
+
+def own_loops(tree: ast.Module) -> Iterator[str]:
+    for f in (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)):
+        if any(iterates(n) for n in ast.walk(f) if isinstance(n, (ast.For, ast.While))):
+            yield f.name
+
+
+def test_there_is_one_gauss_newton_loop_in_numpy():
+    """No loop beside `kinematics.gauss_newton` solves linear equations for its next point, but for those listed."""
+    found = {f"{p.relative_to(SOURCE).as_posix()} {name}" for p in MODULES if name_of(p) != "kernels"
+             for name in own_loops(ast.parse(p.read_text()))}  # fmt: skip
+    assert found == set(OWN_LOOPS)
+
+
+@pytest.mark.parametrize(("body", "own"), [
+    ("for _ in y:\n  x = x + np.linalg.lstsq(A(x), b)[0]", True),
+    ("while True:\n  s = solve(A(x), b)\n  x = move(x, s)", True),
+    ("for _ in y:\n  s = pinv(A(x)) @ b\n  x[left] += s", True),
+    ("for _ in y:\n  U, s, Vt = np.linalg.svd(J(x))\n  d = -Vt.T @ (U.T @ r / s)\n  x = x + d", True),
+    ("for a in y:\n  out.append(np.linalg.solve(a, b))", False),
+    ("for a in y:\n  x = np.linalg.solve(a, b)\n  k = k + 1", False),
+    ("x = x + np.linalg.solve(A, b)", False),
+])  # fmt: skip
+def test_loops_that_solve_for_their_next_point_are_seen(body, own):
+    tree = ast.parse("def f(x):\n" + "\n".join("  " + line for line in body.split("\n")))
+    assert list(own_loops(tree)) == ["f"] * own

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe.analysis.continuation import RANK, Closure, Node, close, node
+from kempe.analysis.continuation import Closure, close
 from kempe.analysis.crossings import branch_lines, locate
 from kempe.analysis.deflation import hold_rank
 from kempe.analysis.spins import hold_spins
@@ -19,6 +19,7 @@ from kempe.kinematics.configuration import as_q, home_of, random
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.coordinates import coordinate_names
 from kempe.reals import is_real
+from kempe.solvers.tracing import RANK, Node, node
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

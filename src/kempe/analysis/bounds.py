@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kempe.analysis.continuation import Closure, Node
+from kempe.analysis.continuation import Closure
 from kempe.analysis.events import RESTING, root
 from kempe.kinematics.one_sided import OneSided, one_sided_rows
+from kempe.solvers.tracing import Node
 from kempe.spatial import Array
 
 TOUCH = 1e-12

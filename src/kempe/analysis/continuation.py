@@ -1,44 +1,26 @@
-"""Walking along a curve of configurations: predictor along the tangent, corrector across it, steps that stay on it.
+"""The equations of a system's loops as those of a curve: some coordinates held, or inputs that follow a line.
 
-Everything is done in numbers without unit: turns in radians, slides and positions divided by the characteristic length
-of the system. A curve is where n - 1 independent equations of n unknowns hold; there may be more, dependent ones.
-Source: Allgower, Georg, *Numerical Continuation Methods*, 1990, chapters 2, 6 and 8.
+Turns are in radians, slides and positions divided by the characteristic length of the system.
 """
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from kempe.kinematics import loops
+from kempe.kinematics.gauss_newton import gauss_newton
 from kempe.model.lengths import origin_of
 from kempe.model.own_tree import own_tree
 from kempe.solvers.clock import TimeLimit
+from kempe.solvers.tracing import BLUNT, CLOSED, Curve
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-RANK = 1e-8
-"""Singular values below this, relative to the largest, count as zero."""
-CLOSED = 1e-13
-"""Residual below which the equations hold; rounding leaves about 1e-15. A shaky structure cannot move by 1e-6 then."""
-BEND = 0.25
-"""Largest angle between the tangents at both ends of a step."""
-IDEAL_BEND = 0.1
-"""Angle between tangents that the step length aims at."""
-ACROSS = 0.25
-"""Largest correction, relative to the step, that is still taken for the same curve."""
-BLUNT = 1e-7
-"""Relative singular values below which a correction is only rounding noise, blown up."""
-LARGE = 60
-"""Equations from which on normal equations are solved in place of singular value decompositions, where both will do."""
-WELL = 1e7
-"""Size of a solution of normal equations with a right-hand side of size 1 below which they are far from singular."""
 ANGLES = ("rx", "ry", "rz", "x.y")
 """Names of equations that are angles."""
 
@@ -57,7 +39,7 @@ class Further(Protocol):
         ...
 
 
-class Closure:
+class Closure(Curve):
     """The closure equations of a system, some of its coordinates held at the values of a configuration.
 
     `unit` (nv,) are the velocity coordinates of one unit of the numbers used here. `held` are indices of velocity
@@ -104,10 +86,6 @@ class Closure:
     def values(self, x: Array) -> Array:
         """What is missing in each equation (rows,) at `x`."""
         return self.both(x, False)[0]
-
-    def matrix(self, x: Array) -> Array:
-        """Derivative (rows, n) of the equations at `x`, at least as many rows as columns (zeros where none is)."""
-        return self.both(x)[1]
 
     def both(self, x: Array, with_matrix: bool = True, further: int | None = None) -> tuple[Array, Array]:
         """`values` and `matrix` in one pass; the latter is all zero unless asked for. Of further equations only the
@@ -202,172 +180,7 @@ class Driven(Closure):
         return np.append(self.base.between(x[:-1], other[:-1]), other[-1] - x[-1])
 
 
-@dataclass(frozen=True, eq=False)
-class Node:
-    """A point of a curve: where, the unit tangent, how regular it is.
-
-    `sigma` is the last singular value that is not zero on the regular curve, relative to the largest; `nullity` counts
-    those that are zero here: 1 at regular points. `lines` (k, n) are the directions of all branches at a singular
-    point, None where the point is regular.
-    """
-
-    x: Array
-    t: Array
-    sigma: float
-    nullity: int
-    matrix: Array = field(repr=False)
-    image: Array = field(repr=False)
-    lines: Array | None = None
-
-    def reversed(self) -> Node:
-        """The same point, walked the other way."""
-        return Node(self.x, -self.t, self.sigma, self.nullity, self.matrix, self.image, self.lines)
-
-
-def node(equations: Closure, x: Array, toward: Array | None = None) -> Node:
-    """The `Node` at a point of the curve; its tangent is the kernel vector nearest to `toward` (n,)."""
-    J = equations.matrix(x)
-    U, s, Vt = np.linalg.svd(J, full_matrices=False)
-    n = equations.n
-    scale = s[0] if s[0] > 0.0 else 1.0
-    nullity = int(np.sum(s <= RANK * scale))
-    t = Vt[-1]
-    if toward is not None:
-        kernel = Vt[n - max(int(np.sum(s <= BLUNT * scale)), 1) :]
-        along = kernel.T @ (kernel @ toward)
-        size = np.linalg.norm(along)
-        t = along / size if size > 0.0 else t
-    image = U[:, : n - 1]
-    sigma = float(s[n - 2] / scale) if n > 1 else 1.0
-    return Node(x, t, sigma, nullity, J, image)
-
-
-def least_squares(A: Array, b: Array, smallest: float = BLUNT) -> Array:
-    """The least x (n,) with least |A x - b|; singular values below `smallest` of the largest count as zero."""
-    if len(b) > LARGE and smallest == BLUNT:
-        return least_squares_of_many(A[None], b[None])[0]
-    return _least_squares(A, b, smallest)
-
-
-def _least_squares(A: Array, b: Array, smallest: float) -> Array:
-    return np.asarray(np.linalg.lstsq(A, b, rcond=smallest)[0], dtype=float)
-
-
-def least_squares_of_many(A: Array, b: Array) -> Array:
-    """`least_squares` of many A (k, m, n) and b (k, m): the normal equations, where these are far from singular.
-
-    A second right-hand side, in no special direction, tells how near to singular they are.
-    """
-    G, n = np.swapaxes(A, -1, -2) @ A, A.shape[-1]
-    right = np.empty((len(A), n, 2))
-    right[..., 0] = np.einsum("kmn,km->kn", A, b)
-    right[..., 1] = np.cos(np.arange(n))
-    scale = np.einsum("kii->k", G)
-    bad = np.ones(len(A), dtype=bool)
-    y = np.zeros((len(A), n))
-    with contextlib.suppress(np.linalg.LinAlgError):
-        found = np.linalg.solve(G, right)
-        bad = ~(np.linalg.norm(found[..., 1], axis=-1) * scale < WELL)
-        y[:] = found[..., 0]
-    for k in np.flatnonzero(bad):
-        y[k] = _least_squares(A[k], b[k], BLUNT)
-    return y
-
-
-def correct(equations: Closure, x: Array, across: Array, tries: int = 12) -> Array | None:
-    """The point of the curve in the plane through `x` across the direction `across` (n,), or None.
-
-    Newton's method with least squares, so that dependent equations do no harm.
-    """
-    before = np.inf
-    for _ in range(tries):
-        residual, J = equations.both(x)
-        size = float(np.abs(residual).max())
-        if not np.isfinite(size):
-            return None
-        A = np.vstack([J, across])
-        y = least_squares(A, np.append(-residual, 0.0))
-        moved = float(np.linalg.norm(y))
-        if moved > 0.5 * before:  # rounding, or no convergence
-            return x if size < equations.tolerance(x) else None
-        x = equations.move(x, y)
-        if moved < 1e-15:
-            break
-        before = moved
-    return x if float(np.abs(equations.values(x)).max()) < equations.tolerance(x) else None
-
-
 def close(equations: Closure, x: Array, tries: int = 60) -> Array | None:
     """The configuration with closed loops near `x`, by steps of least size, or None."""
-    best = np.inf
-    for _ in range(tries):
-        residual, J = equations.both(x)
-        size = float(np.abs(residual).max(initial=0.0))
-        if not np.isfinite(size):
-            return None
-        if size < 1e-15 or (size < equations.tolerance(x) and size > 0.5 * best):
-            return x
-        best = min(best, size)
-        y = least_squares(J, -residual)
-        x = equations.move(x, y * min(1.0, 0.5 / max(float(np.linalg.norm(y)), 1e-300)))
-    return x if float(np.abs(equations.values(x)).max()) < equations.tolerance(x) else None
-
-
-def step(equations: Closure, a: Node, h: float) -> Node | None:
-    """The next node at a distance of about `h`, or None where that is too far to be sure of the curve."""
-    guess = equations.move(a.x, h * a.t)
-    x = correct(equations, guess, a.t)
-    if x is None or float(np.linalg.norm(equations.between(guess, x))) > ACROSS * h:
-        return None
-    b = node(equations, x, equations.between(a.x, x))
-    return b if bend(a, b) <= BEND else None
-
-
-def bend(a: Node, b: Node) -> float:
-    """Angle between the tangents of two nodes."""
-    return 2.0 * float(np.arcsin(min(1.0, 0.5 * float(np.linalg.norm(b.t - a.t)))))
-
-
-def flipped(a: Node, b: Node) -> bool | None:
-    """Whether the determinant of the equations and the tangent changes its sign between two nodes.
-
-    It does at a simple crossing of branches, and where a step went over to another branch (Allgower, Georg, 1990,
-    section 8.1). None where the nodes are too different to tell. The image of the equations at `a` stands for both:
-    of dependent equations only independent combinations count.
-    """
-    if a.nullity > 1 or b.nullity > 1:
-        return False
-    overlap, size = np.linalg.slogdet(a.image.T @ b.image)
-    if size < np.log(0.2):
-        return None
-    sign = np.linalg.slogdet(np.vstack([a.image.T @ b.matrix, b.t]))[0]
-    own = np.linalg.slogdet(np.vstack([a.image.T @ a.matrix, a.t]))[0]
-    return bool(sign * own < 0.0)
-
-
-def inside(equations: Closure, a: Node, b: Node, distance: float, whole: bool = True) -> Node | None:
-    """The node between two neighbours at `distance` along the tangent of the first.
-
-    One that is not `whole` may lack singular values and matrices, where these cost much.
-    """
-    y = equations.between(a.x, b.x)
-    h = float(a.t @ y)
-    f = distance / h
-    guess = equations.move(a.x, distance * a.t + f * f * (y - h * a.t))
-    x = correct(equations, guess, a.t)
-    if x is None:
-        return None
-    along = (1.0 - f) * a.t + f * b.t
-    if whole or equations.rows <= LARGE:
-        return node(equations, x, along)
-    A = np.vstack([equations.matrix(x), along])
-    t = least_squares(A, np.append(np.zeros(equations.rows), 1.0))
-    return Node(x, t / np.linalg.norm(t), np.nan, 1, NONE, NONE)
-
-
-NONE = np.zeros((0, 0))
-
-
-def arc(equations: Closure, a: Node, b: Node) -> float:
-    """Length of the curve between two neighbours: the chord times 1 + angle^2/24, which leaves an error O(h^5)."""
-    return float(np.linalg.norm(equations.between(a.x, b.x))) * (1.0 + bend(a, b) ** 2 / 24.0)
+    found = gauss_newton(equations.both, x, tries, cut=BLUNT, met=1e-15, longest=0.5, move=equations.move)
+    return found.x if found.size < equations.tolerance(found.x) else None

@@ -12,23 +12,14 @@ import numpy as np
 
 from kempe.analysis.beginning import too_free
 from kempe.analysis.bounds import Limits
-from kempe.analysis.continuation import (
-    ACROSS,
-    BEND,
-    Closure,
-    Driven,
-    Node,
-    bend,
-    correct,
-    node,
-    step,
-)
+from kempe.analysis.continuation import Closure, Driven
 from kempe.analysis.crossings import branch_lines, locate, singular_node
 from kempe.analysis.deflation import hold_rank
-from kempe.analysis.events import AWKWARD, LEAST_STEP, checked, next_step, root
+from kempe.analysis.events import AWKWARD, checked, root
 from kempe.analysis.path import Event
 from kempe.analysis.spins import hold_spins, spins_held
 from kempe.errors import UnsupportedError
+from kempe.solvers.tracing import ACROSS, BEND, LEAST_STEP, Node, bend, correct, next_step, node, step
 from kempe.spatial import Array
 
 SAME_INPUT = 1e-9
@@ -229,12 +220,12 @@ def land(way: Driven, a: Node, length: float) -> Node | None:
     guess = way.move(a.x, size * a.t)
     across = np.zeros(way.n)
     across[-1] = 1.0
-    x = correct(way, guess, across)
-    if x is None or float(np.linalg.norm(way.between(guess, x))) > ACROSS * size:
+    there = correct(way, guess, across)
+    if there is None or float(np.linalg.norm(way.between(guess, there.x))) > ACROSS * size:
         return _land_on_crossing(way, a, guess, length, size)
-    b = node(way, x, way.between(a.x, x))
+    b = node(way, there.x, way.between(a.x, there.x), there.J)
     if b.sigma < AWKWARD:
-        b = _land_on_crossing(way, a, x, length, size) or b
+        b = _land_on_crossing(way, a, there.x, length, size) or b
     return b if b.t[-1] > STEEP and bend(a, b) <= BEND else None
 
 

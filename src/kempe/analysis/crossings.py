@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from kempe.analysis.continuation import RANK, Closure, Node, correct, least_squares, node
+from kempe.analysis.continuation import Closure
+from kempe.kinematics.gauss_newton import gauss_newton, least_squares
 from kempe.solvers.clock import TimeLimit
+from kempe.solvers.tracing import RANK, Node, correct, node
 from kempe.spatial import Array
 
 DIFFERENCE = 1e-5
@@ -45,16 +47,15 @@ def locate(equations: Closure, x: Array, nullity: int, reach: float, tries: int 
     n = equations.n
     left: Array = np.asarray(np.linalg.svd(equations.matrix(x))[0][:, n - nullity :], dtype=float)
     rows, k = left.shape
-    fixed, start, residual = left, x, np.inf
-    for _ in range(tries):
-        F, J = equations.both(x)
-        G = J.T @ left
-        missing = np.concatenate([F, G.T.ravel()])
-        before, residual = residual, float(np.abs(missing).max())
-        if not np.isfinite(residual) or np.linalg.norm(equations.between(start, x)) > reach:
-            return None
-        if residual < 1e-15 or (residual < SINGULAR and residual > 0.25 * before):
-            break
+    fixed, start, nq = left, x, len(x)
+
+    def both(z: Array) -> tuple[Array, Array]:
+        F, J = equations.both(z[:nq])
+        near = np.linalg.norm(equations.between(start, z[:nq])) <= reach
+        return np.concatenate([F, (z[nq:].reshape(k, rows) @ J).ravel()]) if near else np.full(1, np.inf), J
+
+    def newton(z: Array, missing: Array, J: Array) -> Array:
+        x, left = z[:nq], z[nq:].reshape(k, rows).T
         A = np.zeros((rows + n * k + k * k, n + rows * k))
         A[:rows, :n] = J
         A[rows : rows + n * k, :n] = second_order(equations, x, left, np.eye(n)).transpose(1, 0, 2).reshape(n * k, n)
@@ -62,11 +63,13 @@ def locate(equations: Closure, x: Array, nullity: int, reach: float, tries: int 
             columns = slice(n + rows * i, n + rows * (i + 1))
             A[rows + n * i : rows + n * (i + 1), columns] = J.T
             A[rows + n * k + k * i : rows + n * k + k * (i + 1), columns] = fixed.T
-        y = least_squares(A, np.concatenate([-missing, np.zeros(k * k)]), 1e-9)
-        x = equations.move(x, y[:n])
-        left = left + y[n:].reshape(k, rows).T
-    if residual > SINGULAR:
+        return least_squares(A, np.concatenate([-missing, np.zeros(k * k)]))
+
+    found = gauss_newton(both, np.append(x, left.T), tries, step=newton, met=1e-15,
+                         move=lambda z, y: np.append(equations.move(z[:nq], y[:n]), z[nq:] + y[n:]))  # fmt: skip
+    if not found.size <= SINGULAR:
         return None
+    x = found.x[:nq]
     s = np.linalg.svd(equations.matrix(x), compute_uv=False)
     found = int(np.sum(s <= RANK * s[0]))
     if found <= nullity:
@@ -112,20 +115,19 @@ def _many(forms: Array, budget: TimeLimit) -> Array:
     d = forms.shape[1]
     rng = np.random.default_rng(0)
     found: list[Array] = []
+
+    def both(u: Array) -> tuple[Array, Array]:
+        return np.append(np.einsum("i,mij,j->m", u, forms, u), 0.0), np.vstack([2.0 * forms @ u, u])
+
+    def onto(u: Array, y: Array) -> Array:
+        return (u + y) / np.linalg.norm(u + y)
+
     for _ in range(40 * 2**d):
         budget.check()
         u = rng.normal(size=d)
         u = u / np.linalg.norm(u)
-        for _ in range(40):
-            g = np.einsum("i,mij,j->m", u, forms, u)
-            A = np.vstack([2.0 * forms @ u, u])
-            change = np.linalg.lstsq(A, np.append(-g, 0.0), rcond=1e-12)[0]
-            u = u + change
-            u = u / np.linalg.norm(u)
-            if np.linalg.norm(change) < 1e-15:
-                break
-        small = np.abs(np.einsum("i,mij,j->m", u, forms, u)).max() < 1e-9
-        if small and all(abs(abs(u @ v) - 1.0) > SAME_LINE for v in found):
+        u, left, _ = gauss_newton(both, u, 40, cut=1e-12, last=1e-15, move=onto)
+        if np.abs(left).max() < 1e-9 and all(abs(abs(u @ v) - 1.0) > SAME_LINE for v in found):
             found.append(u)
     return np.array(found).reshape(-1, d)
 
@@ -138,8 +140,8 @@ def branch_lines(equations: Closure, x: Array) -> Array:
             other = correct(equations, equations.move(x, sign * PROBE * t), t)
             if other is None:
                 continue
-            y = equations.between(x, other) * sign
-            if y @ t < 0.9 * np.linalg.norm(y) or node(equations, other).nullity > 1:
+            y = equations.between(x, other.x) * sign
+            if y @ t < 0.9 * np.linalg.norm(y) or node(equations, other.x, None, other.J).nullity > 1:
                 continue
             if all(abs(t @ v) < 1.0 - SAME_LINE for v in lines):
                 lines.append(t)

@@ -11,8 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from kempe.analysis.continuation import RANK, Closure, Node, step
+from kempe.analysis.continuation import Closure
 from kempe.analysis.crossings import PROBE, second_order
+from kempe.solvers.tracing import RANK, Node, step
 from kempe.spatial import Array
 
 ALIGNED = 0.7

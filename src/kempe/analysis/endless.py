@@ -13,8 +13,8 @@ import numpy as np
 
 from kempe.analysis.beginning import MOST_TURNS, SAME_RATIO, followers
 from kempe.analysis.bounds import Limits
-from kempe.analysis.continuation import Closure, Node, bend, step
-from kempe.analysis.events import flipped
+from kempe.analysis.continuation import Closure
+from kempe.solvers.tracing import Node, bend, flipped, step
 from kempe.spatial import Array
 
 FAR = 50.0

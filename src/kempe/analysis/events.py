@@ -7,24 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kempe.analysis.continuation import (
-    BEND,
-    IDEAL_BEND,
-    LARGE,
-    Closure,
-    Node,
-    bend,
-    flipped,
-    inside,
-    node,
-    step,
-)
+from kempe.analysis.continuation import Closure
 from kempe.analysis.crossings import AHEAD, crossing, locate, singular_node
+from kempe.kinematics.gauss_newton import LARGE
 from kempe.kinematics.roots import sign_change
+from kempe.solvers import tracing
+from kempe.solvers.tracing import BEND, Node, bend, flipped, inside, node, step
 from kempe.spatial import Array
 
-LEAST_STEP = 1e-6
-"""Steps below this are given up: the curve has a cusp or an end there."""
 AWKWARD = 1e-5
 """Relative singular value below which a step had better land elsewhere: rounding is blown up there."""
 RESTING = 1e-9
@@ -48,21 +38,15 @@ class Stop:
 
 def walk(equations: Closure, a: Node, longest: float) -> Iterator[Node | Stop]:
     """Nodes of the curve after `a`, crossings among them, then perhaps a `Stop`; straight on through crossings."""
-    h = 0.25 * longest
-    while True:
+
+    def taken(a: Node, h: float) -> list[Node] | None:
         b = step(equations, a, h)
         if b is not None and b.sigma < AWKWARD:
             b = step(equations, a, 1.3 * h) or b
-        found = checked(equations, a, b)
-        if found is None:
-            h *= 0.5
-            if h < LEAST_STEP:
-                yield Stop("a point where the curve is not smooth")
-                return
-            continue
-        yield from found
-        h = next_step(h, longest, a, found[-1])
-        a = found[-1]
+        return checked(equations, a, b)
+
+    yield from tracing.walk(a, taken, longest, 0.25 * longest)
+    yield Stop("a point where the curve is not smooth")
 
 
 def checked(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
@@ -74,11 +58,6 @@ def checked(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
         return None if turned is None else [b]
     middle = crossing(equations, a, b)
     return None if middle is None else [middle, b]
-
-
-def next_step(h: float, longest: float, a: Node, b: Node) -> float:
-    """The next step length, from how much the tangent turned in the last one."""
-    return min(longest, h * min(1.5, max(0.5, IDEAL_BEND / max(bend(a, b), 1e-9))))
 
 
 def root(

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from kempe.analysis.beginning import angle_or_slide, begin, first_node, longest_step, periods, start_of
 from kempe.analysis.bounds import Limits
-from kempe.analysis.continuation import Closure, Node, arc, node
+from kempe.analysis.continuation import Closure
 from kempe.analysis.deflation import rank_held
 from kempe.analysis.endless import NO_RETURN, Endless
 from kempe.analysis.events import Stop, extreme, hidden_crossings, home, turns, walk
@@ -29,6 +29,7 @@ from kempe.reals import is_whole
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp
 from kempe.solvers.ideal import tolerant
 from kempe.solvers.slip import slip_of
+from kempe.solvers.tracing import Node, arc, node
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

@@ -11,16 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.analysis.continuation import Closure, least_squares_of_many
+from kempe.analysis.continuation import Closure
 from kempe.budget import Budget, Usual
 from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError, shown
+from kempe.kinematics.gauss_newton import gauss_newton_of_many
 from kempe.kinematics.result import Cells
 from kempe.kinematics.tabular import write_table
 from kempe.model.immovable import immovable
 from kempe.reals import is_whole
 from kempe.solvers.answer import Configurations
 from kempe.solvers.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp
+from kempe.solvers.tracing import BLUNT
 from kempe.spatial import Array
 from kempe.words import counted
 
@@ -87,10 +89,12 @@ class Track:
         y, a, b = e.between(self.q[k], self.q[k + 1]), size * t[k], size * t[k + 1]
         x = e.move(self.q[k], u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * y - u * u * (1 - u) * b)
         across = (1 - u) * t[k] + u * t[k + 1]
-        for _ in range(3):
+
+        def both(x: Array, at: np.ndarray) -> tuple[Array, Array]:
             F, J = e.many(x)
-            A = np.concatenate([J, across[:, None]], axis=1)
-            x = e.move(x, least_squares_of_many(A, np.append(-F, np.zeros((len(F), 1)), axis=1)))
+            return np.append(F, np.zeros((len(F), 1)), axis=1), np.concatenate([J, across[at, None]], axis=1)
+
+        x = gauss_newton_of_many(both, x, 3, cut=BLUNT, move=e.move)
         ends = np.flatnonzero((u[:, 0] <= 0.0) | (u[:, 0] >= 1.0))
         x[ends] = self.q[k[ends] + (u[ends, 0] >= 1.0)]
         return x

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from kempe.kinematics.gauss_newton import gauss_newton
 from kempe.spatial import Array
 
 Way = tuple[tuple[float, float], ...]
@@ -87,32 +88,35 @@ def _candidates(x: float, y: float, h: float) -> Iterator[Way]:
 def _exact(way: Way, x: float, y: float, h: float) -> Way | None:
     """The way with its lengths corrected (Newton, smallest change), None where it does not lead to the goal."""
     goal_size = 1.0 + math.hypot(x, y)
-    for _ in range(4):
-        end = end_of(way)
-        miss = np.array([x - end[0], y - end[1], wrapped(h - end[2])])
-        size = float(np.abs(miss).max())
-        if not size < MISS * goal_size:
-            return None
-        if size < HIT * goal_size:
-            return tuple(piece for piece in way if abs(piece[1]) > NOTHING)
-        more = np.linalg.pinv(_slopes(way), rcond=1e-6) @ miss
-        way = tuple((k, length + float(m)) for (k, length), m in zip(way, more, strict=True))
-    return None
+    hit = HIT * goal_size
+    lengths, miss = _corrected(way, x, y, h, 3, hit, MISS * goal_size)
+    if not np.abs(miss).max() < hit:
+        return None
+    return tuple((k, length) for (k, _), length in zip(way, lengths, strict=True) if abs(length) > NOTHING)
 
 
 def refined(way: Way, x: float, y: float, h: float) -> Way:
     """A way that leads to a pose to the last digits: corrected as long as that brings it nearer."""
-    best, least = way, math.inf
-    for _ in range(8):
-        end = end_of(way)
-        miss = np.array([x - end[0], y - end[1], wrapped(h - end[2])])
-        size = float(np.abs(miss).max())
-        if not way or not size < least:
-            break
-        best, least = way, size
-        more = np.linalg.pinv(_slopes(way), rcond=1e-6) @ miss
-        way = tuple((k, length + float(m)) for (k, length), m in zip(way, more, strict=True))
-    return best
+    return _with(way, _corrected(way, x, y, h, 8)[0]) if way else way
+
+
+def _corrected(
+    way: Way, x: float, y: float, h: float, tries: int, met: float = 0.0, most: float = math.inf
+) -> tuple[list[float], Array]:
+    """The lengths of the pieces of a way that leads to a pose, and by what it misses; by more than `most` it stays."""
+
+    def both(lengths: Array) -> tuple[Array, Array]:
+        there = _with(way, lengths)
+        end = end_of(there)
+        miss = np.array([end[0] - x, end[1] - y, wrapped(end[2] - h)])
+        return (miss if np.abs(miss).max() < most else np.full(3, math.inf)), _slopes(there)
+
+    found = gauss_newton(both, np.array([length for _, length in way]), tries, cut=1e-6, met=met)
+    return found.x.tolist(), found.r
+
+
+def _with(way: Way, lengths: Array | list[float]) -> Way:
+    return tuple((k, float(length)) for (k, _), length in zip(way, lengths, strict=True))
 
 
 def _slopes(way: Way) -> Array:

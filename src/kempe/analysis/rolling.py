@@ -17,6 +17,7 @@ import numpy as np
 from kempe.analysis.continuation import Closure
 from kempe.constraints.tape import TWIST
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
+from kempe.kinematics.gauss_newton import gauss_newton
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity import rates
 from kempe.reals import is_real
@@ -142,12 +143,10 @@ class Velocities:
         layout, q = self.system.structure.layout, q.copy()
         for i in layout.quaternion_q.tolist():
             q[i : i + 4] = unit(q[i : i + 4])
-        for _ in range(CORRECTIONS if self.loops else 0):
-            F, J = self.closure.both(q)
-            if np.abs(F).max(initial=0.0) <= self.closure.tolerance(q):
-                break
-            q = self.closure.move(q, -np.linalg.pinv(J, rcond=RANK) @ F)
-        return q
+        if not self.loops:
+            return q
+        closure = self.closure
+        return gauss_newton(closure.both, q, CORRECTIONS, cut=RANK, met=closure.tolerance(q), move=closure.move).x
 
 
 def _checked(name: str, u: Any) -> Input:

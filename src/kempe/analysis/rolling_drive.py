@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.analysis.beginning import angle_or_slide, start_of
-from kempe.analysis.continuation import RANK, Closure, close
+from kempe.analysis.continuation import Closure, close
 from kempe.errors import UnsupportedError
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity import rates
 from kempe.solvers.clock import BROKEN_OFF, TimeLimit
 from kempe.solvers.slip import slip_of
+from kempe.solvers.tracing import RANK
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.analysis.beginning import angle_or_slide
-from kempe.analysis.continuation import RANK, Closure
+from kempe.analysis.continuation import Closure
 from kempe.analysis.path import Event, Path
 from kempe.calls import brief, explained, explained_methods, listed
 from kempe.constraints.tape import TWIST
@@ -26,6 +26,7 @@ from kempe.kinematics.result import Cells, Report
 from kempe.reals import reals
 from kempe.solvers.ideal import said, tolerant
 from kempe.solvers.slip import hard_rows, rolls
+from kempe.solvers.tracing import RANK
 from kempe.spatial import Array
 from kempe.status import Status, member
 from kempe.words import counted

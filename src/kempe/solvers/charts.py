@@ -22,6 +22,7 @@ from kempe.budget import Budget
 from kempe.calls import explained, explained_methods, listed, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_q
+from kempe.kinematics.gauss_newton import gauss_newton
 from kempe.kinematics.loops import RANK_TOLERANCE, evaluate, scales
 from kempe.kinematics.result import Report
 from kempe.reals import plain
@@ -147,20 +148,15 @@ class Chart(Report):
         starts = np.broadcast_to(start, (*lead, system.nq)).reshape(-1, system.nq)
         wanted = np.broadcast_to(u, (*lead, len(given))).reshape(-1, len(given))
         out = np.array(starts)
+
+        def both(q: Array, target: Array) -> tuple[Array, Array]:
+            error, J = evaluate(system, q, True, True)
+            more = self._rates(q, given) * scale / scale[rows, None]
+            return np.append(error, (self.u(q)[: len(given)] - target) / scale[rows]), np.concatenate([J, more])
+
         for k, target in enumerate(wanted):
-            q = out[k]
-            for _ in range(TRIES):
-                error, J = evaluate(system, q, True, True)
-                missing = (target - self.u(q)[: len(given)]) / scale[rows]
-                A = np.concatenate([J, self._rates(q, given) * scale / scale[rows, None]])
-                step = np.linalg.lstsq(A, np.append(-error, missing), rcond=RANK_TOLERANCE)[0]
-                size = float(np.linalg.norm(step))
-                if not np.isfinite(size):
-                    break
-                q = system.structure.layout.integrate(q, scale * step * min(1.0, LONGEST / max(size, 1e-300)))
-                if size < 1e-14:
-                    break
-            out[k] = q
+            out[k] = gauss_newton(lambda q, u=target: both(q, u), out[k], TRIES, cut=RANK_TOLERANCE, longest=LONGEST,
+                                  move=lambda q, y: system.structure.layout.integrate(q, scale * y)).x  # fmt: skip
         return out.reshape(*lead, system.nq)
 
     def tangent(self, q: Any) -> Array:

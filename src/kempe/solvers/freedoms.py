@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.kinematics.gauss_newton import damped_least_squares, gauss_newton
 from kempe.spatial import Array
 from kempe.words import counted
 
@@ -74,13 +75,13 @@ class Local:
         r, J = packed.evaluate(q, pins, closures=True)
         return np.concatenate([r, own]), np.concatenate([J, own_J])
 
-    def moved(self, q: Array, d: Array) -> Array:
-        """The configuration (nq,) a step d (nv,) from q."""
-        return self.problem.system.structure.layout.integrate(q, d * self.problem.packed.scale)
+    def move(self, x: Array, y: Array) -> Array:
+        """The configuration (nq,) a step y (nv,) from x."""
+        return self.problem.system.structure.layout.integrate(x, y * self.problem.packed.scale)
 
-    def way(self, a: Array, b: Array) -> Array:
-        """The step (nv,) from a to b."""
-        return self.problem.system.structure.layout.difference(a, b) / self.problem.packed.scale
+    def between(self, x: Array, other: Array) -> Array:
+        """The step (nv,) from x to another configuration."""
+        return self.problem.system.structure.layout.difference(x, other) / self.problem.packed.scale
 
     def led(self, q: Array) -> Array:
         """The nearest configuration (nq,) where the equations hold as well as they can, by least squares.
@@ -88,17 +89,10 @@ class Local:
         The damping is the residual (Fan and Yuan, 2005): quadratic where the equations are independent, and by a part
         of the way each step where solutions merge.
         """
-        for _ in range(CLOSE):
-            r, J = self.equations(q)
-            size = float(np.linalg.norm(r))
-            if size < ROUNDING or not np.isfinite(size):
-                return q
-            U, s, Vt = np.linalg.svd(J, full_matrices=False)
-            d = -Vt.T @ (s / (s**2 + size) * (U.T @ r))
-            q = self.moved(q, d)
-            if np.linalg.norm(d) < STAYS:
-                return q
-        return q
+        def step(q: Array, r: Array, J: Array) -> Array:
+            return damped_least_squares(J, -r, float(np.linalg.norm(r)))
+
+        return gauss_newton(self.equations, q, CLOSE, step=step, met=ROUNDING, last=STAYS, move=self.move).x
 
     def kernel(self, q: Array, tasks: bool = True) -> tuple[Array, bool]:
         """An orthonormal basis (nv, k) of velocities that keep the equations, and whether these are independent.
@@ -114,7 +108,7 @@ class Local:
         rank = int((s > RANK_TOLERANCE * max(1.0, s[0])).sum())
         while rank and s[rank - 1] ** 2 <= 2.0 * SAME * error * STEEPEST:
             v, u = Vt[rank - 1], U[:, rank - 1]
-            ahead, behind = (self.equations(self.moved(q, h * v), tasks)[1] for h in (CURL, -CURL))
+            ahead, behind = (self.equations(self.move(q, h * v), tasks)[1] for h in (CURL, -CURL))
             curve = float(np.linalg.norm(u @ (ahead - behind))) / (2.0 * CURL)
             if s[rank - 1] ** 2 > 2.0 * SAME * error * curve:
                 break
@@ -149,7 +143,7 @@ class Local:
 
     def _dimension(self, direction: Array) -> int:
         """The dimension of the solutions beside q in a direction."""
-        there = self.led(self.moved(self.q, LENGTHS[0] * direction))
+        there = self.led(self.move(self.q, LENGTHS[0] * direction))
         basis, independent = self.kernel(there)
         if independent or basis.shape[1] == 1:
             return basis.shape[1]
@@ -164,7 +158,7 @@ class Local:
         out, d, far = [], basis[:, 0], 1.0
         for wish in np.concatenate([wishes, -wishes]):
             for h in lengths:
-                d = self.way(q, there := self.led(self.moved(q, h * basis @ wish)))
+                d = self.between(q, there := self.led(self.move(q, h * basis @ wish)))
                 far = float(np.linalg.norm(d))
                 if not KEPT * h <= far <= 5.0 * h or not self._holds(there):
                     break

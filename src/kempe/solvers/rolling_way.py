@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.kinematics.gauss_newton import gauss_newton, least_squares
 from kempe.solvers.slip import Slip, hard_rows, slip_of
 from kempe.spatial import Array
 
@@ -72,20 +73,19 @@ def _step(way: Way, i: int, part: float, q: Array) -> Array | None:
 
     The smallest such step, by Newton's method.
     """
-    system, problem, d = way.system, way.at(i, part), np.zeros(way.system.nv)
-    for _ in range(ITERATIONS):
-        x = system.structure.layout.integrate(q, d * way.scale)
-        e, J = way.missing(problem, x)
+    system, problem = way.system, way.at(i, part)
+
+    def both(d: Array) -> tuple[Array, Array]:
+        e, J = way.missing(problem, system.structure.layout.integrate(q, d * way.scale))
         A, b = hard_rows(system, system.structure.layout.integrate(q, 0.5 * d * way.scale), way.scale)
-        if b.any():
-            return None
-        if max(np.abs(e).max(initial=0.0), np.abs(A @ d).max(initial=0.0)) < HELD:
-            v, at = system.structure.layout.vector_v, system.structure.layout.vector_q
-            inside = (x[at] >= system.lower[v] - HELD) & (x[at] <= system.upper[v] + HELD)
-            return x if inside.all() else None
-        M = np.concatenate([J, A])
-        new = np.linalg.lstsq(M, np.concatenate([J @ d - e, np.zeros(len(A))]), rcond=1e-8)[0]
-        if not np.linalg.norm(new) < 10.0 * LONGEST + 2.0 * np.linalg.norm(d):
-            return None
-        d = new
-    return None
+        return np.concatenate([e, np.full(len(A), np.inf) if b.any() else A @ d]), np.concatenate([J, A])
+
+    def newton(d: Array, r: Array, M: Array) -> Array:
+        new = least_squares(M, M @ d - r, 1e-8)
+        return new - d if np.linalg.norm(new) < 10.0 * LONGEST + 2.0 * np.linalg.norm(d) else np.full(len(d), np.inf)
+
+    found = gauss_newton(both, np.zeros(system.nv), ITERATIONS - 1, step=newton, met=HELD, last=0.0)
+    layout = system.structure.layout
+    x, v, at = layout.integrate(q, found.x * way.scale), layout.vector_v, layout.vector_q
+    inside = (x[at] >= system.lower[v] - HELD) & (x[at] <= system.upper[v] + HELD)
+    return x if found.size <= HELD and inside.all() else None

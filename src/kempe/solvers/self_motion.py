@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -24,6 +25,7 @@ from kempe.solvers.reached import asked_of
 from kempe.solvers.slip import slip_of
 from kempe.solvers.targets import axis_of, points_along, task_and_axis, task_of
 from kempe.solvers.tasks import judge, pose_problem
+from kempe.solvers.tracing import NONE, Node, walk
 from kempe.spatial import Array, ArrayLike
 from kempe.words import counted
 
@@ -42,8 +44,8 @@ ALIKE = 0.98
 """Cosine above which two directions are those of one curve."""
 AT_LIMIT = 1e-6
 """How near to a limit a coordinate is at it."""
-PARTS = (1.0, 0.1, 1e-2, 1e-3, 1e-4)
-"""Parts of a step that are tried, one after the other, before the way ends."""
+SHORTEST = 1e-4
+"""Part of a step below which the way ends."""
 LEAST_PART = 0.05
 """Part of the wished direction that the freedoms must still have for the way to go on."""
 
@@ -230,56 +232,76 @@ class _Way:
             return _Half(out, False, self.time.reason(error), sign * self.wish)
 
     def _follow(self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None, out: list[Array]) -> _Half:
-        problem, system, scale, step = self.problem, self.problem.system, self.problem.packed.scale, self.step
-        before, t, given = sign * self.wish, sign * self.wish, goal is not None
-        for n in range(steps):
+        system, way = self.problem.system, sign * self.wish
+        a, given = self._node(q, way), goal is not None
+        goal = (q, a.t) if goal is None else goal
+        nothing = _Half(out, False, "where the tasks leave nothing of this direction", a.t)
+        if a.sigma < LEAST_PART:
+            return nothing
+
+        def taken(a: Node, h: float) -> list[Node] | None:
             self.time.check()
-            N = null(self.local.equations(q)[1])
-            t = N @ (N.T @ before)
-            if np.linalg.norm(t) < LEAST_PART:
-                return _Half(out, False, "where the tasks leave nothing of this direction", t)
-            t /= np.linalg.norm(t)
-            goal = (q, t) if goal is None else goal
-            for part in PARTS:
-                found, info = problem.run(system.structure.layout.integrate(q, part * step * t * scale)[None])
-                moved = system.structure.layout.difference(q, found[0]) / scale
-                if info[0, 0] == SOLVED and moved @ t >= 0.01 * part * step:
-                    break
-            else:
-                return _Half(out, False, _stop(problem, q, t, 10.0 * PARTS[-1] * step), t)
-            if (n or given) and not self.wished and self._passes(q, found[0], t, goal):
-                return _Half(out, True, "", t)
-            q, before = found[0], (before if self.wished else t)
-            out.append(q)
+            x = self._led(self.local.move(a.x, h * a.t))
+            if x is None or self.local.between(a.x, x) @ a.t < 0.01 * h:
+                return None
+            return [self._node(x, way if self.wished else a.t)]
+
+        for b in walk(a, taken, self.step, self.step, least=SHORTEST * self.step, ideal=math.inf):
+            if (out or given) and not self.wished and self._passes(a, b, goal):
+                return _Half(out, True, "", a.t)
+            out.append(b.x)
             self.done += 1
             if self.progress is not None:
                 self.progress(self.done)
-            if names := _at_limits(system, q, t):
-                return _Half(out, False, f"the limit of {names[0]!r}", t)
-        return _Half(out, False, f"the last of {steps} steps", t, True)
+            if names := _at_limits(system, b.x, a.t):
+                return _Half(out, False, f"the limit of {names[0]!r}", a.t)
+            if len(out) == steps:
+                return _Half(out, False, f"the last of {steps} steps", a.t, True)
+            if b.sigma < LEAST_PART:
+                return nothing._replace(t=b.t)
+            a = b
+        return _Half(out, False, _stop(self.problem, a.x, a.t, 10.0 * SHORTEST * self.step), a.t)
 
-    def _passes(self, a: Array, b: Array, t: Array, goal: tuple[Array, Array]) -> bool:
-        """Whether the way from a along t (nv,) to b comes through the goal.
+    def _led(self, x: Array) -> Array | None:
+        """The configuration (nq,) in which the tasks hold, nearest to x, as the solver of tasks finds it; or None."""
+        found, info = self.problem.run(x[None])
+        return found[0] if info[0, 0] == SOLVED else None
+
+    def _node(self, x: Array, toward: Array) -> Node:
+        """The node at x, its tangent what the freedoms have of a direction; `sigma` is how large that part is."""
+        N = null(self.local.equations(x)[1])
+        t = N @ (N.T @ toward)
+        size = float(np.linalg.norm(t))
+        return Node(x, t if size < LEAST_PART else t / size, size, N.shape[1], NONE, NONE)
+
+    def _passes(self, a: Node, b: Node, goal: tuple[Array, Array]) -> bool:
+        """Whether the step from a to b comes through the goal.
 
         Steps from a that are as long as the goal is ahead, each led back, end there.
         """
-        problem, (there, along) = self.problem, goal
-        system, scale = problem.system, problem.packed.scale
-        home = _short(system, a, there) / scale
-        ahead = float(home @ t)
-        reach = float(np.linalg.norm(system.structure.layout.difference(a, b) / scale))
+        (there, along), t = goal, a.t
+        home = self._short(a.x, there)
+        ahead, reach = float(home @ t), float(np.linalg.norm(self.local.between(a.x, b.x)))
         if t @ along < 0.5 or not 0.0 <= ahead <= 1.2 * reach or np.linalg.norm(home) > 2.0 * reach:
             return False
-        q = a
+        q: Array | None = a.x
         for _ in range(HOMING):
-            found, info = problem.run(system.structure.layout.integrate(q, ahead * t * scale)[None])
-            if info[0, 0] != SOLVED:
+            q = self._led(self.local.move(q, ahead * t))
+            if q is None:
                 return False
-            q, gap = found[0], _short(system, found[0], there) / scale
+            gap = self._short(q, there)
             if np.linalg.norm(gap) < MET:
                 return True
             ahead = float(gap @ t)
         return False
+
+    def _short(self, a: Array, b: Array) -> Array:
+        """The shortest step (nv,) from a to b; unlimited joints turn the short way."""
+        from kempe.kinematics.configuration import circles
+
+        v, round_ = self.problem.system.structure.layout.difference(a, b), circles(self.problem.system)
+        v[round_] -= 2.0 * np.pi * np.round(v[round_] / (2.0 * np.pi))
+        return v / self.problem.packed.scale
 
 
 def _stop(problem: Problem, q: Array, t: Array, ahead: float) -> str:
@@ -298,15 +320,6 @@ def _stop(problem: Problem, q: Array, t: Array, ahead: float) -> str:
         if max(task.measure(system, there, goals)) > 0.01 * ahead:
             return f"the bound of {task.label!r}"
     return "a point where it cannot be followed"
-
-
-def _short(system: System, a: Array, b: Array) -> Array:
-    """The shortest way (nv,) from a to b; unlimited joints turn the short way."""
-    from kempe.kinematics.configuration import circles
-
-    v, round_ = system.structure.layout.difference(a, b), circles(system)
-    v[round_] -= 2.0 * np.pi * np.round(v[round_] / (2.0 * np.pi))
-    return v
 
 
 def _at_limits(system: System, q: Array, t: Array, ahead: Array | float = 0.0) -> list[str]:

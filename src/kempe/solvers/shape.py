@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.joints import Fixed
+from kempe.kinematics.gauss_newton import gauss_newton
 from kempe.kinematics.loops import evaluate, scales
 from kempe.model.lengths import characteristic_length
 from kempe.model.own_tree import own_tree
@@ -100,17 +101,14 @@ class Valley:
 
     def settle(self, q: Array, rounds: int = 12) -> Array:
         """The configuration of the valley that Gauss-Newton steps lead to from q (nq,)."""
-        for _ in range(rounds):
-            f, U, s, Vt = self.at(q)
-            r = self.rank
-            step = -Vt[:r].T @ ((U[:, :r].T @ f) / np.maximum(s[:r], 1e-300))
-            size = float(np.linalg.norm(step))
-            if not np.isfinite(size):
-                return q
-            q = self.system.structure.layout.integrate(q, self.scale * step * min(1.0, 0.3 / max(size, 1e-300)))
-            if size < 1e-13:
-                break
-        return q
+        r, system = self.rank, self.system
+
+        def step(q: Array, f: Array, J: Array) -> Array:
+            U, s, Vt = np.linalg.svd(J)
+            return -Vt[:r].T @ ((U[:, :r].T @ f) / np.maximum(s[:r], 1e-300))
+
+        return gauss_newton(lambda q: evaluate(system, q, True, True), q, rounds, step=step, last=1e-13, longest=0.3,
+                            move=lambda q, y: system.structure.layout.integrate(q, self.scale * y)).x  # fmt: skip
 
     def residual(self, q: Array) -> Array:
         """Norms (...) of the residual at configurations (..., nq)."""

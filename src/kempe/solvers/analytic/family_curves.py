@@ -8,25 +8,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kempe.kinematics.gauss_newton import Found, gauss_newton, least_squares
 from kempe.solvers.analytic.family_points import (
     CORRECTIONS,
-    CUT,
     DIRECTIONS,
-    SETTLED,
     SINGULAR,
-    SLACK,
     Points,
 )
+from kempe.solvers.tracing import NONE, Curve, Node, step, walk
 from kempe.spatial import Array
 
 REACH, NEAR = 0.05, 3e-3
 """The first step off a solution; another one, for those that are undetermined (radians, lengths of the chain)."""
 
-LONGEST, SHORTEST = 0.12, 1e-6
-"""The longest and the shortest step along a curve (radians, lengths of the chain)."""
-
-BEND = 0.2
-"""Largest angle between tangents at the ends of a step."""
+LONGEST = 0.12
+"""The longest step along a curve (radians, lengths of the chain)."""
 
 MOST, FAR = 6000, 50.0
 """Samples of a curve at most; how many lengths a slide is followed."""
@@ -42,7 +38,7 @@ SAMPLES = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class Samples:
     """Samples theta (m, n) of a family with `dimension` freedoms; tangents (m, n) along a curve, a `basis` at the first
     sample, the largest error [m, rad]. Where the `second` (m,) smallest singular value vanishes, curves may cross."""
 
@@ -56,14 +52,19 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion(Points):
+class Motion(Points, Curve):
     """What a chain can do with its target reached to a tolerance [m, rad]."""
+
+    @property
+    def n(self) -> int:
+        """How many joints the chain has."""
+        return len(self.aim.lines)
 
     # ---- from a solution
 
-    def through(self, theta: Array, known: Callable[[Array], bool]) -> list[Curve]:
+    def through(self, theta: Array, known: Callable[[Array], bool]) -> list[Samples]:
         """The families on which a solution (n,) lies, none where it is isolated; those through `known` are left out."""
-        free, found = self.kernel(self.linear(theta)[1], least=0), list[Curve]()
+        free, found = self.kernel(self.linear(theta)[1], least=0), list[Samples]()
         if not len(free):
             return []
         far, near = REACH, self._neighbours(theta, free, REACH)
@@ -96,27 +97,44 @@ class Motion(Points):
                 seen.append(x)
         return seen
 
-    def _passes(self, curve: Curve, theta: Array) -> bool:
+    def _passes(self, curve: Samples, theta: Array) -> bool:
         near = self.nearest_on(curve.theta, theta)
         return bool(np.abs(self.gap(near, theta)).max() < 1e-3 * REACH)
 
     # ---- curves
 
-    def follow(self, theta: Array, way: Array) -> Curve | None:
+    def follow(self, theta: Array, way: Array) -> Samples | None:
         """The curve through a configuration (n,), which starts in a direction; None if it leaves the target."""
-        theta, e, J = self.corrected(theta, way[None])
-        tangent = self._tangent(J, way)
-        x, t, second, end, worst = self._trace(theta, tangent)
+        theta, _, J = self.led(theta, way[None])
+        first = self.node(theta, way, J)
+        nodes, end = self._trace(first)
+        other = end
         if end != "closed":
-            back_x, back_t, back, other, more = self._trace(theta, -tangent)
-            worst = max(worst, more)
-            if "off" in (end, other) and worst > 1e-3 * self.tolerance and self.spectrum(J)[0] > self.undetermined:
-                return None
-            x, t = np.vstack([back_x[:0:-1], x]), np.vstack([-back_t[:0:-1], t])
-            second = np.concatenate([back[:0:-1], second])
-        return Curve(1, x, t, t[:1], end == "closed", max(worst, self.missed(e)), second)
+            back, other = self._trace(first.reversed())
+            nodes = [*(a.reversed() for a in back[:0:-1]), *nodes]
+        x, t = np.array([a.x for a in nodes]), np.array([a.t for a in nodes])
+        worst = max(map(self.missed, self.linear_each(x)[0]))
+        if "off" in (end, other) and worst > 1e-3 * self.tolerance and self.spectrum(J)[0] > self.undetermined:
+            return None
+        return Samples(1, x, t, t[:1], end == "closed", worst, np.array([a.sigma for a in nodes]))
 
-    def crossings_of(self, curve: Curve) -> Iterator[Array]:
+    def corrected(self, x: Array, across: Array) -> Found | None:
+        """What is found on target near x (n,), in the plane across a direction, or None."""
+        found = self.led(x, across[None])
+        return found if self.on_target(found.r) else None
+
+    def node(self, x: Array, toward: Array, J: Array) -> Node:
+        """The node at a configuration (n,); its `sigma` is the second smallest singular value."""
+        moves, t = self.aim.moves, np.zeros(len(x))
+        _, s, Vt = np.linalg.svd(J[:, moves])
+        s = np.append(s, np.zeros(len(moves) - len(s)))
+        free = Vt[len(moves) - max(1, int((s <= SINGULAR).sum())) :]
+        t[moves] = (free @ toward[moves]) @ free
+        size, whole = math.sqrt(t @ t), math.sqrt(toward @ toward)
+        t = t / size if size > 0.1 * whole else toward / whole
+        return Node(x, t, float(s[-2]) if len(s) > 1 else math.inf, 1, NONE, NONE)
+
+    def crossings_of(self, curve: Samples) -> Iterator[Array]:
         """Points (n,) of a curve in which others may cross it: its Jacobian loses one more rank."""
         from scipy.optimize import minimize_scalar  # only here: most targets have no families
 
@@ -126,7 +144,7 @@ class Motion(Points):
             t = curve.tangents[k : k + 1]
 
             def at(s: float, x: Array = curve.theta[k], t: Array = t) -> tuple[Array, Array]:
-                point, _, J = self.corrected(x + s * t[0], t)
+                point, _, J = self.led(x + s * t[0], t)
                 return point, J
 
             found = minimize_scalar(lambda s, at=at: self.spectrum(at(s)[1])[1], bounds=(-LONGEST, LONGEST),
@@ -134,53 +152,29 @@ class Motion(Points):
             if found.fun < SINGULAR:
                 yield at(found.x)[0]
 
-    def _tangent(self, J: Array, way: Array) -> Array:
-        free = self.kernel(J)
-        t = (free @ way) @ free
-        size = float(np.linalg.norm(t))
-        return t / size if size > 0.1 else way
-
-    def _trace(self, first: Array, way: Array) -> tuple[Array, Array, Array, str, float]:
-        """Samples, tangents (m, n), second singular values one way, its end ("closed", "far", "off"), largest error."""
-        x, t, h = first, way, REACH
-        xs, ts, end, worst = [x], [t], "off", 0.0
-        second = [self.spectrum(self.linear(x)[1])[1]]
-        while len(xs) < MOST:
-            ahead = x + h * t
-            new, e, J = self.corrected(ahead, t[None])
-            turn = self._tangent(J, t)
-            bend = math.acos(min(1.0, max(-1.0, float(t @ turn))))
-            missed = self.missed(e)
-            if missed > SLACK * self.tolerance or bend > BEND or np.abs(new - ahead).max() > 0.3 * h:
-                h *= 0.5
-                if h < SHORTEST:
-                    break
-                continue
-            worst = max(worst, missed)
-            if len(xs) > 3 and self._returns(x, t, h, first, way):
-                end = "closed"
+    def _trace(self, first: Node) -> tuple[list[Node], str]:
+        """Nodes one way, and its end: "closed", "far", or "off"."""
+        nodes = [first]
+        for b in walk(first, lambda a, h: None if (c := step(self, a, h)) is None else [c], LONGEST, REACH):
+            if len(nodes) > 3 and self._returns(nodes[-1], b, first):
+                return nodes, "closed"
+            nodes.append(b)
+            if np.abs(b.x - first.x)[self.aim.slides].max(initial=0.0) > FAR:
+                return nodes, "far"
+            if len(nodes) == MOST:
                 break
-            x, t = new, turn
-            xs.append(x)
-            ts.append(t)
-            second.append(self.spectrum(J)[1])
-            if np.abs(x - first)[self.aim.slides].max(initial=0.0) > FAR:
-                end = "far"
-                break
-            if bend < 0.4 * BEND:
-                h = min(1.5 * h, LONGEST)
-        return np.array(xs), np.array(ts), np.array(second), end, worst
+        return nodes, "off"
 
-    def _returns(self, x: Array, t: Array, h: float, first: Array, way: Array) -> bool:
-        """Whether a step from x along t passes the first sample."""
-        rest = self.gap(first, x)
-        along = float(rest @ t)
-        if not -0.01 * h < along <= 1.01 * h or float(t @ way) < 0.8 or np.linalg.norm(rest - along * t) > 0.3 * h:
+    def _returns(self, a: Node, b: Node, first: Node) -> bool:
+        """Whether the step from a to b passes the first node."""
+        rest, h = self.gap(first.x, a.x), float((b.x - a.x) @ a.t)
+        along = float(rest @ a.t)
+        if not -0.01 * h < along <= 1.01 * h or a.t @ first.t < 0.8 or np.linalg.norm(rest - along * a.t) > 0.3 * h:
             return False
-        there, _, _ = self.corrected(x + along * t, t[None])
-        return bool(np.linalg.norm(self.gap(first, there)) < 0.02 * h)
+        there, _, _ = self.led(a.x + along * a.t, a.t[None])
+        return bool(np.linalg.norm(self.gap(first.x, there)) < 0.02 * h)
 
-    def parameter(self, curve: Curve) -> int | None:
+    def parameter(self, curve: Samples) -> int | None:
         """The joint whose value picks one configuration of a curve; None where none does.
 
         Of several that do, the first that is not much slower than the others.
@@ -205,11 +199,11 @@ class Motion(Points):
             return samples[0]
         x, way = samples[k], self.gap(samples[k - 1], samples[k]) if k else self.gap(samples[0], samples[1])
         for _ in range(20):
-            way = self._tangent(self.linear(x)[1], way / np.linalg.norm(way))
+            way = self.node(x, way, self.linear(x)[1]).t
             step = float(self.gap(theta, x) @ way)
             if abs(step) < 1e-12:
                 break
-            x, _, _ = self.corrected(x + max(-LONGEST, min(LONGEST, step)) * way, way[None])
+            x, _, _ = self.led(x + max(-LONGEST, min(LONGEST, step)) * way, way[None])
         return x
 
     def crossings(self, samples: Array, closed: bool, i: int, value: float) -> Array:
@@ -239,15 +233,15 @@ class Motion(Points):
         out, before = [x[0]], None
         for a, b in zip(x[:-1], x[1:], strict=True):
             way = (b - a) / max(float(np.linalg.norm(b - a)), 1e-300)
-            ta = self._tangent(self.linear(a)[1], way)[i] if before is None else before
-            tb = self._tangent(self.linear(b)[1], way)[i]
+            ta = self.node(a, way, self.linear(a)[1]).t[i] if before is None else before
+            tb = self.node(b, way, self.linear(b)[1]).t[i]
             before = tb
             if ta * tb < 0.0:
                 low, high, point = 0.0, 1.0, a
                 for _ in range(40):
                     middle = 0.5 * (low + high)
-                    point, _, J = self.corrected(a + middle * (b - a), way[None])
-                    low, high = (middle, high) if self._tangent(J, way)[i] * ta > 0.0 else (low, middle)
+                    point, _, J = self.led(a + middle * (b - a), way[None])
+                    low, high = (middle, high) if self.node(point, way, J).t[i] * ta > 0.0 else (low, middle)
                 out.append(point)
             out.append(b)
         return np.array(out)
@@ -255,45 +249,40 @@ class Motion(Points):
     def _with_value(self, theta: Array, at: list[int], values: Array) -> Array | None:
         """A configuration on target near theta (n,) in which joints have values; None if none is found."""
         units = np.eye(len(theta))[at]
-        for _ in range(2 * CORRECTIONS):
+
+        def both(theta: Array) -> tuple[Array, Array]:
             e, J = self.linear(theta)
-            step = np.linalg.lstsq(np.vstack([J, units]), np.concatenate([e, values - theta[at]]), rcond=1e-9)[0]
-            size = float(np.abs(step).max())
-            theta = theta + step * min(1.0, 0.5 / max(size, 1e-300))
-            if size < SETTLED:
-                break
-        good = np.abs(theta[at] - values).max() < 1e-9 and self.on_target(self.linear(theta)[0])
-        return theta if good else None
+            return np.concatenate([-e, theta[at] - values]), np.vstack([J, units])
+
+        theta, left, _ = gauss_newton(both, theta, 2 * CORRECTIONS, longest=0.5)
+        e, off = np.split(left, [len(left) - len(at)])
+        return theta if np.abs(off).max() < 1e-9 and self.on_target(e) else None
 
     # ---- more than one freedom
 
-    def _surface(self, theta: Array, start: Array, wide: Array) -> Curve:
+    def _surface(self, theta: Array, start: Array, wide: Array) -> Samples:
         """A family with several freedoms, those `wide` (d, n) next to a solution: samples of a random walk on it."""
         rng, x, out, worst, d = np.random.default_rng(2), start, [theta, start], 0.0, len(wide)
         for _ in range(SAMPLES):
             free = self.kernel(self.linear(x)[1], d)
             way, far = rng.normal(size=d) @ (free if len(free) == d else wide @ free.T @ free), 0.6 * rng.random()
             ahead = x + far * way / np.linalg.norm(way)
-            new = self.corrected(ahead, free)[0] if len(free) == d else self.at_distance(x, ahead[None], far)[0]
+            new = self.led(ahead, free)[0] if len(free) == d else self.at_distance(x, ahead[None], far)[0]
             if np.isfinite(new[0]) and self.on_target(e := self.linear(new)[0]):
                 x, worst = new, max(worst, self.missed(e))
                 out.append(x)
         free = self.kernel(self.linear(theta)[1], d)
         basis = free if len(free) == d else wide
-        return Curve(d, np.array(out), np.zeros((0, len(theta))), basis, False, worst, np.zeros(0))
+        return Samples(d, np.array(out), np.zeros((0, len(theta))), basis, False, worst, np.zeros(0))
 
     def projected(self, theta: Array, dimension: int) -> Array:
         """The configuration on target next to theta (n,), by shortest steps."""
-        x = theta
-        for _ in range(2 * CORRECTIONS):
-            e, J = self.linear(x)
+        def step(_: Array, e: Array, J: Array) -> Array:
             free = self.kernel(J, dimension)
-            step = np.linalg.lstsq(J - (J @ free.T) @ free, e, rcond=CUT)[0]
-            size = float(np.abs(step).max())
-            x = x + step * min(1.0, 0.5 / max(size, 1e-300))
-            if size < SETTLED:
-                break
-        return x if self.on_target(self.linear(x)[0]) else np.full_like(x, math.inf)
+            return least_squares(J - (J @ free.T) @ free, e)
+
+        x, e, _ = gauss_newton(self.linear, theta, 2 * CORRECTIONS, step=step, longest=0.5)
+        return x if self.on_target(e) else np.full_like(x, math.inf)
 
     def joined(self, theta: Array, samples: Array, dimension: int) -> bool:
         """Whether a walk straight towards one of the samples reaches it without leaving the target."""
@@ -308,7 +297,7 @@ class Motion(Points):
             size = float(np.linalg.norm(step))
             if size < 1e-2 * far:
                 return False
-            x, e, _ = self.corrected(x + step * min(1.0, 0.2 / size), free)
+            x, e, _ = self.led(x + step * min(1.0, 0.2 / size), free)
             if not self.on_target(e):
                 return False
         return False

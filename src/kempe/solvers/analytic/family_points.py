@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from kempe import spatial
+from kempe.kinematics.gauss_newton import Found, gauss_newton, gauss_newton_of_many, least_squares
 from kempe.solvers.analytic.nearest import Aim
 from kempe.spatial import Array
 
@@ -20,11 +21,8 @@ UNDETERMINED = 5e-9
 """Singular values below this leave a solution undetermined by more than rounding of its target times 1e8: then the part
 of a curve that is on target within the tolerance counts as a family, though it is not all of it."""
 
-CUT = 1e-9
-"""Singular values below this fraction of the largest are not used in corrections."""
-
-CORRECTIONS, SETTLED, QUADRATIC = 12, 1e-13, 1e-8
-"""Corrections of a step at most; one that is nothing; one after which the next would be nothing."""
+CORRECTIONS, FURTHEST, EXACT = 12, 1.0, 3e-14
+"""Corrections of a step at most; one that is longer leads elsewhere, and is not taken; an error that is rounding."""
 
 SLACK = 1.01
 """How much more than the tolerance the error may be along a family."""
@@ -95,19 +93,13 @@ class Points:
         out[:, moves] = Vt[len(moves) - d :]
         return out
 
-    def corrected(self, theta: Array, free: Array) -> tuple[Array, Array, Array]:
+    def led(self, theta: Array, free: Array) -> Found:
         """Variables (n,) moved across directions `free` (d, n) until the error is least; error and Jacobian there."""
-        e, J = self.linear(theta)
-        for _ in range(CORRECTIONS):
-            step = np.linalg.lstsq(J - (J @ free.T) @ free, e, rcond=CUT)[0]
-            size = float(np.abs(step).max(initial=0.0))
-            if size < SETTLED or size > 1.0:
-                break
-            theta = theta + step
-            e, J = self.linear(theta)
-            if size < QUADRATIC:
-                break
-        return theta, e, J
+        def step(theta: Array, e: Array, J: Array) -> Array:
+            y = least_squares(J - (J @ free.T) @ free, e)
+            return y if np.abs(y).max(initial=0.0) <= FURTHEST else np.full(len(y), math.inf)
+
+        return gauss_newton(self.linear, theta, CORRECTIONS, step=step, met=EXACT)
 
     def on_target(self, e: Array) -> bool:
         """Whether these errors are within the tolerance."""
@@ -148,22 +140,15 @@ class Points:
 
     def at_distance(self, centre: Array, starts: Array, far: float) -> Array:
         """Configurations (N, n) on target so far from `centre` (n,), from starts (N, n); NaN where none is found."""
-        theta, left = starts.copy(), np.arange(len(starts))
-        for _ in range(2 * CORRECTIONS):
-            r = theta[left] - centre
+        def both(theta: Array, _: np.ndarray) -> tuple[Array, Array]:
+            r = theta - centre
             size = np.linalg.norm(r, axis=1)
-            lost = ~((size > 0.3 * far) & (size < 3.0 * far))
-            theta[left[lost]] = np.nan
-            left, r, size = left[~lost], r[~lost], size[~lost]
-            if not len(left):
-                break
-            e, J = self.linear_each(theta[left])
+            e, J = self.linear_each(theta)
+            e[~((size > 0.3 * far) & (size < 3.0 * far))] = np.nan
             rows = np.concatenate([J, (r / size[:, None])[:, None]], axis=1)
-            step = np.linalg.pinv(rows, rcond=CUT) @ np.concatenate([e, (far - size)[:, None]], axis=1)[..., None]
-            theta[left] += step[..., 0]
-            left = left[np.abs(step).max(axis=(1, 2)) >= SETTLED]
-            if not len(left):
-                break
+            return np.concatenate([-e, (size - far)[:, None]], axis=1), rows
+
+        theta = gauss_newton_of_many(both, starts, 2 * CORRECTIONS)
         found = np.flatnonzero(np.isfinite(theta[:, 0]))
         off = [not self.on_target(e) for e in self.linear_each(theta[found])[0]]
         theta[found[off]] = np.nan

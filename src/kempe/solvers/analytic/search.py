@@ -8,6 +8,7 @@ import numpy as np
 
 from kempe.kernels import analytic_layout as A
 from kempe.kernels.layout import SLIDE
+from kempe.kinematics.gauss_newton import gauss_newton_of_many
 from kempe.solvers.analytic.nearest import Aim
 from kempe.solvers.analytic.plan import TASKS, Plan
 from kempe.solvers.analytic.question import Question
@@ -53,16 +54,18 @@ def _solutions(question: Question, plan: Plan, target: Array, locked: Array) -> 
     theta = np.where(lines.kinds == SLIDE, rng.uniform(-2.0, 2.0, (STARTS, len(lines))),
                      rng.uniform(-np.pi, np.pi, (STARTS, len(lines))))  # fmt: skip
     theta[:, list(plan.locked)] = lines.theta(locked)[list(plan.locked)]
-    for _ in range(STEPS):
-        e, J = aim.at(theta)
-        size = np.linalg.norm(e, axis=1)
-        damping = np.minimum(0.05 * size**2, 0.1) + FLOOR
+
+    def damped(e: Array, J: Array) -> Array:
+        damping = np.minimum(0.05 * (e * e).sum(axis=1), 0.1) + FLOOR
         N = np.swapaxes(J, 1, 2) @ J
         damping += FLOOR * np.trace(N, axis1=1, axis2=2)  # else LU may find it singular
         N += damping[:, None, None] * np.eye(len(moves))
-        step = np.linalg.solve(N, np.swapaxes(J, 1, 2) @ e[..., None])[..., 0]
-        step *= np.minimum(1.0, LONGEST / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
-        theta[:, moves] += np.where(size[:, None] > 1e-15, step, 0.0)
+        y = np.zeros((len(e), len(lines)))
+        y[:, moves] = np.linalg.solve(N, np.swapaxes(J, 1, 2) @ e[..., None])[..., 0]
+        return y
+
+    theta = gauss_newton_of_many(lambda x, _: aim.at(x), theta, STEPS, step=damped, met=1e-15, last=0.0,
+                                 longest=LONGEST)  # fmt: skip
     size = np.linalg.norm(aim.at(theta)[0], axis=1)
     found, error = [], []
     for k in np.flatnonzero(size <= question.tolerance / max(lines.length, 1.0)):

@@ -15,21 +15,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kempe.kernels.layout import SLIDE
+from kempe.kinematics.gauss_newton import Found, gauss_newton_of_many
 from kempe.kinematics.roots import sign_change
 from kempe.model.system import System
 from kempe.solvers.analytic.lines import Lines
 from kempe.solvers.analytic.plan import TASKS
 from kempe.solvers.targets import frame_of, points_along
+from kempe.solvers.tracing import ACROSS, Curve, Node, node, step, walk
 from kempe.spatial import Array
 
-LONGEST, SHORTEST, MOST_STEPS = 0.15, 1e-6, 4000
-"""Steps along a curve [rad, lengths of the chain], and how many a curve may have."""
+LONGEST, MOST_STEPS = 0.15, 4000
+"""The longest step along a curve [rad, lengths of the chain], and how many a curve may have."""
 
-BEND, ASIDE = 0.2, 0.3
-"""Largest turn of the tangent in a step [rad], and largest correction, as a fraction of the step."""
-
-CONVERGED, RANK = 1e-13, 1e-9
-"""Error of a corrected configuration; singular values below this fraction of the largest are zero."""
+CONVERGED, HELD = 1e-13, 1e-11
+"""Error of a configuration that is corrected no further, and of one that is taken for good."""
 
 CHECKS = np.linspace(0.0, 1.0, 6)
 """Places in a step where folds and limits are looked for: a pair of them closer than that is missed."""
@@ -38,7 +37,7 @@ TWO_PI = 2.0 * math.pi
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(Curve):
     """A chain that keeps its task at a target, with one freedom: joints `free` of the chain move, that at `p` of these
     is the parameter, the others stay as in `base` (nq,). x are the free coordinates, slides in lengths of the chain."""
 
@@ -51,6 +50,11 @@ class Motion:
     base: Array = field(repr=False)
     free: tuple[int, ...]
     p: int
+
+    @property
+    def n(self) -> int:
+        """How many joints move."""
+        return len(self.free)
 
     @property
     def unit(self) -> Array:
@@ -112,28 +116,29 @@ class Motion:
         J = np.concatenate([self.tool.T @ J[..., :3, :] / self.lines.length, self.tool.T @ J[..., 3:, :]], axis=-2)
         return self.rows[:, None] * J
 
-    def error(self, x: Array) -> tuple[Array, Array]:
-        """The twist (..., 6) that is missing at x (..., nf), and the Jacobian."""
-        return self.missing(self.q(x)), self.jacobian(x)
+    def both(self, x: Array) -> tuple[Array, Array]:
+        """Minus the twist that is missing at x (nf,), and the derivatives, rows of zeros below."""
+        return np.append(-self.missing(self.q(x)), np.zeros(max(self.n - 6, 0))), self.matrix(x)
 
-    def corrected(self, x: Array, across: Array, rounds: int = 8) -> tuple[Array, np.ndarray]:
+    def matrix(self, x: Array) -> Array:
+        """The derivatives of `both` alone."""
+        return np.append(self.jacobian(x), np.zeros((max(self.n - 6, 0), self.n)), axis=0)
+
+    def tolerance(self, x: Array) -> float:
+        """Error below which a point is on the curve."""
+        return HELD
+
+    def closed(self, x: Array, across: Array, rounds: int = 8) -> tuple[Array, np.ndarray]:
         """Points (m, nf) of the curve in planes through x (m, nf) across directions (m, nf), and whether found (m,)."""
-        x, at = x.copy(), np.sum(across * x, axis=-1)
-        good = np.zeros(len(x), dtype=bool)
-        for _ in range(rounds):
-            e, J = self.error(x)
-            A = np.concatenate([J, across[:, None]], axis=-2)
-            b = np.concatenate([e, (at - np.sum(across * x, axis=-1))[:, None]], axis=-1)
-            good = np.abs(b).max(axis=-1) < CONVERGED
-            if good.all():
-                break
-            x = x + np.einsum("...ij,...j->...i", np.linalg.pinv(A, rcond=RANK), b)
-        return x, good | (np.abs(self.missing(self.q(x))).max(axis=-1) < 1e-11)
+        at = np.sum(across * x, axis=-1)
 
-    def tangent(self, x: Array, like: Array | None = None) -> Array:
-        """Unit tangent (nf,) of the curve at x (nf,), in the sense of `like`."""
-        t = np.linalg.svd(self.jacobian(x[None])[0])[2][-1]
-        return -t if like is not None and t @ like < 0.0 else t
+        def both(x: Array, some: np.ndarray) -> tuple[Array, Array]:
+            e, J = self.missing(self.q(x)), self.jacobian(x)
+            away = np.sum(across[some] * x, axis=-1) - at[some]
+            return np.append(-e, away[:, None], axis=-1), np.append(J, across[some, None], axis=-2)
+
+        x = gauss_newton_of_many(both, x, rounds, met=CONVERGED)
+        return x, np.abs(self.missing(self.q(x))).max(axis=-1) < HELD
 
     def gap(self, x: Array, y: Array) -> Array:
         """y - x (..., nf), angles the short way."""
@@ -174,7 +179,7 @@ class Arc:
         """Points (m, nf) of the curve at fractions s (m,) of steps k (m,)."""
         across = self.x[k + 1] - self.x[k]
         across /= np.linalg.norm(across, axis=-1, keepdims=True)
-        return self.motion.corrected(self.guess(k, s), across)[0]
+        return self.motion.closed(self.guess(k, s), across)[0]
 
     def at(self, values: Array) -> tuple[Array, np.ndarray]:
         """Points (m, nf) at values (m,) of the parameter, and whether the arc is there (m,)."""
@@ -194,12 +199,12 @@ class Arc:
         x[:, p] = v
         across = np.zeros_like(x)
         across[:, p] = 1.0
-        better, good = self.motion.corrected(x, across)
+        better, good = self.motion.closed(x, across)
         steps = np.linalg.norm(self.x[k + 1] - self.x[k], axis=-1)
         good &= np.linalg.norm(better - x, axis=-1) < 0.5 * steps + 1e-6
-        for node in (0, -1):  # the ends are folds, where the corrector has nothing to hold on to
-            at_end = np.abs(v - known[node]) <= 1e-14 * (1.0 + abs(known[node]))
-            better[at_end], good[at_end] = self.x[node], True
+        for end in (0, -1):  # the ends are folds, where the corrector has nothing to hold on to
+            at_end = np.abs(v - known[end]) <= 1e-14 * (1.0 + abs(known[end]))
+            better[at_end], good[at_end] = self.x[end], True
         out[there], there[there] = better, good
         return out, there
 
@@ -233,33 +238,33 @@ class Arc:
                     continue
                 period = m.period[j] if math.isfinite(m.period[j]) else 1e30
                 lap = np.floor((some[..., j] - limit) / period)
-                for step, i in zip(*np.nonzero(lap[:, 1:] != lap[:, :-1]), strict=True):
-                    lifted = max(lap[step, i], lap[step, i + 1])
-                    found.append((int(step), int(i), j, float(limit + period * lifted if lifted else limit)))
+                for k, i in zip(*np.nonzero(lap[:, 1:] != lap[:, :-1]), strict=True):
+                    lifted = max(lap[k, i], lap[k, i + 1])
+                    found.append((int(k), int(i), j, float(limit + period * lifted if lifted else limit)))
         if not found:
             return
-        step, i, joint, level = (np.array(column) for column in zip(*found, strict=True))
+        at, i, joint, level = (np.array(column) for column in zip(*found, strict=True))
         low, high = CHECKS[i], CHECKS[i + 1]
-        rows = np.arange(len(step))
-        rising = self.guess(step, high)[rows, joint] > self.guess(step, low)[rows, joint]
+        rows = np.arange(len(at))
+        rising = self.guess(at, high)[rows, joint] > self.guess(at, low)[rows, joint]
         for _ in range(30):
             s = 0.5 * (low + high)
-            before = (self.guess(step, s)[rows, joint] < level) == rising
+            before = (self.guess(at, s)[rows, joint] < level) == rising
             low, high = np.where(before, s, low), np.where(before, high, s)
-        first = self.guess(step, 0.5 * (low + high))
+        first = self.guess(at, 0.5 * (low + high))
         first[rows, joint] = level
-        x, good = m.corrected(first, np.eye(some.shape[-1])[joint])
-        size = np.linalg.norm(self.x[step + 1] - self.x[step], axis=-1)
+        x, good = m.closed(first, np.eye(some.shape[-1])[joint])
+        size = np.linalg.norm(self.x[at + 1] - self.x[at], axis=-1)
         good &= np.linalg.norm(x - first, axis=-1) < 0.05 * size + 1e-9
         for r in rows:
             if not good[r]:  # the joint only grazes its limit: found on the curve, step by step
-                f = lambda s, r=r: float(self.points(step[[r]], np.array([s]))[0, joint[r]] - level[r])  # noqa: E731
+                f = lambda s, r=r: float(self.points(at[[r]], np.array([s]))[0, joint[r]] - level[r])  # noqa: E731
                 s = sign_change(f, float(CHECKS[i[r]]), float(CHECKS[i[r] + 1]))
                 if s is None:
                     continue
                 low[r] = high[r] = s
-                x[r] = self.points(step[[r]], np.array([s]))[0]
-            yield float(step[r] + 0.5 * (low[r] + high[r])), float(np.clip(x[r, m.p], self.values[0], self.values[-1]))
+                x[r] = self.points(at[[r]], np.array([s]))[0]
+            yield float(at[r] + 0.5 * (low[r] + high[r])), float(np.clip(x[r, m.p], self.values[0], self.values[-1]))
 
 
 def rotation_vector(R: Array) -> Array:
@@ -286,40 +291,35 @@ def follow(
 
     Where the curve has no tangent, or is too long, the last node is inside.
     """
-    xs, ts, h = [start], [tangent], LONGEST
-    while len(xs) < MOST_STEPS and h > SHORTEST:
-        x, t = xs[-1], ts[-1]
-        nxt, good = motion.corrected((x + h * t)[None], t[None], 5)
-        y = nxt[0]
-        u = motion.tangent(y, t) if good[0] else t
-        bend = math.acos(min(1.0, max(-1.0, float(t @ u))))
-        if not good[0] or float(np.linalg.norm(y - x - h * t)) > ASIDE * h or bend > BEND:
-            h *= 0.5
-            continue
-        value = float(y[motion.p])
-        if not between[0] <= value <= between[1]:
-            end = _landed(motion, x, t, y, u, between[0] if value < between[0] else between[1])
-            if end is None:
-                h *= 0.5
-                continue
-            return [*xs, end], [*ts, motion.tangent(end, t)]
-        xs.append(y)
-        ts.append(u)
-        h = min(LONGEST, h * (1.6 if bend < 0.4 * BEND else 1.0))
-    return xs, ts
+    nodes, ends = [node(motion, start, tangent)], list[Node]()
+
+    def taken(a: Node, h: float) -> list[Node] | None:
+        b = step(motion, a, h)
+        if b is None or between[0] <= b.x[motion.p] <= between[1]:
+            return None if b is None else [b]
+        end = _landed(motion, a, b, between[0] if b.x[motion.p] < between[0] else between[1])
+        ends[:] = [] if end is None else [node(motion, end.x, a.t, end.J)]
+        return ends or None
+
+    for b in walk(nodes[0], taken, LONGEST, LONGEST):
+        nodes.append(b)
+        if ends or len(nodes) == MOST_STEPS:
+            break
+    return [a.x for a in nodes], [a.t for a in nodes]
 
 
-def _landed(motion: Motion, x: Array, t: Array, y: Array, u: Array, value: float) -> Array | None:
-    """The point of a step where the parameter has a value, None where there is none."""
+def _landed(motion: Motion, a: Node, b: Node, value: float) -> Found | None:
+    """What is found in a step where the parameter has a value, None where there is none."""
     p = motion.p
-    ends = x[None], t[None], y[None], u[None]
+    ends = a.x[None], a.t[None], b.x[None], b.t[None]
     s = sign_change(lambda s: float(hermite(*ends, np.array([s]))[0, p] - value), 1e-9, 1.0)
     if s is None:
         return None
-    guess = hermite(x[None], t[None], y[None], u[None], np.array([s]))
-    guess[0, p] = value
-    end, good = motion.corrected(guess, np.eye(len(x))[[p]])
-    return end[0] if good[0] and np.linalg.norm(end[0] - guess[0]) <= ASIDE * np.linalg.norm(y - x) else None
+    guess = hermite(*ends, np.array([s]))[0]
+    guess[p] = value
+    end = motion.corrected(guess, np.eye(motion.n)[p])
+    near = end is not None and np.linalg.norm(end.x - guess) <= ACROSS * np.linalg.norm(b.x - a.x)
+    return end if near else None
 
 
 def pieces(motion: Motion, xs: list[Array], ts: list[Array]) -> list[tuple[Array, Array]]:
@@ -339,10 +339,10 @@ def pieces(motion: Motion, xs: list[Array], ts: list[Array]) -> list[tuple[Array
 
 def _folds(motion: Motion, x: Array, t: Array, y: Array, u: Array) -> Iterator[tuple[Array, Array]]:
     """Points and tangents in a step where the parameter turns back."""
-    p, step, at_0 = motion.p, Arc(motion, np.array([x, y]), np.array([t, u])), np.array([0])
+    p, piece, at_0 = motion.p, Arc(motion, np.array([x, y]), np.array([t, u])), np.array([0])
 
     def slope(s: float) -> float:
-        return float(motion.tangent(step.points(at_0, np.array([s]))[0], t)[p])
+        return float(node(motion, piece.points(at_0, np.array([s]))[0], t).t[p])
 
     size = float(np.linalg.norm(y - x))
     s, d = CHECKS, (y - x)[p]
@@ -351,10 +351,10 @@ def _folds(motion: Motion, x: Array, t: Array, y: Array, u: Array) -> Iterator[t
     if not np.any((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
         return
     # the cubic says that there is one; the curve itself says where
-    tangents = [motion.tangent(z, t) for z in step.points(np.zeros(len(s), dtype=int), s)]
+    tangents = [node(motion, z, t).t for z in piece.points(np.zeros(len(s), dtype=int), s)]
     rates = np.array([t[p], *(v[p] for v in tangents[1:-1]), u[p]])
     for i in np.flatnonzero((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
         at = sign_change(slope, float(s[i]), float(s[i + 1]))
         if at is not None and 0.0 < at < 1.0:
-            z = step.points(at_0, np.array([at]))[0]
-            yield z, motion.tangent(z, t)
+            z = piece.points(at_0, np.array([at]))[0]
+            yield z, node(motion, z, t).t

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from kempe.solvers.analytic.sweep_curves import BEND, LONGEST, Arc, Motion, follow, pieces
+from kempe.solvers.analytic.sweep_curves import LONGEST, Arc, Motion, follow, pieces
+from kempe.solvers.tracing import BEND
 from kempe.spatial import Array
 
 SAME = 1e-4
@@ -144,7 +145,7 @@ def arcs_through(motion: Motion, values: Array, x: Array, level: np.ndarray) -> 
     """
     x = x.copy()
     x[:, motion.p] = values[level]
-    better, good = motion.corrected(x, np.repeat(np.eye(x.shape[1])[[motion.p]], len(x), axis=0))
+    better, good = motion.closed(x, np.repeat(np.eye(x.shape[1])[[motion.p]], len(x), axis=0))
     good &= np.abs(better - x).max(axis=-1, initial=0.0) < SAME
     net = Net(motion, values, np.where(good[:, None], better, x), level)
     net.join()

@@ -1,0 +1,133 @@
+"""Where equations hold, or come nearest to it: Gauss-Newton steps, each the least change that linear equations ask.
+
+There may be more equations than unknowns, or fewer, and dependent ones do no harm: the step is that of the
+pseudo-inverse, whose small singular values are left out. Sources: Ben-Israel, "A Newton-Raphson method for the solution
+of systems of equations", J. Math. Anal. Appl. 15 (1966); Bjorck, *Numerical Methods for Least Squares Problems*, 1996,
+chapter 9.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from kempe.spatial import Array
+
+CUT = 1e-9
+"""Singular values below this fraction of the largest are left out."""
+LAST = 1e-8
+"""A step up to this length is the last one: where convergence is quadratic, the next would be rounding."""
+NOTHING = 1e-15
+"""A step up to this length is rounding: it is not taken."""
+LARGE = 60
+"""Equations from which on normal equations are solved in place of singular value decompositions, where both will do."""
+WELL = 1e7
+"""Size of a solution of normal equations with a right-hand side of size 1 below which they are far from singular."""
+
+Equations = Callable[[Array], tuple[Array, Array]]
+"""What is missing (m,) at x, and its derivative (m, n) by small changes of x."""
+
+
+class Found(NamedTuple):
+    """Where the steps ended, what is missing there, and the derivative of that."""
+
+    x: Array
+    r: Array
+    J: Array
+
+    @property
+    def size(self) -> float:
+        """The largest of what is missing; NaN where a number is."""
+        return float(np.abs(self.r).max(initial=0.0))
+
+
+def least_squares(A: Array, b: Array, cut: float = CUT) -> Array:
+    """The least y (n,) with least |A y - b|; singular values below `cut` of the largest count as zero."""
+    return least_squares_of_many(A[None], b[None], cut)[0] if len(b) > LARGE else _by_values(A, b, cut)
+
+
+def _by_values(A: Array, b: Array, cut: float) -> Array:
+    return np.asarray(np.linalg.lstsq(A, b, rcond=cut)[0], dtype=float)
+
+
+def least_squares_of_many(A: Array, b: Array, cut: float = CUT) -> Array:
+    """`least_squares` of many A (k, m, n) and b (k, m): the normal equations, where these are far from singular.
+
+    A second right-hand side, in no special direction, tells how near to singular they are.
+    """
+    G, n = np.swapaxes(A, -1, -2) @ A, A.shape[-1]
+    right = np.empty((len(A), n, 2))
+    right[..., 0] = np.einsum("kmn,km->kn", A, b)
+    right[..., 1] = np.cos(np.arange(n))
+    scale = np.einsum("kii->k", G)
+    bad = np.ones(len(A), dtype=bool)
+    y = np.zeros((len(A), n))
+    with contextlib.suppress(np.linalg.LinAlgError):
+        found = np.linalg.solve(G, right)
+        bad = ~(np.linalg.norm(found[..., 1], axis=-1) * scale < WELL)
+        y[:] = found[..., 0]
+    for k in np.flatnonzero(bad):
+        y[k] = _by_values(A[k], b[k], cut)
+    return y
+
+
+def damped_least_squares(A: Array, b: Array, damping: float) -> Array:
+    """The y (n,) that makes |A y - b|^2 + damping |y|^2 least."""
+    U, s, Vt = np.linalg.svd(A, full_matrices=False)
+    return Vt.T @ (s / (s * s + damping) * (U.T @ b))
+
+
+def gauss_newton(
+    equations: Equations, x: Array, tries: int, *, step: Callable[[Array, Array, Array], Array] | None = None,
+    cut: float = CUT, met: float = 0.0, last: float = LAST, longest: float = math.inf, halving: bool = False,
+    move: Callable[[Array, Array], Array] = np.add,
+) -> Found:  # fmt: skip
+    """Where at most `tries` steps from `x` lead.
+
+    It ends where no more than `met` is missing, after a step up to `last`, before one that is nothing or not finite,
+    and with `halving` before one longer than half the one before. Steps are shortened to `longest`. `step` gives
+    another step (n,) at (x, r, J) than `least_squares`, `move` the point to which one leads.
+    """
+    before = math.inf
+    for k in range(tries + 1):
+        r, J = equations(x)
+        if k == tries or before <= last or not met < float(np.abs(r).max(initial=0.0)) < math.inf:
+            break
+        y = least_squares(J, -r, cut) if step is None else step(x, r, J)
+        size = math.sqrt(float(y @ y))
+        if not NOTHING < size < math.inf or (halving and size > 0.5 * before):
+            break
+        x, before = move(x, y * (longest / size) if size > longest else y), size
+    return Found(x, r, J)
+
+
+def gauss_newton_of_many(
+    equations: Callable[[Array, np.ndarray], tuple[Array, Array]], x: Array, tries: int, *,
+    step: Callable[[Array, Array], Array] | None = None, cut: float = CUT, met: float = 0.0, last: float = LAST,
+    longest: float = math.inf, move: Callable[[Array, Array], Array] = np.add,
+) -> Array:  # fmt: skip
+    """Where (k, n) such steps lead from many starts (k, n), each by itself.
+
+    `equations` gives what is missing (j, m) and the derivatives (j, m, n) at points (j, n), at places (j,) among all.
+    `step` gives other steps (j, n) for r and J than `least_squares_of_many`. A length is the largest change of one
+    number. A start from which one comes to something that is not finite becomes NaN.
+    """
+    x, left = np.array(x), np.arange(len(x))
+    for _ in range(tries):
+        r, J = equations(x[left], left)
+        size = np.abs(r).max(axis=1, initial=0.0)
+        x[left[~np.isfinite(size)]] = np.nan
+        go_on = size > met
+        go_on &= np.isfinite(size)
+        left, r, J = (left, r, J) if go_on.all() else (left[go_on], r[go_on], J[go_on])
+        if not len(left):
+            break
+        y = least_squares_of_many(J, -r, cut) if step is None else step(r, J)
+        size = np.abs(y).max(axis=1, initial=0.0)
+        x[left] = move(x[left], y * (longest / np.maximum(size, longest))[:, None] if longest < math.inf else y)
+        left = left[size > last]
+    return x
