@@ -107,8 +107,8 @@ def laws(bench: Bench) -> Grid:
         m.frame("pin", m.ground, at=(1.0, 0.0))
         declare(m)
         s = m.build()
-        known = {"A": rng.uniform(-0.5, 0.5, CLOSURES)}
-        timed.append(Case("Kempe", who, "s.assemble(known, threads=1)", {"s": s, "known": known}))
+        known, one = {"A": rng.uniform(-0.5, 0.5, CLOSURES)}, kempe.Budget(threads=1)
+        timed.append(Case("Kempe", who, "s.assemble(known, budget=budget)", {"s": s, "known": known, "budget": one}))
     table.rows += measure(timed, 1.0)
     built_in, text = (row.value for row in table.rows)
     table.at_most("text beside built in, at most 3 times", text / built_in, 3.0)

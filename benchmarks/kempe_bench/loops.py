@@ -79,7 +79,7 @@ def assembly(bench: Bench) -> Grid:
             _line(table, bench, tree, known_line(name), TIMED[0], KNOWN[name])
     _goals(table)
     table.remarks += [
-        "nearest: with nearest=True, the closed configuration nearest to the guess; all others find any near it",
+        "nearest: with prefer='nearest', the closed configuration nearest to the guess; all others find any near it",
         f"bound: a prepared assembler; batch: {BATCH:,} guesses in one call, one thread",
         *how(),
     ]

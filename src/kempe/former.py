@@ -112,7 +112,7 @@ def renamed(
             said[name] = f"budget=Budget({field}=...)"
         elif name == "throw" and "budget" in parameters:
             expected, said[name] = bool(value), ".expect() of the answer"
-        elif "fixed" in parameters and args and name in getattr(args[0], "coordinate_names", ()):
+        elif "fixed" in parameters and args and name in getattr(args[0], "system", args[0]).coordinate_names:
             if name in (arguments.get("fixed") or {}):
                 raise InputError(f"{name!r} is held twice, by fixed and by name")
             arguments["fixed"] = {**(arguments.get("fixed") or {}), name: value}

@@ -408,7 +408,10 @@ def test_names_are_checked():
     with pytest.raises(UnknownNameError):
         trace(system, "A", hold={"nothing": 1.0})
     nan = float("nan")
-    for bad in ({"step": 0.0}, {"step": nan}, {"max_points": 1}, {"start": [0.0, 1.0]}, {"start": [nan] * 4}):
+    for bad in (
+        {"budget": kempe.Budget(step=0.0)}, {"budget": kempe.Budget(step=nan)}, {"budget": kempe.Budget(points=1)},
+        {"start": [0.0, 1.0]}, {"start": [nan] * 4},
+    ):
         with pytest.raises(InputError):
             trace(system, "A", **bad)
     path = trace(system, "A", {"A": 0.5}, budget=kempe.Budget(points=20))

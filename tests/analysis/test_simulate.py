@@ -211,7 +211,8 @@ def test_what_needs_masses_is_refused_with_the_reason(system, reason):
 @pytest.mark.parametrize(("options", "error"), [
     ({"duration": 0.0}, "duration is 0.0"), ({"duration": math.inf}, "duration is inf"),
     ({"restitution": 1.5}, "restitution is 1.5"), ({"acceleration": (1, 2)}, "acceleration has shape"),
-    ({"velocity": [1.0]}, "velocity has shape"), ({"velocity": {"at.u": 1}}, "at.u"), ({"samples": 0}, "points is 0"),
+    ({"velocity": [1.0]}, "velocity has shape"), ({"velocity": {"at.u": 1}}, "at.u"),
+    ({"budget": kempe.Budget(points=0)}, "points is 0"),
     ({"velocity": {"at.x": "fast"}}, "'fast'"), ({"start": [0, 0]}, "2 coordinates"),
     ({"inputs": {"at.x": 1}, "velocity": {"at.y": 1}}, "velocity is for what falls"), ({"inputs": 3}, "inputs is int"),
 ])  # fmt: skip

@@ -620,7 +620,7 @@ def test_batches_of_designs_are_the_designs_one_by_one(seed, shape, lead):
 def test_one_varied_parameter_keeps_the_others():
     s = designed().build()
     batch = s.with_parameters(l1=[1.0, 2.0])
-    assert batch.structure.parameters["twist"] == 0.3 and "2" in repr(batch)
+    assert batch.parameters["twist"] == 0.3 and "2" in repr(batch)
     np.testing.assert_allclose(batch.fk(s.neutral, "tip")[0], s.fk(s.neutral, "tip"), atol=1e-15)
     assert batch[1].structure.parameters == {"l1": 2.0, "twist": 0.3}
     mixed = s.with_parameters(l1=2.0, twist=[0.1, 0.2])

@@ -383,11 +383,11 @@ def test_answers_of_plain_calls_can_be_pickled():
 def test_eight_threads_give_what_one_gives():
     robot = kempe.load("puma560")
     X = robot.fk(robot.random(1, 3000), "tool")
-    expected = robot.ik(X, "tool", threads=1).q
+    expected = robot.ik(X, "tool", budget=kempe.Budget(threads=1)).q
     found: list[np.ndarray] = []
 
     def work(count: int) -> None:
-        found.append(robot.ik(X, "tool", threads=count).q)
+        found.append(robot.ik(X, "tool", budget=kempe.Budget(threads=count)).q)
 
     threads = [threading.Thread(target=work, args=(1 + k % 2,)) for k in range(8)]
     for t in threads:

@@ -382,7 +382,7 @@ def test_projection_to_the_nearest():
     s = m.build()
     X = np.eye(4)[None].copy()
     X[0, :2, 3] = [3.0, 4.0]
-    found, reached = project(s, X, [3.0, 4.0], nearest=True)
+    found, reached = project(s, X, [3.0, 4.0], prefer="nearest")
     assert reached
     np.testing.assert_allclose(found[0, :2, 3], [1.2, 1.6], atol=1e-9)
 

@@ -234,7 +234,7 @@ def test_values_are_said_and_are_data():
 def test_a_named_value_stays():
     system, frame = robot("panda")
     targets = system.fk(system.random(3, 40), frame)
-    answer = system.ik_all(targets, frame, panda_joint7=0.0)
+    answer = system.ik_all(targets, frame, fixed={"panda_joint7": 0.0})
     assert answer.spare == () and (answer.held["panda_joint7"] == 0.0).all() and (answer.tried == 1).all()
     assert 0 < answer.inside.any(axis=1).sum() < 40
     assert "to spare" not in str(answer)
@@ -247,7 +247,7 @@ def test_some_held_by_name_and_others_by_choice():
     system, frame = robot("tiago")
     q = system.random(1, 30)
     height = q[:, system.coordinate_names.index("torso_lift_joint")]
-    answer = system.ik_all(system.fk(q, frame), frame, torso_lift_joint=height)
+    answer = system.ik_all(system.fk(q, frame), frame, fixed={"torso_lift_joint": height})
     np.testing.assert_array_equal(answer.held["torso_lift_joint"], height)
     assert len(answer.spare) == 1 and answer.inside.any(axis=1).all()
 

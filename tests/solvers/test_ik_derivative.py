@@ -94,7 +94,7 @@ def test_a_joint_that_is_needed_leaves_its_limit(six):
 def test_tasks_that_ask_for_less(panda, task):
     q, axis = 0.9 * panda.mid + 0.1, [0.3, -0.5, 0.8]
     X = panda.fk(q, HAND)
-    options = {"task": task, "axis": axis} if task in ("position_axis", "direction") else {"task": task}
+    options = {"task": (task, axis)}
     D = panda.ik(X, HAND, q, **options).derivative
     for k, e in enumerate(np.eye(6)):
         np.testing.assert_allclose(D[:, k], difference(panda, X, q, e, **options), atol=1e-3)

@@ -204,7 +204,10 @@ def test_plain_calls_after_unusual_ones_are_usual():
     robot, frame = robot_of("panda")
     X = robot.fk(robot.random(0, 20), frame)
     usual = [robot.ik(x, frame).q for x in X]
-    for options in ({"starts": 1}, {"tolerance": 0.1}, {"rng": 3}, {"position_only": True}, {"task": "direction"}):
+    for options in (
+        {"budget": kempe.Budget(starts=1)}, {"tolerance": 0.1}, {"budget": kempe.Budget(rng=3)}, {"task": "position"},
+        {"task": "direction"},
+    ):
         other, _ = robot_of("panda")
         other.ik(X[0], frame, **options)
         for x, q in zip(X, usual, strict=True):
@@ -339,7 +342,7 @@ def test_battery(name):
         robot = OURS[name]()
         frame, poses = robot.frame_names[-1], lambda robot, q: robot.fk(q, robot.frame_names[-1])
     axis = (1.0, 2.0, -0.5) if name == "so101" else None
-    options = {"task": "position_axis", "axis": axis} if axis else {}
+    options = {"task": ("position_axis", axis)} if axis else {}
     q = robot.random(1, BATTERY)
     for configurations, share in ((q, 1.0), (at_limits(robot, frame, q, np.random.default_rng(0)), 0.999)):
         X = poses(robot, configurations)

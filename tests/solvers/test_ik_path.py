@@ -166,7 +166,7 @@ def test_bad_input_is_refused_and_no_start_is_said():
     assert not p.success.any() and "target 0" in p.status
     refused = [
         ([1.0, 0.0], {}), ([[1.0, 0.0], [np.nan, 0.0]], {}), ([[1.0, 0.0]], {"max_step": 0.0}),
-        ([[1.0, 0.0]], {"seed": [[0.0, 1.0]] * 2}),
+        ([[1.0, 0.0]], {"start": [[0.0, 1.0]] * 2}),
     ]  # fmt: skip
     for targets, options in refused:
         with pytest.raises(InputError):

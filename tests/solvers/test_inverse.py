@@ -229,7 +229,7 @@ def test_bad_single_arguments_raise():
         robot.ik(X, "tol")
     with pytest.raises(InputError, match="6"):
         robot.ik(X, "tool", start=np.zeros(5))
-    for keyword in ({"starts": 0}, {"tolerance": -1.0}, {"tolerance": (1e-6, math.nan)}):
+    for keyword in ({"budget": kempe.Budget(starts=0)}, {"tolerance": -1.0}, {"tolerance": (1e-6, math.nan)}):
         with pytest.raises(InputError):
             robot.ik(X, "tool", **keyword)
 

@@ -18,8 +18,8 @@ CLOSE, LITTLE = 1e-5, 2e-6
 KINDS = ("Pose", "Position", "Orientation", "Pointing", "OnPlane", "OnLine", "HalfSpace", "Posture")
 
 
-def solve(s: System, wanted: list[tasks.Task], **more) -> Reached:
-    answer = s.ik(wanted, **more)
+def solve(s: System, wanted: list[tasks.Task], start=None, **budget) -> Reached:
+    answer = s.ik(wanted, start=start, budget=kempe.Budget(**budget))
     assert isinstance(answer, Reached)
     return answer
 

@@ -259,7 +259,7 @@ def test_another_reference():
     system = iiwa()
     q = system.random(5)
     T = system.fk(q, "tool")
-    a, b = (ik_sweep(system, T, "tool", reference=z) for z in (None, (1.0, 0.2, 0.0)))
+    a, b = (ik_sweep(system, T, "tool", ("arm_angle", z)) for z in (None, (1.0, 0.2, 0.0)))
     x, y = (arm_angle(system, q, "tool", reference=z) for z in (None, (1.0, 0.2, 0.0)))
     assert apart(a.at(x).q, b.at(y).q) < 1e-9 and abs(x - y) > 1e-3
     shift = wrapped(y - x)
@@ -412,7 +412,7 @@ def test_what_cannot_be_asked():
     with pytest.raises(UnknownNameError, match="'q9'"):
         ik_sweep(system, T, "tool", "q9")
     several = {"fixed": {"q1": [0.0, 1.0]}}
-    for bad in ({"n": 1}, {"n": 2.5}, {"reference": (0, 0, 0)}, {"near": np.full(7, np.nan)}, several):
+    for bad in ({"n": 1}, {"n": 2.5}, {"parameter": ("arm_angle", (0, 0, 0))}, {"start": np.full(7, np.nan)}, several):
         with pytest.raises(InputError):
             ik_sweep(system, T, "tool", **bad)
     for bad_pose in (2.0 * T, T * np.array([1.0, 1.0, -1.0, 1.0])):

@@ -426,8 +426,8 @@ def test_what_is_refused():
     ):  # fmt: skip
         with pytest.raises(InputError, match=match):
             s.ik(*bad)
-    nan = [math.nan] * 7
-    for more, match in (({"prefer": "best"}, "prefer"), ({"start": nan}, "start"), ({"starts": 0}, "starts")):
+    nan, none = [math.nan] * 7, kempe.Budget(starts=0)
+    for more, match in (({"prefer": "best"}, "prefer"), ({"start": nan}, "start"), ({"budget": none}, "starts")):
         with pytest.raises(InputError, match=match):
             s.ik(tasks.Pose(HAND, X), **more)
 

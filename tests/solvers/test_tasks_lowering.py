@@ -33,8 +33,8 @@ def screw_table(pitch: float, limits: tuple[float, float] | None = None) -> Syst
     return m.build()
 
 
-def solve(s: System, *wanted: tasks.Task, **more) -> Reached:
-    answer = s.ik(list(wanted), **more)
+def solve(s: System, *wanted: tasks.Task, start=None, tolerance=None, prefer=None, **budget) -> Reached:
+    answer = s.ik(list(wanted), start=start, tolerance=tolerance, prefer=prefer, budget=kempe.Budget(**budget))
     assert isinstance(answer, Reached)
     return answer
 
@@ -142,7 +142,7 @@ def test_a_soft_position_is_as_near_as_scipy_comes():
 def test_a_stretched_arm_folds_for_a_soft_target_inside(count, at):
     """The gradient vanishes there; the least distance is zero, for the target is within reach."""
     s = planar_arm(count)
-    for more in ({}, {"seed": np.zeros(count)}, {"starts": 1}):
+    for more in ({}, {"start": np.zeros(count)}, {"starts": 1}):
         answer = solve(s, tasks.Position("tip", [at, 0.0], weight=1.0), **more)
         np.testing.assert_allclose(s.fk(answer.q, "tip")[:2, 3], [at, 0.0], atol=1e-6)
 

@@ -130,7 +130,7 @@ def test_bundles_that_one_configuration_holds_are_never_said_to_contradict(few, 
         s = tree(rng)
         q = configurations(s, rng, 1, list(AT_LIMITS)[k % 3])[0]
         wanted = bundle(s, rng, q)
-        answer = s.ik(wanted, **({} if few is None else {"starts": few}))
+        answer = s.ik(wanted, **({} if few is None else {"budget": kempe.Budget(starts=few)}))
         missed += not answer.success
         assert not answer.proven
         assert answer.success or not claims(answer.status), answer.status

@@ -70,8 +70,8 @@ class Solutions(Answer):
     def _chosen(self) -> Choice | None:
         from kempe.solvers.analytic.ik_all import chosen
 
-        asked = self.question
-        fixed = tuple(self.plan.lines.names[i] for i in self.plan.fixed)
+        asked, names = self.question, self.plan.lines.names
+        fixed = tuple(names[i] for i in self.plan.fixed)
         return chosen(asked.system, asked.frame, (asked.task, asked.axis), fixed)[1]
 
     @property
@@ -383,11 +383,8 @@ class Solutions(Answer):
     def _headline(self) -> str:
         from kempe.solvers.analytic.explain_held import held_sentence
 
-        text = super()._headline()
-        if self.single:
-            return text
-        text += f", {int(self._used.sum())} solutions"
-        return f"{text}; {held_sentence(self)}" if self.spare else text
+        text = super()._headline() + ("" if self.single else f", {int(self._used.sum())} solutions")
+        return f"{text}; {held_sentence(self)}" if self.spare and not self.single else text
 
     def _cells(self) -> Cells:
         """What is shown of one target: coordinates of the chain, and what is special."""
