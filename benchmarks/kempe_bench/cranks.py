@@ -64,7 +64,8 @@ def row(bench: Bench) -> Grid:
     for n in ROWS:
         system = four_bars(n)
         q = system.configuration_space.integrate(system.neutral, _noise(system))
-        line, timed = f"{n:,}", cases("Kempe", {"row": system, "q": q}, (f"{n:,}", "row.assemble({'A0': 0.2}, start=q)"))
+        call = "row.assemble({'A0': 0.2}, start=q)"
+        line, timed = f"{n:,}", cases("Kempe", {"row": system, "q": q}, (f"{n:,}", call))
         answer = system.assemble({"A0": 0.2}, start=q)
         if not answer:
             table.remarks.append(f"{line} four-bars: Kempe did not close: {answer.status}")

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from kempe import constraints
+from kempe.budget import Budget
 from kempe.description.mechanism import Mechanism
 from kempe_bench.bench import Bench
 from kempe_bench.timing import Case, Grid, measure
@@ -107,7 +108,7 @@ def laws(bench: Bench) -> Grid:
         m.frame("pin", m.ground, at=(1.0, 0.0))
         declare(m)
         s = m.build()
-        known, one = {"A": rng.uniform(-0.5, 0.5, CLOSURES)}, kempe.Budget(threads=1)
+        known, one = {"A": rng.uniform(-0.5, 0.5, CLOSURES)}, Budget(threads=1)
         timed.append(Case("Kempe", who, "s.assemble(known, budget=budget)", {"s": s, "known": known, "budget": one}))
     table.rows += measure(timed, 1.0)
     built_in, text = (row.value for row in table.rows)
