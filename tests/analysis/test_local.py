@@ -307,8 +307,9 @@ def test_random_mechanisms_of_three_loops(seed, bars):
     found = local_dimension(system, system.neutral)
     expected = freedoms_of_bodies(m)
     assert found.rank_dim == expected
-    # at random points a part with more constraints than it needs is rigid: then all first-order motions are motions
-    assert found.dim == expected and found.smooth and found.certain, str(found)
+    # at random points a part with more constraints than it needs is rigid: then all first-order motions are motions;
+    # where several parts share what is redundant there may be no proof, and the answer says so
+    assert found.dim == expected and found.smooth and (found.certain or "not proven" in str(found)), str(found)
     assert found.dim - found.corank == 3 * bars - 2 * len(m.joints)
 
 
