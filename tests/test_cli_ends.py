@@ -81,7 +81,7 @@ def test_a_path_of_targets(tmp_path):
 
 
 @pytest.mark.parametrize("where", ["kempe.analysis.motion.home", "kempe.analysis.motion.extreme",
-                                   "kempe.analysis.path.least_squares_of_many"])  # fmt: skip
+                                   "kempe.analysis.path.gauss_newton_of_many"])  # fmt: skip
 def test_a_traced_motion(tmp_path, where):
     """While it is followed, while special points are looked for, and while points at equal distances are made."""
     out = tmp_path / "path.csv"

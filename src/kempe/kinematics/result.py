@@ -15,6 +15,8 @@ from kempe.words import by_topic, json_text, jsonable, paragraphs, table_html, t
 if TYPE_CHECKING:
     from kempe.solvers.ideal import Idealised
 
+MOST_JUDGED = 1_000_000
+"""Coordinates up to which configurations are judged for their `data`."""
 Cells = tuple[Sequence[str], Sequence[Sequence[str]]]
 """Heads of columns (none: each row is a name and what it is) and rows of a table."""
 

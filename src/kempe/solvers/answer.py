@@ -11,7 +11,7 @@ import numpy as np
 from kempe.calls import explained_methods, place_in
 from kempe.errors import NoSolutionError
 from kempe.kinematics.measure import Judgement, judge
-from kempe.kinematics.result import Cells, Result
+from kempe.kinematics.result import MOST_JUDGED, Cells, Result
 from kempe.kinematics.tabular import Tabular
 from kempe.reals import plain
 from kempe.solvers.clock import partial
@@ -22,10 +22,6 @@ if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.ideal import Idealised
     from kempe.solvers.problem import Choice
-
-MOST_JUDGED = 1_000_000
-"""Coordinates up to which configurations are judged for their `data`."""
-
 
 @explained_methods
 class Answer(Result, Tabular):

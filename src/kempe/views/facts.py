@@ -14,6 +14,7 @@ from kempe.description.parts import Declared, Joint
 from kempe.errors import DescriptionError, KempeError, Problem
 from kempe.joints import P, R
 from kempe.kinematics.configuration import has_loops
+from kempe.kinematics.result import MOST_JUDGED
 from kempe.model.coordinates import Follower, relation_text
 from kempe.words import jsonable
 
@@ -192,8 +193,6 @@ def answer_facts(answer: Answer, degrees: bool = False) -> dict[str, Any]:
 
 def judged(answer: Answer | Path) -> dict[str, Any]:
     """What the judge says of the configurations of an answer, under "judged"; empty where there are too many."""
-    from kempe.solvers.answer import MOST_JUDGED  # it brings the kernels, which errors are told without
-
     return {"judged": jsonable(answer.judged.data())} if answer.q.size <= MOST_JUDGED else {}
 
 
