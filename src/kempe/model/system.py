@@ -40,6 +40,9 @@ if TYPE_CHECKING:
 
 __all__ = ["FrameLike", "System"]
 
+ARRAY = np.ndarray
+"""Looked up once: bound calls take four microseconds."""
+
 
 class System(Compiled, FormerNames):
     """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates, primitive table.
@@ -139,7 +142,7 @@ class System(Compiled, FormerNames):
         tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None,
     ) -> Solution:  # fmt: skip
         """A configuration that reaches a target or holds tasks; see `solvers.inverse.ik` and `solvers.tasks.reach`."""
-        if frame.__class__ is str and prefer is method is tolerance is budget and target.__class__ is np.ndarray:
+        if frame.__class__ is str and prefer is method is tolerance is budget and target.__class__ is ARRAY:
             bound = self._queries.get((frame, task if task is None else str(task), target.ndim))
             if bound is not None and budget is None and (answer := bound(target, start)) is not None:
                 return answer

@@ -178,7 +178,8 @@ class Assembler:
         tolerance: float = TOLERANCE, budget: Budget | None = None,
     ) -> Assembly:  # fmt: skip
         """As `assemble`, with `values` (..., k) of the known coordinates in their order, or a dict with all of them."""
-        given = with_places(values, self.frames) if isinstance(values, Mapping) else self._by_name(values)
+        named = values.__class__ is dict or isinstance(values, Mapping)
+        given = with_places(values, self.frames) if named else self._by_name(values)
         if given.keys() != self.names:
             said = ", ".join(map(repr, given)) or "nothing"
             raise InputError(f"values are given for {said}; needed are {self.known}")
@@ -360,7 +361,7 @@ def assemble(
     as in `kempe.solvers.ideal`; where no other mechanism closes, the largest residual of a success.
     """
     given = {} if known is None else known
-    if not isinstance(given, Mapping):
+    if given.__class__ is not dict and not isinstance(given, Mapping):  # asking what a dict is takes long
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
     if also.__class__ is not tuple or also:
         system = held_too(system, also)

@@ -353,7 +353,9 @@ class Bound:
         if self.whole:
             q = row[:n]
         else:
-            q = np.minimum(np.maximum(base, self.lower), self.upper) if self.plain else base.copy()
+            q = np.maximum(base, self.lower) if self.plain else base.copy()
+            if self.plain:
+                np.minimum(q, self.upper, out=q)
             q[self.part] = row[:n]
             if not math.isfinite(base.dot(base)):
                 return None

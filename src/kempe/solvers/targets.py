@@ -167,6 +167,8 @@ def parse_targets(
         if not lead:  # of many, the kernels tell those that need a closer look
             array = sound(array, "target")
         out = array.reshape(math.prod(lead), 4, 4)
+        if not lead and out.flags.c_contiguous and out.flags.aligned and array[3].tolist() == [0.0, 0.0, 0.0, 1.0]:
+            return out, lead, False  # the usual case, without the cost of arrays
         bad = np.any(out[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=-1)  # a transposed pose would pass for another one
         if bad.any():
             out = out.copy()
