@@ -189,17 +189,19 @@ class Assembler:
             flag(limits, "limits")
         if prefer not in PREFER:
             raise InputError(f"prefer is {prefer!r}; it must be one of {', '.join(map(repr, PREFER))}")
-        spend = USUAL.budget if budget is None else USUAL.of(budget)
+        tries, number, threads = STARTS, 0, None
+        if budget is not None:
+            spend = USUAL.of(budget)
+            tries, number, threads = start_count(spend.starts), seed_number(spend.rng), spend.threads
         base, lead = self._single(given, start), ()
         if base is None:
             base, lead = self._starts(given, start)
         turned = self._turned(given) if self.frames else ()
         pins = self._pins(given, turned, lead) if turned else self.no_pins
-        steps, rng = NEAREST_STEPS if prefer == "nearest" and self.freedoms != 0 else 0, spend.rng
-        number = rng if isinstance(rng, int) and 0 <= rng < 2**62 else seed_number(rng)
+        steps = NEAREST_STEPS if prefer == "nearest" and self.freedoms != 0 else 0
         follow = prefer == "continuous" and len(base) > 1
         q, residual, info = self.run(
-            base, pins, start_count(spend.starts), steps, number, spend.threads, limits, tolerance, follow,
+            base, pins, tries, steps, number, threads, limits, tolerance, follow,
             self._loops(turned, steps > 0) if turned or steps else None,
         )  # fmt: skip
         return self._answer(base, lead, q, residual, info, limits)

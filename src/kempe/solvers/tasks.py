@@ -361,4 +361,4 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}
     success, code, *fields, cut_off = fields
     q = q.reshape(*lead, system.nq)
-    return Reached(q, success, code if lead else MEMBERS[code], *fields, asked=problem, errors=errors, late=cut_off)
+    return Reached(q, success, code if lead else MEMBERS[int(code)], *fields, asked=problem, errors=errors, late=cut_off)

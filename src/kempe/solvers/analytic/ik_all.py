@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -211,9 +212,12 @@ def bind(system: System, frame: str) -> Bound | None:
 
 def attainable(targets: Array, lines: Lines) -> float:
     """The error [m] that rounding leaves, given the size of targets and chain: far away it is above the tolerance."""
-    size = np.abs(targets[:, :3, 3])
-    far = float(size[np.isfinite(size)].max(initial=0.0))
-    return 16.0 * EPSILON * (far + lines.length * (1.0 + float(np.abs(lines.tip[:3, 3]).max())))
+    if len(targets) == 1:  # in Python: for three numbers arrays cost more
+        far = max([abs(x) for x in targets[0, :3, 3].tolist() if math.isfinite(x)], default=0.0)
+    else:
+        size = np.abs(targets[:, :3, 3])
+        far = float(size[np.isfinite(size)].max(initial=0.0))
+    return 16.0 * EPSILON * (far + lines.length * (1.0 + max(abs(x) for x in lines.tip[:3, 3].tolist())))
 
 
 @kept
