@@ -99,6 +99,7 @@ INSTEAD = {
     ("ik_all", "q"): "start=q sorts the solutions by nearness to a configuration q",
     ("ik_all", "prefer"): "start=q sorts the solutions by nearness to a configuration q",
     ("ik_all", "hold"): "joints are held by fixed={'name': value}",
+    ("trace", "frames"): "give them to table, save or plot of the path",
 }
 """What is said of options that a function does not have, by function and name."""
 

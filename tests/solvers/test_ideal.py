@@ -53,6 +53,8 @@ def moves_like(system: System, given: System, digits: int, tolerance: float | st
     near, h = system.assemble({driver: start + 0.1}, start=answer.q).q, 1e-5
     a, b = (system.assemble({driver: near[0] + s * h}, start=near).q[1] for s in (-1.0, 1.0))
     assert found and abs(found.matrix[0, 0] - (b - a) / (2.0 * h)) < 1e3 * off + 1e-8
+    gain = given.loops.mechanical_advantage(answer.q, driver, other, **more)
+    assert gain == pytest.approx(1.0 / found.matrix[0, 0], rel=1e-9)
     assert len(given.assembly_modes({driver: start + 0.1}, **more, budget=kempe.Budget(starts=64))) >= 1
 
 

@@ -189,15 +189,17 @@ def _kernel(closure: Closure, q: Array) -> Array:
 
 
 @explained
+@tolerant("q")
 def mechanical_advantage(
-    system: System, q: ArrayLike, input: str, output: str, direction: ArrayLike | None = None, still: Sequence[str] = ()
-) -> Any:
+    system: System, q: ArrayLike, input: str, output: str, direction: ArrayLike | None = None,
+    still: Sequence[str] = (), *, tolerance: float | str | None = None,
+) -> Any:  # fmt: skip
     """Force (or torque) at the output per force (or torque) at the input, without losses, at `q` (..., nq).
 
     By the principle of virtual power the velocity of the input divided by that of the output; infinite where the
     output rests (a toggle), 0 where the input does (a dead point), NaN where the ratio is not determined. `output`
     is a coordinate, or a frame with a `direction` (3,) in the ground frame in which it pushes. `still` names other
-    inputs that do not move. Errors: as `loop_jacobian`.
+    inputs that do not move. `tolerance` and errors are as those of `loop_jacobian`.
     """
     q, closure = as_q(system, q), Closure(system)
     i, others = angle_or_slide(system, input), [angle_or_slide(system, n) for n in listed(still, "still")]

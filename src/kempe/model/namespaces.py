@@ -127,12 +127,13 @@ class Loops(Namespace):
 
     @explained
     def mechanical_advantage(
-        self, q: Any, input: str, output: str, direction: ArrayLike | None = None, still: Sequence[str] = ()
-    ) -> Any:
+        self, q: Any, input: str, output: str, direction: ArrayLike | None = None, still: Sequence[str] = (), *,
+        tolerance: float | str | None = None,
+    ) -> Any:  # fmt: skip
         """Force at the output per force at the input, at closed q (..., nq); see `kempe.analysis.transmission`."""
         from kempe.analysis.transmission import mechanical_advantage
 
-        return mechanical_advantage(self.system, q, input, output, direction, still)
+        return mechanical_advantage(self.system, q, input, output, direction, still, tolerance=tolerance)
 
     @explained
     def transmission_angle(self, q: Any, joint: str, coupler: str | None = None, output: str | None = None) -> Any:

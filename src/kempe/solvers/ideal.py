@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -355,7 +355,7 @@ def tolerant(*closed: str) -> Callable[[Function], Function]:
                 elif options.get(name) is not None:
                     options[name] = found.closed(options[name])
             answer = function(found.system, *args, **options)
-            named = {f.name for f in fields(answer)}
+            named = {f.name for f in fields(answer)} if is_dataclass(answer) else ()
             return replace(answer, within=found) if "within" in named else answer
 
         return call  # type: ignore[return-value]
