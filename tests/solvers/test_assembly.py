@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import graphs
 import numpy as np
@@ -275,6 +276,20 @@ def test_wrong_questions_are_refused():
         s.assemble({"A": "x"})
 
 
+def test_what_is_nearly_closed_says_at_which_tolerance_it_counts_as_closed():
+    m = kempe.Mechanism("open", dim=2)
+    m.revolute("A", m.ground, m.body("a"))
+    m.revolute("B", "a", m.body("b"), at=(1, 0))
+    m.revolute("C", m.ground, "b", at=(2.0001, 0), child_at=(1, 0))
+    s = m.build()
+    open_ = s.assemble()
+    said = re.search(r"with tolerance=(\S+) it counts as closed as it is", open_.status)
+    assert not open_ and said and open_.residual == pytest.approx(1e-4, rel=1e-3)
+    assert s.assemble(tolerance=float(said[1]))
+    assert s.assemble(tolerance=kempe.Tolerance(1e-3, float(said[1])))
+    assert not s.assemble(tolerance=kempe.Tolerance(1e-3, 0.5 * open_.residual))
+
+
 def test_a_batch_is_its_rows():
     s = kempe.load("jansen")
     driver = s.coordinate_names[0]
@@ -289,7 +304,7 @@ def test_a_batch_is_its_rows():
     assert s.assemble({driver: np.zeros((2, 3))}).success.shape == (2, 3)
     bad = s.assemble({driver: [0.1, math.nan]})
     assert bad.success.tolist() == [True, False] and np.isnan(bad.q[1]).all()
-    assert list(bad.status)[1] == "known values, places or near are not finite"
+    assert list(bad.status)[1] == "known values, places or start are not finite"
 
 
 def test_threads_do_not_matter():

@@ -13,7 +13,7 @@ from kempe.reals import plain
 from kempe.solvers.assembled import Assembly
 from kempe.solvers.assembly import LOOSEST, TOLERANCE, Assembler
 from kempe.solvers.dyads import closed_form, on_branch
-from kempe.solvers.ideal import within
+from kempe.solvers.ideal import one_number, within
 from kempe.solvers.problem import Choice, Solver, choose, chosen_by
 from kempe.status import Status, member
 
@@ -39,7 +39,7 @@ def allowing(system: System, tolerance: float | str) -> tuple[System, float]:
     found = within(system, tolerance)
     if found is not None:
         return found.system, TOLERANCE
-    return system, TOLERANCE if isinstance(tolerance, str) else min(float(tolerance), LOOSEST)
+    return system, TOLERANCE if isinstance(tolerance, str) else min(float(one_number(tolerance)), LOOSEST)
 
 
 def on_named_branch(bound: Assembler, given: Mapping[str, Any], near: Any, branch: str, limits: bool) -> Assembly:

@@ -12,7 +12,7 @@ from kempe.kinematics import loops
 from kempe.kinematics.configuration import random
 from kempe.model.immovable import immovable
 from kempe.solvers.assembled import Assembly
-from kempe.solvers.assembly import Assembler, assembler, of_equations
+from kempe.solvers.assembly import LOOSEST, Assembler, assembler, of_equations
 from kempe.solvers.ideal import nearly
 from kempe.spatial import Array
 from kempe.status import Status
@@ -37,7 +37,7 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     )
     q = answer.q[index]
     if code == Status.BAD_INPUT:
-        return "known values, places or near are not finite"
+        return "known values, places or start are not finite"
     if code == Status.SOLVED:
         return f"closed: residual {residual:.1e} ({words.work(steps, starts)}){_left(bound, q)}"
     if code == Status.OUTSIDE_LIMITS:
@@ -48,7 +48,10 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     reason = reason or "with these values no closed configuration was found"
     what = _open(bound, q, residual)
     wider = nearly(bound.system) if residual < NEARLY else None
-    reason += f"; it closes {wider.least}: give a larger tolerance" if wider is not None else ""
+    if wider is not None:
+        reason += f"; it closes {wider.least}: give a larger tolerance"
+    elif residual <= LOOSEST / 2.0:
+        reason += f"; with tolerance={1.1 * residual:.2g} it counts as closed as it is"
     still = immovable(bound.system)
     reason += f"; {still}" if still else ""
     return f"not closed after {counted(starts, 'start')}: {what}; {reason}; q is the nearest to closing"

@@ -157,6 +157,12 @@ class Idealised(Report):
         return self.lines[1:]
 
 
+def one_number(tolerance: Any) -> Any:
+    """The smaller one of a pair of metres and radians; anything else as it is."""
+    pair = isinstance(tolerance, tuple) and len(tolerance) == 2 and all(map(is_real, tolerance))
+    return min(tolerance) if pair else tolerance
+
+
 def tolerance_of(system: System, tolerance: Any) -> float:
     """The tolerance that was asked for, in metres and radians. Errors: `InputError` with both bounds."""
     size = characteristic_length(system)
@@ -177,10 +183,10 @@ def tolerance_of(system: System, tolerance: Any) -> float:
 def within(system: System, tolerance: Any = None) -> Idealised | None:
     """The nearest mechanism within a tolerance; None where the given one closes as it is, or where there is none.
 
-    `tolerance` is a number in metres and radians, "measured", or None: that of the system, else what is rounding.
+    `tolerance` is a number in metres and radians, "measured", or None: that of the system, else what is rounding. Of a
+    `kempe.Tolerance` the smaller number counts.
     """
-    if tolerance is None:
-        tolerance = system.structure.tolerance
+    tolerance = system.structure.tolerance if tolerance is None else one_number(tolerance)
     answers, key = system._kept.setdefault(within, {}), tolerance
     if tolerance.__class__ not in (float, int, str):
         key = repr(tolerance)
@@ -356,7 +362,7 @@ def tolerant(*closed: str) -> Callable[[Function], Function]:
                     options[name] = found.closed(options[name])
             answer = function(found.system, *args, **options)
             named = {f.name for f in fields(answer)} if is_dataclass(answer) else ()
-            return replace(answer, within=found) if "within" in named else answer
+            return replace(answer, within=found) if "within" in named else answer  # type: ignore[type-var]
 
         return call  # type: ignore[return-value]
 

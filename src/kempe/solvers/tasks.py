@@ -361,4 +361,5 @@ def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
     errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}
     success, code, *fields, cut_off = fields
     q = q.reshape(*lead, system.nq)
-    return Reached(q, success, code if lead else MEMBERS[int(code)], *fields, asked=problem, errors=errors, late=cut_off)
+    code = code if lead else MEMBERS[int(code)]
+    return Reached(q, success, code, *fields, asked=problem, errors=errors, late=cut_off)
