@@ -17,7 +17,7 @@ from kempe import words
 from kempe.model.immovable import immovable
 from kempe.solvers.chain import Chain, chain_of
 from kempe.solvers.inverse import run
-from kempe.solvers.proofs import Lengths, Limits, Rank
+from kempe.solvers.proofs import Lengths, Limits, LowRank
 from kempe.solvers.rounds import ITERATIONS, MOST, TOLERANCE, Task, past_lengths
 from kempe.solvers.shut_out import shut_out
 from kempe.solvers.solution import Solution
@@ -123,11 +123,11 @@ def _rows(task: Task, q: Array, tolerance: float) -> int:
     return int((values > tolerance * values[:, :1]).sum(axis=1).max())
 
 
-def rank_of(task: Task) -> Rank:
+def rank_of(task: Task) -> LowRank:
     """The equations of a task, and the freedoms in which the chain moves its frame at random configurations."""
     system, rows = task.system, sum(map(bool, task.mask))
     wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else rows
-    return Rank(wanted, _rows(task, system.random(0, 16), RANK_TOLERANCE))
+    return LowRank(wanted, _rows(task, system.random(0, 16), RANK_TOLERANCE))
 
 
 def _over_determined(task: Task, target: Array, position: float, angle: float) -> str:

@@ -18,7 +18,7 @@ from kempe.solvers.contradictions import Contradiction, contradictions
 from kempe.solvers.explain import rounded
 from kempe.solvers.freedoms import Local, freedoms_text
 from kempe.solvers.lengths import beyond
-from kempe.solvers.proofs import Lengths, Rank
+from kempe.solvers.proofs import Lengths, LowRank
 from kempe.solvers.reached import Reached, analyse
 from kempe.solvers.tasks import STARTS, judge
 from kempe.spatial import Array
@@ -193,7 +193,7 @@ def _alone(problem: Problem, q: Array, i: int, among: bool) -> str:
 
 def _more(problem: Problem, q: Array, tasks: list[int]) -> str:
     """Whether tasks have more equations than the system has freedoms."""
-    rank = Rank(*analyse(problem.only(tasks), q)[:2])
+    rank = LowRank(*analyse(problem.only(tasks), q)[:2])
     return f" ({rank.text})" if rank else ""
 
 

@@ -58,7 +58,7 @@ class Limits(NamedTuple):
         return one if self.count == 1 else f"all {self.count} configurations that reach it are outside"
 
 
-class Rank(NamedTuple):
+class LowRank(NamedTuple):
     """What is asked for has more `equations` than what moves has `freedoms`: it holds by chance only."""
 
     equations: int
