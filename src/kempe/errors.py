@@ -29,7 +29,7 @@ class Where:
 
 
 @dataclass(frozen=True)
-class Problem:
+class Fault:
     """One finding about a description: where it is, what it is about, what is wrong, what is allowed."""
 
     message: str
@@ -67,8 +67,8 @@ class RoundedWarning(UserWarning):
 class DescriptionError(KempeError, ValueError):
     """A file or a sequence of builder calls does not describe a system; `problems` lists what is wrong."""
 
-    def __init__(self, problems: Problem | Iterable[Problem]):
-        self.problems = (problems,) if isinstance(problems, Problem) else tuple(problems)
+    def __init__(self, problems: Fault | Iterable[Fault]):
+        self.problems = (problems,) if isinstance(problems, Fault) else tuple(problems)
         more = len(self.problems) - PROBLEM_LIMIT
         lines = [str(problem) for problem in self.problems[:PROBLEM_LIMIT]]
         if more > 0:

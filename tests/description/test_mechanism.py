@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from kempe import Mechanism, System
 from kempe.description.toml import read_toml
-from kempe.errors import DescriptionError, InputError, KempeError, Problem, UnknownNameError, Where
+from kempe.errors import DescriptionError, Fault, InputError, KempeError, UnknownNameError, Where
 from kempe.placement import Placement, place
 
 
@@ -346,7 +346,7 @@ def test_problems_know_where_they_are():
 
 
 def test_errors_are_also_the_builtin_ones():
-    many = DescriptionError([Problem(f"problem {i}") for i in range(25)])
+    many = DescriptionError([Fault(f"problem {i}") for i in range(25)])
     assert isinstance(many, ValueError) and isinstance(many, KempeError)
     assert str(many).count("\n") == 20 and str(many).endswith("... and 5 more")
     unknown = UnknownNameError("joint", "elbo", ["elbow", "wrist"], "arm")

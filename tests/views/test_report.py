@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kempe import Mechanism
-from kempe.errors import DescriptionError, Problem, UnknownNameError, Where
+from kempe.errors import DescriptionError, Fault, UnknownNameError, Where
 from kempe.views import facts, report
 from kempe.words import json_text, jsonable
 
@@ -114,7 +114,7 @@ def test_markup_and_control_characters_are_plain_text():
 
 def test_problems_have_carets():
     where = Where("robot.urdf", 3, 8, '<axis xyz="0 0 0"/>')
-    error = DescriptionError([Problem("axis is zero", "joint 'j'", where), Problem("no root")] * 12)
+    error = DescriptionError([Fault("axis is zero", "joint 'j'", where), Fault("no root")] * 12)
     lines = text(report.error(error)).splitlines()
     assert lines[0] == "error: robot.urdf:3: joint 'j': axis is zero"
     assert lines[1].strip() == where.text and lines[2].index("^") == lines[1].index("<") + 7
@@ -130,7 +130,7 @@ def test_errors_carry_their_data():
         "type": "UnknownNameError",
         "allowed": ["a", "b"],
     }
-    problem = facts.error_facts(DescriptionError(Problem("bad", "joint 'j'", Where("f", 3, 1, "x"))))["problems"][0]
+    problem = facts.error_facts(DescriptionError(Fault("bad", "joint 'j'", Where("f", 3, 1, "x"))))["problems"][0]
     assert (problem["file"], problem["line"], problem["column"], problem["message"]) == ("f", 3, 1, "bad")
 
 

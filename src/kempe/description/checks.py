@@ -11,7 +11,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.description.parts import Body, Joint, Limits
-from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, Where, hint
+from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, Where, hint
 from kempe.joints import TYPES, JointType, P, Product, Q, R
 from kempe.placement import Placement
 from kempe.reals import is_real
@@ -23,7 +23,7 @@ SAME_DIRECTION = 1e-12
 
 def refuse(subject: str, message: str, where: Where | None, allowed: str = "") -> NoReturn:
     """Raise the `DescriptionError` of one problem."""
-    raise DescriptionError(Problem(message, subject, where, allowed))
+    raise DescriptionError(Fault(message, subject, where, allowed))
 
 
 def name(given: object, kind: str) -> str:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from kempe.description.constrain import renamed
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Coupling, Frame, Joint
-from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, shown
+from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, shown
 from kempe.joints import Fixed
 from kempe.values import evaluate
 
@@ -74,7 +74,7 @@ def _refuse_clashes(host: Mechanism, guest: Mechanism, prefix: str) -> None:
         better = f"{prefix}2_" if prefix else re.sub(r"\W", "_", guest.name) + "_"
         allowed = f"give its names a prefix: attach(..., prefix={better!r})"
         raise DescriptionError(
-            Problem(f"both have {'; '.join(taken)}", f"attach {guest.name!r} to {host.name!r}", None, allowed)
+            Fault(f"both have {'; '.join(taken)}", f"attach {guest.name!r} to {host.name!r}", None, allowed)
         )
 
 
@@ -131,7 +131,7 @@ def _follow_inside(mechanism: Mechanism, out: Mechanism, coupling: Coupling, coo
                     sources[source] = sources.get(source, 0.0) + factor * number
             else:
                 problem = f"it follows {name}, outside the chain; lock that first"
-                raise DescriptionError(Problem(problem, f"coordinate {coupling.of!r}", coupling.where))
+                raise DescriptionError(Fault(problem, f"coordinate {coupling.of!r}", coupling.where))
             del sources[name]
     if sources:
         out.couplings[coupling.of] = replace(coupling, sources=sources, offset=offset)
@@ -155,7 +155,7 @@ def _path(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
                 came[there] = joint
                 queue.append(there)
     if end not in came:
-        raise DescriptionError(Problem(f"no joints lead from {base!r} to {end!r}", f"mechanism {mechanism.name!r}"))
+        raise DescriptionError(Fault(f"no joints lead from {base!r} to {end!r}", f"mechanism {mechanism.name!r}"))
     path: list[Joint] = []
     while (joint := came[end]) is not None:
         path.append(joint)

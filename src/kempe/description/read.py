@@ -15,7 +15,7 @@ from kempe.description.source import SIZE_LIMIT, collecting_later, expanded, fai
 from kempe.description.toml import read_toml
 from kempe.description.urdf import read_urdf
 from kempe.description.xacro import XACRO_ADVICE, expand_xacro
-from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError, UnsupportedError, Where
+from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, UnsupportedError, Where
 from kempe.library import names as library_models
 from kempe.library import path as library_path
 
@@ -41,7 +41,7 @@ class _How(NamedTuple):
 class Check(NamedTuple):
     """What `check` found: `problems`, which keep a description from being used, and `notes`, which do not."""
 
-    problems: tuple[Problem, ...]
+    problems: tuple[Fault, ...]
     notes: tuple[str, ...]
 
 
@@ -99,7 +99,7 @@ def check(
         return Check(error.problems, ())
     except (InputError, UnknownNameError, UnsupportedError) as error:
         where = Where("<text>" if isinstance(source, bytes) or _is_text(str(source)) else str(source))
-        return Check((Problem(str(error), "", where),), ())
+        return Check((Fault(str(error), "", where),), ())
     return Check((), tuple(mechanism.notes))
 
 

@@ -16,8 +16,8 @@ from pathlib import Path
 from kempe.errors import (
     PROBLEM_LIMIT,
     DescriptionError,
+    Fault,
     InputError,
-    Problem,
     UnknownNameError,
     Where,
     hint,
@@ -116,18 +116,18 @@ class Findings:
     """What a reader collects: problems, which stop it in the end, and notes, which do not."""
 
     def __init__(self) -> None:
-        self.problems: list[Problem] = []
+        self.problems: list[Fault] = []
         self._notes: list[tuple[int, str]] = []
 
     def add(self, message: str, subject: str = "", where: Where | None = None, allowed: str = "") -> None:
         """Record a problem; raise at once where there are many already."""
-        self.problems.append(Problem(message, subject, where, allowed))
+        self.problems.append(Fault(message, subject, where, allowed))
         if len(self.problems) >= MANY_PROBLEMS:
             self.finish()
 
     def note(self, message: str, subject: str = "", where: Where | None = None) -> None:
         """Record something harmless that the user should know."""
-        self._notes.append((where.line if where else 0, str(Problem(message, subject, where))))
+        self._notes.append((where.line if where else 0, str(Fault(message, subject, where))))
 
     @property
     def notes(self) -> list[str]:
@@ -152,7 +152,7 @@ class Findings:
             if len(self.problems) >= MANY_PROBLEMS:
                 raise
             for p in error.problems:
-                self.problems.append(Problem(p.message, p.subject or subject, p.where or where, p.allowed))
+                self.problems.append(Fault(p.message, p.subject or subject, p.where or where, p.allowed))
         except (InputError, UnknownNameError) as error:
             self.add(str(error).removeprefix(f"{subject}: "), subject, where)
 
@@ -164,7 +164,7 @@ class Findings:
 
 def fail(message: str, where: Where, allowed: str = "", subject: str = "") -> DescriptionError:
     """The error for a problem after which reading cannot go on."""
-    return DescriptionError(Problem(message, subject, where, allowed))
+    return DescriptionError(Fault(message, subject, where, allowed))
 
 
 def expanded(path: str | Path) -> Path:

@@ -11,7 +11,7 @@ import numpy as np
 from kempe.calls import known
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Fixed, Frame, Joint
-from kempe.errors import DescriptionError, Problem, UnknownNameError
+from kempe.errors import DescriptionError, Fault, UnknownNameError
 from kempe.model.coordinates import Coordinates, Relation, coordinate_names, coordinates_of
 from kempe.model.layout import Layout
 from kempe.model.table import Table, lower
@@ -176,15 +176,15 @@ class Compiled:
         problem = "placement is not a number with these parameters"
         for name, (_, X, _p) in self._table.at.items():
             if not np.isfinite(X).all():
-                raise DescriptionError(Problem(f"its {problem}", f"frame {name!r}"))
+                raise DescriptionError(Fault(f"its {problem}", f"frame {name!r}"))
         if not np.isfinite(self._table.placement).all():
-            raise DescriptionError(Problem(f"a {problem}", f"system {self.name!r}"))
+            raise DescriptionError(Fault(f"a {problem}", f"system {self.name!r}"))
         known = {*self.coordinate_names, *self._coordinates.followers}
         for name, posture in self._mechanism.postures.items():
             for key in posture:
                 if key not in known:
                     unknown = UnknownNameError("coordinate", key, self.coordinate_names, self.name)
-                    raise DescriptionError(Problem(str(unknown), f"posture {name!r}"))
+                    raise DescriptionError(Fault(str(unknown), f"posture {name!r}"))
 
     # ---- what it is
 

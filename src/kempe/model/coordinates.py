@@ -14,7 +14,7 @@ from kempe.constraints.base import Op
 from kempe.constraints.tape import TIME
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
-from kempe.errors import DescriptionError, InputError, Problem, UnknownNameError
+from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError
 from kempe.joints import P, Primitive, Q, R
 from kempe.model.layout import Layout, layout_of
 from kempe.values import Expression, evaluate
@@ -306,7 +306,7 @@ def _refuse_limits(
 
 
 def _refuse(subject: str, message: str, where, allowed: str = ""):
-    raise DescriptionError(Problem(message, subject, where, allowed))
+    raise DescriptionError(Fault(message, subject, where, allowed))
 
 
 def relation_text(relation: Relation) -> str:

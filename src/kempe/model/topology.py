@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
-from kempe.errors import DescriptionError, Problem
+from kempe.errors import DescriptionError, Fault
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def _refuse_detached(mechanism: Mechanism, level: dict[str, int]) -> None:
     if detached:
         names = ", ".join(repr(b.name) for b in detached[:8]) + (", ..." if len(detached) > 8 else "")
         raise DescriptionError(
-            Problem(
+            Fault(
                 f"no joints lead from {mechanism.ground.name!r} to {names}", f"mechanism {mechanism.name!r}",
                 detached[0].where, "a free body needs a 'free' joint; a particle can hold no body",
             )

@@ -21,7 +21,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.tasks import Problem
+    from kempe.solvers.tasks import Demands
 
 SLACK = 1e-9
 """What is left to rounding, in radians and parts of the lengths."""
@@ -59,7 +59,7 @@ class Held(NamedTuple):
     angular: float
 
 
-def contradictions(problem: Problem) -> list[Contradiction]:
+def contradictions(problem: Demands) -> list[Contradiction]:
     """Pairs of hard tasks that exclude each other somewhere in the batch."""
     hard = [i for i, t in enumerate(problem.tasks) if problem.use[i] and t.weight is None]
     held = {i: h for i in hard if (h := _held(problem, i)) is not None}
@@ -71,7 +71,7 @@ def contradictions(problem: Problem) -> list[Contradiction]:
     return out
 
 
-def contradictory(problem: Problem) -> np.ndarray:
+def contradictory(problem: Demands) -> np.ndarray:
     """Which problems (...) have two hard tasks that exclude each other."""
     out = np.zeros(problem.lead, dtype=bool)
     for found in contradictions(problem):
@@ -79,7 +79,7 @@ def contradictory(problem: Problem) -> np.ndarray:
     return out
 
 
-def _held(problem: Problem, i: int) -> Held | None:
+def _held(problem: Demands, i: int) -> Held | None:
     """What a task says of one body; None for tasks of other kinds."""
     task, system, goal = problem.tasks[i], own_tree(problem.system), problem.goals[i][0][0]
     if not isinstance(task, Placed) or isinstance(task, Centred) or goal is None or len(problem.goals[i]) > 1:
@@ -101,7 +101,7 @@ def _held(problem: Problem, i: int) -> Held | None:
     return Held(int(row), goal, local, task.point, task.turned, axis, region, linear, angular)
 
 
-def _between(problem: Problem, a: Held, b: Held) -> list[tuple[Array, str]]:
+def _between(problem: Demands, a: Held, b: Held) -> list[tuple[Array, str]]:
     """How far what two tasks ask for is apart, by each argument that applies, and what is said of it."""
     if a.row != b.row:
         if not (a.point and b.point):

@@ -18,7 +18,7 @@ from kempe.solvers.servo_closed import ends_of_rows
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.solvers.tasks import Problem
+    from kempe.solvers.tasks import Demands
 
 AT_BOUND = 2e-6
 """How near to its bound an inequality holds the answer there, in radians and characteristic lengths."""
@@ -67,7 +67,7 @@ def derivative(answer: Reached) -> dict[str, Array]:
     return {k: np.stack([r[k] for r in each]).reshape(*good.shape, *x.shape) for k, x in known.items()}
 
 
-def _one(problem: Problem, q: Array) -> dict[str, Array]:
+def _one(problem: Demands, q: Array) -> dict[str, Array]:
     """The derivatives of one answer."""
     system, scale = problem.system, problem.packed.scale
     counts = _active(problem, q)
@@ -103,7 +103,7 @@ def _one(problem: Problem, q: Array) -> dict[str, Array]:
     return out
 
 
-def _active(problem: Problem, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
+def _active(problem: Demands, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
     """Which of the tasks' rows (m,) are held, which are lowered, and the roots of their weights."""
     packed = problem.packed
     error, _ = packed.evaluate(q, problem.pins)
@@ -117,7 +117,7 @@ def _active(problem: Problem, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
         own]  # fmt: skip
 
 
-def _rows(problem: Problem, q: Array, pins: Array, counts: tuple[np.ndarray, np.ndarray, Array]) -> _Rows:
+def _rows(problem: Demands, q: Array, pins: Array, counts: tuple[np.ndarray, np.ndarray, Array]) -> _Rows:
     """What is held and what is lowered at q (..., nq), for pins (n or 1, k)."""
     packed, (held, soft, weight) = problem.packed, counts
     error, J = packed.evaluate(q, pins)
@@ -132,7 +132,7 @@ def _rows(problem: Problem, q: Array, pins: Array, counts: tuple[np.ndarray, np.
                  np.concatenate([J[..., held, :], C], axis=-2), miss, S)  # fmt: skip
 
 
-def _free(problem: Problem, q: Array, H: Array) -> np.ndarray:
+def _free(problem: Demands, q: Array, H: Array) -> np.ndarray:
     """Which velocity coordinates (nv,) move: not those at a limit, unless the others cannot do without them."""
     system, v = problem.system, problem.system.structure.layout.vector_v
     x = q[system.structure.layout.vector_q]

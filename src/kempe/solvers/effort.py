@@ -18,7 +18,7 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.kinematics.packed import Packed
     from kempe.model.system import System
-    from kempe.solvers.tasks import Problem
+    from kempe.solvers.tasks import Demands
 
 FIRST = 60
 """Starts after which one looks whether more are worth their time."""
@@ -41,8 +41,8 @@ def most_starts(system: System, packed: Packed) -> int:
     return found
 
 
-def search(problem: Problem, base: Array, threads: int | None = 1) -> tuple[Array, np.ndarray]:
-    """As `Problem.run`, with as many starts as each problem deserves: `FIRST` first, then up to those of the problem.
+def search(problem: Demands, base: Array, threads: int | None = 1) -> tuple[Array, np.ndarray]:
+    """As `Demands.run`, with as many starts as each problem deserves: `FIRST` first, then up to those of the problem.
 
     No more than these where a proof says that there is no answer.
     """

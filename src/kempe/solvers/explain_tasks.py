@@ -27,7 +27,7 @@ from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.kinematics.task import Task
-    from kempe.solvers.tasks import Problem
+    from kempe.solvers.tasks import Demands
 
 MOST_PAIRS = 45
 """Pairs of tasks that are tried before they are no longer asked for."""
@@ -81,19 +81,19 @@ def _amounts(tasks: list[Task], misses: dict[str, Array]) -> str:
     return ", ".join([*parts, f"{worst[1]:.1e} rad"] if any(t.angles for t in tasks) else parts)
 
 
-def _within(problem: Problem, task: Task, error: Array) -> bool:
+def _within(problem: Demands, task: Task, error: Array) -> bool:
     linear, angular = problem.tolerance_of(task)
     return bool(error[0] <= linear * 1.000001 and error[1] <= angular * 1.000001)
 
 
-def _freedoms(problem: Problem, q: Array) -> str:
+def _freedoms(problem: Demands, q: Array) -> str:
     """How many freedoms are left, or that there are more equations than freedoms."""
     local = Local(problem, q)
     left = freedoms_text(local) if local.left.shape[1] else "no freedom is left"
     return f"{left}, though {local.m} equations meet {counted(local.n, 'freedom')}" if local.m > local.n else left
 
 
-def _violated(problem: Problem, q: Array) -> str:
+def _violated(problem: Demands, q: Array) -> str:
     """Which declared one-sided constraints are violated at q (nq,), and by how much."""
     rows = problem.packed.one_sided
     beyond = rows.beyond(q, declared=True)
@@ -102,7 +102,7 @@ def _violated(problem: Problem, q: Array) -> str:
 
 
 def _solved(
-    problem: Problem, q: Array, tasks: list[int], limits: bool = True, one_sided: bool = True
+    problem: Demands, q: Array, tasks: list[int], limits: bool = True, one_sided: bool = True
 ) -> Array | None:  # fmt: skip
     """A configuration (nq,) that holds only these hard tasks, or None."""
     part = problem.only(tasks, limits, one_sided)
@@ -110,7 +110,7 @@ def _solved(
     return found[0] if judge(part, found, info) else None
 
 
-def _reason(problem: Problem, q: Array) -> str:
+def _reason(problem: Demands, q: Array) -> str:
     """Why the hard tasks of one problem do not hold together; q (nq,) is the nearest found."""
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
     proofs = [proof for i in hard if (proof := _out_of_reach(problem, i))] or _contradictory(problem)
@@ -151,7 +151,7 @@ def proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Any, ...]:
     return tuple(proof for i in hard if (proof := _lengths(problem, i)))
 
 
-def _contradicting(problem: Problem) -> list[Contradiction]:
+def _contradicting(problem: Demands) -> list[Contradiction]:
     """For each two tasks of one problem that exclude each other, how they do, first found."""
     out: dict[tuple[int, int], Contradiction] = {}
     for found in contradictions(problem):
@@ -161,26 +161,26 @@ def _contradicting(problem: Problem) -> list[Contradiction]:
     return list(out.values())
 
 
-def _contradictory(problem: Problem) -> list[str]:
+def _contradictory(problem: Demands) -> list[str]:
     """Which tasks of one problem exclude each other, proven."""
     labels = [t.label for t in problem.tasks]
     texts = [f"{labels[x.first]!r} and {labels[x.second]!r}: {x.text}" for x in _contradicting(problem)]
     return [f"contradictory: {'; '.join(texts)}"] if texts else []
 
 
-def _lengths(problem: Problem, i: int) -> Lengths:
+def _lengths(problem: Demands, i: int) -> Lengths:
     """How far lengths put a task out of reach."""
     place, turned = beyond(problem, problem.tasks[i], problem.goals[i]).reshape(-1, 2)[0].tolist()
     return Lengths(place, turned)
 
 
-def _out_of_reach(problem: Problem, i: int) -> str:
+def _out_of_reach(problem: Demands, i: int) -> str:
     """That lengths put a task out of reach, and how far; empty if they do not."""
     proof = _lengths(problem, i)
     return f"{problem.tasks[i].label!r} is {proof.text}" if proof else ""
 
 
-def _alone(problem: Problem, q: Array, i: int, among: bool) -> str:
+def _alone(problem: Demands, q: Array, i: int, among: bool) -> str:
     """Why one task is not reached even alone."""
     label = repr(problem.tasks[i].label)
     free = _solved(problem, q, [i], False)
@@ -191,13 +191,13 @@ def _alone(problem: Problem, q: Array, i: int, among: bool) -> str:
     return f"{said}{_more(problem, q, [i])}"
 
 
-def _more(problem: Problem, q: Array, tasks: list[int]) -> str:
+def _more(problem: Demands, q: Array, tasks: list[int]) -> str:
     """Whether tasks have more equations than the system has freedoms."""
     rank = LowRank(*analyse(problem.only(tasks), q)[:2])
     return f" ({rank.text})" if rank else ""
 
 
-def outside(problem: Problem, q: Array) -> list[str]:
+def outside(problem: Demands, q: Array) -> list[str]:
     """Coordinates that are outside their limits at q (nq,), whatever whole turns are added."""
     system, names = problem.system, []
     for i, v in zip(system.structure.layout.vector_q, system.structure.layout.vector_v, strict=True):

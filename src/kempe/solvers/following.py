@@ -27,7 +27,7 @@ from kempe.solvers.problem import Choice, Solver
 from kempe.solvers.reached import asked_of
 from kempe.solvers.slip import rolls
 from kempe.solvers.targets import Z_AXIS, parse_targets
-from kempe.solvers.tasks import STARTS, Problem, judge, pose_problem
+from kempe.solvers.tasks import STARTS, Demands, judge, pose_problem
 from kempe.solvers.way import DEPTH, SINGULAR, STAYS, TOLERANCE, WEAK, Way
 from kempe.spatial import Array
 from kempe.status import Status
@@ -64,7 +64,7 @@ class IkPath(Configurations):
     success: np.ndarray
     jumps: tuple[int, ...]
     reason: str
-    asked: Problem = field(repr=False)
+    asked: Demands = field(repr=False)
     """The tasks, with a goal for each of the targets."""
     interrupted: bool = False
     late: bool = False
@@ -296,7 +296,7 @@ def _sentence(system: System, i: int, why: str, q: Array, others: list[Array], r
 
 
 def _all(
-    system: System, targets: Any, frame: FrameLike | None, row: Problem, begin: int, q: Array
+    system: System, targets: Any, frame: FrameLike | None, row: Demands, begin: int, q: Array
 ) -> list[Array]:  # fmt: skip
     """What `ik_all` finds for target `begin`, inside the limits; what the target does not ask for is as in q (nq,)."""
     if frame is None or of_loops(system, system.structure.frame_name(frame)):

@@ -17,7 +17,7 @@ from kempe.spatial import Array
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.solvers.tasks import Problem
+    from kempe.solvers.tasks import Demands
 
 RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero."""
@@ -43,7 +43,7 @@ class Local:
     `q` is led on to where the equations hold to rounding, if that is near; lengths count in characteristic lengths.
     """
 
-    def __init__(self, problem: Problem, q: Array) -> None:
+    def __init__(self, problem: Demands, q: Array) -> None:
         packed, self.problem = problem.packed, problem
         self.hard = [i for i, t in enumerate(problem.tasks) if t.weight is None and problem.use[i]]
         ties = packed.loops.ties

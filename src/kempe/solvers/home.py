@@ -18,13 +18,13 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.tasks import Problem
+    from kempe.solvers.tasks import Demands
 
 FAR = 10.0
 """Characteristic lengths from a frame to its target from which on a base is moved before the first start."""
 
 
-def beside(problem: Problem, home: Array) -> Array:
+def beside(problem: Demands, home: Array) -> Array:
     """Homes (N or 1, nq) moved by a base that slides without limits to where the first hard task holds a frame.
 
     So a drive over the plane begins beside its target; what is near stays. A base that flies is moved by the kernels.

@@ -21,10 +21,10 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.tasks import Problem
+    from kempe.solvers.tasks import Demands
 
 
-def unreachable(problem: Problem) -> np.ndarray:
+def unreachable(problem: Demands) -> np.ndarray:
     """Which problems (...) have a hard task that is out of reach."""
     out = np.zeros(problem.lead, dtype=bool)
     for i, (task, goals) in enumerate(zip(problem.tasks, problem.goals, strict=True)):
@@ -33,7 +33,7 @@ def unreachable(problem: Problem) -> np.ndarray:
     return out
 
 
-def beyond(problem: Problem, task: Task, goals: Goals) -> Array:
+def beyond(problem: Demands, task: Task, goals: Goals) -> Array:
     """How far (..., 2) in metres a task is out of reach, as to its place, and together with its orientation.
 
     It is a lower bound of the error in its place; zero where lengths say nothing, or within the tolerances.

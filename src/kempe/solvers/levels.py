@@ -25,10 +25,10 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.tasks import Problem
+    from kempe.solvers.tasks import Demands
 
 Level = tuple[int, bool]
-Search = Callable[["Problem", Array, "int | None"], tuple[Array, np.ndarray]]
+Search = Callable[["Demands", Array, "int | None"], tuple[Array, np.ndarray]]
 
 KEPT = 64
 """Structures of tasks whose packed ties a system keeps, and sets of weights and tolerances kept with each."""
@@ -61,7 +61,7 @@ def packed_for(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
 
 
 def solve(
-    problem: Problem, base: Array, search: Search, threads: int | None = 1, rows: np.ndarray | None = None
+    problem: Demands, base: Array, search: Search, threads: int | None = 1, rows: np.ndarray | None = None
 ) -> tuple[Array, np.ndarray]:
     """Configurations (N, nq) and (status, steps, starts) (N, 3), from starts (N or 1, nq); of some `rows` few starts.
 
@@ -85,7 +85,7 @@ def solve(
 
 
 def _compare(
-    problem: Problem, base: Array, q: Array, info: np.ndarray, search: Search, threads: int | None, rows: np.ndarray
+    problem: Demands, base: Array, q: Array, info: np.ndarray, search: Search, threads: int | None, rows: np.ndarray
 ) -> None:
     """Make q and info of some rows better in place where earlier levels come lower without the last ones.
 
@@ -122,14 +122,14 @@ def _compare(
     info[at, 1] += more[:, 1]
 
 
-def _lead_on(problem: Problem, rows: np.ndarray, q: Array, threads: int | None, tries: int) -> tuple[Array, np.ndarray]:
-    """As `Problem.run` of some rows, from configurations of these."""
+def _lead_on(problem: Demands, rows: np.ndarray, q: Array, threads: int | None, tries: int) -> tuple[Array, np.ndarray]:
+    """As `Demands.run` of some rows, from configurations of these."""
     starts = np.zeros((math.prod(problem.lead), q.shape[1]))
     starts[rows] = q
     return problem.run(starts, threads, tries=tries, rows=rows)
 
 
-def _cut(problem: Problem, where: Callable[[Problem, Level], bool]) -> Level | None:
+def _cut(problem: Demands, where: Callable[[Demands, Level], bool]) -> Level | None:
     """The last level that says so, before the last one."""
     levels = tuple([level_of(t) for t in problem.tasks])
     asked = where, levels
@@ -140,13 +140,13 @@ def _cut(problem: Problem, where: Callable[[Problem, Level], bool]) -> Level | N
     return ends[0] if ends else None
 
 
-def _is_added(problem: Problem, end: Level) -> bool:
+def _is_added(problem: Demands, end: Level) -> bool:
     """Whether a soft level, the last one, stands behind this one, which is soft or has soft ones before it."""
     levels = sorted({level_of(t) for t in problem.tasks})
     return levels[-1][1] and end == levels[-2] and any(soft for _, soft in levels[:-1])
 
 
-def _may_differ(problem: Problem, end: Level) -> bool:
+def _may_differ(problem: Demands, end: Level) -> bool:
     """Whether tasks behind this level can change what those up to it reach.
 
     Hard ones are met before soft ones are lowered, and angles that are named do not turn on beyond their limits.
@@ -159,7 +159,7 @@ def _may_differ(problem: Problem, end: Level) -> bool:
     return named and bool(np.any(_part(problem, end).packed.wide & ~problem.packed.wide))
 
 
-def _part(problem: Problem, end: Level) -> Problem:
+def _part(problem: Demands, end: Level) -> Demands:
     """The problem up to a level, nothing preferred."""
     levels = tuple([level_of(t) for t in problem.tasks])
     asked = _part, levels, end
@@ -183,7 +183,7 @@ def is_lower(values: Array, than: Array) -> np.ndarray:
     return far.any(axis=1) & (np.take_along_axis(values - than, first, 1)[:, 0] < 0.0)
 
 
-def values(problem: Problem, q: Array, rows: np.ndarray) -> Array:
+def values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
     """What each level misses (N, levels), as the solver counts it, at configurations (N, nq) of some rows.
 
     A soft level counts its weighted square, a hard one the largest square by its tolerance where that is above 1.

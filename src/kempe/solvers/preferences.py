@@ -13,13 +13,13 @@ from kempe.model.callback import Callback
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.solvers.tasks import Problem
+    from kempe.solvers.tasks import Demands
 
 SMALL = 1e-24
 """Added to squared singular values, so that the logarithm of none is infinite."""
 
 
-def least(problem: Problem, prefer: Any) -> Callback:
+def least(problem: Demands, prefer: Any) -> Callback:
     """The function that is to be made least, as kernels call it. Errors: `InputError`."""
     if prefer == "manipulability":
         callback = Callback(problem.system, 1, _with_differences(problem, lambda q: -log_manipulability(problem, q)))
@@ -32,7 +32,7 @@ def least(problem: Problem, prefer: Any) -> Callback:
     return callback
 
 
-def log_manipulability(problem: Problem, q: Array) -> Array:
+def log_manipulability(problem: Demands, q: Array) -> Array:
     """Logarithm (...) of the hard tasks' manipulability at q (..., nq): of sqrt(det(J J^T)) (Yoshikawa, 1985).
 
     J is taken in the velocities that the loops leave. For tasks that are singular everywhere, of the part that is not.
@@ -47,7 +47,7 @@ def log_manipulability(problem: Problem, q: Array) -> Array:
     return 0.5 * np.sum(np.log(s * s + SMALL), axis=-1)
 
 
-def _with_differences(problem: Problem, function: Callable[[Array], Array]) -> Callable[[Array], tuple[Any, Array]]:
+def _with_differences(problem: Demands, function: Callable[[Array], Array]) -> Callable[[Array], tuple[Any, Array]]:
     """The function with its gradient by central differences, all of them in one batch."""
     system = problem.system
     steps = REAL_STEP * np.concatenate([np.eye(system.nv), -np.eye(system.nv), np.zeros((1, system.nv))])
@@ -59,7 +59,7 @@ def _with_differences(problem: Problem, function: Callable[[Array], Array]) -> C
     return work
 
 
-def _of_user(problem: Problem, function: Callable[[Array], Any]) -> Callable[[Array], tuple[Any, Array]]:
+def _of_user(problem: Demands, function: Callable[[Array], Any]) -> Callable[[Array], tuple[Any, Array]]:
     layout, q0 = problem.system.structure.layout, problem.system.random(0)
     if checked_value("prefer", function, q0).size != 1:
         raise InputError("what is preferred must be one number: a function of q (nq,) to be made least")

@@ -14,7 +14,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.solvers.problem import Choice
-    from kempe.solvers.tasks import Problem
+    from kempe.solvers.tasks import Demands
 
 
 @explained_methods
@@ -64,13 +64,13 @@ class Reached(Solution):
         return sentence(self, index) + self._way_there(index)
 
 
-def asked_of(problem: Problem) -> list[tuple[Any, Any, Any]]:
+def asked_of(problem: Demands) -> list[tuple[Any, Any, Any]]:
     """The hard tasks of a problem, with their goals and tolerances."""
     every = zip(problem.tasks, problem.goals, problem.use, strict=True)
     return [(task, goals, problem.tolerance_of(task)) for task, goals, used in every if used and task.weight is None]
 
 
-def analyse(problem: Problem, q: Array) -> tuple[int, int, int, Array]:
+def analyse(problem: Demands, q: Array) -> tuple[int, int, int, Array]:
     """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions at q (nq,), scaled."""
     local = Local(problem, q)
     return local.m, local.n, local.n - local.left.shape[1], local.left

@@ -31,7 +31,7 @@ from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
-    from kempe.solvers.tasks import Problem
+    from kempe.solvers.tasks import Demands
 
 USUAL = Usual("self_motion", points=200, step=0.05, time_limit=TIME_LIMIT, progress=None)
 TOLERANCE = 1e-10
@@ -71,7 +71,7 @@ class SelfMotion(Configurations):
     start: int
     closed: bool
     ends: tuple[str, str]
-    asked: Problem = field(repr=False)
+    asked: Demands = field(repr=False)
     """The tasks that hold all along."""
     interrupted: bool = False
     late: bool = False
@@ -166,7 +166,7 @@ def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayL
     return of_target(name, kind, axis_of(axis), system.fk(q, name))
 
 
-def _begin(system: System, q: Array, wanted: Any) -> tuple[Problem, Array]:
+def _begin(system: System, q: Array, wanted: Any) -> tuple[Demands, Array]:
     """The problem that the tasks hold, and q (nq,) closed to rounding. Errors: `InputError` where they do not hold."""
     problem, start = pose_problem(system, wanted, q, TOLERANCE, 1)
     if problem.lead:
@@ -179,7 +179,7 @@ def _begin(system: System, q: Array, wanted: Any) -> tuple[Problem, Array]:
     return problem, problem.run(start)[0][0]
 
 
-def _wish(system: System, direction: Any, local: Local, problem: Problem) -> Array:
+def _wish(system: System, direction: Any, local: Local, problem: Demands) -> Array:
     """The scaled velocity (nv,) to follow."""
     if direction is None:
         if local.finite > 1:
@@ -304,7 +304,7 @@ class _Way:
         return v / self.problem.packed.scale
 
 
-def _stop(problem: Problem, q: Array, t: Array, ahead: float) -> str:
+def _stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
     """What stands in the way of going on from q along t: a limit, or the bound of a task, not farther than `ahead`."""
     system, scale = problem.system, problem.packed.scale
     if names := _at_limits(system, q, t, ahead * scale):

@@ -28,7 +28,7 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.kinematics.packed import Packed
     from kempe.model.system import System
-    from kempe.solvers.tasks import Problem
+    from kempe.solvers.tasks import Demands
 
 OPEN = 1e-3
 """By how much, in radians and characteristic lengths, loops may be open at first: more is no drift."""
@@ -337,7 +337,7 @@ def convex(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Arra
     return np.sqrt(size)[:, None] * V.T, (pull @ V) / np.sqrt(size)
 
 
-def stages_of(problem: Problem, q: Array, dt: float) -> list[Stage]:
+def stages_of(problem: Demands, q: Array, dt: float) -> list[Stage]:
     """What tasks ask of the velocities at q (nq,), level by level: that what they miss is gone after dt."""
     packed, loops = problem.packed, problem.packed.loops
     error, J = packed.evaluate(q, problem.pins)
@@ -366,7 +366,7 @@ def ends_of_rows(packed: Packed) -> tuple[Array, Array]:
     return low, high
 
 
-def posed(system: System, wanted: Any, q: Array) -> Problem:
+def posed(system: System, wanted: Any, q: Array) -> Demands:
     """The tasks of one step, checked and packed. Errors: `InputError` for a batch, and for goals that are none."""
     from kempe.kinematics.packed import refuse
     from kempe.solvers.tasks import pose_problem

@@ -58,7 +58,7 @@ USUAL = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threa
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Demands:
     """What was asked: kept with the answer, so that it can say why it failed.
 
     `pins` (N or 1, k) are the goals, `use` (tasks,) says which count, `limits` whether limits do.
@@ -92,14 +92,14 @@ class Problem:
         """Largest error of a hard task in metres and radians."""
         return self.tolerance if task.tolerance is None else tolerances(task.tolerance)
 
-    def of(self, index: int) -> Problem:
+    def of(self, index: int) -> Demands:
         """The problem of one row of a batch."""
         pins = self.pins[index : index + 1] if len(self.pins) > 1 else self.pins
         aim = self.aim[index : index + 1] if self.aim is not None and len(self.aim) > 1 else self.aim
         goals = tuple(_row(g, index, self.lead) for g in self.goals)
         return replace(self, goals=goals, pins=pins, aim=aim, lead=())
 
-    def only(self, tasks: Sequence[int], limits: bool = True, one_sided: bool = True) -> Problem:
+    def only(self, tasks: Sequence[int], limits: bool = True, one_sided: bool = True) -> Demands:
         """The same with only these tasks, nothing preferred, no limit of time, and few starts."""
         use = tuple(i in tasks for i in range(len(self.tasks)))
         few = min(self.starts, STARTS)
@@ -220,7 +220,7 @@ def reach(
     starts, threads = spend.starts, spend.threads
     turns = prefer is None or prefer == "nearest"
     problem, base = pose_problem(system, wanted, start, tolerance, starts, spend.rng, turns)
-    search = Problem.run if starts is not None else effort.search
+    search = Demands.run if starts is not None else effort.search
     if spend.iterations != STEPS or spend.time_limit is not None:
         limit = spend.time_limit
         problem = replace(problem, iterations=step_count(spend.iterations), time_limit=limit, end=deadline(limit))
@@ -242,7 +242,7 @@ def reach(
 def pose_problem(
     system: System, wanted: Constraint | Sequence[Constraint], start: Any = None, tolerance: Any = TOLERANCE,
     starts: int | None = STARTS, rng: Any = 0, turns: bool = False,
-) -> tuple[Problem, Array]:  # fmt: skip
+) -> tuple[Demands, Array]:  # fmt: skip
     """The problem, checked and packed, and its first starts (N or 1, nq); `turns` as in `Packed`.
 
     `starts` None are as many as it deserves.
@@ -262,7 +262,7 @@ def pose_problem(
     pins = packed.pins(goals, lead if own else ())
     use = (True,) * len(tasks)
     most = most_starts(system, packed) if starts is None else start_count(starts)
-    problem = Problem(
+    problem = Demands(
         system, tasks, packed, goals, pins, lead, TOLERANCE if tolerance is TOLERANCE else tolerances(tolerance), most,
         seed_number(rng), use, loose=start is None,
     )  # fmt: skip
@@ -313,7 +313,7 @@ def _row(goals: Goals, index: int, lead: tuple[int, ...]) -> Goals:
     return out
 
 
-def _preferring(problem: Problem, prefer: Any, base: Array) -> Problem:
+def _preferring(problem: Demands, prefer: Any, base: Array) -> Demands:
     """The problem with what is to be made least last."""
     if prefer == "nearest":
         return replace(problem, mode=S.AHEAD, aim=_home(problem.system)[None] if problem.loose else base)
@@ -325,7 +325,7 @@ def _preferring(problem: Problem, prefer: Any, base: Array) -> Problem:
     return replace(problem, mode=callback.address, callback=callback)
 
 
-def judge(problem: Problem, q: Array, info: np.ndarray) -> Reached:
+def judge(problem: Demands, q: Array, info: np.ndarray) -> Reached:
     """The answer, each configuration checked by the forward model, the limits and the loops."""
     system, lead, packed, status = problem.system, problem.lead, problem.packed, info[:, 0]
     bad = status == S.BAD_INPUT

@@ -16,7 +16,7 @@ from kempe import spatial
 from kempe.kernels.search_layout import SOLVED
 from kempe.solvers.chain import inside
 from kempe.solvers.clock import TimeLimit
-from kempe.solvers.tasks import Problem, judge
+from kempe.solvers.tasks import Demands, judge
 from kempe.spatial import Array
 
 TOLERANCE = 1e-10
@@ -66,7 +66,7 @@ class Way:
     """The targets of a path, all that lies between them, and steps along it."""
 
     def __init__(
-        self, problem: Problem, max_step: float, budget: TimeLimit, progress: Callable[[int], None] | None = None
+        self, problem: Demands, max_step: float, budget: TimeLimit, progress: Callable[[int], None] | None = None
     ):  # fmt: skip
         tasks = tuple(t.exactly() for t in problem.tasks)
         self.problem, self.max_step, self.budget = replace(problem, tasks=tasks), max_step, budget
@@ -80,7 +80,7 @@ class Way:
         own = packed.rows >= 0
         self.counts = np.isin(packed.rows[own], hard) & equal[own]
 
-    def at(self, i: int, part: float) -> Problem:
+    def at(self, i: int, part: float) -> Demands:
         """The problem at a part of the way from target i - 1 to target i."""
         if part >= 1.0:
             return self.rows[i]
@@ -90,7 +90,7 @@ class Way:
              for (x, m), (y, n) in zip(g, h, strict=True)] for g, h in zip(a, b, strict=True))  # fmt: skip
         return replace(self.rows[i], goals=goals, pins=self.problem.packed.pins(goals))
 
-    def first_order(self, problem: Problem, q: Array, weak: float = 0.0) -> Order:
+    def first_order(self, problem: Demands, q: Array, weak: float = 0.0) -> Order:
         """What a problem asks from q to first order, damped; of singular values above `weak` times the largest."""
         e, J = self.missing(problem, q)
         if not J.size:
@@ -101,7 +101,7 @@ class Way:
             part[s < weak * s[0]] = 0.0
         return Order(-Vt.T @ (part * (U.T @ e)), float(s[-1] / max(s[0], 1e-300)), Vt[-1], float(np.linalg.norm(e)))
 
-    def missing(self, problem: Problem, q: Array) -> tuple[Array, Array]:
+    def missing(self, problem: Demands, q: Array) -> tuple[Array, Array]:
         """The equations (m,) of hard tasks and loops at q (nq,), and their Jacobian (m, nv)."""
         packed = problem.packed
         e, J = packed.evaluate(q, problem.pins)
@@ -112,7 +112,7 @@ class Way:
             e, J = np.concatenate([e, more]), np.concatenate([J, rows])
         return e, J
 
-    def step(self, problem: Problem, q: Array, order: Order | None = None) -> Array | None:
+    def step(self, problem: Demands, q: Array, order: Order | None = None) -> Array | None:
         """The configuration (nq,) that holds a problem and that one gets to from q; None where one does not.
 
         Singular configurations are left by a small step to either side: there, what is missing gives no direction.
@@ -128,7 +128,7 @@ class Way:
                 return found
         return None
 
-    def coast(self, problem: Problem, q: Array, before: Array) -> Array | None:
+    def coast(self, problem: Demands, q: Array, before: Array) -> Array | None:
         """The same by going on as before, by the scaled step (nv,): so targets that jump over a singularity are met."""
         if not before.any():
             return None
@@ -138,13 +138,13 @@ class Way:
         found, moved = self.land(problem, q, before)
         return found if found is not None and self.smooth(moved, before) else None
 
-    def loose(self, problem: Problem, q: Array, before: Array) -> Array | None:
+    def loose(self, problem: Demands, q: Array, before: Array) -> Array | None:
         """The same where it holds within the tolerance only: what a singularity cannot give is left out."""
         x = self.truncated(problem, q, before) if self.given > TOLERANCE else None
         good = x is not None and judge(problem, x[None], np.full((1, 3), SOLVED)).success
         return x if good else None
 
-    def truncated(self, problem: Problem, q: Array, before: Array) -> Array | None:
+    def truncated(self, problem: Demands, q: Array, before: Array) -> Array | None:
         """Where (nq,) one gets to by going on as before and making good what is not singular; None if elsewhere."""
         x = self.system.structure.layout.integrate(q, before * self.scale)
         for _ in range(TRUNCATED):
@@ -188,7 +188,7 @@ class Way:
                 return x
         return None
 
-    def land(self, problem: Problem, q: Array, ahead: Array) -> tuple[Array | None, Array]:
+    def land(self, problem: Demands, q: Array, ahead: Array) -> tuple[Array | None, Array]:
         """Where (nq,) the solver gets to from a scaled step (nv,) away from q, None without success, and the step."""
         self.budget.check()
         start = self.system.structure.layout.integrate(q, ahead * self.scale)[None]

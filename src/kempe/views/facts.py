@@ -11,7 +11,7 @@ import numpy as np
 from kempe import library, spatial
 from kempe.constraints.base import with_numbers
 from kempe.description.parts import Declared, Joint
-from kempe.errors import DescriptionError, KempeError, Problem
+from kempe.errors import DescriptionError, Fault, KempeError
 from kempe.joints import P, R
 from kempe.kinematics.configuration import has_loops
 from kempe.kinematics.result import MOST_JUDGED
@@ -206,7 +206,7 @@ def model_text(name: str) -> str:
     return library.path(name).read_text(encoding="utf-8")
 
 
-def problem_facts(problem: Problem) -> dict[str, Any]:
+def problem_facts(problem: Fault) -> dict[str, Any]:
     """A finding about a file: its place, what it is about, what is wrong, what is allowed."""
     where = problem.where
     return {

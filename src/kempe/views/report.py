@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from kempe import spatial
-from kempe.errors import PROBLEM_LIMIT, DescriptionError, Problem
+from kempe.errors import PROBLEM_LIMIT, DescriptionError, Fault
 from kempe.views import facts
 from kempe.views.options import in_options
 
@@ -246,7 +246,7 @@ def _lines(title: str, lines: Sequence[str]) -> RenderableType | None:
 # ---- check
 
 
-def findings(file: str, problems: Sequence[Problem], notes: Sequence[str] = ()) -> RenderableType:
+def findings(file: str, problems: Sequence[Fault], notes: Sequence[str] = ()) -> RenderableType:
     """What is wrong with a file: each problem with its place and a caret under it; then the notes."""
     found = count(len(problems), "problem") if problems else "no problems"
     noted = f", {count(len(notes), 'note')}" if notes else ""
@@ -260,7 +260,7 @@ def findings(file: str, problems: Sequence[Problem], notes: Sequence[str] = ()) 
     return Group(head, *shown, *said)
 
 
-def _problem(problem: Problem) -> Text:
+def _problem(problem: Fault) -> Text:
     text = Text(clean(problem))
     if problem.where:
         text.stylize("bold", 0, len(str(problem.where)))
