@@ -31,6 +31,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--hunt-times", type=float, default=1.0, help="factor on the number of their cases")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Former names are errors: the library, its tests and its pages say the present ones; long batteries only warn."""
+    for item in items:
+        if item.get_closest_marker("slow") is None:
+            item.add_marker(pytest.mark.filterwarnings("error:.*former name:DeprecationWarning"))
+
+
 def pytest_report_header(config: pytest.Config) -> str:
     """The line that tells how to run the same hunts again."""
     return f"hunts: --hunt-seed {config.getoption('--hunt-seed')} --hunt-times {config.getoption('--hunt-times'):g}"

@@ -138,7 +138,7 @@ for name in ("panda", "puma560", "ur5", "jaco2", "stanford", "youbot"):
     X = out[f"{name} pose"] = robot.fk(q, frame)
     out[f"{name} bodies"] = robot.fk(q)
     out[f"{name} jacobian"] = robot.jacobian(q, frame)
-    s = robot.ik(X, frame, seed=q + 1e-3)
+    s = robot.ik(X, frame, start=q + 1e-3)
     out[f"{name} ik"], out[f"{name} ik pose"] = s.success, robot.fk(s.q, frame)
     a = robot.ik_all(X[:50], frame)
     out[f"{name} all"] = a.mask.sum(axis=-1)
@@ -148,7 +148,7 @@ for name in ("panda", "puma560", "ur5", "jaco2", "stanford", "youbot"):
 for name in ("four_bar", "jansen", "stewart", "bennett", "delta_uu", "andrews_squeezer"):
     system = kempe.load(name)
     q0 = system.q("closed") if "closed" in system.structure.posture_names else system.neutral
-    s = system.assemble({}, near=q0)
+    s = system.assemble({}, start=q0)
     out[f"{name} closed"], out[f"{name} residual"] = s.q, np.array(s.residual)
     out[f"{name} dof"] = np.array(system.mobility(s.q).dof)
 np.savez(sys.argv[1], **out)

@@ -65,7 +65,7 @@ def test_the_frozen_counts_are_those_of_the_oracle(name):
     q = arm.random(arms.SEED, 40)
     for row, count in arms.COUNTS[name]:
         m = model(arm, q[row])
-        found = oracle.isolated(m, arm.model.fk(q[row]), arm.task, arm.axis, start=1, rounds=16)
+        found = oracle.isolated(m, arm.model.fk(q[row]), arm.task, arm.axis, seed=1, rounds=16)
         assert len(found) == count
 
 
