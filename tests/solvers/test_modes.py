@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import kempe
 from kempe import Mechanism, System
 from kempe.errors import InputError, UnknownNameError
+from kempe.solvers import modes
 from kempe.solvers.dyads import closed_form
 from kempe.solvers.many_starts import estimates
 from kempe.solvers.modes import SOLVERS, Modes, assembly_modes, by_dyads, by_starts, no_dyads
@@ -250,6 +251,22 @@ def test_shaky_is_not_called_moving():
     modes = by_starts(question)
     assert not modes.freedoms.any() and len(modes) == 1
     assert no_dyads(question.system, ()) is None and len(by_dyads(question)) == 1
+
+
+@pytest.mark.parametrize(("asked", "limit"), [(None, 120.0), (5.0, 5.0), (math.inf, None)])
+def test_the_time_limit_is_the_one_that_was_asked_for(asked, limit, monkeypatch):
+    """Also none at all, which must not become the usual one where solvers complete the budget."""
+    seen = []
+
+    class Seen(modes.TimeLimit):
+        def __init__(self, value):
+            seen.append(value)
+            super().__init__(value)
+
+    monkeypatch.setattr(modes, "TimeLimit", Seen)
+    system = kempe.load("bennett")
+    assembly_modes(system, {system.coordinate_names[0]: 0.5}, budget=kempe.Budget(starts=8, time_limit=asked))
+    assert seen and set(seen) == {limit}
 
 
 def test_none_found():

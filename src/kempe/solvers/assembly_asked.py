@@ -14,7 +14,7 @@ from kempe.solvers.assembled import Assembly
 from kempe.solvers.assembly import LOOSEST, TOLERANCE, Assembler
 from kempe.solvers.dyads import closed_form, on_branch
 from kempe.solvers.ideal import one_number, within
-from kempe.solvers.problem import Choice, Solver, choose, chosen_by
+from kempe.solvers.problem import Choice, Solver, choose, chosen_by, takes_all
 from kempe.status import Status, member
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ SOLVERS = (
     Solver("dyads", "closed form on the branch with these signs, then least squares", _no_signs, on_named_branch),
     Solver("active set", "damped least squares in which bounds are taken up and released", _no_bounds, Assembler._ask),
     Solver("least squares", "damped least squares of the closure equations, with steps of minimum norm",
-           lambda *structure: None, Assembler._ask),
+           takes_all, Assembler._ask),
 )  # fmt: skip
 """Who answers for one closed configuration."""
 

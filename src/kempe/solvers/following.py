@@ -23,7 +23,7 @@ from kempe.solvers.apart import apart
 from kempe.solvers.chain import of_loops
 from kempe.solvers.clock import BROKEN_OFF, LONG, TimeLimit, partial
 from kempe.solvers.ideal import ideal_of
-from kempe.solvers.problem import Choice, Solver
+from kempe.solvers.problem import Choice, Solver, takes_all
 from kempe.solvers.reached import asked_of
 from kempe.solvers.slip import rolls
 from kempe.solvers.targets import Z_AXIS, parse_targets
@@ -332,6 +332,6 @@ def _length(path: IkPath) -> float:
 
 SOLVERS = (
     Solver("steps", "each step from its first order on, halved where it is not much longer than that",
-           lambda *structure: None, ik_path),
+           takes_all, ik_path),
 )  # fmt: skip
 """Who answers for a path."""

@@ -24,7 +24,7 @@ from kempe.rigid import arrays, sound
 from kempe.solvers import rounds
 from kempe.solvers.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.solvers.chain import Chain, chain_of, inside, obstacle
-from kempe.solvers.problem import Choice, Problem, Solver, choose, chosen_by
+from kempe.solvers.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by
 from kempe.solvers.rounds import FEW, ITERATIONS, MOST, TOLERANCE, Task, outside
 from kempe.solvers.solution import Solution
 from kempe.solvers.targets import (
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
 METHODS = ("numeric", "analytic", "auto")
-TaskOf = tuple[str, tuple[float, float, float]]
 CHUNK, SERIAL_BELOW = 256, 1024
 USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
 

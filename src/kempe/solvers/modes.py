@@ -21,7 +21,7 @@ from kempe.solvers.clusters import INSIDE, SAME, Clusters, metric_of
 from kempe.solvers.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
 from kempe.solvers.held import held_at
 from kempe.solvers.ideal import tolerant
-from kempe.solvers.problem import Problem, Solver, choose, chosen_by
+from kempe.solvers.problem import Problem, Solver, choose, chosen_by, takes_all
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
@@ -133,7 +133,7 @@ def assembly_modes(
     generator(spend.rng), start_count(spend.starts), TimeLimit(spend.time_limit)
     flag(limits, "limits")
     name = None if frame is None else system.structure.frame_name(frame)
-    problem = Problem(system, "all", name, known=dict(given), start=base, limits=bool(limits), budget=spend)
+    problem = Problem(system, "all", name, known=dict(given), start=base, limits=bool(limits), budget=budget)
     solver, choice = choose(SOLVERS, system, tuple(given))
     return chosen_by(solver.run(problem), choice)
 
@@ -275,6 +275,6 @@ def _answer(
 SOLVERS = (
     Solver("dyads", "closed form, one ring of three places after the other", no_dyads, by_dyads),
     Solver("many starts", "assembly from random starts, from mirror images and mixtures of what is found",
-           lambda *structure: None, by_starts),
+           takes_all, by_starts),
 )  # fmt: skip
 """Who answers for all assembly modes."""

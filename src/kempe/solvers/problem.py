@@ -14,28 +14,28 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 Found = TypeVar("Found")
+TaskOf = tuple[str, tuple[float, float, float]]
+"""What of a frame's target counts, and the axis of the tool that it points."""
 
 
 class Problem(NamedTuple):
     """What is asked of a `system`, checked, as every solver gets it.
 
     `asked` is "one" configuration or "all" of them. `targets` (N, 4, 4) are those of a `frame`, of which `task` names
-    what counts, with the axis of the tool that is pointed; `lead` is their leading shape. Without a frame `targets` are
-    tasks, or None where what is `known` (coordinates, and places of frames, by name) is all that is asked. The search
-    begins at `start`.
+    what counts, with the axis of the tool that is pointed; `lead` is their leading shape. They are None where what is
+    `known` (coordinates, and places of frames, by name) is all that is asked. The search begins at `start`.
     """
 
     system: System
     asked: str
     frame: str | None = None
-    task: tuple[str, tuple[float, float, float]] = ("", Z_AXIS)
+    task: TaskOf = ("", Z_AXIS)
     targets: Any = None
     lead: tuple[int, ...] = ()
     known: Mapping[str, Any] = MappingProxyType({})
     start: Any = None
     method: str = "numeric"
     prefer: Any = None
-    branch: str | None = None
     limits: bool | str = True
     tolerance: Any = None
     budget: Budget | None = None
@@ -78,6 +78,10 @@ def choose(rows: Sequence[Solver], *structure: Any) -> tuple[Solver, Choice]:
             return solver, solver.choice(refused)
         refused.append((solver.name, why))
     raise UnsupportedError(refused[0][1])
+
+
+def takes_all(*structure: Any) -> None:
+    """Nothing that it refuses: for the last row."""
 
 
 def chosen_by(answer: Found, choice: Choice) -> Found:

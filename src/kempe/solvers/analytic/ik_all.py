@@ -28,7 +28,7 @@ from kempe.solvers.analytic.plan import Plan, kernel_of, side_by_side_of
 from kempe.solvers.analytic.question import Question, held, held_by, near_of, within
 from kempe.solvers.analytic.solutions import Solutions
 from kempe.solvers.chain import of_loops
-from kempe.solvers.problem import Choice, Problem, Solver, choose, chosen_by
+from kempe.solvers.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by, takes_all
 from kempe.solvers.targets import Z_AXIS, axis_for, frame_of, in_plane, points_along, targets_of, task_and_axis, task_of
 from kempe.spatial import Array
 
@@ -48,7 +48,6 @@ NONE = np.zeros(0, dtype=np.int64)
 """No targets."""
 
 LIMITS = (False, True, "turns")
-TaskOf = tuple[str, tuple[float, float, float]]
 USUAL = Usual("ik_all", threads=None)
 
 
@@ -158,7 +157,7 @@ SOLVERS = (
            _of_chain),
     Solver("elimination", "sixteen roots of six lines in general", _needs("elimination", False, "its lines are not "
            "general enough to find random configurations again"), _of_chain),
-    Solver("search", "many starts: what is found, with no claim that it is all", lambda *structure: None, _of_chain),
+    Solver("search", "many starts: what is found, with no claim that it is all", takes_all, _of_chain),
 )  # fmt: skip
 """Who answers for all configurations of a frame."""
 
