@@ -427,6 +427,7 @@ done, kernel = [], general.general
 def counted(*arguments):
     kernel(*arguments); done.append(len(arguments[2]))
 general.general = counted
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a process in the background may begin without
 threading.Timer(1.0, signal.raise_signal, [signal.SIGINT]).start()
 try:
     robot.ik_all(X, tip, budget=kempe.Budget(threads={threads}))
