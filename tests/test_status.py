@@ -24,6 +24,13 @@ def test_numbers_of_kernels_are_those_of_the_members(layout, status):
     assert getattr(search_layout, layout) == status == status.value
 
 
+def test_kernels_read_these_numbers_where_they_are_given():
+    """No kernel module but the layout gives numbers of its own to these names."""
+    given = re.compile(r"^.*\b(?:SOLVED|NOT_FOUND|BAD_INPUT)\b[^=\n]* = .*\d", re.M)
+    modules = {path: given.findall(path.read_text()) for path in (SOURCE / "kernels").rglob("*.py")}
+    assert [path.name for path, lines in modules.items() if lines] == ["search_layout.py"]
+
+
 def test_the_mark_of_lateness_is_no_member_that_kernels_say():
     """A status of several tasks with LATE added is told from all that kernels answer."""
     said = (search_layout.SOLVED, search_layout.NOT_FOUND, search_layout.BAD_INPUT)

@@ -12,9 +12,10 @@ import numpy as np
 
 from kempe.constraints.base import Op
 from kempe.constraints.tape import TIME
+from kempe.description.checks import refuse
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
-from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError
+from kempe.errors import InputError, UnknownNameError
 from kempe.joints import P, Primitive, Q, R
 from kempe.model.layout import Layout, layout_of
 from kempe.values import Expression, evaluate
@@ -88,7 +89,7 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
         for name in dict.fromkeys(names + joint.type.velocities(mechanism.dim, particle)):
             full = _full(joint.name, name)
             if full in taken:
-                _refuse(f"joint {joint.name!r}", f"its coordinate {full!r} has the same name as one of joint "
+                refuse(f"joint {joint.name!r}", f"its coordinate {full!r} has the same name as one of joint "
                         f"{taken[full]!r}", joint.where, "rename one of the joints")  # fmt: skip
             taken[full] = joint.name
         for name in names:
@@ -137,7 +138,7 @@ def _resolve(
         _check_coupling(mechanism, coupling, every, balls)
         if coupling.of in followers:
             said = f"it is locked, but follows {', '.join(coupling.sources)}"
-            _refuse(f"coordinate {coupling.of!r}", said, coupling.where, "lock what it follows")
+            refuse(f"coordinate {coupling.of!r}", said, coupling.where, "lock what it follows")
         sources = {k: float(evaluate(v, mechanism.parameters)) for k, v in coupling.sources.items()}
         pending[coupling.of] = (sources, float(evaluate(coupling.offset, mechanism.parameters)))
     relations: list[Relation] = []
@@ -154,7 +155,7 @@ def _resolve(
                     flat[follower.source] = flat.get(follower.source, 0.0) + factor * follower.multiplier
         flat = {k: v for k, v in flat.items() if v != 0.0}
         if not (math.isfinite(offset) and all(map(math.isfinite, flat.values()))):
-            _refuse(f"coupling of {of!r}", "its multiplier or offset is not a number", mechanism.couplings[of].where)
+            refuse(f"coupling of {of!r}", "its multiplier or offset is not a number", mechanism.couplings[of].where)
         if len(flat) > 1:
             relations.append(Relation(of, flat, offset))
         else:
@@ -172,12 +173,12 @@ def _check_written(mechanism: Mechanism, every: dict[str, Joint], balls: set[str
             subject = f"constraint {c.name!r}"
             if name not in every:
                 allowed = "for the time say time=True" if name == TIME else ""
-                _refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), c.where, allowed)
+                refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), c.where, allowed)
             if name in balls and Op.VELOCITY not in operations:
-                _refuse(subject, PART_OF_BALL.format(name), c.where, OF_BALL)
+                refuse(subject, PART_OF_BALL.format(name), c.where, OF_BALL)
         both = [n for n in mechanism.parameters if n in every and n in getattr(c.of, "words", ())]
         if both:
-            _refuse(f"constraint {c.name!r}", f"{both[0]!r} is a coordinate and a parameter", c.where, "rename one")
+            refuse(f"constraint {c.name!r}", f"{both[0]!r} is a coordinate and a parameter", c.where, "rename one")
 
 
 PART_OF_BALL = "{!r} is part of a quaternion, which equations of positions do not read"
@@ -210,7 +211,7 @@ def _in_order(mechanism: Mechanism, pending: dict[str, tuple[dict[str, float], f
                     path = [n for n, _ in stack]
                     cycle = " -> ".join([*path[path.index(source) :], source])
                     where = mechanism.couplings[source].where
-                    _refuse(f"coordinate {source!r}", f"it follows itself: {cycle}", where, "one of them must be free")
+                    refuse(f"coordinate {source!r}", f"it follows itself: {cycle}", where, "one of them must be free")
                 done[source] = False
                 stack.append((source, iter(pending[source][0])))
                 break
@@ -225,33 +226,33 @@ def _check_coupling(mechanism: Mechanism, coupling, every: dict[str, Joint], bal
     subject = f"coupling of {coupling.of!r}"
     for name in (coupling.of, *coupling.sources):
         if name not in every:
-            _refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), coupling.where)
+            refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), coupling.where)
         if name in balls:
             said = f"{name!r} is part of a quaternion"
-            _refuse(subject, said, coupling.where, "only angles and lengths can be coupled")
+            refuse(subject, said, coupling.where, "only angles and lengths can be coupled")
     for v in (*coupling.sources.values(), coupling.offset):
         if isinstance(v, Expression):
             for name in v.names:
                 if name not in mechanism.parameters:
-                    _refuse(subject, str(UnknownNameError("parameter", name, mechanism.parameters)), coupling.where)
+                    refuse(subject, str(UnknownNameError("parameter", name, mechanism.parameters)), coupling.where)
 
 
 def _locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> dict[str, float]:
     for name, number in mechanism.locks.items():
         subject = f"lock of {name!r}"
         if name not in every:
-            _refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), None)
+            refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), None)
         joint = every[name]
         if name in balls:
             missing = [c for c in coordinate_names(mechanism, joint) if c in balls and c not in mechanism.locks]
             if missing:
-                _refuse(subject, f"a quaternion is locked as a whole; missing are {', '.join(missing)}", None)
+                refuse(subject, f"a quaternion is locked as a whole; missing are {', '.join(missing)}", None)
             if not any(mechanism.locks[c] for c in coordinate_names(mechanism, joint) if c in balls):
-                _refuse(subject, "the quaternion is zero; (1, 0, 0, 0) is no rotation", None)
+                refuse(subject, "the quaternion is zero; (1, 0, 0, 0) is no rotation", None)
         local = name[len(joint.name) + 1 :]
         lower, upper = joint.limits.get(local, (-math.inf, math.inf))
         if not lower <= number <= upper:
-            _refuse(subject, f"{number:g} is outside the limits [{lower:g}, {upper:g}]", None)
+            refuse(subject, f"{number:g} is outside the limits [{lower:g}, {upper:g}]", None)
     return mechanism.locks
 
 
@@ -275,7 +276,7 @@ def _limits(
                 if follower.source is None:
                     slack = HELD_TOLERANCE * (1.0 + abs(follower.offset))
                     if not low - slack <= follower.offset <= high + slack:
-                        _refuse(f"coordinate {name!r}", f"it is held at {follower.offset:g}, outside its limits "
+                        refuse(f"coordinate {name!r}", f"it is held at {follower.offset:g}, outside its limits "
                                 f"[{low:g}, {high:g}]", joint.where)  # fmt: skip
                     continue
                 m = follower.multiplier
@@ -298,15 +299,11 @@ def _refuse_limits(
 ):  # fmt: skip
     """Refuse limits of two joints that one coordinate moves; the one that follows is named as the subject."""
     a, b = ((first, before), (second, now)) if swap else ((second, now), (first, before))
-    _refuse(
+    refuse(
         f"joint {a[0].name!r}",
         f"its limits leave nothing to {name!r}, which drives it: they ask for {name!r} in [{a[1][0]:g}, {a[1][1]:g}], "
         f"those of joint {b[0].name!r} for [{b[1][0]:g}, {b[1][1]:g}]", a[0].where, "these must overlap",
     )  # fmt: skip
-
-
-def _refuse(subject: str, message: str, where, allowed: str = ""):
-    raise DescriptionError(Fault(message, subject, where, allowed))
 
 
 def relation_text(relation: Relation) -> str:

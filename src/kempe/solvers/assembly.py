@@ -53,6 +53,16 @@ FEW = 300
 """Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
 
 
+def _spent(budget: Budget | None) -> tuple[int, int, int | None]:
+    """Starts, the number that random starts are drawn by, and threads: what a budget asks for, checked."""
+    spend = USUAL.of(budget)
+    return start_count(spend.starts), seed_number(spend.rng), spend.threads
+
+
+SPENT = _spent(None)
+"""The same for calls without a budget, found once."""
+
+
 class Assembler:
     """Assembly with the names of what is known looked up and the loops packed, once.
 
@@ -189,10 +199,7 @@ class Assembler:
             flag(limits, "limits")
         if prefer not in PREFER:
             raise InputError(f"prefer is {prefer!r}; it must be one of {', '.join(map(repr, PREFER))}")
-        tries, number, threads = STARTS, 0, None
-        if budget is not None:
-            spend = USUAL.of(budget)
-            tries, number, threads = start_count(spend.starts), seed_number(spend.rng), spend.threads
+        tries, number, threads = SPENT if budget is None else _spent(budget)
         base, lead = self._single(given, start), ()
         if base is None:
             base, lead = self._starts(given, start)

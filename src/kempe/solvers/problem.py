@@ -19,7 +19,7 @@ TaskOf = tuple[str, tuple[float, float, float]]
 
 
 class Problem(NamedTuple):
-    """What is asked of a `system`, checked, as every solver gets it.
+    """What is asked of a `system`, checked: what the solvers of `ik`, `ik_all` and `assembly_modes` get.
 
     `asked` is "one" configuration or "all" of them. `targets` (N, 4, 4) are those of a `frame`, of which `task` names
     what counts, with the axis of the tool that is pointed; `lead` is their leading shape. They are None where what is
@@ -81,7 +81,7 @@ def choose(rows: Sequence[Solver], *structure: Any) -> tuple[Solver, Choice]:
 
 
 def takes_all(*structure: Any) -> None:
-    """Nothing that it refuses: for the last row."""
+    """Refuse nothing: of the last row, which takes what all others leave."""
 
 
 def chosen_by(answer: Found, choice: Choice) -> Found:
