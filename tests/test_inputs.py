@@ -502,3 +502,33 @@ def test_times_grow(times, robots):
         with pytest.raises(InputError, match="times must grow from sample to sample"):
             robots["four_bar"].drive(inputs, times)
     assert robots["four_bar"].drive({"A": [0.0, 0.1, 0.2]}, [-1.0, 0.0, 5.0])
+
+
+TWO_FREE: dict[str, Callable[[kempe.Mechanism, int], Any]] = {
+    "radius of a ball": lambda m, x: m.rolls("floor", "a", x),
+    "radius of a contact": lambda m, x: m.contact("c", "a", radius=x),
+    "length": lambda m, x: m.distance("d", "a", "b", x),
+    "target": lambda m, x: m.constrain(tasks.Position("a", [x, 0, 0])),
+    "bound": lambda m, x: m.constrain(tasks.Position("a", [0, 0, 0], at_most=x)),
+    "place": lambda m, x: m.frame("F", "a", at=(x, 0, 0)),
+    "limits": lambda m, x: m.revolute("L", "a", m.body("c"), limits=(-x, x)),
+    "parameter": lambda m, x: m.parameter("p", x),
+    "coordinate": lambda m, x: m.build().q({"J.x": x}),
+    "coordinates": lambda m, x: m.build().fk([x] * 14, "a"),
+    "goal": lambda m, x: m.build().ik([x, 0, 0], "a"),
+    "known": lambda m, x: m.build().assemble({"J.x": x}),
+    "tolerance": lambda m, x: m.build().assemble(tolerance=x),
+    "random numbers": lambda m, x: m.build().ik([0.1, 0, 0], "a", budget=kempe.Budget(rng=x)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("number", [10**400, -(10**400), 10**5000], ids=["large", "negative", "not to be printed"])
+@pytest.mark.parametrize("what", TWO_FREE)
+def test_a_whole_number_that_no_float_holds_is_refused(what, number):
+    """The last one has more digits than Python prints."""
+    m = kempe.Mechanism("two free bodies")
+    m.free("J", m.ground, m.body("a"))
+    m.free("K", m.ground, m.body("b"))
+    with pytest.raises(KempeError) as error:
+        TWO_FREE[what](m, number)
+    assert len(str(error.value)) < 400

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from numbers import Real
+from numbers import Rational, Real
 from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kempe.errors import InputError
+from kempe.errors import InputError, shown
 
 PLAIN = frozenset({float, int, np.float64})
 """Numbers of which a sequence needs no closer look."""
 LISTS = frozenset({list, tuple})
+LARGEST = int(np.finfo(np.float64).max)
+"""The largest float: whole numbers and fractions can be larger."""
 KINDS = {
     "U": "text", "S": "bytes", "O": "objects that are no numbers", "c": "complex numbers", "b": "truth values",
     "M": "dates", "m": "durations", "V": "records", "T": "text",
@@ -44,12 +46,12 @@ def converted(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
     try:
         array = np.asarray(given)
     except (TypeError, ValueError, RuntimeError, OverflowError):
-        held = "ragged" if isinstance(given, (list, tuple)) else _short(given)
+        held = "ragged" if isinstance(given, (list, tuple)) else shown(given)
         raise InputError(f"{what} is {held}; it must be {wanted}") from None
     if array.dtype.kind not in "fiu":
         held = KINDS.get(array.dtype.kind, str(array.dtype))
         if given is None or not array.ndim:
-            raise InputError(f"{what} is {_short(given)}; it must be {wanted}")
+            raise InputError(f"{what} is {shown(given)}; it must be {wanted}")
         raise InputError(f"{what} holds {held}; it must be {wanted}")
     with np.errstate(over="ignore"):
         return array.astype(np.float64, copy=False)
@@ -66,8 +68,14 @@ def plain(x: Any) -> Any:
 
 
 def is_real(x: object) -> TypeGuard[float]:
-    """Whether it is a single real number; truth values and durations are none, though numpy counts them as such."""
-    return x.__class__ in PLAIN or (isinstance(x, Real) and not isinstance(x, (bool, np.timedelta64)))
+    """Whether it is a single real number that a float holds; truth values and durations are none."""
+    kind = x.__class__
+    if kind is float or kind is np.float64:
+        return True
+    if kind is int:  # the usual ones first: what is abstract takes ten times as long
+        return -LARGEST <= x <= LARGEST  # type: ignore[operator]
+    real = isinstance(x, Real) and not isinstance(x, (bool, np.timedelta64))
+    return real and not (isinstance(x, Rational) and abs(x) > LARGEST)  # type: ignore[operator]
 
 
 def is_plain(given: Any) -> bool:
@@ -102,7 +110,7 @@ def named(given: Any) -> Mapping[str, Any] | None:
         return None
     kind = type(given).__name__
     if not all(isinstance(name, str) for name in names):
-        raise InputError(f"the labels of the {kind} are {_short(names)}; they must be names, or 0, 1, 2, ...")
+        raise InputError(f"the labels of the {kind} are {shown(names)}; they must be names, or 0, 1, 2, ...")
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"the {kind} has {twice!r} twice")
@@ -159,7 +167,7 @@ def _trouble(x: Any) -> str:
     if labels and any(isinstance(label, str) for label in labels):
         return f"is a {type(x).__name__} with names, which have no meaning here"
     if labels and hasattr(x, "columns") and labels != list(range(len(labels))):
-        return f"is a {type(x).__name__} whose columns are {_short(labels)}, which have no meaning here"
+        return f"is a {type(x).__name__} whose columns are {shown(labels)}, which have no meaning here"
     if not isinstance(x, (np.generic, str, bytes)):
         unit = next((u for u in (getattr(x, name, None) for name in ("unit", "units")) if u is not None), None)
         if unit is not None and not callable(unit):
@@ -168,9 +176,3 @@ def _trouble(x: Any) -> str:
         if getattr(x, "dims", None) and coords is not None and len(coords):
             return f"is a {type(x).__name__} with labels, which have no meaning here"
     return ""
-
-
-def _short(x: Any) -> str:
-    """What something prints as, or its type where that is long."""
-    text = repr(x)
-    return text if len(text) <= 60 and "\n" not in text else type(x).__name__

@@ -126,11 +126,8 @@ def value(x: object, what: str = "value") -> Value:
     if isinstance(x, str):
         return Expression(x)
     if not is_real(x):
-        raise InputError(f"{what} is {x!r}; it must be a number or an expression in parameters")
-    try:
-        number = float(x)
-    except OverflowError:
-        number = math.inf
+        raise InputError(f"{what} is {shown(x)}; it must be a number or an expression in parameters")
+    number = float(x)
     if not math.isfinite(number):
         raise InputError(f"{what} is {shown(x)}; it must be finite")
     return number

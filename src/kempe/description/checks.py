@@ -11,7 +11,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.description.parts import Body, Joint, Limits
-from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, Where, hint
+from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, Where, hint, shown
 from kempe.joints import TYPES, JointType, P, Product, Q, R
 from kempe.placement import Placement
 from kempe.reals import is_real
@@ -37,7 +37,7 @@ def number(x: object, what: str) -> float:
     """A finite number. Errors: `InputError`."""
     checked = value(x, what)
     if isinstance(checked, Expression):
-        raise InputError(f"{what} is {x!r}; it must be a number")
+        raise InputError(f"{what} is {shown(x)}; it must be a number")
     return checked
 
 
@@ -183,7 +183,7 @@ def limits(
             numbers = tuple(end if x is None else x for x, end in zip(numbers, (-math.inf, math.inf), strict=True))
         if len(numbers) != 2 or not all(is_real(x) for x in numbers):
             allowed = "they must be a pair (lower, upper), None where there is none"
-            refuse(subject, f"limits are {pair!r}", where, allowed)
+            refuse(subject, f"limits are {shown(pair)}", where, allowed)
         lower, upper = float(numbers[0]), float(numbers[1])
         if math.isnan(lower) or math.isnan(upper) or lower == math.inf or upper == -math.inf:
             refuse(subject, f"limits are ({lower}, {upper})", where, "they must be numbers")

@@ -200,7 +200,7 @@ def resolved(made: Declared, parameters: Mapping[str, float], dim: int) -> Const
         rows = numbers.rows(dim)
         for key, x in numbers_in(numbers).items():
             if x is not None and _not_a_number(x):
-                raise InputError(f"{key} is {x!r}; it must be numbers")
+                raise InputError(f"{key} is {shown(x)}; it must be numbers")
         _lengths(made, numbers, rows)
         numbers.check(dim)
         numbers.goal(dim)
@@ -213,9 +213,11 @@ def resolved(made: Declared, parameters: Mapping[str, float], dim: int) -> Const
 
 
 def _not_a_number(x: Any) -> bool:
-    """Whether NaN is among numbers."""
+    """Whether NaN is among numbers, or a whole number that no float holds."""
     try:
         return bool(np.isnan(np.asarray(x, dtype=float)).any())
+    except OverflowError:
+        return True
     except (TypeError, ValueError):
         return False
 

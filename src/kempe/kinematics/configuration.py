@@ -14,7 +14,7 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.model.coordinates import returning
 from kempe.model.kept import kept
 from kempe.model.topology import natural
-from kempe.reals import PLAIN, converted, is_plain, named, reals, rows_of
+from kempe.reals import converted, is_plain, is_real, named, reals, rows_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def q_from_dict(system: System, coordinates: Mapping[str, Any] | str, base: Arra
                 follows = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"
                 raise InputError(f"coordinate {name!r} is not part of q: {follows}")
             raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
-        plain = number.__class__ in PLAIN
+        plain = is_real(number)
         values.append(number if plain else reals(number, f"coordinate {name!r}", "a number, or an array of them"))
         single = single and plain
     start = system.neutral if base is None else as_q(system, base)

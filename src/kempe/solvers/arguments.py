@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.constraints.reading import poses_of, refuse_rotations
-from kempe.errors import InputError
+from kempe.errors import InputError, shown
 from kempe.reals import is_whole, reals
 from kempe.rigid import EXACT, arrays, rotation_error
 from kempe.spatial import Array
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 def start_count(starts: object) -> int:
     """The number of starts. Errors: `InputError`."""
     if not is_whole(starts) or not 1 <= starts < 2**62:
-        raise InputError(f"starts is {starts!r}; it must be a whole number, at least 1")
+        raise InputError(f"starts is {shown(starts)}; it must be a whole number, at least 1")
     return int(starts)
 
 
 def step_count(iterations: object) -> int:
     """The number of steps of a start. Errors: `InputError`."""
     if not is_whole(iterations) or not 1 <= iterations < 2**31:
-        raise InputError(f"iterations is {iterations!r}; it must be a whole number, at least 1")
+        raise InputError(f"iterations is {shown(iterations)}; it must be a whole number, at least 1")
     return int(iterations)
 
 
@@ -42,7 +42,7 @@ def deadline(time_limit: Any) -> float:
     if time_limit is None:
         return math.inf
     if isinstance(time_limit, bool) or not isinstance(time_limit, (int, float)) or not time_limit > 0.0:
-        raise InputError(f"time_limit is {time_limit!r}; it must be a positive number of seconds, or None")
+        raise InputError(f"time_limit is {shown(time_limit)}; it must be a positive number of seconds, or None")
     return time.monotonic() + time_limit
 
 
@@ -51,7 +51,7 @@ def seed_number(rng: object) -> int:
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**62))
     if not is_whole(rng) or not 0 <= rng < 2**62:
-        raise InputError(f"rng is {rng!r}; it must be a generator or a whole number, from 0 and below 2**62")
+        raise InputError(f"rng is {shown(rng)}; it must be a generator or a whole number, from 0 and below 2**62")
     return int(rng)
 
 
@@ -63,7 +63,7 @@ def tolerances(tolerance: Any) -> tuple[float, float]:
             return float(linear), float(angular)
     except (TypeError, ValueError):
         pass
-    raise InputError(f"tolerance is {tolerance!r}; it must be one or two positive numbers, in metres and radians")
+    raise InputError(f"tolerance is {shown(tolerance)}; it must be one or two positive numbers, in metres and radians")
 
 
 def with_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[str, Any]:
