@@ -25,7 +25,7 @@ LAYERS = [
 
 UPWARD = {
     ("description/mechanism.py", "build"), ("model/system.py", "*"), ("model/namespaces.py", "*"),
-    ("model/former.py", "found"),
+    ("model/former_names.py", "found"),
 }  # fmt: skip
 """Functions that import upwards inside their bodies: the builder's last step, and the map of the library."""
 
@@ -172,19 +172,19 @@ SOLVERS = {"lstsq", "pinv", "solve", "svd", "least_squares", "least_squares_of_m
 """Calls by which a step of Gauss, Newton or least squares is made in numpy."""
 
 OWN_LOOPS = {
-    "kinematics/gauss_newton.py gauss_newton": "the one for one start",
-    "kinematics/gauss_newton.py gauss_newton_of_many": "the one for many starts",
-    "analysis/forms.py _regular_zero": "of quadratic forms, on a sphere, judged after each step",
-    "analysis/passive.py _spins": "a basis that grows",
-    "analysis/reach.py moved_place": "motions integrated one after the other",
-    "analysis/redundancy.py _choose": "a basis that grows",
-    "analysis/transmission.py mechanical_advantage": "one kernel after the other",
-    "solvers/analytic/nearest.py descend": "bounded in each lane, with damping that grows until the error falls",
-    "solvers/home.py beside": "one move for the first task that has one",
-    "solvers/least_squares.py bounded": "an active set: the problem is linear",
-    "solvers/servo_closed.py closed": "bounded by limits of velocity, which move with the point",
-    "solvers/servo_pose.py least_in_box": "an active set: the problem is quadratic",
-    "solvers/shape.py _fit": "over the numbers of a mechanism, its configurations solved for in each step",
+    "kinematics/common/gauss_newton.py gauss_newton": "the one for one start",
+    "kinematics/common/gauss_newton.py gauss_newton_of_many": "the one for many starts",
+    "analysis/local/leading_forms.py _regular_zero": "of quadratic forms, on a sphere, judged after each step",
+    "analysis/first_order/idle_freedoms.py _spins": "a basis that grows",
+    "analysis/mobility/reachable.py moved_place": "motions integrated one after the other",
+    "analysis/first_order/redundant_constraints.py _choose": "a basis that grows",
+    "analysis/motion/transmission.py mechanical_advantage": "one kernel after the other",
+    "solvers/analytic/answers/nearest.py descend": "bounded in each lane, with damping that grows until the error falls",
+    "solvers/tasks/default_start.py beside": "one move for the first task that has one",
+    "solvers/velocity/least_squares.py bounded": "an active set: the problem is linear",
+    "solvers/velocity/servo_closed.py closed": "bounded by limits of velocity, which move with the point",
+    "solvers/velocity/servo_pose.py least_in_box": "an active set: the problem is quadratic",
+    "solvers/assembly/dimensions.py _fit": "over the numbers of a mechanism, its configurations solved for in each step",
 }
 """Functions outside the kernels whose loops solve linear equations for what their next round begins with, and why."""
 

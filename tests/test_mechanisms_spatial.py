@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import kempe
 from kempe import System
-from kempe.kinematics.loops import jacobian, residual
+from kempe.kinematics.closure_rows import jacobian, residual
 
 every_mechanism = pytest.mark.parametrize("row", SPATIAL, ids=lambda row: row.name)
 PI = np.pi

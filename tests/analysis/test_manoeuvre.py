@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 import kempe
 from kempe import Mechanism
-from kempe.analysis.reeds_shepp import length_of, ways
+from kempe.analysis.manoeuvre.reeds_shepp import length_of, ways
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 

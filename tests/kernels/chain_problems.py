@@ -9,8 +9,8 @@ from primitive_tables import Row, Table, pose
 from scipy.spatial.transform import Rotation
 
 from kempe.kernels import compiled
-from kempe.kernels.layout import BALL, SLIDE, TURN
-from kempe.kernels.search_layout import ANSWER, STATUS
+from kempe.kernels.base.search_layout import ANSWER, STATUS
+from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
 
 POSE, POSITION, PLANAR, POINT = (1, 1, 1, 1, 1, 1), (1, 1, 1, 0, 0, 0), (1, 1, 0, 0, 0, 1), (1, 1, 0, 0, 0, 0)
 ORIENTATION, DIRECTION, POSITION_AXIS = (0, 0, 0, 1, 1, 1), (0, 0, 0, 1, 1, 1, 1), (1, 1, 1, 1, 1, 1, 1)

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 import kempe
 from kempe.kernels import compiled
 from kempe.kernels.digest import source_digests
-from kempe.kernels.layout import fuse
+from kempe.kernels.forward.table_layout import fuse
 
 native = pytest.mark.skipif(compiled.VARIANT == compiled.JIT, reason="kernels are compiled in this process")
 with_numba = pytest.mark.skipif(find_spec("numba") is None, reason="Numba is not installed")
@@ -443,7 +443,7 @@ except KeyboardInterrupt:
 BEYOND = """
 import numpy as np
 from kempe.kernels import compiled
-from kempe.kernels.layout import HEADER, N_OUT, N_ROWS, NQ, NV, Q_INDEX, ROW_FLOATS, ROW_INTS, fuse
+from kempe.kernels.forward.table_layout import HEADER, N_OUT, N_ROWS, NQ, NV, Q_INDEX, ROW_FLOATS, ROW_INTS, fuse
 ints, floats = np.zeros(HEADER + ROW_INTS + 2, dtype=np.int64), np.zeros(ROW_FLOATS + 12)
 ints[[N_ROWS, N_OUT, NQ, NV]] = 1
 ints[HEADER : HEADER + 4] = 0, -1, {index}, 0

@@ -18,8 +18,8 @@ import library
 
 HEAD = """
 import numpy as np
-from kempe.kernels._jit import kernel
-from kempe.kernels.declare import INT, OUT, F
+from kempe.kernels.base._jit import kernel
+from kempe.kernels.base.declare import INT, OUT, F
 """
 BAD = {
     "a call into the runtime of Python": (

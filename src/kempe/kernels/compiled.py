@@ -1,6 +1,6 @@
 """The entry points of the kernels, as the library that was built with the package has them, or compiled here.
 
-``from kempe.kernels.compiled import sweep`` gives what `sweep.py` declares with `@kernel`, and nothing else of it: the
+``from kempe.kernels.compiled import sweep`` gives what `table_sweep.py` declares with `@kernel`, and nothing else of it: the
 sources of kernels are for the compiler, no other module imports them. The library carries the digest of the sources
 that it was built from. Where they were edited since, it is not used, and each module of kernels is compiled by Numba in
 the process that asks for it. The library has variants for processors of several levels; the best that runs here is

@@ -1,0 +1,160 @@
+"""Commands that describe systems and find positions; each is a few lines over the library."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from kempe.cli.app import (
+    DESCRIBE,
+    OPEN,
+    Base,
+    Deg,
+    Dirs,
+    File,
+    FrameOrAll,
+    InPlace,
+    Json,
+    Lenient,
+    Out,
+    Posture,
+    Root,
+    Values,
+    Xacro,
+    app,
+    load,
+    reading,
+    remark,
+    results,
+    told,
+    written_to,
+)
+from kempe.views.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
+
+# ---- describe
+
+
+@app.command(rich_help_panel=DESCRIBE)
+@guarded
+def info(
+    file: File, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
+    package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+) -> None:  # fmt: skip
+    """Say what a system is: bodies, joints, loops, limits, frames.
+
+    Example: kempe info panda.urdf
+    """
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    from kempe.views import facts, report
+
+    if json:
+        print_json(facts.system_facts(system, deg))
+    else:
+        show(report.info(system, deg))
+
+
+@app.command(rich_help_panel=DESCRIBE)
+@guarded
+def check(
+    files: Annotated[list[str], typer.Argument(metavar="FILE...", help="URDF or TOML files.")],
+    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+) -> None:  # fmt: skip
+    """List all problems of files, each with its line.
+
+    Example: kempe check robots/*.urdf
+    """
+    from kempe.description.read import check as check_
+    from kempe.views import facts, report
+
+    found: list[dict[str, Any]] = []
+    for file in files:
+        problems, notes = check_(file, **reading(base, root, package_dir, xacro, lenient_limits))
+        found.append(
+            {
+                "file": file,
+                "ok": not problems,
+                "problems": [facts.problem_facts(p) for p in problems],
+                "notes": list(notes),
+            }
+        )
+        if not json:
+            show(report.findings(file, problems, notes))
+    if json:
+        print_json(found)
+    elif len(found) > 1:
+        bad = sum(not r["ok"] for r in found)
+        print(f"{len(found)} files: {len(found) - bad} good, {bad} with problems")
+    raise typer.Exit(COMPLETE if all(r["ok"] for r in found) else INCOMPLETE)
+
+
+@app.command(rich_help_panel=DESCRIBE)
+@guarded
+def convert(
+    file: File,
+    out: Annotated[
+        Path | None, typer.Argument(metavar="OUT", help="File to write: .toml or .urdf; or -o FILE.")
+    ] = None,
+    output: InPlace = None,
+    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+) -> None:  # fmt: skip
+    """Write a system in another format: .toml (everything) or .urdf (trees).
+
+    Example: kempe convert panda.urdf panda.toml
+    """
+    import kempe
+    from kempe.description.write import write
+
+    out = written_to(out, output)
+    mechanism = kempe.read(file, **reading(base, root, package_dir, xacro, lenient_limits))
+    mechanism.build()
+    write(mechanism, out)
+    if json:
+        print_json({"written": str(out), "name": mechanism.name, "notes": list(mechanism.notes)})
+    else:
+        print(f"{mechanism.name} written to {out}")
+
+
+# ---- forward
+
+
+@app.command(rich_help_panel=OPEN)
+@guarded
+def fk(
+    file: File,
+    frame: FrameOrAll = None, q: Values = None, posture: Posture = None, deg: Deg = False, out: Out = None,
+    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+) -> None:  # fmt: skip
+    """Say where a frame is, or all bodies are (forward model).
+
+    Example: kempe fk panda.urdf --frame panda_hand_tcp --q 0,-45,0,-135,0,90,45,0.04 --deg
+    """
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    from kempe.views import facts, report
+    from kempe.views.input import rows
+
+    if frame is not None:
+        system.structure.frame_name(frame)  # a wrong name is told before kernels are compiled
+    results(out)
+    values = rows.configuration(system, q, posture, deg)
+    X = system.fk(values, frame)
+    if out is not None:
+        rows.write_poses(out, X, frame is None, deg)
+        told(out, json)
+    elif json:
+        print_json(facts.poses_facts(system, frame, X, deg))
+    else:
+        show(report.poses(system, frame, X, deg))
+    bad = rows.not_finite(values)
+    if bad:
+        remark(f"q is not finite in {report.rows_text(bad)}; poses there are NaN")
+    gap = facts.largest_gap(system, values)
+    if gap:
+        remark(f"loops are open here, {gap}: kempe assemble closes them")
+    if bad:
+        raise typer.Exit(INCOMPLETE)

@@ -1,0 +1,228 @@
+"""Configurations, targets and poses as text and as .csv and .npy files, in radians or degrees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe import spatial
+from kempe.description.source import expanded, no_file
+from kempe.errors import InputError, UnknownNameError
+from kempe.kinematics.common.tabular import SUFFIXES, table_file, write_table
+from kempe.kinematics.configuration import as_q, closed_from, from_home
+from kempe.reals import reals
+from kempe.views.facts import DEGREE, in_degrees, pose_rows, units
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+POSE_COLUMNS = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def is_file(text: str) -> bool:
+    """Whether a value given as text names a file of rows."""
+    return Path(text).suffix.lower() in SUFFIXES
+
+
+def numbers(text: str, what: str) -> list[float]:
+    """The numbers of 'a,b,c'. Errors: `InputError` naming the one that is none."""
+    return _numbers(text.split(","), what)
+
+
+def _numbers(parts: Sequence[str], what: str) -> list[float]:
+    try:
+        return [float(part) for part in parts]
+    except ValueError:
+        bad = next(part.strip() for part in parts if not _is_number(part))
+        advice = "write numbers with commas between them"
+        raise InputError(f"{what}: {bad!r} is not a number; {advice}") from None
+
+
+def configuration(
+    system: System, text: str | None, posture: str | None = None, degrees: bool = False, start: bool = False
+) -> spatial.Array:
+    """Configurations from the command line: (nq,), or (n, nq) where `text` names a file.
+
+    `text` is 'a,b,c' (all of q in order), 'name=value,...' (the rest neutral, or as in the posture; in a system with
+    loops, what closes these), or a .csv or .npy file. `posture` names a posture of the system, or is 'neutral' or
+    'mid'. Of a `start` no loop is closed.
+    Errors: `InputError`, `UnknownNameError`.
+    """
+    base = None if posture is None else _posture(system, posture)
+    if text is None:
+        return _posture(system, posture)
+    if is_file(text):
+        return _configurations(system, expanded(text), degrees, start)
+    if "=" in text:
+        coordinates = _named(system, text, degrees)
+        if start:
+            return from_home(system, coordinates) if base is None else system.q(coordinates, base)
+        return closed_from(system, coordinates, base)
+    return _radians(system, as_q(system, numbers(text, "q")), degrees)
+
+
+def _posture(system: System, name: str | None) -> spatial.Array:
+    special = {"neutral": system.neutral.copy(), "mid": system.mid.copy()}
+    if name is None:
+        return system.neutral.copy()
+    if name not in system.structure.posture_names and name in special:
+        return special[name]
+    if name not in system.structure.posture_names:
+        raise UnknownNameError("posture", name, (*system.structure.posture_names, *special), system.name)
+    return system.q(name)
+
+
+def _named(system: System, text: str, degrees: bool) -> dict[str, float]:
+    unit = units(system)
+    out: dict[str, float] = {}
+    for part in text.split(","):
+        name, sign, value = part.partition("=")
+        name = name.strip()
+        if not sign:
+            raise InputError(f"q: {part.strip()!r} has no '='; write name=value,name=value or all {system.nq} numbers")
+        if name in out:
+            raise InputError(f"q: {name!r} is given twice")
+        (x,) = numbers(value, f"q: {name}")
+        out[name] = x * DEGREE if degrees and unit.get(name) == "rad" else x
+    return out
+
+
+def _radians(system: System, q: spatial.Array, degrees: bool) -> spatial.Array:
+    """q with its angles, given in degrees where `degrees` says so, in radians."""
+    return q / in_degrees(np.ones(system.nq), system.coordinate_names, units(system), degrees)
+
+
+def _configurations(system: System, path: Path, degrees: bool, start: bool) -> spatial.Array:
+    """Configurations (n, nq) of a file; a .csv may name its columns, the missing ones are as where values are named."""
+    names, rows = read(path)
+    if names is None:
+        return _radians(system, as_q(system, rows), degrees)
+    if len(set(names)) < len(names):
+        raise InputError(f"{path}: a column appears twice")
+    unit = units(system)
+    factors = [DEGREE if degrees and unit.get(name) == "rad" else 1.0 for name in names]
+    coordinates = {name: column * factor for name, column, factor in zip(names, rows.T, factors, strict=True)}
+    return (from_home if start else closed_from)(system, coordinates)
+
+
+def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Array, bool]:
+    """Target poses (..., 4, 4) from the command line, and whether only their position counts.
+
+    'x,y,z,roll,pitch,yaw' (fixed axes, as in URDF) or 'x,y,z'; of planar systems 'x,y,angle' and 'x,y' in
+    place of 'x,y,z'; or a file of such rows, where a .npy may also hold (n, 4, 4) matrices.
+    """
+    if is_file(text):
+        _, rows = read(expanded(text), matrices=True)
+    else:
+        rows = np.array(numbers(text, "target"))
+    if rows.ndim == 3:
+        return rows, False
+    n = rows.shape[-1]
+    planar = system.dim == 2
+    columns = {6: range(6), 3: (0, 1, 5) if planar else range(3), 2: (0, 1) if planar else None}.get(n)
+    if columns is None:
+        allowed = "x,y (position only), x,y,angle or x,y,z,roll,pitch,yaw" if planar else (
+            "x,y,z (position only) or x,y,z,roll,pitch,yaw")  # fmt: skip
+        raise InputError(f"the target has {n} number{'s' * (n != 1)}; it must be {allowed}")
+    full = np.zeros((*rows.shape[:-1], 6))
+    full[..., list(columns)] = rows
+    if degrees:
+        full[..., 3:] *= DEGREE
+    return spatial.pose_from_xyz_rpy(full), n == (2 if planar else 3)
+
+
+def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, spatial.Array]:
+    """Rows (n, k) of a .csv or .npy file, and the names in the first line of a .csv if it has them.
+
+    A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` with the file and the line.
+    """
+    if what := no_file(path):
+        raise InputError(f"{path}: this is {what}; give the path of a plain file")
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    return _read_npy(path, matrices) if path.suffix.lower() == ".npy" else _read_csv(path)
+
+
+def _read_npy(path: Path, matrices: bool) -> tuple[None, spatial.Array]:
+    try:
+        array = reals(np.load(path, allow_pickle=False), "the file")
+    except (ValueError, EOFError):
+        raise InputError(f"{path}: it is not a .npy file of numbers") from None
+    if array.ndim == 2 or (matrices and array.ndim == 3 and array.shape[1:] == (4, 4)):
+        return None, array
+    wanted = "a row for each target, or (n, 4, 4) poses" if matrices else "a row for each configuration"
+    raise InputError(f"{path}: it holds an array of shape {array.shape}; needed is {wanted}")
+
+
+def _read_csv(path: Path) -> tuple[list[str] | None, spatial.Array]:
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: it is not UTF-8 text") from None
+    table = [(i, line.split(",")) for i, line in enumerate(lines, start=1) if line.strip()]
+    names = None
+    if table and not any(map(_is_number, table[0][1])):
+        names = [name.strip().strip('"') for name in table[0][1]]
+        del table[0]
+    if not table:
+        raise InputError(f"{path}: it holds no rows of numbers")
+    width = len(table[0][1]) if names is None else len(names)
+    out = np.empty((len(table), width))
+    for row, (line, cells) in zip(out, table, strict=True):
+        if len(cells) != width:
+            raise InputError(f"{path}:{line}: {len(cells)} values; the first line has {width}")
+        row[:] = _numbers(cells, f"{path}:{line}")
+    return names, out
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def output(path: Path | None) -> Path | None:
+    """The path of a file to write. Errors: `InputError` where its ending is neither .csv nor .npy."""
+    return None if path is None else table_file(path)
+
+
+def not_finite(q: spatial.Array) -> list[int]:
+    """Numbers of the rows of q (n, nq) that hold NaN or infinities; none of a single configuration."""
+    return np.flatnonzero(~np.isfinite(q).all(axis=-1)).tolist() if q.ndim > 1 else []
+
+
+def tolerance(text: str) -> tuple[float, float]:
+    """Largest errors in metres and radians, from 'm' (for both) or 'm,rad'."""
+    values = numbers(text, "tolerance")
+    if len(values) not in (1, 2) or not all(v > 0.0 for v in values):
+        raise InputError(f"tolerance is {text!r}; it must be one or two positive numbers, in metres and radians")
+    return values[0], values[-1]
+
+
+def write_poses(path: Path, X: spatial.Array, bodies: bool, degrees: bool = False) -> None:
+    """Write poses: a .npy holds the array as it is, a .csv has x, y, z, roll, pitch, yaw in each line.
+
+    X is (4, 4) or (n, 4, 4); of all `bodies` it is (k, 4, 4) or (n, k, 4, 4), and lines of the .csv begin
+    with the number of the configuration and of the body.
+    """
+    lines = pose_rows(X, degrees).reshape(-1, 6)
+    columns: tuple[str, ...] = POSE_COLUMNS
+    if bodies:
+        index = np.indices((len(X) if X.ndim == 4 else 1, X.shape[-3])).reshape(2, -1).T
+        lines, columns = (
+            np.concatenate([index.astype(float), lines], axis=1),
+            ("configuration", "body", *columns),
+        )
+    write_table(path, columns, lines, X)
+
+
+def write_configurations(path: Path, system: System, q: spatial.Array, degrees: bool = False) -> None:
+    """Write configurations (nq,) or (n, nq), a column a coordinate; `configuration` reads them back."""
+    names = system.coordinate_names
+    shown = in_degrees(np.atleast_2d(q), names, units(system), degrees)
+    write_table(path, names, shown)
