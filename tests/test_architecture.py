@@ -179,12 +179,12 @@ OWN_LOOPS = {
     "analysis/mobility/reachable.py moved_place": "motions integrated one after the other",
     "analysis/first_order/redundant_constraints.py _choose": "a basis that grows",
     "analysis/motion/transmission.py mechanical_advantage": "one kernel after the other",
-    "solvers/analytic/answers/nearest.py descend": "bounded in each lane, with damping that grows until the error falls",
+    "solvers/analytic/answers/nearest.py descend": "bounded in each lane, with damping that grows",
     "solvers/tasks/default_start.py beside": "one move for the first task that has one",
     "solvers/velocity/least_squares.py bounded": "an active set: the problem is linear",
     "solvers/velocity/servo_closed.py closed": "bounded by limits of velocity, which move with the point",
     "solvers/velocity/servo_pose.py least_in_box": "an active set: the problem is quadratic",
-    "solvers/assembly/dimensions.py _fit": "over the numbers of a mechanism, its configurations solved for in each step",
+    "solvers/assembly/dimensions.py _fit": "over dimensions, the configurations solved for in each step",
 }
 """Functions outside the kernels whose loops solve linear equations for what their next round begins with, and why."""
 

@@ -167,7 +167,8 @@ def projected(system: System, q: np.ndarray) -> np.ndarray:
         error = closure_rows.residual(system, q)
         if np.abs(error).max() < 1e-16:
             break
-        q = system.configuration_space.integrate(q, -np.linalg.lstsq(closure_rows.jacobian(system, q), error, rcond=1e-12)[0])
+        step = -np.linalg.lstsq(closure_rows.jacobian(system, q), error, rcond=1e-12)[0]
+        q = system.configuration_space.integrate(q, step)
     assert np.abs(closure_rows.residual(system, q)).max() < 1e-7
     return q
 

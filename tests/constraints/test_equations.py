@@ -139,7 +139,8 @@ def test_files_copies_and_pickles(tmp_path):
     other.constraints.pop("two")
     assert other != m
     q = np.array([0.3, 0.6])
-    np.testing.assert_array_equal(closure_rows.residual(kempe.read(path).build(), q), closure_rows.residual(m.build(), q))
+    np.testing.assert_array_equal(closure_rows.residual(kempe.read(path).build(), q), closure_rows.residual(m.build(),
+    q))
 
 
 def test_attached_with_a_prefix():

@@ -62,7 +62,8 @@ def ball_triple(a, b, c, d, work, out):
 
 @numba.njit
 def planar_triple(kinds, a, oa, b, ob, c, oc, d, work, out):
-    return wrist_part.planar_triple(kinds[0], a, oa, kinds[1], b, ob, kinds[2], c, oc, raw(d), 1e-5, raw(work), raw(out))
+    axes = (kinds[0], a, oa, kinds[1], b, ob, kinds[2], c, oc)
+    return wrist_part.planar_triple(*axes, raw(d), 1e-5, raw(work), raw(out))
 
 
 def unit(v) -> tuple[float, float, float]:

@@ -314,7 +314,8 @@ def test_declared_constraints_in_three_forms():
         for c in s.loops.constraints():
             np.testing.assert_allclose(c.residual(s, q), 0, atol=1e-9)
         stacked = np.concatenate([c.jacobian(s, q) for c in s.loops.constraints()])
-        forms = closure_rows.jacobian(convert.maximal(s), maximal_q(s, q)), stacked, closure_rows.jacobian(s, q), judged(s, q)[1]
+        whole = closure_rows.jacobian(convert.maximal(s), maximal_q(s, q))
+        forms = whole, stacked, closure_rows.jacobian(s, q), judged(s, q)[1]
         assert [J.shape[1] - np.linalg.matrix_rank(J, tol=1e-6) for J in forms] == [9, 9, 9, 9]
 
 

@@ -15,7 +15,7 @@ from kempe.cli import loop_commands  # isort: skip
 from kempe.cli import library_commands  # isort: skip
 from kempe.cli.app import app
 
-__all__ = ["app", "inverse", "library", "loops", "main", "systems"]
+__all__ = ["app", "inverse_commands", "library_commands", "loop_commands", "main", "system_commands"]
 
 
 def main() -> None:

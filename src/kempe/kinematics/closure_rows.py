@@ -64,7 +64,8 @@ def evaluate(
     out = np.empty((len(flat), m))
     columns = np.empty((len(flat) if with_jacobian else 0, m, system.nv))
     pins = np.zeros((1, 0))
-    closure_batch.equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat, with_jacobian, out, columns)
+    packed = loops.ints, loops.floats, loops.plan, loops.weights
+    closure_batch.equations(*packed, pins, flat, with_jacobian, out, columns)
     loops.check()
     return out.reshape(*lead, m), columns.reshape(*lead, m, system.nv) if with_jacobian else columns
 

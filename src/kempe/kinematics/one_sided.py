@@ -116,7 +116,8 @@ class OneSided:
             loops, m = self.loops, len(self.loops.names)
             out, columns = np.empty((len(flat), m)), np.empty((len(J), m, nv))
             none = np.zeros((1, 0))
-            closure_batch.equations(loops.ints, loops.floats, loops.plan, loops.weights, none, flat, rates, out, columns)
+            packed = loops.ints, loops.floats, loops.plan, loops.weights
+            closure_batch.equations(*packed, none, flat, rates, out, columns)
             values[:, :n] = out[:, self.chosen] / self.scale[:n]
             J[:, :n] = columns[:, self.chosen]
         if not declared:

@@ -54,7 +54,10 @@ class Inverse(Namespace):
     def plan(
         self, frame: FrameLike, task: str | tuple[str, ArrayLike] | None = None, fixed: Iterable[str] = ()
     ) -> Recognised:
-        """What is recognised of a frame's chain, and how `ik_all` solves it; see `kempe.solvers.analytic.describe.describe`."""
+        """What is recognised of a frame's chain, and how `ik_all` solves it.
+
+        See `kempe.solvers.analytic.describe.describe`.
+        """
         from kempe.solvers.analytic.describe.describe import ik_plan
 
         return ik_plan(self.system, frame, task, fixed)
@@ -65,7 +68,10 @@ class Inverse(Namespace):
         n: int | None = None, task: str | tuple[str, ArrayLike] | None = None, start: Any = None,
         fixed: Mapping[str, Any] | None = None, budget: Budget | None = None,
     ) -> Sweep:  # fmt: skip
-        """The solutions of a redundant chain along one parameter; see `kempe.solvers.analytic.redundant.redundancy.ik_sweep`."""
+        """The solutions of a redundant chain along one parameter.
+
+        See `kempe.solvers.analytic.redundant.redundancy.ik_sweep`.
+        """
         from kempe.solvers.analytic.redundant.redundancy import ik_sweep
 
         return ik_sweep(self.system, target, frame, parameter, n=n, task=task, start=start, fixed=fixed, budget=budget)
@@ -81,7 +87,10 @@ class Inverse(Namespace):
         return self_motion(self.system, q, tasks, task=task, direction=direction, budget=budget)
 
     def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
-        """Arm angle (...) of seven joints with spherical shoulder and wrist; see `kempe.solvers.analytic.redundant.arm_angle`."""
+        """Arm angle (...) of seven joints with spherical shoulder and wrist.
+
+        See `kempe.solvers.analytic.redundant.arm_angle`.
+        """
         from kempe.solvers.analytic.redundant.arm_angle import arm_angle
 
         return arm_angle(self.system, q, frame, reference)
@@ -120,7 +129,10 @@ class Loops(Namespace):
         self, q: Any, inputs: Sequence[str], outputs: Sequence[str], in_frame: str = "world_aligned", *,
         tolerance: float | str | None = None,
     ) -> LoopJacobian:  # fmt: skip
-        """Velocities of joints or frames by those of inputs, through the loops; see `kempe.analysis.motion.transmission`."""
+        """Velocities of joints or frames by those of inputs, through the loops.
+
+        See `kempe.analysis.motion.transmission`.
+        """
         from kempe.analysis.motion.transmission import loop_jacobian
 
         return loop_jacobian(self.system, q, inputs, outputs, in_frame, tolerance=tolerance)
@@ -130,7 +142,10 @@ class Loops(Namespace):
         self, q: Any, input: str, output: str, direction: ArrayLike | None = None, still: Sequence[str] = (), *,
         tolerance: float | str | None = None,
     ) -> Any:  # fmt: skip
-        """Force at the output per force at the input, at closed q (..., nq); see `kempe.analysis.motion.transmission`."""
+        """Force at the output per force at the input, at closed q (..., nq).
+
+        See `kempe.analysis.motion.transmission`.
+        """
         from kempe.analysis.motion.transmission import mechanical_advantage
 
         return mechanical_advantage(self.system, q, input, output, direction, still, tolerance=tolerance)

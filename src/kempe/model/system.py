@@ -174,7 +174,10 @@ class System(Compiled, FormerNames):
         restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] | None = None,
         budget: Budget | None = None,
     ) -> IkPath:  # fmt: skip
-        """Configurations that follow a sequence of targets without a jump; see `kempe.solvers.paths.following.ik_path`."""
+        """Configurations that follow a sequence of targets without a jump.
+
+        See `kempe.solvers.paths.following.ik_path`.
+        """
         from kempe.solvers.paths.following import ik_path
 
         return ik_path(self, targets, frame, start, max_step=max_step, restart=restart, branches=branches,
@@ -185,7 +188,10 @@ class System(Compiled, FormerNames):
         self, q: Any, wanted: Any, frame: FrameLike | None = None, dt: float = 0.0, *, velocity_limits: Any = None,
         damping: float = 0.05, keep_direction: bool = False, weights: Any = None,
     ) -> IkStep:  # fmt: skip
-        """Velocities for a frame's twist or for tasks, within all limits; see `kempe.solvers.velocity.servo.ik_step`."""
+        """Velocities for a frame's twist or for tasks, within all limits.
+
+        See `kempe.solvers.velocity.servo.ik_step`.
+        """
         from kempe.solvers.velocity.servo import ik_step
 
         return ik_step(self, q, wanted, frame, dt, velocity_limits=velocity_limits, damping=damping,
@@ -206,7 +212,10 @@ class System(Compiled, FormerNames):
         prefer: str | None = None, limits: bool = True, also: Any = (), tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Assembly:  # fmt: skip
-        """A configuration that closes all loops, with the `known` given; see `kempe.solvers.assembly.assembly.assemble`."""
+        """A configuration that closes all loops, with the `known` given.
+
+        See `kempe.solvers.assembly.assembly.assemble`.
+        """
         from kempe.solvers.assembly.assembly import assemble
 
         return assemble(self, known, start, branch=branch, prefer=prefer, limits=limits, also=also, tolerance=tolerance,
@@ -232,7 +241,10 @@ class System(Compiled, FormerNames):
     def independent(
         self, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
     ) -> Chart:  # fmt: skip
-        """Which coordinates can be set at a closed q, so that the others follow; see `kempe.solvers.assembly.charts`."""
+        """Which coordinates can be set at a closed q, so that the others follow.
+
+        See `kempe.solvers.assembly.charts`.
+        """
         from kempe.solvers.assembly.charts import independent
 
         return independent(self, q, prefer, tolerance=tolerance)
@@ -251,7 +263,10 @@ class System(Compiled, FormerNames):
         self, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
         rng: np.random.Generator | int = 0, tolerance: float | str | None = None,
     ) -> Mobility:  # fmt: skip
-        """Degrees of freedom by counting, by rank and truly, with the reasoning; see `kempe.analysis.mobility.mobility`."""
+        """Degrees of freedom by counting, by rank and truly, with the reasoning.
+
+        See `kempe.analysis.mobility.mobility`.
+        """
         from kempe.analysis.mobility.mobility import mobility
 
         return mobility(self, q, actuated, local=local, rng=rng, tolerance=tolerance)
@@ -305,7 +320,10 @@ class System(Compiled, FormerNames):
         acceleration: Any = None, restitution: float = 1.0, tolerance: float | None = None,
         budget: Budget | None = None,
     ) -> Simulation:  # fmt: skip
-        """The motion under input velocities, or of a ball that falls and bounces; see `kempe.analysis.simulation.simulate`."""
+        """The motion under input velocities, or of a ball that falls and bounces.
+
+        See `kempe.analysis.simulation.simulate`.
+        """
         from kempe.analysis.simulation.simulate import simulate
 
         return simulate(self, duration, start, inputs=inputs, velocity=velocity, acceleration=acceleration,

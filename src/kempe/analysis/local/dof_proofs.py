@@ -4,8 +4,9 @@ What is zero to rounding counts as exactly zero: axes that are parallel to the l
 clusters add up, for clusters share no unknowns. The theorems, in the order in which they are tried:
 
 - *Regular*: the loop equations, reduced to the group of motions that the joints of each loop generate (Herve, 1978),
-  have a Jacobian of full rank, beyond rounding and the error of the configuration (`kempe.kinematics.common.newton_certificate`). Then
-  the closed configurations are a manifold of as many dimensions as its kernel has (implicit function theorem).
+  have a Jacobian of full rank, beyond rounding and the error of the configuration
+  (`kempe.kinematics.common.newton_certificate`). Then the closed configurations are a manifold of as many dimensions as
+  its kernel has (implicit function theorem).
 - *Two groups*: a loop whose joints part into two chains, each of which fills a group of motions: what both groups
   share moves, and the number is the same everywhere.
 - *Families*: a motion in closed form keeps all loops closed (`analysis.families`).

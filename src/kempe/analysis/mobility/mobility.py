@@ -140,8 +140,8 @@ class Mobility(Report):
 
         Either the rank is full, the smallest singular value being above a bound of all rounding and an exactly closed
         configuration near by (Newton and Kantorovich), or a theorem about singular or overconstrained mechanisms
-        holds, whose hypotheses were checked: see `kempe.analysis.local.dof_proofs`. Otherwise `dof` is known to an order only.
-        What is true `within` a tolerance only is not proven of the mechanism as given.
+        holds, whose hypotheses were checked: see `kempe.analysis.local.dof_proofs`. Otherwise `dof` is known to an
+        order only. What is true `within` a tolerance only is not proven of the mechanism as given.
         """
         return self.within is None and (self.regular if self.local is None else self.local.certain)
 

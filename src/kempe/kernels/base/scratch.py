@@ -1,10 +1,11 @@
-"""Pointers into one block of scratch: a kernel allocates once."""
+"""Scratch: pointers into one block, for a kernel allocates once, and copies of what lies in it."""
 
 from __future__ import annotations
 
 from llvmlite import ir
 from numba import types
 
+from kempe.kernels.base._jit import device
 from kempe.kernels.base.vectors import intrinsic
 
 
@@ -32,3 +33,10 @@ def aligned(typingctx, pointer):
         return builder.inttoptr(builder.and_(place, ir.Constant(whole, -ALIGNMENT)), args[0].type)
 
     return pointer(pointer), codegen
+
+
+@device
+def copy(target, source, start, count):
+    """Copy source[start : start + count]."""
+    for k in range(count):
+        target[k] = source[start + k]

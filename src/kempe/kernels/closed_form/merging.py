@@ -36,7 +36,7 @@ TWO_PI = 2.0 * math.pi
 
 
 class Found(NamedTuple):
-    """Solutions found so far: `table_rows` of SOLUTION + n numbers, with scratch for one more; the tolerances."""
+    """Solutions found so far: `rows` of SOLUTION + n numbers, with scratch for one more; the tolerances."""
 
     model: Model
     rows: object

@@ -23,9 +23,9 @@ from kempe.kernels.base.lines import (
     unrotated,
     write3,
 )
+from kempe.kernels.base.rotations import logarithm
 from kempe.kernels.base.scratch import beyond
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.kernels.one_frame.residual import logarithm
 
 STEPS, IDLE, EXACT, LONGEST = 40, 10, 3e-15, 0.5
 """Steps at most; those in a row that bring nothing; the error at which nothing is left to do; the longest step."""
@@ -39,7 +39,7 @@ FLOOR, DAMPING = 1e-15, 1e-3
 
 
 class Model(NamedTuple):
-    """A chain to be polished; pointers. `moves`: joints that are unknown; `table_rows`: which of the six errors count.
+    """A chain to be polished; pointers. `moves`: joints that are unknown; `rows`: which of the six errors count.
 
     Rows are [linear; angular] in the frame of the tip; with rows 3 and 4 but not 5, the direction of its z axis counts.
     """

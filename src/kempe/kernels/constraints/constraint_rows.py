@@ -13,6 +13,7 @@ import math
 from typing import NamedTuple
 
 from kempe.kernels.base._jit import device, routine
+from kempe.kernels.base.rotations import logarithm
 from kempe.kernels.base.trig import atan2
 from kempe.kernels.base.vectors import entry, last_of, pack4
 from kempe.kernels.constraints import loop_layout as L
@@ -30,7 +31,6 @@ from kempe.kernels.forward.table_layout import (
     TURN,
 )
 from kempe.kernels.forward.table_rows import placed, placement
-from kempe.kernels.one_frame.residual import logarithm
 
 ANTIPODE = 1e-12
 """Square of the sine below which two axes count as opposite: the way back is arbitrary there, its length is not."""

@@ -1,4 +1,4 @@
-"""The equations of all ties at one configuration: those between frames (`constraint_rows`), rods, relations, own coordinates,
+"""All equations at one configuration: those between frames (`constraint_rows`), rods, relations, own coordinates,
 functions, and ties whose end B is a centre of mass.
 """
 

@@ -15,7 +15,8 @@ import numpy as np
 from kempe.kernels.base._jit import kernel, routine
 from kempe.kernels.base.declare import FLAG, FLOAT, INT, OUT, OUTI, F, I
 from kempe.kernels.base.random import mix
-from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.rotations import turn_ball
+from kempe.kernels.base.scratch import beyond, copy
 from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, NOT_FOUND, SOLVED
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.constraints import loop_layout as L
@@ -37,8 +38,6 @@ from kempe.kernels.constraints.loop_layout import DAMPING, LONGEST, MOST_DAMPING
 from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.forward.table_layout import NQ, NV
 from kempe.kernels.forward.table_rows import poses_at, row_poses, scratch_size
-from kempe.kernels.one_frame.starts import copy
-from kempe.kernels.one_frame.step import turn_ball
 
 FLOOR = 1e-30
 """Square of the scaled residual below which rounding is all there is."""

@@ -8,13 +8,12 @@ import numpy as np
 
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.random import mix, unit
-from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.rotations import draw_ball, turn_ball
+from kempe.kernels.base.scratch import beyond, copy
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.base.trig import atan2
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.constraint_rows import back, ends_of, relative
-from kempe.kernels.one_frame.starts import copy, draw_ball
-from kempe.kernels.one_frame.step import turn_ball
 
 """Size from which a number is no coordinate."""
 

@@ -25,4 +25,4 @@ TURN, SLIDE, DIVIDE, CARRY, REBASE = 3, 4, 5, 6, 7
 CIRCLES, LINE_CIRCLE, LINES = 8, 9, 10
 PIN_PIN, PIN_RAIL, RAIL_RAIL = 11, 12, 13
 READ_TURN, READ_SLIDE = 14, 15
-"""Codes of operations; the functions of `kempe.kernels.dyads.dyads_program` say what each does and how its numbers lie."""
+"""Codes of operations; the functions of `dyads_program` say what each does and how its numbers lie."""

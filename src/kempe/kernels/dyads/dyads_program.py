@@ -1,7 +1,8 @@
 """Planar mechanisms made of dyads, `LANES` configurations side by side: a program of closed forms is walked.
 
-Known coordinates place bodies, rings of three are closed (`kempe.kernels.dyads.dyads_rings`), and all other coordinates are
-read off the poses; how far joints are open is summed up on the way. `kempe.solvers.dyads.assur_groups` writes the programs.
+Known coordinates place bodies, rings of three are closed (`kempe.kernels.dyads.dyads_rings`), and all other coordinates
+are read off the poses; how far joints are open is summed up on the way. `kempe.solvers.dyads.assur_groups` writes the
+programs.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kempe.kernels.base._jit import kernel, routine
+from kempe.kernels.base.scratch import copy
 from kempe.kernels.base.search_layout import LINEAR, NOT_FOUND, SOLVED, STATUS, STEPS
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.forward.table_layout import NQ, NV
@@ -21,7 +22,6 @@ from kempe.kernels.one_frame.ik_problem import (
     judged,
     write,
 )
-from kempe.kernels.one_frame.starts import copy
 
 DESCENTS, DESCENT_STEPS = 16, 5
 """Descents to the nearest configuration, at most as many as starts, and steps of each by those of a start.

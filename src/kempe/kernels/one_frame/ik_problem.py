@@ -10,7 +10,7 @@ import numpy as np
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.declare import FLOAT, INT, OUT, F, I
 from kempe.kernels.base.random import mix
-from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.scratch import beyond, copy
 from kempe.kernels.base.search_layout import (
     ANGULAR,
     ANSWER,
@@ -59,7 +59,7 @@ from kempe.kernels.one_frame.residual import (
     error,
     trace,
 )
-from kempe.kernels.one_frame.starts import copy, draw, middle, spread_of, take, wrap
+from kempe.kernels.one_frame.starts import draw, middle, spread_of, take, wrap
 
 ARGUMENTS = (
     I("_"), F("_"), F(2, "nv"), I("nv+7"), F("N", 4, 4), F("1|N", "_", "nq"), INT, INT, INT, INT, FLOAT, FLOAT, FLOAT,

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.lines import cross, dot, plus
+from kempe.kernels.base.rotations import logarithm
 from kempe.kernels.base.trig import atan2, sincos_any
 from kempe.kernels.base.vectors import entry, pack4, square_root, store, where
 from kempe.kernels.forward.table_layout import (
@@ -144,31 +145,6 @@ def trace(chain):
         else:
             p = p + theta * c
     return placed(floats, ROW_FLOATS * n, a, b, c, p)
-
-
-@device
-def logarithm(m):
-    """Rotation vector of a 3x3 rotation (9 numbers, row by row), right at all angles from 0 to pi."""
-    x, y, z = 0.5 * (m[7] - m[5]), 0.5 * (m[2] - m[6]), 0.5 * (m[3] - m[1])
-    cosine = 0.5 * (m[0] + m[4] + m[8] - 1.0)
-    square = x * x + y * y + z * z
-    if cosine > -0.8:
-        if square < 1e-5 and cosine > 0.0:  # the arcsine's series; the next term is below 1e-21
-            factor = 1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0 + square * (15.0 / 336.0)))
-        else:
-            sine = math.sqrt(square)
-            factor = atan2(sine, cosine) / sine
-        return x * factor, y * factor, z * factor
-    # Near pi the antisymmetric part fades: four times a quaternion, from its largest entry (Shepperd 1978).
-    if m[0] >= m[4] and m[0] >= m[8]:
-        x, y, z, w = 1.0 + m[0] - m[4] - m[8], m[1] + m[3], m[2] + m[6], m[7] - m[5]
-    elif m[4] >= m[8]:
-        x, y, z, w = m[1] + m[3], 1.0 - m[0] + m[4] - m[8], m[5] + m[7], m[2] - m[6]
-    else:
-        x, y, z, w = m[2] + m[6], m[5] + m[7], 1.0 - m[0] - m[4] + m[8], m[3] - m[1]
-    size = math.sqrt(x * x + y * y + z * z)
-    factor = math.copysign(2.0 * atan2(size, abs(w)) / size, w)
-    return x * factor, y * factor, z * factor
 
 
 @device

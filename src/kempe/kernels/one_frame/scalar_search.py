@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from kempe.kernels.base._jit import kernel, routine
+from kempe.kernels.base.scratch import copy
 from kempe.kernels.base.search_layout import NOT_FOUND, SOLVED, STATUS
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.forward.table_layout import NQ, NV
@@ -29,7 +30,6 @@ from kempe.kernels.one_frame.ik_problem import (
 )
 from kempe.kernels.one_frame.lanes_step import DAMPING, DAMPING_CAP, DAMPING_FLOOR, PATIENCE, SLOW
 from kempe.kernels.one_frame.residual import distances, energy, error, fill_jacobian, trace
-from kempe.kernels.one_frame.starts import copy
 from kempe.kernels.one_frame.step import advance, damped_step
 
 

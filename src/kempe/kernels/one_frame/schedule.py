@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kempe.kernels.base._jit import device, kernel, routine
-from kempe.kernels.base.scratch import aligned, beyond
+from kempe.kernels.base.scratch import aligned, beyond, copy
 from kempe.kernels.base.search_layout import ANGULAR, LINEAR, NOT_FOUND, SOLVED, STARTS, STATUS, STEPS
 from kempe.kernels.base.vectors import LANES, keep, raw
 from kempe.kernels.forward.table_layout import (
@@ -72,7 +72,6 @@ from kempe.kernels.one_frame.lanes import (
 )
 from kempe.kernels.one_frame.lanes_step import step_lanes
 from kempe.kernels.one_frame.residual import BOX_STRIDE, HIGH, LOW, POINTS, SCALE, WEIGHTS
-from kempe.kernels.one_frame.starts import copy
 from kempe.kernels.one_frame.step import place_of
 
 AHEAD = 16
@@ -368,8 +367,8 @@ def reach(
 
     Starts are tried in order, the answer is that of the first that reaches the goal. SOLVED is judged at the q
     written, which is always inside the limits. With NOT_FOUND it is where a start came nearest, and the linear error is
-    its energy: `fallback.approach` goes on from there. BAD_INPUT, q and errors NaN: a goal or seed that is not finite or
-    above 1e100, a goal that is no pose.
+    its energy: `fallback.approach` goes on from there. BAD_INPUT, q and errors NaN: a goal or seed that is not finite
+    or above 1e100, a goal that is no pose.
     """
     columns, nq, nv = count_columns(raw(ints)), ints[NQ], ints[NV]
     whole, size = job_ints(columns, nv), job_floats(columns, nq, nv)

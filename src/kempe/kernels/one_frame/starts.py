@@ -8,6 +8,8 @@ import numpy as np
 
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.random import mix, unit
+from kempe.kernels.base.rotations import draw_ball
+from kempe.kernels.base.scratch import copy
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.one_frame.residual import BOX_STRIDE, HIGH, LOW, SCALE
 from kempe.kernels.one_frame.step import is_round, place_of
@@ -28,22 +30,6 @@ def spread_of(count):
     if count >= LATE and count % 2 == 1:
         return WIDER
     return NUDGE if count == 0 else min(0.75 + 0.05 * count, 1.35)
-
-
-@device
-def copy(target, source, start, count):
-    """Copy source[start : start + count]."""
-    for k in range(count):
-        target[k] = source[start + k]
-
-
-@device
-def draw_ball(q, i, key):
-    """Write a uniformly distributed unit quaternion to q[i : i + 4] (Shoemake 1992)."""
-    zero, one, two = np.uint64(0), np.uint64(1), np.uint64(2)
-    u, a, b = unit(mix(key, zero)), 2.0 * math.pi * unit(mix(key, one)), 2.0 * math.pi * unit(mix(key, two))
-    q[i], q[i + 1] = math.sqrt(1.0 - u) * math.sin(a), math.sqrt(1.0 - u) * math.cos(a)
-    q[i + 2], q[i + 3] = math.sqrt(u) * math.sin(b), math.sqrt(u) * math.cos(b)
 
 
 @routine

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.linear import solve6
+from kempe.kernels.base.rotations import turn_ball
 from kempe.kernels.base.vectors import entry, load4, pack4
 from kempe.kernels.one_frame.residual import (
     BOX_STRIDE,
@@ -104,23 +103,6 @@ def damped_step(chain, e, damping):
                     )  # fmt: skip
         if not stopped:
             break
-
-
-@device
-def turn_ball(q, i, x, y, z):
-    """Write quaternion * exp((x, y, z)) to q[i : i + 4], of norm 1."""
-    x, y, z = 0.5 * x, 0.5 * y, 0.5 * z
-    angle = math.sqrt(x * x + y * y + z * z)
-    s = math.sin(angle) / angle if angle > 1e-4 else 1.0 - angle * angle / 6.0
-    c = math.cos(angle)
-    x, y, z = x * s, y * s, z * s
-    w0, x0, y0, z0 = q[i], q[i + 1], q[i + 2], q[i + 3]
-    w1 = w0 * c - x0 * x - y0 * y - z0 * z
-    x1 = w0 * x + x0 * c + y0 * z - z0 * y
-    y1 = w0 * y - x0 * z + y0 * c + z0 * x
-    z1 = w0 * z + x0 * y - y0 * x + z0 * c
-    f = 1.0 / math.sqrt(w1 * w1 + x1 * x1 + y1 * y1 + z1 * z1)
-    q[i], q[i + 1], q[i + 2], q[i + 3] = w1 * f, x1 * f, y1 * f, z1 * f
 
 
 @device

@@ -6,7 +6,7 @@ equation (Moore, 1966; Griewank, Walther, 2008, section 13.2), and a ball turns 
 (Rodrigues, 1840), A and B being power series in |w|^2. Orders are computed one after the other, so a caller can choose
 v_k after it has seen what v_1 ... v_(k-1) lead to.
 
-Ties, packed in `constraint_rows` (int64) and `numbers` (float64), as `loop_layout` names what they hold of frame B in frame A:
+Ties, packed in `ties` (int64) and `numbers` (float64), as `loop_layout` names what they hold of frame B in frame A:
 
     ties     count; then for each: MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, DATA; then entries: place in q, in v;
              then what TAPE ties read, and their tapes

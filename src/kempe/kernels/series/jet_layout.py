@@ -1,7 +1,7 @@
 """Where the numbers of Taylor series lie. Imports nothing, like `table_layout`."""
 
 MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, DATA, TIE_INTS = 0, 1, 2, 3, 4, 5, 6, 7
-"""Places of a tie in `constraint_rows`, and its size; DATA leads to what a TAPE tie reads, as in `loop_layout`."""
+"""Places of a tie in `ties`, and its size; DATA leads to what a TAPE tie reads, as in `loop_layout`."""
 
 BEFORE, AFTER, POSE_SIZE = 0, 12, 24
 """A row's poses before and after its motion: rotation (9, row by row) and position (3) each."""

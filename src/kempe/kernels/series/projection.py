@@ -14,6 +14,7 @@ import numpy as np
 from kempe.kernels.base._jit import kernel, routine
 from kempe.kernels.base.declare import FLOAT, INT, OUT, F, I
 from kempe.kernels.base.linear import back, factor
+from kempe.kernels.base.rotations import turn_ball
 from kempe.kernels.base.scratch import beyond
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.constraints.loop_layout import (
@@ -48,7 +49,6 @@ from kempe.kernels.forward.table_layout import (
     TURN,
     V_INDEX,
 )
-from kempe.kernels.one_frame.step import turn_ball
 from kempe.kernels.series.jet import between, output_order, sweep_order, violation_order
 from kempe.kernels.series.jet_layout import (
     AFTER,

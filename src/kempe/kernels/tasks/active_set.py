@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from kempe.kernels.base._jit import device, routine
+from kempe.kernels.base.rotations import turn_ball
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.envelope import add_product, factor, normal, product, solve
 from kempe.kernels.constraints.loop_coordinates import number, place_of, sort_of
-from kempe.kernels.one_frame.step import turn_ball
 
 OFF = 1e30
 """The D of a row that does not count."""

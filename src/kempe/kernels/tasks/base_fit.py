@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from kempe.kernels.base._jit import device, routine
+from kempe.kernels.base.rotations import turn_ball
 from kempe.kernels.base.vectors import entry
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.constraint_rows import back, ends_of, matrix
@@ -21,7 +22,6 @@ from kempe.kernels.forward.table_layout import (
     V_INDEX,
 )
 from kempe.kernels.forward.table_rows import placement, row_poses
-from kempe.kernels.one_frame.step import turn_ball
 
 SQUARINGS = 26
 """Squarings that leave of a matrix the projection on the eigenvectors of its largest eigenvalue."""

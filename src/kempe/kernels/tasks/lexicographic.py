@@ -13,13 +13,13 @@ import numpy as np
 
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.random import mix, unit
+from kempe.kernels.base.rotations import turn_ball
+from kempe.kernels.base.scratch import copy
 from kempe.kernels.base.search_layout import AHEAD, LARGEST, NOTHING
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.envelope import add_product
 from kempe.kernels.constraints.goals import call
 from kempe.kernels.constraints.loop_coordinates import distance, is_held, number, place_of, sort_of
-from kempe.kernels.one_frame.starts import copy
-from kempe.kernels.one_frame.step import turn_ball
 from kempe.kernels.tasks.active_set import LEAST, LONGEST, OFF, free_all, mark_pushed, step_to, take
 from kempe.kernels.tasks.level_rows import assess, count_in, is_hard, missed, square_of
 

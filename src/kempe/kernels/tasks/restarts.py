@@ -10,10 +10,9 @@ import numpy as np
 
 from kempe.kernels.base._jit import routine
 from kempe.kernels.base.random import mix, unit
-from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.scratch import beyond, copy
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.loop_coordinates import draw, is_held, number, place_of, sort_of
-from kempe.kernels.one_frame.starts import copy
 from kempe.kernels.tasks.base_fit import settle_base
 from kempe.kernels.tasks.level_rows import assess, square_of_tie
 

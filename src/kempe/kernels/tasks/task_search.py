@@ -15,7 +15,7 @@ import numpy as np
 from kempe.kernels.base._jit import kernel, routine
 from kempe.kernels.base.declare import FLAG, INT, OUT, OUTI, F, I
 from kempe.kernels.base.random import mix
-from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.scratch import beyond, copy
 from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND, NOTHING, SOLVED
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.constraints import loop_layout as L
@@ -25,7 +25,6 @@ from kempe.kernels.constraints.loop_coordinates import nearest_turn, number, pla
 from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.forward.table_layout import NQ, NV
 from kempe.kernels.forward.table_rows import poses_at, scratch_size
-from kempe.kernels.one_frame.starts import copy
 from kempe.kernels.tasks import restarts
 from kempe.kernels.tasks.active_set import Work
 from kempe.kernels.tasks.level_rows import (

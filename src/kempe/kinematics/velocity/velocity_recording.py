@@ -1,8 +1,8 @@
 """Recording of rows A(q) v = b(q, t): of constraints of velocity, and the tangents of all that holds positions.
 
 A row is linear in the twist of frame B against frame A: coefficients c of the pose X_AB, dotted with the twists that
-the joints between A and B give, as in `kempe.kernels.constraints.constraint_rows`. Numbers that are known are folded, so that a tape holds
-what moves only.
+the joints between A and B give, as in `kempe.kernels.constraints.constraint_rows`. Numbers that are known are folded,
+so that a tape holds what moves only.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Ties: what holds one frame in another, or coordinates; `kempe.model.closures.loop_plan` packs them for the kernels."""
+"""Ties: what holds one frame in another, or coordinates; `loop_plan` packs them for the kernels."""
 
 from __future__ import annotations
 

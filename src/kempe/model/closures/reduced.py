@@ -1,7 +1,8 @@
 """The reduced form of a joint that closes a loop: what it holds of its frame M in its frame F, without coordinates.
 
 It follows from the primitives alone, so nothing is to be declared. A joint whose hold has no fixed axes in F, or whose
-coordinates cannot be read off one by one, has none: it is carried (see `kempe.model.closures.packed_loops`), which is always right.
+coordinates cannot be read off one by one, has none: it is carried (see `kempe.model.closures.packed_loops`), which is
+always right.
 """
 
 from __future__ import annotations

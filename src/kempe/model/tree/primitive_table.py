@@ -1,8 +1,8 @@
 """Lowering: joints -> primitive rows whose axis is z, bodies -> (row, constant placement).
 
-The packed form, one int64 and one float64 array, is described in `kempe.kernels.forward.table_layout`. Constants (offsets of mimic
-joints, locked coordinates, fixed joints) end up in placements and gauges, so a table has rows for motion only.
-Placements may carry leading axes: a batch of designs is lowered in one pass.
+The packed form, one int64 and one float64 array, is described in `kempe.kernels.forward.table_layout`. Constants
+(offsets of mimic joints, locked coordinates, fixed joints) end up in placements and gauges, so a table has rows for
+motion only. Placements may carry leading axes: a batch of designs is lowered in one pass.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Assembly of systems with one-sided constraints: all equations and bounds are held by the solver of tasks.
 
-Its steps are small quadratic programmes with an active set (`kempe.kernels.tasks.active_set`). What is found is then led back
-towards its start, so that a start which violates a bound is brought to the nearest place that holds all.
+Its steps are small quadratic programmes with an active set (`kempe.kernels.tasks.active_set`). What is found is then
+led back towards its start, so that a start which violates a bound is brought to the nearest place that holds all.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Bounded:
         return np.isin(np.arange(self.system.nv), self.loops.unknown, invert=True)
 
     def assemble(self, starts: Array, pins: Array, tries: int) -> tuple[Array, Array, np.ndarray]:
-        """Configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3), as of `kempe.kernels.constraints.loop_closing`."""
+        """Configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3), as kernels write them."""
         q, info = self._search(starts, pins, tries, 0)
         return q, self.residuals(q, pins), info
 

@@ -69,7 +69,8 @@ def _left(bound: Assembler, q: Array) -> str:
     count, who = system.nv - len(bound.held) - len(closure_rows.row_names(system)), "by the count"
     is_folded = count >= 0 or 0 <= bound.freedoms < left
     if count < 0:  # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey their group
-        count, who = closure_rows.freedoms_left(system, random(system, np.random.default_rng(0)), bound.held), "in general"
+        somewhere = random(system, np.random.default_rng(0))
+        count, who = closure_rows.freedoms_left(system, somewhere, bound.held), "in general"
     folded = _coinciding(system, q) if count < left else []
     if folded:
         pins = ", ".join(f"{a} and {b}" for a, b in folded[:3]) + (", ..." if len(folded) > 3 else "")

@@ -45,12 +45,12 @@ def ik_sweep(
     """The solutions of a redundant chain for one target, over a parameter, and where they are inside the limits.
 
     `parameter` is a joint of the chain, or "arm_angle" for seven turning joints of which the first three axes meet, and
-    the last three (`kempe.solvers.analytic.redundant.arm_angle` says what it is; a pair ("arm_angle", reference) names its
-    reference); by default that, and else the joint that `ik_all` holds. `target` and `task` are as in `ik_all`. Where
-    there is more than one freedom to spare, joints are held: those `fixed`, by name, and others at `start` (nq,), which
-    also chooses among turns of angles; without `start` where `ik_all` finds a solution inside the limits. `n` asks for
-    samples at so many values; the points of the `budget` (256) are the values of a joint at which curves are looked
-    for.
+    the last three (`kempe.solvers.analytic.redundant.arm_angle` says what it is; a pair ("arm_angle", reference) names
+    its reference); by default that, and else the joint that `ik_all` holds. `target` and `task` are as in `ik_all`.
+    Where there is more than one freedom to spare, joints are held: those `fixed`, by name, and others at `start` (nq,),
+    which also chooses among turns of angles; without `start` where `ik_all` finds a solution inside the limits. `n`
+    asks for samples at so many values; the points of the `budget` (256) are the values of a joint at which curves are
+    looked for.
 
     Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where that is asked for,
     `InputError`, `UnknownNameError`.
