@@ -158,7 +158,7 @@ def writable(path: Path | None) -> None:
 
 def results(path: Path | None) -> None:
     """Refuse an ending or a place that results cannot be written to, before any work. Errors: `InputError`."""
-    from kempe.views.input import rows
+    from kempe.views import rows
 
     rows.output(path)
     writable(path)

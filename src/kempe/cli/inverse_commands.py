@@ -79,7 +79,7 @@ def ik(
     if prefer is not None and tasks is None:
         raise InputError("--prefer is for --tasks: it says what is made least in what they leave free")
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    from kempe.views.input import rows
+    from kempe.views import rows
 
     results(out)
     if frame is None or target is None:
@@ -133,8 +133,7 @@ def _answer(
     json: bool,
 ) -> None:  # fmt: skip
     """Solve, for one target or `count` of them, and print or write the answer."""
-    from kempe.views import facts, report, slices
-    from kempe.views.input import rows
+    from kempe.views import facts, report, rows, slices
 
     if count is None or count <= size:
         answer = solve(0, count)
@@ -174,8 +173,7 @@ def path(
     """
     _one_way(tasks, {"--frame": frame, "--targets": target}, {"--position-only": position_only})
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    from kempe.views import facts, follow_report, slices
-    from kempe.views.input import rows
+    from kempe.views import facts, follow_report, rows, slices
 
     results(out)
     start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
@@ -244,8 +242,7 @@ def _all(
 
 def _modes(answer: Modes, deg: bool, out: Path | None, json: bool) -> None:
     """Print or write all that was found of a frame that moves with loops."""
-    from kempe.views import facts, loop_report
-    from kempe.views.input import rows
+    from kempe.views import facts, loop_report, rows
 
     if out is not None:
         rows.write_configurations(out, answer.system, answer.q, deg)

@@ -199,7 +199,7 @@ def assemble(
         _save(system.plot(answer.q[0] if modes else answer.q), plot)
         written.append(plot)
     if out is not None and (answer or np.any(getattr(answer, "success", False))):
-        from kempe.views.input import rows
+        from kempe.views import rows
 
         rows.write_configurations(out, system, answer.q if modes else loop_report.closed_only(answer), deg)
         written.append(out)

@@ -135,8 +135,7 @@ def fk(
     Example: kempe fk panda.urdf --frame panda_hand_tcp --q 0,-45,0,-135,0,90,45,0.04 --deg
     """
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    from kempe.views import facts, report
-    from kempe.views.input import rows
+    from kempe.views import facts, report, rows
 
     if frame is not None:
         system.structure.frame_name(frame)  # a wrong name is told before kernels are compiled

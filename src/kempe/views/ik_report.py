@@ -16,8 +16,7 @@ from kempe.errors import InputError
 from kempe.kinematics.common.tabular import write_table
 from kempe.placement import AXES
 from kempe.status import named
-from kempe.views import facts, report
-from kempe.views.input import rows
+from kempe.views import facts, report, rows
 from kempe.words import jsonable
 
 if TYPE_CHECKING:

@@ -12,8 +12,7 @@ from kempe import spatial
 from kempe.description.source import expanded
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import has_loops
-from kempe.views import facts, report
-from kempe.views.input import rows
+from kempe.views import facts, report, rows
 
 if TYPE_CHECKING:
     from kempe.model.system import System

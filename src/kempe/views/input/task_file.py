@@ -17,8 +17,8 @@ from kempe.description.source import Source, decode, expanded, no_file, shorten
 from kempe.description.toml.toml_document import Document
 from kempe.errors import InputError, UnknownNameError, hint
 from kempe.kinematics.tasks.task_classes import task_of
+from kempe.views import rows
 from kempe.views.facts import DEGREE, units
-from kempe.views.input import rows
 
 if TYPE_CHECKING:
     from kempe.model.system import System
