@@ -121,7 +121,7 @@ def test_each_velocity_is_the_start_of_a_motion(row: Spatial):
             q = system.configuration_space.integrate(
                 q, np.linalg.lstsq(jacobian(system, q), -residual(system, q), rcond=1e-5)[0]
             )
-        assert np.abs(residual(system, q)).max() < 1e-13
+        assert np.abs(residual(system, q)).max() < 5e-13  # rounding, whatever the order of sums on this processor
         ends.append(system.configuration_space.difference(q0, q) / step - v)
     if row.dof == row.rank:
         assert np.abs(ends).max() < 30 * step

@@ -75,8 +75,8 @@ def solve(
         length, out,
     )  # fmt: skip
     balls = any(r.kind == BALL for r in chain.table.rows)
-    if (compiled.solve.reach_one_by_one if balls or slow else compiled.search.reach)(*arguments):
-        compiled.closest.approach(*arguments)
+    if (compiled.scalar_search.reach_one_by_one if balls or slow else compiled.schedule.reach)(*arguments):
+        compiled.fallback.approach(*arguments)
     missed = int((out[:, nq + STATUS] != 0).sum())
     q, residual, info = out[:, :nq].copy(), out[:, nq : nq + STATUS].copy(), out[:, nq + STATUS :].astype(np.int64)
     return Answers(missed, q, residual, *info.T.copy())

@@ -339,13 +339,13 @@ def test_calls_keep_no_references():
     before = [sys.getrefcount(x) for x in kept]
     for _ in range(1000):
         assert compiled.bound.pose(table, q, out) == 0
-        assert compiled.sweep.poses(ints, floats, none, many[:, None]) == 0
+        assert compiled.table_sweep.poses(ints, floats, none, many[:, None]) == 0
         with pytest.raises(TypeError):
             compiled.bound.pose(table, q, None)
         with pytest.raises(TypeError):
             compiled.bound.pose(table, q, out.T)
         with pytest.raises(ValueError, match="axis 0 of out"):
-            compiled.sweep.poses(ints, floats, none, np.empty((2, 1, 4, 4)))
+            compiled.table_sweep.poses(ints, floats, none, np.empty((2, 1, 4, 4)))
     assert [sys.getrefcount(x) for x in kept] == before
 
 
@@ -354,7 +354,7 @@ def test_scratch_that_does_not_fit_into_memory_is_a_memory_error():
     ints = np.zeros(10, dtype=np.int64)
     ints[0] = 2**57  # rows, for which scratch is asked before they are read
     with pytest.raises(MemoryError):
-        compiled.sweep.poses1(ints, np.zeros(12), np.empty(0), np.empty((1, 4, 4)))
+        compiled.table_sweep.poses1(ints, np.zeros(12), np.empty(0), np.empty((1, 4, 4)))
 
 
 def test_made_arrays_are_ordinary_ones():
@@ -420,14 +420,14 @@ def test_an_interrupt_ends_a_long_call(threads):
     """A call that takes a quarter of a minute, of the slowest kernel; the process says how far it was."""
     code = f"""
 import signal, threading, time, numpy as np, kempe
-from kempe.kernels.compiled import general
+from kempe.kernels.compiled import elimination_ik
 robot = kempe.load("jaco2"); tip = robot.frame_names[-1]
 X = np.tile(robot.fk(robot.random(1, 1000), tip), (400, 1, 1))
 robot.ik_all(X[:10], tip)
-done, kernel = [], general.general
+done, kernel = [], elimination_ik.general
 def counted(*arguments):
     kernel(*arguments); done.append(len(arguments[2]))
-general.general = counted
+elimination_ik.general = counted
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a process in the background may begin without
 threading.Timer(1.0, signal.raise_signal, [signal.SIGINT]).start()
 try:
