@@ -341,8 +341,9 @@ class Bound:
         X = target.copy()[None] if self.posed else self._pose(target)  # the answer keeps it
         try:
             missed = self.reach(
-                chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0, 0, FEW, ITERATIONS, LENGTH, ANGLE, 0.0, out
-            )
+                chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0, 0, FEW, ITERATIONS, LENGTH, ANGLE,
+                0.0, out,
+            )  # fmt: skip
         except TypeError:  # not float64
             return None
         row = out[0]
