@@ -217,8 +217,14 @@ def robots() -> dict[str, kempe.System]:
 QS = ("q", "q0", "q1")
 PLACES = [(n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n not in NOT_ASKED]
 ARM_ONLY = {"self_motion", "arm_angle"}
+LOOP_ONLY = {"mechanical_advantage", "transmission_angle", "dead_points", "independent", "loop_jacobian"}
 ONE_Q = {"plot", "mobility", "self_motion", "ik_step", "q_dict", "local_dimension", "classify", "one_sided"}
 """Verbs that take one configuration."""
+
+
+def places(without: set[str]) -> list:
+    """Parameters of the tests below: verbs and their arguments that are configurations, but for some verbs."""
+    return [pytest.param(n, p, id=f"{n}-{p}") for n, p in PLACES if n.rpartition(".")[2] not in without]
 
 
 def test_the_reference_names_the_verbs():
@@ -229,31 +235,29 @@ def test_the_reference_names_the_verbs():
 # ---- configurations by name
 
 
-@pytest.mark.parametrize(("name", "place"), PLACES, ids=[f"{n}-{p}" for n, p in PLACES])
+@pytest.mark.parametrize(("name", "place"), places(ARM_ONLY))
 def test_named_coordinates_of_a_loop_are_closed(name, place, robots):
     """Every verb reads them as the configuration that `assemble` finds from home."""
-    if name.rpartition(".")[2] in ARM_ONLY:
-        pytest.skip("it is for arms")
     if name.rpartition(".")[2].startswith("plot"):
         pytest.importorskip("matplotlib")
     function, system = OF_SYSTEMS[name], robots["four_bar"]
     closed = system.assemble({"A": 0.7}).q
     assert np.abs(system.loops.closure_error(closed)).max() < 1e-12
-    if name == "System.q_dict":
-        assert system.q_dict({"A": 0.7}) == system.q_dict(closed)
-        return
     assert same(call(function, system, {place: {"A": 0.7}}), call(function, system, {place: closed}))
     with pytest.raises(InputError, match="must close them|no configuration|cannot"):
         call(function, robots["slider_crank"], {place: {"S": 1e3}})
 
 
-@pytest.mark.parametrize(("name", "place"), PLACES, ids=[f"{n}-{p}" for n, p in PLACES])
+def test_a_dict_of_a_loop_is_closed(robots):
+    system = robots["four_bar"]
+    assert system.q_dict({"A": 0.7}) == system.q_dict(system.assemble({"A": 0.7}).q)
+
+
+@pytest.mark.parametrize(("name", "place"), places(LOOP_ONLY))
 def test_tables_are_read_by_name(name, place, robots):
     function, short = OF_SYSTEMS[name], name.rpartition(".")[2]
     if short.startswith("plot"):
         pytest.importorskip("matplotlib")
-    if short in ("mechanical_advantage", "transmission_angle", "dead_points", "independent", "loop_jacobian"):
-        pytest.skip("it is for loops")
     arms = {"arm_angle": "iiwa14", "self_motion": "iiwa14", "plot": "two_link"}
     system = robots[arms.get(short, "ur5")]
     q = np.array(system.random(5, 2))
