@@ -130,19 +130,20 @@ def test_nothing_is_proven_against_what_can_be_reached(name):
     assert robot.ik(robot.fk(robot.random(0, 500), frame), frame).success.all()
 
 
-def test_a_pose_may_be_proven_out_of_reach_by_its_last_axis():
+@pytest.mark.parametrize("below", [0.01, 0.03, 0.1, 0.24])
+def test_a_pose_may_be_proven_out_of_reach_by_its_last_axis(below):
     """Shoulder and wrist centre of the iiwa are never farther apart than 0.42 m + 0.4 m."""
     robot, radius = kempe.load("iiwa14"), 0.82
     frame = robot.frame_names[-1]
     bound = min(b.largest for b in chain_of(robot, frame).bounds)
     assert bound == pytest.approx(radius, abs=1e-12)
     far = np.eye(4)
-    far[:3, 3] = [0.0, 0.0, 0.36 + radius + 0.126 - 0.01]  # the wrist 0.01 m below the sphere: inside
+    far[:3, 3] = [0.0, 0.0, 0.36 + radius + 0.126 - below]  # the wrist is inside the sphere
     assert robot.ik(far, frame).success
     far[:3, :3] = np.diag([1.0, -1.0, -1.0])  # looking down, the wrist is 0.126 m above the flange
     s = robot.ik(far, frame)
     assert s.code == Status.OUT_OF_REACH
-    assert f"outside the workspace with this orientation by at least {2 * 0.126 - 0.01:g} m" in s.status
+    assert f"outside the workspace with this orientation by at least {2 * 0.126 - below:.3g} m" in s.status
     position = robot.ik(far[:3, 3].copy(), frame)
     assert position.success
 
