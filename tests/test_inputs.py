@@ -141,7 +141,8 @@ def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
     return {
         "q": q, "q0": q, "q1": q, "v": np.full(rates, 0.1), "t": np.array(0.5), "frame": tip, "target": X,
         "targets": np.stack([X, X]), "seed": q, "near": q, "start": q, "known": {name: q[0]}, "u": q[:1],
-        "coordinates": {name: 0.5}, "wanted": np.full(6, 0.01), "dt": 0.01, "tasks": tip,
+        "wanted": [kempe.tasks.Pose(tip, X)] if verb == "reach" else np.full(6, 0.01),
+        "coordinates": {name: 0.5}, "dt": 0.01, "tasks": tip,
         "inputs": [name] if verb == "loop_jacobian" else {name: [1.0, 1.1]},
         "poses": system.fk(q)[1:], "outputs": [other], "input": name, "output": other, "at": q,
         "joint": system.coordinate_names[-2], "toward": {name: 1.0}, "direction": np.ones(3), "fixed": {name: q[0]},
@@ -217,8 +218,14 @@ def robots() -> dict[str, kempe.System]:
 QS = ("q", "q0", "q1")
 PLACES = [(n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n not in NOT_ASKED]
 ARM_ONLY = {"self_motion", "arm_angle"}
+LOOP_ONLY = {"mechanical_advantage", "transmission_angle", "dead_points", "independent", "loop_jacobian"}
 ONE_Q = {"plot", "mobility", "self_motion", "ik_step", "q_dict", "local_dimension", "classify", "one_sided"}
 """Verbs that take one configuration."""
+
+
+def places(without: set[str]) -> list:
+    """Parameters of the tests below: verbs and their arguments that are configurations, but for some verbs."""
+    return [pytest.param(n, p, id=f"{n}-{p}") for n, p in PLACES if n.rpartition(".")[2] not in without]
 
 
 def test_the_reference_names_the_verbs():
@@ -229,31 +236,29 @@ def test_the_reference_names_the_verbs():
 # ---- configurations by name
 
 
-@pytest.mark.parametrize(("name", "place"), PLACES, ids=[f"{n}-{p}" for n, p in PLACES])
+@pytest.mark.parametrize(("name", "place"), places(ARM_ONLY))
 def test_named_coordinates_of_a_loop_are_closed(name, place, robots):
     """Every verb reads them as the configuration that `assemble` finds from home."""
-    if name.rpartition(".")[2] in ARM_ONLY:
-        pytest.skip("it is for arms")
     if name.rpartition(".")[2].startswith("plot"):
         pytest.importorskip("matplotlib")
     function, system = OF_SYSTEMS[name], robots["four_bar"]
     closed = system.assemble({"A": 0.7}).q
     assert np.abs(system.loops.closure_error(closed)).max() < 1e-12
-    if name == "System.q_dict":
-        assert system.q_dict({"A": 0.7}) == system.q_dict(closed)
-        return
     assert same(call(function, system, {place: {"A": 0.7}}), call(function, system, {place: closed}))
     with pytest.raises(InputError, match="must close them|no configuration|cannot"):
         call(function, robots["slider_crank"], {place: {"S": 1e3}})
 
 
-@pytest.mark.parametrize(("name", "place"), PLACES, ids=[f"{n}-{p}" for n, p in PLACES])
+def test_a_dict_of_a_loop_is_closed(robots):
+    system = robots["four_bar"]
+    assert system.q_dict({"A": 0.7}) == system.q_dict(system.assemble({"A": 0.7}).q)
+
+
+@pytest.mark.parametrize(("name", "place"), places(LOOP_ONLY))
 def test_tables_are_read_by_name(name, place, robots):
     function, short = OF_SYSTEMS[name], name.rpartition(".")[2]
     if short.startswith("plot"):
         pytest.importorskip("matplotlib")
-    if short in ("mechanical_advantage", "transmission_angle", "dead_points", "independent", "loop_jacobian"):
-        pytest.skip("it is for loops")
     arms = {"arm_angle": "iiwa14", "self_motion": "iiwa14", "plot": "two_link"}
     system = robots[arms.get(short, "ur5")]
     q = np.array(system.random(5, 2))
@@ -261,8 +266,8 @@ def test_tables_are_read_by_name(name, place, robots):
         if plain.ndim == 2 and short in ONE_Q:
             with pytest.raises(InputError):
                 call(function, system, {place: table})
-            continue
-        assert same(call(function, system, {place: table}), call(function, system, {place: plain})), kind
+        else:
+            assert same(call(function, system, {place: table}), call(function, system, {place: plain})), kind
 
 
 def test_bound_forms_read_by_name_too(robots):
@@ -340,9 +345,19 @@ def wrong(good: Any) -> dict[str, Any]:
     return out
 
 
+def wrong_ones(verb: str, place: str, good: Any) -> dict[str, Any]:
+    """What an argument of a verb may not be, in place of an array or of the values of a dict."""
+    if isinstance(good, np.ndarray):
+        return wrong(good)
+    cases = {kind: dict.fromkeys(good, bad) for kind, bad in wrong(np.array(next(iter(good.values())))).items()}
+    if verb == "with_limits":
+        del cases["None inside"]  # no limit
+    return {} if (verb, place) == ("ik_plan", "fixed") else cases  # of what is held only the names count
+
+
 def numeric(name: str, function: Callable[..., Any], system: kempe.System) -> list[str]:
     """Parameters of a verb that are arrays, or dicts of numbers."""
-    values = usual(system)
+    values = usual(system, name.rpartition(".")[2])
     if name.rpartition(".")[2] != "with_limits":  # elsewhere it says whether they hold
         values["limits"] = None
     if name.rpartition(".")[2] in ("assembler", "closed_form"):  # names
@@ -365,25 +380,17 @@ NUMERIC = [n for n in OF_SYSTEMS if n not in NOT_ASKED]
 
 
 @pytest.mark.parametrize("name", NUMERIC)
-@pytest.mark.parametrize("model", ["ur5", "four_bar"])
-def test_what_is_no_number_is_refused(name, model, robots):
+def test_what_is_no_number_is_refused(name, robots):
     """By every parameter that takes numbers, in all verbs: an `InputError`, never an answer."""
     function, short = OF_SYSTEMS[name], name.rpartition(".")[2]
     if short.startswith("plot"):
         pytest.importorskip("matplotlib")
-    system = robots["iiwa14"] if short in ("arm_angle", "ik_sweep") and model == "ur5" else robots[model]
-    for place in numeric(name, function, system):
-        good = usual(system, short)[place]
-        if not answers(function, system, {place: good}):
-            continue  # another answer is not to be expected of wrong numbers
-        cases = (
-            wrong(good)
-            if isinstance(good, np.ndarray)
-            else {kind: {key: bad for key in good} for kind, bad in wrong(np.array(next(iter(good.values())))).items()}
-        )
-        for kind, bad in cases.items():
-            if (short, place) == ("ik_plan", "fixed") or (short == "with_limits" and kind == "None inside"):
-                continue  # of what is held only the names count; no limit
+    arm = robots["iiwa14" if short in ("arm_angle", "ik_sweep", "self_motion") else "ur5"]
+    asked = [(s, p, usual(s, short)[p]) for s in (arm, robots["four_bar"]) for p in numeric(name, function, s)]
+    answered = [(s, p, good) for s, p, good in asked if answers(function, s, {p: good})]
+    assert answered or not asked
+    for system, place, good in answered:  # elsewhere another answer is not to be expected of wrong numbers
+        for kind, bad in wrong_ones(short, place, good).items():
             with pytest.raises(KempeError):
                 call(function, system, {place: bad})
                 pytest.fail(f"{name}({place}={kind}) gave an answer")

@@ -95,8 +95,6 @@ def test_poses_are_pinocchios(path):
 @every_robot
 def test_jacobians_are_pinocchios(path):
     s, other = kempe.load(path), Pinocchio(path)
-    if not s.nq:
-        return
     follows = {n: (source, factor) for n, (source, factor, _) in mimics(path).items()}
     q = s.random(np.random.default_rng(1))
     values = joint_values(s, path, q)
@@ -109,7 +107,9 @@ def test_jacobians_are_pinocchios(path):
                     joint, more = follows[joint]
                     factor *= more
                 expected[joint] = expected[joint] + factor * column
-            columns = np.stack([np.broadcast_to(expected[v], 6) for v in s.structure.velocity_names], axis=-1)
+            columns = np.zeros((6, s.nv))
+            for k, v in enumerate(s.structure.velocity_names):
+                columns[:, k] = expected[v]
             np.testing.assert_allclose(
                 s.jacobian(q, name, frame), columns, rtol=0, atol=1e-10, err_msg=f"{name} {frame}"
             )

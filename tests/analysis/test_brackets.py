@@ -84,13 +84,13 @@ SINGULAR = {
 """Growth at a point and around: Bellaiche (1996), Jean (1996), Montgomery (2002)."""
 
 
-@pytest.mark.parametrize("cases", [LITERATURE, SINGULAR], ids=["generic", "singular"])
-@pytest.mark.parametrize("name", LITERATURE)
-def test_growth_of_the_literature(name: str, cases: dict) -> None:
+POINTS = {f"{name}, {at}": (name, *row) for at, rows in (("generic", LITERATURE), ("singular", SINGULAR))
+          for name, row in rows.items()}  # fmt: skip
+
+
+@pytest.mark.parametrize("name, q, here, around", POINTS.values(), ids=POINTS)
+def test_growth_of_the_literature(name: str, q: tuple, here: tuple, around: tuple) -> None:
     """Growth vectors at points of which they are known, and around these."""
-    if name not in cases:
-        pytest.skip("no such point")
-    q, here, around = cases[name]
     found = reached(SYSTEMS[name], q)
     assert (found.growth, found.around, found.doubtful) == (here, around, False)
     assert found.dimension == here[-1]

@@ -11,6 +11,7 @@ import pytest
 import reference
 
 import kempe
+from kempe import spatial
 from kempe.description.dh.dh import DHRow, from_dh
 from kempe.description.dh.dh_table import ORDER
 from kempe.description.toml.toml import read_toml
@@ -129,9 +130,13 @@ def test_what_is_wrong(call: Callable[[], object], words: str):
 
 
 def test_one_turn_and_less_is_an_angle():
-    from_dh([(0, 2 * np.pi, 0, -2 * np.pi), (0, 6.28319, 0, 3.0)])
-    from_dh([(0, 90, 0, 0), (0, 1.5, 0, 359.9)], deg=True)
-    from_dh([{"limits": (-9 * np.pi, 9 * np.pi)}, {"type": "prismatic", "limits": (0, 400.0), "d": 90}])
+    turns = from_dh([(0, 2 * np.pi, 0, -2 * np.pi), (0, 6.28319, 0, 3.0)]).build()
+    np.testing.assert_allclose(turns.fk([0.0, 0.0], "tool"), spatial.pose(spatial.rot_z(3.0), [0, 0, 0]), atol=1e-5)
+    degrees = from_dh([(0, 90, 0, 0), (0, 1.5, 0, 359.9)], deg=True).build()
+    R = spatial.rot_x(np.pi / 2) @ spatial.rot_z(np.deg2rad(-0.1)) @ spatial.rot_x(np.deg2rad(1.5))
+    np.testing.assert_allclose(degrees.fk([0.0, 0.0], "tool"), spatial.pose(R, [0, 0, 0]), atol=1e-12)
+    wide = from_dh([{"limits": (-9 * np.pi, 9 * np.pi)}, {"type": "prismatic", "limits": (0, 400.0), "d": 90}]).build()
+    assert wide.lower.tolist() == [-9 * np.pi, 0.0] and wide.upper.tolist() == [9 * np.pi, 400.0]
 
 
 def test_degrees_are_those_of_turning_joints():

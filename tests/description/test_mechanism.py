@@ -598,17 +598,23 @@ def designed() -> Mechanism:
     return m
 
 
-@given(seed=st.integers(0, 10**6), shape=st.sampled_from([(), (1,), (3,), (2, 3), (0,), (2, 0)]),
+@given(seed=st.integers(0, 10**6), lead=st.sampled_from([(), (2,), (0,), (2, 2)]))
+def test_numbers_without_a_batch_are_one_design(seed, lead):
+    rng = np.random.default_rng(seed)
+    s, (length, twist) = designed().build(), rng.uniform(0.5, 2, 2)
+    one = s.with_parameters(l1=np.array(length), twist=np.array(twist))
+    assert isinstance(one, System) and one == s.with_parameters(l1=float(length), twist=float(twist))
+    assert one.fk(one.random(rng, lead), "tip").shape == (*lead, 4, 4)
+
+
+@given(seed=st.integers(0, 10**6), shape=st.sampled_from([(1,), (3,), (2, 3), (0,), (2, 0)]),
        lead=st.sampled_from([None, (), (2,), (0,), (2, 2)]))  # fmt: skip
 def test_batches_of_designs_are_the_designs_one_by_one(seed, shape, lead):
     rng = np.random.default_rng(seed)
     s = designed().build()
-    numbers = {"l1": rng.uniform(0.5, 2, (*shape, 1)[:-1] or ()), "twist": rng.normal(size=shape)}
+    numbers = {"l1": rng.uniform(0.5, 2, shape), "twist": rng.normal(size=shape)}
     batch = s.with_parameters(**numbers)
     q = s.random(rng) if lead is None else s.random(rng, (*shape, *lead))
-    if not shape:
-        assert isinstance(batch, System)
-        return
     T = batch.fk(q, "tip")
     assert batch.shape == shape and T.shape == (*shape, *(lead or ()), 4, 4)
     for i in np.ndindex(*shape):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import inspect
 import pickle
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,16 +54,19 @@ def mechanism() -> Mechanism:
     return m
 
 
+def had(thing: Any) -> Iterator[tuple[str, Any]]:
+    """What a system or an answer has: properties that raise, such as those of what was not found, are left out."""
+    for name in properties(type(thing)):
+        with contextlib.suppress(KempeError):
+            yield name, getattr(thing, name)
+
+
 @pytest.mark.parametrize("model", ["two_link", "four_bar", "panda", "slider_crank"])
 def test_writing_changes_something_or_is_refused(model):
     """Over all properties of systems and answers: no array or dict is a copy that swallows what is written."""
     looked = 0
     for thing in answers(kempe.load(model)):
-        for name in properties(type(thing)):
-            try:
-                x = getattr(thing, name)
-            except KempeError:
-                continue
+        for name, x in had(thing):
             if isinstance(x, np.ndarray) and x.size and x.dtype.kind == "f":
                 looked += 1
                 if x.flags.writeable:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from graphs import graphs
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from robots import urdf_files
 
@@ -57,11 +57,16 @@ def by_differences(task: tasks.Task, s: System, q: np.ndarray) -> np.ndarray:
     return (ends[0] - ends[1]).T / (2 * STEP)
 
 
+def is_smooth(task: tasks.Task, s: System, q: np.ndarray) -> bool:
+    """Whether the error has a derivative: near a half turn it grows without bounds, at no distance there is none."""
+    if isinstance(task, tasks.Distance):
+        return tasks.miss(s, task, s.neutral)[0] != pytest.approx(0.4)
+    return isinstance(task, tasks.Posture) or tasks.miss(s, task, q)[1] <= 3.0
+
+
 def check(task: tasks.Task, s: System, q: np.ndarray) -> None:
     """The battery for one task at one configuration."""
     meters, radians = (float(x) for x in tasks.miss(s, task, q))
-    if radians > 3.0 and not isinstance(task, tasks.Posture):
-        return  # near a half turn derivatives grow without bounds
     e, J = tasks.error(s, task, q), tasks.jacobian(s, task, q)
     assert J.shape == (*e.shape, s.nv), task.label
     np.testing.assert_allclose(J, by_differences(task, s, q), atol=3e-7 * (1 + np.abs(J).max(initial=0)),
@@ -84,18 +89,18 @@ def check(task: tasks.Task, s: System, q: np.ndarray) -> None:
 def test_the_zoo_on_random_graphs(graph, seed):
     """Trees and loops, in the plane and in space, with balls, screws, particles, gears and locked joints."""
     s = graph.mechanism().build()
-    if s.nv == 0:
-        return
+    assume(s.nv)
     rng = np.random.default_rng(seed)
     frame, other = rng.choice(s.body_names, 2)
     if frame == "ground":
         frame, other = other, frame
     with pytest.raises(InputError, match="particle") if "p" in frame else contextlib.nullcontext():
         tasks.error(s, tasks.Pose(str(frame), np.eye(4)), s.neutral)
-    for task in zoo(s, str(frame), str(other), rng):
-        if isinstance(task, tasks.Distance) and tasks.miss(s, task, s.neutral)[0] == pytest.approx(0.4):
-            continue  # the two are one point: the distance has no derivative
-        check(task, s, s.random(rng))
+    posed = [(task, s.random(rng)) for task in zoo(s, str(frame), str(other), rng)]
+    smooth = [(task, q) for task, q in posed if is_smooth(task, s, q)]
+    assert len(smooth) >= 10
+    for task, q in smooth:
+        check(task, s, q)
 
 
 def test_one_axis_and_dict_of_coordinates():

@@ -11,7 +11,7 @@ from graphs import Graph, graphs
 from hypothesis import given
 
 from kempe import Mechanism, System
-from kempe.errors import UnknownNameError
+from kempe.errors import KempeError, UnknownNameError
 
 
 def scara() -> Mechanism:
@@ -103,22 +103,21 @@ def test_subchains_move_as_in_the_whole(graph: Graph):
     for a, b in ((base, tip), (tip, base)):
         try:
             chain = s.mechanism.subchain(a, b).build()
-        except Exception as error:  # noqa: BLE001
+        except KempeError as error:
             assert "outside the chain" in str(error) or "no joints lead" in str(error) and a in graph.particles, error
-            continue
-        local = chain.q({k: v for k, v in free.items() if k in chain.coordinate_names})
-        if a in graph.particles or b in graph.particles:
-            continue
-        expected = np.linalg.inv(s.fk(q, a)) @ s.fk(q, b)
-        np.testing.assert_allclose(chain.fk(local, b), expected, rtol=0, atol=1e-11)
+        else:
+            local = chain.q({k: v for k, v in free.items() if k in chain.coordinate_names})
+            X = np.linalg.inv(s.fk(q, a)) @ s.fk(q, b)
+            shown = slice(None) if a not in graph.particles and b not in graph.particles else np.s_[:0]
+            np.testing.assert_allclose(chain.fk(local, b)[shown], X[shown], rtol=0, atol=1e-11)
 
 
 def test_every_method_is_documented_and_short():
     """The class is a map of the library: methods delegate."""
-    for name, member in vars(System).items():
-        if name.startswith("_") or not callable(getattr(member, "fget", member)):
-            continue
-        function = getattr(member, "fget", None) or getattr(member, "func", None) or member
+    own = {n: getattr(m, "fget", None) or getattr(m, "func", m) for n, m in vars(System).items() if n[0] != "_"}
+    public = {name: function for name, function in own.items() if callable(function)}
+    assert len(public) > 25
+    for name, function in public.items():
         assert function.__doc__, name
         source = inspect.getsource(function)
         body = [line for line in source[source.index('"""') :].splitlines() if line.strip()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cmath
+import contextlib
 import math
 import pickle
 
@@ -157,6 +158,15 @@ def jansen_by_hand(angle: float, signs) -> list[complex]:
     return [B, D, E, G]
 
 
+def all_by_hand(angle: float) -> list:
+    """Those of the eight branches at a crank angle of which all circles meet."""
+    hands = []
+    for signs in np.ndindex(2, 2, 2):
+        with contextlib.suppress(ValueError):
+            hands.append(jansen_by_hand(angle, 1 - 2 * np.array(signs)))
+    return hands
+
+
 def test_jansen_by_chained_circles():
     """All eight branches at many crank angles, by hand: 2^3 dyads, the joints where the circles meet."""
     system = jansen()
@@ -171,12 +181,7 @@ def test_jansen_by_chained_circles():
     places = np.stack([point("j", 50, 0), point("k", 61.9, 0), point("f", 0, 0), point("f", 39.4, 0)], -1)
     compared = 0
     for n, angle in enumerate(angles):
-        hands = []
-        for signs in np.ndindex(2, 2, 2):
-            try:
-                hands.append(jansen_by_hand(angle, 1 - 2 * np.array(signs)))
-            except ValueError:
-                continue  # circles that do not meet
+        hands = all_by_hand(angle)
         ours = places[n][mask[n]]
         assert len(ours) == len(hands)
         for hand in hands:

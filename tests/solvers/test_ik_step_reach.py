@@ -87,8 +87,8 @@ def test_a_thousand_cycles_a_second_settle_too(name, options):
     assert np.abs(np.diff(Q, axis=0) / 0.001).max() <= options.get("velocity_limits", TURNING) * (1.0 + 1e-9)
 
 
-def settles_at_a_minimum(s: System, rng: np.random.Generator) -> None:
-    """One case of the hunt."""
+def settles_at_a_minimum(s: System, rng: np.random.Generator) -> bool:
+    """One case of the hunt: whether the motion has come to rest."""
     frame, q = tip(s), s.random(rng)
     if rng.random() < 0.3:
         q = np.where(rng.random(s.nq) < 0.4, np.where(rng.random(s.nq) < 0.5, s.lower, s.upper), q)
@@ -102,7 +102,7 @@ def settles_at_a_minimum(s: System, rng: np.random.Generator) -> None:
     damping = float(rng.choice([0.0, 0.05]))
     Q = motion(s, q, X, frame, 0.01, 7.0, weights=None if kind == "pose" else w, damping=damping)
     if np.abs(np.diff(Q[-101:], axis=0)).max() > 0.02:
-        return  # on its way: turns of joints with a wide range take longer
+        return False  # on its way: turns of joints with a wide range take longer
     assert turns_back(Q, 0.01) == 0, (s.name, kind, damping)
     from kempe.solvers.velocity.servo_pose import chain_length
 
@@ -116,20 +116,19 @@ def settles_at_a_minimum(s: System, rng: np.random.Generator) -> None:
     low, high = np.minimum(s.lower, Q[-1]), np.maximum(s.upper, Q[-1])
     found = minimize(missed, Q[-1], method="L-BFGS-B", bounds=list(zip(low, high, strict=True)))
     assert found.fun > missed(Q[-1]) * (1.0 - 1e-4) - 1e-6, (s.name, kind, damping)
+    return True
 
 
 def test_it_settles_at_a_minimum_of_the_error(robots, hunt):
     """Every resting place is a local minimum inside the limits, by scipy, and no velocity turns back there."""
-    rng = hunt.rng()
-    for _ in range(hunt.cases(5)):
-        settles_at_a_minimum(robots[str(rng.choice(HUNTED))], rng)
+    rng, cases = hunt.rng(), hunt.cases(5)
+    assert sum(settles_at_a_minimum(robots[str(rng.choice(HUNTED))], rng) for _ in range(cases)) > 0.5 * cases - 1
 
 
 @pytest.mark.slow
 def test_it_settles_at_a_minimum_of_the_error_often(robots, hunt):
-    rng = hunt.rng()
-    for _ in range(hunt.cases(80)):
-        settles_at_a_minimum(robots[str(rng.choice(HUNTED))], rng)
+    rng, cases = hunt.rng(), hunt.cases(80)
+    assert sum(settles_at_a_minimum(robots[str(rng.choice(HUNTED))], rng) for _ in range(cases)) > 0.5 * cases - 1
 
 
 def test_a_direction_that_is_kept_leads_to_the_border_and_no_farther():

@@ -11,7 +11,9 @@ import kempe
 pin = pytest.importorskip("pinocchio")
 
 TARGETS = 1000
-FILES = good_urdf_files()
+NOT_FOR_PINOCCHIO = {"romeo.urdf", "talos_full_v2.urdf", "talos_full_v2_box.urdf"}
+"""Files with mimic joints that stand before the joints which they follow."""
+FILES = {n: p for n, p in good_urdf_files().items() if p.name not in NOT_FOR_PINOCCHIO}
 
 
 def tips(robot):
@@ -21,14 +23,6 @@ def tips(robot):
         name for i, name in enumerate(robot.body_names) if i and i not in inner and robot.structure.table.path(name)
     ]
     return sorted(ends, key=lambda name: (-len(robot.structure.table.path(name)), name))[:2]
-
-
-def model_of(path):
-    """Pinocchio's model, or None where it cannot take the file's mimic joints."""
-    try:
-        return pin.buildModelFromUrdf(str(path), mimic=True)
-    except (RuntimeError, ValueError):
-        return None
 
 
 def pinocchio_poses(model, robot, q, frame):
@@ -60,9 +54,7 @@ def angles(A, B):
 @pytest.mark.parametrize("name", FILES)
 def test_every_reachable_target_is_found(name):
     robot = kempe.load(FILES[name])
-    model = model_of(FILES[name])
-    if model is None:
-        pytest.skip("Pinocchio cannot take the mimic joints of this file")
+    model = pin.buildModelFromUrdf(str(FILES[name]), mimic=True)
     for frame in tips(robot):
         q = robot.random(1, TARGETS)
         X = pinocchio_poses(model, robot, q, frame)
