@@ -38,10 +38,8 @@ VERBS = {
 SINGLE = """
 import json, statistics, time, timeit
 import numpy as np, kempe
-try:
-    from kempe.kernels.compiled import search
-except ImportError:
-    from kempe.kernels import search
+from kempe.kernels import compiled
+search = getattr(compiled, "schedule", None) or compiled.search  # the name that it has since, and the former one
 panda, puma, bar = kempe.load("panda"), kempe.load("puma560"), kempe.load("four_bar")
 hand = panda.frame_names[-1]
 query, q, X, out, J = panda.query(hand), panda.random(3), np.empty((4, 4)), np.empty((4, 4)), np.empty((6, panda.nv))

@@ -30,9 +30,9 @@ import numba
 from elf import sizes
 from numba.core import compiler
 
-from kempe.kernels import _jit
-from kempe.kernels._link import CodeOnly
-from kempe.kernels.declare import Entry
+from kempe.kernels.base import _jit
+from kempe.kernels.base._link import CodeOnly
+from kempe.kernels.base.declare import Entry
 
 OUTSIDE = {
     "NRT_MemInfo_alloc_aligned", "NRT_MemInfo_call_dtor", "NRT_Free",  # in layer.c

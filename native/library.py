@@ -101,8 +101,13 @@ def requested() -> list[str]:
 # ---------------------------------------------------------------------------------------------- what is compiled
 
 
+def _file(name: str) -> Path:
+    """The source of a module of kernels, named from the package on: `base.vectors`."""
+    return KERNELS / f"{name.replace('.', '/')}.py"
+
+
 def _source(name: str) -> str:
-    return (KERNELS / f"{name}.py").read_text()
+    return _file(name).read_text()
 
 
 @cache
@@ -111,19 +116,20 @@ def needed(name: str) -> frozenset[str]:
     found, queue = set[str](), [name]
     while queue:
         module = queue.pop()
-        if module in found or not (KERNELS / f"{module}.py").is_file():
+        if module in found or not _file(module).is_file():
             continue
         found.add(module)
         for node in ast.walk(ast.parse(_source(module))):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("kempe.kernels"):
-                parts = (node.module or "").split(".")
-                queue += parts[2:3] or [alias.name for alias in node.names]
+                inside = (node.module or "").removeprefix("kempe.kernels").removeprefix(".")
+                queue += [inside, *(f"{inside}.{alias.name}".removeprefix(".") for alias in node.names)]
     return frozenset(found)
 
 
 def shares() -> list[list[str]]:
     """The modules that have kernels, one list a process: what shares helpers together, and about equally long."""
-    modules = [path.stem for path in sorted(KERNELS.glob("*.py")) if "\n@kernel(" in path.read_text()]
+    paths = [path for path in sorted(KERNELS.rglob("*.py")) if "\n@kernel(" in path.read_text()]
+    modules = [".".join(path.relative_to(KERNELS).with_suffix("").parts) for path in paths]
     lines = {name: len(_source(name).splitlines()) for module in modules for name in needed(module)}
     lists: list[list[str]] = [[] for _ in range(PROCESSES)]
     together: list[frozenset[str]] = [frozenset()] * PROCESSES

@@ -16,7 +16,7 @@ import numpy as np
 import reference
 
 import kempe
-from kempe.description.dh import from_dh
+from kempe.description.dh.dh import from_dh
 from kempe.placement import placement_of_pose
 
 PI, H = math.pi, math.pi / 2

@@ -53,11 +53,12 @@ def hunt(request: pytest.FixtureRequest) -> Hunt:
 @pytest.fixture(scope="module")
 def solved_as_marked() -> Iterator[None]:
     """Solvers close loops where they are marked `cut`: for tests of how each type of joint closes one."""
-    from kempe.kinematics import loops, packed
-    from kempe.solvers import assembly
+    from kempe.kinematics import closure_rows
+    from kempe.kinematics.tasks import packed
+    from kempe.solvers.assembly import assembly
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (assembly, loops, packed):
+        for module in (assembly, closure_rows, packed):
             patch.setattr(module, "own_tree", lambda system: system)
         yield
 
@@ -65,12 +66,13 @@ def solved_as_marked() -> Iterator[None]:
 @pytest.fixture
 def looks(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     """A clock whose time is up at look number n, counted from 0: ``looks(n)``."""
-    from kempe.solvers import clock, rounds
+    from kempe.solvers.common import clock
+    from kempe.solvers.one_frame import multi_start
 
     def at(n: int) -> None:
         count = itertools.count()
         fake = types.SimpleNamespace(monotonic=lambda: np.inf if next(count) >= n else -np.inf)
-        for module in (clock, rounds):
+        for module in (clock, multi_start):
             monkeypatch.setattr(module, "time", fake)
 
     return at

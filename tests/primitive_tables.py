@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kempe.kernels.layout import BALL, GENERAL, RX, RX_FLAT, SLIDE, TURN
+from kempe.kernels.forward.table_layout import BALL, GENERAL, RX, RX_FLAT, SLIDE, TURN
 
 
 def pose(rotation=None, p=(0.0, 0.0, 0.0)):

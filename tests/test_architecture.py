@@ -23,9 +23,35 @@ LAYERS = [
 ]  # fmt: skip
 """Each may import itself and what stands to the left."""
 
+FOLDERS: dict[str, list[set[str]]] = {
+    "kernels": [{"base"}, {"forward", "dyads"}, {"one_frame", "closed_form", "constraints"},
+                {"elimination", "series", "tasks"}, {"."}],
+    "description": [{"."}, {"dh"}, {"toml", "urdf"}, {"read", "write"}],
+    "model": [{"kept"}, {"tree"}, {"closures"}, {"."}],
+    "kinematics": [{"common"}, {"."}, {"velocity"}, {"tasks"}],
+    "solvers": [{"common"}, {"one_frame", "dyads"}, {"assembly"}, {"modes"}, {"tasks"}, {"velocity"}, {"paths"},
+                {"analytic"}, {"."}],
+    "solvers.analytic": [{"plans"}, {"answers"}, {"."}, {"describe", "redundant"}],
+    "analysis": [{"first_order"}, {"local"}, {"mobility"}, {"continuation"}, {"motion"}, {"manoeuvre"}, {"simulation"}],
+    "views": [{"drawing"}, {"."}, {"input"}],
+}  # fmt: skip
+"""In each package the order of its folders, and of single modules that stand apart; "." is what lies in no folder.
+
+Each may import itself and what stands to the left; folders in one set do not import one another."""
+
+LATER = {
+    "description.mechanism": {"write"},
+    "solvers.one_frame.inverse": {"tasks", "analytic"}, "solvers.one_frame.sharpen": {"analytic"},
+    "solvers.one_frame.shut_out": {"analytic"}, "solvers.one_frame.solution": {"tasks"},
+    "solvers.tasks.reached": {"velocity"}, "solvers.analytic.answers.solutions": {"."},
+}  # fmt: skip
+"""Modules that import to the right inside functions: another solver answers, or what is asked of an answer later."""
+
+LARGEST_FOLDER = 14
+
 UPWARD = {
     ("description/mechanism.py", "build"), ("model/system.py", "*"), ("model/namespaces.py", "*"),
-    ("model/former.py", "found"),
+    ("model/former_names.py", "found"),
 }  # fmt: skip
 """Functions that import upwards inside their bodies: the builder's last step, and the map of the library."""
 
@@ -78,6 +104,46 @@ def test_imports_go_to_the_left(path):
             assert level(parts[1]) <= level(own) or free, where
 
 
+def place(package: str, module: str) -> tuple[int, str]:
+    """Where a module of a package stands in the order of its folders, and the folder."""
+    first = module.removeprefix(f"{package}.").partition(".")[0]
+    for k, names in enumerate(FOLDERS[package]):
+        if first in names:
+            return k, first
+    return next(k for k, names in enumerate(FOLDERS[package]) if "." in names), "."
+
+
+def dotted(path: Path) -> str:
+    return ".".join(path.relative_to(SOURCE).with_suffix("").parts)
+
+
+@pytest.mark.parametrize("package", FOLDERS)
+def test_folders_of_a_package_are_imported_in_their_order(package):
+    known = {dotted(path) for path in MODULES}
+    for path in (SOURCE / package.replace(".", "/")).rglob("*.py"):
+        own = dotted(path)
+        for full, function, line in imports(ast.parse(path.read_text())):
+            module = full.removeprefix("kempe.")
+            module = module if module in known else module.rpartition(".")[0]
+            if path.stem == "__init__" or not module.startswith(f"{package}."):
+                continue
+            (to, folder), (at, here) = place(package, module), place(package, own)
+            later = function and folder in LATER.get(own, ())
+            assert folder == here or to < at or later, f"{own}:{line} imports {module}"
+
+
+def test_a_folder_can_be_overlooked():
+    for folder in {path.parent for path in MODULES} - {SOURCE}:
+        count = len([path for path in folder.glob("*.py") if path.stem != "__init__"])
+        assert count <= LARGEST_FOLDER, f"{folder.name}: {count} modules"
+
+
+def test_a_module_has_its_name_alone():
+    """No name of a module stands in two folders: what is imported, or said in a message, is found at once."""
+    names = sorted(path.stem for path in MODULES if path.stem != "__init__")
+    assert sorted(set(names)) == names
+
+
 @pytest.mark.parametrize("module", ["system.py", "namespaces.py"])
 def test_the_map_of_the_library_only_delegates(module):
     """A method of System that imports upwards ends by calling what it imported, and does little before."""
@@ -114,9 +180,9 @@ def test_importing_is_cheap():
         "tomllib",
     }
     assert not heavy & loaded
-    ours = {m for m in loaded if m.split(".")[0] == "kempe"}
+    ours = {m for m in loaded if m.split(".")[0] == "kempe" and (SOURCE.parent / f"{m.replace('.', '/')}.py").exists()}
     assert len(ours) < 40, sorted(ours)
-    others = loaded - modules_after("import numpy, numpy.typing") - ours
+    others = {m for m in loaded - modules_after("import numpy, numpy.typing") if m.split(".")[0] != "kempe"}
     assert len(others) < 30, sorted(others)
 
 
@@ -172,19 +238,19 @@ SOLVERS = {"lstsq", "pinv", "solve", "svd", "least_squares", "least_squares_of_m
 """Calls by which a step of Gauss, Newton or least squares is made in numpy."""
 
 OWN_LOOPS = {
-    "kinematics/gauss_newton.py gauss_newton": "the one for one start",
-    "kinematics/gauss_newton.py gauss_newton_of_many": "the one for many starts",
-    "analysis/forms.py _regular_zero": "of quadratic forms, on a sphere, judged after each step",
-    "analysis/passive.py _spins": "a basis that grows",
-    "analysis/reach.py moved_place": "motions integrated one after the other",
-    "analysis/redundancy.py _choose": "a basis that grows",
-    "analysis/transmission.py mechanical_advantage": "one kernel after the other",
-    "solvers/analytic/nearest.py descend": "bounded in each lane, with damping that grows until the error falls",
-    "solvers/home.py beside": "one move for the first task that has one",
-    "solvers/least_squares.py bounded": "an active set: the problem is linear",
-    "solvers/servo_closed.py closed": "bounded by limits of velocity, which move with the point",
-    "solvers/servo_pose.py least_in_box": "an active set: the problem is quadratic",
-    "solvers/shape.py _fit": "over the numbers of a mechanism, its configurations solved for in each step",
+    "kinematics/common/gauss_newton.py gauss_newton": "the one for one start",
+    "kinematics/common/gauss_newton.py gauss_newton_of_many": "the one for many starts",
+    "analysis/local/leading_forms.py _regular_zero": "of quadratic forms, on a sphere, judged after each step",
+    "analysis/first_order/idle_freedoms.py _spins": "a basis that grows",
+    "analysis/mobility/reachable.py moved_place": "motions integrated one after the other",
+    "analysis/first_order/redundant_constraints.py _choose": "a basis that grows",
+    "analysis/motion/transmission.py mechanical_advantage": "one kernel after the other",
+    "solvers/analytic/answers/nearest.py descend": "bounded in each lane, with damping that grows",
+    "solvers/tasks/default_start.py beside": "one move for the first task that has one",
+    "solvers/velocity/least_squares.py bounded": "an active set: the problem is linear",
+    "solvers/velocity/servo_closed.py closed": "bounded by limits of velocity, which move with the point",
+    "solvers/velocity/servo_pose.py least_in_box": "an active set: the problem is quadratic",
+    "solvers/assembly/dimensions.py _fit": "over dimensions, the configurations solved for in each step",
 }
 """Functions outside the kernels whose loops solve linear equations for what their next round begins with, and why."""
 

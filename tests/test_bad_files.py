@@ -16,8 +16,8 @@ from bad_file_cases import TOML_CASES, URDF_CASES, Case
 from robots import urdf_files
 
 from kempe.description.read import check, read
-from kempe.description.toml import read_toml
-from kempe.description.urdf import read_urdf
+from kempe.description.toml.toml import read_toml
+from kempe.description.urdf.urdf import read_urdf
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, KempeError
 
 PAGE = Path(__file__).parent.parent / "docs" / "bad_files.md"

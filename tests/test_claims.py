@@ -16,7 +16,7 @@ import kempe
 from kempe import errors
 from kempe.cli import app
 from kempe.description.read import library_models
-from kempe.description.toml_writer import write_toml
+from kempe.description.toml.toml_writer import write_toml
 
 ARMS = ("panda", "puma560", "ur5", "iiwa14", "so101", "stanford", "cobra600", "two_link", "jaco2", "xarm6")
 CLOSED = ("four_bar", "five_bar", "slider_crank", "stewart", "delta_ss", "bennett", "jansen", "three_rpr")

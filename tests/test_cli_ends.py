@@ -15,8 +15,8 @@ from command import Result
 
 import kempe
 from kempe.description.read import check, read
+from kempe.description.urdf.xacro import expand_xacro
 from kempe.description.write import write
-from kempe.description.xacro import expand_xacro
 from kempe.errors import DescriptionError, InputError
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals, FIFOs")
@@ -62,7 +62,7 @@ def targets(tmp_path) -> Path:
 def test_targets_of_a_file(tmp_path, targets):
     out = tmp_path / "q.csv"
     words = command("ik", "panda", "--frame", HAND, "--target", targets, "-o", out,
-                    before=at_call("kempe.solvers.inverse.run", 2))  # fmt: skip
+                    before=at_call("kempe.solvers.one_frame.inverse.run", 2))  # fmt: skip
     done = run(words)
     assert done.returncode == 130 and "interrupted: 4904 targets were not asked" in done.stdout, done.stderr
     assert len(out.read_text(encoding="utf-8").splitlines()) == 1 + 4096 and "Traceback" not in done.stderr
@@ -75,13 +75,13 @@ def test_a_path_of_targets(tmp_path):
     out = tmp_path / "q.csv"
     words = command("path", "panda", "--frame", HAND, "--targets", tmp_path / "way.npy", "--out", out,
                     "--seed", ",".join(map(str, q[0])),
-                    before=at_call("kempe.solvers.way.inside", 12))  # fmt: skip
+                    before=at_call("kempe.solvers.paths.path_steps.inside", 12))  # fmt: skip
     done = run(words)
     assert done.returncode == 130 and "interrupted" in done.stdout and out.exists(), done.stderr
 
 
-@pytest.mark.parametrize("where", ["kempe.analysis.motion.home", "kempe.analysis.motion.extreme",
-                                   "kempe.analysis.path.gauss_newton_of_many"])  # fmt: skip
+@pytest.mark.parametrize("where", ["kempe.analysis.motion.motion.home", "kempe.analysis.motion.motion.extreme",
+                                   "kempe.analysis.continuation.path.gauss_newton_of_many"])  # fmt: skip
 def test_a_traced_motion(tmp_path, where):
     """While it is followed, while special points are looked for, and while points at equal distances are made."""
     out = tmp_path / "path.csv"
@@ -96,8 +96,8 @@ def test_a_traced_motion(tmp_path, where):
 def test_assembly_modes(tmp_path):
     out = tmp_path / "modes.csv"
     done = run(command("assemble", "rssr", "A=0.4", "--modes", "-o", out,
-                       before=at_call("kempe.solvers.many_starts.share_found", 1)
-                       + at_call("kempe.solvers.many_starts.mixed", 1)))  # fmt: skip
+                       before=at_call("kempe.solvers.modes.modes_search.share_found", 1)
+                       + at_call("kempe.solvers.modes.modes_search.mixed", 1)))  # fmt: skip
     assert done.returncode == 130 and "interrupted" in done.stdout, (done.stdout, done.stderr)
 
 
@@ -105,7 +105,7 @@ def test_assembly_modes(tmp_path):
 def test_a_signal_from_outside(tmp_path):
     """Ctrl-C from a terminal, at whatever it does then."""
     out = tmp_path / "path.csv"
-    before = "import kempe.cli, kempe.analysis.motion\nprint('begun', flush=True)\n"
+    before = "import kempe.cli, kempe.analysis.motion.motion\nprint('begun', flush=True)\n"
     words = command("trace", "four_bar", "--points", 10_000_000, "-o", out, before=before)
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None and process.stdout.readline() == "begun\n"

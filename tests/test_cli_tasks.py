@@ -10,7 +10,8 @@ from command import Result
 
 import kempe
 from kempe import tasks
-from kempe.views import slices, task_file
+from kempe.views import slices
+from kempe.views.input import task_file
 
 HAND = "panda_link7"
 
@@ -153,7 +154,7 @@ def test_a_batch_of_tasks_in_slices(folder, monkeypatch):
     data = Result("ik", "panda", "--tasks", "batch.toml", "--json").json()
     assert data["success"] == [True] * 7
     np.testing.assert_allclose([fk(q)[:3, 3] for q in data["q"]], targets, atol=1e-6)
-    monkeypatch.setattr("kempe.cli.inverse.TASK_SLICE", 3)
+    monkeypatch.setattr("kempe.cli.inverse_commands.TASK_SLICE", 3)
     sliced = Result("ik", "panda", "--tasks", "batch.toml", "--json").json()
     np.testing.assert_allclose([list(q.values()) for q in sliced["q"]], [list(q.values()) for q in data["q"]])
     assert sliced["status"] == data["status"]
@@ -164,7 +165,7 @@ def test_a_batch_of_tasks_in_slices(folder, monkeypatch):
 
 def test_an_interrupt_leaves_what_was_done(folder, monkeypatch):
     np.savetxt("t.csv", np.tile([0.4, 0.1, 0.5], (10, 1)), delimiter=",")
-    monkeypatch.setattr("kempe.cli.inverse.SLICE", 4)
+    monkeypatch.setattr("kempe.cli.inverse_commands.SLICE", 4)
     calls, whole = [], kempe.System.ik
 
     def ik(self, *given, **options):

@@ -16,10 +16,10 @@ import pytest
 import kempe
 from kempe import Budget, library
 from kempe.errors import InputError, KempeError
-from kempe.kinematics.result import Report, Result
+from kempe.kinematics.common.result import Report, Result
 from kempe.model.namespaces import Inverse, Loops
-from kempe.solvers.answer import Answer
-from kempe.solvers.proofs import Lengths, Limits
+from kempe.solvers.common.answer import Answer
+from kempe.solvers.common.proofs import Lengths, Limits
 from kempe.status import Status
 
 

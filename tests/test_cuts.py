@@ -16,8 +16,8 @@ from closed_graphs import Closed, random_closed
 
 import kempe
 from kempe import System
-from kempe.kinematics.loops import jacobian, residual
-from kempe.model.own_tree import own_tree
+from kempe.kinematics.closure_rows import jacobian, residual
+from kempe.model.tree.own_tree import own_tree
 
 NAMES = [p.stem for p in sorted((Path(kempe.__file__).parent / "library").glob("*.toml"))]
 CLOSED = [n for n in NAMES if kempe.load(n).structure.closures]

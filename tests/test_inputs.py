@@ -17,10 +17,10 @@ import pytest
 import kempe
 from kempe import spatial, tasks
 from kempe.errors import InputError, KempeError
-from kempe.kinematics.space import ConfigurationSpace
+from kempe.kinematics.configuration_space import ConfigurationSpace
 from kempe.model import namespaces
-from kempe.model.compiled import Structure
-from kempe.model.former import FORMER
+from kempe.model.compiled_system import Structure
+from kempe.model.former_names import FORMER
 
 FAMILIES: dict[str, type] = {
     "structure": Structure, "configuration_space": ConfigurationSpace, "loops": namespaces.Loops,
@@ -155,9 +155,9 @@ def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
 NO_ARRAYS = {"self", "system", "options", "numbers", "frame", "joint", "input", "output", "inputs", "outputs", "driver"}
 NOT_ASKED = {
     "System.frame_name", "System.coordinates_of_joint",  # no numbers
-    "kempe.analysis.transmission.pressure_angle",  # by bodies, see test_transmission.py
+    "kempe.analysis.motion.transmission.pressure_angle",  # by bodies, see test_transmission.py
     "System.manoeuvre", "System.simulate",  # of what rolls and bounces, see test_manoeuvre.py and test_simulate.py
-    "kempe.analysis.manoeuvre.manoeuvre", "kempe.analysis.simulate.simulate",
+    "kempe.analysis.manoeuvre.manoeuvre.manoeuvre", "kempe.analysis.simulation.simulate.simulate",
     "kempe.tasks.error", "kempe.tasks.jacobian", "kempe.tasks.count", "kempe.tasks.miss",  # see test_task_zoo.py
 }  # fmt: skip
 

@@ -29,12 +29,12 @@ from own_joints import (
 )
 
 from kempe import Mechanism, System, convert, tasks
-from kempe.description.toml import read_toml
-from kempe.description.toml_writer import write_toml
+from kempe.description.toml.toml import read_toml
+from kempe.description.toml.toml_writer import write_toml
 from kempe.errors import DescriptionError, InputError, UnknownNameError, UnsupportedError
 from kempe.joints import TYPES, Cylindrical, Free, JointType, P, Planar, Primitive, Q, R, Revolute, joint_type
-from kempe.kinematics import loops
-from kempe.model.reduced import reduced
+from kempe.kinematics import closure_rows
+from kempe.model.closures.reduced import reduced
 from kempe.views.drawing import symbols
 from kempe.views.drawing.scene import look
 from kempe.views.drawing.solids import Solids
@@ -50,7 +50,7 @@ CASES = [(kind, dim) for kind in KINDS for dim in (2, 3) if dim == 3 or kind.pla
 
 def nullity(s: System, q: np.ndarray) -> int:
     """Freedoms to first order in full form, where no coordinate is left out."""
-    J = loops.evaluate(s, q, scaled=True)[1]
+    J = closure_rows.evaluate(s, q, scaled=True)[1]
     return s.nv - np.linalg.matrix_rank(J, tol=1e-7)
 
 
@@ -110,7 +110,7 @@ def test_closures_in_numpy(kind, dim):
     steps = 1e-6 * np.eye(s.nv)
     for own in (False, True):
         judge = closures.closure_of(s, "j2", own or reduced(kind, dim) is None)
-        for closure in [c for c in loops.of_system(s, own) if c.name == "j2"]:
+        for closure in [c for c in closure_rows.of_system(s, own) if c.name == "j2"]:
             q = s.random(3)
             ends = [[closure.residual(s, s.configuration_space.integrate(q, x * e)) for x in (1, -1)] for e in steps]
             by_differences = np.stack([(a - b) / 2e-6 for a, b in ends], axis=-1)
@@ -118,7 +118,7 @@ def test_closures_in_numpy(kind, dim):
             q = shape.values(s)
             J, K = closure.jacobian(s, q), judge.jacobian(s, q)
             assert [np.linalg.matrix_rank(M, tol=1e-7) for M in (J, K, np.vstack([J, K]))] == 3 * [len(J)]
-            assert not own or closure.size == (6 if dim == 3 else 3) == len(loops.row_names(s))
+            assert not own or closure.size == (6 if dim == 3 else 3) == len(closure_rows.row_names(s))
 
 
 @pytest.mark.parametrize(("kind", "dim"), CASES, ids=str)

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from kempe import Mechanism
-from kempe.description.toml import read_toml
-from kempe.description.toml_writer import write_toml
-from kempe.description.urdf_writer import write_urdf
+from kempe.description.toml.toml import read_toml
+from kempe.description.toml.toml_writer import write_toml
+from kempe.description.urdf.urdf_writer import write_urdf
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 from kempe.joints import TYPES, Helical, JointType, P, Product, Q, R, Revolute, Spherical, in_zoo, joint_type
-from kempe.kinematics.constraints import joint_pose
+from kempe.kinematics.closure_errors import joint_pose
 
 
 @dataclass(frozen=True)

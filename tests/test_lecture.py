@@ -18,7 +18,7 @@ import kempe
 from kempe import Mechanism, System, spatial
 from kempe.joints import TYPES, Spherical, joint_type
 from kempe.kinematics.maximal import maximal_q
-from kempe.model.topology import natural
+from kempe.model.tree.topology import natural
 
 
 def dof_by_counting(system: System) -> int:

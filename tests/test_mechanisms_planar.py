@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 import kempe
 from kempe import System, library
-from kempe.kinematics import loops
+from kempe.kinematics import closure_rows
 
 CASES = [*PLANAR, *SINGULAR]
 MOVING = [case for case in CASES if case.branches and branches(case.name)]
@@ -93,7 +93,7 @@ def test_postures_are_closed(case: Case):
     system = kempe.load(case.name)
     q = system.q(case.posture)
     np.testing.assert_allclose(system.loops.closure_error(q), 0.0, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(loops.residual(system, q), 0.0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(closure_rows.residual(system, q), 0.0, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("case", PLANAR, ids=str)
@@ -120,7 +120,7 @@ def test_rank(case: Case):
     """By the Jacobian of the loops, and by central differences of their error."""
     system = kempe.load(case.name)
     q = system.q(case.posture)
-    assert nullity(loops.jacobian(system, q), 1e-9) == case.rank
+    assert nullity(closure_rows.jacobian(system, q), 1e-9) == case.rank
     h = 1e-5 * np.eye(system.nv)
     ahead, behind = (
         system.loops.closure_error(system.configuration_space.integrate(q, h)),
@@ -144,7 +144,7 @@ def test_motions_through_singular_postures(case: Case):
     assert tuple(sorted((dim for dim, _ in motions), reverse=True)) == case.branches
     assert max(case.branches) == case.true
     rng = np.random.default_rng(1)
-    J = loops.jacobian(system, q0)
+    J = closure_rows.jacobian(system, q0)
     spans = []
     for dim, motion in motions:
         assert motion(*[0.0] * dim) == pytest.approx(system.q_dict(q0), abs=1e-15)
@@ -164,11 +164,12 @@ def projected(system: System, q: np.ndarray) -> np.ndarray:
     """A closed configuration next to an open one, by shortest Newton steps; many, since at shaky postures each step
     only halves the way, and does less at a cusp."""
     for _ in range(50):
-        error = loops.residual(system, q)
+        error = closure_rows.residual(system, q)
         if np.abs(error).max() < 1e-16:
             break
-        q = system.configuration_space.integrate(q, -np.linalg.lstsq(loops.jacobian(system, q), error, rcond=1e-12)[0])
-    assert np.abs(loops.residual(system, q)).max() < 1e-7
+        step = -np.linalg.lstsq(closure_rows.jacobian(system, q), error, rcond=1e-12)[0]
+        q = system.configuration_space.integrate(q, step)
+    assert np.abs(closure_rows.residual(system, q)).max() < 1e-7
     return q
 
 
@@ -176,7 +177,7 @@ def kicked(case: Case, size: float, n: int) -> tuple[System, list[np.ndarray]]:
     """Closed configurations next to a posture, from random steps along the kernel of the Jacobian."""
     system = kempe.load(case.name)
     q = system.q(case.posture)
-    kernel = np.linalg.svd(loops.jacobian(system, q))[2][system.nv - case.rank :]
+    kernel = np.linalg.svd(closure_rows.jacobian(system, q))[2][system.nv - case.rank :]
     steps = np.random.default_rng(3).normal(size=(n, case.rank)) * size
     return system, [projected(system, system.configuration_space.integrate(q, step @ kernel)) for step in steps]
 
@@ -443,6 +444,6 @@ def test_parallel_robots_reach_poses_by_closed_forms(x, y, w):
 def test_actuators_hold_the_platform(name, posture, free):
     """Motions left when the actuated joints stand still: the legs' lines of the untwisted 3-RPR meet in a point."""
     system = kempe.load(name)
-    J = loops.jacobian(system, system.q(posture))
+    J = closure_rows.jacobian(system, system.q(posture))
     passive = [i for i, n in enumerate(system.structure.velocity_names) if not system.structure.joints[n].actuated]
     assert nullity(J[:, passive], 1e-9) == free

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import kempe
 from kempe import System
-from kempe.kinematics.loops import jacobian, residual
+from kempe.kinematics.closure_rows import jacobian, residual
 
 every_mechanism = pytest.mark.parametrize("row", SPATIAL, ids=lambda row: row.name)
 PI = np.pi
@@ -121,7 +121,7 @@ def test_each_velocity_is_the_start_of_a_motion(row: Spatial):
             q = system.configuration_space.integrate(
                 q, np.linalg.lstsq(jacobian(system, q), -residual(system, q), rcond=1e-5)[0]
             )
-        assert np.abs(residual(system, q)).max() < 1e-13
+        assert np.abs(residual(system, q)).max() < 5e-13  # rounding, whatever the order of sums on this processor
         ends.append(system.configuration_space.difference(q0, q) / step - v)
     if row.dof == row.rank:
         assert np.abs(ends).max() < 30 * step

@@ -14,7 +14,7 @@ import pytest
 
 import kempe
 from kempe import Mechanism, System
-from kempe.model.former import FORMER
+from kempe.model.former_names import FORMER
 
 MOST_OF_SYSTEM, MOST_OF_MECHANISM = 45, 36
 

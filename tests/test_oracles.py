@@ -10,7 +10,7 @@ from robots import good_urdf_files, mimics, mujoco_text
 
 import kempe
 from kempe import System
-from kempe.kinematics.constraints import coordinate_value
+from kempe.kinematics.closure_errors import coordinate_value
 from kempe.placement import place
 
 pin = pytest.importorskip("pinocchio")

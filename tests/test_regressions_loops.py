@@ -8,7 +8,7 @@ import pytest
 import kempe
 from kempe import Mechanism
 from kempe.errors import InputError
-from kempe.kinematics.loops import characteristic_length
+from kempe.kinematics.closure_rows import characteristic_length
 
 
 def four_bar(cut: str | None = None, at: tuple[float, float] = (0.0, 0.0), **lengths: float) -> kempe.System:
@@ -283,7 +283,7 @@ def test_bad_further_constraints_are_refused_and_violated_ones_named():
 
 
 def test_a_joint_on_the_ground_has_no_transmission_angle():
-    from kempe.analysis.transmission import transmission_angle
+    from kempe.analysis.motion.transmission import transmission_angle
 
     s = kempe.load("four_bar")
     with pytest.raises(InputError, match="on the ground"):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe.kernels import search_layout
+from kempe.kernels.base import search_layout
 from kempe.status import MEMBERS, PROOFS, Status, member, named
 
 SOURCE = Path(kempe.__file__).parent

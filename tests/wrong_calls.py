@@ -16,8 +16,8 @@ import numpy as np
 
 import kempe
 from kempe import Mechanism, System, placement, spatial, tasks
-from kempe.description import dh
-from kempe.kinematics import loops
+from kempe.description.dh import dh
+from kempe.kinematics import closure_rows
 
 SYSTEMS = ("puma560", "panda", "two_link", "four_bar", "bennett", "joint_spherical", "slider_crank", "nothing")
 FORWARDED = re.compile(r"from (kempe[\w.]+) import (\w+)(?: as \w+)?\n(?:.*\n)*? *return \2?")
@@ -264,6 +264,7 @@ def functions() -> list[tuple[str, Callable[..., Any], System | None]]:
         ] * 3
     out += [
         (f"kempe.{f.__name__}", f, None)
-        for f in (kempe.load, kempe.read, dh.from_dh, dh.from_screws, placement.place, Mechanism, loops.of_system)
+        for f in (kempe.load, kempe.read, dh.from_dh, dh.from_screws, placement.place, Mechanism,
+        closure_rows.of_system)
     ] * 5
     return out

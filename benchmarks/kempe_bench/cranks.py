@@ -28,7 +28,7 @@ for _ in step(iterations=steps):
 def dyads(bench: Bench) -> Grid:
     """Steps of a crank, placed dyad after dyad in closed form."""
     import kempe
-    from kempe.solvers.dyads import Plan, closed_form
+    from kempe.solvers.dyads.dyads import Plan, closed_form
 
     table = Grid("Dyads in closed form: time of a step of the crank", "us")
     for name, drive in DRIVES.items():

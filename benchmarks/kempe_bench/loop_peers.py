@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.errors import UnsupportedError
-from kempe.kernels.layout import BALL, TURN
+from kempe.kernels.forward.table_layout import BALL, TURN
 from kempe.spatial import Array
 from kempe_bench import peers
 from kempe_bench.loop_solvers import Assembler

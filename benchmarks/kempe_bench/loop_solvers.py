@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kempe.kernels.layout import BALL, SLIDE, TURN
+from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
 from kempe.spatial import Array
 from kempe_bench import peers
 from kempe_bench.loop_trees import Tree, mjcf

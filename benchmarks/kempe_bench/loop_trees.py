@@ -12,9 +12,9 @@ import numpy as np
 
 from kempe import spatial
 from kempe.errors import UnsupportedError
-from kempe.kernels.layout import BALL, SLIDE, TURN
-from kempe.model.loops import characteristic_length
-from kempe.model.reduced import reduced
+from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
+from kempe.model.closures.packed_loops import characteristic_length
+from kempe.model.closures.reduced import reduced
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint

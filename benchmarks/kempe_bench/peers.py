@@ -52,7 +52,7 @@ def robot_file(name: str) -> Path | None:
 def machine() -> str:
     """Processor, number of usable processors, versions and variant of the kernels of the machine that measures."""
     from kempe.kernels.compiled import VARIANT
-    from kempe.kinematics.parallel import processors
+    from kempe.kinematics.common.parallel import processors
 
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")

@@ -11,7 +11,7 @@ from kempe_bench.loop_trees import Tree, mjcf
 
 import kempe
 from kempe.errors import UnsupportedError
-from kempe.solvers.dyads import closed_form
+from kempe.solvers.dyads.dyads import closed_form
 
 PEERS = {"mujoco": Mujoco, "pinocchio": Pinocchio}
 MORE = ("goldberg_5r", "three_rps", "delta_uu", "three_upu", "stephenson_six_bar", "stewart_sps")
@@ -163,7 +163,7 @@ def test_exudyn_gets_the_same_mechanism(name):
     pytest.importorskip("exudyn")
     from kempe_bench.loop_peers import Exudyn
 
-    from kempe.kinematics.loops import jacobian
+    from kempe.kinematics.closure_rows import jacobian
 
     s = kempe.load(name)
     tree, q = Tree(s), s.q("closed")

@@ -10,7 +10,7 @@ from kempe_bench.whole_robots import BASE, HUMANOIDS, Body
 
 import kempe
 from kempe import tasks
-from kempe.solvers.reached import Reached
+from kempe.solvers.tasks.reached import Reached
 
 pytest.importorskip("pinocchio")
 

@@ -65,7 +65,7 @@ def read(
 
 def __getattr__(name: str) -> Any:
     if name in ("from_dh", "from_screws"):
-        from kempe.description import dh
+        from kempe.description.dh import dh
 
         return getattr(dh, name)
     if name in ("Budget", "Tolerance"):

@@ -10,6 +10,6 @@ True
 """
 
 from kempe.kinematics.maximal import maximal, maximal_q, to_maximal
-from kempe.solvers.poses import from_maximal
+from kempe.solvers.assembly.poses import from_maximal
 
 __all__ = ["from_maximal", "maximal", "maximal_q", "to_maximal"]

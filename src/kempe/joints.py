@@ -18,7 +18,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels.layout import BALL, SLIDE, TURN
+from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
 from kempe.reals import is_real
 
 R, P, Q = TURN, SLIDE, BALL

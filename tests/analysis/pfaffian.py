@@ -11,8 +11,8 @@ import sympy
 from sympy.parsing.sympy_parser import parse_expr
 
 from kempe.constraints.text import from_text
-from kempe.kinematics.recorded import RowName, Rows
-from kempe.model.layout import Layout
+from kempe.kinematics.velocity.velocity_rows import RowName, Rows
+from kempe.model.tree.coordinate_layout import Layout
 
 EMPTY = np.zeros(0, dtype=np.int64)
 

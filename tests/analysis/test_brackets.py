@@ -10,8 +10,8 @@ import sympy
 from hunts import Hunt
 from pfaffian import SYSTEMS, Pfaffian, at_point, bracket, fields, growth_by_symbols, trailers
 
-from kempe.analysis.brackets import Words, distribution, growth
-from kempe.analysis.reach import Place, Reach, random_place, reach
+from kempe.analysis.mobility.growth_vectors import Words, distribution, growth
+from kempe.analysis.mobility.reachable import Place, Reach, random_place, reach
 
 CHEAP = [name for name in SYSTEMS if name != "three trailers"]
 

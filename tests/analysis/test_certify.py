@@ -15,13 +15,13 @@ from world_mechanisms import World
 
 import kempe
 from kempe import Mechanism, System
-from kempe.analysis import forms
-from kempe.analysis.counting import fills_group, group_basis
-from kempe.analysis.local import local_dimension
-from kempe.analysis.mobility import Mobility, mobility
+from kempe.analysis.first_order.counting import fills_group, group_basis
+from kempe.analysis.local import leading_forms
+from kempe.analysis.local.local import local_dimension
+from kempe.analysis.mobility.mobility import Mobility, mobility
 from kempe.kinematics.ball_angles import regular_chart
-from kempe.kinematics.certify import certify
-from kempe.kinematics.loops import residual
+from kempe.kinematics.closure_rows import residual
+from kempe.kinematics.common.newton_certificate import certify
 from kempe.spatial import matrix_to_quat_wxyz, rot_x, rot_y, rot_z
 
 # ---- certain is never wrong
@@ -246,12 +246,12 @@ def test_common_zeros_of_quadratic_forms(dim):
     x = np.eye(3)
     pairs = [np.outer(x[i], x[k]) + np.outer(x[k], x[i]) for i, k in ((0, 1), (1, 2), (0, 2))]
     rng = np.random.default_rng(0)
-    assert forms._no_zero(np.array(pairs), dim, rng) == (dim < 3)
-    assert forms._no_zero(np.array([*pairs, np.diag([1.0, 2.0, 3.0])]), dim, rng)
+    assert leading_forms._no_zero(np.array(pairs), dim, rng) == (dim < 3)
+    assert leading_forms._no_zero(np.array([*pairs, np.diag([1.0, 2.0, 3.0])]), dim, rng)
     sphere = np.array([np.eye(3), np.diag([1.0, 2.0, 3.0]), np.diag([1.0, 4.0, 9.0])])
-    assert forms._no_zero(sphere, dim, rng)
-    assert not forms._no_zero(sphere[:2], 3, rng)  # no real zero, but complex ones
-    assert forms._definite(sphere[:2], rng) and not forms._definite(np.array(pairs), rng)
+    assert leading_forms._no_zero(sphere, dim, rng)
+    assert not leading_forms._no_zero(sphere[:2], 3, rng)  # no real zero, but complex ones
+    assert leading_forms._definite(sphere[:2], rng) and not leading_forms._definite(np.array(pairs), rng)
 
 
 def test_groups_are_filled_or_not():

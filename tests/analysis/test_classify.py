@@ -14,10 +14,10 @@ from pfaffian import SYSTEMS, Pfaffian, growth_by_symbols
 from wheeled import KNOWN, close_by, on_plane, steered_car, trailers, two_axles
 
 from kempe import Mechanism
-from kempe.analysis.brackets import distribution
+from kempe.analysis.mobility.growth_vectors import distribution
 from kempe.errors import InputError, UnsupportedError
-from kempe.kinematics.loops import evaluate
-from kempe.kinematics.velocity import rates
+from kempe.kinematics.closure_rows import evaluate
+from kempe.kinematics.velocity.velocity import rates
 from kempe.model.system import System
 from kempe.spatial import Array
 

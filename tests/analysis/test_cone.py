@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cones import Exact, kernel
 
-from kempe.analysis.cone import Ways, tangent_cone
+from kempe.analysis.mobility.cone import Ways, tangent_cone
 
 
 def rows_of(rng, k, n, size):

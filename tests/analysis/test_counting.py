@@ -12,7 +12,7 @@ import kempe
 from kempe import Mechanism, System
 from kempe.constraints import OnSurface
 from kempe.joints import TYPES, JointType, P, joint_type
-from kempe.kinematics import loops
+from kempe.kinematics import closure_rows
 from kempe.kinematics.maximal import maximal_q
 
 TABLE = [kind(**options) for kind in TYPES.values() for options in variants(kind, 0.3)]
@@ -53,7 +53,7 @@ def rank(J: np.ndarray) -> int:
 
 def taken(s: System, q: np.ndarray) -> int:
     """What the joint takes away: the rank of its equations, less that of what its own coordinates can give in."""
-    J = loops.jacobian(s, q)
+    J = closure_rows.jacobian(s, q)
     own = [i for i, n in enumerate(s.structure.velocity_names) if n.split(".")[0] == "J"]
     return rank(J) - rank(J[:, own])
 

@@ -9,9 +9,9 @@ import pytest
 from motion_linkages import TURN, circles, four_bar, ladder, linkage, same_angle, slider_crank
 
 import kempe
-from kempe.analysis.drive import drive
+from kempe.analysis.motion.drive import drive
 from kempe.errors import InputError, UnsupportedError
-from kempe.kinematics.loops import residual
+from kempe.kinematics.closure_rows import residual
 
 STEPS = [5, 7, 36, 50, 101, 360, 997, 1000]
 

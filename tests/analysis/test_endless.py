@@ -11,7 +11,7 @@ import pytest
 import kempe
 from kempe import Mechanism
 from kempe.errors import InputError
-from kempe.kinematics.gauss_newton import least_squares
+from kempe.kinematics.common.gauss_newton import least_squares
 
 
 def two_slides(tilt: float) -> kempe.System:
@@ -225,7 +225,7 @@ def test_an_interrupt_keeps_the_path(monkeypatch, phase):
     s = kempe.load("four_bar")
     name = "home" if phase == "walk" else "extreme"
     count = itertools.count()
-    own = getattr(kempe.analysis.motion, name)
+    own = getattr(kempe.analysis.motion.motion, name)
 
     def broken(*given):
         if next(count) == (30 if phase == "walk" else 3):
@@ -233,7 +233,7 @@ def test_an_interrupt_keeps_the_path(monkeypatch, phase):
         return own(*given)
 
     whole = s.trace()
-    monkeypatch.setattr(f"kempe.analysis.motion.{name}", broken)
+    monkeypatch.setattr(f"kempe.analysis.motion.motion.{name}", broken)
     path = s.trace()
     assert path.interrupted and not path and not path.late and "interrupted" in path.status
     assert len(path) == len(whole) if phase == "order" else 20 < len(path) < len(whole)
@@ -265,6 +265,6 @@ def test_points_are_closed_many_at_once(monkeypatch):
     """The equations are asked for slices of points, not for points."""
     path = kempe.load("four_bar").trace()
     calls = []
-    equations = kempe.kinematics.loops.evaluate
-    monkeypatch.setattr("kempe.kinematics.loops.evaluate", lambda *g, **o: calls.append(1) or equations(*g, **o))
+    equations = kempe.kinematics.closure_rows.evaluate
+    monkeypatch.setattr("kempe.kinematics.closure_rows.evaluate", lambda *g, **o: calls.append(1) or equations(*g, **o))
     assert len(path.resample(20_000)) == 20_000 and len(calls) <= 3 * 20

@@ -136,7 +136,7 @@ def test_functions_without_series():
     assert found.rank_dof == 1 and found.dof is None and found.redundant == 1
     assert "'law' is a Python function that cannot be recorded" in str(found)
     with pytest.raises(UnsupportedError, match="'law' is a Python function that cannot be recorded"):
-        from kempe.analysis.local import local_dimension
+        from kempe.analysis.local.local import local_dimension
 
         local_dimension(s, np.zeros(2))
 

@@ -13,11 +13,11 @@ from mechanisms_spatial import SPATIAL, Spatial
 
 import kempe
 from kempe import Mechanism, System
-from kempe.analysis import reduction
-from kempe.analysis.equations import Equations
-from kempe.analysis.local import LocalDimension, local_dimension, sampled_dimension
+from kempe.analysis.local import reduction
+from kempe.analysis.local.local import LocalDimension, local_dimension, sampled_dimension
+from kempe.analysis.local.local_equations import Equations
 from kempe.errors import InputError
-from kempe.kinematics import loops
+from kempe.kinematics import closure_rows
 
 # ---- small mechanisms, drawn at a scale, mirrored or not, cut anywhere
 
@@ -384,7 +384,7 @@ def test_equations_say_the_same_as_the_loops(name):
     equations = Equations(system)
     value, J = equations.linearise(q)
     assert np.abs(value).max() < 1e-12
-    other = loops.jacobian(system, q) * equations.scale
+    other = closure_rows.jacobian(system, q) * equations.scale
     at = reduction.split_matrix(q, J[0])
     assert J[0].shape == other.shape and at.rank == np.linalg.matrix_rank(other, tol=1e-7)
     assert np.abs(other @ at.kernel).max() < 1e-12 * max(1.0, equations.length)

@@ -13,13 +13,13 @@ from mechanisms_spatial import SPATIAL, Spatial, joint_constraints
 
 import kempe
 from kempe import Mechanism, System
-from kempe.analysis.generic import nearby
-from kempe.analysis.mobility import Mobility, mobility
-from kempe.analysis.rank import rank_at
+from kempe.analysis.first_order.generic_configurations import nearby
+from kempe.analysis.first_order.rank import rank_at
+from kempe.analysis.mobility.mobility import Mobility, mobility
 from kempe.errors import InputError, UnknownNameError
 from kempe.joints import Universal
-from kempe.kinematics.constraints import closure_error
-from kempe.kinematics.loops import residual
+from kempe.kinematics.closure_errors import closure_error
+from kempe.kinematics.closure_rows import residual
 from kempe.placement import Placement
 
 # ---- published values

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 import kempe
 from kempe import Mechanism, System
-from kempe.analysis.counting import group_of
-from kempe.analysis.mobility import Mobility, mobility
-from kempe.analysis.rank import decide, rank_at
-from kempe.analysis.redundancy import count_words, pair_name
-from kempe.kinematics.loops import jacobian
+from kempe.analysis.first_order.counting import group_of
+from kempe.analysis.first_order.rank import decide, rank_at
+from kempe.analysis.first_order.redundant_constraints import count_words, pair_name
+from kempe.analysis.mobility.mobility import Mobility, mobility
+from kempe.kinematics.closure_rows import jacobian
 from kempe.placement import placement_of_pose
 from kempe.spatial import adjoint, exp_se3
 

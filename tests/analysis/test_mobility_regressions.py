@@ -11,11 +11,11 @@ from world_mechanisms import World, X, Y, Z, framework, loop, on_rods, unit
 
 import kempe
 from kempe import Mechanism, System
-from kempe.analysis.local import local_dimension
-from kempe.analysis.mobility import Mobility, mobility
-from kempe.analysis.rank import decide, rank_at
+from kempe.analysis.first_order.rank import decide, rank_at
+from kempe.analysis.local.local import local_dimension
+from kempe.analysis.mobility.mobility import Mobility, mobility
 from kempe.errors import InputError
-from kempe.kinematics.loops import jacobian
+from kempe.kinematics.closure_rows import jacobian
 from kempe.spatial import exp_se3
 
 FAR = exp_se3(np.array([3.0, -1.0, 2.0, 0.4, -0.7, 0.5]))

@@ -11,8 +11,8 @@ from known_truths import dead_centres
 from world_mechanisms import World
 
 import kempe
-from kempe.analysis import branches
-from kempe.analysis.mobility import mobility
+from kempe.analysis.local import branches
+from kempe.analysis.mobility.mobility import mobility
 
 LIBRARY = sorted(p.stem for p in (Path(kempe.__file__).parent / "library").glob("*.toml"))
 

@@ -29,9 +29,9 @@ from motion_linkages import (
 
 import kempe
 from kempe import Mechanism
-from kempe.analysis.motion import branches, trace
+from kempe.analysis.motion.motion import branches, trace
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.kinematics.loops import residual
+from kempe.kinematics.closure_rows import residual
 
 
 def pins(a, d, A, D, c):

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import linprog
 
 import kempe
-from kempe.analysis.one_sided import one_sided
-from kempe.kinematics.loops import evaluate
+from kempe.analysis.mobility.one_sided_report import one_sided
+from kempe.kinematics.closure_rows import evaluate
 
 
 def lowest(c, E, G):

@@ -10,10 +10,10 @@ from rods import Rods, engine, strut, tied
 from world_mechanisms import World, axes_with, unit
 
 import kempe
-from kempe.analysis.motion import Path
-from kempe.analysis.spins import spins_held
+from kempe.analysis.continuation.spins import spins_held
+from kempe.analysis.motion.motion import Path
 from kempe.errors import UnsupportedError
-from kempe.kinematics import loops
+from kempe.kinematics import closure_rows
 
 LEGS = tuple(f"leg{i}" for i in range(1, 7))
 
@@ -123,7 +123,7 @@ def assert_spun_is_the_same(unit, rng: np.random.Generator) -> None:
     if all(motions):
         one, other = (system.fk(m.q, rest) for m in motions)
         np.testing.assert_allclose(one, other, atol=1e-8)
-        assert max(np.abs(loops.residual(system, m.q)).max() for m in motions) < 1e-9
+        assert max(np.abs(closure_rows.residual(system, m.q)).max() for m in motions) < 1e-9
 
 
 @pytest.mark.parametrize("unit", SPINNING, ids=lambda u: u.__name__)

@@ -9,9 +9,9 @@ import pytest
 from motion_linkages import bennett, four_bar, jansen, linkage, slider_crank
 
 from kempe import Mechanism, spatial
-from kempe.analysis.drive import drive
-from kempe.analysis.motion import trace
-from kempe.analysis.transmission import (
+from kempe.analysis.motion.drive import drive
+from kempe.analysis.motion.motion import trace
+from kempe.analysis.motion.transmission import (
     dead_points,
     loop_jacobian,
     mechanical_advantage,
@@ -102,7 +102,7 @@ def test_space_and_quaternions_by_differences():
     m.spherical("C", rod, rocker, at=(2, 0, 0), child_at=(1, 0, 0), cut=True)
     idle = m.build()
     assembled = idle.q({"A": system.q_dict(x)["A"], "D": system.q_dict(x)["D"]})
-    from kempe.analysis.continuation import Closure, close
+    from kempe.analysis.continuation.continuation import Closure, close
 
     y = close(Closure(idle, [0, 1], assembled), assembled)
     spinning = loop_jacobian(idle, y, ["D"], ["A", "rocker"])

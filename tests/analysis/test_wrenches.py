@@ -10,18 +10,18 @@ from known_truths import bipartite
 import kempe
 from kempe import Mechanism, System, library
 from kempe import constraints as c
-from kempe.analysis.wrenches import Wrenches
+from kempe.analysis.first_order.wrenches import Wrenches
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics import loops
+from kempe.kinematics import closure_rows
 from kempe.kinematics.measure import Poses
-from kempe.kinematics.velocity import rates
+from kempe.kinematics.velocity.velocity import rates
 
 H = 1e-6
 
 
 def allowed(system: System, q: np.ndarray) -> np.ndarray:
     """Velocities (nv, k) that all equations of position and velocity allow, by their own Jacobian."""
-    J = np.vstack([loops.jacobian(system, q), rates(system, q)[0]])
+    J = np.vstack([closure_rows.jacobian(system, q), rates(system, q)[0]])
     U, s, Vt = np.linalg.svd(J)
     return Vt[int((s > 1e-8 * max(1.0, s.max(initial=0.0))).sum()) :].T
 

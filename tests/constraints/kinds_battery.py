@@ -9,10 +9,10 @@ import numpy as np
 from kempe import Mechanism, System, tasks
 from kempe import constraints as c
 from kempe.constraints.base import position_rows
-from kempe.description.toml import read_toml
-from kempe.description.toml_writer import write_toml
+from kempe.description.toml.toml import read_toml
+from kempe.description.toml.toml_writer import write_toml
 from kempe.errors import DescriptionError
-from kempe.kinematics import loops
+from kempe.kinematics import closure_rows
 
 X = np.array([[0.0, -1.0, 0.0, 0.3], [1.0, 0.0, 0.0, 0.1], [0.0, 0.0, 1.0, 0.2], [0.0, 0.0, 0.0, 1.0]])
 RING = np.array([[np.cos(t), 0.7 * np.sin(t), 0.2 * np.sin(2.0 * t)] for t in np.linspace(0.0, 2.0 * np.pi, 20)])
@@ -104,10 +104,10 @@ def declared(made: c.Constraint, s: System, dim: int) -> None:
     """Closed, with as many equations as its rows are, and their Jacobian by differences."""
     q = s.random(5)
     held = sum(r.size(dim) for r in position_rows(made, dim))
-    r, J = loops.residual(s, q), loops.jacobian(s, q)
+    r, J = closure_rows.residual(s, q), closure_rows.jacobian(s, q)
     assert r.shape == (held,) or made.kind in ("pointing", "look_at")
     h = 1e-6
-    ends = [loops.residual(s, s.configuration_space.integrate(q, x * np.eye(s.nv))) for x in (h, -h)]
+    ends = [closure_rows.residual(s, s.configuration_space.integrate(q, x * np.eye(s.nv))) for x in (h, -h)]
     np.testing.assert_allclose(J, ((ends[0] - ends[1]) / (2.0 * h)).T, atol=1e-6)
     closed = s.assemble(start=q)
     assert closed.success, closed.status

@@ -16,8 +16,8 @@ import kempe
 from kempe import constraints as c
 from kempe.constraints.base import Bounded
 from kempe.constraints.placed import Measured
-from kempe.description.toml import read_toml
-from kempe.description.toml_writer import write_toml
+from kempe.description.toml.toml import read_toml
+from kempe.description.toml.toml_writer import write_toml
 from kempe.errors import CallError, InputError
 
 KINDS = [name for name, kind in c.KINDS.items() if issubclass(kind, Measured) and name in EXAMPLES]

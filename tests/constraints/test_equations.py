@@ -11,7 +11,7 @@ import pytest
 import kempe
 from kempe.constraints import Equation, Inequality, VelocityEquation
 from kempe.errors import DescriptionError, InputError, KempeError, UnknownNameError, UnsupportedError
-from kempe.kinematics import loops
+from kempe.kinematics import closure_rows
 
 
 def arm() -> kempe.Mechanism:
@@ -41,7 +41,7 @@ def test_forms_agree(form: str):
     m.equation("law", *FORMS[form])
     s = m.build()
     q = np.array([0.7, 0.4])
-    value, J = loops.evaluate(s, q)
+    value, J = closure_rows.evaluate(s, q)
     np.testing.assert_allclose(value, [0.7 - 2 * np.sin(0.4)], atol=1e-15)
     np.testing.assert_allclose(J, [[1.0, -2 * np.cos(0.4)]], atol=1e-15)
     assert s.assemble({"B": 0.3}).q[0] == pytest.approx(2 * np.sin(0.3), abs=1e-9)
@@ -52,7 +52,7 @@ def test_several_equations_and_names_of_rows():
     m.equation("laws", ["A - 0.3", "B = 0.1"])
     m.equation("more", lambda x: [x["A"] - 0.3, 2 * (x["B"] - 0.1)], of=("A", "B"))
     s = m.build()
-    assert [name for name, _ in loops.row_names(s)] == ["laws", "laws", "more", "more"]
+    assert [name for name, _ in closure_rows.row_names(s)] == ["laws", "laws", "more", "more"]
     found = s.assemble()
     np.testing.assert_allclose(found.q, [0.3, 0.1], atol=1e-9)
 
@@ -65,7 +65,7 @@ def test_parameters_are_data():
     assert m.constraints["law"].of.of == m.constraints["same"].of.of == ("A", "B")
     s = m.build()
     for k, system in ((2.0, s), (3.0, s.with_parameters(k=3.0))):
-        np.testing.assert_allclose(loops.residual(system, [0.5, 0.1]), 0.5 - k * 0.1, atol=1e-15)
+        np.testing.assert_allclose(closure_rows.residual(system, [0.5, 0.1]), 0.5 - k * 0.1, atol=1e-15)
 
 
 @pytest.mark.parametrize("law", ["A = B", lambda x: x["A"] - x["B"], branching])
@@ -77,13 +77,13 @@ def test_coordinates_that_follow_or_are_held(law):
     m.couple("J", {"B": 0.5}, 0.1)
     m.equation("law", lambda x: x["A"] - 3 * x["J"] ** 2, of=("A", "J"))
     s = m.build()
-    value, J = loops.evaluate(s, np.array([0.2, 0.4]))
+    value, J = closure_rows.evaluate(s, np.array([0.2, 0.4]))
     np.testing.assert_allclose(value, [0.2 - 3 * 0.3**2], atol=1e-15)
     np.testing.assert_allclose(J, [[1.0, -6 * 0.3 * 0.5]], atol=1e-14)
     m.lock({"B": 0.4})
     held = m.build()
     assert held.coordinate_names == ("A",)
-    np.testing.assert_allclose(loops.evaluate(held, np.array([0.2]))[1], [[1.0]])
+    np.testing.assert_allclose(closure_rows.evaluate(held, np.array([0.2]))[1], [[1.0]])
     assert held.assemble().q[0] == pytest.approx(0.27, abs=1e-9)
 
 
@@ -91,7 +91,7 @@ def test_functions_that_branch_are_called():
     m = arm()
     m.equation("law", branching, of=("A", "B"))
     s = m.build()
-    value, J = loops.evaluate(s, np.array([0.2, 0.4]))
+    value, J = closure_rows.evaluate(s, np.array([0.2, 0.4]))
     np.testing.assert_allclose(value, [-0.6], atol=1e-15)
     np.testing.assert_allclose(J, [[1.0, -2.0]], atol=1e-9)
     assert s.assemble({"B": 0.1}).q[0] == pytest.approx(0.2, abs=1e-9)
@@ -106,8 +106,8 @@ def test_callbacks_have_declared_support():
     m.revolute("C", "lower", third, at=(1.0, 0.0))
     m.equation("law", branching, of=("A", "B"))
     m.equation("other", lambda x: abs(x["C"]) - 0.5, of=("C",))
-    J = loops.evaluate(m.build(), np.array([0.2, 0.4, 0.3]))[1]
-    by_name = dict(zip([n for n, _ in loops.row_names(m.build())], J, strict=True))
+    J = closure_rows.evaluate(m.build(), np.array([0.2, 0.4, 0.3]))[1]
+    by_name = dict(zip([n for n, _ in closure_rows.row_names(m.build())], J, strict=True))
     np.testing.assert_allclose(by_name["law"], [1.0, -2.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(by_name["other"], [0.0, 0.0, 1.0], atol=1e-9)
 
@@ -139,7 +139,8 @@ def test_files_copies_and_pickles(tmp_path):
     other.constraints.pop("two")
     assert other != m
     q = np.array([0.3, 0.6])
-    np.testing.assert_array_equal(loops.residual(kempe.read(path).build(), q), loops.residual(m.build(), q))
+    np.testing.assert_array_equal(closure_rows.residual(kempe.read(path).build(), q), closure_rows.residual(m.build(),
+    q))
 
 
 def test_attached_with_a_prefix():
@@ -147,15 +148,15 @@ def test_attached_with_a_prefix():
     host.attach(everything(), prefix="left_")
     s, alone = host.build(), everything().build()
     q = np.array([0.3, 0.6])
-    np.testing.assert_allclose(loops.residual(s, q), loops.residual(alone, q), atol=1e-15)
-    from kempe.kinematics.velocity import rates
+    np.testing.assert_allclose(closure_rows.residual(s, q), closure_rows.residual(alone, q), atol=1e-15)
+    from kempe.kinematics.velocity.velocity import rates
 
     for found, expected in zip(rates(s, q), rates(alone, q), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
 def test_velocity_rows():
-    from kempe.kinematics.velocity import rates, row_names
+    from kempe.kinematics.velocity.velocity import rates, row_names
 
     m = arm()
     m.couple("B", {"A": 2.0}, 0.1)
@@ -257,4 +258,4 @@ def test_a_function_that_changes_its_size_is_named_with_the_call():
     m = arm()
     m.equation("e", growing, of=("A",))
     with pytest.raises(InputError, match="'e' gives 2 numbers at A = 60.0, but gave 1 before"):
-        loops.residual(m.build(), [60.0, 0.0])
+        closure_rows.residual(m.build(), [60.0, 0.0])

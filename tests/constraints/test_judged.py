@@ -10,7 +10,7 @@ from kinds_battery import ASKED_ONLY, EXAMPLES, two_bodies
 
 from kempe import System, tasks
 from kempe.constraints.base import position_rows
-from kempe.kinematics import loops
+from kempe.kinematics import closure_rows
 from kempe.kinematics.measure import judge
 from kempe.kinematics.one_sided import one_sided_rows
 
@@ -19,8 +19,8 @@ HELD = [n for n in EXAMPLES if n not in ASKED_ONLY]
 
 def apart(system: System, q: np.ndarray) -> np.ndarray:
     """How far (..., n, 2) each constraint is missed by the kernels: the norms of its rows in metres, and of others."""
-    packed = loops.full(system, False)
-    values, names = loops.residual(system, q), [n for n, _ in packed.names]
+    packed = closure_rows.full(system, False)
+    values, names = closure_rows.residual(system, q), [n for n, _ in packed.names]
     metres = np.array([u == "m" for u in packed.units])
     out = []
     for name in judge(system, q).names:

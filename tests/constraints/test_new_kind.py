@@ -7,7 +7,7 @@ import pytest
 from on_ellipse import OnEllipse
 
 import kempe
-from kempe.analysis.classify import classify
+from kempe.analysis.mobility.classify import classify
 
 A, B = 1.5, 1.0
 

@@ -9,9 +9,9 @@ import pytest
 
 from kempe import Mechanism, System
 from kempe.description.constrain import between
-from kempe.description.toml import read_toml
-from kempe.description.toml_writer import write_toml
-from kempe.description.urdf_writer import write_urdf
+from kempe.description.toml.toml import read_toml
+from kempe.description.toml.toml_writer import write_toml
+from kempe.description.urdf.urdf_writer import write_urdf
 from kempe.errors import DescriptionError, InputError
 from kempe.values import Expression
 

@@ -11,9 +11,9 @@ import pytest
 import reference
 
 import kempe
-from kempe.description.dh import DHRow, from_dh
-from kempe.description.dh_table import ORDER
-from kempe.description.toml import read_toml
+from kempe.description.dh.dh import DHRow, from_dh
+from kempe.description.dh.dh_table import ORDER
+from kempe.description.toml.toml import read_toml
 from kempe.errors import DescriptionError, InputError
 
 Row = namedtuple("Row", ("theta", "d", "a", "alpha"))

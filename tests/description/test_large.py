@@ -13,11 +13,11 @@ import pytest
 
 import kempe
 from kempe import Mechanism
-from kempe.description import toml_fast
 from kempe.description.read import read
 from kempe.description.source import Source, collecting_later
-from kempe.description.toml_places import Places
-from kempe.description.toml_writer import write_toml
+from kempe.description.toml import toml_fast
+from kempe.description.toml.toml_places import Places
+from kempe.description.toml.toml_writer import write_toml
 from kempe.errors import DescriptionError
 from kempe.library import names as models
 from kempe.library import path as model_path

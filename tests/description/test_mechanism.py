@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from kempe import Mechanism, System
-from kempe.description.toml import read_toml
+from kempe.description.toml.toml import read_toml
 from kempe.errors import DescriptionError, Fault, InputError, KempeError, UnknownNameError, Where
 from kempe.placement import Placement, place
 

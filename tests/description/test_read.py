@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from bad_file_cases import LIMIT, SHOULDER, WRIST, joint, robot
 
-from kempe.description import xacro as xacro_module
 from kempe.description.meshes import resolve_mesh
 from kempe.description.read import check, library_models, read
-from kempe.description.toml_writer import write_toml
-from kempe.description.xacro import expand_xacro
+from kempe.description.toml.toml_writer import write_toml
+from kempe.description.urdf import xacro as xacro_module
+from kempe.description.urdf.xacro import expand_xacro
 from kempe.errors import DescriptionError, InputError, MissingExtraError, UnsupportedError
 
 URDF = robot(SHOULDER, WRIST)

@@ -13,10 +13,10 @@ from random_mechanisms import mechanisms
 
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import Source
-from kempe.description.toml import read_toml
-from kempe.description.toml_document import KEYS
-from kempe.description.toml_places import Places
-from kempe.description.toml_writer import write_toml
+from kempe.description.toml.toml import read_toml
+from kempe.description.toml.toml_document import KEYS
+from kempe.description.toml.toml_places import Places
+from kempe.description.toml.toml_writer import write_toml
 from kempe.errors import DescriptionError, UnsupportedError
 from kempe.joints import Revolute
 from kempe.placement import COUNTS

@@ -9,7 +9,7 @@ import pytest
 from bad_file_cases import LIMIT, LINKS, joint, mimic, robot
 from scipy.spatial.transform import Rotation
 
-from kempe.description.urdf import read_urdf
+from kempe.description.urdf.urdf import read_urdf
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 
 

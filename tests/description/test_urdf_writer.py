@@ -11,10 +11,10 @@ from hypothesis import assume, given, settings
 from random_mechanisms import mechanisms
 from robots import good_urdf_files
 
-from kempe.description.dh import from_dh
+from kempe.description.dh.dh import from_dh
 from kempe.description.mechanism import Mechanism
-from kempe.description.urdf import read_urdf
-from kempe.description.urdf_writer import write_urdf
+from kempe.description.urdf.urdf import read_urdf
+from kempe.description.urdf.urdf_writer import write_urdf
 from kempe.errors import DescriptionError
 from kempe.placement import place
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kempe.description.source import MANY_PROBLEMS, SIZE_LIMIT, Findings, Source
-from kempe.description.xml import DEPTH_LIMIT, ELEMENT_LIMIT, parse_xml
+from kempe.description.urdf.xml import DEPTH_LIMIT, ELEMENT_LIMIT, parse_xml
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, Where
 
 TEXT = '<?xml version="1.0"?>\r\n<a é="1" b=\'>/>\'>\n  <c/>text &amp; <d\n x="&lt;"\t>/>\n</d>\r</a>'

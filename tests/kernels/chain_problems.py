@@ -9,8 +9,8 @@ from primitive_tables import Row, Table, pose
 from scipy.spatial.transform import Rotation
 
 from kempe.kernels import compiled
-from kempe.kernels.layout import BALL, SLIDE, TURN
-from kempe.kernels.search_layout import ANSWER, STATUS
+from kempe.kernels.base.search_layout import ANSWER, STATUS
+from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
 
 POSE, POSITION, PLANAR, POINT = (1, 1, 1, 1, 1, 1), (1, 1, 1, 0, 0, 0), (1, 1, 0, 0, 0, 1), (1, 1, 0, 0, 0, 0)
 ORIENTATION, DIRECTION, POSITION_AXIS = (0, 0, 0, 1, 1, 1), (0, 0, 0, 1, 1, 1, 1), (1, 1, 1, 1, 1, 1, 1)
@@ -75,8 +75,8 @@ def solve(
         length, out,
     )  # fmt: skip
     balls = any(r.kind == BALL for r in chain.table.rows)
-    if (compiled.solve.reach_one_by_one if balls or slow else compiled.search.reach)(*arguments):
-        compiled.closest.approach(*arguments)
+    if (compiled.scalar_search.reach_one_by_one if balls or slow else compiled.schedule.reach)(*arguments):
+        compiled.fallback.approach(*arguments)
     missed = int((out[:, nq + STATUS] != 0).sum())
     q, residual, info = out[:, :nq].copy(), out[:, nq : nq + STATUS].copy(), out[:, nq + STATUS :].astype(np.int64)
     return Answers(missed, q, residual, *info.T.copy())

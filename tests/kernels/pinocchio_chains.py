@@ -11,7 +11,7 @@ from chain_problems import Chain
 from primitive_tables import Row, Table, pose
 from scipy.spatial.transform import Rotation
 
-from kempe.kernels.layout import SLIDE, TURN
+from kempe.kernels.forward.table_layout import SLIDE, TURN
 
 pin = pytest.importorskip("pinocchio")
 

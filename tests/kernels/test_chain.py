@@ -3,7 +3,7 @@ import pytest
 from primitive_tables import Row, Table, all_forms, random_pose, random_table
 
 from kempe.kernels.compiled import chain
-from kempe.kernels.layout import BALL, GENERAL, RX, RX_FLAT, SLIDE, TURN
+from kempe.kernels.forward.table_layout import BALL, GENERAL, RX, RX_FLAT, SLIDE, TURN
 
 SIZES = (0, 1, 7, 8, 9, 63, 64, 65, 200)
 

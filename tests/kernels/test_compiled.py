@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 import kempe
 from kempe.kernels import compiled
 from kempe.kernels.digest import source_digests
-from kempe.kernels.layout import fuse
+from kempe.kernels.forward.table_layout import fuse
 
 native = pytest.mark.skipif(compiled.VARIANT == compiled.JIT, reason="kernels are compiled in this process")
 with_numba = pytest.mark.skipif(find_spec("numba") is None, reason="Numba is not installed")
@@ -54,18 +54,19 @@ print([name for name in sys.modules if name.startswith("kempe.kernels.")])
 
 @native
 def test_every_verb_runs_without_numba_and_without_the_sources_of_kernels():
-    loaded = set(re.findall(r"kempe\.kernels\.(\w+)", printed(BLOCKED + VERBS)))
-    layouts = {path.stem for path in (ROOT / "src" / "kempe" / "kernels").glob("*layout.py")}
-    assert loaded <= layouts | {"compiled", "digest", "_native"}
+    kernels = ROOT / "src" / "kempe" / "kernels"
+    loaded = set(re.findall(r"kempe\.kernels\.([\w.]+)", printed(BLOCKED + VERBS)))
+    layouts = {f"{path.parent.name}.{path.stem}" for path in kernels.glob("*/*layout.py")}
+    assert loaded <= layouts | {name.partition(".")[0] for name in layouts} | {"compiled", "digest", "_native"}
 
 
 def test_sources_of_kernels_are_for_the_compiler_only():
     """No module outside `kernels` imports another module of it than `compiled` and the layouts."""
-    pattern = re.compile(r"^\s*(?:from kempe\.kernels import (\w+)|(?:from|import) kempe\.kernels\.(\w+))", re.M)
+    pattern = re.compile(r"^\s*(?:from|import) kempe\.kernels(?:\.(\w+))?(?: import |\.)(\w+)", re.M)
     for path in (ROOT / "src" / "kempe").rglob("*.py"):
-        if path.parent.name != "kernels":
-            for names in pattern.findall(path.read_text()):
-                assert re.fullmatch(r"compiled|\w*layout", "".join(names)), f"{path.name} imports {''.join(names)}"
+        if "kernels" not in path.parts:
+            for folder, name in pattern.findall(path.read_text()):
+                assert "compiled" in (folder, name) or re.fullmatch(r"\w*layout", name), f"{path.name} imports {name}"
 
 
 @native
@@ -81,7 +82,7 @@ def test_the_library_is_that_of_the_sources():
 def edited(tmp_path):
     """A copy of the package in which a helper of all forward models takes slides twice as long."""
     package = copied(tmp_path)
-    helper = package / "kernels" / "sweep.py"
+    helper = package / "kernels" / "forward" / "table_sweep.py"
     text = helper.read_text()
     assert text.count("slid(multiplier * q[index], c)") == 1
     helper.write_text(text.replace("slid(multiplier * q[index], c)", "slid(2.0 * multiplier * q[index], c)"))
@@ -111,13 +112,13 @@ def test_an_edited_helper_is_an_error_where_it_cannot_be_compiled(edited):
 def test_each_change_of_the_sources_is_seen(tmp_path, change):
     package = copied(tmp_path)
     assert printed(BLOCKED + SLIDER, package) == "0.5"
-    some = package / "kernels" / "quartic.py"
+    some = package / "kernels" / "closed_form" / "quartic.py"
     if change == "new file":
         some.with_name("more.py").write_text("")
     else:
         some.rename(some.with_name("quartics.py")) if change == "renamed" else some.unlink()
     name = {"new file": "more.py", "renamed": "quartic.py", "removed": "quartic.py"}[change]
-    assert f"edited after they were compiled ({name})" in run(BLOCKED + SLIDER, package).stderr
+    assert f"edited after they were compiled (closed_form/{name})" in run(BLOCKED + SLIDER, package).stderr
 
 
 @native
@@ -338,13 +339,13 @@ def test_calls_keep_no_references():
     before = [sys.getrefcount(x) for x in kept]
     for _ in range(1000):
         assert compiled.bound.pose(table, q, out) == 0
-        assert compiled.sweep.poses(ints, floats, none, many[:, None]) == 0
+        assert compiled.table_sweep.poses(ints, floats, none, many[:, None]) == 0
         with pytest.raises(TypeError):
             compiled.bound.pose(table, q, None)
         with pytest.raises(TypeError):
             compiled.bound.pose(table, q, out.T)
         with pytest.raises(ValueError, match="axis 0 of out"):
-            compiled.sweep.poses(ints, floats, none, np.empty((2, 1, 4, 4)))
+            compiled.table_sweep.poses(ints, floats, none, np.empty((2, 1, 4, 4)))
     assert [sys.getrefcount(x) for x in kept] == before
 
 
@@ -353,7 +354,7 @@ def test_scratch_that_does_not_fit_into_memory_is_a_memory_error():
     ints = np.zeros(10, dtype=np.int64)
     ints[0] = 2**57  # rows, for which scratch is asked before they are read
     with pytest.raises(MemoryError):
-        compiled.sweep.poses1(ints, np.zeros(12), np.empty(0), np.empty((1, 4, 4)))
+        compiled.table_sweep.poses1(ints, np.zeros(12), np.empty(0), np.empty((1, 4, 4)))
 
 
 def test_made_arrays_are_ordinary_ones():
@@ -419,14 +420,14 @@ def test_an_interrupt_ends_a_long_call(threads):
     """A call that takes a quarter of a minute, of the slowest kernel; the process says how far it was."""
     code = f"""
 import signal, threading, time, numpy as np, kempe
-from kempe.kernels.compiled import general
+from kempe.kernels.compiled import elimination_ik
 robot = kempe.load("jaco2"); tip = robot.frame_names[-1]
 X = np.tile(robot.fk(robot.random(1, 1000), tip), (400, 1, 1))
 robot.ik_all(X[:10], tip)
-done, kernel = [], general.general
+done, kernel = [], elimination_ik.general
 def counted(*arguments):
     kernel(*arguments); done.append(len(arguments[2]))
-general.general = counted
+elimination_ik.general = counted
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a process in the background may begin without
 threading.Timer(1.0, signal.raise_signal, [signal.SIGINT]).start()
 try:
@@ -443,7 +444,7 @@ except KeyboardInterrupt:
 BEYOND = """
 import numpy as np
 from kempe.kernels import compiled
-from kempe.kernels.layout import HEADER, N_OUT, N_ROWS, NQ, NV, Q_INDEX, ROW_FLOATS, ROW_INTS, fuse
+from kempe.kernels.forward.table_layout import HEADER, N_OUT, N_ROWS, NQ, NV, Q_INDEX, ROW_FLOATS, ROW_INTS, fuse
 ints, floats = np.zeros(HEADER + ROW_INTS + 2, dtype=np.int64), np.zeros(ROW_FLOATS + 12)
 ints[[N_ROWS, N_OUT, NQ, NV]] = 1
 ints[HEADER : HEADER + 4] = 0, -1, {index}, 0

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kempe.kernels import dyads_layout as K
-from kempe.kernels.compiled import dyads
-from kempe.solvers.decompose import Code
+from kempe.kernels.compiled import dyads_program
+from kempe.kernels.dyads import dyads_layout as K
+from kempe.solvers.dyads.decompose import Code
 
 SIZES = (0, 1, 7, 8, 9, 63, 64, 65)
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
@@ -28,7 +28,7 @@ def run(code: Code, known, values, near=None, signs=None):
     q, status = np.full((len(values), code.nq), 7.0), np.full((len(values), 2), 7.0)
     near = np.zeros((1, code.nq)) if near is None else near
     signs = np.ones((1, code.signs)) if signs is None else signs
-    assert dyads.solve(ints, floats, values, signs, near, q, status) == len(values)
+    assert dyads_program.solve(ints, floats, values, signs, near, q, status) == len(values)
     return q, status
 
 

@@ -10,9 +10,9 @@ import itertools
 import numpy as np
 import pytest
 
-from kempe.kernels.analytic_layout import FORMULATIONS
+from kempe.kernels.closed_form.analytic_layout import FORMULATIONS
 from kempe.kernels.compiled import elimination_batch, elimination_score
-from kempe.kernels.layout import SLIDE
+from kempe.kernels.forward.table_layout import SLIDE
 
 CANDIDATES, ODD = 24, 1
 """Room for the candidates of a goal, and the bit of doubt for an odd number of them."""

@@ -7,10 +7,10 @@ import pytest
 from primitive_tables import pose, random_pose, random_table
 from scipy.linalg import expm
 
-from kempe.kernels.compiled import jet, project
-from kempe.kernels.jet_layout import POSE_SIZE, scratch_width
-from kempe.kernels.layout import BALL, SLIDE, TURN
-from kempe.kernels.loop_layout import ALIGN, ANGLE, CROSS, DISTANCE, FULL, LINEAR, NO_TURN
+from kempe.kernels.compiled import jet, projection
+from kempe.kernels.constraints.loop_layout import ALIGN, ANGLE, CROSS, DISTANCE, FULL, LINEAR, NO_TURN
+from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
+from kempe.kernels.series.jet_layout import POSE_SIZE, scratch_width
 
 ORDER = 8
 RADIUS, POINTS = 0.15, 48
@@ -205,7 +205,7 @@ def projected(table, ties, numbers, m, places, start, centers, radius, iteration
     """Points, their residual, distance and iterations, the equations and their Jacobian there."""
     n, out = len(start), start.copy()
     info, value, J = np.zeros((n, 3)), np.zeros((n, m)), np.zeros((n, m, table.nv))
-    project.project(
+    projection.project(
         *table.pack(), ties, numbers, places, np.ones(table.nv), centers, out, np.full(n, radius), iterations, 0.2,
         info, value, J,
     )  # fmt: skip

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kempe.kernels.linear import back, factor, solve6
+from kempe.kernels.base.linear import back, factor, solve6
 
 
 @pytest.mark.parametrize("condition", [1.0, 1e4, 1e9])

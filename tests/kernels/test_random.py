@@ -1,6 +1,6 @@
 import numpy as np
 
-from kempe.kernels.random import mix, unit
+from kempe.kernels.base.random import mix, unit
 
 
 def numbers(state, count):

@@ -8,13 +8,13 @@ from chain_problems import DIRECTION, ORIENTATION, POSE, POSITION, POSITION_AXIS
 from primitive_tables import pose, random_table
 from scipy.spatial.transform import Rotation
 
-from kempe.kernels._jit import kernel
-from kempe.kernels.declare import OUT, F, I
-from kempe.kernels.job import aim, count_columns, job_floats, job_ints, job_of
-from kempe.kernels.layout import SLIDE, TURN
-from kempe.kernels.nearest import fill_hessian
-from kempe.kernels.residual import JACOBIAN_STRIDE, error, fill_jacobian, trace
-from kempe.kernels.vectors import keep, raw
+from kempe.kernels.base._jit import kernel
+from kempe.kernels.base.declare import OUT, F, I
+from kempe.kernels.base.vectors import keep, raw
+from kempe.kernels.forward.table_layout import SLIDE, TURN
+from kempe.kernels.one_frame.descent import fill_hessian
+from kempe.kernels.one_frame.ik_problem import aim, count_columns, job_floats, job_ints, job_of
+from kempe.kernels.one_frame.residual import JACOBIAN_STRIDE, error, fill_jacobian, trace
 
 LENGTH = 0.7
 

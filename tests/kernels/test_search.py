@@ -23,9 +23,9 @@ from chain_problems import (
 from primitive_tables import Row, Table, pose, random_table
 from scipy.spatial.transform import Rotation
 
-from kempe.kernels.compiled import search
-from kempe.kernels.layout import SLIDE, TURN
-from kempe.kernels.search_layout import ANSWER, NOT_FOUND, SOLVED
+from kempe.kernels.base.search_layout import ANSWER, NOT_FOUND, SOLVED
+from kempe.kernels.compiled import schedule
+from kempe.kernels.forward.table_layout import SLIDE, TURN
 
 TASKS = {
     "pose": POSE, "position": POSITION, "orientation": ORIENTATION, "direction": DIRECTION,
@@ -47,7 +47,7 @@ def raw_answers(chain, targets, starts, seeds=None):
     seeds = np.empty((1, 0, nq)) if seeds is None else seeds
     out, limits = np.full((n, nq + ANSWER), 7.0), np.array([chain.lower, chain.upper])
     task = np.r_[np.array((*POSE, 0)), chain.circular]
-    search.reach(*chain.table.pack(), limits, task, targets, seeds, 1, 0, starts, 20, 1e-6, 1e-6, 0.0, out)
+    schedule.reach(*chain.table.pack(), limits, task, targets, seeds, 1, 0, starts, 20, 1e-6, 1e-6, 0.0, out)
     return out
 
 
@@ -113,7 +113,7 @@ def test_the_answer_is_that_of_the_first_start_that_reaches_the_goal():
         out = np.full((1, nq + ANSWER), 7.0)
         limits, task = np.array([chain.lower, chain.upper]), np.r_[np.array((*POSE, 0)), chain.circular]
         for tries, expected in ((n - 1, NOT_FOUND), (n, SOLVED), (n + 1, SOLVED), (10 * n, SOLVED)):
-            search.reach(
+            schedule.reach(
                 *chain.table.pack(), limits, task, targets[i : i + 1], np.empty((1, 0, nq)), 1, 0, tries, 20,
                 1e-6, 1e-6, 0.0, out,
             )  # fmt: skip
@@ -121,7 +121,7 @@ def test_the_answer_is_that_of_the_first_start_that_reaches_the_goal():
             if expected == SOLVED:
                 assert np.array_equal(out[0], whole[i])
         for first in range(n):  # starts that have been tried are left out
-            search.reach(
+            schedule.reach(
                 *chain.table.pack(), limits, task, targets[i : i + 1], np.empty((1, 0, nq)), 1, first, 100, 20,
                 1e-6, 1e-6, 0.0, out,
             )  # fmt: skip

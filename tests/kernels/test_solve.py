@@ -20,8 +20,8 @@ from primitive_tables import Row, Table, pose, random_pose, random_table
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from kempe.kernels.layout import BALL, SLIDE, TURN
-from kempe.kernels.search_layout import BAD_INPUT, NOT_FOUND, SOLVED
+from kempe.kernels.base.search_layout import BAD_INPUT, NOT_FOUND, SOLVED
+from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
 
 
 def same(a, b):

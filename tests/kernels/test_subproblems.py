@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kempe import spatial
-from kempe.kernels import inner, outer, quartic, subproblems
-from kempe.kernels.layout import SLIDE, TURN
-from kempe.kernels.scratch import beyond
-from kempe.kernels.vectors import raw
+from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.vectors import raw
+from kempe.kernels.closed_form import arm_part, quartic, subproblems, wrist_part
+from kempe.kernels.forward.table_layout import SLIDE, TURN
 
 ANGLE = st.floats(-math.pi, math.pi)
 SMALL = st.sampled_from([1e-3, 1e-6, 1e-8, 1e-10, 1e-12])
@@ -47,7 +47,7 @@ def quartic_roots(p, out):
 
 @numba.njit
 def one_unknown(slides, a, b, k, wide, out):
-    return outer.one_unknown(slides, a, b, k, wide, 0.0, raw(out))
+    return arm_part.one_unknown(slides, a, b, k, wide, 0.0, raw(out))
 
 
 @numba.njit
@@ -57,12 +57,13 @@ def coupled(x_slides, z_slides, terms, work, x, z):
 
 @numba.njit
 def ball_triple(a, b, c, d, work, out):
-    return inner.ball_triple(a, b, c, raw(d), 1e-5, raw(work), raw(out))
+    return wrist_part.ball_triple(a, b, c, raw(d), 1e-5, raw(work), raw(out))
 
 
 @numba.njit
 def planar_triple(kinds, a, oa, b, ob, c, oc, d, work, out):
-    return inner.planar_triple(kinds[0], a, oa, kinds[1], b, ob, kinds[2], c, oc, raw(d), 1e-5, raw(work), raw(out))
+    axes = (kinds[0], a, oa, kinds[1], b, ob, kinds[2], c, oc)
+    return wrist_part.planar_triple(*axes, raw(d), 1e-5, raw(work), raw(out))
 
 
 def unit(v) -> tuple[float, float, float]:
@@ -151,8 +152,8 @@ def test_a_rotation_is_three_turns_about_given_axes(seed):
     angles = rng.uniform(-np.pi, np.pi, 3)
     R = turn(a, angles[0]) @ turn(b, angles[1]) @ turn(c, angles[2])
     d = np.hstack([R, np.zeros((3, 1))]).ravel()
-    out = np.empty(4 * 3 * outer.MOST)
-    count = ball_triple(a, b, c, d, np.empty(4 * outer.MOST), out)
+    out = np.empty(4 * 3 * arm_part.MOST)
+    count = ball_triple(a, b, c, d, np.empty(4 * arm_part.MOST), out)
     assert count == 2
     values = out.reshape(-1, 3, 4)[:count, :, 2]
     for x in values:
@@ -187,9 +188,9 @@ def test_a_planar_motion_is_three_joints_of_the_plane(seed, letters):
         return T
 
     d = motion(x)
-    out = np.empty(4 * 3 * outer.MOST)
+    out = np.empty(4 * 3 * arm_part.MOST)
     lines = [tuple(v) for pair in zip(h, o, strict=True) for v in pair]
-    count = planar_triple(kinds, *lines, d[:3].ravel().copy(), np.empty(4 * outer.MOST), out)
+    count = planar_triple(kinds, *lines, d[:3].ravel().copy(), np.empty(4 * arm_part.MOST), out)
     found = out.reshape(-1, 3, 4)[:count, :, 2]
     assert 1 <= count <= 2
     for theta in found:
@@ -241,7 +242,7 @@ def test_coupled_equations_have_the_pair_that_they_were_made_of(seed, x_slides, 
 
     left, right = terms[:6].reshape(2, 3), terms[6:].reshape(2, 3)
     right[:, 0] += left @ factors(x_slides, x) - right @ factors(z_slides, z)
-    xs, zs = np.empty(4 * outer.MOST), np.empty(4 * outer.MOST)
+    xs, zs = np.empty(4 * arm_part.MOST), np.empty(4 * arm_part.MOST)
     count = coupled(x_slides, z_slides, terms, np.empty(quartic.WORK), xs, zs)
     pairs = [(xs[4 * i + 2], zs[4 * i + 2]) for i in range(count)]
     assert count <= 4
@@ -252,9 +253,9 @@ def test_coupled_equations_have_the_pair_that_they_were_made_of(seed, x_slides, 
 
 
 def test_an_equation_of_no_size_gives_samples_or_nothing():
-    out = np.empty(4 * outer.MOST)
-    assert one_unknown(False, 0.0, 0.0, 0.0, 1e-5, out) == outer.SAMPLES
-    assert np.all(out.reshape(-1, 4)[: outer.SAMPLES, outer.SAMPLED] == 1.0)
+    out = np.empty(4 * arm_part.MOST)
+    assert one_unknown(False, 0.0, 0.0, 0.0, 1e-5, out) == arm_part.SAMPLES
+    assert np.all(out.reshape(-1, 4)[: arm_part.SAMPLES, arm_part.SAMPLED] == 1.0)
     assert one_unknown(False, 0.0, 0.0, 1e-3, 1e-5, out) == 0
     # near to nothing: both roots, and samples
-    assert one_unknown(False, 1e-11, 0.0, 0.0, 1e-5, out) == 2 + outer.SAMPLES
+    assert one_unknown(False, 1e-11, 0.0, 0.0, 1e-5, out) == 2 + arm_part.SAMPLES

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from primitive_tables import Row, Table, pose, random_pose, random_table
 
-from kempe.kernels.compiled import bound, sweep
-from kempe.kernels.layout import BALL, BODY, SLIDE, TURN, WORLD, WORLD_ALIGNED, fuse
+from kempe.kernels.compiled import bound, table_sweep
+from kempe.kernels.forward.table_layout import BALL, BODY, SLIDE, TURN, WORLD, WORLD_ALIGNED, fuse
 
 FRAMES = (WORLD_ALIGNED, WORLD, BODY)
 SIZES = (0, 1, 2, 5, 8, 13, 40)
@@ -11,12 +11,12 @@ SIZES = (0, 1, 2, 5, 8, 13, 40)
 
 def all_poses(table, q):
     out = np.full((len(q), len(table.outputs), 4, 4), 7.0)
-    return sweep.poses(*table.pack(), q, out), out
+    return table_sweep.poses(*table.pack(), q, out), out
 
 
 def all_jacobians(table, q, frame):
     T, J = np.full((len(q), 4, 4), 7.0), np.full((len(q), 6, table.nv), 7.0)
-    return sweep.jacobian(*table.pack(), q, frame, T, J), T, J
+    return table_sweep.jacobian(*table.pack(), q, frame, T, J), T, J
 
 
 def close(a, b, scale=1.0):
@@ -33,7 +33,7 @@ def test_poses_of_random_tables(n_rows, chain):
     assert bad == 0 and close(out, np.array([table.poses(x) for x in q]))
     single = np.empty(out.shape[1:])
     for i, x in enumerate(q):
-        assert sweep.poses1(*table.pack(), x, single) == 0 and np.array_equal(single, out[i])
+        assert table_sweep.poses1(*table.pack(), x, single) == 0 and np.array_equal(single, out[i])
         assert bound.pose(fuse(*table.pack()), x, single[0]) == 0 and close(single[0], out[i, 0])
 
 

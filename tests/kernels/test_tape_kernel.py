@@ -8,7 +8,7 @@ import pytest
 import sympy
 
 from kempe.constraints.text import from_text
-from kempe.kernels.compiled import tape
+from kempe.kernels.compiled import tape_evaluation
 
 X, Y, T = sympy.symbols("x y t")
 MEANT = {"x": X, "y": Y, "hypot": lambda a, b: sympy.sqrt(a**2 + b**2), "radians": lambda a: a * sympy.pi / 180}
@@ -24,7 +24,7 @@ def run(t, inputs):
     ints, floats = t.arrays()
     n = len(inputs)
     values, gradients = np.full((n, len(t.outputs)), 7e77), np.full((n, len(t.outputs), len(t.inputs)), 7e77)
-    tape.tapes(ints, floats, np.ascontiguousarray(inputs, dtype=float), values, gradients)
+    tape_evaluation.tapes(ints, floats, np.ascontiguousarray(inputs, dtype=float), values, gradients)
     return values, gradients
 
 
@@ -33,7 +33,7 @@ def series(t, inputs):
     ints, floats = t.arrays()
     inputs = np.ascontiguousarray(inputs, dtype=float)
     out = np.full((len(inputs), len(t.outputs), inputs.shape[2]), 7e77)
-    tape.tape_series(ints, floats, inputs.shape[2] - 1, inputs, out)
+    tape_evaluation.tape_series(ints, floats, inputs.shape[2] - 1, inputs, out)
     return out
 
 
@@ -115,7 +115,7 @@ def test_random_compositions_against_the_function_itself(hunt):
 def complex_value(t, x):
     """The output of a tape in complex numbers, where atan2 and hypot are analytic functions."""
     from kempe.constraints.tape import BINARY, UNARY
-    from kempe.kernels import tape_layout as L
+    from kempe.kernels.constraints import tape_layout as L
 
     found = [x[name] for name in t.inputs] + [None] * len(t.nodes)
     n = len(t.inputs)

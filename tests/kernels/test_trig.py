@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kempe.kernels._jit import FLAGS
-from kempe.kernels.trig import REACH, atan2, sincos, sincos_any
-from kempe.kernels.vectors import LANES, load_lanes, raw, store
+from kempe.kernels.base._jit import FLAGS
+from kempe.kernels.base.trig import REACH, atan2, sincos, sincos_any
+from kempe.kernels.base.vectors import LANES, load_lanes, raw, store
 
 compiled = numba.njit(fastmath=FLAGS, error_model="numpy")
 

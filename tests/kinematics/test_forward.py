@@ -16,9 +16,9 @@ import kempe
 from kempe import Mechanism, System, spatial
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.compiled import bound
-from kempe.kernels.layout import fuse
+from kempe.kernels.forward.table_layout import fuse
 from kempe.kinematics.forward import SERIAL_BELOW
-from kempe.model.table import local_chain
+from kempe.model.tree.primitive_table import local_chain
 
 FRAMES = ("world_aligned", "world", "body")
 

@@ -13,7 +13,7 @@ import kempe
 from kempe import System
 from kempe import constraints as c
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.functions import Whole
+from kempe.kinematics.tasks.functions import Whole
 
 STEP = 1e-6
 NONE: Any = "7"

@@ -14,7 +14,7 @@ import pytest
 import kempe
 from kempe import Mechanism
 from kempe.errors import InputError, KempeError, UnknownNameError
-from kempe.model.compiled import Structure
+from kempe.model.compiled_system import Structure
 
 MODELS = ("panda", "four_bar", "stewart", "two_link_pose", "seven_bodies_loop", "joint_cylindrical", "rssr")
 

@@ -15,20 +15,20 @@ from oracles.declared import declared
 from kempe import Mechanism, System, load, spatial
 from kempe import constraints as c
 from kempe.joints import joint_type
-from kempe.kinematics import loops
-from kempe.model.reduced import reduced
+from kempe.kinematics import closure_rows
+from kempe.model.closures.reduced import reduced
 
 STEP = 1e-6
 
 
-def by_differences(constraint: loops.SystemConstraint, s: System, q: np.ndarray) -> np.ndarray:
+def by_differences(constraint: closure_rows.SystemConstraint, s: System, q: np.ndarray) -> np.ndarray:
     """Jacobian by central differences along the manifold."""
     steps = STEP * np.eye(s.nv)
     ends = [[constraint.residual(s, s.configuration_space.integrate(q, x * e)) for x in (1, -1)] for e in steps]
     return np.stack([(a - b) / (2 * STEP) for a, b in ends], axis=-1)
 
 
-def check(constraint: loops.SystemConstraint, s: System, q: np.ndarray, atol: float = 2e-7) -> None:
+def check(constraint: closure_rows.SystemConstraint, s: System, q: np.ndarray, atol: float = 2e-7) -> None:
     """The battery for one constraint at configurations (n, nq): shapes, one and many, derivatives."""
     r, J = constraint.residual(s, q), constraint.jacobian(s, q)
     assert r.shape == (*q.shape[:-1], constraint.size) and J.shape == (*r.shape, s.nv)
@@ -110,10 +110,10 @@ def loop(kind: str, options: dict, dim: int = 3, particle: bool = False, backwar
     return s
 
 
-def closure_of(s: System, joint: str, own: bool = False) -> loops.SystemConstraint:
+def closure_of(s: System, joint: str, own: bool = False) -> closure_rows.SystemConstraint:
     """The constraint of a joint that closes a loop; one with no rows where it has none."""
-    return next((c for c in loops.of_system(s, own) if c.name == joint and c.names != ("relation",)),
-                loops.SystemConstraint(joint, loops.full(s, False), ()))  # fmt: skip
+    return next((c for c in closure_rows.of_system(s, own) if c.name == joint and c.names != ("relation",)),
+                closure_rows.SystemConstraint(joint, closure_rows.full(s, False), ()))  # fmt: skip
 
 
 CASES = [(k, o, 3, False) for k, o in KINDS] + [(k, o, 2, False) for k, o in PLANAR_KINDS]
@@ -201,7 +201,7 @@ def test_coordinates_that_are_not_free_are_tied():
     m = loop("universal", {}).mechanism
     m.couple("J.rx", {"Jb.x": 1.0, "J.ry": 2.0})
     related = m.build()
-    assert [c.size for c in loops.of_system(related, own=False)] == [6, 1]
+    assert [c.size for c in closure_rows.of_system(related, own=False)] == [6, 1]
 
 
 # ------------------------------------------------------------------ of a system
@@ -218,7 +218,7 @@ def test_what_a_system_has():
     m.point_on_plane("plane", "b", "a", rpy=(0.1, 0.2, 0.3))
     m.couple("R", {"Ja.x": 1.0, "Jb.y": -2.0}, 0.3)
     s = m.build()
-    found = loops.of_system(s)
+    found = closure_rows.of_system(s)
     assert [(c.name, c.names) for c in found] == [
         ("R", ("x", "y", "z", "rx", "ry", "rz")), ("rod", ("distance",)), ("line", ("x", "y")), ("plane", ("z",)),
         ("R", ("relation",)),
@@ -226,7 +226,7 @@ def test_what_a_system_has():
     for constraint in found:
         check(constraint, s, s.random(12, 4))
     assert found[1].residual(s, s.neutral) == pytest.approx([0.0])  # |(0, 1, 0)| = 2 l
-    assert load("two_link") and loops.of_system(load("two_link")) == []
+    assert load("two_link") and closure_rows.of_system(load("two_link")) == []
 
 
 @given(graphs(most=5, loops=3), st.integers(0, 2**32))
@@ -235,7 +235,7 @@ def test_random_graphs(graph, seed):
     s = graph.mechanism().build()
     q = s.random(seed, 2)
     for own in (False, True):
-        for constraint in loops.of_system(s, own):
+        for constraint in closure_rows.of_system(s, own):
             check(constraint, s, q, atol=1e-5)  # gears and screws make some entries large
 
 

@@ -14,7 +14,7 @@ import kempe
 from kempe import Mechanism, library
 from kempe.joints import TYPES, joint_type
 from kempe.kinematics.measure import Poses, judge, motion
-from kempe.solvers import assembly
+from kempe.solvers.assembly import assembly
 from kempe.status import Status
 from kempe.views import facts, loop_report, report
 

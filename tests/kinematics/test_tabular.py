@@ -13,7 +13,7 @@ from command import Result
 
 import kempe
 from kempe.errors import InputError
-from kempe.kinematics.tabular import Tabular
+from kempe.kinematics.common.tabular import Tabular
 from kempe.model.system import System
 
 

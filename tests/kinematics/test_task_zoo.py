@@ -16,7 +16,7 @@ from robots import urdf_files
 import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.packed import Packed
+from kempe.kinematics.tasks.packed import Packed
 
 STEP = 1e-6
 

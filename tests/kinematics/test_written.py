@@ -15,11 +15,11 @@ from kempe.constraints.base import Frame, Number
 from kempe.constraints.tape import POSE
 from kempe.constraints.text import from_text
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.asking import task_of
-from kempe.kinematics.task import Centred, Placed
-from kempe.kinematics.tasks_whole import Coordinates
-from kempe.kinematics.written import Written
-from kempe.solvers.levels import packed_for
+from kempe.kinematics.tasks.task import Centred, Placed
+from kempe.kinematics.tasks.task_classes import task_of
+from kempe.kinematics.tasks.tasks_whole import Coordinates
+from kempe.kinematics.tasks.written import Written
+from kempe.solvers.tasks.levels import packed_for
 
 
 @dataclass(frozen=True, eq=False)

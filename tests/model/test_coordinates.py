@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from kempe import Mechanism
 from kempe.errors import DescriptionError
 from kempe.joints import P, Q, R, joint_type
-from kempe.kernels.compiled import sweep
-from kempe.kinematics.constraints import coordinate_value
-from kempe.model.coordinates import Follower, relation_text
+from kempe.kernels.compiled import table_sweep
+from kempe.kinematics.closure_errors import coordinate_value
+from kempe.model.tree.coordinates import Follower, relation_text
 
 
 @given(graph=graphs(loops=4))
@@ -96,7 +96,7 @@ def test_packs_hold_what_moves_their_outputs(graph: Graph, seed):
     assert (ints[0], ints[1], ints[2], ints[3]) == (len(rows), 3, s.nq, s.nv)
     assert len(ints) == 8 + 6 * len(rows) + 2 * 3 and len(floats) == 16 * len(rows) + 12 * 3
     q, out = s.random(rng), np.empty((3, 4, 4))
-    assert sweep.poses1(ints, floats, q, out) == 0
+    assert table_sweep.poses1(ints, floats, q, out) == 0
     np.testing.assert_allclose(out, s.fk(q, names), rtol=0, atol=1e-14)
     ints, floats = s.structure.table.pack(names[:1], s.structure.table.path(names[0]))
     assert ints[4] == 1, "the way to one body is a chain"

@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from primitive_tables import Row, Table, pose, random_pose, random_table, turn_x, turn_z
 
-from kempe.kernels.compiled import chain, sweep
-from kempe.kernels.layout import BALL, FORM, GENERAL, HEADER, IS_CHAIN, RX, RX_FLAT, SLIDE, TURN
-from kempe.model.gauge import regauge, split_turns
+from kempe.kernels.compiled import chain, table_sweep
+from kempe.kernels.forward.table_layout import BALL, FORM, GENERAL, HEADER, IS_CHAIN, RX, RX_FLAT, SLIDE, TURN
+from kempe.model.tree.gauge import regauge, split_turns
 
 
 def forms(ints):
@@ -24,7 +24,7 @@ def differences(table, n=40):
     results = []
     for packed in (before, after):
         T, J = np.empty((n, 4, 4)), np.empty((n, 6, table.nv))
-        sweep.jacobian(*packed, q, 0, T, J)
+        table_sweep.jacobian(*packed, q, 0, T, J)
         C = np.empty((n, 4, 4))
         chain.chain_poses(*packed, q, C)
         results += [(T, J, C)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe.description.urdf import read_urdf
+from kempe.description.urdf.urdf import read_urdf
 from kempe.model.immovable import immovable
 
 EFFORT = '<limit effort="1" velocity="1"/>'

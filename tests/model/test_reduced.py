@@ -9,11 +9,11 @@ from own_joints import OWN, Coaxial, declared, random_type, variants
 
 from kempe import System
 from kempe.joints import TYPES, Free, Helical, JointType, P, Primitive, Q, R, Revolute, Spherical
-from kempe.kernels.compiled import equations
-from kempe.kinematics import loops as full
-from kempe.model.loops import Loops, loops_of, must_carry
-from kempe.model.reduced import reduced, screw, slides_along_z
-from kempe.solvers.assembly import Assembler
+from kempe.kernels.compiled import closure_batch
+from kempe.kinematics import closure_rows as full
+from kempe.model.closures.packed_loops import Loops, loops_of, must_carry
+from kempe.model.closures.reduced import reduced, screw, slides_along_z
+from kempe.solvers.assembly.assembly import Assembler
 
 TABLE = [kind(**options) for kind in TYPES.values() for options in variants(kind, 0.3)]
 EVERY = [*TABLE, *(t() for t in OWN)]
@@ -58,7 +58,7 @@ def loop(rng: np.random.Generator, kind: JointType, dim: int) -> tuple[System, n
 def evaluated(system: System, loops: Loops, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residual and Jacobian of packed loops at configurations (n, nq)."""
     out, columns = np.empty((len(q), len(loops.names))), np.empty((len(q), len(loops.names), system.nv))
-    equations.equations(
+    closure_batch.equations(
         loops.ints, loops.floats, loops.plan, loops.weights, np.zeros((1, 0)), q, True, out, columns
     )  # fmt: skip
     return out, columns

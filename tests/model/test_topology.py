@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from kempe import Mechanism, System
 from kempe.errors import DescriptionError
 from kempe.joints import joint_type
-from kempe.model.topology import natural, spanning_tree
+from kempe.model.tree.topology import natural, spanning_tree
 
 
 def tree_by_name(system: System) -> dict:

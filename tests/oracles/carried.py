@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.kinematics.closure_errors import coordinate_value
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.constraints import coordinate_value
 from kempe.spatial import Array
 from oracles import pairs
 from oracles.frames import Pair

@@ -11,8 +11,8 @@ import numpy as np
 from kempe import spatial
 from kempe.description.parts import Joint
 from kempe.joints import Q
+from kempe.kinematics.closure_errors import coordinate_value
 from kempe.kinematics.configuration import as_start
-from kempe.kinematics.constraints import coordinate_value
 from kempe.model.kept import kept
 from kempe.spatial import Array
 from oracles import pairs

@@ -14,7 +14,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.joints import JointType
-from kempe.model.reduced import flat_frame, reduced, screw, slides_along_z
+from kempe.model.closures.reduced import flat_frame, reduced, screw, slides_along_z
 from kempe.spatial import Array
 
 Rows = tuple[Array, Array]

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 import kempe
 from kempe import Mechanism, constraints
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
-from kempe.kinematics import loops
-from kempe.solvers.assembly import Assembler
+from kempe.kinematics import closure_rows
+from kempe.solvers.assembly.assembly import Assembler
 from kempe.status import Status
 
 MECHANISMS = [
@@ -67,13 +67,13 @@ def test_perturbed_mechanisms_close(name, sigma):
     answer = s.assemble(start=q)
     assert answer.success.all()
     assert np.abs(s.loops.closure_error(answer.q)).max() < 1e-9
-    assert np.abs(loops.residual(s, answer.q)).max() < 1e-9
+    assert np.abs(closure_rows.residual(s, answer.q)).max() < 1e-9
 
 
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_convergence_is_quadratic(name):
     """Near the closed set each step squares the residual, redundant equations or not."""
-    from kempe.kernels.compiled import assembly as kernel
+    from kempe.kernels.compiled import loop_closing as kernel
 
     s = kempe.load(name)
     b = Assembler(s, ())
@@ -154,15 +154,15 @@ def pinocchio_tree(pin, s):
 def test_equations_have_exact_derivatives(graph, seed):
     s = graph.mechanism().build()
     q = s.random(seed)
-    J = loops.jacobian(s, q)
+    J = closure_rows.jacobian(s, q)
     h = 1e-6
     integrate = s.configuration_space.integrate
     numeric = np.stack(
-        [(loops.residual(s, integrate(q, h * e)) - loops.residual(s, integrate(q, -h * e))) / (2 * h)
+        [(closure_rows.residual(s, integrate(q, h * e)) - closure_rows.residual(s, integrate(q, -h * e))) / (2 * h)
          for e in np.eye(s.nv)], -1,
     ) if s.nv else J  # fmt: skip
-    angles = np.array([k.startswith("r") for _, k in loops.row_names(s)], dtype=bool)
-    near_pi = np.abs(loops.residual(s, q))[angles].max(initial=0.0) > 2.9  # where the rotation vector jumps
+    angles = np.array([k.startswith("r") for _, k in closure_rows.row_names(s)], dtype=bool)
+    near_pi = np.abs(closure_rows.residual(s, q))[angles].max(initial=0.0) > 2.9  # where the rotation vector jumps
     if not near_pi:
         np.testing.assert_allclose(J, numeric, atol=2e-6 * (1 + np.abs(J).max(initial=0.0)))
 
@@ -173,8 +173,8 @@ def test_equations_vanish_where_the_closure_error_does(graph, seed):
     s = graph.mechanism().build()
     q = s.random(seed)
     error = s.loops.closure_error(q)
-    rows = loops.residual(s, q)
-    names = loops.row_names(s)
+    rows = closure_rows.residual(s, q)
+    names = closure_rows.row_names(s)
     for k, name in enumerate(s.structure.closures):
         mine = np.array([r for r, (n, _) in zip(rows, names, strict=True) if n == name])
         assert np.linalg.norm(mine) == pytest.approx(0.0, abs=1e-9) or np.linalg.norm(error[k]) > 1e-10
@@ -333,7 +333,7 @@ def test_continuous_rows_follow_each_other():
 @given(st.integers(0, 10**6))
 def test_what_is_left_open_is_nearest(seed):
     """The answer is stationary: the way to `near` is normal to the closed set."""
-    from kempe.solvers.charts import tangent_space
+    from kempe.solvers.assembly.charts import tangent_space
 
     s = kempe.load("stewart")
     near = s.configuration_space.integrate(s.q("closed"), 0.15 * np.random.default_rng(seed).normal(size=s.nv))
@@ -365,7 +365,7 @@ def test_large_systems_are_sparse():
     near = s.configuration_space.integrate(s.neutral, 0.1 * np.random.default_rng(0).normal(size=s.nv))
     answer = s.assemble({"A0": 0.2}, start=near)
     assert answer.code == Status.SOLVED and answer.starts == 1
-    assert np.abs(loops.residual(s, answer.q)).max() < 1e-12
+    assert np.abs(closure_rows.residual(s, answer.q)).max() < 1e-12
 
 
 # ---- branches and further constraints

@@ -10,7 +10,7 @@ from test_tasks import inside, two_arms
 import kempe
 from kempe import Mechanism, spatial, tasks
 from kempe.errors import InputError, NoSolutionError
-from kempe.solvers import rounds
+from kempe.solvers.one_frame import multi_start
 from kempe.status import Status
 
 ROUNDING = 1e-12
@@ -140,7 +140,7 @@ def test_a_limit_that_does_not_bite_changes_nothing():
     q = s.random(0, 100)
     X = s.fk(q, HAND)
     free, limited = s.ik(X, HAND), s.ik(X, HAND, budget=kempe.Budget(time_limit=1e6))
-    same = free.starts <= rounds.ROUND
+    same = free.starts <= multi_start.ROUND
     assert limited.success.all() and same.mean() > 0.9
     np.testing.assert_array_equal(limited.q[same], free.q[same])
     np.testing.assert_array_equal(s.ik(X, HAND, budget=kempe.Budget(time_limit=1e6, threads=3)).q, limited.q)

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 import kempe
 from kempe import Mechanism, tasks
-from kempe.analysis.local import local_dimension
+from kempe.analysis.local.local import local_dimension
 from kempe.errors import InputError
 
 RANK_LOST = "to first order only (the Jacobian loses rank here)"

@@ -11,7 +11,7 @@ from robots import urdf_files
 
 import kempe
 from kempe.solvers.analytic.ik_all import ik_all
-from kempe.solvers.analytic.redundancy import ik_sweep
+from kempe.solvers.analytic.redundant.redundancy import ik_sweep
 
 PI, H = math.pi, math.pi / 2
 

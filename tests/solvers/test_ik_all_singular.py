@@ -12,9 +12,9 @@ import pytest
 
 import kempe
 from kempe.errors import InputError, UnknownNameError
-from kempe.solvers.analytic.explain import status
-from kempe.solvers.analytic.families import families_of
-from kempe.solvers.analytic.nearest import nearest
+from kempe.solvers.analytic.answers.explain_ik_all import status
+from kempe.solvers.analytic.answers.families import families_of
+from kempe.solvers.analytic.answers.nearest import nearest
 
 TURN = 2.0 * math.pi
 

@@ -256,7 +256,7 @@ def test_joints_that_the_chain_does_not_move_keep_their_seed():
 
 SCRIPT = """
 import numpy as np, kempe, sys
-from kempe.kernels.vectors import LANES
+from kempe.kernels.base.vectors import LANES
 robot = kempe.load("panda")
 frame = robot.frame_names[-1]
 s = robot.ik(robot.fk(robot.random(1, 300), frame), frame)

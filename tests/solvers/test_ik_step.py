@@ -11,7 +11,7 @@ from scipy.optimize import linprog, lsq_linear
 import kempe
 from kempe import Mechanism, System, spatial
 from kempe.errors import InputError
-from kempe.solvers.least_squares import bounded
+from kempe.solvers.velocity.least_squares import bounded
 
 HAND = "panda_link7"
 DT = 0.01

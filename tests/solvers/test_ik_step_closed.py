@@ -11,7 +11,7 @@ from scipy.optimize import linprog, minimize
 import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.errors import InputError
-from kempe.kinematics.loops import evaluate, residual
+from kempe.kinematics.closure_rows import evaluate, residual
 
 DT = 0.01
 PLANE = [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]

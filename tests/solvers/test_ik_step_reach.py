@@ -13,8 +13,8 @@ from scipy.optimize import minimize
 
 import kempe
 from kempe import Mechanism, System, spatial, tasks
-from kempe.solvers.chain import chain_of
-from kempe.solvers.servo import SLIDING, TURNING, speeds
+from kempe.solvers.common.serial_chain import chain_of
+from kempe.solvers.velocity.servo import SLIDING, TURNING, speeds
 
 TIPS = {"panda": "panda_hand_tcp", "ur5": "tool", "iiwa14": "tool"}
 STARTS = {
@@ -104,7 +104,7 @@ def settles_at_a_minimum(s: System, rng: np.random.Generator) -> None:
     if np.abs(np.diff(Q[-101:], axis=0)).max() > 0.02:
         return  # on its way: turns of joints with a wide range take longer
     assert turns_back(Q, 0.01) == 0, (s.name, kind, damping)
-    from kempe.solvers.servo_pose import chain_length
+    from kempe.solvers.velocity.servo_pose import chain_length
 
     scale = 1.0 / chain_length(chain_of(s, frame))
 

@@ -9,7 +9,7 @@ import pytest
 
 import kempe
 from kempe import Mechanism, System, tasks
-from kempe.solvers.reached import Reached
+from kempe.solvers.tasks.reached import Reached
 
 HAND = "panda_hand_tcp"
 NAMES = ("panda", "ur5", "xarm6", "iiwa14")

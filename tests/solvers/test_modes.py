@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 import kempe
 from kempe import Mechanism, System
 from kempe.errors import InputError, UnknownNameError
-from kempe.solvers import modes
-from kempe.solvers.dyads import closed_form
-from kempe.solvers.many_starts import estimates
-from kempe.solvers.modes import SOLVERS, Modes, assembly_modes, by_dyads, by_starts, no_dyads
-from kempe.solvers.problem import Problem
+from kempe.solvers.common.problem import Problem
+from kempe.solvers.dyads.dyads import closed_form
+from kempe.solvers.modes import modes
+from kempe.solvers.modes.modes import SOLVERS, Modes, assembly_modes, by_dyads, by_starts, no_dyads
+from kempe.solvers.modes.modes_search import estimates
 
 
 def inputs(system: System, *names: str) -> dict[str, float]:

@@ -13,8 +13,8 @@ import kempe
 from kempe import Mechanism, System
 from kempe.joints import JointType, P, Primitive
 from kempe.placement import placement_of_pose
-from kempe.solvers.many_starts import estimates, must_be_even, search
-from kempe.solvers.modes import assembly_modes
+from kempe.solvers.modes.modes import assembly_modes
+from kempe.solvers.modes.modes_search import estimates, must_be_even, search
 from kempe.spatial import exp_se3
 
 
@@ -176,7 +176,7 @@ def test_where_it_need_not_be():
 
 def test_an_odd_number_is_called_incomplete(monkeypatch):
     """With too few starts to find the last one and no look at images, the answer says that it is there."""
-    import kempe.solvers.many_starts as many
+    import kempe.solvers.modes.modes_search as many
 
     f = k33(np.random.default_rng([1, 0]))
     monkeypatch.setattr(many.Search, "complete", lambda self: False)

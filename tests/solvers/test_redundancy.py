@@ -9,11 +9,11 @@ import pytest
 
 import kempe
 from kempe import spatial
-from kempe.description.dh import from_dh
+from kempe.description.dh.dh import from_dh
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.solvers.analytic.arm_angle import arm_angle, three_turns, turns
-from kempe.solvers.analytic.intervals import arcs, joined, union
-from kempe.solvers.analytic.redundancy import ik_sweep
+from kempe.solvers.analytic.redundant.arm_angle import arm_angle, three_turns, turns
+from kempe.solvers.analytic.redundant.intervals import arcs, joined, union
+from kempe.solvers.analytic.redundant.redundancy import ik_sweep
 
 H, PI = math.pi / 2, math.pi
 LIMITS = np.radians([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0])

@@ -11,10 +11,11 @@ import pytest
 
 import kempe
 from kempe.errors import UnsupportedError
-from kempe.solvers import inverse, modes
-from kempe.solvers.problem import Problem
+from kempe.solvers.common.problem import Problem
+from kempe.solvers.common.targets import Z_AXIS
+from kempe.solvers.modes import modes
+from kempe.solvers.one_frame import inverse
 from kempe.solvers.table import TABLE
-from kempe.solvers.targets import Z_AXIS
 
 PUMA, SEVEN, SMALL, ANYHOW = (kempe.load(n) for n in ("puma560", "iiwa14", "so101", "gen3_lite"))
 LINKAGE, PLATFORM, SPATIAL = (kempe.load(n) for n in ("four_bar", "three_rrr", "rssr"))

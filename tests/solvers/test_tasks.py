@@ -13,11 +13,11 @@ from scipy.optimize import minimize
 import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.errors import InputError, NoSolutionError
-from kempe.kinematics.asking import task_of
-from kempe.kinematics.loops import residual
-from kempe.kinematics.packed import Packed
-from kempe.solvers.reached import Reached
-from kempe.solvers.solution import Solution
+from kempe.kinematics.closure_rows import residual
+from kempe.kinematics.tasks.packed import Packed
+from kempe.kinematics.tasks.task_classes import task_of
+from kempe.solvers.one_frame.solution import Solution
+from kempe.solvers.tasks.reached import Reached
 
 HAND = "panda_link7"
 

@@ -10,7 +10,7 @@ import pytest
 import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.errors import InputError
-from kempe.solvers.levels import packed_for
+from kempe.solvers.tasks.levels import packed_for
 from kempe.status import Status
 
 HAND = "panda_link7"

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import kempe
 from kempe import Mechanism, System, spatial, tasks
-from kempe.solvers.reached import Reached
+from kempe.solvers.tasks.reached import Reached
 
 HAND = "panda_hand_tcp"
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import ellipe
 
-from kempe.solvers import tracing
-from kempe.solvers.tracing import BEND, Curve, Node, arc, bend, correct, flipped, inside, node, step, walk
+from kempe.solvers.common import tracing
+from kempe.solvers.common.tracing import BEND, Curve, Node, arc, bend, correct, flipped, inside, node, step, walk
 
 
 class Implicit(Curve):

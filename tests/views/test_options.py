@@ -23,26 +23,26 @@ PYTHON = re.compile(
 """What only Python's users can do."""
 
 NOT_OF_COMMANDS = {
-    "analysis/path.py": "trace(start=path.elsewhere[0])",  # the command names --start and its value
-    "analysis/transmission.py": "coupler=...",
-    "analysis/elsewhere.py": "",
-    "analysis/wheeled.py": "(system.configuration_space.interpolate)",
+    "analysis/continuation/path.py": "trace(start=path.elsewhere[0])",  # the command names --start and its value
+    "analysis/motion/transmission.py": "coupler=...",
+    "analysis/continuation/other_branches.py": "",
+    "analysis/manoeuvre/wheeled.py": "(system.configuration_space.interpolate)",
     "constraints/equations.py": "of=(...)",
-    "model/coordinates.py": "time=True",
-    "model/former.py": "is the former name of",
+    "model/tree/coordinates.py": "time=True",
+    "model/former_names.py": "is the former name of",
     "constraints/recording.py": "(float(), or a function of math: use that of numpy)",
     "description/compose.py": "`at` cannot be given",
     "description/mechanism.py": "kempe.read first",
-    "solvers/analytic/names.py": "`branch` has their numbers",
+    "solvers/analytic/plans/branch_names.py": "`branch` has their numbers",
     "errors.py": "start=q sorts the solutions",
     "former.py": "former name",
     "budget.py": "it must be a kempe.Budget",
     "solvers/analytic/ik_all.py": "limits='turns' is for chains",
-    "solvers/analytic/redundancy.py": "`ik_all`",
-    "solvers/charts.py": "no choice of coordinates",
-    "solvers/self_motion.py": "`direction`",
-    "solvers/servo_closed.py": "robot.assemble(start=q)",
-    "solvers/tasks.py": "a task of kempe.tasks or a list",
+    "solvers/analytic/redundant/redundancy.py": "`ik_all`",
+    "solvers/assembly/charts.py": "no choice of coordinates",
+    "solvers/paths/self_motion.py": "`direction`",
+    "solvers/velocity/servo_closed.py": "robot.assemble(start=q)",
+    "solvers/tasks/ik_tasks.py": "a task of kempe.tasks or a list",
     "views/plots.py": "as `system`",
 }
 """Files whose sentences in Python are of calls that no command makes, and some words of these."""

@@ -9,13 +9,13 @@ from __future__ import annotations
 import io
 import sys
 
-from kempe.cli import systems  # isort: skip, the commands are listed in this order
-from kempe.cli import inverse  # isort: skip
-from kempe.cli import loops  # isort: skip
-from kempe.cli import library  # isort: skip
+from kempe.cli import system_commands  # isort: skip, the commands are listed in this order
+from kempe.cli import inverse_commands  # isort: skip
+from kempe.cli import loop_commands  # isort: skip
+from kempe.cli import library_commands  # isort: skip
 from kempe.cli.app import app
 
-__all__ = ["app", "inverse", "library", "loops", "main", "systems"]
+__all__ = ["app", "inverse_commands", "library_commands", "loop_commands", "main", "system_commands"]
 
 
 def main() -> None:

@@ -1,8 +1,8 @@
 """What a constraint declares: its ends, its rows, its numbers. Nothing is computed here.
 
 A *kind* of constraint is a small class. Its `rows` are structure: which operation reads what, and between which of its
-fields the value is held. Its fields hold the numbers. How rows become equations is in `kempe.model.program`, how they
-are judged from poses alone in `kempe.kinematics.measure`.
+fields the value is held. Its fields hold the numbers. How rows become equations is in
+`kempe.model.closures.constraint_program`, how they are judged from poses alone in `kempe.kinematics.measure`.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 
 from kempe.constraints.tape import BINARY, UNARY, WHOLE_POWERS, Node, Tape
 from kempe.errors import InputError
-from kempe.kernels import tape_layout as L
+from kempe.kernels.constraints import tape_layout as L
 
 
 class Builder:

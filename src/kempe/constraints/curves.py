@@ -16,7 +16,7 @@ from kempe.constraints.placed import LEAST, ORIGIN, Measured
 from kempe.constraints.reading import points_of
 from kempe.constraints.tape import Tape
 from kempe.errors import InputError
-from kempe.kernels import tape_layout as L
+from kempe.kernels.constraints import tape_layout as L
 from kempe.reals import reals
 from kempe.spatial import Array
 

@@ -11,7 +11,7 @@ from kempe.calls import FOREIGN
 from kempe.constraints.builder import Builder
 from kempe.constraints.tape import TIME, Tape
 from kempe.errors import InputError, KempeError, UnknownNameError, shown
-from kempe.kernels import tape_layout as L
+from kempe.kernels.constraints import tape_layout as L
 
 POINTS = 12
 """Points at which a recorded function is compared with its tape."""

@@ -1,7 +1,8 @@
 """Tapes: recorded expressions as small programs, with exact values, gradients, Taylor series, text and pickle.
 
 A tape is made of text (`kempe.constraints.text`) or of a Python function (`kempe.constraints.recording`). Kernels run
-it from its arrays (`kempe.kernels.tape_layout`); `Tape.evaluate` is plain numpy and shares no formula with them.
+it from its arrays (`kempe.kernels.constraints.tape_layout`); `Tape.evaluate` is plain numpy and shares no formula with
+them.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels import tape_layout as L
+from kempe.kernels.constraints import tape_layout as L
 from kempe.values import CONSTANTS, FUNCTIONS
 
 Node = tuple[int, int, int]

@@ -18,7 +18,7 @@ from functools import lru_cache
 from kempe.constraints.builder import Builder
 from kempe.constraints.tape import TEXT_LIMIT, Tape, is_plain, quoted
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels import tape_layout as L
+from kempe.kernels.constraints import tape_layout as L
 from kempe.values import CONSTANTS, FUNCTIONS, OF_TWO, Expression
 
 _TOKENS = re.compile(

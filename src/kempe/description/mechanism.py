@@ -56,7 +56,7 @@ class Mechanism(ConstraintMethods):
         self.notes: list[str] = []
         self.roots: tuple[str, ...] = ()
         self.tolerance: float | str | None = None
-        """What its dimensions may be off by: metres and radians, or "measured"; see `kempe.solvers.ideal`."""
+        """What its dimensions may be off by: metres and radians, or "measured"; see `kempe.solvers.assembly.ideal`."""
         self._add_body(Body(checks.name(ground, "body")))
         self._ground = ground
 

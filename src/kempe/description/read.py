@@ -12,9 +12,9 @@ from typing import NamedTuple
 from kempe.calls import explained
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import SIZE_LIMIT, collecting_later, expanded, fail, no_file, shorten
-from kempe.description.toml import read_toml
-from kempe.description.urdf import read_urdf
-from kempe.description.xacro import XACRO_ADVICE, expand_xacro
+from kempe.description.toml.toml import read_toml
+from kempe.description.urdf.urdf import read_urdf
+from kempe.description.urdf.xacro import XACRO_ADVICE, expand_xacro
 from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, UnsupportedError, Where
 from kempe.library import names as library_models
 from kempe.library import path as library_path

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import expanded, no_file
-from kempe.description.toml_writer import write_toml
-from kempe.description.urdf_writer import write_urdf
+from kempe.description.toml.toml_writer import write_toml
+from kempe.description.urdf.urdf_writer import write_urdf
 from kempe.errors import InputError
 
 WRITERS = {".toml": write_toml, ".urdf": write_urdf}

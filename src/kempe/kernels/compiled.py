@@ -1,10 +1,11 @@
 """The entry points of the kernels, as the library that was built with the package has them, or compiled here.
 
-``from kempe.kernels.compiled import sweep`` gives what `sweep.py` declares with `@kernel`, and nothing else of it: the
-sources of kernels are for the compiler, no other module imports them. The library carries the digest of the sources
-that it was built from. Where they were edited since, it is not used, and each module of kernels is compiled by Numba in
-the process that asks for it. The library has variants for processors of several levels; the best that runs here is
-taken, or what the environment variable KEMPE_KERNELS says: the name of a variant, or "jit" to compile.
+``from kempe.kernels.compiled import table_sweep`` gives what `forward/table_sweep.py` declares with `@kernel`, and
+nothing else of it: the sources of kernels are for the compiler, no other module imports them. Names of modules are
+unique over all folders of kernels. The library carries the digest of the sources that it was built from. Where they
+were edited since, it is not used, and each module of kernels is compiled by Numba in the process that asks for it. The
+library has variants for processors of several levels; the best that runs here is taken, or what the environment
+variable KEMPE_KERNELS says: the name of a variant, or "jit" to compile.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from kempe.errors import KernelsError
-from kempe.kernels.digest import first_difference, source_digests
+from kempe.kernels.digest import first_difference, source_digests, sources
 
 VARIABLE, JIT = "KEMPE_KERNELS", "jit"
 """The environment variable that names a variant, and the name of what is compiled in this process."""
@@ -91,8 +92,8 @@ if _native is not None:
 
 def __getattr__(name: str) -> Any:
     """A module of kernels, compiled now."""
-    if _native is None and importlib.util.find_spec(f"kempe.kernels.{name}"):
-        return importlib.import_module(f"kempe.kernels.{name}")
+    if _native is None and (place := sources().get(name)):
+        return importlib.import_module(f"{__package__}.{place}")
     raise AttributeError(f"there are no kernels {name!r}")
 
 

@@ -8,16 +8,25 @@ from pathlib import Path
 HERE = Path(__file__).parent
 
 
-def source_digests(folder: Path = HERE) -> str:
-    """A line for each source of kernels: its name and a digest (SHA-256) of what it says; empty where there are none.
+def sources(folder: Path = HERE) -> dict[str, str]:
+    """For each source of kernels by its name, which is unique, the name of the module from the package on.
 
     Files whose names no import could name, as editors leave them, do not count.
     """
-    lines = []
+    found: dict[str, str] = {}
     for path in sorted(folder.rglob("*.py")):
         parts = path.relative_to(folder).with_suffix("").parts
         if all(part.isidentifier() for part in parts) and "__pycache__" not in parts and path.is_file():
-            lines.append(f"{'/'.join(parts)} {_digest(path)}\n")
+            found[".".join(parts) if path.stem == "__init__" else path.stem] = ".".join(parts)
+    return found
+
+
+def source_digests(folder: Path = HERE) -> str:
+    """A line for each source of kernels: name and digest (SHA-256) of what it says; empty where there are none."""
+    lines = []
+    for name in sources(folder).values():
+        path = name.replace(".", "/")
+        lines.append(f"{path} {_digest(folder / f'{path}.py')}\n")
     return "".join(lines)
 
 
@@ -31,4 +40,4 @@ def _digest(path: Path) -> str:
 def first_difference(before: str, now: str) -> str:
     """The name of the first source that is not in both of two such texts with the same digest."""
     (name, *_) = sorted(set(before.splitlines()) ^ set(now.splitlines()))[0].split()
-    return f"{name}.py"
+    return f"{name.replace('.', '/')}.py"

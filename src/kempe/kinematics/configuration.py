@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from kempe.calls import explained, generator, known, numbers, together
 from kempe.errors import InputError, UnknownNameError
-from kempe.model.coordinates import returning
 from kempe.model.kept import kept
-from kempe.model.topology import natural
+from kempe.model.tree.coordinates import returning
+from kempe.model.tree.topology import natural
 from kempe.reals import converted, is_plain, is_real, named, reals, rows_of
 from kempe.spatial import Array
 

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.kernels.compiled import sweep
+from kempe.kernels.compiled import table_sweep
 from kempe.kinematics.configuration import as_q
 from kempe.model.system import FrameLike, System
-from kempe.model.table import lower
+from kempe.model.tree.primitive_table import lower
 from kempe.reals import reals
 from kempe.spatial import Array
 from kempe.values import Expression
@@ -77,7 +77,7 @@ class Designs:
         floats = np.broadcast_to(floats, (*self.shape, floats.shape[-1])).reshape(designs, floats.shape[-1])
         out = np.empty((designs, each, 1, 4, 4))
         for i in range(designs):
-            sweep.poses(ints, floats[i], flat_q[i], out[i])
+            table_sweep.poses(ints, floats[i], flat_q[i], out[i])
         return out.reshape(*self.shape, *inner, 4, 4)
 
     def __getitem__(self, index: Any) -> System | Designs:

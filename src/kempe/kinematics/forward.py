@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 
 from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels.compiled import bound, chain, maker, sweep
-from kempe.kernels.layout import BODY, WORLD, WORLD_ALIGNED, fuse
+from kempe.kernels.compiled import bound, chain, maker, table_sweep
+from kempe.kernels.forward.table_layout import BODY, WORLD, WORLD_ALIGNED, fuse
+from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.parallel import over_chunks
-from kempe.model.gauge import regauge
 from kempe.model.kept import kept
+from kempe.model.tree.gauge import regauge
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ class _Chain:
 
         def work(start: int, stop: int) -> int:
             a, b, c = (x[start:stop] for x in flat)
-            return sweep.jacobian(self.ints, self.floats, a, kind, b, c)
+            return table_sweep.jacobian(self.ints, self.floats, a, kind, b, c)
 
         over_chunks(work, len(flat[0]), CHUNK, threads, SERIAL_BELOW)
         return pose, columns
@@ -209,13 +209,13 @@ def fk(
     k = len(system.body_names) if key is None else len(key)
     out, q = _out(out, (*q.shape[:-1], k, 4, 4)), _apart(q, out)
     if q.ndim == 1:
-        if sweep.poses1(ints, floats, q, out):
+        if table_sweep.poses1(ints, floats, q, out):
             refuse_bad(system, q)
         return out
     flat_q, flat_out = _rows(q, 1), _rows(out, 3)
 
     def work(start: int, stop: int) -> int:
-        return sweep.poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
+        return table_sweep.poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
 
     over_chunks(
         work, len(flat_q), max(1, min(CHUNK, 4 * CHUNK // max(k, 1))), threads, max(1, SERIAL_BELOW // max(k, 1))

@@ -12,8 +12,8 @@ from kempe.calls import explained
 from kempe.description import checks
 from kempe.description.parts import Joint
 from kempe.errors import InputError, UnknownNameError
-from kempe.model.coordinates import HELD_TOLERANCE
 from kempe.model.system import System
+from kempe.model.tree.coordinates import HELD_TOLERANCE
 from kempe.reals import named, reals
 
 UNLIMITED = (-math.inf, math.inf)

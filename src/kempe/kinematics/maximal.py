@@ -19,7 +19,7 @@ from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q, home_of
 from kempe.kinematics.forward import fk
 from kempe.model.kept import kept
-from kempe.model.lengths import origin_of
+from kempe.model.tree.characteristic_length import origin_of
 from kempe.rigid import arrays, sound
 from kempe.spatial import Array
 

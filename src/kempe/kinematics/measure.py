@@ -22,11 +22,11 @@ from kempe.constraints.tape import POSE, TIME
 from kempe.description.constrain import resolved
 from kempe.description.parts import Declared, Joint
 from kempe.joints import P, Primitive, R
-from kempe.kernels import loop_layout as L
+from kempe.kernels.constraints import loop_layout as L
+from kempe.kinematics.closure_errors import coordinate_value
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.constraints import coordinate_value
-from kempe.model.lengths import characteristic_length
-from kempe.model.program import TURNS, between, numbers_of, value_of
+from kempe.model.closures.constraint_program import TURNS, between, numbers_of, value_of
+from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.reals import plain
 from kempe.spatial import Array
 
@@ -249,7 +249,7 @@ class Poses:
 
 
 class Asked(Protocol):
-    """A task, as `kempe.kinematics.task.Task` is."""
+    """A task, as `kempe.kinematics.tasks.task.Task` is."""
 
     label: str
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.kinematics.closure_rows import full
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.loops import full
+from kempe.model.closures.packed_loops import Loops, loops_of
 from kempe.model.kept import kept
-from kempe.model.loops import Loops, loops_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -111,12 +111,13 @@ class OneSided:
         flat = q.reshape(math.prod(lead), self.system.nq)
         values, J = np.empty((len(flat), k)), np.zeros((len(flat) if rates else 0, k, nv))
         if self.loops is not None:
-            from kempe.kernels.compiled import equations
+            from kempe.kernels.compiled import closure_batch
 
             loops, m = self.loops, len(self.loops.names)
             out, columns = np.empty((len(flat), m)), np.empty((len(J), m, nv))
             none = np.zeros((1, 0))
-            equations.equations(loops.ints, loops.floats, loops.plan, loops.weights, none, flat, rates, out, columns)
+            packed = loops.ints, loops.floats, loops.plan, loops.weights
+            closure_batch.equations(*packed, none, flat, rates, out, columns)
             values[:, :n] = out[:, self.chosen] / self.scale[:n]
             J[:, :n] = columns[:, self.chosen]
         if not declared:

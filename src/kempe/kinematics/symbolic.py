@@ -19,7 +19,7 @@ from kempe.calls import explained
 from kempe.description.parts import Joint
 from kempe.errors import InputError, MissingExtraError, UnknownNameError, UnsupportedError
 from kempe.joints import Q, R
-from kempe.model.coordinates import coordinate_names
+from kempe.model.tree.coordinates import coordinate_names
 from kempe.placement import Placement
 from kempe.values import FUNCTIONS, Expression, Value
 

@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from kempe.calls import explained
-from kempe.model.compiled import FrameLike
+from kempe.model.compiled_system import FrameLike
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.analysis.transmission import LoopJacobian
+    from kempe.analysis.motion.transmission import LoopJacobian
     from kempe.budget import Budget
-    from kempe.kinematics.loops import SystemConstraint
+    from kempe.kinematics.closure_rows import SystemConstraint
     from kempe.model.system import System
-    from kempe.solvers.analytic.describe import Recognised
-    from kempe.solvers.analytic.sweep import Sweep
-    from kempe.solvers.assembly import Assembler
-    from kempe.solvers.dyads import Incomplete, Plan
-    from kempe.solvers.self_motion import SelfMotion
+    from kempe.solvers.analytic.describe.describe import Recognised
+    from kempe.solvers.analytic.redundant.sweep import Sweep
+    from kempe.solvers.assembly.assembly import Assembler
+    from kempe.solvers.dyads.dyads import Incomplete, Plan
+    from kempe.solvers.paths.self_motion import SelfMotion
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,8 +54,11 @@ class Inverse(Namespace):
     def plan(
         self, frame: FrameLike, task: str | tuple[str, ArrayLike] | None = None, fixed: Iterable[str] = ()
     ) -> Recognised:
-        """What is recognised of a frame's chain, and how `ik_all` solves it; see `kempe.solvers.analytic.describe`."""
-        from kempe.solvers.analytic.describe import ik_plan
+        """What is recognised of a frame's chain, and how `ik_all` solves it.
+
+        See `kempe.solvers.analytic.describe.describe`.
+        """
+        from kempe.solvers.analytic.describe.describe import ik_plan
 
         return ik_plan(self.system, frame, task, fixed)
 
@@ -65,8 +68,11 @@ class Inverse(Namespace):
         n: int | None = None, task: str | tuple[str, ArrayLike] | None = None, start: Any = None,
         fixed: Mapping[str, Any] | None = None, budget: Budget | None = None,
     ) -> Sweep:  # fmt: skip
-        """The solutions of a redundant chain along one parameter; see `kempe.solvers.analytic.redundancy.ik_sweep`."""
-        from kempe.solvers.analytic.redundancy import ik_sweep
+        """The solutions of a redundant chain along one parameter.
+
+        See `kempe.solvers.analytic.redundant.redundancy.ik_sweep`.
+        """
+        from kempe.solvers.analytic.redundant.redundancy import ik_sweep
 
         return ik_sweep(self.system, target, frame, parameter, n=n, task=task, start=start, fixed=fixed, budget=budget)
 
@@ -75,14 +81,17 @@ class Inverse(Namespace):
         self, q: Any, tasks: Any, *, task: str | tuple[str, ArrayLike] | None = None, direction: Any = None,
         budget: Budget | None = None,
     ) -> SelfMotion:  # fmt: skip
-        """The configurations reached from q while a frame or tasks stay; see `kempe.solvers.self_motion`."""
-        from kempe.solvers.self_motion import self_motion
+        """The configurations reached from q while a frame or tasks stay; see `kempe.solvers.paths.self_motion`."""
+        from kempe.solvers.paths.self_motion import self_motion
 
         return self_motion(self.system, q, tasks, task=task, direction=direction, budget=budget)
 
     def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
-        """Arm angle (...) of seven joints with spherical shoulder and wrist; see `kempe.solvers.analytic.arm_angle`."""
-        from kempe.solvers.analytic.arm_angle import arm_angle
+        """Arm angle (...) of seven joints with spherical shoulder and wrist.
+
+        See `kempe.solvers.analytic.redundant.arm_angle`.
+        """
+        from kempe.solvers.analytic.redundant.arm_angle import arm_angle
 
         return arm_angle(self.system, q, frame, reference)
 
@@ -92,26 +101,26 @@ class Loops(Namespace):
     """About closed loops: the constraints that close them, and velocities and forces through them."""
 
     def constraints(self) -> list[SystemConstraint]:
-        """The constraints of the system: closures, declared ones, relations; see `kempe.kinematics.loops`."""
-        from kempe.kinematics.loops import of_system
+        """The constraints of the system: closures, declared ones, relations; see `kempe.kinematics.closure_rows`."""
+        from kempe.kinematics.closure_rows import of_system
 
         return of_system(self.system)
 
     def closure_error(self, q: Any) -> Array:
         """How far each loop is open (..., len(closures), 6): the twist [m; rad] missing in each left-out joint."""
-        from kempe.kinematics.constraints import closure_error
+        from kempe.kinematics.closure_errors import closure_error
 
         return closure_error(self.system, q)
 
     def assembler(self, known: Iterable[str] = ()) -> Assembler:
-        """The bound form of `assemble`: names looked up once; see `kempe.solvers.assembly.Assembler`."""
-        from kempe.solvers.assembly import assembler
+        """The bound form of `assemble`: names looked up once; see `kempe.solvers.assembly.assembly.Assembler`."""
+        from kempe.solvers.assembly.assembly import assembler
 
         return assembler(self.system, known)
 
     def closed_form(self, known: Sequence[str]) -> Plan | Incomplete:
-        """The closed form of a planar system of dyads for these known coordinates; see `kempe.solvers.dyads`."""
-        from kempe.solvers.dyads import closed_form
+        """The closed form of a planar system of dyads for these known coordinates; see `kempe.solvers.dyads.dyads`."""
+        from kempe.solvers.dyads.dyads import closed_form
 
         return closed_form(self.system, known)
 
@@ -120,8 +129,11 @@ class Loops(Namespace):
         self, q: Any, inputs: Sequence[str], outputs: Sequence[str], in_frame: str = "world_aligned", *,
         tolerance: float | str | None = None,
     ) -> LoopJacobian:  # fmt: skip
-        """Velocities of joints or frames by those of inputs, through the loops; see `kempe.analysis.transmission`."""
-        from kempe.analysis.transmission import loop_jacobian
+        """Velocities of joints or frames by those of inputs, through the loops.
+
+        See `kempe.analysis.motion.transmission`.
+        """
+        from kempe.analysis.motion.transmission import loop_jacobian
 
         return loop_jacobian(self.system, q, inputs, outputs, in_frame, tolerance=tolerance)
 
@@ -130,14 +142,17 @@ class Loops(Namespace):
         self, q: Any, input: str, output: str, direction: ArrayLike | None = None, still: Sequence[str] = (), *,
         tolerance: float | str | None = None,
     ) -> Any:  # fmt: skip
-        """Force at the output per force at the input, at closed q (..., nq); see `kempe.analysis.transmission`."""
-        from kempe.analysis.transmission import mechanical_advantage
+        """Force at the output per force at the input, at closed q (..., nq).
+
+        See `kempe.analysis.motion.transmission`.
+        """
+        from kempe.analysis.motion.transmission import mechanical_advantage
 
         return mechanical_advantage(self.system, q, input, output, direction, still, tolerance=tolerance)
 
     @explained
     def transmission_angle(self, q: Any, joint: str, coupler: str | None = None, output: str | None = None) -> Any:
-        """Angle (...) between coupler and output link at their joint; see `kempe.analysis.transmission`."""
-        from kempe.analysis.transmission import transmission_angle
+        """Angle (...) between coupler and output link at their joint; see `kempe.analysis.motion.transmission`."""
+        from kempe.analysis.motion.transmission import transmission_angle
 
         return transmission_angle(self.system, q, joint, coupler, output)

@@ -10,33 +10,33 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.calls import explained
-from kempe.model.compiled import Compiled, FrameLike
-from kempe.model.former import FormerNames
+from kempe.model.compiled_system import Compiled, FrameLike
+from kempe.model.former_names import FormerNames
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from kempe.analysis.classify import Classification
-    from kempe.analysis.drive import Drive
-    from kempe.analysis.manoeuvre_path import Manoeuvre
-    from kempe.analysis.mobility import Mobility
-    from kempe.analysis.path import Path as Motion
-    from kempe.analysis.simulate import Simulation
+    from kempe.analysis.continuation.path import Path as Motion
+    from kempe.analysis.manoeuvre.manoeuvre_path import Manoeuvre
+    from kempe.analysis.mobility.classify import Classification
+    from kempe.analysis.mobility.mobility import Mobility
+    from kempe.analysis.motion.drive import Drive
+    from kempe.analysis.simulation.simulate import Simulation
     from kempe.budget import Budget
+    from kempe.kinematics.configuration_space import ConfigurationSpace
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
-    from kempe.kinematics.space import ConfigurationSpace
     from kempe.model.namespaces import Inverse, Loops, Symbolic
-    from kempe.solvers.analytic.solutions import Solutions
-    from kempe.solvers.assembly import Assembly
-    from kempe.solvers.charts import Chart
-    from kempe.solvers.following import IkPath
-    from kempe.solvers.ideal import Idealised
-    from kempe.solvers.modes import Modes
-    from kempe.solvers.servo import IkStep
-    from kempe.solvers.solution import Solution
+    from kempe.solvers.analytic.answers.solutions import Solutions
+    from kempe.solvers.assembly.assembly import Assembly
+    from kempe.solvers.assembly.charts import Chart
+    from kempe.solvers.assembly.ideal import Idealised
+    from kempe.solvers.modes.modes import Modes
+    from kempe.solvers.one_frame.solution import Solution
+    from kempe.solvers.paths.following import IkPath
+    from kempe.solvers.velocity.servo import IkStep
 
 __all__ = ["FrameLike", "System"]
 
@@ -95,7 +95,7 @@ class System(Compiled, FormerNames):
     @cached_property
     def configuration_space(self) -> ConfigurationSpace:
         """The set that `q` ranges over: its true dimension and its shape, such as T^2 x R, and the space around it."""
-        from kempe.kinematics.space import configuration_space
+        from kempe.kinematics.configuration_space import configuration_space
 
         return configuration_space(self)
 
@@ -146,7 +146,7 @@ class System(Compiled, FormerNames):
             bound = self._queries.get((frame, task if task is None else str(task), target.ndim))
             if bound is not None and budget is None and (answer := bound(target, start)) is not None:
                 return answer
-        from kempe.solvers.inverse import ik
+        from kempe.solvers.one_frame.inverse import ik
 
         return ik(self, target, frame, start, task=task, prefer=prefer, method=method, tolerance=tolerance,
                   budget=budget)  # fmt: skip
@@ -174,8 +174,11 @@ class System(Compiled, FormerNames):
         restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] | None = None,
         budget: Budget | None = None,
     ) -> IkPath:  # fmt: skip
-        """Configurations that follow a sequence of targets without a jump; see `kempe.solvers.following.ik_path`."""
-        from kempe.solvers.following import ik_path
+        """Configurations that follow a sequence of targets without a jump.
+
+        See `kempe.solvers.paths.following.ik_path`.
+        """
+        from kempe.solvers.paths.following import ik_path
 
         return ik_path(self, targets, frame, start, max_step=max_step, restart=restart, branches=branches,
                        tolerance=tolerance, budget=budget)  # fmt: skip
@@ -185,8 +188,11 @@ class System(Compiled, FormerNames):
         self, q: Any, wanted: Any, frame: FrameLike | None = None, dt: float = 0.0, *, velocity_limits: Any = None,
         damping: float = 0.05, keep_direction: bool = False, weights: Any = None,
     ) -> IkStep:  # fmt: skip
-        """Velocities for a frame's twist or for tasks, within all limits; see `kempe.solvers.servo.ik_step`."""
-        from kempe.solvers.servo import ik_step
+        """Velocities for a frame's twist or for tasks, within all limits.
+
+        See `kempe.solvers.velocity.servo.ik_step`.
+        """
+        from kempe.solvers.velocity.servo import ik_step
 
         return ik_step(self, q, wanted, frame, dt, velocity_limits=velocity_limits, damping=damping,
                        keep_direction=keep_direction, weights=weights)  # fmt: skip
@@ -206,15 +212,18 @@ class System(Compiled, FormerNames):
         prefer: str | None = None, limits: bool = True, also: Any = (), tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Assembly:  # fmt: skip
-        """A configuration that closes all loops, with the `known` given; see `kempe.solvers.assembly.assemble`."""
-        from kempe.solvers.assembly import assemble
+        """A configuration that closes all loops, with the `known` given.
+
+        See `kempe.solvers.assembly.assembly.assemble`.
+        """
+        from kempe.solvers.assembly.assembly import assemble
 
         return assemble(self, known, start, branch=branch, prefer=prefer, limits=limits, also=also, tolerance=tolerance,
                         budget=budget)  # fmt: skip
 
     def idealised(self, tolerance: float | str | None = "measured") -> Idealised | None:
-        """The nearest system that closes exactly and moves, with what differs; see `kempe.solvers.ideal`."""
-        from kempe.solvers.ideal import idealised
+        """The nearest system that closes exactly and moves, with what differs; see `kempe.solvers.assembly.ideal`."""
+        from kempe.solvers.assembly.ideal import idealised
 
         return idealised(self, tolerance)
 
@@ -223,8 +232,8 @@ class System(Compiled, FormerNames):
         self, known: Mapping[str, Any] | None = None, start: Any = None, *, limits: bool = True,
         frame: FrameLike | None = None, tolerance: float | str | None = None, budget: Budget | None = None,
     ) -> Modes:  # fmt: skip
-        """All configurations found that close the loops with the `known` given; see `kempe.solvers.modes`."""
-        from kempe.solvers.modes import assembly_modes
+        """All configurations found that close the loops with the `known` given; see `kempe.solvers.modes.modes`."""
+        from kempe.solvers.modes.modes import assembly_modes
 
         return assembly_modes(self, known, start, limits=limits, frame=frame, tolerance=tolerance, budget=budget)
 
@@ -232,8 +241,11 @@ class System(Compiled, FormerNames):
     def independent(
         self, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
     ) -> Chart:  # fmt: skip
-        """Which coordinates can be set at a closed q, so that the others follow; see `kempe.solvers.charts`."""
-        from kempe.solvers.charts import independent
+        """Which coordinates can be set at a closed q, so that the others follow.
+
+        See `kempe.solvers.assembly.charts`.
+        """
+        from kempe.solvers.assembly.charts import independent
 
         return independent(self, q, prefer, tolerance=tolerance)
 
@@ -251,8 +263,11 @@ class System(Compiled, FormerNames):
         self, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
         rng: np.random.Generator | int = 0, tolerance: float | str | None = None,
     ) -> Mobility:  # fmt: skip
-        """Degrees of freedom by counting, by rank and truly, with the reasoning; see `kempe.analysis.mobility`."""
-        from kempe.analysis.mobility import mobility
+        """Degrees of freedom by counting, by rank and truly, with the reasoning.
+
+        See `kempe.analysis.mobility.mobility`.
+        """
+        from kempe.analysis.mobility.mobility import mobility
 
         return mobility(self, q, actuated, local=local, rng=rng, tolerance=tolerance)
 
@@ -260,8 +275,8 @@ class System(Compiled, FormerNames):
         self, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0,
         tolerance: float | str | None = None,
     ) -> Classification:  # fmt: skip
-        """Which kind each constraint is, and how far free velocities reach; see `kempe.analysis.classify`."""
-        from kempe.analysis.classify import classify
+        """Which kind each constraint is, and how far free velocities reach; see `kempe.analysis.mobility.classify`."""
+        from kempe.analysis.mobility.classify import classify
 
         return classify(self, q, t=t, project=project, rng=rng, tolerance=tolerance)
 
@@ -271,8 +286,8 @@ class System(Compiled, FormerNames):
         toward: Mapping[str, float] | None = None, ways: str = "both", limits: bool = True,
         tolerance: float | str | None = None, budget: Budget | None = None,
     ) -> Motion:  # fmt: skip
-        """The whole branch of a mechanism with one freedom, as a `Path`; see `kempe.analysis.motion.trace`."""
-        from kempe.analysis.motion import trace
+        """The whole branch of a mechanism with one freedom, as a `Path`; see `kempe.analysis.motion.motion.trace`."""
+        from kempe.analysis.motion.motion import trace
 
         return trace(self, driver, start, hold=hold, toward=toward, ways=ways, limits=limits, tolerance=tolerance,
                      budget=budget)  # fmt: skip
@@ -283,8 +298,8 @@ class System(Compiled, FormerNames):
         hold: Mapping[str, float] | None = None, toward: Mapping[str, float] | None = None, limits: bool = True,
         tolerance: float | str | None = None, budget: Budget | None = None,
     ) -> Drive:  # fmt: skip
-        """The continuous motion that follows prescribed inputs; see `kempe.analysis.drive.drive`."""
-        from kempe.analysis.drive import drive
+        """The continuous motion that follows prescribed inputs; see `kempe.analysis.motion.drive.drive`."""
+        from kempe.analysis.motion.drive import drive
 
         return drive(self, inputs, times, start, hold=hold, toward=toward, limits=limits, tolerance=tolerance,
                      budget=budget)  # fmt: skip
@@ -294,8 +309,8 @@ class System(Compiled, FormerNames):
         self, start: Any, goal: Any, *, radius: float | None = None, free: Iterable[str] = (),
         budget: Budget | None = None,
     ) -> Manoeuvre:  # fmt: skip
-        """A way between configurations of what rolls, without slipping; see `kempe.analysis.manoeuvre`."""
-        from kempe.analysis.manoeuvre import manoeuvre
+        """A way between configurations of what rolls, without slipping; see `kempe.analysis.manoeuvre.manoeuvre`."""
+        from kempe.analysis.manoeuvre.manoeuvre import manoeuvre
 
         return manoeuvre(self, start, goal, radius=radius, free=free, budget=budget)
 
@@ -305,8 +320,11 @@ class System(Compiled, FormerNames):
         acceleration: Any = None, restitution: float = 1.0, tolerance: float | None = None,
         budget: Budget | None = None,
     ) -> Simulation:  # fmt: skip
-        """The motion under input velocities, or of a ball that falls and bounces; see `kempe.analysis.simulate`."""
-        from kempe.analysis.simulate import simulate
+        """The motion under input velocities, or of a ball that falls and bounces.
+
+        See `kempe.analysis.simulation.simulate`.
+        """
+        from kempe.analysis.simulation.simulate import simulate
 
         return simulate(self, duration, start, inputs=inputs, velocity=velocity, acceleration=acceleration,
                         restitution=restitution, tolerance=tolerance, budget=budget)  # fmt: skip

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from kempe.solvers import assembly_asked, following, inverse, modes
 from kempe.solvers.analytic import ik_all
-from kempe.solvers.problem import Solver
+from kempe.solvers.assembly import assembly_asked
+from kempe.solvers.common.problem import Solver
+from kempe.solvers.modes import modes
+from kempe.solvers.one_frame import inverse
+from kempe.solvers.paths import following
 
 TABLE: dict[str, tuple[Solver, ...]] = {
     "ik": inverse.SOLVERS, "ik_all": ik_all.SOLVERS, "ik_path": following.SOLVERS,

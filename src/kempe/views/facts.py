@@ -13,15 +13,15 @@ from kempe.constraints.base import with_numbers
 from kempe.description.parts import Declared, Joint
 from kempe.errors import DescriptionError, Fault, KempeError
 from kempe.joints import P, R
+from kempe.kinematics.common.result import MOST_JUDGED
 from kempe.kinematics.configuration import has_loops
-from kempe.kinematics.result import MOST_JUDGED
-from kempe.model.coordinates import Follower, relation_text
+from kempe.model.tree.coordinates import Follower, relation_text
 from kempe.words import jsonable
 
 if TYPE_CHECKING:
-    from kempe.analysis.path import Path
+    from kempe.analysis.continuation.path import Path
     from kempe.model.system import System
-    from kempe.solvers.answer import Answer
+    from kempe.solvers.common.answer import Answer
 
 DEGREE = math.pi / 180.0
 CLOSED = 1e-5
@@ -137,14 +137,14 @@ def largest_gap(system: System, q: Any) -> str:
     """What is open most at q, and by how much: "'C' is open by 0.3 m"; '' where everything is closed."""
     if not has_loops(system):
         return ""
-    from kempe.kinematics import loops
+    from kempe.kinematics import closure_rows
 
-    error = np.abs(loops.residual(system, q)).reshape(-1, len(loops.row_names(system)))
+    error = np.abs(closure_rows.residual(system, q)).reshape(-1, len(closure_rows.row_names(system)))
     error = np.where(np.isfinite(error), error, 0.0).max(axis=0, initial=0.0)
     worst = int(np.argmax(error))
     if error[worst] <= CLOSED:
         return ""
-    name, row = loops.row_names(system)[worst]
+    name, row = closure_rows.row_names(system)[worst]
     unit = " rad" if row.startswith("r") else " m" if row in ("x", "y", "z", "distance") else ""
     return f"{name!r} is open by {error[worst]:.3g}{unit}"
 

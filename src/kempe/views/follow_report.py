@@ -11,7 +11,7 @@ from rich.text import Text
 from kempe.views import facts, report
 
 if TYPE_CHECKING:
-    from kempe.solvers.following import IkPath
+    from kempe.solvers.paths.following import IkPath
 
 
 def path(answer: IkPath, degrees: bool = False) -> RenderableType:

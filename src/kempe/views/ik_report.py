@@ -13,7 +13,7 @@ from rich.text import Text
 
 from kempe import spatial
 from kempe.errors import InputError
-from kempe.kinematics.tabular import write_table
+from kempe.kinematics.common.tabular import write_table
 from kempe.placement import AXES
 from kempe.status import named
 from kempe.views import facts, report, rows
@@ -21,8 +21,8 @@ from kempe.words import jsonable
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.analytic.describe import Recognised
-    from kempe.solvers.analytic.solutions import Solutions
+    from kempe.solvers.analytic.answers.solutions import Solutions
+    from kempe.solvers.analytic.describe.describe import Recognised
 
 NARROW = 7
 """Coordinates up to which solutions are lines of a table; of more of them, each solution is a column."""

@@ -13,18 +13,18 @@ from rich.table import Table
 from rich.text import Text
 
 from kempe import spatial
-from kempe.kinematics.tabular import write_table
+from kempe.kinematics.common.tabular import write_table
 from kempe.status import named
 from kempe.views import facts, report
 from kempe.words import jsonable
 
 if TYPE_CHECKING:
-    from kempe.analysis.classify import Classification
-    from kempe.analysis.mobility import Mobility
-    from kempe.analysis.path import Event, Path
+    from kempe.analysis.continuation.path import Event, Path
+    from kempe.analysis.mobility.classify import Classification
+    from kempe.analysis.mobility.mobility import Mobility
     from kempe.model.system import System
-    from kempe.solvers.assembly import Assembly
-    from kempe.solvers.modes import Modes
+    from kempe.solvers.assembly.assembly import Assembly
+    from kempe.solvers.modes.modes import Modes
 
 EVENT_LIMIT = 24
 """Points where coordinates turn back that are listed; the data have all."""
@@ -142,7 +142,7 @@ def modes(answer: Modes, degrees: bool = False) -> RenderableType:
         lines = [(h.lstrip(">"), *map(report.number, row)) for h, row in zip(heads, q[part].T.tolist(), strict=True)]
         shown += ["", report.table(("branch", *(f">{n}" for n in names[part])), lines)]
     if any(answer.branches):
-        from kempe.solvers.dyads import closed_form
+        from kempe.solvers.dyads.dyads import closed_form
 
         meaning = str(closed_form(system, tuple(answer.known)).describe()).split("\n")[1:]  # type: ignore[union-attr]
         shown += ["", *(Text(report.clean(line.strip()), style="dim") for line in meaning)]

@@ -21,9 +21,9 @@ from kempe.views import facts
 from kempe.views.options import in_options
 
 if TYPE_CHECKING:
-    from kempe.analysis.path import Path
+    from kempe.analysis.continuation.path import Path
     from kempe.model.system import System
-    from kempe.solvers.answer import Answer
+    from kempe.solvers.common.answer import Answer
 
 WIDE = 100_000
 """Columns of an output that is not a terminal: nothing is cut or wrapped there."""

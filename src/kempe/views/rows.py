@@ -11,8 +11,8 @@ import numpy as np
 from kempe import spatial
 from kempe.description.source import expanded, no_file
 from kempe.errors import InputError, UnknownNameError
+from kempe.kinematics.common.tabular import SUFFIXES, table_file, write_table
 from kempe.kinematics.configuration import as_q, closed_from, from_home
-from kempe.kinematics.tabular import SUFFIXES, table_file, write_table
 from kempe.reals import reals
 from kempe.views.facts import DEGREE, in_degrees, pose_rows, units
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, TextIO
 import numpy as np
 
 from kempe.kinematics.measure import Judgement, judge
-from kempe.solvers.answer import Answer
+from kempe.solvers.common.answer import Answer
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.solution import Solution
+    from kempe.solvers.one_frame.solution import Solution
 
 FIELDS = ("q", "success", "code", "position_error", "orientation_error", "residual", "iterations", "starts")
 

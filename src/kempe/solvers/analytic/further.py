@@ -12,17 +12,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kempe.kernels import analytic_layout as A
-from kempe.kernels.compiled import search
-from kempe.kernels.search_layout import ANGULAR, ANSWER, LINEAR, SOLVED, STATUS
-from kempe.kinematics.parallel import over_chunks
-from kempe.solvers.analytic.choice import within_domains
-from kempe.solvers.analytic.nearest import Aim, descend, limits_of
-from kempe.solvers.analytic.plan import TASKS, Plan
-from kempe.solvers.analytic.question import Question
-from kempe.solvers.chain import chain_of
-from kempe.solvers.rounds import FEW, ITERATIONS, MOST, Task, answered, outside, rows_of
-from kempe.solvers.targets import Z_AXIS, frame_of
+from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, SOLVED, STATUS
+from kempe.kernels.closed_form import analytic_layout as A
+from kempe.kernels.compiled import schedule
+from kempe.kinematics.common.parallel import over_chunks
+from kempe.solvers.analytic.answers.nearest import Aim, descend, limits_of
+from kempe.solvers.analytic.plans.choice import within_domains
+from kempe.solvers.analytic.plans.plan import TASKS, Plan
+from kempe.solvers.analytic.plans.question import Question
+from kempe.solvers.common.serial_chain import chain_of
+from kempe.solvers.common.targets import Z_AXIS, frame_of
+from kempe.solvers.one_frame.multi_start import FEW, ITERATIONS, MOST, Task, answered, outside, rows_of
 from kempe.spatial import Array
 
 VALUES = 64
@@ -208,7 +208,7 @@ class _Targets:
             first = seeds[i:j] if len(seeds) > 1 else seeds
             if chain.span.wide:
                 return answered(task, self.question.targets[which[i:j]], first, limits, out[i:j])
-            return search.reach(chain.ints, chain.floats, limits, wanted, goals[i:j], first, 0, 0, starts, ITERATIONS,
+            return schedule.reach(chain.ints, chain.floats, limits, wanted, goals[i:j], first, 0, 0, starts, ITERATIONS,
                                 *task.tolerance, 0.0, out[i:j])  # fmt: skip
 
         if len(pins) and np.ptp(pinned, axis=0).any():

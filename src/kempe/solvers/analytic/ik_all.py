@@ -13,28 +13,37 @@ from numpy.typing import ArrayLike
 from kempe.budget import Budget, Usual
 from kempe.calls import explained
 from kempe.errors import InputError
-from kempe.kernels import analytic_layout as A
+from kempe.kernels.base.search_layout import LARGEST
+from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import maker
-from kempe.kernels.layout import SLIDE
-from kempe.kernels.search_layout import LARGEST
+from kempe.kernels.forward.table_layout import SLIDE
+from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.one_sided import one_sided_rows
-from kempe.kinematics.parallel import over_chunks
 from kempe.model.kept import kept
 from kempe.rigid import arrays, sound
-from kempe.solvers.analytic.choice import plan_holding
-from kempe.solvers.analytic.lines import Lines, lines_of
+from kempe.solvers.analytic.answers.solutions import Solutions
 from kempe.solvers.analytic.obeying import obeying
-from kempe.solvers.analytic.plan import Plan, kernel_of, side_by_side_of
-from kempe.solvers.analytic.question import Question, held, held_by, near_of, within
-from kempe.solvers.analytic.solutions import Solutions
-from kempe.solvers.chain import of_loops
-from kempe.solvers.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by, takes_all
-from kempe.solvers.targets import Z_AXIS, axis_for, frame_of, in_plane, points_along, targets_of, task_and_axis, task_of
+from kempe.solvers.analytic.plans.chain_lines import Lines, lines_of
+from kempe.solvers.analytic.plans.choice import plan_holding
+from kempe.solvers.analytic.plans.plan import Plan, kernel_of, side_by_side_of
+from kempe.solvers.analytic.plans.question import Question, held, held_by, near_of, within
+from kempe.solvers.common.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by, takes_all
+from kempe.solvers.common.serial_chain import of_loops
+from kempe.solvers.common.targets import (
+    Z_AXIS,
+    axis_for,
+    frame_of,
+    in_plane,
+    points_along,
+    targets_of,
+    task_and_axis,
+    task_of,
+)
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
-    from kempe.solvers.modes import Modes
+    from kempe.solvers.modes.modes import Modes
 
 TOLERANCE = 1e-9
 """Largest position error [m] and rotation angle [rad] of a solution."""
@@ -296,7 +305,7 @@ def solve_held(
     out = np.empty((n, plan.slots, len(lines) + A.INFO))
     counts = np.zeros((n, 2), dtype=np.int64)
     if plan.method == "search":
-        from kempe.solvers.analytic.search import search
+        from kempe.solvers.analytic.start_search import search
 
         search(question, plan, chain_near, locked, out, counts, np.arange(n))
         return out, counts
@@ -331,7 +340,7 @@ def solve_held(
         )  # fmt: skip
     lost = np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0)) if maybe_none else NONE
     if len(lost):  # the equations said nothing: starts may
-        from kempe.solvers.analytic.search import search
+        from kempe.solvers.analytic.start_search import search
 
         search(question, plan, chain_near, locked, out, counts, lost)
     if lines.span.wide or plan.blurred:  # a structure may be there by rounding alone

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from kempe.kernels import analytic_layout as A
+from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kinematics.one_sided import one_sided_rows
-from kempe.solvers.analytic.solutions import Solutions
-from kempe.solvers.analytic.turns import packed
+from kempe.solvers.analytic.answers.solutions import Solutions
+from kempe.solvers.analytic.answers.turns import packed
 
 
 def obeying(solutions: Solutions) -> Solutions:

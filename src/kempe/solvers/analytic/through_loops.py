@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from kempe.errors import UnsupportedError
-from kempe.solvers.modes import Modes, assembly_modes
-from kempe.solvers.problem import Problem
+from kempe.solvers.common.problem import Problem
+from kempe.solvers.modes.modes import Modes, assembly_modes
 
 TASKS = ("pose", "position")
 """What of a target can be known of a frame."""

@@ -10,7 +10,7 @@ import numpy as np
 from kempe.constraints.base import Op, position_rows, with_numbers
 from kempe.description.parts import Declared
 from kempe.joints import Primitive
-from kempe.kinematics.constraints import closure_error, coordinate_value
+from kempe.kinematics.closure_errors import closure_error, coordinate_value
 from kempe.kinematics.forward import fk
 from kempe.spatial import Array
 

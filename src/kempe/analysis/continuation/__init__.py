@@ -1,0 +1,1 @@
+"""Curves of configurations: their steps, and what happens on them."""

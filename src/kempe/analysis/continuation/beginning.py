@@ -1,0 +1,251 @@
+"""Where a motion begins: the configuration, its sense, and what comes back by turning all round."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.analysis.continuation.continuation import Closure, close
+from kempe.analysis.continuation.crossings import branch_lines, locate
+from kempe.analysis.continuation.deflation import hold_rank
+from kempe.analysis.continuation.spins import hold_spins
+from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
+from kempe.joints import R
+from kempe.kinematics.configuration import as_q, home_of, random
+from kempe.kinematics.one_sided import one_sided_rows
+from kempe.model.tree.coordinates import coordinate_names
+from kempe.reals import is_real
+from kempe.solvers.common.tracing import RANK, Node, node
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+MOST_TURNS = 1000
+"""Turns of a coordinate after which those that follow it must be where they were, for that to count as coming back."""
+SAME_VALUE = 1e-9
+"""Difference of values that is rounding."""
+SAME_RATIO = 1e-12
+"""How near a factor must be to a ratio of whole numbers to be that ratio."""
+RESTS = 1e-6
+"""Share of the driver in a direction below which it rests."""
+LONGEST = 0.1
+"""Longest step unless the caller says otherwise, in radians and characteristic lengths over all coordinates."""
+
+
+def longest_step(step: float | None) -> float:
+    """The longest step of arc length. Errors: `InputError`."""
+    if step is None:
+        return LONGEST
+    if not is_real(step) or not 1e-6 <= step <= 1.0:
+        raise InputError(f"step is {step!r}; it must be between 1e-6 and 1, in radians and characteristic lengths")
+    return float(step)
+
+
+def wish_of(system: System, toward: Mapping[str, float] | None) -> Array:
+    """The rates (nv,) that choose a sense or a branch. Errors: `InputError`, `UnknownNameError`."""
+    wish = np.zeros(system.nv)
+    for name, rate in (toward or {}).items():
+        i = angle_or_slide(system, name)
+        if not is_real(rate) or not math.isfinite(rate):
+            raise InputError(f"toward gives the rate {rate!r} to {name!r}; it must be a finite number")
+        wish[i] = rate
+    return wish
+
+
+def angle_or_slide(system: System, name: str) -> int:
+    """Velocity index of a coordinate that is not part of a quaternion."""
+    names = list(system.structure.velocity_names)
+    layout = system.structure.layout
+    if name in names and (i := names.index(name)) in layout.vector_v:
+        return i
+    follower = system.structure.couplings.get(name)
+    if follower is not None:
+        said = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"
+        raise InputError(f"coordinate {name!r} is not part of q: {said}")
+    allowed = [names[i] for i in layout.vector_v]
+    raise UnknownNameError("angle or slide", name, allowed, system.name)
+
+
+def start_of(system: System, start: Any, hold: Mapping[str, float]) -> Array:
+    """The configuration (nq,) that `start` names, before any loop is closed."""
+    if start is None:
+        q = home_of(system)
+    elif isinstance(start, str):
+        q = system.q(start)
+    elif isinstance(start, Mapping):
+        q = system.q(start, home_of(system))
+    else:
+        q = as_q(system, start)
+    if q.shape != (system.nq,):
+        raise InputError(f"start has shape {q.shape}; it must be one configuration ({system.nq},)")
+    if not np.isfinite(q).all():
+        raise InputError("start holds a NaN or an infinity")
+    held = system.q(hold, q)
+    if held.shape != q.shape:
+        raise InputError(f"hold is {shown(hold)}; it must be one number for each coordinate")
+    return held
+
+
+def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closure, Array | None]:
+    """The equations with the held coordinates, and the closed configuration (nq,) near `start`, or None."""
+    held = [angle_or_slide(system, n) for n in hold]
+    near = start_of(system, start, hold)
+    equations = Closure(system, held, near)
+    known = {n: v for n, v in start.items() if n not in hold} if isinstance(start, Mapping) else {}
+    fixed = Closure(system, held + [angle_or_slide(system, n) for n in known], near)
+    q = None if known else close(fixed, near)  # what is known may be far: then on the branch that `assemble` finds
+    if q is None:
+        from kempe.solvers.assembly.assembly import assemble, of_equations
+
+        answer = assemble(system, known={**hold, **known}, start=near)
+        if not answer.success:  # what is one-sided is then told
+            answer = of_equations(system, {**hold, **known})({**hold, **known}, near)
+        q = close(fixed, answer.q) if answer.success else None
+    return equations, q
+
+
+class Follower(NamedTuple):
+    """A coupled coordinate that is not where it was when its `source` (index) has turned round: it turns or slides on
+    by `factor`, in radians or metres, with each radian of the source."""
+
+    name: str
+    source: int
+    factor: float
+    turns: bool
+
+
+def periods(system: System, limits: bool = True) -> Array:
+    """For each velocity coordinate (nv,) by how much it turns until all is as before; 0 where that never happens.
+
+    With `limits` a coordinate that has some does not turn all round.
+    """
+    return _turning(system, limits)[0]
+
+
+def followers(system: System, limits: bool = True) -> list[Follower]:
+    """The coupled coordinates that keep those which they follow from ever coming back by turning on."""
+    return _turning(system, limits)[1]
+
+
+def _turning(system: System, limits: bool) -> tuple[Array, list[Follower]]:
+    c = system.structure.coordinates
+    whole = np.where(c.turning & ((np.isinf(c.lower) & np.isinf(c.upper)) | (not limits)), 1, 0).astype(object)
+    number = {name: i for i, name in enumerate(system.structure.velocity_names)}
+    mechanism, couplings = system.mechanism, system.structure.couplings
+    never: list[Follower] = []
+    for joint in mechanism.joints.values() if couplings else ():
+        names = coordinate_names(mechanism, joint)
+        for p in joint.type.layout(system.dim, mechanism.bodies[joint.child].particle)[1]:
+            follower = couplings.get(names[p.coordinate])
+            if follower is None or follower.source is None:
+                continue
+            i = number[follower.source]
+            factor = p.multiplier * follower.multiplier
+            ratio = Fraction(factor).limit_denominator(MOST_TURNS)
+            if p.kind == R and abs(float(ratio) - factor) < SAME_RATIO:
+                whole[i] = math.lcm(int(whole[i]), ratio.denominator) if whole[i] else 0
+            elif whole[i] or any(f.source == i for f in never):
+                whole[i] = 0
+                never.append(Follower(names[p.coordinate], i, factor, p.kind == R))
+    found = 2.0 * math.pi * whole.astype(float)
+    return np.where(_told_apart(system, found), 0.0, found), never
+
+
+def _told_apart(system: System, period: Array) -> np.ndarray:
+    """Which velocity coordinates (nv,) declared one-sided rows have other values of after a period."""
+    rows, out = one_sided_rows(system), np.zeros(system.nv, dtype=bool)
+    if rows.declared:
+        q = random(system, np.random.default_rng(0), 3)
+        before = rows.values(q, declared=True)
+        for i in np.flatnonzero(period):
+            after = rows.values(
+                system.structure.layout.integrate(q, period[i] * np.eye(system.nv)[i]), declared=True
+            )
+            out[i] = np.any(np.abs(after - before) > SAME_VALUE * (1.0 + np.abs(before)))
+    return out
+
+
+def first_node(
+    equations: Closure, q: Array, driver: str | None, toward: Mapping[str, float] | None
+) -> Node | None:  # fmt: skip
+    """The node at the start with its sense chosen; None where nothing can move. Errors: `UnsupportedError`."""
+    system = equations.system
+    wish = wish_of(system, toward)
+    wish = wish / equations.unit if equations.n == system.nv else wish
+    if not equations.n:
+        return None
+    here = node(equations, q)
+    asked = np.flatnonzero(wish).tolist() + ([angle_or_slide(system, driver)] if driver else [])
+    rests = driver is not None and here.nullity == 1 and abs(here.t[asked[-1]]) < RESTS  # what moves may be but a spin
+    if (here.nullity > 1 or rests) and hold_spins(equations, q, asked):
+        here = node(equations, q)
+    if here.nullity > 1 and hold_rank(equations, q, lambda: (equations, node(equations, q))):
+        here = node(equations, q)
+    if here.nullity == 0:
+        return None
+    if here.nullity > 1:
+        here = _at_bifurcation(equations, here, driver, wish)
+    i = angle_or_slide(system, driver) if driver else int(np.argmax(np.abs(here.t) > 0.5 * np.abs(here.t).max()))
+    sense = float(here.t @ wish) if abs(here.t @ wish) > 1e-9 else float(here.t[i])
+    return here.reversed() if sense < 0.0 else here
+
+
+def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Array) -> Node:
+    """The node at a start where first order leaves several motions, on the branch nearest to the wish."""
+    x = here.x
+    polished = locate(equations, x, here.nullity, 1e-5)
+    x = x if polished is None else polished
+    lines = branch_lines(equations, x)
+    if not len(lines):
+        raise UnsupportedError(too_free(equations, here.matrix, [driver] if driver else []))
+    if np.linalg.norm(wish) > 0.0:
+        merit = np.abs(lines @ wish)
+    elif driver is not None:
+        merit = np.abs(lines[:, angle_or_slide(equations.system, driver)])
+    else:
+        merit = -np.arange(float(len(lines)))
+    best = int(np.argmax(merit))
+    at = node(equations, x)
+    return Node(x, lines[best], at.sigma, max(at.nullity, 2), at.matrix, at.image, lines)
+
+
+def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
+    """Why the motion is not one curve: which coordinates still move with the drivers held."""
+    system = equations.system
+    _, s, Vt = np.linalg.svd(matrix)
+    kernel = Vt[int(np.sum(s > RANK * s[0])) :]
+    count = len(kernel)
+    rows = kernel[:, [angle_or_slide(system, d) for d in drivers]].T
+    if drivers:
+        _, s, Vt = np.linalg.svd(rows)
+        kernel = Vt[int(np.sum(s > RANK)) :] @ kernel
+    sizes = dict(zip(system.structure.velocity_names, np.abs(kernel).max(axis=0), strict=True))
+    moving = [n for n, size in sizes.items() if size > 1e-6]
+    named = [n for n in moving if n in system.coordinate_names]
+    balls = list(dict.fromkeys(n.rpartition(".")[0] for n in moving if n not in named))
+    still = f"with {' and '.join(map(repr, drivers))} held still, these still move" if drivers else "these move"
+    many = len(kernel) - (not drivers)
+    own = kernel[:, [n in named for n in system.structure.velocity_names]]
+    enough = int(np.sum(np.linalg.svd(own, compute_uv=False) > 1e-6)) >= many if named else False
+    head = f"to first order {system.name} has {count} freedoms here, more than are driven; {still}: "
+    if not named:
+        return (
+            f"{head}{_listed(balls)}, which {'is a ball' if len(balls) == 1 else 'are balls'} without coordinates that "
+            "can be held: angles=True gives a ball angles"
+        )
+    which, them = ("one", "it") if many == 1 else (str(many), "them")
+    also = f" (and balls, which have angles to hold with angles=True: {_listed(balls)})" if balls and not enough else ""
+    return (
+        f"{head}{_listed(named)}{also}; hold {which} of them (hold={{name: value}}), or lock {them}; "
+        "a singular point where branches of several freedoms meet is no place to start"
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names in quotes, the first six of them."""
+    return ", ".join(map(repr, names[:6])) + (", ..." if len(names) > 6 else "")

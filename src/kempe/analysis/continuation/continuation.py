@@ -1,0 +1,186 @@
+"""The equations of a system's loops as those of a curve: some coordinates held, or inputs that follow a line.
+
+Turns are in radians, slides and positions divided by the characteristic length of the system.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from kempe.kinematics import closure_rows
+from kempe.kinematics.common.gauss_newton import gauss_newton
+from kempe.model.tree.characteristic_length import origin_of
+from kempe.model.tree.own_tree import own_tree
+from kempe.solvers.common.clock import TimeLimit
+from kempe.solvers.common.tracing import BLUNT, CLOSED, Curve
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+ANGLES = ("rx", "ry", "rz", "x.y")
+"""Names of equations that are angles."""
+
+
+class Further(Protocol):
+    """Equations of a curve besides those of the loops."""
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        ...
+
+    def write(self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool) -> None:
+        """Write what is missing in each, and the derivatives, into F (., ) and J (., n) from row `at` on; rows before
+        it are written."""  # fmt: skip
+        ...
+
+
+class Closure(Curve):
+    """The closure equations of a system, some of its coordinates held at the values of a configuration.
+
+    `unit` (nv,) are the velocity coordinates of one unit of the numbers used here. `held` are indices of velocity
+    coordinates that belong to angles and slides. Work with them ends by `TimeUp` when the `budget` is spent.
+    """
+
+    def __init__(self, system: System, held: Sequence[int] = (), at: Array | None = None):
+        self.system, self.held, self.tree = system, tuple(held), own_tree(system)
+        self._held = np.array(self.held, dtype=np.int64)
+        layout, turning = system.structure.layout, system.structure.coordinates.turning
+        length = closure_rows.characteristic_length(system)
+        self.rounding = 4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / length
+        self.unit = np.where(turning, 1.0, length)
+        for iv in layout.quaternion_v:
+            self.unit[iv : iv + 3] = 1.0
+        self.place = np.full(system.nv, -1, dtype=np.int64)
+        self.place[layout.vector_v] = layout.vector_q
+        self.n = system.nv
+        index = {n: i for i, n in enumerate(system.structure.velocity_names)}
+        self.weight = np.array([
+            1.0 if row in ANGLES or (tie.plain and tie.relation is None)
+            else 1.0 / (length if tie.relation is None else self.unit[index[tie.relation.of]])
+            for tie in closure_rows.full(self.tree, False).ties for row in tie.rows
+        ])  # fmt: skip
+        self.targets = np.zeros(0) if at is None else at[self.place[self._held]]
+        self.budget = TimeLimit(None)
+        self.more: tuple[Further, ...] = ()
+        self._count()
+
+    def _count(self) -> None:
+        self.real = len(self.weight) + len(self.held) + sum(m.count for m in self.more)
+        self.rows = max(self.real, self.n)
+
+    def add(self, further: Further) -> None:
+        """Let further equations hold from here on."""
+        self.more = (*self.more, further)
+        self._count()
+
+    def leave_out(self, further: Further) -> None:
+        """Let these equations hold no longer."""
+        self.more = tuple(m for m in self.more if m is not further)
+        self._count()
+
+    def values(self, x: Array) -> Array:
+        """What is missing in each equation (rows,) at `x`."""
+        return self.both(x, False)[0]
+
+    def both(self, x: Array, with_matrix: bool = True, further: int | None = None) -> tuple[Array, Array]:
+        """`values` and `matrix` in one pass; the latter is all zero unless asked for. Of further equations only the
+        first so many are written, where their number is given."""  # fmt: skip
+        self.budget.check()
+        F, J, m = np.zeros(self.rows), np.zeros((self.rows, self.n)), len(self.weight)
+        if m:
+            values, columns = closure_rows.evaluate(self.tree, x, with_matrix)
+            F[:m] = self.weight * values
+            if with_matrix:
+                J[:m] = self.weight[:, None] * columns * self.unit
+        if self.held:
+            F[m : m + len(self.held)] = (x[self.place[self._held]] - self.targets) / self.unit[self._held]
+            J[m + np.arange(len(self.held)), self._held] = 1.0
+        if self.more:
+            self._further(x, F, J, with_matrix, further)
+        return F, J
+
+    def many(self, x: Array) -> tuple[Array, Array]:
+        """`both` of many points (k, nq): (k, rows) and (k, rows, n)."""
+        self.budget.check()
+        k, m = len(x), len(self.weight)
+        F, J = np.zeros((k, self.rows)), np.zeros((k, self.rows, self.n))
+        if m:
+            values, columns = closure_rows.evaluate(self.tree, x)
+            F[:, :m], J[:, :m] = self.weight * values, self.weight[:, None] * columns * self.unit
+        if self.held:
+            F[:, m : m + len(self.held)] = (x[:, self.place[self._held]] - self.targets) / self.unit[self._held]
+            J[:, m + np.arange(len(self.held)), self._held] = 1.0
+        for one, f, j in zip(x, F, J, strict=True) if self.more else ():
+            self._further(one, f, j, True, None)
+        return F, J
+
+    def _further(self, x: Array, F: Array, J: Array, with_matrix: bool, most: int | None) -> None:
+        """Write the first so many of the further equations."""
+        at = len(self.weight) + len(self.held)
+        for more in self.more[:most]:
+            more.write(self, x, F, J, at, with_matrix)
+            at += more.count
+
+    def tolerance(self, x: Array) -> float:
+        """Residual below which the equations hold at `x`: angles of many turns are known less well."""
+        return CLOSED * (1.0 + 0.01 * float(np.abs(x).max(initial=0.0))) + self.rounding
+
+    def move(self, x: Array, y: Array) -> Array:
+        """The point reached from `x` by the tangent vector `y` (n,)."""
+        return self.system.structure.layout.integrate(x, y * self.unit)
+
+    def between(self, x: Array, other: Array) -> Array:
+        """The tangent vector (n,) from `x` to `other`, turns as many as they are."""
+        return self.system.structure.layout.difference(x, other) / self.unit
+
+    def index(self, names: Sequence[str]) -> list[int]:
+        """Velocity indices of angles and slides by name."""
+        number = {n: i for i, n in enumerate(self.system.structure.velocity_names)}
+        return [number[n] for n in names]
+
+
+class Driven(Closure):
+    """Closure, and inputs that follow a straight line: a point is a configuration and the length along that line.
+
+    Point: (nq + 1,) = [q, length]; input i has the value `origin[i] + unit * direction[i] * length`.
+    """
+
+    def __init__(self, closure: Closure, inputs: Sequence[int], origin: Array, direction: Array):
+        vars(self).update(vars(closure))
+        self.base, self.inputs = closure, list(inputs)
+        self.origin, self.direction = origin, direction
+        self.n = closure.n + 1
+        self.rows = max(self.real + len(self.inputs), self.n)
+
+    def at(self, length: float) -> Array:
+        """Values of the inputs, in radians and metres, at a length of their line."""
+        return self.origin + self.unit[self.inputs] * self.direction * length
+
+    def both(self, x: Array, with_matrix: bool = True, further: int | None = None) -> tuple[Array, Array]:
+        """`values` and `matrix` in one pass; the latter is all zero unless asked for."""
+        F, J, k = np.zeros(self.rows), np.zeros((self.rows, self.n)), self.real
+        inner, columns = self.base.both(x[:-1], with_matrix, further)
+        F[:k], J[:k, :-1] = inner[:k], columns[:k]
+        at, unit, place = x[self.place[self.inputs]], self.unit[self.inputs], k + np.arange(len(self.inputs))
+        F[place] = (at - self.origin) / unit - self.direction * x[-1]
+        J[place, self.inputs], J[place, -1] = 1.0, -self.direction
+        return F, J
+
+    def move(self, x: Array, y: Array) -> Array:
+        """The point reached from `x` by the tangent vector `y` (n,)."""
+        return np.append(self.base.move(x[:-1], y[:-1]), x[-1] + y[-1])
+
+    def between(self, x: Array, other: Array) -> Array:
+        """The tangent vector (n,) from `x` to `other`."""
+        return np.append(self.base.between(x[:-1], other[:-1]), other[-1] - x[-1])
+
+
+def close(equations: Closure, x: Array, tries: int = 60) -> Array | None:
+    """The configuration with closed loops near `x`, by steps of least size, or None."""
+    found = gauss_newton(equations.both, x, tries, cut=BLUNT, met=1e-15, longest=0.5, move=equations.move)
+    return found.x if found.size < equations.tolerance(found.x) else None

@@ -1,0 +1,99 @@
+"""Curves along which the equations touch: the Jacobian has a larger kernel at all points than the curve has tangents.
+
+There the curve is where the equations hold and the small singular values of the Jacobian vanish, too. These equations
+together are regular if the kernel is cut down to a tangent to second order (deflation: Leykin, Verschelde, Zhao,
+*Theor. Comput. Sci.* 359, 2006).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from kempe.analysis.continuation.continuation import Closure
+from kempe.analysis.continuation.crossings import PROBE, second_order
+from kempe.solvers.common.tracing import RANK, Node, step
+from kempe.spatial import Array
+
+ALIGNED = 0.7
+"""Least singular value of the product of two bases from which one need not follow the other."""
+
+
+class LowRank:
+    """Equations that hold the rank of those before at what it is at a point: ``left.T @ J @ kernel = 0``.
+
+    The bases of the two null spaces are those of the point itself, as near as may be to the last ones used, so that the
+    equations change continuously.
+    """
+
+    def __init__(self, equations: Closure, x: Array):
+        J = equations.matrix(x)[: equations.real]
+        U, s, Vt = np.linalg.svd(J)
+        self.nullity = J.shape[1] - int(np.sum(s > RANK * s.max(initial=1e-300)))
+        rank = J.shape[1] - self.nullity
+        self._left, self._kernel, self._before = U[:, rank:], Vt[rank:].T, len(equations.more)
+
+    @property
+    def count(self) -> int:
+        """How many equations there are."""
+        return self._left.shape[1] * self.nullity
+
+    def write(self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool) -> None:
+        """Write what is missing in each, and the derivatives, into F and J (., n) from row `at` on."""
+        own = J[:at] if with_matrix else equations.both(x, True, self._before)[1][:at]
+        U, _, Vt = np.linalg.svd(own)
+        rank, here = own.shape[1] - self.nullity, slice(at, at + self.count)
+        left, kernel = self._near(U[:, rank:], self._left), self._near(Vt[rank:].T, self._kernel)
+        if min(_least(left.T @ self._left), _least(kernel.T @ self._kernel)) < ALIGNED:
+            self._left, self._kernel = left, kernel
+        F[here] = (left.T @ own @ kernel).ravel()
+        if with_matrix:
+            padded = np.zeros((equations.rows, left.shape[1]))
+            padded[:at] = left
+            before = _Before(equations, self._before)
+            J[here] = second_order(before, x, padded, kernel).transpose(1, 2, 0).reshape(self.count, -1)
+
+    @staticmethod
+    def _near(basis: Array, to: Array) -> Array:
+        """The basis of the same space that is nearest to another (Procrustes)."""
+        U, _, Vt = np.linalg.svd(basis.T @ to)
+        return basis @ (U @ Vt)
+
+
+class _Before(Closure):
+    """Equations without the further ones from a number on."""
+
+    def __init__(self, equations: Closure, further: int):
+        vars(self).update(vars(equations))
+        self._equations, self._further_ones = equations, further
+
+    def matrix(self, x: Array) -> Array:
+        """Derivative (rows, n) of these equations at `x`."""
+        return self._equations.both(x, True, self._further_ones)[1]
+
+
+def hold_rank(equations: Closure, x: Array, curve: Callable[[], tuple[Closure, Node]]) -> bool:
+    """Hold the rank at a point (nq,) from here on, where this leaves a curve that leads on to both sides; whether so.
+
+    `curve` gives the equations of the curve, these or what is made of them, and its node at the point.
+    """
+    low = LowRank(equations, x)
+    if not low.count or rank_held(equations):
+        return False
+    equations.add(low)
+    along, here = curve()
+    if here.nullity == 1 and all(step(along, n, PROBE) is not None for n in (here, here.reversed())):
+        return True
+    equations.leave_out(low)
+    return False
+
+
+def rank_held(equations: Closure) -> bool:
+    """Whether the equations hold the rank."""
+    return any(isinstance(m, LowRank) for m in equations.more)
+
+
+def _least(A: Array) -> float:
+    """The least singular value."""
+    return float(np.linalg.svd(A, compute_uv=False).min(initial=1.0))

@@ -1,0 +1,174 @@
+"""What happens along a curve: steps through crossings, limits, the way back to the start, extremes, singular points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kempe.analysis.continuation.continuation import Closure
+from kempe.analysis.continuation.crossings import AHEAD, crossing, locate, singular_node
+from kempe.analysis.continuation.deflation import rank_held
+from kempe.kinematics.common.gauss_newton import LARGE
+from kempe.kinematics.common.roots import sign_change
+from kempe.solvers.common import tracing
+from kempe.solvers.common.tracing import BEND, Node, bend, flipped, inside, node, step
+from kempe.spatial import Array
+
+AWKWARD = 1e-5
+"""Relative singular value below which a step had better land elsewhere: rounding is blown up there."""
+RESTING = 1e-9
+"""Rates below this count as zero."""
+NOISE = 1e-12
+"""Rates below this count as zero where each look at one costs milliseconds; places then are known to as many digits."""
+HOME = 1e-7
+"""Distance from the start at which a curve has returned to it, if it also arrives in the same direction."""
+HOME_CROSSING = 1e-4
+"""The same where the start is a crossing: points beside it are known less well."""
+ARRIVED = 0.999
+"""Cosine between the directions of departure and arrival."""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Why a walk ends: a sentence."""
+
+    reason: str
+
+
+def walk(equations: Closure, a: Node, longest: float) -> Iterator[Node | Stop]:
+    """Nodes of the curve after `a`, crossings among them, then perhaps a `Stop`; straight on through crossings."""
+
+    def taken(a: Node, h: float) -> list[Node] | None:
+        b = step(equations, a, h)
+        if b is not None and b.sigma < AWKWARD:
+            b = step(equations, a, 1.3 * h) or b
+        return checked(equations, a, b)
+
+    yield from tracing.walk(a, taken, longest, 0.25 * longest)
+    yield Stop("a point where the curve is not smooth")
+
+
+def checked(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
+    """A step from `a` to `b` with the crossing in between, if any; None where it may have changed the branch."""
+    if b is None:
+        return None
+    turned = sides_change(equations, a, b)
+    if not turned:
+        return None if turned is None else [b]
+    middle = crossing(equations, a, b)
+    return None if middle is None else [middle, b]
+
+
+def sides_change(equations: Closure, a: Node, b: Node) -> bool | None:
+    """`flipped`, with derivatives of the same equations at both nodes.
+
+    What holds the rank changes its bases on the way, and equations in other bases have determinants of other signs.
+    """
+    if rank_held(equations) and a.nullity == 1:
+        here = node(equations, a.x, a.t)
+        a = replace(a, matrix=here.matrix, image=here.image)
+    return flipped(a, b)
+
+
+def root(
+    equations: Closure, a: Node, b: Node, function: Callable[[Node], float], low: float = 0.0, high: float | None = None
+) -> Node | None:
+    """The node between two neighbours where `function` of it, of different signs at both ends, is zero."""
+    end = float(a.t @ equations.between(a.x, b.x)) if high is None else high
+    found: dict[float, Node] = {}
+    large = equations.rows > LARGE
+
+    def at(distance: float) -> float:
+        here = inside(equations, a, b, distance, False)
+        if here is None:
+            return 0.0  # rounding only: a point between two neighbours always exists
+        found[distance] = here
+        value = function(here)
+        return 0.0 if large and abs(value) < NOISE else value
+
+    distance = sign_change(at, low, end)
+    if distance is None:
+        here = min(found.values(), key=lambda n: abs(function(n)), default=None)
+    else:
+        here = found.get(distance) or inside(equations, a, b, distance)
+    return here if here is None or here.matrix.size else node(equations, here.x, here.t)
+
+
+def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> Node | None:
+    """The start again, whole turns away, if the curve returns to it between two neighbours in the same direction.
+
+    `periods` (nv,) are 0 for coordinates that do not come back by turning on.
+    """
+    shift = periods * np.round(_ratio(equations.between(b.x, start.x) * equations.unit, periods))
+    there = equations.system.structure.layout.integrate(start.x, -shift)
+    if np.linalg.norm(equations.between(b.x, there)) < HOME:
+        return replace(start, x=there) if start.t @ b.t > ARRIVED else None
+    z, chord = equations.between(a.x, there), equations.between(a.x, b.x)
+    along = float(a.t @ z)
+    if not 1e-9 < along <= float(a.t @ chord) or np.linalg.norm(z) > 2.0 * np.linalg.norm(chord):
+        return None
+    here = inside(equations, a, b, along)
+    if here is None or start.t @ here.t < ARRIVED:
+        return None
+    gap = float(np.linalg.norm(equations.between(here.x, there)))
+    return replace(start, x=there) if gap < (HOME if start.lines is None else HOME_CROSSING) else None
+
+
+def _ratio(x: Array, periods: Array) -> Array:
+    return np.divide(x, periods, out=np.zeros_like(x), where=periods > 0.0)
+
+
+def turns(nodes: list[Node], closed: bool, indices: list[int]) -> list[tuple[int, int, int]]:
+    """Where velocities of coordinates change their sign: (node before, node after, coordinate), along the curve."""
+    out = []
+    rates = np.array([n.t for n in nodes])
+    count = len(nodes)
+    for i in indices:
+        if np.abs(rates[:, i]).max() < 1e-7:
+            continue  # it rests
+        moving = np.flatnonzero(np.abs(rates[:, i]) > RESTING).tolist()
+        pairs = list(zip(moving, moving[1:], strict=False))
+        if closed and moving[0] > 0 and moving[-1] == count - 1 - moving[0]:
+            pairs.append((moving[-1], moving[0]))
+        out += [(k, m, i) for k, m in pairs if rates[k, i] * rates[m, i] <= 0.0]
+    return sorted(out)
+
+
+def extreme(equations: Closure, nodes: list[Node], k: int, m: int, i: int) -> Node | None:
+    """The node at which coordinate i turns back between the nodes k and m, one of `turns`, or None where it rests."""
+    if m == k + 1:
+        return root(equations, nodes[k], nodes[m], lambda n: float(n.t[i]))
+    if m == k + 2 or m < k:
+        return nodes[(k + 1) % len(nodes)]  # it rests exactly at a node
+    return None  # it rests for a while
+
+
+def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
+    """The nodes, and between them those singular points that no determinant shows: where two things vanish at once."""
+    out = [nodes[0]]
+    for k in range(1, len(nodes) - 1):
+        a, m, b = nodes[k - 1 : k + 2]
+        if not (m.sigma <= a.sigma and m.sigma <= b.sigma) or any(n.lines is not None for n in (a, m, b)):
+            out.append(m)
+            continue
+        before, after = equations.between(a.x, m.x), equations.between(m.x, b.x)
+        h = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
+        found = None
+        if m.sigma < 2.0 * max(a.sigma - m.sigma, b.sigma - m.sigma):
+            x = next((x for n in (2, 3, 4) if n <= equations.n
+                      and (x := locate(equations, m.x, n, 2.0 * h)) is not None), None)  # fmt: skip
+            found = None if x is None else singular_node(equations, x, m.t)
+        if found is None:
+            out.append(m)
+            continue
+        y = equations.between(m.x, found.x)
+        size, along = float(np.linalg.norm(y)), float(y @ m.t)
+        if size < 1e-6:
+            out.append(found)
+        elif abs(along) < AHEAD * size or size > 1.5 * h or bend(m, found) > BEND:
+            out.append(m)
+        else:
+            out += [m, found] if along > 0.0 else [found, m]
+    return out + nodes[-1:] if len(nodes) > 1 else out

@@ -1,0 +1,50 @@
+"""Assembly modes that a traced path does not pass: a mechanism that is built again may move on another branch."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.analysis.continuation.path import Path
+
+
+MOST_SIGNS = 6
+"""Dyads of mechanisms whose assembly modes are looked at: 64 modes, in some hundredths of a second."""
+
+
+def elsewhere(path: Path) -> tuple[str, Array]:
+    """A coordinate, and other configurations (k, nq) with its value at the path's start that the path does not pass.
+
+    They are looked for where they are in closed form, inside the limits, with one coordinate as the input: the driver,
+    and the others until there are some, since a driver need not have the same range on another branch. `held`
+    coordinates stay. Of mechanisms of many dyads there are none.
+    """
+    from kempe.solvers.dyads.dyads import Incomplete, closed_form
+
+    system, nothing = path.system, ("", np.zeros((0, path.system.nq)))
+    if not system.structure.closures or not path.success or len(path.track.s) < 2:
+        return nothing
+    start = system.q_dict(path.q[0])
+    held = {name: start[name] for name in path.held}
+    first = [path.driver] if path.driver in start else []
+    for name in dict.fromkeys([*first, *start]):
+        plan = None if name in held else closed_form(system, (name, *held))
+        if plan is not None and not isinstance(plan, Incomplete) and plan.signs <= MOST_SIGNS:
+            modes = system.assembly_modes({name: start[name], **held})
+            others = [q for q in modes.q if not any(_passes(p, q) for p in (path, *path.others))]
+            if others:
+                return name, np.array(others)
+    return nothing
+
+
+def _passes(path: Path, q: Array) -> bool:
+    """Whether a path may pass q: on the way from one node to the next it is no farther from one than these are."""
+    track, e = path.track, path.track.equations
+    y = np.array([e.between(node, q) for node in track.q]) * e.unit
+    turning = path.system.structure.coordinates.turning
+    y = np.where(turning, y - 2.0 * np.pi * np.round(y / (2.0 * np.pi)), y) / e.unit
+    return bool(np.linalg.norm(y, axis=1).min() <= np.diff(track.s).max())

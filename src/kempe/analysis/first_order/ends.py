@@ -1,0 +1,239 @@
+"""Ends between which something may spin: consecutive joints of a ring whose axes meet in one point.
+
+Where axes meet in a part that two joints share does not depend on the configuration, as long as it is closed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kempe.analysis.first_order.constraint_graph import Structure
+from kempe.analysis.first_order.screws import Screws
+from kempe.analysis.first_order.series_joints import Ring, Star, rings, stars
+from kempe.model.kept import keep
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+ALONE = 1e-6
+"""Sine of the angle between axes, or distance as a part of the mechanism's size, below which they are one, or meet."""
+
+
+class End(NamedTuple):
+    """Consecutive edges of a ring (by place, the one next to the group first) whose axes meet in one point.
+
+    The point is on the first edge's axis, `along` from its origin. It is a `hinge` if that is its only axis.
+    """
+
+    edges: tuple[int, ...]
+    along: float
+    hinge: bool
+
+
+class Hold(NamedTuple):
+    """An end, and the sense in which its ring is passed: +1 towards what it holds, -1 from there."""
+
+    ring: Ring
+    end: End
+    sign: float
+
+
+class Pair(NamedTuple):
+    """Two ends of a ring between which something may spin."""
+
+    ring: Ring
+    left: End
+    right: End
+
+    @property
+    def holds(self) -> tuple[Hold, ...]:
+        """Both ends."""
+        return Hold(self.ring, self.left, 1.0), Hold(self.ring, self.right, -1.0)
+
+
+class Held(NamedTuple):
+    """A star with its ends."""
+
+    star: Star
+    holds: tuple[Hold, ...]
+
+
+def pairs_of(system: System, s: Structure, at: Screws, driven: frozenset[int]) -> list[Pair]:
+    """Pairs of ends between which something may spin, by what does not depend on the configuration.
+
+    Where axes meet in a part that two joints share, they do so at every closed configuration, such as that of `at`.
+    """
+    answers = system._kept.setdefault(pairs_of, {})
+    found = answers.get(driven)
+    if found is None:
+        found = keep(answers, driven, [p for ring in rings(system, driven) for p in _of_ring(s, at, ring)])
+    return found
+
+
+def _of_ring(s: Structure, at: Screws, ring: Ring) -> Iterator[Pair]:
+    n = len(ring.edges)
+    meets = [_meet(s, at, ring, k, k + 1) if ring.joined[k] else None for k in range(n - 1)]
+    ends = {(k, step): _grow(ring, meets, k, step) for k in range(n) if ring.turns[k] is not None for step in (-1, 1)}
+    balls = {step: {k for (k, d), end in ends.items() if d == step and not end.hinge} for step in (-1, 1)}
+    places = [k for k in range(n) if ring.turns[k] is not None]
+    chosen = {(p, q) for q in balls[1] for p in places if p < q} | {(p, q) for p in balls[-1] for q in places if p < q}
+    chosen |= {(k, k + 1) for k, meet in enumerate(meets) if meet is not None and meet.one_axis}
+    for p, q in sorted(chosen):
+        pair = Pair(ring, ends[p, -1], ends[q, 1])
+        if not (pair.left.hinge or pair.right.hinge) or not (
+            turning_inside(s, ring, p, q) or _one_of_many(s, at, ring, pair)
+        ):
+            yield pair
+
+
+def held(system: System, s: Structure, at: Screws, driven: frozenset[int]) -> list[Held]:
+    """Stars with their ends, which do not depend on the configuration either; nor does, without slides, their line."""
+    answers = system._kept.setdefault(held, {})
+    found = answers.get(driven)
+    if found is None:
+        found = keep(answers, driven, [])
+        for star in stars(system, driven):
+            holds = []
+            if not (star.chains or star.points):  # nothing holds it
+                continue
+            for ring in star.chains:
+                meets = [_meet(s, at, ring, k, k + 1) for k in range(len(ring.edges) - 1)]
+                holds.append(Hold(ring, _grow(ring, meets, 0, 1), -1.0))
+            simple = all(len(h.end.edges) == 1 for h in holds)
+            if not simple and any(h.end.hinge for h in holds):  # it may be a spherical linkage
+                continue
+            if star.slides or line_through(at, Held(star, tuple(holds))) is not None:
+                found.append(Held(star, tuple(holds)))
+    return found
+
+
+class _Meeting(NamedTuple):
+    """Where the axes of two joints of one part meet: from their origins, along their axes; or they are one axis."""
+
+    along: tuple[float, float]
+    one_axis: bool
+
+
+def _meet(s: Structure, at: Screws, ring: Ring, k: int, m: int) -> _Meeting | None:
+    """Where the axes of the k-th and the m-th edge, which share a part, meet; None where they do not."""
+    a, b = ring.turns[k], ring.turns[m]
+    if a is None or b is None or not (a.columns and b.columns):
+        return None
+    (p, u), (r, v) = (line_of(at, ring, i) for i in (k, m))
+    away = (r - p) / at.length
+    if u is None and v is None:
+        return _Meeting((0.0, 0.0), False) if np.linalg.norm(away) < ALONE and a.whole and b.whole else None
+    if u is not None and v is not None:
+        normal = np.cross(u, v)
+        size = np.linalg.norm(normal)
+        if size < ALONE:
+            return _Meeting((0.0, 0.0), True) if off(away, u) < ALONE else None
+        if abs(away @ normal) > ALONE * size or not (a.whole and b.whole):
+            return None
+        x, y = np.cross(away, v) @ normal / size**2, np.cross(away, u) @ normal / size**2
+        return _Meeting((float(x), float(y)), False)
+    if not (a.whole and b.whole):
+        return None
+    x = _along(u, away) if u is not None else _along(v, -away)
+    if x is None:
+        return None
+    return _Meeting((x, 0.0) if u is not None else (0.0, x), False)
+
+
+def _along(axis: Array | None, to: Array) -> float | None:
+    """How far along an axis a point is, if it is on it."""
+    assert axis is not None
+    return float(to @ axis) if off(to, axis) < ALONE else None
+
+
+def off(to: Array, axis: Array) -> float:
+    """Distance of a point from the axis through the origin along a unit vector."""
+    rest = to - (to @ axis) * axis
+    return math.sqrt(rest @ rest)
+
+
+def line_of(at: Screws, ring: Ring, k: int) -> tuple[Array, Array | None]:
+    """Origin of an edge, in the ground, and the direction of its axis if it can turn about one only."""
+    i, own = ring.edges[k], ring.own(k)
+    w = at.twists[i][3:, list(own)]
+    return at.M[i, :3, 3], w[:, 0] / np.linalg.norm(w) if len(own) == 1 else None
+
+
+def _grow(ring: Ring, meets: Sequence[_Meeting | None], k: int, step: int) -> End:
+    """The edges from the k-th on, in one direction, whose axes meet in one point, until they are as good as a ball."""
+    edges, columns, first, here = [k], len(ring.own(k)), 0.0, None
+    while columns < 3:
+        last = edges[-1]
+        meet = meets[min(last, last + step)] if 0 <= last + step < len(ring.edges) else None
+        if meet is None or meet.one_axis:
+            break
+        near, far = meet.along if step > 0 else meet.along[::-1]
+        if here is None:
+            first = near
+        elif abs(near - here) > ALONE:
+            break
+        here = far
+        edges.append(last + step)
+        columns += len(ring.own(last + step))
+    return End(tuple(edges), first, columns == 1)
+
+
+def turning_inside(s: Structure, ring: Ring, p: int, q: int) -> bool:
+    """Whether between two edges of a ring there is more than slides."""
+    inside = (s.edges[i] for i in ring.edges[p + 1 : q])
+    return any(not e.joint or any(c.index >= 0 and not c.slides for c in e.columns) for e in inside)
+
+
+def _one_of_many(s: Structure, at: Screws, ring: Ring, pair: Pair) -> bool:
+    """Whether a hinge and a ball made of several joints are but some of the joints about one point: of a spherical
+    linkage, whose links are no parts of a ball."""
+    hinge, ball = (pair.left, pair.right) if pair.left.hinge else (pair.right, pair.left)
+    if ball.hinge or len(ball.edges) == 1:
+        return False
+    point, n = center_of(at, ring, ball), len(ring.edges)
+    low, high = min(*hinge.edges, *ball.edges), max(*hinge.edges, *ball.edges)
+    for k in {(low - 1) % n, (high + 1) % n} - set(range(low, high + 1)):
+        T = at.twists[ring.edges[k]][:, [c for c, col in enumerate(s.edges[ring.edges[k]].columns) if not col.slides]]
+        if T.size and np.abs(T[:3] - np.cross(point, T[3:], axis=0)).max() < ALONE:
+            return True
+    return False
+
+
+def center_of(at: Screws, ring: Ring, end: End) -> Array:
+    """The point that all axes of an end go through, relative to the screws' centre, in their unit."""
+    k = end.edges[0]
+    point = (at.M[ring.edges[k], :3, 3] - at.center) / at.length
+    axis = line_of(at, ring, k)[1] if len(ring.own(k)) == 1 else None
+    return point if axis is None else point + end.along * axis
+
+
+def centers_of(at: Screws, of: Pair | Held) -> list[Array]:
+    """The points that hold a group, relative to the screws' centre, in their unit."""
+    points = of.star.points if isinstance(of, Held) else ()
+    places = [(at.M if child else at.F)[i, :3, 3] for i, child in points]
+    return [center_of(at, h.ring, h.end) for h in of.holds] + [(p - at.center) / at.length for p in places]
+
+
+def line_through(at: Screws, of: Pair | Held) -> tuple[Array, Array] | None:
+    """A point and the direction of the line through all points that hold a group, and along all hinges that do."""
+    centers = centers_of(at, of)
+    a, direction = next((c for c, hold in zip(centers, of.holds, strict=False) if not hold.end.hinge), centers[0]), None
+    for ring, end, _ in of.holds:
+        along = line_of(at, ring, end.edges[0])[1] if end.hinge else None
+        direction = along if direction is None else direction
+        if along is not None and direction is not None and off(along, direction) > ALONE:
+            return None
+    if direction is None:
+        away = centers[1] - a if len(centers) == 2 else max((c - a for c in centers), key=lambda d: float(d @ d))
+        size = math.sqrt(away @ away)
+        if size < ALONE:
+            return None
+        direction = away / size
+        if len(centers) == 2:
+            return a, direction
+    return None if any(off(c - a, direction) > ALONE for c in centers) else (a, direction)

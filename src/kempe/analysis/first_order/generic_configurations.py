@@ -1,0 +1,99 @@
+"""Closed configurations to read ranks at: one made exact, and others of the same branch reached along the kernel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.analysis.first_order.rank import Rank, rank_at
+from kempe.budget import Budget
+from kempe.errors import InputError
+from kempe.kinematics.closure_rows import evaluate
+from kempe.kinematics.one_sided import one_sided_rows
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+EXACT = 1e-13
+"""Residual, in radians and characteristic lengths, up to which a configuration is closed as it is."""
+NEAR = 1e-6
+"""Residual up to which a configuration is closed by a few steps; above, the nearest closed one is searched."""
+POINTS, MORE = 3, 12
+"""Generic configurations that are looked at, and those besides where several branches may meet."""
+STEP = 0.1
+"""Length of the step along the kernel to a generic configuration, for each freedom, in radians and mean lengths."""
+AWAY = 0.3
+"""Part of the step that must be left after closing the loops: else the mechanism has snapped back."""
+
+
+@dataclass(frozen=True, eq=False)
+class Closed:
+    """A configuration and whether it is closed; `given` is how far it was open as given, `why` says why it is not."""
+
+    q: Array
+    closed: bool
+    given: float
+    residual: float
+    why: str = ""
+
+
+def close(system: System, q: Array) -> Closed:
+    """The configuration (nq,) with its loops closed to machine precision, as near to `q` as may be."""
+    given = _residual(system, q)
+    if not np.isfinite(given):
+        raise InputError("q must be finite numbers, and its quaternions not zero")
+    if given <= EXACT:
+        return Closed(q, True, given, given)
+    from kempe.solvers.assembly.assembly import of_equations
+
+    answer = of_equations(system)(
+        start=q, limits=False, prefer="nearest" if given > NEAR else None, budget=Budget(starts=1))  # fmt: skip
+    if answer.success:
+        return Closed(answer.q, True, given, float(answer.residual))
+    return Closed(answer.q, False, given, float(answer.residual), str(answer.status))
+
+
+def find_closed(system: System) -> Closed:
+    """A closed configuration: the posture 'closed', the middle of the limits, or else one that is searched."""
+    at = close(system, system.q("closed") if "closed" in system.structure.posture_names else system.mid)
+    if at.closed and not one_sided_rows(system).beyond(at.q, declared=True).any():
+        return at
+    from kempe.solvers.assembly.assembly import assemble
+
+    answer = assemble(system, limits=False)
+    if answer.success:
+        return close(system, answer.q)
+    if at.closed:
+        return at
+    return Closed(answer.q, False, at.given, float(answer.residual), str(answer.status))
+
+
+def _residual(system: System, q: Array) -> float:
+    values = evaluate(system, q, False, True)[0]
+    return float(np.linalg.norm(values))
+
+
+def nearby(system: System, rank: Rank, rng: np.random.Generator) -> list[Rank]:
+    """Ranks at closed configurations some way along the kernel, random in direction; none if it always snaps back."""
+    if not rank.nullity:
+        return []
+    found = _walk(system, rank, rng, POINTS if rank.dependent else 1)  # a point of full rank is generic itself
+    if rank.dependent and (len(found) < POINTS or any(r.nullity != rank.nullity for r in found)):
+        found += _walk(system, rank, rng, MORE)
+    return found
+
+
+def _walk(system: System, rank: Rank, rng: np.random.Generator, count: int) -> list[Rank]:
+    from kempe.solvers.assembly.assembly import of_equations
+
+    z = rng.normal(size=(count, rank.nullity)) @ rank.kernel.T
+    size = STEP * np.sqrt(rank.nullity)
+    z *= size / np.linalg.norm(z, axis=1, keepdims=True)
+    starts = system.structure.layout.integrate(np.broadcast_to(rank.q, (count, system.nq)), z * rank.units)
+    answer = of_equations(system)(start=starts, limits=False, budget=Budget(starts=1))
+    moved = np.linalg.norm(system.structure.layout.difference(rank.q, answer.q) / rank.units, axis=1)
+    good = np.asarray(answer.success) & (moved > AWAY * size)
+    return [rank_at(system, q) for q in answer.q[good]]

@@ -1,0 +1,328 @@
+"""Which constraints are redundant: the self-stresses in each joint's own axes, and a smallest set of releases.
+
+A self-stress is a set of joint reactions in balance without any load. Each redundant constraint is one; a joint
+direction that carries no self-stress is needed. Releasing a direction lets the joint move in it; releases are chosen
+so that no self-stress is left, and none of them gives the mechanism a new freedom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe import spatial
+from kempe.analysis.first_order.constraint_graph import Edge, structure
+from kempe.analysis.first_order.rank import ClusterRank, Rank, rows_of_loop
+from kempe.analysis.first_order.screws import Screws
+from kempe.constraints.base import Op
+from kempe.description.parts import Declared, Joint
+from kempe.model.closures.reduced import Reduced, reduced, screw, slides_along_z
+from kempe.model.tree.topology import natural
+from kempe.spatial import Array
+from kempe.words import counted, in_words
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+CARRIES = 1e-6
+"""Part of a unit self-stress below which a joint direction carries nothing."""
+WELL = 0.05
+"""A release is taken first where at least this part of it is not done by the others: they shall not be nearly one."""
+
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+REACTIONS = {"x": "Fx", "y": "Fy", "z": "Fz", "rx": "Mx", "ry": "My", "rz": "Mz"}
+"""What a joint that does not move in a direction can carry: a force along it, or a moment about it."""
+
+_ORDER = ("rx", "ry", "rz", "z", "x", "y")
+"""Directions in the order in which they are released: turns cost least, then the slide along the joint's axis."""
+
+_TURNS = {"xyz": "", "z": "", "xy": "z", "x.y": "xy", "": "xyz"}
+"""About which axes a joint turns, by the turns that it holds."""
+
+PAIRS = {
+    "rz": "a revolute joint", "z": "a prismatic joint", "z rz": "a cylindrical joint", "rx rz": "a universal joint",
+    "rx ry rz": "a spherical joint", "z rx ry rz": "a point-on-axis pair (a ball in a tube)", "x z": "a cross slide",
+    "x y rz": "a planar joint", "x y z": "three slides", "x y rx rz": "a line-on-plane pair (a roller on a plate)",
+    "x y rx ry rz": "a point-on-plane pair (a ball on a plate)", "z rx rz": "a universal joint that slides",
+    "x rz": "a pin in a slot", "x z rz": "a cylinder in a slot",
+    "x y z rz": "a planar joint that also lifts",
+}  # fmt: skip
+"""Names of pairs by the directions in which they move, up to the names of the axes."""
+
+
+@dataclass(frozen=True)
+class Release:
+    """Directions that one joint (or constraint) need not hold, as reactions such as 'Mx', and what could replace it.
+
+    `pair` names the joint that is left, such as 'a point-on-axis pair'.
+    """
+
+    joint: str
+    reactions: tuple[str, ...]
+    pair: str
+
+    def __str__(self) -> str:
+        if not self.pair:
+            return f"{self.joint}: leave it out"
+        return f"{self.joint}: {count_words(self.reactions)} ({', '.join(self.reactions)}): use {self.pair}"
+
+
+@dataclass(frozen=True)
+class Redundancy:
+    """Redundant constraints to first order: how many, what carries self-stress, and releases that remove them all.
+
+    `stressed` gives for each joint the reactions that carry self-stress, in the joint's own axes (forces F and
+    moments M in axes of frame F, at the origin of M; of a universal joint in those of its cross).
+    """
+
+    number: int
+    stressed: tuple[tuple[str, tuple[str, ...]], ...]
+    releases: tuple[Release, ...]
+
+    def __str__(self) -> str:
+        if not self.number:
+            return "no constraint is redundant"
+        lines = [f"{counted(self.number, 'redundant constraint')}; released by"]
+        return "\n".join(lines + [f"  {r}" for r in self.releases])
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """One constraint direction: what it belongs to, its name, and what each self-stress of its cluster puts on it."""
+
+    owner: str
+    label: str
+    passive: bool
+    edge: Edge | None
+    stress: Array
+    free: frozenset[str] = frozenset()
+    """Directions in which the owner moves, where it is a joint."""
+
+    @property
+    def rank(self) -> tuple:
+        """Order in which owners are taken: rods, passive joints, driven ones, couplings; then by name."""
+        kind = 3 if self.edge is None else 0 if isinstance(self.edge.of, Declared) else 1 if self.passive else 2
+        return kind, natural(self.owner)
+
+
+def redundancy(system: System, rank: Rank) -> Redundancy:
+    """The redundant constraints of a system at a closed configuration, whose `rank` is known."""
+    stressed: dict[str, list[str]] = {}
+    releases: list[Release] = []
+    for c in rank.clusters:
+        if not c.dependent:
+            continue
+        rows = [r for r in _rows(system, rank, c) if np.abs(r.stress).max() > CARRIES]
+        for r in rows:
+            stressed.setdefault(r.owner, []).append(r.label)
+        releases += [_release(chosen, system.dim) for chosen in _choose(rows, c.dependent)]
+    order = {e.name: i for i, e in enumerate(structure(system).edges)}
+    named = sorted(stressed.items(), key=lambda kv: (order.get(kv[0], len(order)), kv[0]))
+    releases.sort(key=lambda r: (order.get(r.joint, len(order)), r.joint))
+    return Redundancy(rank.dependent, tuple((k, tuple(v)) for k, v in named), tuple(releases))
+
+
+# ---- self-stress in each joint's axes
+
+
+def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_Row]:
+    """All constraint directions of a cluster with the self-stresses in them."""
+    s, at = structure(system), rank.screws
+    wrenches = np.zeros((len(c.cluster.loops), 6, c.dependent))
+    n, rows = 0, []
+    for k, loop in enumerate(c.cluster.loops):
+        R = rows_of_loop(system, s, at, loop)
+        own = c.stresses[n : n + len(R)]
+        n += len(R)
+        wrenches[k] = R.T @ own
+        edge = s.edges[s.loops[loop].edge]
+        if isinstance(edge.of, Declared):
+            labels = ("F",) if len(R) == 1 else ("Fx", "Fy")
+            rows += [_Row(edge.name, label, True, edge, x) for label, x in zip(labels, own, strict=True)]
+    inside = np.tensordot(c.cluster.cells, wrenches, (0, 0))  # (edges, 6, stresses)
+    for i, wrench in zip(c.cluster.edges, inside, strict=True):
+        edge = s.edges[i]
+        if isinstance(edge.of, Declared):
+            continue
+        names, twists = directions(at, i, edge, system.dim)
+        free = _free(edge, system.dim)
+        free = _not_held(names, twists, at.twists[i]) if free is None else free
+        for name, twist in zip(names, twists, strict=True):
+            if name not in free:
+                rows.append(_Row(edge.name, REACTIONS[name], not edge.actuated, edge, twist @ wrench, free))
+        for column, twist in zip(edge.columns, at.twists[i].T, strict=True):
+            if column.index < 0 or column.name != system.structure.velocity_names[column.index]:
+                what = f"{'lock' if column.index < 0 else 'coupling'} of {column.name}"
+                rows.append(_Row(what, "", False, None, twist @ wrench))
+    for law in (s.laws[k] for k in c.cluster.laws):
+        labels = law.names if law.rows > 1 else ("",)
+        own = c.stresses[n : n + law.rows]
+        rows += [_Row(law.title, label, False, None, x) for label, x in zip(labels, own, strict=True)]
+        n += law.rows
+    return rows
+
+
+def directions(at: Screws, i: int, edge: Edge, dim: int) -> tuple[tuple[str, ...], Array]:
+    """Names and scaled twists (k, 6) of elementary motions in the own axes of joint `i`, at the origin of its M."""
+    form = _form(edge, dim)
+    R = at.cross[i] if form is not None and form.turns == "x.y" else at.F[i, :3, :3]
+    names = DIRECTIONS if dim == 3 else ("x", "y", "rz")
+    if _slider(edge, dim):  # its z lies in the plane: y is across it, x is the plane's normal
+        names = ("z", "y", "rx")
+        R = np.stack([[0.0, 0.0, 1.0], np.cross([0.0, 0.0, 1.0], R[:, 2]), R[:, 2]], axis=1)
+    if edge.particle:
+        names = tuple(n for n in names if not n.startswith("r"))
+    r = (at.M[i, :3, 3] - at.center) / at.length
+    both = np.zeros((6, 6))
+    both[:3, :3] = R.T
+    both[3:, :3], both[3:, 3:] = (spatial.skew(r) @ R).T, R.T
+    return names, both[[DIRECTIONS.index(n) for n in names]]
+
+
+def _form(edge: Edge, dim: int) -> Reduced | None:
+    assert isinstance(edge.of, Joint)
+    return reduced(edge.of.type, dim, edge.particle)
+
+
+def _slider(edge: Edge, dim: int) -> bool:
+    """Whether an edge of the plane slides along z of its frame F."""
+    assert isinstance(edge.of, Joint)
+    return slides_along_z(edge.of.type, dim, edge.particle)
+
+
+def _free(edge: Edge, dim: int) -> frozenset[str] | None:
+    """Directions in which a joint moves, in axes of F, or of its cross; None where they are not always the same."""
+    assert isinstance(edge.of, Joint)
+    form = _form(edge, dim)
+    if form is None:
+        return frozenset({"rz"}) if dim == 3 and screw(edge.of.type) is not None else None
+    slides = {how for _, how in form.readings if how in DIRECTIONS}
+    if _slider(edge, dim):
+        return frozenset({"z"})
+    turns = set() if edge.particle else {f"r{a}" for a in ("z" if dim == 2 and not form.turns else _TURNS[form.turns])}
+    return frozenset(slides | turns)
+
+
+def _not_held(names: Sequence[str], twists: Array, moves: Array) -> frozenset[str]:
+    """Directions (by their `twists`) that need not be held besides others for a joint that only `moves` (6, n)."""
+    U, size, _ = np.linalg.svd(moves, full_matrices=False)
+    basis = U[:, size > CARRIES * size.max(initial=0.0)]
+    held: set[str] = set()
+    for part in (WELL, CARRIES):
+        for name, twist in zip(names, twists, strict=True):
+            rest = twist - basis @ (basis.T @ twist)
+            far = float(np.linalg.norm(rest))
+            if name not in held and far > part * float(np.linalg.norm(twist)):
+                basis = np.column_stack([basis, rest / far])
+                held.add(name)
+    return frozenset(names) - held
+
+
+# ---- releases
+
+
+def _choose(rows: Sequence[_Row], count: int) -> list[list[_Row]]:
+    """Rows, by owner, whose removal leaves no self-stress: owners that take most first, so that they are few."""
+    owners: dict[str, list[_Row]] = {}
+    for r in rows:
+        owners.setdefault(r.owner, []).append(r)
+    for own in owners.values():
+        own.sort(key=lambda r: _ORDER.index(_direction(r)) if _direction(r) in _ORDER else -1)
+    left = np.eye(count)
+    chosen: list[list[_Row]] = []
+    while left.shape[1]:
+        found = None
+        for part in (WELL, CARRIES):
+            options = [(own, _independent(own, left, part)) for own in owners.values()]
+            options = [(own, picked) for own, picked in options if picked]
+            if options:
+                found = min(options, key=lambda o: (-len(o[1]) if o[0][0].edge else 0, o[0][0].rank))[1]
+                break
+        if found is None:
+            break
+        chosen.append(found)
+        held = np.stack([r.stress for r in found]) @ left
+        left = left @ np.linalg.svd(held)[2][len(found) :].T
+    return chosen
+
+
+def _independent(rows: Sequence[_Row], left: Array, part: float) -> list[_Row]:
+    """Rows that are independent on the self-stresses that are `left`, in the given order, each by `part` at least."""
+    basis: list[Array] = []
+    out = []
+    for r in rows:
+        if len(basis) == left.shape[1]:
+            break
+        x = r.stress @ left
+        for b in basis:
+            x = x - (x @ b) * b
+        size = np.linalg.norm(x)
+        if size > part:
+            basis.append(x / size)
+            out.append(r)
+    return out
+
+
+_DIRECTION_OF = {reaction: direction for direction, reaction in REACTIONS.items()}
+
+
+def _direction(row: _Row) -> str:
+    return _DIRECTION_OF.get(row.label, "")
+
+
+def _release(rows: Sequence[_Row], dim: int) -> Release:
+    """The release of some directions of one owner."""
+    edge = rows[0].edge
+    labels = tuple(r.label for r in rows if r.label)
+    if edge is None:
+        return Release(rows[0].owner, (), "")
+    if isinstance(edge.of, Declared):
+        ops = [r.op for r in edge.of.of.rows(dim)]
+        if ops == [Op.POINT, Op.POINT] and len(rows) == 1 and dim == 3:
+            return Release(rows[0].owner, labels, "a point-on-plane pair")
+        return Release(rows[0].owner, labels, "")
+    more = {_direction(r) for r in rows}
+    free = (rows[0].free & _existing(edge, dim)) | more
+    if free == _existing(edge, dim):
+        return Release(rows[0].owner, labels, "")
+    if _free(edge, dim) is None:
+        return Release(rows[0].owner, labels, f"a {edge.of.type.type_name} joint that also {motions(more)}")
+    return Release(rows[0].owner, labels, pair_name(set(free)))
+
+
+def _existing(edge: Edge, dim: int) -> set[str]:
+    """Directions in which the child of a joint could move at all."""
+    if dim == 3:
+        return set(DIRECTIONS[:3] if edge.particle else DIRECTIONS)
+    if _slider(edge, dim):
+        return {"z", "y"} if edge.particle else {"z", "y", "rx"}
+    return {"x", "y"} if edge.particle else {"x", "y", "rz"}
+
+
+def pair_name(free: set[str]) -> str:
+    """Name of the pair that moves in these directions ('x', ..., 'rz'), whatever its axes are called."""
+    for axes in permutations("xyz"):
+        renamed = dict(zip("xyz", axes, strict=True))
+        turned = {d[:-1] + renamed[d[-1]] for d in free}
+        found = PAIRS.get(" ".join(d for d in DIRECTIONS if d in turned))
+        if found:
+            return found
+    return f"a joint that {motions(free)}"
+
+
+def motions(free: set[str]) -> str:
+    """'slides along x and turns about y, z' for {'x', 'ry', 'rz'}."""
+    slides, turns = (", ".join(d[-1] for d in DIRECTIONS if d in free and len(d) == n) for n in (1, 2))
+    parts = [f"slides along {slides}" * bool(slides), f"turns about {turns}" * bool(turns)]
+    return " and ".join(p for p in parts if p)
+
+
+def count_words(reactions: Sequence[str]) -> str:
+    """'two moments and one force' for ('Mx', 'My', 'Fz')."""
+    moments = sum(r.startswith("M") for r in reactions)
+    parts = [(moments, "moment"), (len(reactions) - moments, "force")]
+    return " and ".join(in_words(n, what) for n, what in parts if n)

@@ -1,0 +1,1 @@
+"""The true local dimension of a mechanism, from higher derivatives."""

@@ -1,0 +1,396 @@
+"""Branches of the solution set through a configuration, found by looking at spheres around it.
+
+Near a point an analytic set is a cone over its intersection with a small sphere (Milnor, 1968, section 2), so the
+points at distance h, for several h, show all branches: cusps, too, and those that tangent cones do not tell apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from kempe.analysis.local import reduction
+from kempe.analysis.local.local_equations import Equations
+from kempe.analysis.local.reduction import Split
+from kempe.spatial import Array
+
+RADII = (0.06, 0.02, 0.006)
+"""Radii of the spheres, in radians and characteristic lengths."""
+FAR = 0.3
+"""Radius at which branches that touch should have parted."""
+CLOSED = 1e-11
+"""Residual below which a point belongs to the solution set."""
+SAME_POINT = 1e-3
+"""Points nearer than this part of the radius are one."""
+BLURRED = 0.05
+"""The same where the equations touch the solution set: there points are known to few digits."""
+ALONG, TURNED = 0.5, 0.15
+"""Way along the sphere, as a part of its radius, and the turn of the tangent space over it that shows a cone."""
+FELL_BACK = 0.1
+"""A start that ends nearer to the configuration than this part of the radius found no motion."""
+BATCH, MOST_STARTS, MOST_KEPT, ENOUGH = 32, 480, 20, 2
+"""Starts at a time and in all, points kept of a family, and hits of each beyond which the search ends."""
+SAME_PLANE = 0.2
+"""Tangent spaces nearer to each other (root sum square of sines) belong to one branch."""
+SAME_LIMIT = 0.1
+"""The same on the smallest sphere, where they are nearly those at the configuration itself."""
+STEP = 0.2
+"""Steps from a point of a branch, to see which directions it has, as a part of the radius."""
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """One branch of the solution set through a configuration.
+
+    `tangent` (nv, dim): velocities (rad/s, m/s) that span it, each of unit size with lengths over the characteristic
+    length. For curves it is the limit at the configuration, else that at `q` (nq,), a point of the branch nearby.
+    `ends` says for a curve how many half-branches make it up: 2, with `cusp` where both leave to the same side.
+    """
+
+    dim: int
+    tangent: Array
+    q: Array
+    ends: int = 0
+    cusp: bool = False
+    multiple: bool = False
+    """Whether the equations touch it: their Jacobian has a larger kernel than the branch has dimensions (shaky)."""
+    cone: bool = False
+    """Whether the tangent spaces around the configuration have no limit: it is the tip of a cone, or of several."""
+
+
+@dataclass(eq=False)
+class Spot:
+    """A point near the configuration: its offsets at the radii (3, nv) and what is known of the branch there."""
+
+    offsets: Array
+    split: Split
+    dim: int | None = None
+    tangent: Array | None = None
+    near: Array | None = None
+    """Basis of the kernel on the smallest sphere."""
+    obstructed: int | None = None
+    """The first order at which kernel vectors there cannot be continued."""
+
+
+@dataclass(eq=False)
+class Family:
+    """Points on the largest sphere with nearly the same kernel; where that is a line, points that are one."""
+
+    spots: list[Spot]
+    cone: bool = False
+    hits: int = 1
+    opposite: Family | None = None
+    """The family on the other side of the configuration: what a curve through it is there."""
+
+    @property
+    def found(self) -> int:
+        """How many starts led to this side or to the other."""
+        return self.hits + (0 if self.opposite in (None, self) else self.opposite.hits)
+
+    def holds(self, spot: Spot) -> bool:
+        """Whether a point is of this family."""
+        first = self.spots[0]
+        if first.split.delta != spot.split.delta:
+            return False
+        if first.split.delta == 1:
+            return _same(first.offsets[0], spot.offsets[0])
+        return apart(first.split.kernel, spot.split.kernel) < SAME_PLANE
+
+    def add(self, spot: Spot, hits: int) -> None:
+        """Count a point, and keep it if it is new and few are there."""
+        self.hits += hits
+        if len(self.spots) < MOST_KEPT and not any(_same(s.offsets[0], spot.offsets[0]) for s in self.spots):
+            self.spots.append(spot)
+
+
+def _same(x: Array, y: Array) -> bool:
+    d = x - y
+    return float(d @ d) < (SAME_POINT * RADII[0]) ** 2
+
+
+class Ring(NamedTuple):
+    """Points (n, nq) on a sphere with their offsets (n, nv) from its center, Jacobians, and whether they are good."""
+
+    q: Array
+    offsets: Array
+    jacobian: Array
+    good: np.ndarray
+
+
+def on_sphere(equations: Equations, q: Array, directions: Array, radius: float) -> Ring:
+    """Points of the solution set at a distance from q, sought in directions (n, nv).
+
+    First they are sought anywhere near: the equation of the sphere would lead many into a local minimum.
+    """
+    near = equations.project(equations.move(q, radius * directions), q)
+    back = near.distance < FELL_BACK * radius
+    x = np.where(back[:, None], directions, equations.offset(q, near.q) / np.maximum(near.distance, 1e-300)[:, None])
+    at = equations.project(equations.move(q, radius * x), q, radius)
+    good = ~back & (at.residual < CLOSED) & (np.abs(at.distance - radius) < 1e-4 * radius)
+    return Ring(at.q, equations.offset(q, at.q), at.jacobian, good)
+
+
+def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[list[Family], bool]:
+    """Families of points on the largest sphere that can be followed to the smallest; whether all were hit twice.
+
+    The part of the branches, by how often random starts lead to them, that was never hit is about the number of
+    families hit once over the number of starts (Good, 1953): so the search ends when there is none hit that rarely.
+    A curve is hit on either side, for the other side is looked for at once.
+    """
+    families: list[Family] = []
+    starts = 0
+    while starts < MOST_STARTS:
+        d = reduction.unit_directions(rng, BATCH, at.delta) @ at.kernel.T
+        starts, known = starts + len(d), len(families)
+        _sort_in(equations, at, families, _spots(equations, at, d))
+        _look_across(equations, at, families, families[known:])
+        if starts >= 2 * BATCH and all(f.found > ENOUGH for f in families):
+            break
+    followed = {id(s) for s in _shrink(equations, at, [s for f in families for s in f.spots])}
+    for family in families:
+        family.spots = [s for s in family.spots if id(s) in followed]
+    families = _joined([f for f in families if f.spots])
+    return families, all(f.found > 1 for f in families)
+
+
+def _look_across(equations: Equations, at: Split, families: list[Family], new: list[Family]) -> None:
+    """Add what is on the other side of the first points of new families."""
+    if not new:
+        return
+    ring = on_sphere(equations, at.q, np.array([-f.spots[0].offsets[0] / RADII[0] for f in new]), RADII[0])
+    for i in np.flatnonzero(ring.good):
+        spot = Spot(ring.offsets[None, i], reduction.split_matrix(ring.q[i], ring.jacobian[i]))
+        _sort_in(equations, at, families, [spot], False)
+        other = next((f for f in families if any(s is spot for s in f.spots)), None)
+        other = other or next((f for f in families if not f.cone and f.holds(spot)), None)
+        if other is not None:
+            new[i].opposite, other.opposite = other, new[i] if other.opposite is None else other.opposite
+
+
+def _joined(families: list[Family]) -> list[Family]:
+    """The families, those as one whose tangent spaces meet at the configuration: a bent branch seems to be several."""
+    out: list[Family] = []
+    for family in families:
+        near = family.spots[0].near
+        for other in out:
+            like = other.spots[0].near
+            if near is None or like is None or family.cone or other.cone or near.shape[1] < 2:
+                continue
+            if apart(near, like) < SAME_LIMIT:
+                other.spots, other.hits = (other.spots + family.spots)[:MOST_KEPT], other.hits + family.hits
+                break
+        else:
+            out.append(family)
+    return out
+
+
+def _spots(equations: Equations, at: Split, directions: Array) -> list[Spot]:
+    """Points on the largest sphere sought in directions (n, nv)."""
+    ring = on_sphere(equations, at.q, directions, RADII[0])
+    found = np.flatnonzero(ring.good)
+    splits = reduction.split_all(ring.q[found], ring.jacobian[found])
+    return [Spot(ring.offsets[None, i], split) for i, split in zip(found, splits, strict=True)]
+
+
+def _sort_in(equations: Equations, at: Split, families: list[Family], spots: list[Spot], counted: bool = True) -> None:
+    """Add points to the family that holds them, or make one; all points of cones of one dimension are a family."""
+    hit = int(counted)
+    for spot in spots:
+        held = next((f for f in families if not f.cone and f.holds(spot)), None)
+        if held is None and spot.split.delta > 1 and _turns(equations, at, spot):
+            held = next((f for f in families if f.cone and f.spots[0].split.delta == spot.split.delta), None)
+            if held is None:
+                families.append(Family([spot], cone=True, hits=hit))
+                continue
+        if held is None:
+            families.append(Family([spot], hits=hit))
+        else:
+            held.add(spot, hit)
+
+
+def _turns(equations: Equations, at: Split, spot: Spot) -> bool:
+    """Whether the tangent space turns on the way along the sphere: on a branch with a tangent space it does not."""
+    x, K = spot.offsets[0] / RADII[0], spot.split.kernel
+    along = K @ reduction.axes(np.random.default_rng(0), K.shape[1]).T
+    along -= x[:, None] * (x @ along)
+    d = x + ALONG * along.T / np.maximum(np.linalg.norm(along, axis=0), 1e-3)[:, None]
+    ring = on_sphere(equations, at.q, d / np.linalg.norm(d, axis=1, keepdims=True), RADII[0])
+    kernels = (x.kernel for x in reduction.split_all(ring.q[ring.good], ring.jacobian[ring.good]))
+    return any(apart(K, k) > TURNED for k in kernels if k.shape == K.shape)
+
+
+def _shrink(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
+    """The points that can be followed to the smaller spheres, with their offsets there."""
+    for before, radius in zip(RADII, RADII[1:], strict=False):
+        if not spots:
+            break
+        d = np.array([s.offsets[-1] for s in spots]) / before
+        ring = on_sphere(equations, at.q, d, radius)
+        good = ring.good & (np.linalg.norm(ring.offsets / radius - d, axis=1) < 0.5)
+        splits = reduction.split_all(ring.q, ring.jacobian)
+        for i, spot in enumerate(spots):
+            spot.offsets = np.concatenate([spot.offsets, ring.offsets[None, i]])
+            spot.near = splits[i].kernel if good[i] else None
+        spots = [s for s, ok in zip(spots, good, strict=True) if ok]
+    return spots
+
+
+def apart(a: Array, b: Array) -> float:
+    """Root sum square of the sines of the principal angles between subspaces with orthonormal bases (nv, k)."""
+    if a.shape != b.shape:
+        return np.inf
+    d = (a - b @ (b.T @ a)).ravel()
+    return float(np.sqrt(d @ d))
+
+
+def measure(equations: Equations, spot: Spot, order: int, rng: np.random.Generator) -> bool:
+    """Find dimension and tangent space of the solution set at a point of a branch; whether two ways of it agree."""
+    at = spot.split
+    spot.dim, spot.tangent = at.delta, at.kernel
+    if at.corank == 0 or at.delta == 0:
+        return True
+    k = reduction.obstruction(equations, at, order, rng).order
+    if k is None:
+        return True
+    spot.obstructed = k
+    spot.dim, spot.tangent = survivors(equations, at.q, at.kernel, STEP * RADII[0], rng)
+    return k > 1 and reduction.lineality(equations, at, k, rng).shape[1] == spot.dim
+
+
+def survivors(
+    equations: Equations, q: Array, basis: Array, radius: float, rng: np.random.Generator
+) -> tuple[int, Array]:
+    """How many dimensions the points of the solution set at a distance from q span, sought along `basis` (nv, k)."""
+    ring = on_sphere(equations, q, reduction.axes(rng, basis.shape[1]) @ basis.T, radius)
+    return span(ring.offsets[ring.good] / radius)
+
+
+def span(x: Array) -> tuple[int, Array]:
+    """Number of dimensions that vectors (n, nv) of about unit length span, and a basis (nv, dim) of their span."""
+    if not len(x):
+        return 0, np.zeros((x.shape[1], 0))
+    _, sigma, Vt = np.linalg.svd(x, full_matrices=False)
+    dim = int(np.sum(sigma > max(0.1 * sigma[0], 0.1)))
+    return dim, Vt[:dim].T
+
+
+def dimensions(equations: Equations, families: list[Family], order: int, rng: np.random.Generator) -> bool:
+    """Set dimension and tangent space of all points, and part families whose points are of several branches.
+
+    Says whether the ways to find the dimension, and points where equations are smooth, agree.
+    """
+    sound = True
+    for family in list(families):
+        spots = family.spots
+        for spot in spots:
+            if spot.split.corank == 0:
+                spot.dim, spot.tangent = spot.split.delta, spot.split.kernel
+        rest = [s for s in spots if s.dim is None]
+        for spot in rest[:2]:
+            sound &= measure(equations, spot, order, rng)
+        shaky = any(s.obstructed is not None for s in rest[:2])
+        for i, spot in enumerate(rest[2:], 2):
+            like = next((s for s in rest[:i] if _within(spot, s)), None) if shaky and not family.cone else rest[0]
+            if like is None:
+                sound &= measure(equations, spot, order, rng)
+            else:
+                spot.dim, spot.tangent = like.dim, like.tangent if shaky else spot.split.kernel
+        parts = _parted(family)
+        sound &= shaky or len(parts) == 1
+        if shaky and len(parts) > 1:
+            families.remove(family)
+            families += parts
+    return sound
+
+
+def _within(spot: Spot, other: Spot) -> bool:
+    """Whether a point lies in the tangent space of a branch of two or more dimensions, that of another point."""
+    T, x = other.tangent, spot.offsets[0] / RADII[0]
+    return T is not None and T.shape[1] > 1 and float(np.linalg.norm(x - T @ (T.T @ x))) < SAME_PLANE
+
+
+def _alike(a: Array | None, b: Array | None) -> bool:
+    """Whether tangent spaces belong to one branch; those of curves may."""
+    return a is None or b is None or a.shape[1] < 2 or apart(a, b) < SAME_PLANE
+
+
+def _parted(family: Family) -> list[Family]:
+    """A family by dimension and tangent space: where it is shaky, branches that meet can have the same kernel."""
+    parts: list[Family] = []
+    for spot in family.spots:
+        for part in parts:
+            first = part.spots[0]
+            if first.dim == spot.dim and (family.cone or _alike(first.tangent, spot.tangent)):
+                part.spots.append(spot)
+                break
+        else:
+            parts.append(Family([spot], family.cone, family.hits))
+    return parts
+
+
+def stays_multiple(equations: Equations, at: Split, families: list[Family]) -> bool:
+    """Whether branches that are shaky near the configuration are so farther out.
+
+    Two branches that touch closely look like one with multiplicity on small spheres; farther out they part.
+    """
+    shaky = [f.spots[0] for f in families if (f.spots[0].dim or 0) < f.spots[0].split.delta and f.spots[0].dim]
+    if not shaky:
+        return True
+    ring = on_sphere(equations, at.q, np.array([s.offsets[0] for s in shaky]) / RADII[0], FAR)
+    deltas = [reduction.split_matrix(at.q, J).delta for J in ring.jacobian]
+    return all(d >= s.split.delta for s, d, ok in zip(shaky, deltas, ring.good, strict=True) if ok)
+
+
+def collect(equations: Equations, families: list[Family]) -> tuple[list[Branch], bool]:
+    """The branches that the points belong to, and whether the curves among them come in pairs of half-branches."""
+    out: list[Branch] = []
+    for family in sorted(families, key=lambda f: -(f.spots[0].dim or 0)):
+        spot = family.spots[0]
+        T = spot.tangent
+        if T is None or T.shape[1] < 2:
+            continue
+        if family.cone or not any(b.dim == spot.dim and apart(b.tangent, T) < SAME_PLANE for b in out):
+            shaky = spot.split.delta > T.shape[1]
+            out.append(Branch(T.shape[1], T, spot.split.q, multiple=shaky, cone=family.cone))
+    curves, paired = _pair([s for f in families for s in f.spots if s.dim == 1])
+    return [replace(b, tangent=b.tangent * equations.scale[:, None]) for b in out + curves], paired
+
+
+def _pair(halves: list[Spot]) -> tuple[list[Branch], bool]:
+    """Curves through the configuration from their half-branches, joined so that direction and bend continue."""
+    h = np.array(RADII)
+    rays = []
+    for s in _apart(halves):
+        u = s.offsets / h[:, None]
+        t = u[2] - (u[1] - u[2]) * h[2] / (h[1] - h[2])
+        rays.append((t / np.linalg.norm(t), (u[1] - u[2]) / (h[1] - h[2]), s))
+    out, left = [], list(range(len(rays)))
+
+    def cost(i: int, j: int, sign: float) -> float:
+        return float(np.linalg.norm(rays[i][0] + sign * rays[j][0]) + h[1] * np.linalg.norm(rays[i][1] - rays[j][1]))
+
+    for sign in (1.0, -1.0):  # first those that go through, then cusps
+        pairs = sorted((cost(i, j, sign), i, j) for i in left for j in left if i < j)
+        for c, i, j in pairs:
+            if c < 0.3 and i in left and j in left:
+                left = [k for k in left if k not in (i, j)]
+                out.append(_curve(rays[i], 2, sign < 0.0))
+    out += [_curve(rays[i], 1, False) for i in left]
+    return out, not left
+
+
+def _apart(halves: list[Spot]) -> list[Spot]:
+    """Half-branches without those that are another again: where they are shaky, points are known to few digits."""
+    out: list[Spot] = []
+    for s in halves:
+        shaky = [o for o in out if min(s.split.delta, o.split.delta) > 1]
+        if not any(np.linalg.norm(s.offsets[0] - o.offsets[0]) < BLURRED * RADII[0] for o in shaky):
+            out.append(s)
+    return out
+
+
+def _curve(ray: tuple[Array, Array, Spot], ends: int, cusp: bool) -> Branch:
+    t, _, spot = ray
+    return Branch(1, t[:, None], spot.split.q, ends, cusp, spot.split.delta > 1)

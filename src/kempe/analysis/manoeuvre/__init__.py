@@ -1,0 +1,1 @@
+"""Manoeuvres of what rolls without slipping."""

@@ -1,0 +1,1 @@
+"""Degrees of freedom, and the kind of each constraint."""

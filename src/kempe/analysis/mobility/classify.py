@@ -1,0 +1,253 @@
+"""Which kind each constraint is: holonomic, integrable, nonholonomic, unilateral; how far free velocities reach.
+
+Velocities that rows A(q) v = 0 leave free span a distribution on the set of closed configurations. What brackets of its
+fields span at q is tangent to the set that motions from q reach (Chow, 1939; Nagano, 1966; Sussmann, 1973). Where it is
+no more than the distribution, at a configuration drawn at random and so everywhere, since all is analytic, the rows are
+the rates of functions of q (Frobenius, 1877): positions in disguise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.analysis.first_order.generic_configurations import NEAR, close, find_closed
+from kempe.analysis.mobility.growth_vectors import growth
+from kempe.analysis.mobility.one_sided_report import OneSidedReport, if_any
+from kempe.analysis.mobility.reachable import Place, Reach, random_place, reach
+from kempe.calls import explained, explained_methods, generator
+from kempe.description.parts import Fixed
+from kempe.errors import InputError, shown
+from kempe.kinematics.common.result import Report
+from kempe.kinematics.configuration import one
+from kempe.kinematics.velocity.velocity import tangent_rows
+from kempe.reals import is_real
+from kempe.solvers.assembly.ideal import tolerant
+from kempe.spatial import Array
+from kempe.status import Status
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.solvers.assembly.ideal import Idealised
+
+HOLONOMIC, INTEGRABLE, NONHOLONOMIC, UNILATERAL = "holonomic", "integrable", "nonholonomic", "unilateral"
+@dataclass(frozen=True)
+class ConstraintKind:
+    """What one constraint is, alone beside what holds positions.
+
+    `rows` are the names of its equations, `independent` of them take a freedom of velocity each. With rows of velocity,
+    `integrable` of the freedoms that these take are rates of functions of position; `reaches` is the dimension of what
+    motions reach that obey this constraint, `growth` their growth vector, both at configurations around.
+    """
+
+    name: str
+    kind: str
+    rows: tuple[str, ...]
+    independent: int
+    integrable: int = 0
+    reaches: int | None = None
+    growth: tuple[int, ...] | None = None
+    touching: bool = False
+    """Whether its rows of velocity hold only while it touches something."""
+
+    @property
+    def sentence(self) -> str:
+        """What it is, and why, in one sentence."""
+        from kempe.analysis.mobility.classify_text import of_one
+
+        return of_one(self)
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.sentence}"
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Classification(Report):
+    """What the constraints of a system are, each alone and all together, with the reasoning; ``print`` it.
+
+    `position_dof` is the dimension of the set of closed configurations at `q`, `velocity_dof` that of the velocities
+    that all constraints leave free there. `growth` is their growth vector at `q`: dimensions of what brackets of up to
+    1, 2, ... of them span; `growth_around` that at configurations drawn at random. `degree` is the length of brackets
+    after which nothing is added (None where it is beyond the limit of work), and `reachable_dimension` the dimension of
+    the set that motions from `q` reach, where `doubtful` at least so many. `kind` says what the constraints of velocity
+    are together.
+    `constraints[name].kind` is "holonomic", "integrable" (of velocity, but positions in disguise), "nonholonomic" or
+    "unilateral". Where `why` says why not, growth and what is reached are None.
+    """
+
+    name: str
+    q: Array
+    kind: str
+    position_dof: int
+    velocity_dof: int
+    growth: tuple[int, ...] | None
+    growth_around: tuple[int, ...] | None
+    reachable_dimension: int | None
+    degree: int | None
+    constraints: Mapping[str, ConstraintKind]
+    doubtful: bool
+    why: str = ""
+    one_sided: OneSidedReport | None = field(default=None, repr=False)
+    """Which one-sided constraints are closed at `q` and what they still allow; None where there are none."""
+    moved: float = 0.0
+    """How far `q` is from the configuration that was given, where that was not closed."""
+    reachable_around: int | None = None
+    """The dimension that motions reach from configurations drawn at random."""
+    within: Idealised | None = field(default=None, repr=False)
+    """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
+
+    @property
+    def singular(self) -> bool:
+        """Whether the growth vector at `q` differs from that at configurations drawn at random, beyond doubt."""
+        return not self.doubtful and self.growth != self.growth_around
+
+    @property
+    def integrals(self) -> int | None:
+        """How many independent functions of position keep their value along every motion, around `q`."""
+        return None if self.reachable_around is None else self.position_dof - self.reachable_around
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: `UNDETERMINED` where growth and what is reached are not known."""
+        return Status.UNDETERMINED if self.why and self.growth is None else Status.SOLVED
+
+    @property
+    def status(self) -> str:
+        """The result in one sentence."""
+        from kempe.analysis.mobility.classify_text import sentence
+
+        return sentence(self)
+
+    def topics(self) -> list[tuple[str, list[str]]]:
+        """The reasons as (title, lines)."""
+        from kempe.analysis.mobility.classify_text import lines
+
+        return lines(self)
+
+    def _headline(self) -> str:
+        return f"{self.name}: {self.status}"
+
+    def _data(self) -> dict[str, Any]:
+        from kempe.analysis.mobility.classify_text import data
+
+        return data(self)
+
+
+@explained
+@tolerant("q")
+def classify(
+    system: System, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0,
+    tolerance: float | str | None = None,
+) -> Classification:  # fmt: skip
+    """Which kind each constraint of a system is, and how far velocities that are free reach, with the reasoning.
+
+    `q` (nq,) or a dict by coordinate name (default: as for `mobility`), `t` the time where constraints depend on it.
+    A `q` that misses what holds positions by more than rounding is refused, or with `project` replaced by the nearest
+    closed one that is found; `moved` says how far that is.
+    `rng` draws letters of brackets and configurations around. Ranks are decided by the size of singular values against
+    an estimate of rounding; `doubtful` says that one is not clearly on either side. Errors: `InputError`;
+    `UnsupportedError` for constraints that are no recorded expressions, by name.
+    """
+    if not is_real(t):
+        raise InputError(f"t is {shown(t)}; it must be one number")
+    given = None if q is None else one(system, q)
+    if given is not None and not np.all(np.isfinite(given)):
+        raise InputError("q must be finite numbers")
+    at = find_closed(system) if given is None else close(system, given)
+    if not at.closed:
+        raise InputError(f"the mechanism cannot be closed here (residual {at.residual:.2g}): {at.why}")
+    moved = 0.0 if given is None else float(system.configuration_space.distance(given, at.q))
+    if at.given > NEAR and given is not None and not project:
+        raise InputError(f"q misses what holds positions by {at.given:.3g} (radians and characteristic lengths); the "
+                         f"nearest closed configuration found is {moved:.3g} away: project=True takes it")  # fmt: skip
+    found = _Classifier(system, at.q, float(t), generator(rng)).found()
+    return replace(found, one_sided=if_any(system, at.q), moved=moved)
+
+
+class _Classifier:
+    """The rows of a system at a closed configuration, and around it."""
+
+    def __init__(self, system: System, q: Array, t: float, rng: np.random.Generator):
+        self.system, self.rows, self.rng = system, tangent_rows(system), rng
+        self.of: dict[str, list[int]] = {}
+        for i, row in enumerate(self.rows.names):
+            self.of.setdefault(row.of, []).append(i)
+        names = self.rows.names
+        self.moving = {c for c, rows in self.of.items() if any(names[i].velocity for i in rows)}
+        # what rolls touches: its one-sided rows hold while it does
+        held = (i for i, r in enumerate(names) if not r.velocity and (not r.sided or r.of in self.moving))
+        self.place = Place(self.rows, q, t, tuple(held), self._closed)
+
+    def _closed(self, q: Array) -> Array | None:
+        if not self.place.holding:
+            return q
+        at = close(self.system, q)
+        return at.q if at.closed else None
+
+    def velocity_rows(self, names: Iterable[str]) -> list[int]:
+        """The rows of velocity of some constraints."""
+        return [i for c in names for i in self.of[c] if self.rows.names[i].velocity]
+
+    def found(self) -> Classification:
+        """Everything."""
+        place, system = self.place, self.system
+        whole, around = place.kernel(), random_place(place, self.rng)
+        positions = whole.dimension - place.extra
+        away = whole.dimension if around is None else around.kernel().dimension
+        which = self.velocity_rows(self.moving)
+        free = place.kernel(which).dimension - place.extra
+        made = {"name": system.name, "q": place.q, "position_dof": positions, "velocity_dof": free}
+        if away < whole.dimension:
+            count = f"{positions} freedoms, around {away - place.extra}"
+            why = f"q is a singular point of what holds positions, which leaves {count}"
+            return self._without(why, made, around)
+        if place.extra and not np.any(np.abs(place.kernel(which).basis[-1]) > 1e-9):
+            return self._without("the velocities that are asked for contradict each other at q", made, around)
+        total = reach(place, around, which, self.rng)
+        kind = self._together(total)
+        lost = "constraints of velocity lose rank at q, where velocities do not go on smoothly around"
+        why = "" if total.growth is not None else lost
+        return Classification(
+            **made, kind=kind, growth=total.growth, growth_around=total.around, reachable_dimension=total.dimension,
+            degree=total.degree, constraints=self._each(around or place), doubtful=total.doubtful, why=why,
+            reachable_around=total.dimension_around,
+        )  # fmt: skip
+
+    def _without(self, why: str, made: dict[str, Any], around: Place | None) -> Classification:
+        """What can be said where growth is not defined."""
+        return Classification(
+            **made, kind="", growth=None, growth_around=None, reachable_dimension=None, degree=None,
+            constraints=self._each(around or self.place), doubtful=False, why=why,
+        )  # fmt: skip
+
+    def _together(self, total: Reach) -> str:
+        """What all constraints are together."""
+        if self.moving:
+            return INTEGRABLE if total.around[0] == total.dimension_around else NONHOLONOMIC
+        sided = bool(self.rows.names) and all(r.sided for r in self.rows.names)
+        return UNILATERAL if sided else HOLONOMIC
+
+    def _each(self, place: Place) -> Mapping[str, ConstraintKind]:
+        return Fixed({name: self._one(place, name, rows) for name, rows in self.of.items()})
+
+    def _one(self, place: Place, name: str, own: list[int]) -> ConstraintKind:
+        rows, whole = self.rows.names, place.kernel().dimension
+        names, which = tuple(rows[i].name for i in own), self.velocity_rows([name]) if name in self.moving else []
+        if not which:
+            held = [i for i in own if not rows[i].sided]
+            others = replace(place, holding=tuple(i for i in place.holding if i not in own))
+            return ConstraintKind(
+                name, HOLONOMIC if held else UNILATERAL, names, others.kernel().dimension - whole if held else 0
+            )  # fmt: skip
+        alone = place.kernel(which)
+        found = growth(alone, self.rng, whole, False).dimensions
+        kind = INTEGRABLE if found[-1] == alone.dimension else NONHOLONOMIC
+        extra = place.extra
+        return ConstraintKind(
+            name, kind, names, whole - alone.dimension, whole - found[-1], found[-1] - extra,
+            tuple(d - extra for d in found), any(rows[i].sided for i in own),
+        )  # fmt: skip

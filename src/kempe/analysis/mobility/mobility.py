@@ -1,0 +1,316 @@
+"""Mobility: the degrees of freedom of a mechanism by counting, by rank, and truly; what is redundant, idle, driven."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.analysis.first_order.constraint_graph import Structure, called, structure
+from kempe.analysis.first_order.control import Control, control, driven
+from kempe.analysis.first_order.counting import Counting, LoopCount, counting, loop_counts
+from kempe.analysis.first_order.generic_configurations import Closed, close, find_closed, nearby
+from kempe.analysis.first_order.idle_freedoms import IdleFreedom, idle_freedoms, may_idle
+from kempe.analysis.first_order.rank import Rank, rank_at
+from kempe.analysis.first_order.redundant_constraints import Redundancy, redundancy
+from kempe.analysis.first_order.wrenches import Wrenches
+from kempe.analysis.local.dof_proofs import regular
+from kempe.analysis.mobility.mobility_text import dimensions
+from kempe.analysis.mobility.one_sided_report import OneSidedReport, if_any
+from kempe.analysis.mobility.reachable import velocity_freedoms
+from kempe.calls import explained, explained_methods, generator
+from kempe.errors import InputError
+from kempe.kinematics.ball_angles import regular_chart
+from kempe.kinematics.common.result import Report
+from kempe.kinematics.configuration import as_q
+from kempe.model.tree.own_tree import own_tree
+from kempe.solvers.assembly.ideal import tolerant
+from kempe.spatial import Array
+from kempe.status import Status
+
+if TYPE_CHECKING:
+    from kempe.analysis.local.branches import Branch
+    from kempe.analysis.local.local import LocalDimension
+    from kempe.model.system import System
+    from kempe.solvers.assembly.ideal import Idealised
+
+
+@dataclass(frozen=True)
+class ClusterMobility:
+    """Loops that share joints: the joints, how many loops, the count of these alone, their rank DoF, redundancy.
+
+    `rank_dof` and `redundant` are None where the mechanism is open.
+    """
+
+    joints: tuple[str, ...]
+    loops: tuple[str, ...]
+    gruebler: int
+    rank_dof: int | None
+    redundant: int | None
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Mobility(Report):
+    """Degrees of freedom of a mechanism at a configuration, with the reasoning; ``print`` it.
+
+    `gruebler` is the count; `rank_dof` the nullity of the loop equations at `q`, `generic_rank_dof` its minimum at
+    other configurations around; `dof` the true local number: the dimension of the set of closed configurations at `q`
+    (None where it was not asked for, or the mechanism cannot be closed). `redundant` constraints depend on others at
+    generic configurations, to first order; `redundant_here` at `q`. `idle` freedoms transmit nothing: `useful` are
+    the others. `singular` says that `q` is a singular point of the configuration space, `kind` which.
+    """
+
+    name: str
+    dim: int
+    q: Array
+    closed: bool
+    residual: float
+    given_residual: float
+    why_open: str
+    counting: Counting
+    loops: tuple[LoopCount, ...]
+    clusters: tuple[ClusterMobility, ...]
+    outside: int
+    rank: Rank | None = field(repr=False)
+    generic_rank_dof: int | None
+    local: LocalDimension | None = field(repr=False)
+    dof: int | None
+    redundancy: Redundancy | None
+    idle_freedoms: tuple[IdleFreedom, ...]
+    control: Control | None
+    singular: bool | None
+    kind: str
+    velocity_dof: int | None = None
+    """Freedoms of velocity at `q`: what constraints of velocity leave of `rank_dof`; None without such constraints."""
+    regular: bool = False
+    """Whether the rank is full beyond rounding, so that the implicit function theorem gives `dof`."""
+    one_sided: OneSidedReport | None = field(default=None, repr=False)
+    """What one-sided constraints are closed and still allow; None where there are none but limits that are not reached.
+
+    The freedoms above do not count them: a side that is open takes nothing away, a closed one only a direction.
+    """
+    called: tuple[str, ...] = ()
+    """Constraints that are functions without series, because of which `dof` is not known."""
+    wrenches: Wrenches | None = field(default=None, repr=False)
+    """What joints and constraints transmit at `q`, their self-stresses among it; None where it cannot be closed."""
+    within: Idealised | None = field(default=None, repr=False)
+    """The nearest mechanism that closes exactly, whose freedoms these are; None: those of the given one."""
+
+    @property
+    def gruebler(self) -> int:
+        """The count: freedoms of the bodies less what the joints take away."""
+        return self.counting.gruebler
+
+    @property
+    def gruebler_spatial(self) -> int:
+        """What the mechanism counts to in space; for a planar one each loop has three more equations there."""
+        return self.counting.gruebler_spatial
+
+    @property
+    def rank_dof(self) -> int | None:
+        """Freedoms to first order at `q`: coordinates less the rank of the loop equations."""
+        return None if self.rank is None else self.rank.nullity
+
+    @property
+    def redundant(self) -> int | None:
+        """Number of redundant constraints at generic configurations of this branch."""
+        return None if self.generic_rank_dof is None else self.generic_rank_dof - self.gruebler
+
+    @property
+    def redundant_here(self) -> int | None:
+        """Number of constraints that depend on others, to first order, at `q`."""
+        return None if self.rank is None else self.rank.dependent
+
+    @property
+    def idle(self) -> int:
+        """Number of idle freedoms."""
+        return len(self.idle_freedoms)
+
+    @property
+    def useful(self) -> int | None:
+        """Freedoms that are not idle."""
+        return None if self.dof is None else self.dof - self.idle
+
+    @property
+    def certain(self) -> bool:
+        """Whether `dof` is proven, for the mechanism in which what is zero to rounding is exactly zero.
+
+        Either the rank is full, the smallest singular value being above a bound of all rounding and an exactly closed
+        configuration near by (Newton and Kantorovich), or a theorem about singular or overconstrained mechanisms
+        holds, whose hypotheses were checked: see `kempe.analysis.local.dof_proofs`. Otherwise `dof` is known to an
+        order only. What is true `within` a tolerance only is not proven of the mechanism as given.
+        """
+        return self.within is None and (self.regular if self.local is None else self.local.certain)
+
+    @property
+    def unproven(self) -> str:
+        """Why `dof` is not proven where the rank is full."""
+        bent = [c for r in self.rank.clusters for c in r.cluster.bent] if self.rank is not None else []
+        if bent:
+            return f"no bound is known of how {', '.join(map(repr, bent))} bends"
+        return "a singular value is too near zero to be told from it"
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: solved where the mechanism can be closed here."""
+        return Status.SOLVED if self.closed else Status.NOT_FOUND
+
+    @property
+    def status(self) -> str:
+        """The result in one sentence."""
+        from kempe.analysis.mobility.mobility_text import sentence
+
+        return sentence(self)
+
+    def topics(self) -> list[tuple[str, list[str]]]:
+        """The reasons as (title, lines)."""
+        from kempe.analysis.mobility.mobility_text import lines
+
+        return lines(self)
+
+    def _headline(self) -> str:
+        return f"{self.name}: {self.status}"
+
+    def _data(self) -> dict[str, Any]:
+        from kempe.analysis.mobility.mobility_text import data
+
+        return data(self)
+
+
+@explained
+@tolerant()
+def mobility(
+    system: System, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
+    rng: np.random.Generator | int = 0, tolerance: float | str | None = None,
+) -> Mobility:  # fmt: skip
+    """How many degrees of freedom a system has, by counting, by rank and truly, with the reasoning.
+
+    `q` (nq,) or a dict by coordinate name (default: the posture 'closed', else a closed configuration is searched);
+    where it is not exactly closed the nearest closed configuration is taken, and where there is none only the count is
+    given. `actuated` names joints or coordinates whose control is looked at (default: those marked in the file).
+    `local=False` leaves out the true number, where the rank does not prove it, and is faster. `rng` draws the generic
+    configurations. Where three angles of a ball joint are singular coordinates, it is looked at in others: `rank` and
+    `local` are then about angles measured from there. Errors: `InputError`, `UnknownNameError`.
+    """
+    shown, system = system, own_tree(system)
+    driven(system, actuated)  # a wrong name is refused before any work
+    at = close(system, _given(system, q)) if q is not None else find_closed(system)
+    rng = generator(rng)
+    if not at.closed:
+        return _open(system, shown, at)
+    other, q, turned = regular_chart(system, at.q)
+    if turned:  # angles of a ball have velocities there that move nothing
+        found = _found(other, shown, replace(at, q=q), actuated, local, rng)
+        from kempe.analysis.local.local import in_chart
+
+        truth = None if found.local is None else in_chart(system, found.local, turned)
+        return replace(found, q=at.q, local=truth, one_sided=if_any(shown, at.q))
+    return _found(system, shown, at, actuated, local, rng)
+
+
+def _found(
+    system: System, shown: System, at: Closed, actuated: Iterable[str] | None, local: bool, rng: np.random.Generator
+) -> Mobility:  # fmt: skip
+    """Everything, at a closed configuration whose coordinates are regular; counted over the tree of `shown`."""
+    s, motors = structure(system), driven(system, actuated)
+    rank = rank_at(system, at.q)
+    generic = nearby(system, rank, rng) if rank.dependent or motors or may_idle(system, rank, motors) else []
+    truth = _local(system, rank, local, rng)
+    best = min([rank, *generic, *_on_branches(system, truth)], key=lambda r: r.nullity)
+    idle = idle_freedoms(system, [rank, *generic], motors)
+    dof = truth.dim if truth is not None else rank.nullity if not rank.dependent or not rank.nullity else None
+    singular, kind = _kind(rank, best, truth)
+    sure = truth is None and dof is not None and regular(system, rank, at.residual)
+    return Mobility(
+        system.name, system.dim, at.q, True, at.residual, at.given, "", counting(shown),
+        loop_counts(shown, rank.screws), _clusters(s, rank), _outside(system, s), rank, best.nullity, truth, dof,
+        redundancy(system, best), idle, control(system, rank, generic, idle, actuated), singular, kind,
+        velocity_freedoms(system, at.q), sure, if_any(shown, at.q),
+        called(system) if dof is None and local else (), Wrenches(system, at.q),
+    )  # fmt: skip
+
+
+def _given(system: System, q: Any) -> Array:
+    given = as_q(system, q)
+    if given.ndim != 1:
+        raise InputError(f"q has shape {given.shape}; mobility is found at one configuration ({system.nq},)")
+    return given
+
+
+def _open(system: System, shown: System, at: Closed) -> Mobility:
+    s = structure(system)
+    return Mobility(
+        system.name, system.dim, at.q, False, at.residual, at.given, at.why, counting(shown),
+        loop_counts(shown, None), _clusters(s, None), _outside(system, s), None, None, None, None, None, (), None,
+        None, "",
+    )  # fmt: skip
+
+
+def _local(system: System, rank: Rank, wanted: bool, rng: np.random.Generator) -> LocalDimension | None:
+    """The true local dimension, where the rank alone does not prove it."""
+    if not wanted or not rank.dependent or not rank.nullity or called(system):
+        return None
+    from kempe.analysis.local.local import local_dimension
+
+    return local_dimension(system, rank.q, rng=rng)
+
+
+def _on_branches(system: System, truth: LocalDimension | None) -> list[Rank]:
+    """Ranks at points of branches of each dimension that meet here: random walks may miss some."""
+    if truth is None or truth.smooth:
+        return []
+    ranks = {b.dim: rank_at(system, b.q) for b in truth.branches if not b.multiple}
+    return [r for dim, r in ranks.items() if r.nullity == dim]
+
+
+def _clusters(s: Structure, rank: Rank | None) -> tuple[ClusterMobility, ...]:
+    out = []
+    for k, c in enumerate(s.clusters):
+        rows = sum(s.loops[i].rows for i in c.loops) + sum(s.laws[i].rows for i in c.laws)
+        r = None if rank is None else rank.clusters[k]
+        out.append(
+            ClusterMobility(
+                tuple(s.edges[i].name for i in c.edges), tuple(s.edges[s.loops[i].edge].name for i in c.loops),
+                len(c.velocities) - rows, None if r is None else r.nullity, None if r is None else r.dependent,
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+def _outside(system: System, s: Structure) -> int:
+    """Freedoms of joints that no loop touches."""
+    return system.nv - sum(len(c.velocities) for c in s.clusters)
+
+
+def _kind(rank: Rank, best: Rank, truth: LocalDimension | None) -> tuple[bool, str]:
+    """Whether the configuration is a singular point of the configuration space, and of which kind, in words."""
+    drop = rank.nullity - best.nullity
+    if truth is None:
+        if not drop:
+            return False, ""
+        return True, f"the rank is lower than at other configurations of the branch (by {drop})"
+    if truth.smooth:
+        return False, ""
+    if len(truth.branches) == 0:
+        return True, "shaky: it can move to first order, but is rigid"
+    dims = dimensions(truth.branch_dims)
+    if len(truth.branches) > 1:
+        found = "meet" if truth.counted else "were found"
+        kind = f"bifurcation: {len(truth.branches)} branches {found}, of dimensions {dims}"
+    else:
+        kind = _kind_of(truth.branches[0])
+    return True, "; ".join([kind, *truth.more])
+
+
+def _kind_of(branch: Branch) -> str:
+    """What the only branch does here."""
+    if branch.multiple:
+        return "shaky at every configuration of the branch: it can move more to first order than it truly does"
+    if branch.cusp:
+        return "cusp: the motion comes to rest here and goes back beside the way it came"
+    if branch.ends == 1:
+        return "end of the motion: one half of a branch only leads here"
+    return "the rank is lower here, but only one branch passes through"

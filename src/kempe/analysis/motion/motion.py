@@ -1,0 +1,321 @@
+"""How a mechanism with one degree of freedom moves: its whole branch, by continuation; other branches by switching.
+
+Pseudo-arclength continuation in all velocity coordinates (Keller, 1977; Allgower, Georg, 1990): the driver is not
+special, so dead points are ordinary points. At a crossing the walk goes straight on; what other branches there are is
+recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.analysis.continuation.beginning import angle_or_slide, begin, first_node, longest_step, periods, start_of
+from kempe.analysis.continuation.continuation import Closure
+from kempe.analysis.continuation.deflation import rank_held
+from kempe.analysis.continuation.events import Stop, extreme, hidden_crossings, home, turns, walk
+from kempe.analysis.continuation.one_sided_ends import Limits
+from kempe.analysis.continuation.path import Event, Path, Track
+from kempe.analysis.continuation.spins import spins_held
+from kempe.analysis.motion.endless import NO_RETURN, Endless
+from kempe.budget import Budget, Usual
+from kempe.calls import explained, flag
+from kempe.errors import InputError
+from kempe.reals import is_whole
+from kempe.solvers.assembly.ideal import tolerant
+from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp
+from kempe.solvers.common.slip import slip_of
+from kempe.solvers.common.tracing import Node, arc, node
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+NONE = np.zeros((0, 0))
+SAME_POINT = 1e-6
+"""Distance below which two singular points are the same."""
+
+LOW = "the rank is low all along, so that crossings with other branches may be passed unseen"
+"""What is said of a path along which the equations touch."""
+AGAIN = 4
+"""How often a path is walked again, at most, with idle spins held by directions that are farther from their lines."""
+MOST_POINTS = 100_000
+"""Points of a path unless the caller says otherwise."""
+WAYS = ("both", "forward", "branches")
+USUAL = Usual("trace", points=MOST_POINTS, step=None, time_limit=TIME_LIMIT, progress=None)
+
+Progress = Callable[[int, float], Any]
+
+
+@dataclass(frozen=True)
+class _Options:
+    """What all walks of one call share."""
+
+    driver: str | None
+    ways: str
+    longest: float
+    limits: bool
+    most: int
+    progress: Progress | None
+    periods: Array
+    time: TimeLimit
+
+
+@explained
+@tolerant()
+def trace(
+    system: System, driver: str | None = None, start: ArrayLike | Mapping[str, float] | str | None = None, *,
+    hold: Mapping[str, float] | None = None, toward: Mapping[str, float] | None = None, ways: str = "both",
+    limits: bool = True, tolerance: float | str | None = None, budget: Budget | None = None,
+) -> Path:  # fmt: skip
+    """The `Path` of a mechanism with one degree of freedom: its whole branch through `start`.
+
+    `start` is a configuration (nq,), the name of a posture, or known coordinates by name (default: the posture
+    "closed", else mid-range); it is closed first. `driver` is the coordinate that counts as the input: the path begins
+    with it growing, and points where it turns back are its dead points. `hold` fixes other coordinates at values.
+    `toward` gives rates by coordinate name that choose the sense, and the branch where the start is a bifurcation.
+    `ways`: "both" directions from the start, "forward" only, or "branches": both, and the branches met at bifurcations,
+    too, see `Path.others`. The path ends where it closes on itself, at a limit (unless `limits=False`), where it is
+    found to have no end (a slide that runs away, gears whose ratio lets it never close), or where the budget ends. Of
+    the `budget` are read: points (100 000 at most), step (of arc length, 0.1 at most), time_limit (120 s for the whole
+    call), progress(points, length), called now and then. An interrupt from the keyboard or the time limit returns what
+    was done, and says so by `Path.interrupted`, `Path.late`.
+
+    Errors: `UnsupportedError` where more than one freedom remains, naming it; `UnknownNameError`; `InputError`.
+
+    >>> from kempe import Mechanism
+    >>> m = Mechanism("slider-crank", dim=2)
+    >>> crank, rod, slider = m.body("crank"), m.body("rod"), m.body("slider")
+    >>> _ = m.revolute("A", m.ground, crank)
+    >>> _ = m.revolute("B", crank, rod, at=(1, 0))
+    >>> _ = m.revolute("C", rod, slider, at=(2, 0))
+    >>> _ = m.prismatic("S", m.ground, slider, axis=(1, 0))
+    >>> path = trace(m.build(), "S", {"A": 0.5})
+    >>> path.closed, [round(e.value, 9) for e in path.turning_points]
+    (True, [3.0, 1.0])
+    """
+    options = _options(system, driver, ways, limits, USUAL.of(budget))
+    held = dict(hold or {})
+    equations, q = begin(system, start, held)
+    if q is None:
+        return _failed(equations, options, "the loops do not close near the start", start_of(system, start, held))
+    if said := Limits(equations, limits).outside(q):
+        return _failed(equations, options, f"{said} at the start", q)
+    equations.budget = options.time
+    try:
+        return without_slip(_followed(equations, q, options, toward))
+    except TimeUp as error:
+        said = f"it was not followed: {options.time.reason(error)} came before the directions at its start were known"
+        return replace(_failed(equations, options, said, q), late=True)
+    finally:
+        equations.budget = TimeLimit(None)  # the path keeps them
+
+
+def without_slip(path: Path) -> Path:
+    """The path, no success where it slips: what is traced are positions."""
+    slip = slip_of(path.system, path.q)
+    if slip is None:
+        return path
+    said = f"before point {slip.index} it {slip.text}: positions were traced, drive and simulate follow what rolls"
+    return replace(path, success=False, remark="; ".join(filter(None, [path.remark, said])))
+
+
+def _followed(
+    equations: Closure, q: Array, options: _Options, toward: Mapping[str, float] | None
+) -> Path:
+    """The path from a closed configuration on."""
+    first = first_node(equations, q, options.driver, toward)
+    if first is None:
+        return _failed(equations, options, "it cannot move: no degree of freedom is left", q, True)
+    path = _trace(equations, first, options)
+    spins = spins_held(equations)
+    for _ in range(AGAIN):
+        if spins is None or path.late or path.interrupted or not spins.turned(path.q):
+            break
+        first = first_node(equations, q, options.driver, toward) or first  # held otherwise, what spins turns less
+        path = _trace(equations, first, options)
+    if rank_held(equations):
+        path = replace(path, remark="; ".join(filter(None, [path.remark, LOW])))
+    if len(path) == 1 and path.success and path.ends[1].startswith("a point"):
+        said = "it cannot move along a smooth curve: its first-order motion leads nowhere (shaky), or this is a cusp"
+        return _failed(equations, options, said, q, True)
+    return _with_others(equations, path, options) if options.ways == "branches" else path
+
+
+def branches(system: System, driver: str | None = None, start: Any = None, **options: Any) -> tuple[Path, ...]:
+    """All paths that meet at bifurcations, that through `start` first; arguments as in `trace`."""
+    path = trace(system, driver, start, **{**options, "ways": "branches"})
+    return (replace(path, others=()), *path.others)
+
+
+# ---- where it begins
+
+
+def _options(system: System, driver: str | None, ways: str, limits: bool, spend: Budget) -> _Options:
+    flag(limits, "limits")
+    if ways not in WAYS:
+        raise InputError(f"ways is {ways!r}; it must be one of {', '.join(map(repr, WAYS))}")
+    if driver is not None:
+        angle_or_slide(system, driver)
+    longest, points = longest_step(spend.step), spend.points
+    if not is_whole(points) or points < 2:
+        raise InputError(f"points is {points!r}; it must be a whole number, at least 2")
+    return _Options(driver, ways, longest, limits, int(points), spend.progress, periods(system, limits),
+                    TimeLimit(spend.time_limit))  # fmt: skip
+
+
+# ---- the walk
+
+
+def _trace(equations: Closure, first: Node, options: _Options) -> Path:
+    """The whole branch from its first node."""
+    nodes, reason, closed, broken = _one_way(equations, first, options, options.most)
+    ends = ("the start", reason)
+    left = options.most - len(nodes)
+    if options.ways != "forward" and not closed and broken is None and left > 1 and not reason.startswith(NO_RETURN):
+        back, other, _, broken = _one_way(equations, first.reversed(), options, left)
+        nodes = [n.reversed() for n in reversed(back[1:])] + nodes
+        ends = (other, reason)
+    return _path(equations, nodes, options, closed, ends, broken)
+
+
+def _one_way(
+    equations: Closure, first: Node, options: _Options, most: int
+) -> tuple[list[Node], str, bool, BaseException | None]:  # fmt: skip
+    """Nodes from the first on, why they end, whether they came home, and what broke the walk off, if anything did."""
+    nodes, limits, length = [first], Limits(equations, options.limits), 0.0
+    endless = Endless(equations, first, options.periods, limits)
+    try:
+        for b in walk(equations, first, options.longest):
+            a = nodes[-1]
+            if isinstance(b, Stop):
+                return nodes, b.reason, False, None
+            hit = limits.hit(equations, a, b)
+            back = home(equations, a, b, first, options.periods) if length > 0.0 else None
+            if back is not None and (hit is None or _before(equations, a, back, hit[0])):
+                return [*nodes, back], "the start", True, None
+            if hit is not None:
+                return nodes if hit[0] is a else [*nodes, hit[0]], hit[1], False, None
+            nodes.append(Node(b.x, b.t, b.sigma, b.nullity, NONE, NONE, b.lines))  # the walk keeps its last one whole
+            length += arc(equations, a, b)
+            if reason := endless.reason(b, length):
+                return nodes, reason, False, None
+            if options.progress is not None and len(nodes) % 16 == 0:
+                options.progress(len(nodes), length)
+            if len(nodes) >= most:
+                return nodes, f"the {options.most} points allowed{endless.hint(b)}", False, None
+    except BROKEN_OFF as error:
+        return nodes, options.time.reason(error), False, error
+    raise AssertionError("a walk ends only with a reason")
+
+
+def _before(equations: Closure, a: Node, first: Node, second: Node) -> bool:
+    return float(np.linalg.norm(equations.between(a.x, first.x) - equations.between(a.x, second.x))) < 1e-12 or (
+        float(a.t @ equations.between(a.x, first.x)) <= float(a.t @ equations.between(a.x, second.x))
+    )
+
+
+def _path(
+    equations: Closure, nodes: list[Node], options: _Options, closed: bool, ends: tuple[str, str],
+    broken: BaseException | None,
+) -> Path:  # fmt: skip
+    """The answer from the nodes of a branch."""
+    system, found, remark = equations.system, [], ""
+    options.time.put_in_order()
+    indices = [int(i) for i in system.structure.layout.vector_v if i not in equations.held]
+    s, k = None, 0
+    try:
+        nodes = hidden_crossings(equations, nodes)
+        s = _lengths(equations, nodes)
+        for k, m, i in turns(nodes, closed, indices):
+            if (n := extreme(equations, nodes, k, m, i)) is not None:
+                name = system.structure.velocity_names[i]
+                kind = "fold of the driver" if name == options.driver else "extreme"
+                at = float(s[k]) + arc(equations, nodes[k], n) if n is not nodes[0] else 0.0
+                found.append(Event(n.x, at, kind, name, float(n.x[equations.place[i]])))
+    except BROKEN_OFF as error:
+        broken = broken or error
+        s = _lengths(equations, nodes) if s is None else s
+        remark = f"where it turns back was looked for up to s = {s[k]:.6g} only"
+    found.sort(key=lambda e: e.s)
+    track = Track(equations, np.array([n.x for n in nodes]), s, np.array([n.t for n in nodes]))
+    turning = tuple(e for e in found if options.driver is None or e.coordinate == options.driver)
+    held = tuple(system.structure.velocity_names[i] for i in equations.held)
+    return Path(
+        track.q, s, closed, ends, turning, _singular(equations, nodes[:-1] if closed else nodes, s), tuple(found),
+        options.driver, held, (), broken is None, isinstance(broken, KeyboardInterrupt), track,
+        late=isinstance(broken, TimeUp), remark=remark,
+    )  # fmt: skip
+
+
+def _lengths(equations: Closure, nodes: list[Node]) -> Array:
+    """Arc lengths (n,) of nodes."""
+    return np.concatenate([[0.0], np.cumsum([arc(equations, a, b) for a, b in zip(nodes, nodes[1:], strict=False)])])
+
+
+def _singular(equations: Closure, nodes: list[Node], s: Array) -> tuple[Event, ...]:
+    """The singular points among nodes at arc lengths `s`."""
+    out = []
+    for k, n in enumerate(nodes):
+        if n.lines is not None:
+            own = np.argmax(np.abs(n.lines @ n.t))
+            order = [int(own), *(j for j in range(len(n.lines)) if j != own)]
+            lines = n.lines[order] * equations.unit
+            kind = "bifurcation" if len(lines) > 1 else "singular"
+            out.append(Event(n.x, float(s[k]), kind, nullity=n.nullity, directions=lines))
+    return tuple(out)
+
+
+def _failed(equations: Closure, options: _Options, reason: str, q: Array, success: bool = False) -> Path:
+    """The path of one point that could not be left."""
+    track = Track(equations, q[None], np.zeros(1), np.zeros((1, equations.n)))
+    held = tuple(equations.system.structure.velocity_names[i] for i in equations.held)
+    return Path(
+        track.q, track.s, False, (reason, reason), (), (), (), options.driver, held, (), success, False,
+        track,
+    )  # fmt: skip
+
+
+# ---- other branches
+
+
+def _with_others(equations: Closure, path: Path, options: _Options) -> Path:
+    """The path with the branches that leave it at its bifurcations, and those that leave these."""
+    found, waiting, broken = [path], list(path.singular_points), None
+    try:
+        while waiting and all(found):
+            event = waiting.pop(0)
+            assert event.directions is not None
+            for line in event.directions / equations.unit:
+                if any(_covers(equations, p, event.q, line, options.periods) for p in found):
+                    continue
+                at = node(equations, event.q)
+                first = Node(event.q, line, at.sigma, max(at.nullity, 2), at.matrix, at.image,
+                             event.directions / equations.unit)  # fmt: skip
+                other = _trace(equations, first, options)
+                found.append(other)
+                waiting += other.singular_points
+    except BROKEN_OFF as error:
+        broken = error
+    if broken is None and all(found):
+        return replace(path, others=tuple(found[1:]))
+    late = isinstance(broken, TimeUp) or any(p.late for p in found)
+    more = "; ".join(filter(None, [path.remark, "other branches were not all followed"]))
+    return replace(path, others=tuple(found[1:]), success=False, interrupted=not late, late=late, remark=more)
+
+
+def _covers(equations: Closure, path: Path, q: Array, line: Array, period: Array) -> bool:
+    """Whether a path goes through the singular point `q` in the direction `line`."""
+    for event in path.singular_points:
+        y = equations.between(event.q, q) * equations.unit
+        turns = np.divide(y, period, out=np.zeros_like(y), where=period > 0.0)
+        same = np.linalg.norm((y - np.round(turns) * period) / equations.unit) < SAME_POINT
+        if same and event.directions is not None:
+            own = event.directions[0] / equations.unit
+            if abs(own @ line) > 0.999 * np.linalg.norm(own) * np.linalg.norm(line):
+                return True
+    return False

@@ -1,0 +1,299 @@
+"""Commands for inverse models: one configuration, all of them, and how these are found."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from kempe.budget import Budget
+from kempe.cli.app import (
+    OPEN,
+    All,
+    Axis,
+    Base,
+    Deg,
+    Dirs,
+    File,
+    FrameOrTasks,
+    Hold,
+    Json,
+    Lenient,
+    Out,
+    PathTargets,
+    PathTolerance,
+    PositionOnly,
+    Prefer,
+    Rng,
+    Root,
+    Seed,
+    TargetOrTasks,
+    Task,
+    Tasks,
+    TimeLimit,
+    Tolerance,
+    Xacro,
+    app,
+    load,
+    option,
+    results,
+    told,
+)
+from kempe.errors import InputError
+from kempe.views.terminal import INCOMPLETE, UsageError, guarded, leave, print_json, show
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.solvers.modes.modes import Modes
+    from kempe.views.input.task_file import Asked
+
+SLICE, TASK_SLICE = 4096, 256
+"""Targets that are solved at once: between them the work shows how far it is, and can be stopped."""
+
+
+@app.command(rich_help_panel=OPEN)
+@guarded
+def ik(
+    file: File, frame: FrameOrTasks = None, target: TargetOrTasks = None, tasks: Tasks = None,
+    position_only: PositionOnly = False, seed: Seed = None,
+    rng: Rng = None, tolerance: Tolerance = None, all: All = False, task: Task = None, axis: Axis = None,
+    hold: Hold = None, prefer: Prefer = None, deg: Deg = False, out: Out = None, json: Json = False,
+    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+) -> None:  # fmt: skip
+    """Find a configuration that brings a frame to a pose, or all of them, or one that holds several tasks.
+
+    Targets of a file are solved in slices; Ctrl-C ends the work with what was done.
+
+    Example: kempe ik panda.urdf --frame panda_hand_tcp --target 0.4,0.1,0.5,180,0,0 --deg
+    """
+    given = {"--hold": hold} if not all else {"--rng": rng}
+    wrong = [name for name, value in given.items() if value is not None]
+    if wrong:
+        raise InputError(f"{wrong[0]} is for {'all solutions: add --all' if not all else 'a search: leave --all out'}")
+    single = {"--frame": frame, "--target": target}
+    _one_way(tasks, single, {"--task": task, "--axis": axis, "--position-only": position_only, "--all": all})
+    if prefer is not None and tasks is None:
+        raise InputError("--prefer is for --tasks: it says what is made least in what they leave free")
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    from kempe.views import rows
+
+    results(out)
+    if frame is None or target is None:
+        asked = _read_tasks(system, tasks, deg)
+        start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
+        _answer(system, asked.count, TASK_SLICE, lambda i, j: system.ik(
+            asked.tasks(i, j), start=_part(start, i, j), tolerance=rows.tolerance(tolerance or "1e-6"), prefer=prefer,
+            budget=Budget(rng=rng),
+        ), deg, out, json)  # fmt: skip
+        return
+    system.structure.frame_name(frame)  # a wrong name is told before kernels are compiled
+    X, position = rows.target(system, target, deg)
+    start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
+    position = position or position_only
+    task = _task(task, position)
+    if all:
+        _all(system, X, frame, task, axis, hold, start, tolerance, deg, out, json)
+        return
+    wanted = {"tolerance": rows.tolerance(tolerance or "1e-6"), "budget": Budget(rng=rng),
+              "task": _asked(task, axis)}  # fmt: skip
+    _answer(system, len(X) if X.ndim > 2 else None, SLICE, lambda i, j: system.ik(
+        X[i:j] if X.ndim > 2 else X, frame, start=_part(start, i, j), **wanted), deg, out, json)  # fmt: skip
+
+
+def _one_way(tasks: Path | None, single: dict[str, Any], more: dict[str, Any]) -> None:
+    """Refuse what does not go together: a frame with its target, or a file of tasks."""
+    if tasks is not None:
+        wrong = [name for name, value in {**single, **more}.items() if value]
+        if wrong:
+            raise InputError(f"--tasks says all that is wanted: leave {wrong[0]} out")
+        return
+    missing = [name for name, value in single.items() if value is None]
+    if missing:
+        raise UsageError(f"Missing option '{missing[0]}', or '--tasks' in place of both.")
+
+
+def _read_tasks(system: System, path: Path | None, deg: bool) -> Asked:
+    from kempe.views.input import task_file
+
+    assert path is not None
+    return task_file.read(system, path, deg)
+
+
+def _part(seed: Any, i: int, j: int | None) -> Any:
+    """The seeds of targets i to j."""
+    return seed[i:j] if seed is not None and seed.ndim > 1 else seed
+
+
+def _answer(
+    system: System, count: int | None, size: int, solve: Callable[[int, int | None], Any], deg: bool, out: Path | None,
+    json: bool,
+) -> None:  # fmt: skip
+    """Solve, for one target or `count` of them, and print or write the answer."""
+    from kempe.views import facts, report, rows, slices
+
+    if count is None or count <= size:
+        answer = solve(0, count)
+    else:
+        with slices.progress(sys.stderr, count) as said:
+            answer = slices.in_slices(system, count, size, solve, said)
+    if out is not None:
+        rows.write_configurations(out, system, answer.q, deg)
+    if json:
+        print_json(facts.answer_facts(answer, deg))
+    else:
+        show(report.solution(system, answer, deg) if out is None else report.outcome(answer))
+        if out is not None:
+            told(out, json)
+    leave(answer)
+
+
+@app.command(rich_help_panel=OPEN)
+@guarded
+def path(
+    file: File, frame: FrameOrTasks = None, target: PathTargets = None, tasks: Tasks = None, seed: Seed = None,
+    position_only: PositionOnly = False,
+    max_step: Annotated[
+        float | None, option("--max-step", "Largest step, radians and characteristic lengths (0.5).", "X")
+    ] = None,
+    restart: Annotated[bool, option("--restart", "Where it must jump, go on instead of stopping.")] = False,
+    branches: Annotated[bool, option("--branches", "Try several starts; the best path is the answer.")] = False,
+    rng: Rng = None, tolerance: PathTolerance = None, time_limit: TimeLimit = None, deg: Deg = False, out: Out = None,
+    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+) -> None:  # fmt: skip
+    """Follow a sequence of targets without a jump, or say where and why that cannot be.
+
+    Ctrl-C ends the work with what was done, as a time limit does (600 s, unless another is given).
+
+    Example: kempe path panda.urdf --frame panda_hand_tcp --targets weld.csv -o q.csv
+    """
+    _one_way(tasks, {"--frame": frame, "--targets": target}, {"--position-only": position_only})
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    from kempe.views import facts, follow_report, rows, slices
+
+    results(out)
+    start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
+    wanted: Any
+    if frame is None or target is None:
+        asked = _read_tasks(system, tasks, deg)
+        wanted, count = asked.tasks(), asked.count
+    else:
+        system.structure.frame_name(frame)
+        wanted, position = rows.target(system, target, deg)
+        count = len(wanted) if wanted.ndim > 2 else None
+        wanted = wanted[..., :3, 3] if position or position_only else wanted
+    if count is None:
+        raise InputError("a path needs a .csv or .npy file of targets, one a row")
+    options: dict[str, Any] = {"restart": restart, "branches": branches}
+    options |= {} if max_step is None else {"max_step": max_step}
+    options |= {} if tolerance is None else {"tolerance": rows.tolerance(tolerance)}
+    with slices.progress(sys.stderr, count) as said:
+        answer = system.ik_path(wanted, frame, start, **options,
+                                budget=Budget(rng=rng, time_limit=time_limit, progress=said))  # fmt: skip
+    if out is not None:
+        rows.write_configurations(out, system, answer.q, deg)
+    if json:
+        print_json({**facts.answer_facts(answer, deg), "written": [str(out)] if out is not None else []})
+    else:
+        show(follow_report.path(answer, deg))
+        if out is not None:
+            told(out, json)
+    leave(answer)
+
+
+def _task(task: str | None, position: bool) -> str | None:
+    """The task, for which a target that is a position may be enough."""
+    from kempe.solvers.common.targets import task_of
+
+    task_of(task, position, False)  # a wrong name is told first
+    if position and task not in (None, "position"):
+        raise InputError(f"--task {task} needs a target with an orientation: x,y,z,roll,pitch,yaw")
+    return "position" if position else task
+
+
+def _all(
+    system: System, X: Any, frame: str, task: str | None, axis: str | None, hold: list[str] | None, near: Any,
+    tolerance: str | None, deg: bool, out: Path | None, json: bool,
+) -> None:  # fmt: skip
+    """Print or write all solutions."""
+    from kempe.solvers.modes.modes import Modes
+    from kempe.views import ik_report
+
+    answer = system.ik_all(X, frame, near, task=_asked(task, axis), fixed=_held(system, hold, deg),
+                           tolerance=None if tolerance is None else ik_report.tolerance(tolerance))  # fmt: skip
+    if isinstance(answer, Modes):
+        _modes(answer, deg, out, json)
+        return
+    if out is not None:
+        ik_report.write(out, answer, deg)
+    if json:
+        print_json(ik_report.solutions_facts(answer, deg))
+    else:
+        show(ik_report.solutions(answer, deg))
+        if out is not None:
+            told(out, json)
+    if not (answer if answer.single else answer.inside.any(axis=-1).all()):
+        raise typer.Exit(INCOMPLETE)
+
+
+def _modes(answer: Modes, deg: bool, out: Path | None, json: bool) -> None:
+    """Print or write all that was found of a frame that moves with loops."""
+    from kempe.views import facts, loop_report, rows
+
+    if out is not None:
+        rows.write_configurations(out, answer.system, answer.q, deg)
+    if json:
+        print_json(facts.answer_facts(answer, deg))
+    else:
+        show(loop_report.modes(answer, deg))
+        if out is not None:
+            told(out, json)
+    if not answer:
+        raise typer.Exit(INCOMPLETE)
+
+
+def _held(system: System, hold: list[str] | None, deg: bool) -> dict[str, Any]:
+    """Values of joints that are held, by name."""
+    from kempe.views.input import given
+
+    return given.known(system, hold or [], deg, frames=False)
+
+
+def _asked(task: str | None, axis: str | None) -> Any:
+    """What of the target counts: a task, or a task with the axis of the tool that it points."""
+    from kempe.views import ik_report
+
+    if axis is None:
+        return task
+    if task not in ("direction", "position_axis"):
+        raise InputError("--axis is for the tasks direction and position_axis")
+    return task, ik_report.axis(axis)
+
+
+@app.command(rich_help_panel=OPEN)
+@guarded
+def plan(
+    file: File, frame: Annotated[str, option("--frame", "Body or frame that shall reach targets.", "NAME")],
+    task: Task = None, axis: Axis = None,
+    hold: Annotated[
+        list[str] | None, option("--hold", "Joint that is held, as for ik --all; can be repeated.", "NAME[=VALUE]")
+    ] = None,
+    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+) -> None:  # fmt: skip
+    """Say what a chain's axes have in common, and how all its configurations are found.
+
+    Example: kempe plan panda.urdf --frame panda_hand_tcp
+    """
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    from kempe.solvers.analytic.describe.describe import ik_plan
+    from kempe.views import ik_report
+
+    system.structure.frame_name(frame)
+    words = [w if "=" in w else f"{w}=0" for w in hold or []]
+    answer = ik_plan(system, frame, _asked(task, axis), tuple(_held(system, words, False)))
+    print_json(answer.data()) if json else show(ik_report.plan(answer))

@@ -1,0 +1,1 @@
+"""Chains from Denavit-Hartenberg tables and from screw axes."""

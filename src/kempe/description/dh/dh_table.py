@@ -1,0 +1,179 @@
+"""Rows of Denavit-Hartenberg tables in the forms in which people have them, and their angles in radians."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.errors import InputError, hint
+from kempe.values import Expression, Value, value
+
+if TYPE_CHECKING:
+    from kempe.description.dh.dh import DHRow
+
+ORDER = ("a", "alpha", "d", "theta")
+"""Order of plain rows unless their columns are named; a fifth entry is the type of the joint."""
+
+DEGREE = math.pi / 180.0
+
+LARGEST_TURN = 2.0 * math.pi + 1e-3
+"""Angles of a table beyond this many radians are no angles in radians: one turn says all."""
+
+LARGEST_LIMIT = 10.0 * math.pi
+"""The same for limits, of joints that may turn some times."""
+
+QUARTER = 1e-4
+"""How near to a quarter turn in radians a number must be, not to be taken for degrees."""
+
+
+def rows_of(rows: Any, columns: Sequence[str], known: tuple[str, ...]) -> tuple[list[Any], str]:
+    """The rows as dicts (or as they are, where they name their entries), and a note on what was assumed of them.
+
+    Errors: `InputError` for tables of another form, and for columns that are not `known`.
+    """
+    columns = _checked_columns(columns, known)
+    if isinstance(rows, np.ndarray):
+        names = rows.dtype.names
+    else:
+        names = rows if isinstance(rows, Mapping) else getattr(rows, "columns", None)
+    if names is not None:
+        if columns != ORDER:
+            raise InputError("columns are given, but the table names its own; leave columns out")
+        return _named(rows, list(names), known), ""
+    if isinstance(rows, (str, bytes)) or not isinstance(rows, Iterable):
+        raise InputError(f"rows are {rows!r}; they must be a list of rows, an array (n, 4) or a table by column name")
+    plain, out = False, []
+    for i, row in enumerate(rows, 1):
+        keys = _keys(row)
+        own = keys is None and isinstance(row, (list, tuple, np.ndarray))
+        plain |= own
+        out.append(_plain(row, i, columns) if own else row if keys is None else dict(zip(keys, row, strict=True)))
+    if columns != ORDER and not plain and out:
+        raise InputError("columns are given, but the rows name their entries; leave columns out")
+    return out, f"plain rows of the table were read as {', '.join(columns)}" if plain else ""
+
+
+def _keys(row: Any) -> list[str] | None:
+    """Names of the entries of a row that is no dict but names them: a named tuple, a record or a series."""
+    if isinstance(row, np.void):
+        return list(row.dtype.names or ())
+    named: Any = getattr(row, "_fields" if isinstance(row, tuple) else "index", None)
+    if named is None or isinstance(row, (list, np.ndarray)) or callable(named):
+        return None
+    return [str(name) for name in named]
+
+
+def _checked_columns(columns: Any, known: tuple[str, ...]) -> tuple[str, ...]:
+    if isinstance(columns, str) or not isinstance(columns, Iterable):
+        raise InputError(f"columns are {columns!r}; they must be a list of names, such as {ORDER}")
+    names = tuple(columns)
+    for name in names:
+        if name not in known:
+            raise InputError(f"columns hold {name!r}, which a row does not have{hint(name, known)}")
+    if len(set(names)) < len(names):
+        raise InputError(f"columns are {names}; a name appears twice")
+    return names
+
+
+def _plain(row: Any, number: int, columns: tuple[str, ...]) -> dict[str, Any]:
+    """A row without names as a dict."""
+    entries = list(row)
+    names = (*columns, "type") if columns == ORDER and len(entries) == 5 else columns
+    if len(entries) != len(names):
+        also = ", and the type where it is not revolute" if columns == ORDER else ""
+        raise InputError(f"row {number} has {len(entries)} entries; it must have {', '.join(columns)}{also}")
+    return {name: _own(x) for name, x in zip(names, entries, strict=True)}
+
+
+def _named(table: Any, names: list[Any], known: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Rows of a table with named columns; entries that are missing (None, NaN where no number is due) are left out."""
+    fields = []
+    for name in names:
+        field = str(name).strip().lower()
+        if field not in known:
+            raise InputError(f"the table has an unknown column {name!r}{hint(name, known)}")
+        fields.append(field)
+    if len(set(fields)) < len(fields):
+        raise InputError(f"the table has columns {names}; a name appears twice")
+    columns = []
+    for name in names:
+        column = table[name]
+        if isinstance(column, (str, bytes)) or not isinstance(column, Iterable):
+            raise InputError(f"column {name!r} is {column!r}; it must have an entry for each row")
+        columns.append(list(column))
+    if len({len(column) for column in columns}) > 1:
+        said = ", ".join(f"{len(column)} of {name!r}" for name, column in zip(names, columns, strict=True))
+        raise InputError(f"the columns have different lengths: {said}")
+    rows = []
+    for entries in zip(*columns, strict=True):
+        row = {field: _own(x) for field, x in zip(fields, entries, strict=True)}
+        rows.append({k: x for k, x in row.items() if not (x is None or (k not in ORDER and _is_nan(x)))})
+    return rows
+
+
+def _own(x: Any) -> Any:
+    """A number or text of numpy as one of Python."""
+    return x.item() if isinstance(x, np.generic) else x
+
+
+def _is_nan(x: Any) -> bool:
+    return isinstance(x, float) and math.isnan(x)
+
+
+# ---- angles
+
+
+def in_radians(row: DHRow, number: int, deg: bool) -> DHRow:
+    """The row with its angles in radians. Errors: `InputError` for angles that are clearly in the other unit."""
+    if not isinstance(deg, (bool, np.bool_)):
+        raise InputError(f"deg is {deg!r}; it must be True or False")
+    if not isinstance(row.flip, (bool, np.bool_)):
+        raise InputError(f"row {number}: flip is {row.flip!r}; it must be True or False")
+    turns = row.type == "revolute"
+    if row.type == "fixed" and (row.flip or row.offset != 0.0):
+        raise InputError(f"row {number}: a fixed row has no offset and is not flipped: it has no joint variable")
+    angles = ("alpha", "theta", "offset") if turns else ("alpha", "theta")
+    changed: dict[str, Any] = {k: _angle(getattr(row, k), f"row {number}: {k}", deg) for k in angles}
+    if turns:
+        changed["limits"] = _limits(row.limits, f"row {number}: limits", deg)
+        if deg and isinstance(row.velocity, (int, float, np.number)):
+            changed["velocity"] = row.velocity * DEGREE
+    return replace(row, **changed)
+
+
+def _angle(given: Value | str, what: str, deg: bool) -> Value:
+    x = value(given, what)
+    if isinstance(x, Expression):
+        if not deg:
+            return x
+        if "pi" in x.text.replace("(", " ").replace(")", " ").replace("*", " ").replace("/", " ").split():
+            raise InputError(f"{what} is {x.text!r} with deg=True, where angles are degrees: leave deg out, or pi")
+        return Expression(f"radians({x.text})")
+    if not deg:
+        if abs(x) > LARGEST_TURN:
+            raise InputError(f"{what} is {x:g}, which is {abs(x) / (2.0 * math.pi):.1f} turns in radians; "
+                             "for degrees give deg=True")  # fmt: skip
+        return x
+    quarters = x / (0.5 * math.pi)
+    if 0.5 < abs(quarters) < 4.5 and abs(quarters - round(quarters)) < QUARTER:
+        raise InputError(f"{what} is {x:g} with deg=True, where angles are degrees; in radians it is "
+                         f"{90 * round(quarters)} degrees: leave deg out, or write that")  # fmt: skip
+    return x * DEGREE
+
+
+def _limits(given: Any, what: str, deg: bool) -> Any:
+    """Limits of a turning joint in radians; what is no pair is left to the joint, which refuses it."""
+    if not isinstance(given, (list, tuple, np.ndarray)):
+        return given
+    out = []
+    for x in given:
+        real = isinstance(x, (int, float, np.number)) and not isinstance(x, bool)
+        if real and not deg and LARGEST_LIMIT < abs(x) < math.inf:
+            turns = abs(x) / (2.0 * math.pi)
+            raise InputError(f"{what} hold {x:g}, which is {turns:.1f} turns in radians; for degrees give deg=True")
+        out.append(float(x) * DEGREE if real and deg else x)
+    return tuple(out)

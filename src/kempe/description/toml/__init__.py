@@ -1,0 +1,1 @@
+"""TOML, the format of our own: reading and writing."""

@@ -1,0 +1,296 @@
+"""Eigenvalues of small real matrices: balancing, Hessenberg form, QR steps with two shifts.
+
+Up to some thirty rows the calls of a library cost more than the arithmetic. A matrix lies row by row at a stride that
+is a multiple of eight; what follows a row must be finite, is read and written, and means nothing: so rows are whole
+vectors.
+"""
+
+from __future__ import annotations
+
+import math
+
+from kempe.kernels.base._jit import device, routine
+from kempe.kernels.base.row_reduction import total
+from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.vectors import LANES, load_lanes, spread_lanes, store, where
+
+EPS = 2.220446049250313e-16
+"""Spacing of the numbers at 1."""
+
+LIMIT = 200
+"""QR steps that one eigenvalue, or pair, may take; two to four are usual."""
+
+LARGEST_SIZE = 32
+"""Rows at most."""
+
+TINY, SMALL, LARGE, HUGE = 1e-140, 1e-60, 1e60, 1e140
+"""Between the outer two, squares neither vanish nor overflow; between the inner two, products of four."""
+
+SWEEPS = 8
+"""Rounds of balancing at most; two or three are usual."""
+
+
+@routine
+def balance(a, n, stride):
+    """Scale rows and columns by powers of two until they weigh alike; the diagonal and so the eigenvalues stay.
+
+    Parlett and Reinsch 1969, "Balancing a matrix for calculation of eigenvalues and eigenvectors".
+    """
+    for _ in range(SWEEPS):
+        done = True
+        for i in range(n):
+            row = column = 0.0
+            for j in range(n):
+                row += abs(a[i * stride + j])
+                column += abs(a[j * stride + i])
+            size = abs(a[i * stride + i])
+            row, column = row - size, column - size
+            if not (row > 0.0 and column > 0.0 and row < HUGE and column < HUGE):
+                continue
+            before, factor = row + column, 1.0
+            while column < 0.5 * row:
+                factor, column, row = 2.0 * factor, 2.0 * column, 0.5 * row
+            while column > 2.0 * row:
+                factor, column, row = 0.5 * factor, 0.5 * column, 2.0 * row
+            if row + column < 0.95 * before:
+                done = False
+                for j in range(n):
+                    a[i * stride + j] /= factor
+                    a[j * stride + i] *= factor
+        if done:
+            break
+
+
+@routine
+def hessenberg(a, n, stride, v):
+    """Overwrite a with a similar matrix that is zero below the first subdiagonal (Householder 1958).
+
+    v: scratch of LARGEST_SIZE numbers.
+    """
+    for i in range(LARGEST_SIZE):
+        v[i] = 0.0
+    for k in range(n - 2):
+        v[k] = 0.0
+        first, rest = a[(k + 1) * stride + k], 0.0
+        for i in range(k + 2, n):
+            x = a[i * stride + k]
+            v[i] = x
+            rest += x * x
+        if rest == 0.0:
+            v[k + 1] = 0.0
+            continue
+        size = math.sqrt(first * first + rest)
+        size = -size if first > 0.0 else size
+        v[k + 1] = first - size
+        # the reflection is 1 - v v^T / half, and takes the column to (size, 0, 0, ...)
+        half = size * (size - first)
+        start = (k + 1) // LANES * LANES
+        _reflect(a, n, stride, v, k, start, 1.0 / half)
+        a[(k + 1) * stride + k] = size
+        for i in range(k + 2, n):
+            a[i * stride + k] = 0.0
+
+
+@routine
+def _reflect(a, n, stride, v, k, start, scale):
+    """Apply 1 - scale v v^T from both sides to the columns from `start` on, v being zero up to entry k."""
+    w = beyond(v, LARGEST_SIZE)
+    for c in range(start, n, LANES):
+        sum_ = spread_lanes(0.0)
+        for i in range(k + 1, n):
+            sum_ = sum_ + v[i] * load_lanes(a, i * stride + c)
+        store(w, c, sum_ * scale)
+    for i in range(n):
+        dot, x = spread_lanes(0.0), v[i]
+        for c in range(start, n, LANES):
+            row = load_lanes(a, i * stride + c) - x * load_lanes(w, c)
+            store(a, i * stride + c, row)
+            dot = dot + row * load_lanes(v, c)
+        y = total(dot) * scale
+        for c in range(start, n, LANES):
+            store(a, i * stride + c, load_lanes(a, i * stride + c) - y * load_lanes(v, c))
+
+
+@device
+def _three(p, q, r):
+    """(x, y, z, u, v, size): the reflection 1 - (x, y, z)^T (1, u, v) takes (p, q, r) to (size, 0, 0)."""
+    square = p * p + q * q + r * r
+    if not TINY * TINY < square < HUGE * HUGE:
+        largest = max(abs(p), max(abs(q), abs(r)))
+        if not largest > 0.0:
+            return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        p, q, r = p / largest, q / largest, r / largest
+        size = math.sqrt(p * p + q * q + r * r)
+        size = -size if p > 0.0 else size
+        head, back = p - size, 1.0 / size
+        return -head * back, -q * back, -r * back, q / head, r / head, size * largest
+    size = math.sqrt(square)
+    size = -size if p > 0.0 else size
+    head, back = p - size, 1.0 / size
+    over = 1.0 / head
+    return -head * back, -q * back, -r * back, q * over, r * over, size
+
+
+@routine
+def _qr_step(a, stride, low, high, x, y, w, numbers):
+    """One implicit QR step on rows low to high with the two shifts of sum x + y and product x y - w (Francis 1961)."""
+    m = high - 2
+    p = q = r = 0.0
+    while m >= low:
+        z = a[m * stride + m]
+        down = a[(m + 1) * stride + m]
+        p = (x - z) * (y - z) - w + a[m * stride + m + 1] * down
+        q = (a[(m + 1) * stride + m + 1] - x - y + z) * down
+        r = a[(m + 2) * stride + m + 1] * down
+        if m == low:
+            break
+        # two small subdiagonal entries in a row: the step can start below them
+        u = abs(a[m * stride + m - 1]) * (abs(q) + abs(r))
+        v = abs(p) * (abs(a[(m - 1) * stride + m - 1]) + abs(z) + abs(a[(m + 1) * stride + m + 1]))
+        if u < EPS * v:  # false where both are lost to underflow
+            break
+        m -= 1
+    before = a[m * stride + m - 1] if m > low else 0.0
+    for k in range(m, high - 1):
+        f, g, h, u, v, size = _three(p, q, r)
+        p, q, r = _bulge(a, stride, low, high, k, f, g, h, u, v, numbers)
+        if k > low:
+            a[k * stride + k - 1] = size if k > m else before * (1.0 - f)
+            a[(k + 1) * stride + k - 1], a[(k + 2) * stride + k - 1] = 0.0, 0.0
+    k = high - 1
+    f, g, h, u, v, size = _three(p, q, 0.0)
+    for c in range(k // LANES * LANES, high + 1, LANES):
+        i = k * stride + c
+        a0, a1 = load_lanes(a, i), load_lanes(a, i + stride)
+        s = a0 + u * a1
+        store(a, i, a0 - f * s)
+        store(a, i + stride, a1 - g * s)
+    if k > low:
+        a[k * stride + k - 1], a[high * stride + k - 1] = size, 0.0
+    for i in range(low, high + 1):
+        s = a[i * stride + k] * f + a[i * stride + k + 1] * g
+        a[i * stride + k] -= s
+        a[i * stride + k + 1] -= s * u
+
+
+@device
+def _bulge(a, stride, low, high, k, f, g, h, u, v, numbers):
+    """What the next reflection has to clear; applies 1 - (f, g, h)^T (1, u, v) at k, from both sides.
+
+    Rows k to k + 3, which the next step reads as vectors, are written as vectors: a vector read from memory that was
+    just written number by number would have to wait. So their part of the reflection from the right is computed
+    beforehand, from the corner that it needs. Columns left of k are zero there or set by the caller, those right of
+    `high` are of no use.
+    """
+    i0 = k * stride + k
+    i1, i2, i3 = i0 + stride, i0 + 2 * stride, i0 + 3 * stride
+    x0, x1, x2 = a[i1], a[i1 + 1], a[i1 + 2]
+    y0, y1, y2 = a[i2], a[i2 + 1], a[i2 + 2]
+    s0, s1, s2 = a[i0] + u * x0 + v * y0, a[i0 + 1] + u * x1 + v * y1, a[i0 + 2] + u * x2 + v * y2
+    t0 = (a[i0] - f * s0) * f + (a[i0 + 1] - f * s1) * g + (a[i0 + 2] - f * s2) * h
+    x0, y0 = x0 - g * s0, y0 - h * s0
+    t1 = x0 * f + (x1 - g * s1) * g + (x2 - g * s2) * h
+    t2 = y0 * f + (y1 - h * s1) * g + (y2 - h * s2) * h
+    more = k + 3 <= high
+    t3 = a[i3 + 2] * h if more else 0.0
+    for c in range(k // LANES * LANES, high + 1, LANES):
+        i = k * stride + c
+        place = load_lanes(numbers, c) - k
+        row = where(place == 0.0, 1.0, where(place == 1.0, u, where(place == 2.0, v, 0.0 * place)))
+        a0, a1, a2 = load_lanes(a, i), load_lanes(a, i + stride), load_lanes(a, i + 2 * stride)
+        s = a0 + u * a1 + v * a2
+        store(a, i, a0 - f * s - t0 * row)
+        store(a, i + stride, a1 - g * s - t1 * row)
+        store(a, i + 2 * stride, a2 - h * s - t2 * row)
+        if more:
+            store(a, i + 3 * stride, load_lanes(a, i + 3 * stride) - t3 * row)
+    for i in range(low, k):
+        s = a[i * stride + k] * f + a[i * stride + k + 1] * g + a[i * stride + k + 2] * h
+        a[i * stride + k] -= s
+        a[i * stride + k + 1] -= s * u
+        a[i * stride + k + 2] -= s * v
+    return x0 - t1, y0 - t2, -t3
+
+
+@device
+def _pair(x, y, w):
+    """Real parts and imaginary parts of a 2x2 block's eigenvalues: diagonal y, x, and w the product of the others."""
+    p = 0.5 * (y - x)
+    q = p * p + w
+    z = math.sqrt(abs(q))
+    if q >= 0.0:
+        z = p + z if p >= 0.0 else p - z
+        first = x + z
+        return first, (x - w / z if z != 0.0 else first), 0.0, 0.0
+    return x + p, x + p, z, -z
+
+
+@routine
+def shifted_qr(a, n, stride, re, im, numbers):
+    """Eigenvalues that were not found, 0 as a rule; writes those of the Hessenberg matrix a, which is lost.
+
+    Wilkinson's shifts, and exceptional ones after 10, 20 and 30 steps (Martin, Peters and Wilkinson 1970, "The QR
+    algorithm for real Hessenberg matrices"). Eigenvalues that were not found are NaN.
+    """
+    norm = 0.0
+    for i in range(n):
+        for j in range(max(i - 1, 0), n):
+            norm += abs(a[i * stride + j])
+        re[i] = im[i] = math.nan
+    if not norm < HUGE:
+        return n
+    unit = 1.0 if SMALL < norm < LARGE or norm == 0.0 else norm
+    if unit != 1.0:
+        for i in range(n):
+            for j in range(max(i - 1, 0), n):
+                a[i * stride + j] /= unit
+    high, steps, shift = n - 1, 0, 0.0
+    for i in range(LARGEST_SIZE):
+        numbers[i] = float(i)
+    while high >= 0:
+        low = high
+        while low > 0:
+            s = abs(a[(low - 1) * stride + low - 1]) + abs(a[low * stride + low])
+            if abs(a[low * stride + low - 1]) <= EPS * (s if s > 0.0 else norm):
+                a[low * stride + low - 1] = 0.0
+                break
+            low -= 1
+        x = a[high * stride + high]
+        if low == high:
+            re[high], im[high] = unit * (x + shift), 0.0
+            high, steps = high - 1, 0
+            continue
+        y = a[(high - 1) * stride + high - 1]
+        w = a[high * stride + high - 1] * a[(high - 1) * stride + high]
+        if low == high - 1:
+            r0, r1, i0, i1 = _pair(x, y, w)
+            re[low], re[high], im[low], im[high] = unit * (r0 + shift), unit * (r1 + shift), unit * i0, unit * i1
+            high, steps = high - 2, 0
+            continue
+        if steps >= LIMIT:
+            return high + 1
+        if steps > 0 and steps % 10 == 0:
+            shift += x
+            for i in range(high + 1):
+                a[i * stride + i] -= x
+            s = abs(a[high * stride + high - 1]) + abs(a[(high - 1) * stride + high - 2])
+            x = y = 0.75 * s
+            w = -0.4375 * s * s
+        steps += 1
+        _qr_step(a, stride, low, high, x, y, w, numbers)
+    return 0
+
+
+EIGEN_SCRATCH = 2 * LARGEST_SIZE
+"""Numbers of scratch that `eigenvalues` needs."""
+
+
+@routine
+def eigenvalues(a, n, stride, re, im, scratch):
+    """Eigenvalues that were not found, 0 as a rule; writes the n eigenvalues of a, which is lost.
+
+    Pairs of conjugates stand together, the positive imaginary part first. A matrix that is not finite gives NaN.
+    """
+    balance(a, n, stride)
+    hessenberg(a, n, stride, scratch)
+    return shifted_qr(a, n, stride, re, im, scratch)

@@ -1,0 +1,1 @@
+"""All solutions of six joints in closed form."""

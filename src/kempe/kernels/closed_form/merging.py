@@ -1,0 +1,252 @@
+"""Solutions of one target, each once: candidates polished, judged, merged, and turned into coordinates."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from kempe.kernels.base._jit import device, routine
+from kempe.kernels.base.scratch import beyond
+from kempe.kernels.closed_form.analytic_layout import CODE, FACTOR, GAUGE, HIGH, INFO, JOINT_FLOATS, LOW
+from kempe.kernels.closed_form.polish import Model, error_at, polish, sharpen, weakest
+from kempe.kernels.forward.table_layout import SLIDE
+
+EQUAL, SAME, NEAR, INDISTINCT = 1e-9, 1e-6, 2e-3, 1e-15
+"""Solutions nearer than SAME are one, and those nearer than NEAR whose midpoint solves the target to INDISTINCT: roots
+that merge cannot be told apart at the square root of rounding. Their mean stands for both, unless they are EQUAL."""
+
+MERGED, CLOSE, UNSURE, STUCK = 1e-8, 1e-4, 1e-12, 1e-13
+"""Bound of the smallest singular value squared of a solution in which roots may have merged, or that lies near a curve
+of solutions; error up to which such a candidate is worth undamped steps, for the damped ones may have been too short;
+error from which it may still be on its way along the curve; and from which it may be stuck halfway between two roots,
+if one of them is there."""
+
+MOST_SOLUTIONS = 48
+ERROR, TURNS, SIGNS, WEAKEST, SOLUTION = 0, 2, 3, 4, 6
+"""A solution: errors (2), multiplicity, slot, bound of the smallest singular value squared, then the variables."""
+
+ROOT, AGAIN, SAMPLED, OPENED = 0, 1, 2, 3
+"""Kinds of candidates: a root; one of another formulation, where it may be a root met before; from a free joint; from a
+joint that is nearly free: a sample if it is on target as it is, else it may lead to a root."""
+
+EDGE = 1e-10
+"""How far beyond a limit rounding may push a coordinate: it is put on the limit."""
+
+TWO_PI = 2.0 * math.pi
+
+
+class Found(NamedTuple):
+    """Solutions found so far: `rows` of SOLUTION + n numbers, with scratch for one more; the tolerances."""
+
+    model: Model
+    rows: object
+    linear: float
+    angular: float
+
+
+@device
+def gap(slides, a, b):
+    """a - b, of angles the shortest."""
+    d = a - b
+    if slides:
+        return d
+    return d - TWO_PI * math.floor(d / TWO_PI + 0.5)
+
+
+@routine
+def distance(m, a, b):
+    """The largest difference of a joint between two configurations."""
+    size = 0.0
+    for i in range(m.n):
+        size = max(size, abs(gap(m.kinds[i] == SLIDE, a[i], b[i])))
+    return size
+
+
+@device
+def sampled_already(found, count, slot):
+    """Whether there is a sample of the family of this slot: one is enough."""
+    for k in range(count):
+        row = beyond(found.rows, (SOLUTION + found.model.n) * k)
+        if row[TURNS] == 0.0 and row[SIGNS] == slot:
+            return True
+    return False
+
+
+@routine
+def made_exact(found, theta, kind):
+    """(linear, angular, bound of the smallest singular value squared, kind) of a candidate that is polished in place.
+
+    Errors are infinite for one that is still on its way.
+    """
+    m = found.model
+    linear, angular = polish(m, theta)
+    if not max(linear, angular) <= max(CLOSE, found.linear, found.angular):
+        return math.inf, math.inf, 0.0, kind
+    weak = weakest(m)
+    if kind == OPENED:
+        kind = SAMPLED if max(linear, angular) <= UNSURE else AGAIN
+    if weak < MERGED:
+        linear, angular = sharpen(m, theta)
+        weak = weakest(m)
+    if kind == AGAIN and weak < MERGED and max(linear, angular) > UNSURE:
+        return math.inf, math.inf, 0.0, kind
+    if kind == SAMPLED and weak > MERGED:  # a free joint that was not free after all: polishing has found its value
+        kind = AGAIN
+    return linear, angular, weak, kind
+
+
+@routine
+def add(found, count, theta, slot, kind):
+    """New number of solutions, after a candidate was polished in place and judged.
+
+    kind: ROOT, each counts towards the multiplicity of a solution; AGAIN, roots that were counted before; SAMPLED.
+    """
+    m, stride = found.model, SOLUTION + found.model.n
+    linear, angular, weak, kind = made_exact(found, theta, kind)
+    if not (linear <= found.linear and angular <= found.angular):
+        return count
+    spare = beyond(found.rows, stride * MOST_SOLUTIONS)
+    k = -1
+    while k + 1 < count:
+        k += 1
+        row = beyond(found.rows, stride * k)
+        other = beyond(row, SOLUTION)
+        d = distance(m, theta, other)
+        if d > NEAR:
+            continue
+        this, that = max(linear, angular), max(row[ERROR], row[ERROR + 1])
+        if d > EQUAL and this > max(STUCK, 10.0 * that):
+            return count
+        if d > EQUAL and that > max(STUCK, 10.0 * this):
+            drop(found, count, k)
+            count -= 1
+            k -= 1
+            continue
+        if d > EQUAL:
+            for i in range(m.n):
+                spare[i] = other[i] + 0.5 * gap(m.kinds[i] == SLIDE, theta[i], other[i])
+            middle_linear, middle_angular = error_at(m, spare)
+            if d > SAME and max(middle_linear, middle_angular) > max(INDISTINCT, 2.0 * that):
+                continue
+            if kind != ROOT:  # what was met before moves nothing
+                return count
+            share = 1.0 / (row[TURNS] + 1.0)
+            for i in range(m.n):
+                spare[i] = other[i] + share * gap(m.kinds[i] == SLIDE, theta[i], other[i])
+            row[ERROR], row[ERROR + 1] = error_at(m, spare)
+            for i in range(m.n):
+                other[i] = spare[i]
+        if kind == ROOT and min(weak, row[WEAKEST]) < MERGED:  # where the Jacobian is regular a root is simple
+            row[TURNS] += 1.0
+        return count
+    if count >= MOST_SOLUTIONS or (kind == SAMPLED and sampled_already(found, count, slot)):
+        return count
+    row = beyond(found.rows, stride * count)
+    row[ERROR], row[ERROR + 1], row[TURNS], row[SIGNS] = linear, angular, 0.0 if kind == SAMPLED else 1.0, slot
+    row[WEAKEST] = weak
+    for i in range(m.n):
+        row[SOLUTION + i] = theta[i]
+    return count + 1
+
+
+@routine
+def united(found, count):
+    """New number of solutions: those that came to be the same, as means of roots that merge moved, are one."""
+    m, stride, k = found.model, SOLUTION + found.model.n, 1
+    while k < count:
+        row, same = beyond(found.rows, stride * k), -1
+        for j in range(k if row[WEAKEST] < MERGED else 0):
+            if distance(m, beyond(row, SOLUTION), beyond(found.rows, stride * j + SOLUTION)) <= SAME:
+                same = j
+        if same < 0:
+            k += 1
+            continue
+        found.rows[stride * same + TURNS] += row[TURNS]
+        drop(found, count, k)
+        count -= 1
+    return count
+
+
+@device
+def listed(found, count):
+    """How many solutions an answer must have room for: samples of curves stand for others anyway."""
+    rows = 0
+    for k in range(count):
+        rows += int(beyond(found.rows, (SOLUTION + found.model.n) * k)[TURNS] > 0.0)
+    return rows
+
+
+@device
+def drop(found, count, k):
+    """Nothing; the last solution takes the place of solution k."""
+    stride = SOLUTION + found.model.n
+    for i in range(stride):
+        found.rows[stride * k + i] = found.rows[stride * (count - 1) + i]
+
+
+@device
+def coordinate(slides, theta, numbers, near):
+    """(q, inside): the coordinate of a variable, of all turns the one inside the limits and nearest to `near`."""
+    q = (theta - numbers[GAUGE]) / numbers[FACTOR]
+    low, high = numbers[LOW], numbers[HIGH]
+    if not slides:
+        period = TWO_PI / abs(numbers[FACTOR])
+        q += period * math.floor((near - q) / period + 0.5)
+        if q > high + EDGE:
+            q -= period * math.ceil((q - high - EDGE) / period)
+        elif q < low - EDGE:
+            q += period * math.ceil((low - EDGE - q) / period)
+        if not low - EDGE <= q <= high + EDGE:  # no turn fits: the one nearest to `near`
+            q += period * math.floor((near - q) / period + 0.5)
+            return q, False
+    elif not low - EDGE <= q <= high + EDGE:
+        return q, False
+    return min(max(q, low), high), True
+
+
+@routine
+def coordinates(m, joints, row, near, q):
+    """Whether all are inside the limits; writes the coordinates of one solution."""
+    inside = True
+    for i in range(m.n):
+        q[i], fits = coordinate(m.kinds[i] == SLIDE, row[SOLUTION + i], beyond(joints, JOINT_FLOATS * i), near[i])
+        inside = inside and fits
+    return inside
+
+
+@device
+def precedes(n, joints, near, a, b):
+    """Whether row a of an answer comes before row b: inside the limits first, then the nearer."""
+    inside_a, inside_b = int(a[n + CODE]) % 2, int(b[n + CODE]) % 2
+    if inside_a != inside_b:
+        return inside_a > inside_b
+    da = db = 0.0
+    for i in range(n):
+        unit = joints[JOINT_FLOATS * i + FACTOR]
+        da += (unit * (a[i] - near[i])) ** 2
+        db += (unit * (b[i] - near[i])) ** 2
+    return da < db
+
+
+@routine
+def arrange(n, joints, near, out, slots):
+    """Number of rows in use; puts them first, in order."""
+    width, used = n + INFO, 0
+    for k in range(slots):
+        if out[width * k + n + CODE] < 0.0:
+            continue
+        swap(out, width, used, k)
+        at = used
+        used += 1
+        while at > 0 and precedes(n, joints, near, beyond(out, width * at), beyond(out, width * (at - 1))):
+            swap(out, width, at, at - 1)
+            at -= 1
+    return used
+
+
+@device
+def swap(out, width, a, b):
+    """Nothing; rows a and b change places."""
+    if a != b:
+        for i in range(width):
+            out[width * a + i], out[width * b + i] = out[width * b + i], out[width * a + i]

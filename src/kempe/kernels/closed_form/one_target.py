@@ -1,0 +1,266 @@
+"""One target of the analytical inverse model from the plan's arrays to the rows of its answer."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from kempe.kernels.base._jit import device, routine
+from kempe.kernels.base.lines import (
+    LINE_STRIDE,
+    dot,
+    follow,
+    identity,
+    mapped,
+    minus,
+    rotated,
+    three,
+    translation,
+    write3,
+)
+from kempe.kernels.base.scratch import beyond
+from kempe.kernels.closed_form.analytic_layout import (
+    CODE,
+    FACTOR,
+    GAUGE,
+    INFO,
+    INSIDE_BIT,
+    JOINT,
+    JOINT_FLOATS,
+    LENGTH,
+    LINES,
+    MULTIPLICITY_UNIT,
+    N_JOINTS,
+    N_LINES,
+    ORDER,
+    ORIGIN,
+    PLAN_HEADER,
+    REST,
+    ROLES,
+    SLOT_UNIT,
+    TASK,
+    TIP,
+    UNUSED,
+    WEAK_BIT,
+)
+from kempe.kernels.closed_form.analytic_layout import ERROR as ERROR_AT
+from kempe.kernels.closed_form.candidates import CANDIDATE, MOST_CANDIDATES, SAMPLE
+from kempe.kernels.closed_form.candidates import SLOT as CANDIDATE_SLOT
+from kempe.kernels.closed_form.merging import (
+    ERROR,
+    MERGED,
+    MOST_SOLUTIONS,
+    OPENED,
+    SAMPLED,
+    SIGNS,
+    SOLUTION,
+    TURNS,
+    WEAKEST,
+    Found,
+    add,
+    arrange,
+    coordinates,
+    united,
+)
+from kempe.kernels.closed_form.polish import Model, model_scratch
+from kempe.kernels.forward.table_layout import SLIDE
+
+OFF_ZERO = 0.2
+"""How far from zero a joint that must rest there may be in a candidate: polishing may still bring it to a solution."""
+
+WEAK = 1e-6
+"""Bound of the smallest singular value squared below which a solution is near a singularity."""
+
+ROTATION_TOLERANCE = 1e-6
+"""Largest entry of R^T R - 1 that a target's rotation may have."""
+
+
+@routine
+def take_target(targets, k, floats, out):
+    """Whether the 4x4 pose at targets[k:] is sound; writes its rows, seen from the plan's origin in its length."""
+    sound = True
+    for i in range(3):
+        for j in range(4):
+            out[4 * i + j] = targets[k + 4 * i + j]
+        out[4 * i + 3] = (out[4 * i + 3] - floats[ORIGIN + i]) / floats[LENGTH]
+        sound = sound and abs(out[4 * i + 3]) < 1e100
+    for i in range(3):
+        for j in range(3):
+            product = out[i] * out[j] + out[4 + i] * out[4 + j] + out[8 + i] * out[8 + j]
+            sound = sound and abs(product - (1.0 if i == j else 0.0)) <= ROTATION_TOLERANCE
+    z = out[0] * out[5] - out[1] * out[4]
+    det = out[10] * z + out[6] * (out[1] * out[8] - out[0] * out[9]) + out[2] * (out[4] * out[9] - out[5] * out[8])
+    return sound and det > 0.0
+
+
+@device
+def goal_of(target, tip, goal):
+    """Write G = T M^-1."""
+    for i in range(3):
+        row = three(target, 4 * i)
+        for j in range(3):
+            goal[4 * i + j] = dot(row, three(tip, 4 * j))
+    p = minus(translation(target), rotated(goal, translation(tip)))
+    goal[3], goal[7], goal[11] = p[0], p[1], p[2]
+
+
+@routine
+def six_lines(ints, floats, moves, theta, goal, shift, six, kinds):
+    """Nothing; the six lines of the plan with the locked joints at their values, and the goal without these.
+
+    A locked joint carries all lines that follow it: E_1 E_l E_2 = E_1 (E_l E_2 E_l^-1) E_l.
+    """
+    n = ints[N_JOINTS]
+    identity(shift)
+    for i in range(ints[N_LINES]):
+        at = LINES + LINE_STRIDE * i
+        h, o = three(floats, at), three(floats, at + 4)
+        if i < n and moves[i] == 0:
+            slides = ints[PLAN_HEADER + i] == SLIDE
+            follow(shift, h, o, slides, theta[i], math.cos(theta[i]), math.sin(theta[i]))
+            continue
+        for k in range(6):
+            if ints[ORDER + k] == i:
+                kinds[k] = ints[PLAN_HEADER + i]
+                write3(six, LINE_STRIDE * k, rotated(shift, h))
+                write3(six, LINE_STRIDE * k + 4, mapped(shift, o))
+    # goal A^-1: its rotation R A_R^T, and what is left of its translation
+    p = translation(goal)
+    for i in range(3):
+        row = three(goal, 4 * i)
+        for j in range(3):
+            goal[4 * i + j] = dot(row, three(shift, 4 * j))
+    p = minus(p, rotated(goal, translation(shift)))
+    goal[3], goal[7], goal[11] = p[0], p[1], p[2]
+
+
+@device
+def rank_of(row):
+    """0 for a solution that is isolated beyond doubt, 1 for one that may lie on a curve of them, 2 for a sample."""
+    if row[TURNS] == 0.0:
+        return 2
+    return 1 if row[WEAKEST] < MERGED else 0
+
+
+@routine
+def write_out(found, floats, joints, count, near, out, slots, placed):
+    """Number of rows written: each solution in the row of its slot where that is free, else in the first free one."""
+    m, stride, width = found.model, SOLUTION + found.model.n, found.model.n + INFO
+    for k in range(slots):
+        placed[k] = 0
+        for i in range(m.n):
+            out[width * k + i] = math.nan
+        out[width * k + m.n + CODE] = UNUSED
+    written = 0
+    for rank in range(3):  # what may lie on a curve of solutions comes after the isolated ones, as far as there is room
+        for k in range(count):
+            row, sampled = beyond(found.rows, stride * k), int(rank == 2)
+            if rank_of(row) != rank or written == slots:
+                continue
+            at = int(row[SIGNS]) if sampled == 0 else 0
+            if at < 0 or at >= slots:
+                at = 0
+            while placed[at] != 0:
+                at = (at + 1) % slots
+            placed[at] = 1
+            q = beyond(out, width * at)
+            inside = coordinates(m, joints, row, near, q)
+            code = MULTIPLICITY_UNIT * row[TURNS] + SLOT_UNIT * (max(row[SIGNS] + 1.0, 0.0) if sampled == 0 else 0.0)
+            code += (INSIDE_BIT if inside else 0.0) + (WEAK_BIT if row[WEAKEST] < WEAK else 0.0)
+            q[m.n + ERROR_AT] = math.hypot(row[ERROR] * floats[LENGTH], row[ERROR + 1])
+            q[m.n + CODE] = code
+            written += 1
+    return written
+
+
+class Desk(NamedTuple):
+    """What the work on one target after the other needs: plan, scratch and results; pointers."""
+
+    ints: object
+    floats: object
+    moves: object
+    joints: object
+    goal: object
+    shift: object
+    six: object
+    theta: object
+    fixed: object
+    candidates: object
+    kinds: object
+    placed: object
+    found: Found
+    n: int
+
+
+@device
+def desk_scratch(n):
+    """Numbers of scratch of a desk."""
+    return CANDIDATE * MOST_CANDIDATES + (SOLUTION + n) * (MOST_SOLUTIONS + 1) + model_scratch(n) + 2 * n + 96
+
+
+@device
+def desk_of(ints, floats, block, flags, tol_linear, tol_angular):
+    """A desk in a block of `desk_scratch` numbers and 6 + SLOTS flags."""
+    n = ints[N_JOINTS]
+    goal, stride = block, SOLUTION + n
+    theta, fixed = beyond(goal, 96), beyond(goal, 96 + n)
+    candidates = beyond(fixed, n)
+    rows = beyond(candidates, CANDIDATE * MOST_CANDIDATES)
+    moves = beyond(ints, PLAN_HEADER + ints[N_LINES])
+    joints = beyond(floats, LINES + LINE_STRIDE * ints[N_LINES])
+    model = Model(beyond(ints, PLAN_HEADER), beyond(floats, LINES), moves, beyond(floats, TIP), beyond(floats, TASK),
+                  beyond(goal, 12), beyond(rows, stride * (MOST_SOLUTIONS + 1)), n)  # fmt: skip
+    found = Found(model, rows, tol_linear / floats[LENGTH], tol_angular)
+    return Desk(ints, floats, moves, joints, goal, beyond(goal, 24), beyond(goal, 36), theta, fixed, candidates,
+                flags, beyond(flags, 6), found, n)  # fmt: skip
+
+
+@routine
+def begin(d, target, near, locked):
+    """Whether the target is sound; prepares goal and lines."""
+    sound = take_target(target, 0, d.floats, d.found.model.target)
+    for j in range(d.n):
+        at = JOINT_FLOATS * j
+        d.fixed[j] = d.joints[at + FACTOR] * locked[j] + d.joints[at + GAUGE] if d.moves[j] == 0 else 0.0
+        sound = sound and abs(d.fixed[j]) < 1e15 and abs(near[j]) < 1e15
+    if sound:
+        goal_of(d.found.model.target, d.found.model.tip, d.goal)
+        six_lines(d.ints, d.floats, d.moves, d.fixed, d.goal, d.shift, d.six, d.kinds)
+    return sound
+
+
+@routine
+def end(d, count, near, out, slots, sort):
+    """Number of rows written."""
+    count = united(d.found, count)
+    for i in range(6):
+        if d.ints[ROLES + i] != JOINT:  # lines that stand for no joint have double zeros, or two ways, of their own
+            for k in range(count):
+                row = beyond(d.found.rows, (SOLUTION + d.n) * k)
+                row[TURNS] = min(row[TURNS], 2.0)
+    written = write_out(d.found, d.floats, d.joints, count, near, out, slots, d.placed)
+    if sort != 0:
+        arrange(d.n, d.joints, near, out, slots)
+    return written
+
+
+@routine
+def take_candidates(d, order, first, last, kind, count):
+    """New number of solutions after the candidates from `first` to before `last`; `kind` as in `merging.add`."""
+    for k in range(first, last):
+        row = beyond(d.candidates, CANDIDATE * k)
+        for i in range(d.n):
+            d.theta[i] = d.fixed[i]
+        sound, sampled, of = True, row[SAMPLE] != 0.0, kind
+        if sampled:
+            of = SAMPLED if row[SAMPLE] == 1.0 else OPENED
+        for i in range(6):
+            j = order[i]
+            if j < d.n:
+                d.theta[j] = row[i]
+            elif d.ints[ROLES + i] == REST and not sampled:
+                sound = sound and abs(row[i]) <= OFF_ZERO
+            sound = sound and abs(row[i]) < 1e15
+        if sound:
+            count = add(d.found, count, d.theta, row[CANDIDATE_SLOT], of)
+    return count

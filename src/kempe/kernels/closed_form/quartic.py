@@ -1,0 +1,165 @@
+"""Real roots of polynomials up to degree four, double ones included, and two equations in two joint variables."""
+
+from __future__ import annotations
+
+import math
+
+from kempe.kernels.base._jit import device, routine
+from kempe.kernels.closed_form.arm_part import FAINT, VOID, put, put_angle
+from kempe.kernels.closed_form.subproblems import TINY
+
+TURNS, ENOUGH = 60, 1e-15
+"""Iterations at most, and the relative change at which they end."""
+
+NEARLY_REAL = 1e-4
+"""Imaginary part, relative to the size of the root, that rounding can give a double root."""
+
+SMALL = 1e-3
+"""Size of a row of factors from which it counts in full; lengths are in units of the chain's."""
+
+
+@device
+def value_and_slope(p, x):
+    """p(x) and p'(x) of a polynomial of degree four, p[k] the factor of x^k."""
+    v = p[4] + 0.0 * x
+    d = 0.0 * x
+    for k in range(3, -1, -1):
+        d = d * x + v
+        v = v * x + p[k]
+    return v, d
+
+
+@routine
+def quartic_roots(p, roots):
+    """Number of real roots of p[0] + ... + p[4] x^4, written to roots (4): double ones twice, p[4] not zero.
+
+    All four roots together by the method of Ehrlich (1967) and Aberth (1973), from points on a circle.
+    """
+    size = 0.0
+    for k in range(4):
+        if p[k] != 0.0:
+            size = max(size, abs(p[k] / p[4]) ** (1.0 / (4 - k)))
+    if size == 0.0:
+        for k in range(4):
+            roots[k] = 0.0
+        return 4
+    a, b = complex(0.9 * size, 0.25 * size), complex(-0.3 * size, 0.95 * size)
+    c, d = complex(-0.85 * size, -0.4 * size), complex(0.35 * size, -1.0 * size)
+    for _ in range(TURNS):
+        change = 0.0
+        for _root in range(4):
+            v, slope = value_and_slope(p, a)
+            others = 0.0j
+            for z in (b, c, d):
+                gap = a - z
+                if gap != 0.0:
+                    others += 1.0 / gap
+            bottom = slope - v * others
+            step = v / bottom if bottom != 0.0 else 0.0j
+            change = max(change, abs(step))
+            a, b, c, d = b, c, d, a - step
+        if change <= ENOUGH * size:
+            break
+    count = 0
+    for z in (a, b, c, d):
+        if abs(z.imag) <= NEARLY_REAL * (abs(z) + 1e-3 * size):
+            roots[count] = z.real
+            count += 1
+    return count
+
+
+@device
+def eliminated(t, other):
+    """(P0, P1, P2), two numbers each: both factors of one joint as P0 + P1 f + P2 g of the other's."""
+    det = t[1] * t[5] - t[2] * t[4]
+    a, b, c, d = t[5] / det, -t[2] / det, -t[4] / det, t[1] / det
+    x, y = other[0] - t[0], other[3] - t[3]
+    return (
+        (a * x + b * y, c * x + d * y),
+        (a * other[1] + b * other[4], c * other[1] + d * other[4]),
+        (a * other[2] + b * other[5], c * other[2] + d * other[5]),
+    )
+
+
+@device
+def steadiness(t):
+    """How far from dependent the two rows of factors of one joint are: 0 to 1. A row that hardly says anything is."""
+    size = max(math.hypot(t[1], t[2]), SMALL) * max(math.hypot(t[4], t[5]), SMALL)
+    return abs(t[1] * t[5] - t[2] * t[4]) / size
+
+
+@device
+def faint(t):
+    """Whether a joint hardly moves what is measured: rounding of the square roots then leaves its value open."""
+    return math.hypot(t[1], t[2]) + math.hypot(t[4], t[5]) < FAINT
+
+
+@routine
+def pairs_of(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
+    """Number of pairs of values that satisfy both equations, the joint `gone` eliminated; up to four.
+
+    gone, kept: terms of the two joints. Both factors f, g of `gone` are linear in those of `kept`; f^2 + g^2 = 1 for a
+    turn, g = f^2 for a slide, is then a polynomial of degree four in the slide or in the tangent of the half angle.
+    """
+    p0, p1, p2 = eliminated(gone, kept)
+    if gone_slides:  # f^2 - g
+        q00, q10, q01 = p0[0] * p0[0] - p0[1], 2.0 * p0[0] * p1[0] - p1[1], 2.0 * p0[0] * p2[0] - p2[1]
+        q20, q11, q02 = p1[0] * p1[0], 2.0 * p1[0] * p2[0], p2[0] * p2[0]
+    else:
+        q00 = p0[0] * p0[0] + p0[1] * p0[1] - 1.0
+        q10, q01 = 2.0 * (p0[0] * p1[0] + p0[1] * p1[1]), 2.0 * (p0[0] * p2[0] + p0[1] * p2[1])
+        q20, q02 = p1[0] * p1[0] + p1[1] * p1[1], p2[0] * p2[0] + p2[1] * p2[1]
+        q11 = 2.0 * (p1[0] * p2[0] + p1[1] * p2[1])
+    p, roots = work, work
+    quarter = 0
+    if kept_slides:
+        p[0], p[1], p[2], p[3], p[4] = q00, q10, q01 + q20, q11, q02
+    else:  # the angle is counted from a quarter turn for which half a turn, the infinite tangent, is far from a root
+        sizes = (abs(q00 - q10 + q20), abs(q00 - q01 + q02), abs(q00 + q10 + q20), abs(q00 + q01 + q02))
+        for k in range(1, 4):
+            if sizes[k] > sizes[quarter]:
+                quarter = k
+        for _ in range(quarter):  # f, g -> -g, f
+            q10, q01, q20, q11, q02 = q01, -q10, q02, -q11, q20
+        p[0], p[1], p[2] = q00 + q10 + q20, 2.0 * (q01 + q11), 2.0 * q00 - 2.0 * q20 + 4.0 * q02
+        p[3], p[4] = 2.0 * (q01 - q11), q00 - q10 + q20
+    if abs(p[4]) <= VOID * (abs(p[0]) + abs(p[1]) + abs(p[2]) + abs(p[3])):
+        p[4] = VOID * (abs(p[0]) + abs(p[1]) + abs(p[2]) + abs(p[3])) + 1e-300
+    count, found = quartic_roots(p, roots), 0
+    for k in range(count):
+        x = roots[k]
+        if kept_slides:
+            f, g = x, x * x
+        else:
+            n = 1.0 / (1.0 + x * x)
+            f, g = (1.0 - x * x) * n, 2.0 * x * n
+            for _ in range(quarter):
+                f, g = -g, f
+        u, v = p0[0] + p1[0] * f + p2[0] * g, p0[1] + p1[1] * f + p2[1] * g
+        size = math.hypot(u, v)
+        if not gone_slides and size < 0.5 and not faint(gone):
+            continue
+        at = out_kept
+        if kept_slides:
+            put(at, found, f, g, f, 0.0)
+        else:
+            put_angle(at, found, f, g, 0.0)
+        if gone_slides:
+            put(out_gone, found, u, u * u, u, 0.0)
+        else:
+            put_angle(out_gone, found, u / max(size, TINY), v / max(size, TINY), 0.0)
+        found += 1
+    return found
+
+
+@device
+def coupled_pairs(x_slides, z_slides, tx, tz, work, out_x, out_z):
+    """Number of pairs of values of x and z that satisfy both outer equations."""
+    if steadiness(tx) >= steadiness(tz):
+        return pairs_of(x_slides, z_slides, tx, tz, work, out_x, out_z)
+    return pairs_of(z_slides, x_slides, tz, tx, work, out_z, out_x)
+
+
+WORK = 5
+"""Numbers of `work`."""
+

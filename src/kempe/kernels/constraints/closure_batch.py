@@ -1,0 +1,54 @@
+"""The constraint equations of loops and their dense Jacobian, for a batch of configurations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kempe.kernels.base._jit import kernel
+from kempe.kernels.base.declare import FLAG, OUT, F, I
+from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.vectors import keep, raw
+from kempe.kernels.constraints import loop_layout as L
+from kempe.kernels.constraints.constraint_rows import Loops
+from kempe.kernels.constraints.envelope import add_product
+from kempe.kernels.constraints.goals import fill
+from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
+from kempe.kernels.forward.table_layout import NQ, NV
+from kempe.kernels.forward.table_rows import poses_at, row_poses, scratch_size
+
+
+@kernel(
+    I("_"), F("_"), I("_"), F("_"), F("1|N", "_"), F("N", "nq"), FLAG, OUT("N", "m"), OUT("_", "m", "_"),
+    returns=False,
+)  # fmt: skip
+def equations(ints, floats, plan, weights, pins, q, with_jacobian, residual, jacobian):
+    """Write the residual (N, m) at q (N, nq) and, if asked, the Jacobian (N, m, nv), both scaled as `weights` say.
+
+    ints, floats: the table; plan, weights: the loops, and pins (N or 1, k): as in
+    `loop_layout`.
+    """
+    nq, nv, n_rows, m = ints[NQ], ints[NV], ints[TABLE_ROWS], plan[L.N_ROWS]
+    sweep = scratch_size(n_rows)
+    block = np.empty(sweep + 2 * m + plan[L.BLOCKS])
+    scratch = raw(block)
+    error = beyond(scratch, sweep)
+    column = beyond(error, m)
+    blocks = beyond(column, m)
+    for i in range(q.shape[0]):
+        start = beyond(raw(q), i * nq)
+        pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
+        loops = Loops(raw(ints), raw(floats), raw(plan), raw(weights), pin, start, scratch,
+                      beyond(scratch, poses_at(n_rows)), error, blocks, n_rows, nq, nv)  # fmt: skip
+        row_poses(loops.ints, loops.floats, start, 0, scratch)
+        fill(loops, with_jacobian)
+        for r in range(m):
+            residual[i, r] = error[r]
+        if not with_jacobian:
+            continue
+        for v in range(nv):
+            for r in range(m):
+                column[r] = 0.0
+            add_product(loops, v, 1.0, column)
+            for r in range(m):
+                jacobian[i, r, v] = column[r]
+    keep(block)

@@ -1,0 +1,192 @@
+"""The coordinates of packed loops: where they are and how far apart, where starts are drawn, how they are read off."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kempe.kernels.base._jit import device, routine
+from kempe.kernels.base.random import mix, unit
+from kempe.kernels.base.rotations import draw_ball, turn_ball
+from kempe.kernels.base.scratch import beyond, copy
+from kempe.kernels.base.search_layout import LARGEST
+from kempe.kernels.base.trig import atan2
+from kempe.kernels.constraints import loop_layout as L
+from kempe.kernels.constraints.constraint_rows import back, ends_of, relative
+
+"""Size from which a number is no coordinate."""
+
+
+@device
+def sort_of(loops, v):
+    """Sort of velocity coordinate v."""
+    return loops.plan[loops.plan[L.AT_PLACES] + L.PLACE_INTS * v + 1]
+
+
+@device
+def place_of(loops, v):
+    """Place in q of velocity coordinate v, for a ball of its quaternion."""
+    return loops.plan[loops.plan[L.AT_PLACES] + L.PLACE_INTS * v]
+
+
+@device
+def is_held(loops, v):
+    """Whether v is no unknown."""
+    return loops.plan[loops.plan[L.AT_PLACES] + L.PLACE_INTS * v + 2] != 0
+
+
+@device
+def number(loops, list_, v):
+    """Entry v of a list of velocities in `weights`: 0 scales, 1 lower, 2 upper limits, 3 and 4 ends to draw from."""
+    return loops.weights[L.SCALES + list_ * loops.nv + v]
+
+
+@device
+def ball_difference(q, home, i, to, at):
+    """Write the rotation vector from the quaternion at q[i:] to that at home[i:] to to[at:]."""
+    w, x, y, z = q[i], -q[i + 1], -q[i + 2], -q[i + 3]
+    a, b, c, d = home[i], home[i + 1], home[i + 2], home[i + 3]
+    rw = w * a - x * b - y * c - z * d
+    rx = w * b + x * a + y * d - z * c
+    ry = w * c - x * d + y * a + z * b
+    rz = w * d + x * c - y * b + z * a
+    sine = math.sqrt(rx * rx + ry * ry + rz * rz)
+    f = 2.0 if sine < 1e-12 else 2.0 * math.atan2(sine, abs(rw)) / sine
+    f = math.copysign(f, rw)
+    to[at], to[at + 1], to[at + 2] = f * rx, f * ry, f * rz
+
+
+@routine
+def distance(loops, home, target):
+    """Square of the distance from q to `home`, scaled; writes the way there to `target`. Held ones do not count."""
+    far = 0.0
+    for v in range(loops.nv):
+        if is_held(loops, v):
+            target[v] = 0.0
+        elif sort_of(loops, v) == L.BALL_FIRST:
+            ball_difference(loops.q, home, place_of(loops, v), target, v)
+        elif sort_of(loops, v) != L.BALL_MORE:
+            i = place_of(loops, v)
+            target[v] = (home[i] - loops.q[i]) / number(loops, 0, v)
+    for v in range(loops.nv):
+        far += target[v] * target[v]
+    return far
+
+
+@device
+def nearest_turn(x, to):
+    """The angle x plus whole turns, as near as can be to the angle `to`."""
+    return x - 2.0 * math.pi * math.ceil((x - to) / (2.0 * math.pi) - 0.5)
+
+
+@device
+def quaternion_of(r, q, i, home):
+    """Write the unit quaternion of the rotation r to q[i:], of the sign that is nearer to home[i:]."""
+    if r[0] + r[4] + r[8] > 0.0:
+        w, x, y, z = 1.0 + r[0] + r[4] + r[8], r[7] - r[5], r[2] - r[6], r[3] - r[1]
+    elif r[0] >= r[4] and r[0] >= r[8]:
+        w, x, y, z = r[7] - r[5], 1.0 + r[0] - r[4] - r[8], r[1] + r[3], r[2] + r[6]
+    elif r[4] >= r[8]:
+        w, x, y, z = r[2] - r[6], r[1] + r[3], 1.0 - r[0] + r[4] - r[8], r[5] + r[7]
+    else:
+        w, x, y, z = r[3] - r[1], r[2] + r[6], r[5] + r[7], 1.0 - r[0] - r[4] + r[8]
+    size = math.sqrt(w * w + x * x + y * y + z * z)
+    if w * home[i] + x * home[i + 1] + y * home[i + 2] + z * home[i + 3] < 0.0:
+        size = -size
+    q[i], q[i + 1], q[i + 2], q[i + 3] = w / size, x / size, y / size, z / size
+
+
+@routine
+def read_off(loops, home):
+    """Write the coordinates of cut joints to q, and bring angles that a turn brings back near to `home`.
+
+    The poses must be those of q. Angles of crosses and of three turns are as in `joints`.
+    """
+    plan, q = loops.plan, loops.q
+    for n in range(plan[L.N_READINGS]):
+        k = plan[L.AT_READINGS] + L.READING_INTS * n
+        code, i = plan[k], plan[k + 1]
+        r_a, p_a, r_b, p_b = ends_of(loops, plan[k + 2])
+        p = back(r_a, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
+        r = relative(r_a, r_b)
+        if code <= L.READ_Z:
+            q[i] = p[code]
+        elif code == L.READ_QUATERNION:
+            quaternion_of(r, q, i, home)
+        else:
+            sine, cosine = r[3] - r[1], r[0] + r[4]  # READ_ANGLE
+            if code == L.READ_RX:
+                sine, cosine = r[7], r[4]
+            elif code == L.READ_RY:
+                sine, cosine = r[2], r[0]
+            elif code == L.READ_YAW:
+                sine, cosine = r[3], r[0]
+            elif code == L.READ_PITCH:
+                sine, cosine = -r[6], math.sqrt(r[0] * r[0] + r[3] * r[3])
+            elif code == L.READ_ROLL:
+                sine, cosine = r[7], r[8]
+            q[i] = nearest_turn(atan2(sine, cosine), home[i])
+    for v in range(loops.nv):
+        if sort_of(loops, v) == L.CIRCLE and not is_held(loops, v):
+            i = place_of(loops, v)
+            q[i] = nearest_turn(q[i], home[i])
+
+
+@routine
+def draw(loops, home, spread, key):
+    """Write a random configuration to q: unknowns within `spread` of their range about `home`, or anywhere for 1."""
+    q = loops.q
+    copy(q, home, 0, loops.nq)
+    for v in range(loops.nv):
+        if is_held(loops, v):
+            continue
+        sort, i, fresh = sort_of(loops, v), place_of(loops, v), mix(key, np.uint64(v))
+        if sort == L.BALL_FIRST:
+            if spread >= 1.0:
+                draw_ball(q, i, fresh)
+            else:
+                t = 2.0 * math.pi * spread
+                a, b, c = mix(fresh, np.uint64(0)), mix(fresh, np.uint64(1)), mix(fresh, np.uint64(2))
+                turn_ball(q, i, t * (unit(a) - 0.5), t * (unit(b) - 0.5), t * (unit(c) - 0.5))
+        elif sort != L.BALL_MORE:
+            low, high = number(loops, 3, v), number(loops, 4, v)
+            if spread >= 1.0:
+                q[i] = low + (high - low) * unit(fresh)
+            else:
+                x = home[i] + spread * (high - low) * (unit(fresh) - 0.5)
+                q[i] = min(max(x, number(loops, 1, v)), number(loops, 2, v))
+
+
+@routine
+def sound(loops, home):
+    """Whether the start at q is finite; brings unknowns inside their limits, quaternions to norm 1, keeps `home`."""
+    q, good = loops.q, True
+    for v in range(loops.nv):
+        sort, i = sort_of(loops, v), place_of(loops, v)
+        if sort == L.BALL_FIRST:
+            w, x, y, z = q[i], q[i + 1], q[i + 2], q[i + 3]
+            size = math.sqrt(w * w + x * x + y * y + z * z)
+            good = good and 0.0 < size < LARGEST
+            q[i], q[i + 1], q[i + 2], q[i + 3] = w / size, x / size, y / size, z / size
+        elif sort != L.BALL_MORE:
+            good = good and abs(q[i]) < LARGEST
+            if not is_held(loops, v):
+                q[i] = min(max(q[i], number(loops, 1, v)), number(loops, 2, v))
+    copy(home, q, 0, loops.nq)
+    return good
+
+
+@device
+def lead_on(loops, done, i):
+    """Write to the unknowns of q where rows i - 2 and i - 1 of `done` lead."""
+    last, nq = (i - 1) * loops.nq, loops.nq
+    for v in range(loops.nv):
+        if is_held(loops, v):
+            continue
+        sort, k = sort_of(loops, v), place_of(loops, v)
+        if sort == L.BALL_FIRST:
+            copy(beyond(loops.q, k), done, last + k, 4)
+        elif sort != L.BALL_MORE:
+            before = done[last - nq + k] if i > 1 else done[last + k]
+            loops.q[k] = 2.0 * done[last + k] - before

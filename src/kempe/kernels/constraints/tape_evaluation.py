@@ -1,0 +1,341 @@
+"""Recorded expressions: values, gradients and Taylor series of a tape (`tape_layout`).
+
+Gradients are one reverse sweep (Griewank, Walther, 2008, chapter 3). Orders of series follow the recurrences of their
+chapter 13: a function y = f(x) whose derivative is the series g(t) obeys y' = g x', hence k y_k = sum of j x_j g_(k-j)
+over j = 1 ... k, and a tape holds g as a node of its own. What is not defined comes out as NaN or infinity.
+
+Pointers `ints` and `floats` are read from the places `at` and `fat` on.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kempe.kernels.base._jit import device, kernel, routine
+from kempe.kernels.base.declare import INT, OUT, F, I
+from kempe.kernels.base.vectors import keep, raw
+from kempe.kernels.constraints.cubic_pieces import entry_of, nearest_on_curve
+from kempe.kernels.constraints.tape_layout import (
+    ACOS,
+    ACOSH,
+    ADD,
+    ASIN,
+    ASINH,
+    ATAN,
+    ATAN2,
+    ATANH,
+    COS,
+    COSH,
+    DIV,
+    EXP,
+    HYPOT,
+    LOG,
+    LOOKUP,
+    MUL,
+    N_INPUTS,
+    N_NODES,
+    N_OUTPUTS,
+    NEAREST,
+    NEG,
+    NODE_INTS,
+    NUMBER,
+    POW,
+    SIN,
+    SINH,
+    SQRT,
+    SUB,
+    TABLE,
+    TAN,
+    TANH,
+    TAPE_HEAD,
+)
+
+
+@device
+def node_at(ints, at, i):
+    """Where in `ints` the node at place i lies."""
+    return at + TAPE_HEAD + ints[at + N_OUTPUTS] + NODE_INTS * (i - ints[at + N_INPUTS])
+
+
+@routine
+def function_value(op, x):
+    """The function `op` of one number; NaN where it has no finite value."""
+    if op == SIN:
+        return math.sin(x)
+    if op == COS:
+        return math.cos(x)
+    if op == SQRT:
+        return math.sqrt(x) if x >= 0.0 else math.nan
+    if op == EXP:
+        return math.exp(x)
+    if op == LOG:
+        return math.log(x) if x > 0.0 else math.nan
+    if op == TAN:
+        return math.tan(x)
+    if op == ASIN:
+        return math.asin(x) if abs(x) <= 1.0 else math.nan
+    if op == ACOS:
+        return math.acos(x) if abs(x) <= 1.0 else math.nan
+    if op == ATAN:
+        return math.atan(x)
+    if op == SINH:
+        return math.sinh(x)
+    if op == COSH:
+        return math.cosh(x)
+    if op == TANH:
+        return math.tanh(x)
+    if op == ASINH:
+        return math.asinh(x)
+    if op == ACOSH:
+        return math.acosh(x) if x >= 1.0 else math.nan
+    if op == ATANH:
+        return math.atanh(x) if abs(x) < 1.0 else math.nan
+    return math.nan
+
+
+@routine
+def leaf_value(ints, at, floats, fat, i, width, work):
+    """The value of what has no rates of its own, or of the node NEAREST; operands are at `width` times their place."""
+    k = node_at(ints, at, i)
+    op, left, right = ints[k], ints[k + 1], ints[k + 2]
+    if op == NUMBER:
+        return floats[fat + left]
+    if op == LOOKUP:
+        table = node_at(ints, at, right)
+        return entry_of(floats, fat + ints[table + 1], ints[table + 2], work[width * left])
+    if op != NEAREST:
+        return 0.0
+    second = node_at(ints, at, left)
+    first = node_at(ints, at, ints[second + 1])
+    table = node_at(ints, at, ints[first + 1])
+    x, y, z = work[width * ints[first + 2]], work[width * ints[second + 2]], work[width * right]
+    return nearest_on_curve(floats, fat + ints[table + 1], ints[table + 2], x, y, z)
+
+
+@routine
+def tape_values(ints, at, floats, fat, work):
+    """Fill work[: n_nodes] with the values of all nodes; work[: n_inputs] holds the inputs."""
+    n = ints[at + N_INPUTS]
+    for i in range(n, ints[at + N_NODES]):
+        k = node_at(ints, at, i)
+        op, left, right = ints[k], ints[k + 1], ints[k + 2]
+        if op == ADD:
+            work[i] = work[left] + work[right]
+        elif op == SUB:
+            work[i] = work[left] - work[right]
+        elif op == MUL:
+            work[i] = work[left] * work[right]
+        elif op == DIV:
+            work[i] = work[left] / work[right]
+        elif op == POW:
+            work[i] = work[left] ** work[right]
+        elif op == NEG:
+            work[i] = -work[left]
+        elif op == ATAN2:
+            work[i] = math.atan2(work[left], work[right])
+        elif op == HYPOT:
+            work[i] = math.hypot(work[left], work[right])
+        elif op > NEAREST:
+            work[i] = function_value(op, work[left])
+        else:
+            work[i] = leaf_value(ints, at, floats, fat, i, 1, work)
+
+
+@routine
+def power_rates(ints, at, i, right, base, exponent, value):
+    """The derivatives of base ** exponent by both; zero by an exponent that is a number."""
+    by_base = exponent * base ** (exponent - 1.0) if exponent != 0.0 else 0.0 * base
+    if right >= ints[at + N_INPUTS] and ints[node_at(ints, at, right)] == NUMBER:
+        return by_base, 0.0
+    return by_base, value * math.log(base) if base > 0.0 else math.nan
+
+
+@routine
+def tape_gradient(ints, at, floats, fat, output, work, adjoint):
+    """Write the gradient of an output by the inputs to adjoint[: n_inputs]; `work` holds the values of all nodes.
+
+    `adjoint` has room for 2 n_nodes numbers; its second half says which nodes the output is computed from: of all
+    others the derivatives, which may be infinite, have no part in it.
+    """
+    n, last, marks = ints[at + N_INPUTS], ints[at + TAPE_HEAD + output], ints[at + N_NODES]
+    for i in range(max(n, last + 1)):
+        adjoint[i], adjoint[marks + i] = 0.0, 0.0
+    adjoint[last], adjoint[marks + last] = 1.0, 1.0
+    for i in range(last, n - 1, -1):
+        k = node_at(ints, at, i)
+        op, left, right = ints[k], ints[k + 1], ints[k + 2]
+        a = adjoint[i]
+        if adjoint[marks + i] == 0.0 or op == NUMBER or op == TABLE or op == LOOKUP:
+            continue
+        adjoint[marks + left] = 1.0
+        if op < NEG or ATAN2 <= op <= NEAREST:
+            adjoint[marks + right] = 1.0
+        if op == ADD:
+            adjoint[left] += a
+            adjoint[right] += a
+        elif op == SUB:
+            adjoint[left] += a
+            adjoint[right] -= a
+        elif op == MUL:
+            adjoint[left] += a * work[right]
+            adjoint[right] += a * work[left]
+        elif op == DIV:
+            adjoint[left] += a / work[right]
+            adjoint[right] -= a * work[i] / work[right]
+        elif op == POW:
+            by_base, by_exponent = power_rates(ints, at, i, right, work[left], work[right], work[i])
+            adjoint[left] += a * by_base
+            adjoint[right] += a * by_exponent
+        elif op == NEG:
+            adjoint[left] -= a
+        elif op <= NEAREST:
+            adjoint[left] += a * work[ints[k + NODE_INTS + 1]]
+            adjoint[right] += a * work[ints[k + NODE_INTS + 2]]
+        else:
+            adjoint[left] += a * (work[right] + 0.0 * work[i])  # none where there is no value
+
+
+@device
+def product_order(k, width, series, left, right):
+    """Order k of the product of two series."""
+    total = 0.0
+    for j in range(k + 1):
+        total += series[width * left + j] * series[width * right + k - j]
+    return total
+
+
+@device
+def chain_order(k, width, series, operand, derivative):
+    """Order k of what has this derivative by this operand, k > 0."""
+    total = 0.0
+    for j in range(1, k + 1):
+        total += j * series[width * operand + j] * series[width * derivative + k - j]
+    return total / k
+
+
+@routine
+def power_order(k, width, series, i, left, right):
+    """Order k of a power with a constant exponent c, k > 0; the power of order 0 is there.
+
+    A base that begins at order m is t^m u(t), and its power t^(m c) u^c; c u' w = u w' holds for w = u^c.
+    """
+    c = series[width * right]
+    for j in range(1, k + 1):
+        if series[width * right + j] != 0.0:
+            return math.nan
+    if c == 0.0:
+        return 0.0 * series[width * left + k]
+    m = 0
+    if c > 0.0 and c == math.floor(c):
+        while m <= k and series[width * left + m] == 0.0:
+            m += 1
+        if m > k:
+            return 0.0
+    u, w = width * left + m, width * i + m * int(c)
+    n = k - m * int(c)  # the order of u^c that is asked for
+    if m > 0 and n <= 0:
+        return series[u] ** c if n == 0 else 0.0
+    total = 0.0
+    for j in range(1, n + 1):
+        total += (c * j - (n - j)) * series[u + j] * series[w + n - j]
+    return total / (n * series[u])
+
+
+@routine
+def tape_order(ints, at, floats, fat, k, width, series):
+    """Write order k of the Taylor series of all nodes: series[width * place + k].
+
+    Orders 0 ... k of the inputs and orders 0 ... k - 1 of the nodes are there; width is at least k + 1.
+    """
+    n = ints[at + N_INPUTS]
+    for i in range(n, ints[at + N_NODES]):
+        p = node_at(ints, at, i)
+        op, left, right = ints[p], ints[p + 1], ints[p + 2]
+        y = width * i + k
+        a, b = width * left + k, width * right + k
+        if op == ADD:
+            series[y] = series[a] + series[b]
+        elif op == SUB:
+            series[y] = series[a] - series[b]
+        elif op == NEG:
+            series[y] = -series[a]
+        elif op == MUL:
+            series[y] = product_order(k, width, series, left, right)
+        elif op == DIV:
+            total = series[a]
+            for j in range(1, k + 1):
+                total -= series[width * right + j] * series[y - j]
+            series[y] = total / series[width * right]
+        elif op == POW:
+            if k == 0:
+                series[y] = series[a] ** series[b]
+            else:
+                series[y] = power_order(k, width, series, i, left, right)
+        elif k == 0 and (op == ATAN2 or op == HYPOT):
+            series[y] = math.atan2(series[a], series[b]) if op == ATAN2 else math.hypot(series[a], series[b])
+        elif op <= NEAREST:
+            if k == 0:
+                series[y] = leaf_value(ints, at, floats, fat, i, width, series)
+            elif op < ATAN2:
+                series[y] = 0.0
+            else:
+                first, second = ints[p + NODE_INTS + 1], ints[p + NODE_INTS + 2]
+                series[y] = chain_order(k, width, series, left, first) + chain_order(k, width, series, right, second)
+        elif k == 0:
+            series[y] = function_value(op, series[a])
+        else:
+            series[y] = chain_order(k, width, series, left, right) + 0.0 * series[y - k]
+
+
+@kernel(I("_"), F("_"), F("N", "n"), OUT("N", "m"), OUT("N", "m", "n"), returns=False)
+def tapes(ints, floats, inputs, values, gradients):
+    """Write the outputs of a tape at N points, and their gradients by the n inputs."""
+    ints_, floats_, n = raw(ints), raw(floats), ints[N_INPUTS]
+    scratch = np.empty(3 * ints[N_NODES] + 1)
+    work, adjoint = scratch[: ints[N_NODES]], scratch[ints[N_NODES] :]
+    work_, adjoint_ = raw(work), raw(adjoint)
+    for b in range(inputs.shape[0]):
+        for i in range(n):
+            work[i] = inputs[b, i]
+        tape_values(ints_, 0, floats_, 0, work_)
+        for o in range(ints[N_OUTPUTS]):
+            values[b, o] = work[ints[TAPE_HEAD + o]]
+            tape_gradient(ints_, 0, floats_, 0, o, work_, adjoint_)
+            for i in range(n):
+                gradients[b, o, i] = adjoint[i]
+    keep(scratch)
+
+
+@kernel(I("_"), F("_"), INT, F("N", "n", "k"), OUT("N", "m", "k"), returns=False)
+def tape_series(ints, floats, order, inputs, outputs):
+    """Write orders 0 ... order, which is below k, of the outputs of a tape along N curves given by their series."""
+    ints_, floats_, n, width = raw(ints), raw(floats), ints[N_INPUTS], inputs.shape[2]
+    series = np.empty(ints[N_NODES] * width + 1)
+    series_ = raw(series)
+    for b in range(inputs.shape[0]):
+        for i in range(n):
+            for k in range(width):
+                series[width * i + k] = inputs[b, i, k]
+        for k in range(order + 1):
+            tape_order(ints_, 0, floats_, 0, k, width, series_)
+        for o in range(ints[N_OUTPUTS]):
+            for k in range(order + 1):
+                outputs[b, o, k] = series[width * ints[TAPE_HEAD + o] + k]
+    keep(series)
+
+
+@kernel(I("_"), F("_"), F("N", "n"), OUT("N", "m"), returns=False)
+def tape_outputs(ints, floats, inputs, values):
+    """Write the outputs of a tape at N points."""
+    ints_, floats_, n = raw(ints), raw(floats), ints[N_INPUTS]
+    block = np.empty(ints[N_NODES] + 1)
+    work = raw(block)
+    for b in range(inputs.shape[0]):
+        for i in range(n):
+            work[i] = inputs[b, i]
+        tape_values(ints_, 0, floats_, 0, work)
+        for o in range(ints[N_OUTPUTS]):
+            values[b, o] = work[ints[TAPE_HEAD + o]]
+    keep(block)

@@ -1,0 +1,1 @@
+"""Planar mechanisms made of dyads, as programs of closed forms."""

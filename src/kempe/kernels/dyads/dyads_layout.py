@@ -1,0 +1,28 @@
+"""How a program that solves dyads lies in arrays. Imports nothing: whoever writes programs needs no compiler.
+
+A program is a pair of flat arrays, `ints` (int64) and `floats` (float64):
+
+    ints    n_ops, n_vectors, n_registers, nq, n_known, n_signs, first coordinate, first target, first sign, 0, ...
+            the coordinate that each known value is (n_known numbers)
+            the operations, OP_INTS numbers each: code, then places of vectors
+    floats  the operations, OP_FLOATS numbers each
+
+The kernel keeps a block of configurations side by side; each number of a configuration is a vector, and a place
+counts vectors: GAP and FLAG, two spare ones, the registers (a planar pose c, s, x, y each, the cosine and sine of the
+orientation and the origin), the coordinates, their targets, the branch signs, and a spare one.
+"""
+
+HEADER, OP_INTS, OP_FLOATS = 12, 12, 20
+
+N_OPS, N_VECTORS, N_REGISTERS, NQ, N_KNOWN, N_SIGNS, COORDINATES, TARGETS, SIGNS = range(9)
+"""Places in the header of `ints`."""
+
+GAP, FLAG, SPARE, REGISTERS = 0, 1, 2, 4
+"""Places of vectors: the sum of squared openings, the count of undetermined parts, two to work with, registers."""
+
+SET, ADD, EXPECT_ZERO = 0, 1, 2
+TURN, SLIDE, DIVIDE, CARRY, REBASE = 3, 4, 5, 6, 7
+CIRCLES, LINE_CIRCLE, LINES = 8, 9, 10
+PIN_PIN, PIN_RAIL, RAIL_RAIL = 11, 12, 13
+READ_TURN, READ_SLIDE = 14, 15
+"""Codes of operations; the functions of `dyads_program` say what each does and how its numbers lie."""

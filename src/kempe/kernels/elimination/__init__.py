@@ -1,0 +1,1 @@
+"""All solutions of six joints in general position, by elimination."""

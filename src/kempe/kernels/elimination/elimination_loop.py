@@ -1,0 +1,193 @@
+"""The loop equations of a chain of six joints, one joint removed: samples of them, and the six without the pair.
+
+A solution closes the loop E_1 ... E_6 G^-1 = 1. Without joint r it says that the product of the other five carries
+r's line, seen from one side, onto the same line, seen from the other. Of the five, three ("the triple") act on one
+line, two ("the pair") on the other:
+
+    X_1 X_2 X_3 source = Y_2^-1 Y_1^-1 target
+
+Of a line through p along l both sides compare fourteen numbers: l, p, p x l, p.p, p.l, (p.p) l - 2 (p.l) p (Raghavan
+and Roth 1990, "Kinematic analysis of the 6R manipulator of general geometry"; 1993, "Inverse kinematics of the general
+6R manipulator and related linkages"). With 1 they span a representation of the rigid motions. So each is linear in
+(1, cos, sin) of every turn, and of degree two in every slide: three samples a joint determine it, and nothing needs to
+be derived. A slide cannot be the removed joint: it leaves no line in place.
+
+Formulations: 18 direction + 6 hidden + removed, where `removed` counts joints from 0, `hidden` says which joint of the
+triple stays in the eigenproblem, and `direction` whether the pair comes right after the removed joint (0) or before it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from kempe.kernels.base._jit import device, routine
+from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.vectors import LANES, load_lanes, spread_lanes, store
+from kempe.kernels.forward.table_layout import SLIDE
+
+LINE_STRIDE = 8
+"""Numbers of a joint's line: direction (3), 0, point (3), 0."""
+
+NUMBER, IS_SLIDE = 3, 7
+"""Places in a line of the loop, where the zeros were: number of the joint, and whether it slides."""
+
+PAIR, TRIPLE, SOURCE, TARGET = 0, 16, 40, 48
+"""Places in the loop: lines Y_1, Y_2, lines X_1, X_2, X_3, and the removed joint's line seen from both sides."""
+
+LOOP_SIZE = 56
+
+EQUATIONS, SAMPLES, DIFFERENCES, SAMPLE_STRIDE = 14, 0, 32, 40
+"""The table of samples: a row an equation; its 27 samples of the triple, then eight differences of the pair's."""
+
+FANS, FANS_SIZE = 6 * (3 + 9 + 27), 6 * (3 + 9 + 27) + 16
+"""Numbers of the sampled lines, and with what the pair's first sample needs."""
+
+
+@device
+def removed_of(formulation):
+    """Number of the joint that the formulation removes."""
+    return formulation % 6
+
+
+@device
+def hidden_of(formulation):
+    """Which joint of the triple stays in the eigenproblem: 0, 1 or 2."""
+    return formulation // 6 % 3
+
+
+@device
+def _copy(lines, i, sign, loop, k):
+    """Write line i with its direction times `sign` to loop[k:]."""
+    for j in range(3):
+        loop[k + j] = sign * lines[LINE_STRIDE * i + j]
+        loop[k + 4 + j] = lines[LINE_STRIDE * i + 4 + j]
+
+
+@device
+def _back(goal, loop, k):
+    """Move the line loop[k:] by the inverse of the goal."""
+    hx, hy, hz = loop[k], loop[k + 1], loop[k + 2]
+    ox, oy, oz = loop[k + 4] - goal[3], loop[k + 5] - goal[7], loop[k + 6] - goal[11]
+    for j in range(3):
+        loop[k + j] = goal[j] * hx + goal[4 + j] * hy + goal[8 + j] * hz
+        loop[k + 4 + j] = goal[j] * ox + goal[4 + j] * oy + goal[8 + j] * oz
+
+
+@routine
+def arrange(kinds, lines, goal, formulation, loop):
+    """Write the loop of this formulation (LOOP_SIZE numbers).
+
+    Joints before the removed one come after the goal's inverse, which is moved to the right through them. The loop
+    walked backwards is a loop again: of inverse motions, hence of flipped lines.
+    """
+    removed, backwards = removed_of(formulation), formulation // 18 == 1
+    sign = -1.0 if backwards else 1.0
+    for place in range(5):
+        i = (removed + 1 + place) % 6
+        k = LINE_STRIDE * (4 - place if backwards else place)
+        _copy(lines, i, sign, loop, k)
+        if i < removed:
+            _back(goal, loop, k)
+        loop[k + NUMBER] = float(i)
+        loop[k + IS_SLIDE] = 1.0 if kinds[i] == SLIDE else 0.0
+    near, far = (SOURCE, TARGET) if backwards else (TARGET, SOURCE)
+    _copy(lines, removed, 1.0, loop, near)
+    _copy(lines, removed, 1.0, loop, far)
+    _back(goal, loop, far)
+
+
+@routine
+def fan(line, sign, here, there):
+    """Write the line here (l, p: 6 numbers), moved by a joint, to `there`: at 0, pi/2 and pi, or 0, 1 and -1."""
+    hx, hy, hz = sign * line[0], sign * line[1], sign * line[2]
+    lx, ly, lz, px, py, pz = here[0], here[1], here[2], here[3], here[4], here[5]
+    there[0], there[1], there[2], there[3], there[4], there[5] = lx, ly, lz, px, py, pz
+    if line[IS_SLIDE] != 0.0:
+        there[6], there[7], there[8], there[9], there[10], there[11] = lx, ly, lz, px + hx, py + hy, pz + hz
+        there[12], there[13], there[14], there[15], there[16], there[17] = lx, ly, lz, px - hx, py - hy, pz - hz
+        return
+    ox, oy, oz = line[4], line[5], line[6]
+    along = hx * lx + hy * ly + hz * lz
+    there[6] = along * hx + (hy * lz - hz * ly)
+    there[7] = along * hy + (hz * lx - hx * lz)
+    there[8] = along * hz + (hx * ly - hy * lx)
+    there[12], there[13], there[14] = 2.0 * along * hx - lx, 2.0 * along * hy - ly, 2.0 * along * hz - lz
+    px, py, pz = px - ox, py - oy, pz - oz
+    along = hx * px + hy * py + hz * pz
+    there[9] = ox + along * hx + (hy * pz - hz * py)
+    there[10] = oy + along * hy + (hz * px - hx * pz)
+    there[11] = oz + along * hz + (hx * py - hy * px)
+    along *= 2.0
+    there[15], there[16], there[17] = ox + along * hx - px, oy + along * hy - py, oz + along * hz - pz
+
+
+@routine
+def fourteen(line, out, stride):
+    """Write the fourteen numbers of a line (l, p: 6 numbers) to out, `stride` apart."""
+    lx, ly, lz, px, py, pz = line[0], line[1], line[2], line[3], line[4], line[5]
+    pp, pl = px * px + py * py + pz * pz, px * lx + py * ly + pz * lz
+    out[0], out[stride], out[2 * stride] = lx, ly, lz
+    out[3 * stride], out[4 * stride], out[5 * stride] = px, py, pz
+    out[6 * stride], out[7 * stride], out[8 * stride] = py * lz - pz * ly, pz * lx - px * lz, px * ly - py * lx
+    out[9 * stride], out[10 * stride] = pp, pl
+    out[11 * stride] = pp * lx - 2.0 * pl * px
+    out[12 * stride] = pp * ly - 2.0 * pl * py
+    out[13 * stride] = pp * lz - 2.0 * pl * pz
+
+
+@routine
+def line_of(loop, k, out):
+    """Write direction and point of the line loop[k:] side by side."""
+    for j in range(3):
+        out[j], out[3 + j] = loop[k + j], loop[k + 4 + j]
+
+
+@routine
+def sample(loop, fans, table):
+    """Fill the table: samples 9 i3 + 3 i2 + i1 of the triple, and eight of the pair, all less the pair's first."""
+    line_of(loop, TARGET, fans)
+    fan(beyond(loop, PAIR), -1.0, fans, beyond(fans, 6))
+    for i in range(3):
+        fan(beyond(loop, PAIR + LINE_STRIDE), -1.0, beyond(fans, 6 + 6 * i), beyond(fans, 24 + 18 * i))
+    constant = beyond(fans, FANS)
+    fourteen(beyond(fans, 24), constant, 1)
+    for i in range(1, 9):
+        fourteen(beyond(fans, 24 + 6 * i), beyond(table, DIFFERENCES + i - 1), SAMPLE_STRIDE)
+    line_of(loop, SOURCE, fans)
+    fan(beyond(loop, TRIPLE + 2 * LINE_STRIDE), 1.0, fans, beyond(fans, 27 * 6))
+    for i in range(3):
+        fan(beyond(loop, TRIPLE + LINE_STRIDE), 1.0, beyond(fans, (27 + i) * 6), beyond(fans, (30 + 3 * i) * 6))
+    for i in range(9):
+        fan(beyond(loop, TRIPLE), 1.0, beyond(fans, (30 + i) * 6), beyond(fans, 18 * i))
+    for i in range(27):
+        fourteen(beyond(fans, 6 * i), beyond(table, i), SAMPLE_STRIDE)
+    for e in range(EQUATIONS):
+        for c in range(0, SAMPLE_STRIDE, LANES):
+            k = e * SAMPLE_STRIDE + c
+            store(table, k, load_lanes(table, k) - constant[e])
+
+
+@routine
+def remove_pair(table, v):
+    """Nothing; the last six rows of the table become equations of the triple alone. v: scratch, 14 numbers.
+
+    Reflections (Householder 1958) make the eight differences upper triangular: below, the pair has vanished.
+    """
+    for k in range(8):
+        rest, first = 0.0, table[k * SAMPLE_STRIDE + DIFFERENCES + k]
+        for e in range(k + 1, EQUATIONS):
+            v[e] = table[e * SAMPLE_STRIDE + DIFFERENCES + k]
+            rest += v[e] * v[e]
+        size = math.sqrt(first * first + rest)
+        if not size > 0.0:
+            continue
+        v[k] = first + (size if first > 0.0 else -size)
+        scale = 1.0 / (size * abs(v[k]))
+        for c in range(0, SAMPLE_STRIDE, LANES):
+            sum_ = spread_lanes(0.0)
+            for e in range(k, EQUATIONS):
+                sum_ = sum_ + v[e] * load_lanes(table, e * SAMPLE_STRIDE + c)
+            sum_ = sum_ * scale
+            for e in range(k, EQUATIONS):
+                i = e * SAMPLE_STRIDE + c
+                store(table, i, load_lanes(table, i) - v[e] * sum_)

@@ -1,0 +1,277 @@
+"""The 12x12 matrix P u^2 + Q u w + R w^2 of the hidden joint, and the matrix whose eigenvalues are its roots.
+
+A turn by x stands as (u, w) = (cos x/2, sin x/2), a slide by d as w/u = d: in both cases a sample is a quadratic form
+in (u, w), and nothing is lost at x = pi. The six equations are quadratic forms in the other two joints a and b of the
+triple. Times u_a and times w_a they are twelve equations in the twelve products of a cubic form in a and a quadratic
+one in b (dialytic elimination, Raghavan and Roth 1990). With the bases u^3, sqrt(3) u^2 w, ... and u^2, sqrt(2) u w,
+w^2 a change of a joint's zero turns the unknowns without stretching them.
+
+With w = t u the roots are the eigenvalues of a 24x24 companion matrix (Manocha and Canny 1994, "Efficient inverse
+kinematics for general 6R manipulators"). If the triple's outer joint (X_1) is hidden and turns, t = i and t = -i
+belong to no posture and are there four times each: an invariant subspace of dimension eight, known from the null space
+of a complex 12x12 matrix. The quotient by it is a 16x16 matrix, which `companion` writes down at once. If another joint
+is hidden, the eight roots too many are anywhere off the real axis, and the matrix keeps its 24 rows.
+"""
+
+from __future__ import annotations
+
+import math
+
+from kempe.kernels.base._jit import device, routine
+from kempe.kernels.base.row_reduction import lane_of, largest
+from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.vectors import LANES, entry, load_lanes, spread_lanes, store, where
+from kempe.kernels.elimination.elimination_loop import EQUATIONS, IS_SLIDE, LINE_STRIDE, SAMPLE_STRIDE, TRIPLE
+
+SIZE, ROW = 12, 16
+"""Rows of the matrix, and their stride."""
+
+P, Q, R, FORMS = 0, SIZE * ROW, 2 * SIZE * ROW, 3 * SIZE * ROW
+"""Places of the three matrices, and numbers of all."""
+
+WIDE = 40
+"""Stride of the leading matrix with its right-hand sides, which start at column ROW."""
+
+STRIDE = 24
+"""Stride of the companion matrix."""
+
+LOST = 4
+"""Null vectors at t = i of a hidden turn."""
+
+LOST_FLOOR = 1e-6
+"""Pivot ratio at t = i below which a vector counts as null."""
+
+FLOOR = 1e-300
+"""What pivots are compared with where all is zero."""
+
+ROOT_1_3, ROOT_2_3, ROOT_1_2 = math.sqrt(1.0 / 3.0), math.sqrt(2.0 / 3.0), math.sqrt(0.5)
+
+
+@device
+def _forms(t, k, step, slides, factor):
+    """Turn the samples t[k], t[k + step], t[k + 2 step] of a joint into its quadratic form's coefficients, in place."""
+    a, b, c = t[k], t[k + step], t[k + 2 * step]
+    if slides:
+        t[k + step] = 0.5 * (b - c) * factor
+        t[k + 2 * step] = 0.5 * (b + c) - a
+    else:
+        t[k + step] = (2.0 * b - a - c) * factor
+
+
+@device
+def power_of_3(k):
+    """3^k for k = 0, 1, 2."""
+    return 1 + 2 * k + 2 * k * (k - 1)
+
+
+@routine
+def assemble(table, loop, hidden, forms):
+    """Write P, Q, R (FORMS numbers): rows u_a, w_a times six equations, columns 3 i + j of cubic i, quadratic j."""
+    a = 1 if hidden == 0 else 0
+    b = 1 if hidden == 2 else 2
+    hs, as_, bs = power_of_3(hidden), power_of_3(a), power_of_3(b)
+    slides_h = loop[TRIPLE + LINE_STRIDE * hidden + IS_SLIDE] != 0.0
+    slides_a = loop[TRIPLE + LINE_STRIDE * a + IS_SLIDE] != 0.0
+    slides_b = loop[TRIPLE + LINE_STRIDE * b + IS_SLIDE] != 0.0
+    for i in range(FORMS):
+        forms[i] = 0.0
+    for e in range(6):
+        t = beyond(table, (EQUATIONS - 6 + e) * SAMPLE_STRIDE)
+        for i in range(3):
+            for j in range(3):
+                _forms(t, i * as_ + j * bs, hs, slides_h, 1.0)
+        for i in range(3):
+            for j in range(3):
+                _forms(t, i * hs + j * bs, as_, slides_a, ROOT_1_2)
+        for i in range(3):
+            for j in range(3):
+                _forms(t, i * hs + j * as_, bs, slides_b, ROOT_1_2)
+        for i in range(3):
+            m = beyond(forms, i * SIZE * ROW + e * ROW)
+            for j in range(3):
+                c0, c1, c2 = t[i * hs + j * bs], t[i * hs + as_ + j * bs], t[i * hs + 2 * as_ + j * bs]
+                m[j], m[3 + j], m[6 + j] = c0, ROOT_2_3 * c1, ROOT_1_3 * c2
+                n = 6 * ROW + j
+                m[n + 3], m[n + 6], m[n + 9] = ROOT_1_3 * c0, ROOT_2_3 * c1, c2
+
+
+@device
+def matrix_at(forms, u, w, out):
+    """Write P u^2 + Q u w + R w^2 (12 rows of stride ROW)."""
+    uu, uw, ww = u * u, u * w, w * w
+    for i in range(0, SIZE * ROW, LANES):
+        store(out, i, uu * load_lanes(forms, i) + uw * load_lanes(forms, Q + i) + ww * load_lanes(forms, R + i))
+
+
+@routine
+def pivot_ratio(m):
+    """Least over largest pivot of the matrix m (12 rows of stride ROW), which is lost: 0 if it is singular."""
+    least, largest = math.inf, 0.0
+    for k in range(SIZE):
+        best, place = -1.0, k
+        for i in range(k, SIZE):
+            size = abs(m[i * ROW + k])
+            if size > best:
+                best, place = size, i
+        if not best > 0.0:
+            return 0.0
+        least, largest = min(least, best), max(largest, best)
+        if place != k:
+            for c in range(0, ROW, LANES):
+                x = load_lanes(m, k * ROW + c)
+                store(m, k * ROW + c, load_lanes(m, place * ROW + c))
+                store(m, place * ROW + c, x)
+        over = 1.0 / m[k * ROW + k]
+        for i in range(k + 1, SIZE):
+            f = m[i * ROW + k] * over
+            for c in range(0, ROW, LANES):
+                store(m, i * ROW + c, load_lanes(m, i * ROW + c) - f * load_lanes(m, k * ROW + c))
+    return least / largest
+
+
+@routine
+def null_at_i(forms, re, im, free, mask):
+    """Whether P - R + i Q has LOST null vectors; reduces it to find them.
+
+    Gauss-Jordan elimination with complete pivoting, SIZE - LOST steps, on re and im (12 rows of stride ROW each).
+    free: 2 * SIZE numbers: for each step its pivot's column and row, then the columns left over, then none.
+    mask: ROW numbers. Afterwards x_column = - sum over free columns f of row[f] x_f: pivot rows have been divided.
+    """
+    for i in range(0, SIZE * ROW, LANES):
+        store(re, i, load_lanes(forms, P + i) - load_lanes(forms, R + i))
+        store(im, i, load_lanes(forms, Q + i))
+    for j in range(ROW):
+        mask[j] = 1.0 if j < SIZE else 0.0
+        mask[ROW + j] = 1.0
+    first, steps = 0.0, SIZE - LOST
+    for k in range(steps + 1):
+        best, row, column = largest_entry(re, im, mask)
+        if k == 0:
+            first = max(best, FLOOR)
+        if k == steps or not best > 0.0:
+            j = k
+            for c in range(SIZE):
+                if mask[c] != 0.0 and j < SIZE:
+                    free[2 * j] = float(c)
+                    j += 1
+            return k == steps and math.sqrt(best / first) < LOST_FLOOR
+        free[2 * k], free[2 * k + 1] = float(column), float(row)
+        mask[column], mask[ROW + row] = 0.0, 0.0
+        _divide(re, im, row, re[row * ROW + column], im[row * ROW + column])
+        for i in range(SIZE):
+            if i != row:
+                fr, fi = re[i * ROW + column], im[i * ROW + column]
+                for c in range(0, ROW, LANES):
+                    pr, pi = load_lanes(re, row * ROW + c), load_lanes(im, row * ROW + c)
+                    store(re, i * ROW + c, load_lanes(re, i * ROW + c) - fr * pr + fi * pi)
+                    store(im, i * ROW + c, load_lanes(im, i * ROW + c) - fr * pi - fi * pr)
+    return False
+
+
+@device
+def _divide(re, im, row, x, y):
+    """Divide a row by x + i y."""
+    size = 1.0 / (x * x + y * y)
+    x, y = x * size, -y * size
+    for c in range(0, ROW, LANES):
+        a, b = load_lanes(re, row * ROW + c), load_lanes(im, row * ROW + c)
+        store(re, row * ROW + c, x * a - y * b)
+        store(im, row * ROW + c, x * b + y * a)
+
+
+@device
+def largest_entry(re, im, mask):
+    """(squared size, row, column) of the largest entry in rows and columns that the mask (2 ROW numbers) leaves."""
+    best, place = spread_lanes(-1.0), spread_lanes(0.0)
+    for i in range(SIZE):
+        if mask[ROW + i] != 0.0:
+            for c in range(0, ROW, LANES):
+                x, y = load_lanes(re, i * ROW + c), load_lanes(im, i * ROW + c)
+                size = (x * x + y * y) * load_lanes(mask, c)
+                better = size > best
+                best, place = where(better, size, best), where(better, float(i * ROW + c), place)
+    size = largest(best)
+    lane = min(lane_of(best, size), LANES - 1)
+    place = int(entry(place, lane)) + lane
+    return size, place // ROW, place % ROW
+
+
+@routine
+def lead(forms, c, s, kept, count, wide):
+    """Pivot ratio of the leading matrix with the joint's zero moved; writes H = -R'^-1 [P' Q'] right of it.
+
+    (u, w) = (c u' - s w', s u' + c w'). kept: `count` columns of P' and of Q', 2 numbers apart. wide: 12 rows of
+    stride WIDE; H starts at column ROW.
+    """
+    cc, cs, ss = c * c, c * s, s * s
+    for i in range(SIZE):
+        for j in range(SIZE):
+            k = i * ROW + j
+            wide[i * WIDE + j] = forms[P + k] * ss - forms[Q + k] * cs + forms[R + k] * cc
+        for j in range(count):
+            k = i * ROW + int(kept[2 * j])
+            p, q, r = forms[P + k], forms[Q + k], forms[R + k]
+            wide[i * WIDE + ROW + j] = -(p * cc + q * cs + r * ss)
+            wide[i * WIDE + ROW + count + j] = -(2.0 * cs * (r - p) + q * (cc - ss))
+    width = ROW + 2 * count
+    least, largest = math.inf, FLOOR
+    for k in range(SIZE):
+        best, place = -1.0, k
+        for i in range(k, SIZE):
+            size = abs(wide[i * WIDE + k])
+            if size > best:
+                best, place = size, i
+        if not best > 0.0:
+            return 0.0
+        least, largest = min(least, best), max(largest, best)
+        if place != k:
+            for j in range(0, width, LANES):
+                x = load_lanes(wide, k * WIDE + j)
+                store(wide, k * WIDE + j, load_lanes(wide, place * WIDE + j))
+                store(wide, place * WIDE + j, x)
+        over = 1.0 / wide[k * WIDE + k]
+        for i in range(k + 1, SIZE):
+            f = wide[i * WIDE + k] * over
+            for j in range(k // LANES * LANES, width, LANES):
+                store(wide, i * WIDE + j, load_lanes(wide, i * WIDE + j) - f * load_lanes(wide, k * WIDE + j))
+    _substitute(wide, width)
+    return least / largest
+
+
+@device
+def _substitute(wide, width):
+    """Solve the triangular system in `wide` for the columns from ROW on."""
+    for back in range(SIZE):
+        k = SIZE - 1 - back
+        over = 1.0 / wide[k * WIDE + k]
+        for j in range(ROW, width, LANES):
+            x = load_lanes(wide, k * WIDE + j) * over
+            store(wide, k * WIDE + j, x)
+            for i in range(k):
+                store(wide, i * WIDE + j, load_lanes(wide, i * WIDE + j) - wide[i * WIDE + k] * x)
+
+
+@routine
+def companion(wide, re, im, free, lost, a):
+    """Write the companion matrix, 2 (12 - lost) rows of stride STRIDE, without the `lost` null vectors at t = i.
+
+    On null vectors x + i y, unit at the `lost` free columns f and Z elsewhere, the matrix [0 1; H] has the invariant
+    subspace spanned by [x; -y] and [y; x]. In the quotient an upper unknown n loses Re Z_n x_f + Im Z_n y_f, a lower
+    one Re Z_n y_f - Im Z_n x_f: so all unknowns f vanish.
+    """
+    count = SIZE - lost
+    for i in range(count):
+        n = int(free[2 * i])
+        row = int(free[2 * i + 1]) if lost > 0 else 0
+        for j in range(0, 2 * count, LANES):
+            upper = spread_lanes(0.0)
+            lower = load_lanes(wide, n * WIDE + ROW + j)
+            for m in range(count, SIZE):
+                f = int(free[2 * m])
+                h = load_lanes(wide, f * WIDE + ROW + j)
+                upper = upper + im[row * ROW + f] * h
+                lower = lower + re[row * ROW + f] * h
+            store(a, i * STRIDE + j, upper)
+            store(a, (count + i) * STRIDE + j, lower)
+    for i in range(count):
+        a[i * STRIDE + count + i] += 1.0

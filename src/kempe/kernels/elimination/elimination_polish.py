@@ -1,0 +1,191 @@
+"""Forward motion of a chain of six lines, and Newton's method on E_1 ... E_6 = G."""
+
+from __future__ import annotations
+
+import math
+
+from kempe.kernels.base._jit import device, routine
+from kempe.kernels.base.trig import sincos
+from kempe.kernels.base.vectors import LANES, load_lanes, store
+from kempe.kernels.elimination.elimination_loop import LINE_STRIDE
+from kempe.kernels.forward.table_layout import SLIDE
+
+JACOBIAN = 8
+"""Stride of the Jacobian's rows: six columns, the right-hand side, 0."""
+
+POSE = 6 * JACOBIAN
+"""Place of the reached pose (12 numbers) after the Jacobian."""
+
+TWIST = 6
+"""Column of the right-hand side."""
+
+TURN = POSE + 12
+"""Place of the rotation that is missing (9 numbers)."""
+
+POLISH_SIZE = TURN + 9
+"""Numbers of scratch that Newton's method needs."""
+
+ENOUGH, NEARLY_ENOUGH = 1e-13, 1e-10
+"""Error at which no further step is taken; error at which a step must halve it, else it is the last."""
+
+DISTURBANCE = 1e-4
+"""How far, in radians and units of the chain's length, a disturbed goal is from the goal."""
+
+LONGEST_STEP = 0.5
+"""Largest change of a coordinate in one Newton step."""
+
+
+@routine
+def trace(kinds, lines, theta, work):
+    """Write the product E_1(theta_1) ... E_6(theta_6) and the Jacobian: column i is the twist [direction; moment] of i.
+
+    Both in ground axes, seen at the ground's origin. work: POLISH_SIZE numbers.
+    """
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+    tx = ty = tz = 0.0
+    for i in range(6):
+        k = LINE_STRIDE * i
+        a, b, c = lines[k], lines[k + 1], lines[k + 2]
+        hx, hy, hz = r0 * a + r1 * b + r2 * c, r3 * a + r4 * b + r5 * c, r6 * a + r7 * b + r8 * c
+        if kinds[i] == SLIDE:
+            work[i], work[JACOBIAN + i], work[2 * JACOBIAN + i] = 0.0, 0.0, 0.0
+            work[3 * JACOBIAN + i], work[4 * JACOBIAN + i], work[5 * JACOBIAN + i] = hx, hy, hz
+            d = theta[i]
+            tx, ty, tz = tx + d * hx, ty + d * hy, tz + d * hz
+            continue
+        a, b, c = lines[k + 4], lines[k + 5], lines[k + 6]
+        ox, oy, oz = r0 * a + r1 * b + r2 * c + tx, r3 * a + r4 * b + r5 * c + ty, r6 * a + r7 * b + r8 * c + tz
+        work[i], work[JACOBIAN + i], work[2 * JACOBIAN + i] = hx, hy, hz
+        work[3 * JACOBIAN + i] = oy * hz - oz * hy
+        work[4 * JACOBIAN + i] = oz * hx - ox * hz
+        work[5 * JACOBIAN + i] = ox * hy - oy * hx
+        s, c = sincos(theta[i])
+        v = 1.0 - c
+        m0, m1, m2 = c + v * hx * hx, v * hx * hy - s * hz, v * hx * hz + s * hy
+        m3, m4, m5 = v * hx * hy + s * hz, c + v * hy * hy, v * hy * hz - s * hx
+        m6, m7, m8 = v * hx * hz - s * hy, v * hy * hz + s * hx, c + v * hz * hz
+        r0, r3, r6 = m0 * r0 + m1 * r3 + m2 * r6, m3 * r0 + m4 * r3 + m5 * r6, m6 * r0 + m7 * r3 + m8 * r6
+        r1, r4, r7 = m0 * r1 + m1 * r4 + m2 * r7, m3 * r1 + m4 * r4 + m5 * r7, m6 * r1 + m7 * r4 + m8 * r7
+        r2, r5, r8 = m0 * r2 + m1 * r5 + m2 * r8, m3 * r2 + m4 * r5 + m5 * r8, m6 * r2 + m7 * r5 + m8 * r8
+        tx, ty, tz = tx - ox, ty - oy, tz - oz
+        tx, ty, tz = m0 * tx + m1 * ty + m2 * tz, m3 * tx + m4 * ty + m5 * tz, m6 * tx + m7 * ty + m8 * tz
+        tx, ty, tz = tx + ox, ty + oy, tz + oz
+    k = POSE
+    work[k], work[k + 1], work[k + 2], work[k + 3] = r0, r1, r2, tx
+    work[k + 4], work[k + 5], work[k + 6], work[k + 7] = r3, r4, r5, ty
+    work[k + 8], work[k + 9], work[k + 10], work[k + 11] = r6, r7, r8, tz
+
+
+@routine
+def compare(goal, work):
+    """(size, trace of the rotation) of D = goal . reached^-1; writes its twist beside the Jacobian, in column 6.
+
+    The twist is the vector of D's skew part, then D's translation; its size is at least 1 where D turns by 90 degrees
+    or more.
+    """
+    t = POSE
+    for i in range(3):
+        a, b, c = goal[4 * i], goal[4 * i + 1], goal[4 * i + 2]
+        x = a * work[t] + b * work[t + 1] + c * work[t + 2]
+        y = a * work[t + 4] + b * work[t + 5] + c * work[t + 6]
+        z = a * work[t + 8] + b * work[t + 9] + c * work[t + 10]
+        work[TURN + 3 * i], work[TURN + 3 * i + 1], work[TURN + 3 * i + 2] = x, y, z
+        shift = goal[4 * i + 3] - (x * work[t + 3] + y * work[t + 7] + z * work[t + 11])
+        work[(3 + i) * JACOBIAN + TWIST] = shift
+    k = TURN
+    work[TWIST] = 0.5 * (work[k + 7] - work[k + 5])
+    work[JACOBIAN + TWIST] = 0.5 * (work[k + 2] - work[k + 6])
+    work[2 * JACOBIAN + TWIST] = 0.5 * (work[k + 3] - work[k + 1])
+    square = 0.0
+    for i in range(6):
+        square += work[i * JACOBIAN + TWIST] * work[i * JACOBIAN + TWIST]
+    trace_ = work[k] + work[k + 4] + work[k + 8]
+    size = math.sqrt(square)
+    return size if trace_ > 1.0 else 1.0 + size, trace_
+
+
+@routine
+def solve_six(m):
+    """Least over largest pivot; solves the six equations in place, column 6 becomes the solution.
+
+    Gauss-Jordan elimination with partial pivoting, on six rows of stride JACOBIAN.
+    """
+    least, largest = math.inf, 0.0
+    for k in range(6):
+        best, place = -1.0, k
+        for i in range(k, 6):
+            size = abs(m[i * JACOBIAN + k])
+            if size > best:
+                best, place = size, i
+        if not best > 0.0:
+            return 0.0
+        least, largest = min(least, best), max(largest, best)
+        for c in range(0, JACOBIAN, LANES):
+            row = load_lanes(m, place * JACOBIAN + c)
+            store(m, place * JACOBIAN + c, load_lanes(m, k * JACOBIAN + c))
+            store(m, k * JACOBIAN + c, row)
+        over = 1.0 / m[k * JACOBIAN + k]
+        for c in range(0, JACOBIAN, LANES):
+            store(m, k * JACOBIAN + c, over * load_lanes(m, k * JACOBIAN + c))
+        for i in range(6):
+            if i != k:
+                f = m[i * JACOBIAN + k]
+                for c in range(0, JACOBIAN, LANES):
+                    row = load_lanes(m, i * JACOBIAN + c) - f * load_lanes(m, k * JACOBIAN + c)
+                    store(m, i * JACOBIAN + c, row)
+    return least / largest
+
+
+@device
+def wrapped(x):
+    """The angle x in (-pi, pi]."""
+    if -math.pi < x <= math.pi:
+        return x
+    y = x - 2.0 * math.pi * math.floor((x + math.pi) / (2.0 * math.pi))
+    return y if y > -math.pi else math.pi
+
+
+@routine
+def polish(kinds, lines, goal, theta, work, steps):
+    """(error at first, error at last, pivot ratio) of `steps` Newton steps at most; improves the six numbers theta.
+
+    Ends once the error is ENOUGH, or close to that and no longer halved by a step. The pivot ratio is the Jacobian's
+    where it was last solved with: near 0 the posture is singular.
+    """
+    begin = before = now = math.inf
+    ratio = 0.0
+    for step in range(steps + 1):
+        trace(kinds, lines, theta, work)
+        now, _ = compare(goal, work)
+        if step == 0:
+            begin = now
+        done = not now > ENOUGH or (now < NEARLY_ENOUGH and now > 0.5 * before) or step == steps
+        if done and step > 0:
+            break
+        before = now
+        ratio = solve_six(work)
+        largest = 0.0
+        for i in range(6):
+            largest = max(largest, abs(work[JACOBIAN * i + TWIST]))
+        if done or not ratio > 0.0 or not largest < math.inf:
+            break
+        factor = LONGEST_STEP / max(largest, LONGEST_STEP)
+        for i in range(6):
+            theta[i] += factor * work[JACOBIAN * i + TWIST]
+    return begin, now, ratio
+
+
+@routine
+def disturb(goal, out):
+    """Write the goal, moved a little in no special direction."""
+    x, y, z = 0.55 * DISTURBANCE, -0.71 * DISTURBANCE, 0.44 * DISTURBANCE
+    size = 1.0 / math.sqrt(1.0 + x * x + y * y + z * z)
+    for j in range(4):
+        a, b, c = goal[j], goal[4 + j], goal[8 + j]
+        # Cayley's rotation of the vector (x, y, z): v + 2 (r x v + r x (r x v)) / (1 + r.r)
+        p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
+        f = 2.0 * size * size
+        out[j] = a + f * (p + y * r - z * q)
+        out[4 + j] = b + f * (q + z * p - x * r)
+        out[8 + j] = c + f * (r + x * q - y * p)
+    out[3], out[7], out[11] = out[3] - z, out[7] + x, out[11] + y

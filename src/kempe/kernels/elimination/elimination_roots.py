@@ -1,0 +1,104 @@
+"""The roots of the hidden joint one by one: which of them share a value, and whether each has a posture of its own.
+
+Roots and postures are matched one to one by the hidden joint's value. So where roots are close, or the same, their
+number counts, and it does not matter from which of them Newton's steps came to a posture.
+"""
+
+from __future__ import annotations
+
+import math
+
+from kempe.kernels.base._jit import device
+from kempe.kernels.base.scratch import beyond
+from kempe.kernels.elimination.elimination_polish import wrapped
+
+ROOT, ANGLE, IMAGINARY, STANDS_FOR = 3, 0, 1, 2
+"""Numbers of a root: value of the hidden joint, imaginary part (an angle each), what it stands for."""
+
+NONE, OPTIONAL, EXPECTED = 0.0, 1.0, 2.0
+"""What a root stands for: no posture, at most one, one."""
+
+REAL, DOUBT, NEARLY = 1e-7, 1e-3, 1e-2
+"""Imaginary parts of angles: up to the first a root is real; up to the second a pair of postures that are about to
+merge may hide behind it; up to the third it is tried, and a root belongs to a posture whose value is so near."""
+
+TOGETHER = 1e-6
+"""Difference of roots, in radians, up to which three or more share a null space; and imaginary part up to which a root
+must have a posture: the larger ones of ill-conditioned roots leave it open."""
+
+
+FAR = 1e-5
+"""Angle from pi at which a slide, whose angle is 2 atan d, is at infinity, where roots belong to no posture."""
+
+
+@device
+def at_infinity(slides, angle):
+    """Whether a joint's value is that of a slide at infinity."""
+    return slides and abs(wrapped(angle - math.pi)) < FAR
+
+
+@device
+def write_roots(re, im, n, half, narrower, slides, roots):
+    """Write n roots, with what they stand for by their imaginary parts, over `narrower`.
+
+    re, im: the roots as the tangent of half their angle, zero at twice the angle `half`; NaN for one that is not known.
+    """
+    for i in range(n):
+        t, root = re[i], beyond(roots, ROOT * i)
+        root[IMAGINARY] = 2.0 * im[i] / (1.0 + t * t) / narrower
+        size = abs(root[IMAGINARY])
+        root[STANDS_FOR] = EXPECTED if size < TOGETHER else OPTIONAL if size < NEARLY else NONE
+        root[ANGLE] = 2.0 * (half + math.atan2(t, 1.0)) if size < NEARLY else 0.0
+        if at_infinity(slides, root[ANGLE]):
+            root[STANDS_FOR] = NONE
+
+
+@device
+def is_with(roots, j, i):
+    """Whether root j shares the value of root i, which is real."""
+    d = roots[ROOT * j + ANGLE] - roots[ROOT * i + ANGLE]
+    return abs(roots[ROOT * j + IMAGINARY]) < TOGETHER and abs(wrapped(d)) < TOGETHER
+
+
+@device
+def together(roots, n, i):
+    """(roots at the value of root i, with it; whether one stands before it; their mean's difference from it)."""
+    count, mean, met = 0, 0.0, False
+    for j in range(n):
+        if is_with(roots, j, i):
+            count, mean = count + 1, mean + wrapped(roots[ROOT * j + ANGLE] - roots[ROOT * i + ANGLE])
+            met = met or j < i
+    return count, met, mean / max(count, 1)
+
+
+@device
+def stand_for(roots, n, i, postures):
+    """Nothing; of the roots at the value of root i the first `postures` are expected to have one, no others."""
+    left = postures
+    for j in range(n):
+        if is_with(roots, j, i):
+            roots[ROOT * j + STANDS_FOR] = EXPECTED if left > 0 else NONE
+            left -= 1
+
+
+@device
+def expected(roots, n):
+    """How many roots are expected to have a posture."""
+    count = 0
+    for i in range(n):
+        count += int(roots[ROOT * i + STANDS_FOR] == EXPECTED)
+    return count
+
+
+@device
+def matched(roots, n, angle):
+    """Whether a root is left for a posture with this value of the hidden joint: the nearest is then taken."""
+    best, at = 0.0, -1
+    for i in range(n):
+        what, d = roots[ROOT * i + STANDS_FOR], abs(wrapped(roots[ROOT * i + ANGLE] - angle))
+        if what != NONE and d < NEARLY and what - d > best:
+            best, at = what - d, i
+    if at < 0:
+        return False
+    roots[ROOT * at + STANDS_FOR] = NONE
+    return True

@@ -1,0 +1,107 @@
+"""Which formulations suit a chain: each is tried on a few postures that are known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kempe.kernels.base._jit import device, kernel, routine
+from kempe.kernels.base.declare import OUT, F, I
+from kempe.kernels.base.random import mix, unit
+from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.vectors import keep, raw
+from kempe.kernels.closed_form.analytic_layout import FORMULATIONS
+from kempe.kernels.elimination.elimination import CANDIDATES, ELIMINATION_SCRATCH, FOUNDLINGS, eliminate
+from kempe.kernels.elimination.elimination_loop import LINE_STRIDE, hidden_of, removed_of
+from kempe.kernels.elimination.elimination_polish import POLISH_SIZE, POSE, trace, wrapped
+from kempe.kernels.elimination.elimination_settle import FOUND, RAW_ERROR
+from kempe.kernels.forward.table_layout import SLIDE
+
+FIRST, SECOND, BEST = 5, 20, 8
+"""Postures that every formulation is tried on; more of them, for the BEST formulations only."""
+
+SUSPECT, FAVOUR, HASTY = 0.1, 0.9, 0.5
+"""Factors of credit for a suspect answer; for an eigenproblem of 24 rows; for what few postures only have shown."""
+
+DIGITS = 14.0
+"""Digits of the error before Newton's steps that earn full credit."""
+
+SAME = 1e-4
+"""Coordinates that differ by less are the posture sought."""
+
+
+@device
+def _credit(kinds, theta, w, count):
+    """0 if the posture theta is not among the candidates, else by the digits that it had before Newton's steps."""
+    best = 0.0
+    for k in range(count):
+        p, far = FOUNDLINGS + FOUND * k, 0.0
+        for j in range(6):
+            d = w[p + j] - theta[j]
+            far = max(far, abs(d if kinds[j] == SLIDE else wrapped(d)))
+        if far < SAME:
+            best = min(max(-math.log10(w[p + RAW_ERROR] + 1e-300) / DIGITS, 0.05), 1.0)
+    return best
+
+
+@routine
+def _known(kinds, lines, i, theta, goal, work):
+    """Write posture i and the goal that it reaches."""
+    key = mix(mix(np.uint64(0), np.uint64(i)), np.uint64(0))
+    for j in range(6):
+        x = 2.0 * unit(mix(key, np.uint64(j))) - 1.0
+        theta[j] = x if kinds[j] == SLIDE else math.pi * x
+    trace(kinds, lines, theta, work)
+    for j in range(12):
+        goal[j] = work[POSE + j]
+
+
+@device
+def _best(scores):
+    """The formulation with the highest score."""
+    best = 0
+    for f in range(1, FORMULATIONS):
+        if scores[f] > scores[best]:
+            best = f
+    return best
+
+
+@kernel(I(6), F(6, LINE_STRIDE), OUT(FORMULATIONS))
+def score(kinds, lines, scores):
+    """Number of formulations with a score above 0.
+
+    kinds: (6,). lines: (6, LINE_STRIDE). scores: (FORMULATIONS,), 0 (useless) to 1: the mean credit, where a suspect
+    answer earns little, and a second miss ends the trial with 0.
+    """
+    block = np.zeros(ELIMINATION_SCRATCH + 6 * CANDIDATES + 18 + POLISH_SIZE)
+    w, k, h, s = raw(block), raw(kinds), raw(lines), raw(scores)
+    out = beyond(w, ELIMINATION_SCRATCH)
+    goal = beyond(out, 6 * CANDIDATES)
+    theta, work = beyond(goal, 12), beyond(goal, 18)
+    for trial in range(FORMULATIONS + BEST):
+        again = trial >= FORMULATIONS
+        f = _best(s) if again else trial
+        if again and not s[f] > 0.0:
+            break
+        sum_, misses = 0.0, 2 if k[removed_of(f)] == SLIDE else 0
+        first, last = (FIRST, FIRST + SECOND) if again else (0, FIRST)
+        for i in range(first, last):
+            if misses > 1:
+                break
+            _known(k, h, i, theta, goal, work)
+            count, _, suspect = eliminate(k, h, goal, f, w, out)
+            credit = _credit(k, theta, w, count)
+            misses += int(credit == 0.0)
+            sum_ += credit if suspect == 0 else SUSPECT * credit
+        sum_ *= 0.0 if misses > 1 else (1.0 if hidden_of(f) == 0 else FAVOUR)
+        if again:  # negative: tried on all postures
+            s[f] = -(s[f] * FIRST + sum_) / (FIRST + SECOND) if sum_ > 0.0 else 0.0
+        else:
+            s[f] = sum_ / FIRST
+    useful = 0
+    for f in range(FORMULATIONS):
+        s[f] = -s[f] if s[f] < 0.0 else HASTY * s[f]
+        useful += int(s[f] > 0.0)
+    keep(block)
+    return useful

@@ -1,0 +1,1 @@
+"""The numerical inverse model of one frame: residual, steps, starts, and their schedule."""

@@ -1,0 +1,207 @@
+"""A step of the starts in `lanes`, inside the limits, and what is kept of each."""
+
+from __future__ import annotations
+
+from kempe.kernels.base._jit import device, routine
+from kempe.kernels.base.linear import solve6
+from kempe.kernels.base.lines import dot, plus
+from kempe.kernels.base.masks import bits
+from kempe.kernels.base.vectors import LANES, load_lanes, spread_lanes, store, where
+from kempe.kernels.one_frame.descent import ENOUGH
+from kempe.kernels.one_frame.lanes import (
+    BEST,
+    COUNT,
+    FOUND,
+    FREE,
+    KEPT,
+    POINTING,
+    STALL,
+    STEP,
+    WHOLE,
+    U,
+    column_lanes,
+    combined,
+    dot6,
+    error_lanes,
+    fill_lanes,
+    greatest_of,
+    lane_coordinate,
+    least_of,
+    refill_lanes,
+    trace_lanes,
+)
+
+DAMPING, DAMPING_FLOOR, DAMPING_CAP = 0.05, 1e-10, 0.3
+"""Damping: DAMPING * E, at most DAMPING_CAP, plus DAMPING_FLOOR. Factors of 0.02 to 0.3 do equally well."""
+
+NEAR = 1e-14
+"""Energy from which one step leads to rounding error, seldom two."""
+
+PATIENCE, SLOW = 3, 0.7
+"""A start is given up after PATIENCE steps that do not lower the energy below SLOW of the least before.
+
+Towards a goal it falls to a quarter or less, as a rule even where the chain is singular. To wait for steps without any
+decrease costs a fifth more work, a third at the limits."""
+
+
+@device
+def without(c, x):
+    """The part of x across the unit vector c."""
+    return plus(x, -dot(c, x), c)
+
+
+@device
+def aimed(s, e, c):
+    """What the task reads of six numbers; c: the tips' z axes."""
+    w = s.weights
+    if s.task == WHOLE:
+        return e
+    v = without(c, (e[3], e[4], e[5])) if s.task == POINTING else (e[3], e[4], e[5])
+    return w[0] * e[0], w[1] * e[1], w[2] * e[2], w[3] * v[0], w[4] * v[1], w[5] * v[2]
+
+
+@device
+def weighed(w, m):
+    """W M W for a lower triangle and W = diag(w)."""
+    return (
+        w[0] * m[0],
+        w[1] * (w[0] * m[1]), w[1] * m[2],
+        w[2] * (w[0] * m[3]), w[2] * (w[1] * m[4]), w[2] * m[5],
+        w[3] * (w[0] * m[6]), w[3] * (w[1] * m[7]), w[3] * (w[2] * m[8]), w[3] * m[9],
+        w[4] * (w[0] * m[10]), w[4] * (w[1] * m[11]), w[4] * (w[2] * m[12]), w[4] * (w[3] * m[13]), w[4] * m[14],
+        w[5] * (w[0] * m[15]), w[5] * (w[1] * m[16]), w[5] * (w[2] * m[17]), w[5] * (w[3] * m[18]),
+        w[5] * (w[4] * m[19]), w[5] * m[20],
+    )  # fmt: skip
+
+
+@device
+def across(c, m):
+    """The lower triangle with P = 1 - c c^T applied to its angular rows and columns, and c c^T added.
+
+    What is added keeps the matrix regular, and takes no part: errors have no component along c.
+    """
+    x, y, z = without(c, (m[6], m[10], m[15])), without(c, (m[7], m[11], m[16])), without(c, (m[8], m[12], m[17]))
+    h = (
+        m[9] * c[0] + m[13] * c[1] + m[18] * c[2],
+        m[13] * c[0] + m[14] * c[1] + m[19] * c[2],
+        m[18] * c[0] + m[19] * c[1] + m[20] * c[2],
+    )
+    h = combined(0.5 * (dot(c, h) + 1.0), c, -1.0, h)
+    return (
+        m[0], m[1], m[2], m[3], m[4], m[5],
+        x[0], y[0], z[0],
+        m[9] + 2.0 * (h[0] * c[0]),
+        x[1], y[1], z[1], m[13] + (h[1] * c[0] + c[1] * h[0]), m[14] + 2.0 * (h[1] * c[1]),
+        x[2], y[2], z[2], m[18] + (h[2] * c[0] + c[2] * h[0]), m[19] + (h[2] * c[1] + c[2] * h[1]),
+        m[20] + 2.0 * (h[2] * c[2]),
+    )  # fmt: skip
+
+
+@device
+def solved(s, m, c, damping, e):
+    """(A + damping)^-1 e, A being what the task reads of the lower triangle m."""
+    if s.task == POINTING:
+        m = across(c, m)
+    if s.task != WHOLE:
+        m = weighed(s.weights, m)
+    d = damping
+    damped = (
+        m[0] + d, m[1], m[2] + d, m[3], m[4], m[5] + d, m[6], m[7], m[8], m[9] + d,
+        m[10], m[11], m[12], m[13], m[14] + d, m[15], m[16], m[17], m[18], m[19], m[20] + d,
+    )  # fmt: skip
+    return solve6(damped, e)
+
+
+@routine
+def first_steps(s, y):
+    """1 in lanes where a limit stopped a coordinate, and what the stopped ones move the tip; writes the steps.
+
+    D J^T y, cut off at the limits; those that were stopped there leave D.
+    """
+    lanes, limits = s.lanes, s.limits
+    o = spread_lanes(0.0)
+    a, d0, d1, d2, d3, d4, d5 = o, o, o, o, o, o, o
+    for v in range(s.nv):
+        at = lane_coordinate(s, v)
+        x, u = column_lanes(lanes, at), load_lanes(lanes, (at + U) * LANES)
+        free = load_lanes(lanes, (at + FREE) * LANES)
+        wish = free * dot6(x, y)
+        step = least_of(greatest_of(wish, limits[2 * v] - u), limits[2 * v + 1] - u)
+        step = where(free > 0.5, step, o)
+        stopped = where(step == wish, o, 1.0)
+        store(lanes, (at + STEP) * LANES, step)
+        store(lanes, (at + FREE) * LANES, free - stopped)
+        a, step = a + stopped, stopped * step
+        d0, d1, d2 = d0 + step * x[0], d1 + step * x[1], d2 + step * x[2]
+        d3, d4, d5 = d3 + step * x[3], d4 + step * x[4], d5 + step * x[5]
+    return a, (d0, d1, d2, d3, d4, d5)
+
+
+@routine
+def second_steps(s, y, again):
+    """Nothing; writes the steps of D, in lanes where `again` is not zero."""
+    lanes = s.lanes
+    for v in range(s.nv):
+        at = lane_coordinate(s, v)
+        wish = dot6(column_lanes(lanes, at), y)
+        old = load_lanes(lanes, (at + STEP) * LANES)
+        new = where(load_lanes(lanes, (at + FREE) * LANES) > 0.5, wish, old)
+        store(lanes, (at + STEP) * LANES, where(again > 0.5, new, old))
+
+
+@device
+def advance_lanes(s):
+    """Move the coordinates by their steps, never out of the limits."""
+    lanes, limits = s.lanes, s.limits
+    for v in range(s.nv):
+        at = lane_coordinate(s, v)
+        u = load_lanes(lanes, (at + U) * LANES) + load_lanes(lanes, (at + STEP) * LANES)
+        store(lanes, (at + U) * LANES, least_of(greatest_of(u, limits[2 * v]), limits[2 * v + 1]))
+
+
+@device
+def keep_better(s, e, limit, linear, angular):
+    """Lanes that are done or nearly so, as bits, and the energy; keeps the configurations that lowered it.
+
+    limit: steps at most; linear, angular: squares of the tolerances, in the lanes' units.
+    """
+    lanes = s.lanes
+    far, off = e[0] * e[0] + e[1] * e[1] + e[2] * e[2], e[3] * e[3] + e[4] * e[4] + e[5] * e[5]
+    energy = 0.5 * (far + off)
+    best, stall = load_lanes(lanes, BEST * LANES), load_lanes(lanes, STALL * LANES)
+    count, found = load_lanes(lanes, COUNT * LANES), load_lanes(lanes, FOUND * LANES)
+    better = best > energy
+    best, stall = where(better, energy, best), where(SLOW * best > energy, 0.0, stall + 1.0)
+    within = where(far > linear, 0.0, where(off > angular, 0.0, spread_lanes(1.0)))
+    found = where(better, greatest_of(found, within), found)
+    over = where(stall > where(found > 0.5, 0.5, PATIENCE - 0.5), 1.0, spread_lanes(0.0))
+    over = where(ENOUGH > best, 1.0, where(count > limit - 0.5, 1.0, over))
+    over = where(NEAR > best, where(found > 0.5, where(found > 1.5, over, 1.0), over), over)
+    store(lanes, BEST * LANES, best)
+    store(lanes, STALL * LANES, stall)
+    store(lanes, COUNT * LANES, where(over > 0.5, count, count + 1.0))
+    store(lanes, FOUND * LANES, found)
+    for v in range(s.nv):
+        at = lane_coordinate(s, v)
+        u, kept = load_lanes(lanes, (at + U) * LANES), load_lanes(lanes, (at + KEPT) * LANES)
+        store(lanes, (at + KEPT) * LANES, where(better, u, kept))
+    return bits(over > 0.5), energy
+
+
+@routine
+def step_lanes(s, limit, linear, angular):
+    """Lanes that are done, as bits: at the goal, out of steps, without hope, or, once, NEAR. All move on by a step.
+
+    The step is that of `step.damped_step`.
+    """
+    a, b, c, p = trace_lanes(s)
+    e = error_lanes(s, a, b, c, p)
+    done, energy = keep_better(s, e, limit, linear, angular)
+    damping = least_of(DAMPING * energy, spread_lanes(DAMPING_CAP)) + DAMPING_FLOOR
+    again, moved = first_steps(s, solved(s, fill_lanes(s, e, p), c, damping, e))
+    if bits(again > 0.5) != 0:
+        d = aimed(s, moved, c)
+        e = (e[0] - d[0], e[1] - d[1], e[2] - d[2], e[3] - d[3], e[4] - d[4], e[5] - d[5])
+        second_steps(s, solved(s, refill_lanes(s), c, damping, e), again)
+    advance_lanes(s)
+    return done

@@ -1,0 +1,250 @@
+"""How far the tip of a chain is from its goal: the error, and its Jacobian, of one configuration.
+
+The error is e = W [p* - p; log(R* R^T)] in ground axes. The geometric Jacobian then gives the exact gradient
+of E = |e|^2 / 2: dE/dv = -(W J)^T e, for the logarithm's own Jacobian leaves the logarithm alone (Bullo and
+Murray 1995). Where only the direction of the tip's z axis counts, the rotation error is the shortest one that
+corrects it, and J lacks what turns about that axis. W holds 0 or 1 for each row of the task, divided by the
+chain's length L in the linear rows, so that lengths weigh against angles whatever the unit. For the same
+reason slides move in multiples of L: column i of the Jacobian belongs to v[i] / scale[i].
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from kempe.kernels.base._jit import device, routine
+from kempe.kernels.base.lines import cross, dot, plus
+from kempe.kernels.base.rotations import logarithm
+from kempe.kernels.base.trig import atan2, sincos_any
+from kempe.kernels.base.vectors import entry, pack4, square_root, store, where
+from kempe.kernels.forward.table_layout import (
+    BALL,
+    COS_GAUGE,
+    HEADER,
+    KIND,
+    MULTIPLIER,
+    N_ROWS,
+    Q_INDEX,
+    ROW_FLOATS,
+    ROW_INTS,
+    SIN_GAUGE,
+    TURN,
+)
+
+AXIS, POINT, FACTOR, AXES_STRIDE = 0, 4, 8, 9
+"""A column, in `Chain.axes`: its axis times FACTOR, a point on it, FACTOR (multiplier times scale)."""
+
+OWNER, TURNS, COLUMN_INTS = 0, 1, 2
+"""A column, in `Chain.notes`: its velocity coordinate; 1 if it turns, 0 if it slides."""
+
+PLACE, ROUND, PLACE_INTS = 0, 1, 2
+"""A velocity coordinate, in `Chain.notes` after the columns: index in q (-1 if unread); 1 if of a ball."""
+
+LOW, HIGH, SCALE, BOX_STRIDE = 0, 1, 2, 4
+"""A velocity coordinate, in `Chain.box`: the limits that the solver keeps, and its unit."""
+
+FREE, STEP, JACOBIAN_STRIDE = 6, 7, 8
+"""A velocity coordinate, in `Chain.jacobian`: six rows of its column, whether it may move, the step."""
+
+WEIGHTS, POINTS, GOAL_SIZE = 12, 18, 19
+"""Places in `Chain.goal`, after the 3x4 pose: six weights; 1 if of rotations only the direction of z counts."""
+
+
+class Chain(NamedTuple):
+    """A chain's table with the scratch of its solver; everything but the numbers is a pointer."""
+
+    ints: object
+    floats: object
+    notes: object
+    axes: object
+    box: object
+    jacobian: object
+    q: object
+    goal: object
+    columns: int
+    nq: int
+    nv: int
+    length: float
+
+
+@device
+def mixed(x, a, y, b, z, c):
+    """x a + y b + z c: the numbers x, y, z times three vectors."""
+    return x * a + (y * b + z * c)
+
+
+@device
+def ball_rotation(q, k, multiplier):
+    """The rotation (9 numbers, row by row) by the quaternion wxyz at q[k : k + 4], normalised on reading.
+
+    Its inverse for a reversed joint, which a negative multiplier marks.
+    """
+    w, x, y, z = q[k], q[k + 1], q[k + 2], q[k + 3]
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    if multiplier < 0.0:
+        w = -w
+    return (
+        1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),
+        s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x),
+        s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y),
+    )  # fmt: skip
+
+
+@device
+def write_axis(axes, column, axis, point):
+    """Write one column's axis and point."""
+    store(axes, AXES_STRIDE * column + AXIS, axis)
+    store(axes, AXES_STRIDE * column + POINT, point)
+
+
+@device
+def placed(f, k, a, b, c, p):
+    """The columns of [a b c p] X, X the 3x4 placement at f[k:]."""
+    return (
+        mixed(f[k], a, f[k + 4], b, f[k + 8], c),
+        mixed(f[k + 1], a, f[k + 5], b, f[k + 9], c),
+        mixed(f[k + 2], a, f[k + 6], b, f[k + 10], c),
+        mixed(f[k + 3], a, f[k + 7], b, f[k + 11], c) + p,
+    )
+
+
+@routine
+def trace(chain):
+    """Pose of the tip at q, three columns of its rotation and its position; writes axes and points."""
+    n, floats, axes = chain.ints[N_ROWS], chain.floats, chain.axes
+    a, b, c = pack4(1.0, 0.0, 0.0, 0.0), pack4(0.0, 1.0, 0.0, 0.0), pack4(0.0, 0.0, 1.0, 0.0)
+    p = pack4(0.0, 0.0, 0.0, 0.0)
+    column = 0
+    for row in range(n):
+        k, f = HEADER + ROW_INTS * row, ROW_FLOATS * row
+        kind, index, m = chain.ints[k + KIND], chain.ints[k + Q_INDEX], floats[f + MULTIPLIER]
+        a, b, c, p = placed(floats, f, a, b, c, p)
+        if kind == BALL:
+            r = ball_rotation(chain.q, index, m)
+            x = mixed(r[0], a, r[3], b, r[6], c)
+            y = mixed(r[1], a, r[4], b, r[7], c)
+            z = mixed(r[2], a, r[5], b, r[8], c)
+            # the axes of a reversed ball are those before its motion, reversed
+            write_axis(axes, column, x if m > 0.0 else -a, p)
+            write_axis(axes, column + 1, y if m > 0.0 else -b, p)
+            write_axis(axes, column + 2, z if m > 0.0 else -c, p)
+            a, b, c = x, y, z
+            column += 3
+            continue
+        write_axis(axes, column, axes[AXES_STRIDE * column + FACTOR] * c, p)
+        column += 1
+        theta = m * chain.q[index]
+        if kind == TURN:
+            s, t = sincos_any(theta)
+            s, t = (
+                s * floats[f + COS_GAUGE] + t * floats[f + SIN_GAUGE],
+                t * floats[f + COS_GAUGE] - s * floats[f + SIN_GAUGE],
+            )
+            a, b = t * a + s * b, t * b - s * a
+        else:
+            p = p + theta * c
+    return placed(floats, ROW_FLOATS * n, a, b, c, p)
+
+
+@device
+def pointing_error(a, c, goal):
+    """The shortest rotation vector that turns direction c to the goal's; about a where they are opposite.
+
+    For floats and vectors alike.
+    """
+    n, cosine = cross(c, goal), dot(c, goal)
+    sine = square_root(dot(n, n))
+    vague = 1e-12 > sine
+    factor = where(vague, 1.0, atan2(sine, cosine) / where(vague, 1.0, sine))
+    opposite = where(vague, where(0.0 > cosine, math.pi, 0.0), 0.0)
+    return plus((factor * n[0], factor * n[1], factor * n[2]), opposite, a)
+
+
+@device
+def column(v):
+    """The first three entries of a vector."""
+    return entry(v, 0), entry(v, 1), entry(v, 2)
+
+
+@device
+def turn_error(g, a, b, c):
+    """Rotation vector from the tip's rotation, by columns, to the goal's; of z alone where only that counts."""
+    if g[POINTS] != 0.0:
+        return pointing_error(column(a), column(c), (g[2], g[6], g[10]))
+    x = mixed(g[0], a, g[1], b, g[2], c)
+    y = mixed(g[4], a, g[5], b, g[6], c)
+    z = mixed(g[8], a, g[9], b, g[10], c)
+    return logarithm(
+        (
+            entry(x, 0), entry(x, 1), entry(x, 2), entry(y, 0), entry(y, 1), entry(y, 2),
+            entry(z, 0), entry(z, 1), entry(z, 2),
+        )
+    )  # fmt: skip
+
+
+@device
+def error(goal, tip):
+    """The six weighted errors [linear; angular] of a tip as `trace` gives it."""
+    g, w = goal, WEIGHTS
+    a, b, c, p = tip
+    turn = turn_error(g, a, b, c)
+    return (
+        g[w] * (g[3] - entry(p, 0)), g[w + 1] * (g[7] - entry(p, 1)), g[w + 2] * (g[11] - entry(p, 2)),
+        g[w + 3] * turn[0], g[w + 4] * turn[1], g[w + 5] * turn[2],
+    )  # fmt: skip
+
+
+@device
+def energy(e):
+    """Half the square of the weighted error."""
+    return 0.5 * (e[0] * e[0] + e[1] * e[1] + e[2] * e[2] + e[3] * e[3] + e[4] * e[4] + e[5] * e[5])
+
+
+@device
+def distances(chain, e):
+    """Linear and angular part of the weighted error, in units of length and radians."""
+    linear = chain.length * math.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
+    return linear, math.sqrt(e[3] * e[3] + e[4] * e[4] + e[5] * e[5])
+
+
+@device
+def column_at(chain, number, tip):
+    """Axis of a column, the velocity that it gives the tip, and whether it turns."""
+    k, a, p = AXES_STRIDE * number, chain.axes, tip[3]
+    x, y, z = a[k], a[k + 1], a[k + 2]
+    if chain.notes[COLUMN_INTS * number + TURNS] == 0:
+        return (x, y, z), (x, y, z), False
+    u, v, w = entry(p, 0) - a[k + POINT], entry(p, 1) - a[k + POINT + 1], entry(p, 2) - a[k + POINT + 2]
+    return (x, y, z), (y * w - z * v, z * u - x * w, x * v - y * u), True
+
+
+@device
+def fill_jacobian(chain, tip):
+    """Write the weighted Jacobian at the configuration traced last; shared coordinates add up."""
+    jacobian, g = chain.jacobian, chain.goal
+    for v in range(chain.nv):
+        for i in range(6):
+            jacobian[JACOBIAN_STRIDE * v + i] = 0.0
+    for number in range(chain.columns):
+        k = JACOBIAN_STRIDE * chain.notes[COLUMN_INTS * number + OWNER]
+        axis, velocity, turns = column_at(chain, number, tip)
+        for i in range(3):
+            jacobian[k + i] += g[WEIGHTS + i] * velocity[i]
+        if turns:
+            if g[POINTS] != 0.0:
+                c = column(tip[2])
+                axis = plus(axis, -dot(c, axis), c)
+            for i in range(3):
+                jacobian[k + 3 + i] += g[WEIGHTS + 3 + i] * axis[i]
+
+
+@device
+def along(jacobian, v, e):
+    """The product of column v of the Jacobian with six numbers."""
+    k = JACOBIAN_STRIDE * v
+    return (
+        (jacobian[k] * e[0] + jacobian[k + 1] * e[1])
+        + (jacobian[k + 2] * e[2] + jacobian[k + 3] * e[3])
+        + (jacobian[k + 4] * e[4] + jacobian[k + 5] * e[5])
+    )

@@ -1,0 +1,1 @@
+"""Taylor series of constraints, projection onto them, and iterated Lie brackets."""

@@ -1,0 +1,117 @@
+"""What all results of verbs share: whether a question was answered, the sentence that says so, text, HTML and JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.calls import explained_methods
+from kempe.reals import plain
+from kempe.status import Status, named
+from kempe.words import by_topic, json_text, jsonable, paragraphs, table_html, topics_html
+
+if TYPE_CHECKING:
+    from kempe.solvers.assembly.ideal import Idealised
+
+MOST_JUDGED = 1_000_000
+"""Coordinates up to which configurations are judged for their `data`."""
+Cells = tuple[Sequence[str], Sequence[Sequence[str]]]
+"""Heads of columns (none: each row is a name and what it is) and rows of a table."""
+
+
+@explained_methods
+class Result:
+    """What comes of a question. Base of `Answer`, which has configurations, and of `Report`, which has findings.
+
+    `success` (...) says whether the question was answered, `code` (...) is its `Status` (of a batch an array of their
+    numbers), `status` (...) the sentence that says so. It is true where all of `success` is; `print` it.
+    """
+
+    success: Any
+    code: Any
+    status: Any
+    within: Idealised | None = None
+    """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
+
+    def data(self) -> dict[str, Any]:
+        """All numbers and texts as plain Python, ready for JSON; `code` by the names of `Status`, NaN as None."""
+        said = {"success": np.asarray(self.success).tolist(), "code": named(self.code), "status": self.status}
+        return jsonable(self._head() | said | self._data())
+
+    def to_json(self) -> str:
+        """The `data` as JSON."""
+        return json_text(self.data())
+
+    def _head(self) -> dict[str, Any]:
+        """What the data begin with: of what they are."""
+        return {}
+
+    def _data(self) -> dict[str, Any]:
+        """The numbers and texts of its own."""
+        return {}
+
+    # ---- as text and HTML
+
+    def _headline(self) -> str:
+        """The first line of the text."""
+        return str(self.status)
+
+    def _cells(self) -> Cells:
+        """What the text has as lines under the headline, and HTML as a table."""
+        return (), ()
+
+    def _notes(self) -> Sequence[str]:
+        """The last lines."""
+        return ()
+
+    def _lines(self) -> Sequence[str]:
+        """The `_cells` as lines of text."""
+        heads, rows = self._cells()
+        if not heads:
+            return [" = ".join(row) for row in rows]
+        return [", ".join(f"{h} = {x}" for h, x in zip(heads, row, strict=True)) for row in rows]
+
+    def __bool__(self) -> bool:
+        return bool(np.all(self.success))
+
+    def __str__(self) -> str:
+        return "\n".join([self._headline(), *(f"  {line}" for line in (*self._lines(), *self._notes()))])
+
+    def _repr_html_(self) -> str:
+        return paragraphs([self._headline()]) + table_html(*self._cells()) + paragraphs(self._notes())
+
+
+by_code: Any = property(lambda self: plain(np.asarray(self.code) == Status.SOLVED), doc="Whether (...) it is answered.")
+"""The `success` of results that have only a `code`."""
+
+
+@explained_methods
+class Report(Result):
+    """Findings about a system, with their reasons. The `sentence` is the `status`."""
+
+    code: Any = Status.SOLVED
+    success = by_code
+
+    @property
+    def status(self) -> Any:
+        """The result in one sentence; of a batch an array of sentences."""
+        raise NotImplementedError
+
+    @property
+    def sentence(self) -> Any:
+        """The result in one sentence: another name of `status`."""
+        return self.status
+
+    def topics(self) -> Sequence[tuple[str, Sequence[str]]]:
+        """The reasons as (title, lines)."""
+        return ()
+
+    def __str__(self) -> str:
+        topics = self.topics()
+        return by_topic(self._headline(), topics) if topics else super().__str__()
+
+    def _repr_html_(self) -> str:
+        topics = self.topics()
+        return paragraphs([self._headline()]) + topics_html(topics) if topics else super()._repr_html_()

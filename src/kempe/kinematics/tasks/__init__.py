@@ -1,0 +1,1 @@
+"""Constraints as what is asked of a configuration."""

@@ -1,0 +1,194 @@
+"""Python functions of configurations and of poses as constraints of one system."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from inspect import signature
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.calls import listed
+from kempe.constraints.base import Constraint, Op, Row
+from kempe.constraints.reading import ends_of
+from kempe.constraints.whole import Function
+from kempe.description.parts import Declared
+from kempe.errors import InputError, shown
+from kempe.kinematics.forward import fk
+from kempe.kinematics.forward import jacobian as frame_jacobian
+from kempe.kinematics.tasks.derivatives import SUPPLIED, check_supplied, checked_value, jacobian_of, way_of
+from kempe.model.closures.callback import STEP, WEIGHTS, Callback
+from kempe.model.closures.packed_loops import characteristic_length
+from kempe.reals import reals
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+
+class Whole:
+    """A function of q (nq,), or of the poses (4, 4) of some frames, of one system, with derivatives (m, nv).
+
+    It is called first at `system.random(0)`, which finds how many numbers it gives and checks a Jacobian that is given.
+    Errors: `InputError` for what is no function, a wrong Jacobian, with its worst entry, values that are not finite.
+    """
+
+    def __init__(self, system: System, of: Any):
+        self.system, self.label, self.given, self.supplied = system, of.label, of.function, of.derivative
+        self.frames = tuple(system.structure.frame_name(f) for f in listed(of.frames, f"frames of {of.label}"))
+        takes = f"of {len(self.frames)} poses (4, 4)" if self.frames else f"of q ({system.nq},)"
+        if not callable(of.function):
+            raise InputError(f"{of.label} is given {of.function!r}; it must be a function {takes}")
+        if self.frames and not _takes(of.function, len(self.frames)):
+            raise InputError(f"{of.label} is called with {len(self.frames)} poses, of {', '.join(self.frames)}, which "
+                             "it does not take")  # fmt: skip
+        found = checked_value(self.label, self.raw, q := system.random(0))
+        self.count = found.size
+        if not self.count:
+            raise InputError(f"{of.label} gives no numbers at all; it must give one or more")
+        self.how = ""
+        if self.supplied is not None:
+            rows = self.derivative if found.ndim else lambda x: np.atleast_2d(self.derivative(x))
+            check_supplied(self.label, self.raw, rows, system.structure.layout, q, system.structure.velocity_names)
+            self.how = SUPPLIED
+        elif not self.frames:
+            self.how = way_of(of.function, system.structure.layout, q)
+        self.low, self.high = ends_of(of.low, of.high, f"bounds of {of.label}", self.count)
+
+    def raw(self, q: Array) -> Any:
+        """What the function gives at q."""
+        return self.given(*self._inputs(q))
+
+    def _inputs(self, q: Array) -> list[Array]:
+        return [fk(self.system, q, f) for f in self.frames] or [q]
+
+    def derivative(self, q: Array) -> Any:
+        """What the supplied derivative gives at q."""
+        assert self.supplied is not None
+        return self.supplied(*self._inputs(q))
+
+    def values(self, q: Array) -> Array:
+        """The numbers (m,) at q. Errors: `InputError` for another count."""
+        return self._checked(self.raw(q.copy()))
+
+    def _checked(self, found: Any) -> Array:
+        if np.size(found) != self.count:
+            raise InputError(f"{self.label} gives {np.size(found)} numbers, but gave {self.count} before")
+        return reals(found, f"the value of {self.label}").reshape(self.count)
+
+    def jacobian(self, q: Array) -> Array:
+        """The derivatives (m, nv) at q: through poses by differences of the function alone, six for each."""
+        shape = (self.count, self.system.nv)
+        if self.how:
+            layout = self.system.structure.layout
+            return reals(jacobian_of(self.raw, self.supplied and self.derivative, self.how, layout, q),
+                         f"the Jacobian of {self.label}").reshape(shape)  # fmt: skip
+        poses, J = self._inputs(q), np.zeros(shape)
+        steps = STEP * np.repeat([characteristic_length(self.system), 1.0], 3)
+        for k, frame in enumerate(self.frames):
+            by = np.empty((self.count, 6))  # world-aligned twists at the origin of the frame
+            for i, step in enumerate(steps):
+                ends = [(n * sign * step, w * sign) for n, w in WEIGHTS for sign in (1, -1)]
+                by[:, i] = sum(w * self._checked(self.given(*_displaced(poses, k, i, x))) for x, w in ends) / step
+            J += by @ frame_jacobian(self.system, q, frame)
+        return J
+
+    def callback(self, rows: Sequence[int], offset: Array | float = 0.0) -> Callback:
+        """Some of its numbers, as kernels call them."""
+        own = list(rows)
+        return Callback(self.system, len(own), lambda q: (self.values(q)[own] - offset, self.jacobian(q)[own]),
+                        alone=lambda q: self.values(q)[own] - offset)  # fmt: skip
+
+    def off(self, q: Array) -> Array:
+        """How far (..., m) its numbers are from where they must be, at q (..., nq)."""
+        out = np.empty((*q.shape[:-1], self.count))
+        for index in np.ndindex(q.shape[:-1]):
+            value = self.values(q[index])
+            out[index] = value - np.clip(value, self.low, self.high)
+        return out
+
+
+def _takes(function: Callable, n: int) -> bool:
+    """Whether a function can be called with so many arguments."""
+    try:
+        signature(function).bind(*range(n))
+    except TypeError:
+        return False
+    except ValueError:  # it has no signature
+        return True
+    return True
+
+
+def _displaced(poses: list[Array], k: int, axis: int, step: float) -> list[Array]:
+    """The poses, one of them moved along or turned about an axis of the ground through its origin."""
+    X = poses[k].copy()
+    if axis < 3:
+        X[axis, 3] += step
+    else:
+        X[:3, :3] = spatial.exp_so3(step * np.eye(3)[axis - 3]) @ X[:3, :3]
+    return [*poses[:k], X, *poses[k + 1 :]]
+
+
+@dataclass(frozen=True, eq=False)
+class OfSystem(Constraint):
+    """A function that a system holds for one call."""
+
+    whole: Whole
+    low: Array
+    high: Array
+
+    def rows(self, dim: int) -> tuple[Row, ...]:
+        """One for each number; where both ends are the same it is held there."""
+        return tuple(
+            Row(Op.CALL, (self, k), str(k), "1") if same else Row(Op.CALL, (self, k), str(k), "1", "", "low", "high", k)
+            for k, same in enumerate(self.low == self.high)
+        )
+
+    def callback(self, rows: Sequence[int]) -> Callback:
+        """Some of its rows, as kernels call them."""
+        return self.whole.callback(rows, self._held[list(rows)])
+
+    @property
+    def _held(self) -> Array:
+        return np.where(self.low == self.high, self.low, 0.0)
+
+    def at(self, q: Array) -> Array:
+        """The values of its rows (m,) at q (nq,)."""
+        return self.whole.values(q) - self._held
+
+
+def bound(system: System, made: Constraint) -> Constraint:
+    """The constraint as one of this system: of functions of its configurations, one whose rows are numbers of these."""
+    if not any(r.op is Op.CALL and len(r.args) == 1 for r in made.rows(system.dim)):
+        return made
+    whole = Whole(system, made)
+    return OfSystem(whole, whole.low, whole.high)
+
+
+def held_too(system: System, further: Any) -> System:
+    """The system with further constraints, or functions of q, with the same coordinates.
+
+    Errors: `InputError` for what is none, `DescriptionError` for what does not fit the system.
+    """
+    given = tuple(further) if isinstance(further, (list, tuple)) else (further,)
+    if not given:
+        return system
+    m, taken = system.mechanism, {*system.mechanism.constraints, *system.mechanism.joints}
+    for c in given:
+        made = Function(c) if callable(c) and not isinstance(c, Constraint) else c
+        if not isinstance(made, Constraint):
+            raise InputError(f"also holds {shown(c)}, which is no constraint of kempe.constraints and no function")
+        name = made.name or (made.about if made is not c else made.label)
+        while name in taken:
+            name += " again"
+        taken.add(name)
+        own = bound(system, made)
+        if own is made:
+            m.constrain(made, name)
+        elif made.weight is not None:
+            raise InputError(f"{made.label} has a weight, which ik reads of a wish: what also holds, holds")
+        else:
+            m.constraints[name] = Declared(name, own, "", "")
+    return type(system)(m, system.structure.topology)

@@ -1,0 +1,1 @@
+"""Velocity constraints: recorded rows A(q) v = b(q, t)."""

@@ -1,0 +1,345 @@
+"""Recording of rows A(q) v = b(q, t): of constraints of velocity, and the tangents of all that holds positions.
+
+A row is linear in the twist of frame B against frame A: coefficients c of the pose X_AB, dotted with the twists that
+the joints between A and B give, as in `kempe.kernels.constraints.constraint_rows`. Numbers that are known are folded,
+so that a tape holds what moves only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kempe.constraints.builder import Builder
+from kempe.constraints.tape import BINARY, POSE, TWIST, Tape
+from kempe.joints import P, Q
+from kempe.kernels.constraints import tape_layout as L
+from kempe.model.closures.loop_plan import moving
+from kempe.model.tree.primitive_table import Table
+
+Num = float | int
+"""A number that is known (float) or a place of the tape that is recorded (int)."""
+Form = dict[Any, Num]
+"""What is linear in velocities: coefficients by twist component (0 ... 5) or by ("v", velocity coordinate)."""
+
+PLACE = {"x": 0, "y": 1, "z": 2}
+
+
+class Numbers:
+    """Arithmetic with recorded numbers, in which known zeros and ones are folded."""
+
+    def __init__(self, builder: Builder):
+        self.builder = builder
+
+    def place(self, a: Num) -> int:
+        """The place of a number."""
+        return self.builder.number(a) if isinstance(a, float) else a
+
+    def of(self, op: int, a: Num, b: Num | None = None) -> Num:
+        """An operation of the tape."""
+        x, build = self.place(a), self.builder
+        made = build.unary(op, x) if b is None else build.binary(op, x, self.place(b))
+        if made >= len(self.builder.inputs):
+            known = self.builder._constant(made)
+            return made if known is None else known
+        return made
+
+    def add(self, a: Num, b: Num) -> Num:
+        """a + b."""
+        if isinstance(a, float) and isinstance(b, float):
+            return a + b
+        if isinstance(a, float) and a == 0.0:
+            return b
+        return a if isinstance(b, float) and b == 0.0 else self.of(L.ADD, a, b)
+
+    def neg(self, a: Num) -> Num:
+        """-a."""
+        return -a if isinstance(a, float) else self.of(L.NEG, a)
+
+    def sub(self, a: Num, b: Num) -> Num:
+        """a - b."""
+        if isinstance(a, float) and isinstance(b, float):
+            return a - b
+        if isinstance(b, float) and b == 0.0:
+            return a
+        return self.neg(b) if isinstance(a, float) and a == 0.0 else self.of(L.SUB, a, b)
+
+    def mul(self, a: Num, b: Num) -> Num:
+        """a b."""
+        if isinstance(a, float) and isinstance(b, float):
+            return a * b
+        for x, y in ((a, b), (b, a)):
+            if isinstance(x, float) and x in (0.0, 1.0, -1.0):
+                return 0.0 if x == 0.0 else y if x == 1.0 else self.neg(y)
+        return self.of(L.MUL, a, b)
+
+    def dot(self, a: Any, b: Any) -> Num:
+        """The sum of products."""
+        total: Num = 0.0
+        for x, y in zip(a, b, strict=True):
+            total = self.add(total, self.mul(x, y))
+        return total
+
+    def cross(self, a: Any, b: Any) -> list[Num]:
+        """The cross product of two vectors."""
+        m, s = self.mul, self.sub
+        return [
+            s(m(a[1], b[2]), m(a[2], b[1])), s(m(a[2], b[0]), m(a[0], b[2])), s(m(a[0], b[1]), m(a[1], b[0])),
+        ]  # fmt: skip
+
+
+@dataclass
+class Pose:
+    """A recorded pose: rotation by rows, and position."""
+
+    R: list[list[Num]]
+    p: list[Num]
+
+    def column(self, j: int) -> list[Num]:
+        """An axis."""
+        return [self.R[i][j] for i in range(3)]
+
+
+IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+
+
+class Recorder:
+    """Rows of one system being recorded: `entries` are (row, velocity, number), the velocity nv standing for -b."""
+
+    def __init__(self, table: Table, coordinates: tuple[str, ...], time: str):
+        self.table, self.builder = table, Builder([*coordinates, time])
+        self.numbers, self.time = Numbers(self.builder), len(coordinates)
+        self.entries: list[tuple[int, int, Num]] = []
+        self.count = 0
+        self._before: dict[int, Pose] = {}
+        self._after: dict[int, Pose] = {-1: Pose(IDENTITY, [0.0, 0.0, 0.0])}
+
+    # ---- poses
+
+    def moved(self, pose: Pose, X: np.ndarray) -> Pose:
+        """pose @ X for a known X (4, 4)."""
+        n, X = self.numbers, np.asarray(X, dtype=float)
+        R = [[n.dot(row, X[:3, j].tolist()) for j in range(3)] for row in pose.R]
+        p = [n.add(pose.p[i], n.dot(pose.R[i], X[:3, 3].tolist())) for i in range(3)]
+        return Pose(R, p)
+
+    def before(self, row: int) -> Pose:
+        """The pose before the motion of a row of the table."""
+        self.after(row)
+        return self._before[row]
+
+    def after(self, row: int) -> Pose:
+        """The pose after the motion of a row of the table."""
+        way = []
+        while row not in self._after:
+            way.append(row)
+            row = int(self.table.parent[row])
+        for r in reversed(way):
+            self._before[r] = self.moved(self._after[int(self.table.parent[r])], self.table.placement[r])
+            self._after[r] = self._moves(r, self._before[r])
+            row = r
+        return self._after[way[0] if way else row]
+
+    def _moves(self, r: int, at: Pose) -> Pose:
+        n, table = self.numbers, self.table
+        q, factor = int(table.iq[r]), float(table.multiplier[r])
+        if table.kind[r] == Q:
+            turn = self._ball(q, factor < 0.0)
+            return Pose([[n.dot(row, [turn[k][j] for k in range(3)]) for j in range(3)] for row in at.R], at.p)
+        theta = n.mul(factor, q)
+        if table.kind[r] == P:
+            return Pose(at.R, [n.add(at.p[i], n.mul(theta, at.R[i][2])) for i in range(3)])
+        gauge = float(table.gauge[r])
+        theta = n.add(theta, gauge)
+        s, c = n.of(L.SIN, theta), n.of(L.COS, theta)
+        R = [[n.add(n.mul(c, x), n.mul(s, y)), n.sub(n.mul(c, y), n.mul(s, x)), z] for x, y, z in at.R]
+        return Pose(R, at.p)
+
+    def _ball(self, q: int, inverse: bool) -> list[list[Num]]:
+        """The rotation of a quaternion wxyz of norm one, as polynomials; of another norm its square times it."""
+        n, (w, x, y, z) = self.numbers, range(q, q + 4)
+        if inverse:
+            x, y, z = n.neg(x), n.neg(y), n.neg(z)
+        m, a, s = n.mul, n.add, n.sub
+        two = lambda u: m(2.0, u)  # noqa: E731
+        squares = [m(u, u) for u in (w, x, y, z)]
+        diagonal = [
+            a(squares[0], s(s(squares[1 + i], squares[1 + (i + 1) % 3]), squares[1 + (i + 2) % 3])) for i in range(3)
+        ]  # fmt: skip
+        return [
+            [diagonal[0], two(s(m(x, y), m(w, z))), two(a(m(x, z), m(w, y)))],
+            [two(a(m(x, y), m(w, z))), diagonal[1], two(s(m(y, z), m(w, x)))],
+            [two(s(m(x, z), m(w, y))), two(a(m(y, z), m(w, x))), diagonal[2]],
+        ]
+
+    # ---- frames against frames
+
+    def end(self, end: tuple[int, np.ndarray, bool]) -> Pose:
+        """The pose of an end (row, placement, particle)."""
+        pose = self.moved(self.after(end[0]), end[1])
+        return Pose(IDENTITY, pose.p) if end[2] else pose
+
+    def add_row(self, a: tuple, b: tuple, form: Form, value: Num = 0.0) -> None:
+        """Record a row: `form` is linear in the twist of b against a and in velocities, `value` is -b(q, t)."""
+        out: dict[int, Num] = {}
+        n = self.numbers
+        for key, x in form.items():
+            if isinstance(key, tuple):
+                out[key[1]] = n.add(out.get(key[1], 0.0), x)
+        c = [form.get(k, 0.0) for k in range(6)]
+        if any(not isinstance(x, float) or x != 0.0 for x in c):
+            self._twist(a, b, c, out)
+        out[self.table.nv] = n.add(out.get(self.table.nv, 0.0), value)
+        for column, x in out.items():
+            if not isinstance(x, float) or x != 0.0:
+                self.entries.append((self.count, column, x))
+        self.count += 1
+
+    def _twist(self, a: tuple, b: tuple, c: list[Num], out: dict[int, Num]) -> None:
+        n, table = self.numbers, self.table
+        R, p = self.end(a).R, self.end(b).p
+        force = [n.dot(R[i], c[:3]) for i in range(3)]
+        moment = [n.dot(R[i], c[3:]) for i in range(3)]
+        for sign, row in moving(a[0], b[0], table.parent):
+            factor, kind, column = sign * float(table.multiplier[row]), table.kind[row], int(table.iv[row])
+            reverse = kind == Q and factor * sign < 0.0
+            axes = self.before(row) if reverse else self.after(row)
+            arm = [n.sub(p[i], axes.p[i]) for i in range(3)]
+            turn = n.cross(arm, force)
+            if not (b[2] and sign > 0.0):  # a particle does not turn
+                turn = [n.add(turn[i], moment[i]) for i in range(3)]
+            for k in range(0 if kind == Q else 2, 3):
+                rate = n.mul(factor, n.dot(axes.column(k), force if kind == P else turn))
+                at = column + (k if kind == Q else 0)
+                out[at] = n.add(out.get(at, 0.0), rate)
+
+    # ---- expressions
+
+    def seen(self, a: tuple, b: tuple) -> Seen:
+        """The pose of b seen from a, by the names of its numbers."""
+        return Seen(self, a, b)
+
+    def linear(
+        self, tape: Tape, seen: Seen | None, known: Mapping[str, Num], rates: Mapping[str, Form], which: int
+    ) -> tuple[Num, Form]:
+        """An output of a tape, and its rate as what is linear in velocities.
+
+        Inputs are, where there is a pose `seen`, its numbers, and the components of the twist, whose value is zero and
+        whose rate is the component itself; `known` gives others by name, `rates` the rates of some of them.
+        """
+        n = self.numbers
+        values: list[Num] = []
+        forms: list[Form] = []
+        for name in tape.inputs:
+            if seen is not None and name in TWIST:
+                value, form = 0.0, {TWIST.index(name): 1.0}
+            elif seen is not None and name in POSE:
+                value, form = seen(name)
+            else:
+                value, form = known[name], rates.get(name, {})
+            values.append(value)
+            forms.append(form)
+        zero: Num = 0.0
+        needed = set(tape._needed())
+        for i, (op, left, right) in enumerate(tape.nodes, len(tape.inputs)):
+            if i not in needed:
+                value, form = zero, {}
+            elif op == L.NUMBER:
+                value, form = tape.numbers[left], {}
+            elif op == L.TABLE:
+                value, form = self.builder.table(tape.numbers[left : left + right]), {}
+            elif op in BINARY:
+                value, form = self._two(op, values[left], values[right], forms[left], forms[right])
+            else:
+                value = n.neg(values[left]) if op == L.NEG else n.of(op, values[left])
+                form = {}
+                if forms[left]:
+                    slope = -1.0 if op == L.NEG else self._slope(op, values[left], value)
+                    form = {k: n.mul(slope, x) for k, x in forms[left].items()}
+            values.append(value)
+            forms.append(form)
+        at = tape.outputs[which]
+        return values[at], forms[at]
+
+    def sum_of(self, f: Form, by: Num, g: Form, other: Num) -> Form:
+        """by f + other g."""
+        n = self.numbers
+        out = {k: n.mul(by, x) for k, x in f.items()}
+        for k, x in g.items():
+            out[k] = n.add(out.get(k, 0.0), n.mul(other, x))
+        return out
+
+    def _two(self, op: int, a: Num, b: Num, f: Form, g: Form) -> tuple[Num, Form]:
+        n = self.numbers
+        if op in (L.ADD, L.SUB):
+            sign = 1.0 if op == L.ADD else -1.0
+            return (n.add if op == L.ADD else n.sub)(a, b), self.sum_of(f, 1.0, g, sign)
+        if op == L.MUL:
+            return n.mul(a, b), self.sum_of(f, b, g, a)
+        value = 0.0 if op == L.DIV and isinstance(a, float) and a == 0.0 else n.of(op, a, b)
+        if op in (L.AT, L.NEAREST, L.LOOKUP):
+            return value, self._nearest(op, value, f, g)
+        if not f and not g:
+            return value, {}
+        if op == L.DIV:
+            by = n.of(L.DIV, 1.0, b)
+            return value, self.sum_of(f, by, g, n.neg(n.mul(value, by)))
+        if op == L.POW:
+            slope = n.mul(b, n.of(L.POW, a, n.sub(b, 1.0)))
+            return value, self.sum_of(f, slope, g, n.mul(value, n.of(L.LOG, a)) if g else 0.0)
+        if op == L.HYPOT:
+            return value, self.sum_of(f, n.of(L.DIV, a, value), g, n.of(L.DIV, b, value))
+        square = n.add(n.mul(a, a), n.mul(b, b))
+        return value, self.sum_of(f, n.of(L.DIV, b, square), g, n.neg(n.of(L.DIV, a, square)))
+
+    def _nearest(self, op: int, place: Any, f: Form, g: Form) -> Form:
+        """The rate of the parameter of a nearest point; before it, the rates of x and y by which of them it is."""
+        n, build = self.numbers, self.builder
+        if op == L.LOOKUP:
+            return {}
+        if op == L.AT:
+            return f | {(len({i for i, _ in f}), k): x for k, x in g.items()}
+        rates, out = build.rates_of(place), {}
+        for i, key, x in [*((*k, x) for k, x in f.items()), *((2, k, x) for k, x in g.items())]:
+            known = build._constant(rates[i])
+            out[key] = n.add(out.get(key, 0.0), n.mul(rates[i] if known is None else known, x))
+        return out
+
+    def _slope(self, op: int, x: Num, y: Num) -> Num:
+        """The derivative of y = f(x)."""
+        place = self.builder.unary(op, self.numbers.place(x))
+        nodes = self.builder._nodes
+        slope = nodes[place - len(self.builder.inputs)][2]
+        known = self.builder._constant(slope)
+        return slope if known is None else known
+
+    def finish(self) -> tuple[Tape, np.ndarray]:
+        """The tape, and row and velocity of each of its outputs."""
+        tape = self.builder.finish([self.numbers.place(x) for _, _, x in self.entries])
+        places = np.array([(row, column) for row, column, _ in self.entries], dtype=np.int64)
+        return tape, places.reshape(-1, 2)
+
+
+class Seen:
+    """Numbers of the pose of b seen from a by name, and their rates, as they are asked for."""
+
+    def __init__(self, recorder: Recorder, a: tuple, b: tuple):
+        self.recorder, self.a, self.b = recorder, a, b
+        self._ends: tuple[Pose, Pose] | None = None
+
+    def __call__(self, name: str) -> tuple[Num, Form]:
+        """A number of the pose and its rate."""
+        n = self.recorder.numbers
+        if self._ends is None:
+            self._ends = self.recorder.end(self.a), self.recorder.end(self.b)
+        A, B = self._ends
+        if len(name) == 1:
+            away = [n.sub(B.p[i], A.p[i]) for i in range(3)]
+            return n.dot(A.column(PLACE[name]), away), {PLACE[name]: 1.0}
+        i, j = PLACE[name[0]], PLACE[name[1]]
+        entry = lambda k: n.dot(A.column(k), B.column(j))  # noqa: E731
+        y, z = (i + 1) % 3, (i + 2) % 3  # the rate of an axis is w x axis
+        return entry(i), {3 + y: entry(z), 3 + z: n.neg(entry(y))}

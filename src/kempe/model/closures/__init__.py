@@ -1,0 +1,1 @@
+"""Loop closures and declared constraints, as rows for the kernels."""

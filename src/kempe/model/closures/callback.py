@@ -1,0 +1,94 @@
+"""Python functions as kernels call them."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.constraints.equations import Call
+    from kempe.model.system import System
+
+STEP = 1e-3
+"""Step of differences, in units of the velocities."""
+WEIGHTS = ((1, 45.0 / 60.0), (2, -9.0 / 60.0), (3, 1.0 / 60.0))
+"""Central differences of six points: their error is of the sixth order of the step (Fornberg, 1988)."""
+
+
+class Callback:
+    """A function of q (nq,) that gives values (rows,) and derivatives (rows, n), as kernels call it.
+
+    `alone` gives the values only. What it raises is kept in `error`, for no exception passes through a kernel. `scale`
+    (nv,) are the units of the velocities, `support` the n of them that it depends on, by default all. See
+    `kempe.model.closures.frame_constraints.Function`.
+    """
+
+    def __init__(
+        self, system: System, rows: int, function: Callable[[Array], tuple[Any, Array]],
+        support: Sequence[int] | None = None, alone: Callable[[Array], Any] | None = None,
+    ):  # fmt: skip
+        number = ctypes.POINTER(ctypes.c_double)
+        kind = ctypes.CFUNCTYPE(None, number, number, number, ctypes.c_int64)
+        self.rows, self.error, self.scale = rows, None, np.ones(system.nv)
+        self.support = tuple(range(system.nv)) if support is None else tuple(support)
+        nq, own, shape = system.nq, list(self.support), (len(self.support), rows)
+
+        def work(q: Any, value: Any, columns: Any, flag: int) -> None:
+            out = np.ctypeslib.as_array(value, (rows,))
+            out[:] = np.nan  # what stays where it raises
+            with self:
+                x = np.ctypeslib.as_array(q, (nq,)).copy()
+                if alone is not None and not flag:
+                    out[:] = alone(x)
+                    return
+                found, J = function(x)
+                if shape[0]:
+                    np.ctypeslib.as_array(columns, shape)[:] = (J * self.scale[own]).T
+                out[:] = found
+
+        self._kept = kind(work)
+        self.address = int(ctypes.cast(self._kept, ctypes.c_void_p).value or 0)
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool:
+        self.error = self.error or error
+        return True
+
+    @classmethod
+    def of_call(cls, system: System, call: Call, rows: Sequence[int], numbers: Mapping[str, float]) -> Callback:
+        """Some numbers of a function of named coordinates; derivatives by differences."""
+        first, followers = system.structure.coordinates.first, system.structure.couplings
+        read: dict[str, tuple[int, float, float]] = {}
+        for name in (n for n in call.of if n not in numbers):
+            f = followers.get(name)
+            source, multiplier, offset = (name, 1.0, 0.0) if f is None else (f.source, f.multiplier, f.offset)
+            read[name] = (-1 if source is None else first[source][0], multiplier, offset)
+        places = {i: v for i, v in first.values()}
+        used = list(dict.fromkeys(i for i, _, _ in read.values() if i >= 0))
+        own = list(rows)
+
+        def values(q: Array) -> Array:
+            given = {n: m * (q[i] if i >= 0 else 0.0) + offset for n, (i, m, offset) in read.items()}
+            return call({**numbers, **given})[own]
+
+        def both(q: Array) -> tuple[Array, Array]:
+            found, J = values(q), np.empty((len(own), len(used)))
+            for k, i in enumerate(used):
+                unit, x, total = STEP * made.scale[places[i]], q[i], np.zeros(len(own))
+                for n, weight in WEIGHTS:
+                    q[i] = x + n * unit
+                    total += weight * values(q)
+                    q[i] = x - n * unit
+                    total -= weight * values(q)
+                q[i] = x
+                J[:, k] = total / unit
+            return found, J
+
+        made = cls(system, len(own), both, [places[i] for i in used], values)
+        return made

@@ -1,0 +1,188 @@
+"""Declared constraints as ties for the kernels: their rows of position, with ends on rows of the table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.constraints.base import Constraint, Op, Row, held, numbers_in, one_sided
+from kempe.constraints.builder import Builder
+from kempe.constraints.placed import LEAST
+from kempe.constraints.tape import POSE, TIME, Tape
+from kempe.constraints.text import from_text
+from kempe.description.constrain import resolved
+from kempe.description.parts import Declared
+from kempe.errors import InputError
+from kempe.kernels.constraints import loop_layout as L
+from kempe.kernels.constraints import tape_layout as TL
+from kempe.model.closures.callback import Callback
+from kempe.model.closures.frame_constraints import Recorded, Tie
+from kempe.model.tree.primitive_table import Table
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+TURNS = {Op.ROTATION: {2: L.ANGLE, 3: L.FULL}, Op.TILT: {2: L.ALIGN, 3: L.ALIGN}, Op.LOOK: {2: L.LOOK, 3: L.LOOK}}
+"""What of the rotation a row holds, by the dimension."""
+
+End = tuple[int, np.ndarray, bool]
+"""A row of the table, the pose on it, whether it is a particle."""
+
+
+def declared_ties(system: System, table: Table, one_sided: bool = False) -> list[Tie]:
+    """The ties of all declared constraints whose rows hold at a value, or with `one_sided` between two, too."""
+    every = (t for c in system.mechanism.constraints.values() for t in ties_of(system, table, c))
+    return [t for t in every if one_sided or not t.bounds]
+
+
+def ties_of(system: System, table: Table, declared: Declared) -> list[Tie]:
+    """The ties of a declared constraint, one-sided ones with their bounds."""
+    made = resolved(declared, system.mechanism.parameters, system.dim)
+    return every_tie(system, declared.name, made, *ends_of(system, table, declared))
+
+
+def ends_of(system: System, table: Table, declared: Declared) -> tuple[End, End]:
+    """Frames A and B of a declared constraint; the ground twice for one of coordinates."""
+    if not declared.parent:
+        return (-1, np.eye(4), False), (-1, np.eye(4), False)
+    ends = ((declared.parent, declared.child), declared.frames(system.mechanism.parameters, system.dim))
+    a, b = ((row, X @ E, particle) for (row, X, particle), E in ((table.at[n], E) for n, E in zip(*ends, strict=True)))
+    return a, b
+
+
+def ties(name: str, made: Constraint, dim: int, a: End, b: End, given: bool = False) -> Iterator[Tie]:
+    """The ties of the rows of position between two ends, as few as can hold them; `given` as in `plain_rows`."""
+    rows = plain_rows(made, dim, given)
+    for sided in (False, True):
+        own = [r for r in rows if one_sided(made, r) == sided]
+        axes = [r for r in own if r.op is Op.POINT]
+        turns = next((TURNS[r.op][dim] for r in own if r.op in TURNS), L.NO_TURN)
+        bounds = tuple(between(made, r) for r in axes) if sided else ()
+        look = turns == L.LOOK and bool(axes)  # which is towards the origin of A
+        if axes or turns != L.NO_TURN:
+            mask, there = sum(1 << r.args[0] for r in axes), np.eye(4)
+            there[[r.args[0] for r in axes], 3] = [value_of(made, r) for r in axes]
+            A = (a[0], a[1] @ there, a[2]) if there[:3, 3].any() else a
+            yield Tie(name, A, b, mask, L.NO_TURN if look else turns, bounds=bounds)
+        if look:
+            yield Tie(name, a, b, turns=turns)
+        for row in (r for r in own if r.op is Op.DISTANCE):
+            number = 0.0 if sided else value_of(made, row)
+            yield Tie(name, a, b, turns=L.DISTANCE, number=number, bounds=(between(made, row),) if sided else ())
+        for tape, unit in dict.fromkeys((r.args[0], r.unit) for r in own if r.op is Op.TAPE):
+            alike = [r for r in own if r.op is Op.TAPE and (r.args[0], r.unit) == (tape, unit)]
+            bounds = tuple(between(made, r) for r in alike) if sided else ()
+            recording = recorded(made, alike, dim, given)
+            yield Tie(name, a, b, turns=L.TAPE, bounds=bounds, tape=recording, given=bool(recording.given))
+
+
+def plain_rows(made: Constraint, dim: int, given: bool = False) -> list[Row]:
+    """The rows of position, of which some become expressions that are to be zero, or not negative.
+
+    These are values of expressions, and, where numbers are `given` with each call, all values, and ends that differ
+    from target to target. Errors: `InputError` for rows that have no number.
+    """
+    out: list[Row] = []
+    for row in made.rows(dim):
+        if row.velocity:
+            continue
+        value, sided = held(made, row), one_sided(made, row)
+        if row.op is Op.COORDINATE or ((value or sided) and (row.op in TURNS or (value and row.op is Op.CALL))):
+            raise InputError(f"the row {row.name!r} of {made.label} is no number that has a value or ends")
+        ends = {value: "equal"} if value else {n: side for n, side in ((row.low, "low"), (row.high, "high")) if n}
+        ends = {n: side for n, side in ends.items() if getattr(made, n) is not None}
+        varied = given and any(np.ndim(getattr(made, n)) > (row.part is not None) for n in ends)
+        if not (varied or (value and (given or row.op is Op.TAPE))):
+            out.append(row)
+            continue
+        if row.op not in AS_TEXT and row.op is not Op.TAPE:
+            raise InputError(f"{made.label} is the same for all targets: its ends cannot differ from target to target")
+        tape, k = row.args if row.op is Op.TAPE else (from_text(AS_TEXT[row.op], POSE), row.args[0] if row.args else 0)
+        for name, side in ends.items():
+            end = name if row.part is None else f"{name}[{row.part}]"
+            off = _off(tape, k, end, side == "high", (*POSE, *made.reads))
+            out.append(Row(Op.TAPE, (off, 0), row.name, row.unit, low="zero" if sided else ""))
+    return out
+
+
+AS_TEXT = {Op.POINT: ("x", "y", "z"), Op.DISTANCE: (f"sqrt(x^2 + y^2 + z^2 + {LEAST})",)}
+"""Rows of a pose as expressions."""
+
+
+@lru_cache(maxsize=256)
+def _off(tape: Tape, output: int, end: str, turned: bool, varying: tuple[str, ...]) -> Tape:
+    """How far an output is above an end, which is an input; `turned`: below. All but `varying` is constant."""
+    inputs = list(dict.fromkeys([*tape.inputs, end]))
+    build = Builder(inputs, [n for n in inputs if n not in varying])
+    value = build.replayed(tape.part([output]), [build.inputs.index(n) for n in tape.inputs])[0]
+    place = build.inputs.index(end)
+    return build.finish([build.binary(TL.SUB, *((place, value) if turned else (value, place)))])
+
+
+def every_tie(system: System, name: str, made: Constraint, a: End, b: End, given: bool = False) -> list[Tie]:
+    """As `ties`, with functions, too, over coordinates that are in q."""
+    found = list(ties(name, made, system.dim, a, b, given))
+    for sided in (False, True):
+        own = [r for r in made.rows(system.dim) if r.op is Op.CALL and one_sided(made, r) == sided]
+        for what in dict.fromkeys(r.args[0] for r in own):
+            alike = [r for r in own if r.args[0] == what]
+            bounds = tuple(between(made, r) for r in alike) if sided else ()
+            numbers, which = numbers_of(made), [r.args[1] for r in alike]
+            bound = getattr(what, "callback", None)  # a function of the whole configuration
+            call = bound(which) if bound else Callback.of_call(system, what, which, numbers)
+            found.append(Tie(name, a, b, turns=L.FUNCTION, bounds=bounds, function=call))
+    sources = {n: (f.source, f.multiplier, f.offset) for n, f in system.structure.couplings.items()}
+    return [t if t.tape is None else replace(t, tape=t.tape.over(sources)) for t in found]
+
+
+def recorded(made: Constraint, rows: list[Row], dim: int, given: bool = False) -> Recorded:
+    """Rows of one expression, with the constraint's numbers put in; `given`: those of its fields come with the call."""
+    tape = rows[0].args[0].part([r.args[1] for r in rows])
+    own = {n: input_of(made, n) for n in tape.inputs if n.partition("[")[0] in _own(made, dim)}
+    numbers = numbers_of(made) | ({TIME: 0.0} if getattr(made, "time", False) else {}) | own
+    fixed = {k: x for k, x in numbers.items() if k in tape.inputs and not (given and k in own)}
+    names, unit, posed = tuple(r.name for r in rows), rows[0].unit, made.ends[1] is not None
+    return Recorded(tape.fixed(fixed) if fixed else tape, names, unit, posed, tuple(own) if given else ())
+
+
+def _own(made: Constraint, dim: int) -> set[str]:
+    """The fields whose numbers expressions read."""
+    ends = {n for r in made.rows(dim) for n in (r.equal, r.low, r.high)}
+    return {*numbers_in(made), *ends} - {"", *made.reads}
+
+
+def value_of(made: Constraint, row: Row) -> float:
+    """What a row is held at."""
+    return float(number_of(made, name, row.part)) if (name := held(made, row)) else 0.0
+
+
+def number_of(made: Constraint, field: str, part: int | None = None) -> Any:
+    """What a field gives, or one of several numbers that it holds."""
+    x = getattr(made, field)
+    return x if part is None or np.ndim(x) == 0 else np.asarray(x)[..., part]
+
+
+def input_of(made: Constraint, name: str) -> Any:
+    """What a field gives for an input of an expression: "low", or "low[1]" for one of several numbers."""
+    field, _, part = name.partition("[")
+    return number_of(made, field, int(part[:-1]) if part else None)
+
+
+def numbers_of(made: Constraint) -> dict[str, float]:
+    """The numbers of a constraint, parameters among them, by the names that expressions have for them."""
+    own = {k: x for k, x in numbers_in(made).items() if x is not None and np.ndim(x) == 0 and not isinstance(x, str)}
+    given = {**(getattr(made, "parameters", None) or {}), **own}
+    return {k: float(x) for k, x in given.items() if k not in made.reads}
+
+
+def between(made: Constraint, row: Row) -> tuple[float, float]:
+    """Between what a one-sided row holds."""
+    ends = (number_of(made, field, row.part) if field else None for field in (row.low, row.high))
+    low, high = (infinity if x is None else float(x) for x, infinity in zip(ends, (-np.inf, np.inf), strict=True))
+    if np.isnan(low) or np.isnan(high):
+        raise InputError(f"{made.label} holds between {low} and {high}; these must be numbers")
+    return low, high

@@ -1,0 +1,180 @@
+"""Ties: what holds one frame in another, or coordinates; `loop_plan` packs them for the kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from kempe.constraints.builder import substituted
+from kempe.constraints.tape import POSE, Tape
+from kempe.description.parts import Joint
+from kempe.kernels.constraints import loop_layout as L
+from kempe.model.tree.coordinates import Relation
+
+TURN_NAMES = {
+    L.NO_TURN: (), L.ANGLE: ("rz",), L.ALIGN: ("rx", "ry"), L.CROSS: ("x.y",), L.FULL: ("rx", "ry", "rz"),
+    L.LOOK: ("rx", "ry"),
+}  # fmt: skip
+ONE_ROW = {L.DISTANCE: "distance", L.LINEAR: "relation"}
+
+
+class Function(Protocol):
+    """A function of q in compiled form: `address` of void(double* q, double* value, double* columns, int64 flag).
+
+    It writes its `rows` values at q, and with the flag the columns (n, rows) of its Jacobian in scaled velocities.
+    """
+
+    rows: int
+    address: int
+    scale: np.ndarray
+    """Units (nv,) of the velocities: radians, or the length that equations are measured in."""
+    support: tuple[int, ...]
+    """The velocities that it depends on: its columns."""
+    error: BaseException | None
+    """What it raised."""
+
+
+@dataclass(frozen=True, eq=False)
+class Centre:
+    """A centre of masses whose sum is 1: for each row of the table (n, 4) mass and first moment in its axes.
+
+    `rest` (3,) is the first moment of what stands on the ground.
+    """
+
+    rows: np.ndarray
+    rest: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Rows that are outputs of a recorded expression: of the pose of B in A (where `posed`), else of coordinates.
+
+    Inputs that start with no other meaning are coordinates by name.
+    """
+
+    tape: Tape
+    names: tuple[str, ...]
+    unit: str
+    posed: bool
+    given: tuple[str, ...] = ()
+    """Inputs that are numbers of the call."""
+
+    def input(self, name: str) -> int:
+        """What an input is, as `loop_layout` says."""
+        if name in self.given:
+            return L.GIVEN
+        return L.PLACE + POSE.index(name) if self.posed and name in POSE else L.COORDINATE
+
+    @property
+    def moved(self) -> bool:
+        """Whether it depends on the pose."""
+        return any(self.input(n) < L.COORDINATE for n in self.tape.inputs)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """The coordinates that it depends on."""
+        return tuple(n for n in self.tape.inputs if self.input(n) == L.COORDINATE)
+
+
+    def over(self, sources: Mapping[str, tuple[str | None, float, float]]) -> Recorded:
+        """The same where coordinates follow others: source, multiplier, offset."""
+        return replace(self, tape=substituted(self.tape, {n: sources[n] for n in self.coordinates if n in sources}))
+
+
+@dataclass(frozen=True, eq=False)
+class Tie:
+    """One constraint: what it is called, its frames (row, placement, particle), what it holds of B in A, a number."""
+
+    name: str
+    a: tuple[int, np.ndarray, bool]
+    b: tuple[int, np.ndarray, bool]
+    mask: int = 0
+    turns: int = L.NO_TURN
+    number: float = 0.0
+    relation: Relation | None = None
+    pin: bool = False
+    joint: Joint | None = None
+    """The joint whose coordinates are read off where B is in A."""
+    given: bool = False
+    """Whether its number, or its four of a quaternion, come with the call."""
+    bounds: tuple[tuple[float, float], ...] = ()
+    """For each row, in metres or radians, between what it is held; without them at zero."""
+    centre: Centre | None = None
+    """In place of frame B."""
+    own: int = -1
+    """The velocity coordinate that an OWN tie holds, the first of a `ball`."""
+    ball: bool = False
+    function: Function | None = None
+    tape: Recorded | None = None
+
+    @property
+    def written(self) -> bool:
+        """Whether its equations are an expression or a function."""
+        return self.tape is not None or self.function is not None
+
+    @property
+    def plain(self) -> bool:
+        """Whether its equations are plain numbers, neither metres nor radians of a pose."""
+        return self.relation is not None or self.function is not None or (
+            self.tape is not None and self.tape.unit not in ("m", "rad"))  # fmt: skip
+
+    @property
+    def rows(self) -> list[str]:
+        """Names of its equations."""
+        if self.turns in ONE_ROW:
+            return [ONE_ROW[self.turns]]
+        if self.tape is not None:
+            return list(self.tape.names)
+        if self.function is not None:
+            return [str(i) for i in range(self.function.rows)]
+        if self.turns == L.OWN:
+            return ["rx", "ry", "rz"] if self.ball else ["value"]
+        return [x for i, x in enumerate("xyz") if self.mask >> i & 1] + list(TURN_NAMES[self.turns])
+
+
+@dataclass(frozen=True, eq=False)
+class Loops:
+    """The ties of a system, packed. `ints` and `floats` are its table; the other arrays are as in `loop_layout`."""
+
+    ties: tuple[Tie, ...]
+    names: tuple[tuple[str, str], ...]
+    """For each equation the name of its tie and what it is of it."""
+    ints: np.ndarray
+    floats: np.ndarray
+    plan: np.ndarray
+    weights: np.ndarray
+    unknown: np.ndarray
+    """Velocity coordinates (k,) that are solved for."""
+    length: float
+    origin: np.ndarray
+    """Where (3,) the origin of the table is in the ground: pins are placed from there."""
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The unit of each equation: "m", "rad", or that of an expression."""
+        at = int(self.plan[L.AT_TIES]) + L.LENGTHS
+        lengths = self.plan[at : at + L.TIE_INTS * len(self.ties) : L.TIE_INTS].tolist()
+        return tuple("m" if i < n else "rad" if t.tape is None else t.tape.unit
+                     for t, n in zip(self.ties, lengths, strict=True) for i in range(len(t.rows)))  # fmt: skip
+
+    @cached_property
+    def functions(self) -> tuple[Function, ...]:
+        """The Python functions among its ties."""
+        return tuple(t.function for t in self.ties if t.function is not None)
+
+    def check(self) -> None:
+        """Raise what a function raised when a kernel called it."""
+        for f in self.functions:
+            if f.error is not None:
+                error, f.error = f.error, None
+                raise error
+
+    def columns(self, k: int) -> list[int]:
+        """Velocity coordinates that tie k depends on."""
+        tie = self.plan[self.plan[L.AT_TIES] + L.TIE_INTS * k :]
+        at = int(self.plan[L.AT_LOCALS] + tie[L.LOCAL])
+        return self.plan[at : at + int(tie[L.LOCALS])].tolist()

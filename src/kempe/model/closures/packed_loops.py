@@ -1,0 +1,239 @@
+"""Loops as data: what ties which frames together over which coordinates, packed for the kernels.
+
+A *tie* is one constraint between two frames A and B: a joint that the tree left out, a declared constraint, a frame
+held in place (a pin), or a linear relation of coordinates. A joint that the tree left out is tied in one of two forms.
+*Reduced*, A is its frame F and B its frame M, held as the joint holds them; its own coordinates are read off
+afterwards. *Carried*, A is led on through the joint's own motion, and coincides with B; its coordinates are unknowns
+like all others. So a coordinate that is known, limited or coupled needs nothing special, and neither does a joint type
+that has no reduced form (`kempe.model.closures.reduced`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.description.parts import Joint
+from kempe.kernels.constraints import loop_layout as L
+from kempe.model.closures.constraint_program import declared_ties
+from kempe.model.closures.frame_constraints import Centre, Function, Loops, Tie
+from kempe.model.closures.loop_plan import Plan, moving
+from kempe.model.closures.reduced import Reduced, reduced, slides_along_z
+from kempe.model.kept import kept
+from kempe.model.tree.characteristic_length import characteristic_length, moved, origin_of
+from kempe.model.tree.primitive_table import Table, lower
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+__all__ = ["Centre", "Function", "Loops", "Tie", "characteristic_length", "loops_of", "must_carry", "pack"]
+
+Places = dict[str, tuple[int, int]]
+"""For each coordinate by name its place in q, and in the velocities."""
+TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FULL}
+
+
+def must_carry(system: System, known: Iterable[str] = ()) -> frozenset[str]:
+    """The joints left out of the tree that are carried: without a reduced form, or known, limited or coupled ones."""
+    related = {n for r in system.structure.relations for n in (r.of, *r.sources)} | set(known)
+    related |= {n for c in system.mechanism.constraints.values() for n in c.of.reads}
+    related |= {f.source for f in system.structure.couplings.values() if f.source is not None}  # others move with them
+    v_index = {n: i for i, n in enumerate(system.structure.velocity_names)}
+    limited = np.isfinite(system.lower) | np.isfinite(system.upper)
+    out = set()
+    for name in system.structure.closures:
+        names = system.structure.coordinates_of_joint(name)
+        none = _reduced(system, system.structure.joints[name]) is None
+        if none or any(
+            c in system.structure.couplings or c in related or (c in v_index and limited[v_index[c]]) for c in names
+        ):
+            out.add(name)
+    return frozenset(out)
+
+
+def loops_of(
+    system: System, carried: frozenset[str], held: frozenset[str] = frozenset(),
+    pins: tuple[tuple[str, bool], ...] = (), length: float | None = None, one_sided: bool = False,
+) -> Loops:  # fmt: skip
+    """The packed loops of a system; with `one_sided` those declared constraints, too, that hold between bounds.
+
+    `carried` names the left-out joints to carry, `held` the velocity coordinates that are no unknowns, `pins` the
+    frames that are held in place (with their orientation where the flag says so). Equations and unknowns are scaled by
+    `length` (default: the characteristic length); with length 1 they are in metres.
+    """
+    return _packed(system, carried, held, pins, length, one_sided)
+
+
+@kept
+def _packed(
+    system: System, carried: frozenset[str], held: frozenset[str], pins: tuple[tuple[str, bool], ...],
+    length: float | None, one_sided: bool,
+) -> Loops:  # fmt: skip
+    return pack(system, carried, held, pins, length, one_sided=one_sided)
+
+
+def pack(
+    system: System, carried: frozenset[str], held: frozenset[str] = frozenset(),
+    pins: tuple[tuple[str, bool], ...] = (), length: float | None = None,
+    further: Callable[[Table], list[Tie]] | None = None, wide: np.ndarray | None = None,
+    level: Callable[[Tie], int] | None = None, one_sided: bool = False,
+) -> Loops:  # fmt: skip
+    """As `loops_of`, but packed anew, and with `further` ties over the rows of the table that it is given.
+
+    `wide` (nv,) marks angles whose limits do not count, for whole turns lead back into them. Ties of a lower `level`
+    stand before others, so that of rows that depend on each other the later ones yield.
+    """
+    mechanism = system.mechanism
+    table = lower(
+        mechanism,
+        system.structure.topology,
+        system.structure.coordinates,
+        mechanism.parameters,
+        {n: n in carried for n in system.structure.closures},
+    )
+    size, origin = characteristic_length(system) if length is None else length, origin_of(system)
+    if origin.any():
+        table = moved(table, -origin)
+    ties = _ties(system, table, carried, pins, one_sided) + (further(table) if further else [])
+    ties, first = [t for t in ties if t.rows or t.joint], system.structure.coordinates.first
+    ties = _by_level(ties, table, level, first) if level else _in_order(ties, table, first)
+    at = dict(table.at)
+    for k, tie in enumerate(ties):
+        at["tie", k, 0], at["tie", k, 1] = tie.a, tie.b
+    table = replace(table, at=at)
+    every = range(len(table.kind)) if any(t.centre for t in ties) else None  # a centre is moved by all that has mass
+    ints, floats = table.pack([("tie", k, end) for k in range(len(ties)) for end in (0, 1)], every)
+    plan, weights = Plan(system, ties, ints, held, size, length is None, wide).arrays()
+    for tie in ties:
+        if tie.function is not None:
+            tie.function.scale = weights[L.SCALES : L.SCALES + system.nv]
+    names = tuple((t.name, row) for t in ties for row in t.rows)
+    unknown = np.array([i for i, n in enumerate(system.structure.velocity_names) if n not in held], dtype=np.int64)
+    return Loops(tuple(ties), names, ints, floats, plan, weights, unknown, size, origin)
+
+
+# ---- what is tied
+
+
+def held_ties(system: System, table: Table) -> list[Tie]:
+    """All that holds positions: joints that the tree left out, carried, declared constraints, one-sided ones too.
+
+    `table` has the frames of these joints, led on through their motion.
+    """
+    return _ties(system, table, frozenset(system.structure.closures), (), True)
+
+
+def _ties(
+    system: System, table: Table, carried: frozenset[str], pins: tuple[tuple[str, bool], ...], one_sided: bool
+) -> list[Tie]:  # fmt: skip
+    mechanism = system.mechanism
+    ties = [_of_joint(system, table, mechanism.joints[n], n in carried) for n in system.structure.closures]
+    ties += declared_ties(system, table, one_sided)
+    ground = (-1, np.eye(4), False)
+    for relation in system.structure.relations:
+        ties.append(Tie(relation.of, ground, ground, turns=L.LINEAR, number=relation.offset, relation=relation))
+    for frame, turned in pins:
+        mask = _mask("xyz"[: system.dim])
+        turns = L.NO_TURN if not turned else L.ANGLE if system.dim == 2 else L.FULL
+        ties.append(Tie(frame, ground, table.at[frame], mask, turns, pin=True))
+    return ties
+
+
+def _flat(end: tuple, of: tuple, table: Table) -> tuple:
+    """The end turned so that x is what was z of `of`, and z the plane's normal: a slide of the plane is along z."""
+    z = _normal(of, table)
+    x = np.array([0.0, 0.0, 1.0])
+    C = np.eye(4)
+    C[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    return end[0], end[1] @ C, end[2]
+
+
+def _normal(end: tuple, table: Table) -> np.ndarray:
+    """The normal of the plane of a planar system, in axes of a frame: the same in all configurations."""
+    z, way, row = np.array([0.0, 0.0, 1.0]), [end[1]], end[0]
+    while row >= 0:
+        way.append(table.placement[row])
+        row = int(table.parent[row])
+    for X in reversed(way):
+        z = X[:3, :3].T @ z
+    return z
+
+
+def _of_joint(system: System, table: Table, joint: Joint, carried: bool) -> Tie:
+    """The tie of a joint that the tree left out."""
+    a, b = table.at[joint.name, "F"], table.at[joint.name, "M"]
+    if slides_along_z(joint.type, system.dim, b[2]):
+        a, b = _flat(a, b, table), _flat(b, b, table)
+    if carried:
+        turns = "" if b[2] else "z" if system.dim == 2 else "xyz"
+        return Tie(joint.name, a, b, _mask("xyz"[: system.dim]), TURNS[turns])
+    form = _reduced(system, joint)
+    assert form is not None, f"joint {joint.name!r} must be carried"
+    return Tie(joint.name, a, b, _mask(form.position), TURNS[form.turns], joint=joint)
+
+
+def _reduced(system: System, joint: Joint) -> Reduced | None:
+    return reduced(joint.type, system.dim, system.mechanism.bodies[joint.child].particle)
+
+
+def _mask(axes: str) -> int:
+    """The bits of some axes."""
+    return sum(1 << "xyz".index(a) for a in axes)
+
+
+def _in_order(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
+    """The ties so that those that share coordinates are near each other: it keeps the envelope of J J^T small."""
+    if len(ties) < 8:
+        return ties
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    users: dict[int, list[int]] = {}
+    for k, tie in enumerate(ties):
+        for v in _movers(tie, table, first):
+            users.setdefault(v, []).append(k)
+    pairs = [(i, j) for use in users.values() for i in use for j in use]
+    if not pairs:
+        return ties
+    i, j = np.array(pairs).T
+    graph = csr_matrix((np.ones(len(pairs)), (i, j)), shape=(len(ties), len(ties)))
+    return [ties[k] for k in reverse_cuthill_mckee(graph, symmetric_mode=True)]
+
+
+def _by_level(ties: list[Tie], table: Table, level: Callable[[Tie], int], first: Places) -> list[Tie]:
+    """The ties in the order of levels, each in an order of its own, so that it is the same without the last level.
+
+    Those of the last level that hold one coordinate each stand before the first other one that it moves: this keeps the
+    envelope small.
+    """
+    last = max(level(t) for t in ties)
+    loose = [t for t in ties if t.own >= 0 and level(t) == last]
+    groups = [[t for t in ties if level(t) == n and t not in loose] for n in sorted({level(t) for t in ties})]
+    out: list[Tie] = []
+    for tie in (t for group in groups for t in _in_order(group, table, first)):
+        moved_by = _movers(tie, table, first)
+        out += [*(t for t in loose if t.own in moved_by), tie]
+        loose = [t for t in loose if t.own not in moved_by]
+    return out + loose
+
+
+def _movers(tie: Tie, table: Table, first: Places) -> set[int]:
+    """Velocity coordinates that a tie shares with others; a relation is said to have none."""
+    if tie.own >= 0:
+        return {tie.own}
+    if tie.function is not None:
+        return set(tie.function.support)
+    if tie.centre is not None:
+        return set(table.iv.tolist())
+    if tie.tape is not None:
+        own = {first[name][1] for name in tie.tape.coordinates}
+        return own | (_between(tie, table) if tie.tape.moved else set())
+    return _between(tie, table)
+
+
+def _between(tie: Tie, table: Table) -> set[int]:
+    """Velocity coordinates that move B against A."""
+    return {int(table.iv[row]) for _, row in moving(tie.a[0], tie.b[0], table.parent)}

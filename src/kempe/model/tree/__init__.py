@@ -1,0 +1,1 @@
+"""The spanning tree: bodies, coordinates, and the table of primitive motions."""

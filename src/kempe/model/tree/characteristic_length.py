@@ -1,0 +1,83 @@
+"""How large a mechanism is and where it stands: what tolerances, and the digits of its loops, are measured by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.joints import Fixed
+from kempe.model.tree.own_tree import own_tree
+from kempe.model.tree.primitive_table import Table
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+NOTHING = 1e-12
+"""Lengths, in metres, that are nobody's link."""
+SHORT = 1e-6
+"""Links shorter than this part of the longest but one are offsets by which axes miss each other, and not typical."""
+FAR = 10.0
+"""Characteristic lengths from the ground's origin to its joints beyond which loops are measured from there."""
+
+
+def characteristic_length(system: System) -> float:
+    """A typical length of a link in metres; 1 if all is 0.
+
+    The median over the links of how far apart their joints are (for two, their distance): it depends neither on where
+    loops are cut nor on where bodies have their origins. Where no link has two, the mean distance of frames from the
+    joint before them.
+    """
+    found = []
+    for points in _links(system).values():
+        spread = float(2.0 * np.sqrt(np.mean(np.sum((points - np.mean(points, axis=0)) ** 2, axis=-1))))
+        if spread > NOTHING * (1.0 + float(np.abs(points).max())):
+            found.append(spread)
+    if found:
+        least = SHORT * sorted(found)[-2:][0]
+        return float(np.median([x for x in found if x > least]))
+    table = own_tree(system).structure.table
+    found = np.linalg.norm(table.placement[..., :3, 3], axis=-1).ravel().tolist()
+    found += [float(np.linalg.norm(np.asarray(X)[..., :3, 3], axis=-1).max()) for _, X, _ in table.at.values()]
+    real = [x for x in found if x > NOTHING * (1.0 + max(found))]
+    return float(np.mean(real)) if real else 1.0
+
+
+def origin_of(system: System) -> np.ndarray:
+    """Where (3,) to measure loops from, so that a mechanism far from the ground's origin loses no digits."""
+    points = _links(system).get(-1, [])
+    center = np.mean(points, axis=0) if len(points) else np.zeros(3)
+    return center if np.linalg.norm(center) > FAR * characteristic_length(system) else np.zeros(3)
+
+
+def moved(table: Table, by: np.ndarray) -> Table:
+    """The table with everything that hangs on the ground moved."""
+    X = np.eye(4)
+    X[:3, 3] = by
+    placement, root = table.placement.copy(), table.parent == -1
+    placement[..., root, :, :] = X @ placement[..., root, :, :]
+    at = {name: (row, X @ pose if row < 0 else pose, particle) for name, (row, pose, particle) in table.at.items()}
+    return replace(table, placement=placement, at=at)
+
+
+def _links(system: System) -> dict[int, list[np.ndarray]]:
+    """For each row of the table (-1 is the ground) where joints and constraints sit on it; fixed joints are none."""
+    system, out = own_tree(system), {}
+    for body, point in _ends(system):
+        row, X, _ = system.structure.table.at[body]
+        out.setdefault(row, []).append(np.asarray(X)[:3, :3] @ point + np.asarray(X)[:3, 3])
+    return out
+
+
+def _ends(system: System) -> Iterator[tuple[str, np.ndarray]]:
+    mechanism = system.mechanism
+    for j in mechanism.joints.values():
+        if not isinstance(j.type, Fixed):
+            yield j.parent, j.X_PF.evaluate(mechanism.parameters)[:3, 3]
+            yield j.child, j.X_CM.evaluate(mechanism.parameters)[:3, 3]
+    for c in (c for c in mechanism.constraints.values() if c.parent):
+        A, B = c.frames(mechanism.parameters, system.dim)
+        yield c.parent, A[:3, 3]
+        yield c.child, B[:3, 3]

@@ -1,0 +1,344 @@
+"""Which joint coordinates make up `q`, and what follows from them by couplings and locks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.constraints.base import Op
+from kempe.constraints.tape import TIME
+from kempe.description.checks import refuse
+from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Joint
+from kempe.errors import InputError, UnknownNameError
+from kempe.joints import P, Primitive, Q, R
+from kempe.model.tree.coordinate_layout import Layout, layout_of
+from kempe.values import Expression, evaluate
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+HELD_TOLERANCE = 1e-9
+"""How far a coordinate that follows a locked one may be outside its limits: rounding of the multiplier."""
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A coordinate that is not in `q`: multiplier * source + offset, or the constant `offset` where source is None."""
+
+    source: str | None
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A linear relation with several sources: the row  q[of] - sum multiplier * q[source] - offset = 0."""
+
+    of: str
+    sources: dict[str, float]
+    offset: float
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """The coordinates of a system in the order of `q` (and of velocities), with their limits and dependencies."""
+
+    names: tuple[str, ...]
+    velocity_names: tuple[str, ...]
+    first: dict[str, tuple[int, int]]
+    followers: dict[str, Follower]
+    relations: tuple[Relation, ...]
+    layout: Layout
+    lower: np.ndarray
+    upper: np.ndarray
+    velocity: np.ndarray
+    turning: np.ndarray
+
+    @cached_property
+    def limits(self) -> np.ndarray:
+        """Lower and upper limits side by side (nv, 2)."""
+        out = np.stack([self.lower, self.upper], axis=-1)
+        out.setflags(write=False)
+        return out
+
+
+def coordinate_names(mechanism: Mechanism, joint: Joint) -> list[str]:
+    """Full names of a joint's coordinates: the joint's name, or 'joint.x' where it has several."""
+    particle = mechanism.bodies[joint.child].particle
+    return [_full(joint.name, c) for c in joint.type.coordinates(mechanism.dim, particle)]
+
+
+def _full(joint: str, coordinate: str) -> str:
+    return f"{joint}.{coordinate}" if coordinate else joint
+
+
+def coordinates_of(mechanism: Mechanism) -> Coordinates:
+    """Coordinate layout of a mechanism. Errors: `DescriptionError` for couplings, locks and limits that do not fit."""
+    balls: set[str] = set()
+    every: dict[str, Joint] = {}
+    taken: dict[str, str] = {}
+    for joint in mechanism.joints.values():
+        particle = mechanism.bodies[joint.child].particle
+        names, primitives = joint.type.layout(mechanism.dim, particle)
+        for name in dict.fromkeys(names + joint.type.velocities(mechanism.dim, particle)):
+            full = _full(joint.name, name)
+            if full in taken:
+                refuse(f"joint {joint.name!r}", f"its coordinate {full!r} has the same name as one of joint "
+                        f"{taken[full]!r}", joint.where, "rename one of the joints")  # fmt: skip
+            taken[full] = joint.name
+        for name in names:
+            every[_full(joint.name, name)] = joint
+        for p in primitives:
+            if p.kind == Q:
+                balls |= {_full(joint.name, n) for n in names[p.coordinate : p.coordinate + 4]}
+    followers, relations = _resolve(mechanism, every, balls)
+    _check_written(mechanism, every, balls)
+    names, velocity_names, first, triples = [], [], {}, []
+    for joint in mechanism.joints.values():
+        particle = mechanism.bodies[joint.child].particle
+        local, primitives = joint.type.layout(mechanism.dim, particle)
+        kinds = {p.coordinate: p.kind for p in primitives}
+        # a screw, or a turn that is geared down, counts as a slide: it returns only by going back
+        kinds |= {p.coordinate: P for p in primitives if p.kind != Q and not _returns(p, 1.0)}
+        for i, name in enumerate(local):
+            full = _full(joint.name, name)
+            if full in followers or i not in kinds:
+                continue
+            size = 4 if kinds[i] == Q else 1
+            first[full] = (len(names), len(velocity_names))
+            triples.append((kinds[i], len(names), len(velocity_names)))
+            names += [_full(joint.name, n) for n in local[i : i + size]]
+            velocity_names += [full] if size == 1 else [_full(joint.name, w) for w in ("wx", "wy", "wz")]
+    layout = layout_of(triples, len(names), len(velocity_names))
+    lower, upper, speed = _limits(mechanism, velocity_names, followers)
+    turning = np.zeros(len(velocity_names), dtype=bool)
+    turning[[iv for kind, _, iv in triples if kind == R]] = True
+    for array in (lower, upper, speed, turning):
+        array.setflags(write=False)
+    return Coordinates(
+        tuple(names), tuple(velocity_names), first, followers, relations, layout, lower, upper, speed, turning
+    )  # fmt: skip
+
+
+def _resolve(
+    mechanism: Mechanism, every: dict[str, Joint], balls: set[str]
+) -> tuple[dict[str, Follower], tuple[Relation, ...]]:
+    """Followers by repeated substitution, without recursion; relations of several sources stay rows."""
+    followers: dict[str, Follower] = {}
+    for name, number in _locks(mechanism, every, balls).items():
+        followers[name] = Follower(None, 0.0, number)
+    pending: dict[str, tuple[dict[str, float], float]] = {}
+    for coupling in mechanism.couplings.values():
+        _check_coupling(mechanism, coupling, every, balls)
+        if coupling.of in followers:
+            said = f"it is locked, but follows {', '.join(coupling.sources)}"
+            refuse(f"coordinate {coupling.of!r}", said, coupling.where, "lock what it follows")
+        sources = {k: float(evaluate(v, mechanism.parameters)) for k, v in coupling.sources.items()}
+        pending[coupling.of] = (sources, float(evaluate(coupling.offset, mechanism.parameters)))
+    relations: list[Relation] = []
+    for of in _in_order(mechanism, pending):
+        sources, offset = pending[of]
+        flat: dict[str, float] = {}
+        for name, factor in sources.items():
+            follower = followers.get(name)
+            if follower is None:
+                flat[name] = flat.get(name, 0.0) + factor
+            else:
+                offset += factor * follower.offset
+                if follower.source is not None:
+                    flat[follower.source] = flat.get(follower.source, 0.0) + factor * follower.multiplier
+        flat = {k: v for k, v in flat.items() if v != 0.0}
+        if not (math.isfinite(offset) and all(map(math.isfinite, flat.values()))):
+            refuse(f"coupling of {of!r}", "its multiplier or offset is not a number", mechanism.couplings[of].where)
+        if len(flat) > 1:
+            relations.append(Relation(of, flat, offset))
+        else:
+            source = next(iter(flat), None)
+            followers[of] = Follower(source, flat[source] if source is not None else 0.0, offset)
+    return followers, tuple(relations)
+
+
+def _check_written(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> None:
+    """Refuse coordinates in equations that do not exist, or that equations cannot read."""
+    for c in (c for c in mechanism.constraints.values() if c.of.reads):
+        reads = [n for n in c.of.reads if n not in mechanism.parameters]
+        operations = {r.op for r in c.of.rows(mechanism.dim)}
+        for name in reads:
+            subject = f"constraint {c.name!r}"
+            if name not in every:
+                allowed = "for the time say time=True" if name == TIME else ""
+                refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), c.where, allowed)
+            if name in balls and Op.VELOCITY not in operations:
+                refuse(subject, PART_OF_BALL.format(name), c.where, OF_BALL)
+        both = [n for n in mechanism.parameters if n in every and n in getattr(c.of, "words", ())]
+        if both:
+            refuse(f"constraint {c.name!r}", f"{both[0]!r} is a coordinate and a parameter", c.where, "rename one")
+
+
+PART_OF_BALL = "{!r} is part of a quaternion, which equations of positions do not read"
+OF_BALL = "use a joint with angles=True, or a constraint on a frame"
+
+
+def check_read(system: System, names: Iterable[str], what: str) -> None:
+    """Refuse coordinates that do not exist or are parts of quaternions. Errors: `UnknownNameError`, `InputError`."""
+    known = [*system.coordinate_names, *system.structure.couplings]
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("coordinate", name, known, what)
+        if name not in system.structure.couplings and name not in system.structure.velocity_names:
+            raise InputError(f"{what}: {PART_OF_BALL.format(name)}: {OF_BALL}")
+
+
+def _in_order(mechanism: Mechanism, pending: dict[str, tuple[dict[str, float], float]]) -> list[str]:
+    """Couplings so that each comes after those it depends on (depth first, by hand). Errors: a cycle, printed."""
+    done: dict[str, bool] = {}
+    order: list[str] = []
+    for start in pending:
+        stack = [(start, iter(pending[start][0]))] if start not in done else []
+        done.setdefault(start, False)
+        while stack:
+            name, sources = stack[-1]
+            for source in sources:
+                if source not in pending or done.get(source):
+                    continue
+                if source in done:
+                    path = [n for n, _ in stack]
+                    cycle = " -> ".join([*path[path.index(source) :], source])
+                    where = mechanism.couplings[source].where
+                    refuse(f"coordinate {source!r}", f"it follows itself: {cycle}", where, "one of them must be free")
+                done[source] = False
+                stack.append((source, iter(pending[source][0])))
+                break
+            else:
+                done[name] = True
+                order.append(name)
+                stack.pop()
+    return order
+
+
+def _check_coupling(mechanism: Mechanism, coupling, every: dict[str, Joint], balls: set[str]) -> None:
+    subject = f"coupling of {coupling.of!r}"
+    for name in (coupling.of, *coupling.sources):
+        if name not in every:
+            refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), coupling.where)
+        if name in balls:
+            said = f"{name!r} is part of a quaternion"
+            refuse(subject, said, coupling.where, "only angles and lengths can be coupled")
+    for v in (*coupling.sources.values(), coupling.offset):
+        if isinstance(v, Expression):
+            for name in v.names:
+                if name not in mechanism.parameters:
+                    refuse(subject, str(UnknownNameError("parameter", name, mechanism.parameters)), coupling.where)
+
+
+def _locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> dict[str, float]:
+    for name, number in mechanism.locks.items():
+        subject = f"lock of {name!r}"
+        if name not in every:
+            refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), None)
+        joint = every[name]
+        if name in balls:
+            missing = [c for c in coordinate_names(mechanism, joint) if c in balls and c not in mechanism.locks]
+            if missing:
+                refuse(subject, f"a quaternion is locked as a whole; missing are {', '.join(missing)}", None)
+            if not any(mechanism.locks[c] for c in coordinate_names(mechanism, joint) if c in balls):
+                refuse(subject, "the quaternion is zero; (1, 0, 0, 0) is no rotation", None)
+        local = name[len(joint.name) + 1 :]
+        lower, upper = joint.limits.get(local, (-math.inf, math.inf))
+        if not lower <= number <= upper:
+            refuse(subject, f"{number:g} is outside the limits [{lower:g}, {upper:g}]", None)
+    return mechanism.locks
+
+
+def _limits(
+    mechanism: Mechanism, velocity_names: list[str], followers: dict[str, Follower]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Limits of the coordinates, those of their followers brought back to them."""
+    index = {n: i for i, n in enumerate(velocity_names)}
+    lower, upper = np.full(len(index), -math.inf), np.full(len(index), math.inf)
+    speed = np.full(len(index), math.inf)
+    setter: list[str] = [""] * len(index)
+    for joint in mechanism.joints.values():
+        for local in joint.type.velocities(mechanism.dim, mechanism.bodies[joint.child].particle):
+            name = _full(joint.name, local)
+            low, high = joint.limits.get(local, (-math.inf, math.inf))
+            fast = joint.velocity_limits.get(local, math.inf)
+            follower = followers.get(name)
+            if follower is None and name not in index:
+                continue  # a locked quaternion
+            if follower is not None:
+                if follower.source is None:
+                    slack = HELD_TOLERANCE * (1.0 + abs(follower.offset))
+                    if not low - slack <= follower.offset <= high + slack:
+                        refuse(f"coordinate {name!r}", f"it is held at {follower.offset:g}, outside its limits "
+                                f"[{low:g}, {high:g}]", joint.where)  # fmt: skip
+                    continue
+                m = follower.multiplier
+                low, high = sorted(((low - follower.offset) / m, (high - follower.offset) / m))
+                name, fast = follower.source, fast / abs(m)
+            i = index[name]
+            before = (lower[i], upper[i])
+            lower[i], upper[i], speed[i] = max(lower[i], low), min(upper[i], high), min(speed[i], fast)
+            if lower[i] > upper[i]:
+                if lower[i] - upper[i] > HELD_TOLERANCE * (1.0 + abs(lower[i])):
+                    _refuse_limits(mechanism.joints[setter[i]], before, joint, (low, high), name, follower is None)
+                lower[i] = upper[i] = before[1] if low > before[1] else before[0]  # they touch, up to rounding
+            if (lower[i], upper[i]) != before:
+                setter[i] = joint.name
+    return lower, upper, speed
+
+
+def _refuse_limits(
+    first: Joint, before: tuple[float, float], second: Joint, now: tuple[float, float], name: str, swap: bool
+):  # fmt: skip
+    """Refuse limits of two joints that one coordinate moves; the one that follows is named as the subject."""
+    a, b = ((first, before), (second, now)) if swap else ((second, now), (first, before))
+    refuse(
+        f"joint {a[0].name!r}",
+        f"its limits leave nothing to {name!r}, which drives it: they ask for {name!r} in [{a[1][0]:g}, {a[1][1]:g}], "
+        f"those of joint {b[0].name!r} for [{b[1][0]:g}, {b[1][1]:g}]", a[0].where, "these must overlap",
+    )  # fmt: skip
+
+
+def relation_text(relation: Relation) -> str:
+    """The relation as an equation."""
+    terms = " + ".join(f"{m:g} {s}" for s, m in relation.sources.items())
+    return f"{relation.of} = {terms}" + (f" + {relation.offset:g}" if relation.offset else "")
+
+
+def _returns(p: Primitive, multiplier: float) -> bool:
+    """Whether a primitive is as before after a full turn of what moves it by `multiplier`."""
+    return p.kind == R and (p.multiplier * multiplier).is_integer()
+
+
+def returning(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
+    """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes nothing."""
+    back = c.turning & np.isinf(c.lower) & np.isinf(c.upper)
+    number = {name: i for i, name in enumerate(c.velocity_names)}
+    for joint in mechanism.joints.values() if c.followers else ():
+        names = coordinate_names(mechanism, joint)
+        for p in joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]:
+            follower = c.followers.get(names[p.coordinate])
+            if follower is not None and follower.source is not None:  # it must return after a full turn, too
+                back[number[follower.source]] &= _returns(p, follower.multiplier)
+    for relation in c.relations:
+        for name in (relation.of, *relation.sources):
+            back[number[name]] = False
+    return back & ~told_apart(mechanism, c)
+
+
+def told_apart(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
+    """Velocity coordinates (nv,) that declared laws of positions read themselves: these may tell whole turns apart."""
+    out, number = np.zeros(len(c.velocity_names), dtype=bool), {name: i for i, name in enumerate(c.velocity_names)}
+    for declared in mechanism.constraints.values():
+        for name in declared.of.reads if declared.positions(mechanism.dim) else ():
+            source = c.followers[name].source if name in c.followers else name
+            if source in number:
+                out[number[source]] = True
+    return out

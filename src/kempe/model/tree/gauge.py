@@ -1,0 +1,126 @@
+"""Tables of chains in the cheapest equivalent form.
+
+The frame that a row is written in may be turned about and slid along the row's axis without any effect: the
+freedom of Denavit and Hartenberg (1955), used so that most placements become [Rx(alpha) | p] with p_y = 0.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kempe.kernels.forward.table_layout import (
+    BALL,
+    COS_GAUGE,
+    FORM,
+    GENERAL,
+    HEADER,
+    IS_CHAIN,
+    KIND,
+    N_ROWS,
+    OUTPUT_FLOATS,
+    ROW_FLOATS,
+    ROW_INTS,
+    RX,
+    RX_FLAT,
+    SIN_GAUGE,
+    TURN,
+)
+
+PARALLEL = 2.0**-53
+"""Largest sine of the angle between two axes that is rounding noise: parallel axes leave a turn free."""
+
+SKEW = 0.5
+"""Smallest sine of the angle between two axes whose common normal is used: else it may be far away."""
+
+
+def _unit(c: float, s: float) -> tuple[float, float]:
+    """The direction (c, s) scaled to length one; (1, 0) for no direction."""
+    length = math.hypot(c, s)
+    return (c / length, s / length) if length > 0.0 else (1.0, 0.0)
+
+
+def _turn(c: float, s: float) -> np.ndarray:
+    """The 3x3 rotation about z by the angle with cosine c and sine s."""
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def split_turns(placement: np.ndarray) -> tuple[tuple[float, float], np.ndarray, tuple[float, float]]:
+    """(cos a, sin a), M and (cos b, sin b) with placement = Rz(a) M Rz(b), M = [Rx(alpha) | p], all 3x4.
+
+    Euler angles z, x, z, with sin(alpha) of either sign and cos(a) not negative. Where the axes are parallel,
+    a is free and taken such that p_y = 0.
+    """
+    rotation, origin = placement[:, :3], placement[:, 3]
+    sine = math.hypot(rotation[0, 2], rotation[1, 2])
+    if sine > PARALLEL:
+        sine = math.copysign(sine, -rotation[1, 2])
+        a = _unit(-rotation[1, 2] / sine, rotation[0, 2] / sine)
+    else:
+        sine = 0.0
+        a = _unit(origin[0], origin[1])
+    rest = _turn(*a).T @ placement
+    b = _unit(rest[0, 0], -rest[0, 1])
+    cosine, sine = _unit(rotation[2, 2], sine)
+    middle = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, cosine, -sine, 0.0], [0.0, sine, cosine, 0.0]])
+    middle[:, 3] = rest[:, 3]
+    if sine == 0.0:
+        middle[:, 3] = math.hypot(origin[0], origin[1]), 0.0, origin[2]
+    return a, middle, b
+
+
+def _flatten(middle: np.ndarray) -> float:
+    """Slide of the frame along its z axis that makes p_y = 0 in `middle` = [Rx | p]; 0 where it is far."""
+    sine, cosine = middle[2, 1], middle[2, 2]
+    if abs(sine) <= SKEW or middle[1, 3] == 0.0:
+        return 0.0
+    slide = middle[1, 3] / sine
+    middle[1, 3] = 0.0
+    middle[2, 3] += slide * cosine
+    return slide
+
+
+def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A table of the same chain, as many of its rows as possible in form RX or RX_FLAT.
+
+    Poses and Jacobians are the same up to rounding, a few 1e-16 of the size of the robot. Turns about an axis
+    are folded into the gauges of turning rows and carried on through sliding ones. A placement stays general
+    where a turn is left over: after a slide or at the root (`a` has no gauge), before a ball (`b` has none).
+
+    ints, floats: table of one chain (see `kernels.layout`), not changed. ValueError for other tables.
+    """
+    if ints[IS_CHAIN] != 1:
+        raise ValueError("only the table of a chain can be regauged")
+    ints, floats = ints.copy(), floats.copy()
+    n_rows = int(ints[N_ROWS])
+    row_ints = ints[HEADER : HEADER + ROW_INTS * n_rows].reshape(n_rows, ROW_INTS)
+    rows = floats[: ROW_FLOATS * n_rows].reshape(n_rows, ROW_FLOATS)
+    gauges = rows[:, COS_GAUGE] + 1j * rows[:, SIN_GAUGE]
+    carried, slide = (1.0, 0.0), 0.0  # turn and slide that stand before the next placement
+    for r in range(n_rows):
+        kind = row_ints[r, KIND]
+        placement = _turn(*carried) @ rows[r, :12].reshape(3, 4)
+        placement[2, 3] -= slide
+        carried, slide, form = (1.0, 0.0), 0.0, GENERAL
+        a, middle, b = split_turns(placement)
+        after_turn = r > 0 and row_ints[r - 1, KIND] == TURN
+        if (after_turn or a == (1.0, 0.0)) and (kind != BALL or b == (1.0, 0.0)):
+            if after_turn:
+                gauges[r - 1] *= complex(*a)
+            if kind != BALL:
+                slide = _flatten(middle)
+            if kind == TURN:
+                gauges[r] *= complex(*b)
+            else:
+                carried = b
+            placement, form = middle, RX_FLAT if middle[1, 3] == 0.0 else RX
+        rows[r, :12] = placement.ravel()
+        row_ints[r, FORM] = form
+    output = floats[ROW_FLOATS * n_rows :][:OUTPUT_FLOATS].reshape(3, 4)
+    output[:] = _turn(*carried) @ output
+    output[2, 3] -= slide
+    turning = row_ints[:, KIND] == TURN
+    gauges[turning] /= np.abs(gauges[turning])
+    rows[:, COS_GAUGE], rows[:, SIN_GAUGE] = gauges.real, gauges.imag
+    return ints, floats

@@ -1,0 +1,246 @@
+"""The closest that a chain comes to a target, and the errors and Jacobians by which that is found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe import spatial
+from kempe.kernels.base.search_layout import LARGEST
+from kempe.kernels.forward.table_layout import SLIDE
+from kempe.solvers.analytic.plans.chain_lines import Lines
+from kempe.solvers.analytic.plans.plan import TASKS, Plan
+from kempe.solvers.common.targets import Z_AXIS, frame_of
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.solvers.analytic.answers.solutions import Solutions
+
+STARTS, STEPS, BEST = 32, 40, 4
+"""Starts of a descent, steps of each, and how many of the best are followed to their minimum."""
+
+SMALL_SINE = 0.1
+"""Sine of a rotation angle below which the rotation vector comes from the skew part alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class Aim:
+    """What one target asks of a chain: `lines`, `rows` of the task that count, `target` (4, 4) scaled as the lines,
+    and the joints `moves` that may move. Errors are [linear; angular] in the frame of the tip."""
+
+    lines: Lines
+    rows: np.ndarray
+    target: Array
+    moves: np.ndarray
+
+    @cached_property
+    def slides(self) -> np.ndarray:
+        """Which joints (n,) slide."""
+        return self.lines.kinds == SLIDE
+
+    @cached_property
+    def _parts(self) -> tuple[Array, Array]:
+        """Matrices (n, 4, 16) of which 1, sine, cosine and value of a variable make its motion; the lines (n, 4, 2).
+
+        A turn is 1 + sin K + (1 - cos) K^2 (Rodrigues, 1840).
+        """
+        lines, turns = self.lines, ~self.slides
+        C = np.zeros((len(lines), 4, 4, 4))
+        K = spatial.skew(lines.h) * turns[:, None, None]
+        C[:, 1, :3, :3], C[:, 2, :3, :3] = K, -K @ K
+        C[:, 0, :3, :3] = K @ K
+        C[:, :3, :3, 3] = -np.einsum("nkij,nj->nki", C[:, :3, :3, :3], lines.o)
+        C[:, 0] += np.eye(4)
+        C[~turns, 3, :3, 3] = lines.h[~turns]
+        axes = np.zeros((len(lines), 4, 2))
+        axes[:, :3, 0], axes[:, :3, 1], axes[:, 3, 1] = lines.h, lines.o, 1.0
+        return C.reshape(len(lines), 4, 16), axes
+
+    def sweep(self, theta: Array) -> tuple[Array, Array, Array, Array]:
+        """Rotation (N, 3, 3) and position (N, 3) of the tip, directions and points (N, n, 3) of the lines there."""
+        (N, n), (parts, axes) = theta.shape, self._parts
+        terms = np.ones((N, n, 1, 4))
+        terms[..., 0, 1], terms[..., 0, 2], terms[..., 0, 3] = np.sin(theta), np.cos(theta), theta
+        E = (terms @ parts).reshape(N, n, 4, 4)
+        X = np.empty((N, n + 1, 4, 4))
+        X[:, 0] = np.eye(4)
+        if N == 1:  # plain products of matrices cost a third of stacked ones
+            before, steps, after = X[0, 0], E[0], X[0]
+            for i in range(n):
+                before = before @ steps[i]
+                after[i + 1] = before
+        else:
+            for i in range(n):
+                X[:, i + 1] = X[:, i] @ E[:, i]
+        T, there = X[:, n] @ self.lines.tip, X[:, :n] @ axes
+        return T[:, :3, :3], T[:, :3, 3], there[..., :3, 0], there[..., :3, 1]
+
+    def errors(self, R: Array, p: Array) -> Array:
+        """What is missing (N, 6) at poses of the tip; zero in rows that do not count."""
+        back, full = np.swapaxes(R, 1, 2), np.zeros((len(R), 6))
+        full[:, :3] = (back @ (self.target[:3, 3] - p)[..., None])[..., 0]
+        if self.rows[-1] >= 3:
+            D = back @ self.target[:3, :3]
+            full[:, 3:] = _pointing(D[:, :, 2]) if len(self.rows) in (2, 5) else _rotation_vector(D)
+        out = np.zeros((len(R), 6))
+        out[:, self.rows] = full[:, self.rows]
+        return out
+
+    def at(self, theta: Array) -> tuple[Array, Array]:
+        """Errors (N, m) of the rows that count and the Jacobian (N, m, k) of the moving joints, at theta (N, n)."""
+        R, p, h, o = self.sweep(theta)
+        h, o, slides = h[:, self.moves], o[:, self.moves], self.slides[self.moves, None]
+        v = np.where(slides, h, _cross(h, p[:, None] - o))
+        w = np.where(slides, 0.0, h)
+        J = np.concatenate([np.swapaxes(v @ R, 1, 2), np.swapaxes(w @ R, 1, 2)], axis=1)
+        return self.errors(R, p)[:, self.rows], J[:, self.rows]
+
+    def energy(self, theta: Array) -> tuple[float, Array]:
+        """Half the square of the error, and its gradient by the joints that may move, at theta (n,)."""
+        e, J = (x[0] for x in self.at(theta[None]))
+        return 0.5 * float(e @ e), -(e @ J)
+
+
+def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
+    """What target number `index` asks; with `spare`, joints that were locked only since they are spare may move."""
+    question, plan = solutions.question, solutions.plan
+    target = np.array(question.targets[index])
+    if question.axis != Z_AXIS:
+        target[:3, :3] = target[:3, :3] @ frame_of(np.array(question.axis))
+    target[:3, 3] = (target[:3, 3] - plan.lines.origin) / plan.lines.length
+    held = fixed_joints(plan) if spare else plan.locked
+    moves = np.array([i for i in range(len(plan.lines)) if i not in held], dtype=np.int64)
+    return Aim(plan.lines, np.flatnonzero(TASKS[plan.task]), target, moves)
+
+
+def fixed_joints(plan: Plan) -> tuple[int, ...]:
+    """Joints that whoever asked wants held; others may be locked because the chain has more than the task needs."""
+    return tuple(getattr(plan, "fixed", ()))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
+
+
+def _pointing(z: Array) -> Array:
+    """Rotation vectors (N, 3) that turn the z axis to the unit vectors z (N, 3)."""
+    sine = np.hypot(z[:, 0], z[:, 1])
+    angle, none = np.arctan2(sine, z[:, 2]), sine < 1e-300
+    f = angle / np.where(none, 1.0, sine)
+    return np.stack([np.where(none, angle, -z[:, 1] * f), z[:, 0] * f, np.zeros(len(z))], axis=1)
+
+
+def _rotation_vector(D: Array) -> Array:
+    """Rotation vectors (N, 3) of rotations."""
+    v = 0.5 * np.stack([D[:, 2, 1] - D[:, 1, 2], D[:, 0, 2] - D[:, 2, 0], D[:, 1, 0] - D[:, 0, 1]], axis=1)
+    sine = np.sqrt((v * v).sum(axis=1))
+    if sine.max(initial=0.0) < SMALL_SINE and D[:, 0, 0].min(initial=1.0) > 0.0 and D[:, 1, 1].min(initial=1.0) > 0.0:
+        return v * np.where(sine < 1e-8, 1.0, np.arcsin(sine) / np.maximum(sine, 1e-300))[:, None]
+    return spatial.log_so3(D)
+
+
+# ---- the nearest configuration
+
+
+def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
+    """The configuration (nq,) inside the limits that comes closest to target number `index`, and what it misses.
+
+    The errors are those of position [m] and of orientation, or direction [rad]; 0 where the task does not ask for it.
+    Position and orientation are weighed by the length of the chain. Poses and positions are left to `ik`; other tasks,
+    and chains with joints held, to descents from several starts (Levenberg, 1944; Byrd, Lu, Nocedal and Zhu, 1995).
+    What is found is a local minimum: seldom, another one is closer. NaN for targets that are no poses.
+    """
+    from kempe.solvers.one_frame.inverse import ik
+
+    question, plan = solutions.question, solutions.plan
+    base = solutions._base[index if len(solutions._base) > 1 else 0]
+    target = question.targets[index]
+    if solutions._counts[index, 0] < 0 or np.abs(target).max() >= LARGEST:
+        return np.full(question.system.nq, math.nan), math.nan, math.nan
+    if question.task in ("pose", "position") and not fixed_joints(plan):
+        answer = ik(question.system, target if question.task == "pose" else target[:3, 3], question.frame, base)
+        return answer.q, answer.position_error, answer.orientation_error
+    aim = aim_of(solutions, index, spare=True)
+    theta = _closest(aim, plan.lines.theta(held_coordinates(solutions, index)))
+    q = base.copy()
+    q[plan.lines.q_index] = (theta - plan.lines.gauge) / plan.lines.multiplier
+    R, p, _, _ = aim.sweep(theta[None])
+    e = aim.errors(R, p)[0]
+    return q, float(np.linalg.norm(e[:3])) * plan.lines.length, float(np.linalg.norm(e[3:]))
+
+
+def held_coordinates(solutions: Solutions, index: int) -> Array:
+    """Coordinates (n,) of the chain at `near`, joints that are locked at their values."""
+    lines, base = solutions.plan.lines, solutions._base[index if len(solutions._base) > 1 else 0]
+    q, at = base[lines.q_index].copy(), list(solutions.plan.locked)
+    if at:
+        locked = getattr(solutions, "_locked", None)
+        low, high = lines.limits[:, at]
+        q[at] = np.clip(q[at], low, high) if locked is None else locked[index if len(locked) > 1 else 0, at]
+    return q
+
+
+def limits_of(lines: Lines) -> tuple[Array, Array]:
+    """Lower and upper limits (n,) of the variables."""
+    ends = np.sort(lines.limits * lines.multiplier + lines.gauge, axis=0)
+    return ends[0], ends[1]
+
+
+def _closest(aim: Aim, first: Array) -> Array:
+    """Variables (n,) inside the limits where the error is smallest."""
+    from scipy.optimize import minimize  # only here: most targets are reached
+
+    low, high = (x[aim.moves] for x in limits_of(aim.lines))
+    rng, k = np.random.default_rng(0), len(aim.moves)
+    wide = np.where(aim.slides[aim.moves], 2.0, math.pi)
+    left, right = np.where(np.isfinite(low), low, -wide), np.where(np.isfinite(high), high, wide)
+    theta = np.tile(first, (STARTS, 1))
+    theta[1:, aim.moves] = rng.uniform(np.minimum(left, right), np.maximum(left, right), (STARTS - 1, k))
+    theta[:, aim.moves] = np.clip(theta[:, aim.moves], low, high)
+    theta = descend(aim, theta, low, high)
+    e, _ = aim.at(theta)
+    order = np.argsort((e * e).sum(axis=1))
+    best, least = theta[order[0]], math.inf
+    for start in theta[order[:BEST]]:
+
+        def energy(x: Array, start: Array = start) -> tuple[float, Array]:
+            full = start.copy()
+            full[aim.moves] = x
+            return aim.energy(full)
+
+        options = {"maxiter": 500, "ftol": 1e-18, "gtol": 1e-13}
+        bounds = list(zip(low, high, strict=True))
+        found = minimize(energy, start[aim.moves], jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        if found.fun < least:
+            best, least = start.copy(), float(found.fun)
+            best[aim.moves] = found.x
+    return best
+
+
+def descend(aim: Aim, theta: Array, low: Array, high: Array, first: float = 1e-2) -> Array:
+    """Variables (N, n) after damped Gauss-Newton steps inside the limits; joints that press on a limit stay there.
+
+    first: damping of the first step.
+    """
+    moves, damping = aim.moves, np.full(len(theta), first)
+    e, J = aim.at(theta)
+    for _ in range(STEPS):
+        slope = np.einsum("Nmk,Nm->Nk", J, e)
+        x = theta[:, moves]
+        pressed = ((x <= low) & (slope < 0.0)) | ((x >= high) & (slope > 0.0))
+        J = np.where(pressed[:, None], 0.0, J)
+        A_ = np.swapaxes(J, 1, 2) @ J
+        A_[:, range(len(moves)), range(len(moves))] += damping[:, None] + 1e-12
+        step = np.linalg.solve(A_, np.where(pressed, 0.0, slope)[..., None])[..., 0]
+        trial = theta.copy()
+        trial[:, moves] = np.clip(x + np.clip(step, -1.0, 1.0), low, high)
+        new, J_new = aim.at(trial)
+        better = (new * new).sum(axis=1) < (e * e).sum(axis=1)
+        theta = np.where(better[:, None], trial, theta)
+        e, J = np.where(better[:, None], new, e), np.where(better[:, None, None], J_new, J)
+        damping = np.clip(np.where(better, 0.3 * damping, 5.0 * damping), 1e-12, 1e6)
+    return theta

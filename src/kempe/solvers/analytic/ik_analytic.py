@@ -1,0 +1,71 @@
+"""Where `ik` is answered by `ik_all`: the nearest of all solutions, and numbers for the rest."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.errors import UnsupportedError
+from kempe.kernels.base.search_layout import SOLVED
+from kempe.kernels.closed_form import analytic_layout as A
+from kempe.solvers.analytic.ik_all import TOLERANCE, attainable, chain_lines, plan_for, solve, solve_held
+from kempe.solvers.analytic.plans.plan import Plan
+from kempe.solvers.analytic.plans.question import Question
+from kempe.solvers.one_frame.inverse import run
+from kempe.solvers.one_frame.multi_start import Task, misses
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+
+def plan_of(system: System, frame: str, task: str, axis: tuple[float, float, float]) -> Plan | str:
+    """The plan that answers a task of a frame, or why numbers have to."""
+    try:
+        plan = plan_for(system, frame, chain_lines(system, frame, axis), task, axis, ())
+    except UnsupportedError as error:
+        return str(error)
+    if plan.method != "search" and not plan.locked:
+        return plan
+    why = "has more joints than the task needs" if plan.locked else "has neither a closed form nor an elimination"
+    return f"the chain of {frame!r} {why}: method 'analytic' has no single answer for it"
+
+
+def kept(task: Task, plan: Plan, targets: Array, q: Array) -> Array:
+    """Configurations (N, n) of the chain: a solution inside the limits where the equations have one, else q (N, n)."""
+    lines, base = plan.lines, task.chain.base[:, plan.lines.q_index]
+    sure = max(*task.tolerance, attainable(targets, lines))
+    question = Question(task.system, task.frame, task.name, task.axis, targets, (len(targets),), sure,
+                        max(task.tolerance))  # fmt: skip
+    rows, _ = solve_held(question, plan, base, base, 1)
+    code = rows[..., len(lines) + A.CODE]
+    error = np.where((code >= 0.0) & (code % 2.0 == 1.0), rows[..., len(lines) + A.ERROR], np.inf)
+    best = np.argmin(error, axis=1)
+    at = {int(x): i for i, x in enumerate(lines.q_index)}
+    found = rows[np.arange(len(q)), best][:, [at[int(x)] for x in task.chain.q_index]]
+    return np.where(np.isfinite(error.min(axis=1))[:, None], found, q)
+
+
+def answer(task: Task, plan: Plan, near: Array, seeds: Array, threads: int | None) -> tuple[Array, Array, np.ndarray]:
+    """As `inverse.run`: the solution inside the limits nearest to `near` (1 or N, nq); where there is none, numbers."""
+    n, chain = len(task.targets), task.chain
+    within = min(*task.tolerance, TOLERANCE)
+    question = Question(task.system, task.frame, task.name, task.axis, task.targets, (n,), within)
+    found = solve(question, plan, near, {}, threads)
+    own, inside = found._rows[..., : len(plan.lines)], found.inside
+    unit = np.abs(plan.lines.multiplier)
+    away = np.where(inside, np.linalg.norm((own - near[:, None, plan.lines.q_index]) * unit, axis=-1), np.inf)
+    best = np.argmin(away, axis=1)
+    there = np.asarray(inside.any(axis=1))
+    q, residual = np.empty((n, len(chain.q_index))), np.zeros((n, 2))
+    info = np.zeros((n, 3), dtype=np.int64)
+    at = {int(x): i for i, x in enumerate(plan.lines.q_index)}
+    q[:] = own[np.arange(n), best][:, [at[int(x)] for x in chain.q_index]]
+    residual[there] = misses(task, task.targets[there], q[there])
+    info[:, 0] = SOLVED
+    rest = np.flatnonzero(~there)
+    if len(rest):
+        some = seeds[rest] if len(seeds) > 1 else seeds
+        q[rest], residual[rest], info[rest] = run(task, some, threads, targets=task.targets[rest])
+    return q, residual, info

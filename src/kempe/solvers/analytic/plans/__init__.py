@@ -1,0 +1,1 @@
+"""How a chain is solved: its axes, what they have in common, and the plan that follows."""

@@ -1,0 +1,154 @@
+"""Names of branches: on which side of its singular configurations an arm is, from its axes as they lie at q.
+
+Each word is the sign of one factor of the determinant of the Jacobian, so it changes at a singular configuration and
+nowhere else. Nothing of it depends on where the joints have their zero, on the base, or on the tool.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kempe.calls import listed
+from kempe.errors import InputError, UnknownNameError
+from kempe.kernels.forward.table_layout import TURN
+from kempe.solvers.analytic.plans.chain_lines import Lines
+from kempe.solvers.analytic.plans.plan import Plan, sweep
+from kempe.solvers.analytic.plans.structure import Axes, keeps_point, meets, parallel
+from kempe.spatial import Array
+
+BORDER = 1e-9
+"""Sine, or length in those of the chain, below which a configuration is singular and a word has no side to name."""
+
+MERGED = 1e-5
+"""The same for configurations in which solutions have merged, which rounding moves by the root of its size."""
+
+CENTRED = 1e-7
+"""Offset of an arm from its first axis, in lengths of the chain, that counts as none."""
+
+PLANAR = (("elbow-up", "elbow-down", "elbow singular"),)
+SPATIAL = (
+    ("shoulder left", "shoulder right", "shoulder singular"),
+    ("elbow up", "elbow down", "elbow singular"),
+    ("no flip", "flip", "wrist singular"),
+)
+"""Words of each side, and on the border between them."""
+
+NEITHER = ("elbow +", "elbow -")
+"""Words for an elbow that is bent about axis 2 in the positive or negative sense, where the shoulder is singular."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of arm whose branches have names: the `words` of each choice, and whether three axes are parallel."""
+
+    words: tuple[tuple[str, str, str], ...]
+    three_parallel: bool = False
+
+
+def kind_of(plan: Plan, planar: bool) -> Kind | None:
+    """The kind of arm of a plan, None where its branches have no names."""
+    lines = plan.lines
+    n = len(lines)
+    if plan.locked or np.any(lines.kinds != TURN):
+        return None
+    if planar:
+        return Kind(PLANAR) if (n, plan.task) in ((2, "position"), (2, "pose"), (3, "pose")) else None
+    axes = Axes(lines.kinds, lines.h, lines.o)
+    if n != 6 or plan.task != "pose" or parallel(axes.h[0], axes.h[1]) or not parallel(axes.h[1], axes.h[2]):
+        return None
+    three = parallel(axes.h[2], axes.h[3])
+    wrist = keeps_point(axes, 3) or (three and not parallel(axes.h[3], axes.h[4]) and meets(axes, 4, 5))
+    if not wrist:
+        return None
+    kind = Kind(SPATIAL, three and not keeps_point(axes, 3))
+    _, h, o = sweep(lines, np.zeros((1, n)))
+    return kind if all(float(size[0]) > MERGED for size in _measures(kind, h, o)[1]) else None
+
+
+def branch_names(kind: Kind, lines: Lines, theta: Array, merged: np.ndarray | None = None) -> np.ndarray:
+    """Names (m,) of configurations theta (m, n) of an arm; `merged` (m,) says where solutions have merged."""
+    tip, h, o = sweep(lines, theta)
+    border = np.where(np.zeros(len(theta), bool) if merged is None else merged, MERGED, BORDER)
+    if len(kind.words) == 1:
+        signs = [_bend_in_plane(o, tip[:, :3, 3])]
+    else:
+        (shoulder, bend, turn), _ = _measures(kind, h, o)
+        signs = [shoulder, np.sign(_ahead(h, o)) * bend, turn]
+    columns = []
+    for sign, (above, below, on) in zip(signs, kind.words, strict=True):
+        side = np.where(sign > 0.0, above, below)
+        columns.append(np.where(np.isnan(sign), "", np.where(np.abs(sign) > border, side, on)))
+    if len(kind.words) > 1:  # with the wrist neither ahead nor behind, up and down cannot be told apart
+        unclear = (np.abs(signs[0]) <= border) & (np.abs(bend) > border)
+        columns[1] = np.where(unclear, np.where(bend < 0.0, *NEITHER), columns[1])
+    return np.array([", ".join(row) for row in zip(*columns, strict=True)], dtype=object)
+
+
+def named(kind: Kind | None, names: np.ndarray, words: str | Iterable[str]) -> np.ndarray:
+    """Which of the names hold all these words, hyphens and spaces alike. Errors: `InputError`, `UnknownNameError`."""
+    if kind is None:
+        raise InputError("the branches of this chain have no names; `branch` has their numbers where there are any")
+    wanted = words.split(",") if isinstance(words, str) else listed(words, "words")
+    wanted = [word.strip() for word in wanted]
+    known = [word for choice in kind.words for word in choice] + list(NEITHER) * (len(kind.words) > 1)
+    spelled = {_plain(word): word for word in known}
+    for word in wanted:
+        if _plain(word) not in spelled:
+            raise UnknownNameError("branch", word, known, "the chain")
+    wanted = [spelled[_plain(word)] for word in wanted]
+    flat = [all(word in name.split(", ") for word in wanted) for name in names.ravel()]
+    return np.array(flat, dtype=bool).reshape(names.shape)
+
+
+def _plain(word: str) -> str:
+    """A word as it is compared: letters joined by a hyphen or by spaces are the same; "elbow -" keeps its sign."""
+    return " ".join(re.sub(r"(?<=\w)-(?=\w)", " ", word).split())
+
+
+def _bend_in_plane(o: Array, tip: Array) -> Array:
+    """Positive (m,) where the elbow lies to the left of the way from the first axis to the third, or to the tip."""
+    first, second = o[:, 1, :2] - o[:, 0, :2], (o[:, 2] if o.shape[1] > 2 else tip)[:, :2] - o[:, 1, :2]
+    size = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        sine = (first[:, 1] * second[:, 0] - first[:, 0] * second[:, 1]) / size
+    return np.where(size > CENTRED, sine, np.nan)
+
+
+def _centre(h: Array, o: Array) -> Array:
+    """The point (m, 3) in which axes 5 and 6 meet: the one of axis 5 that is next to axis 6."""
+    a, b, d = h[:, 4], h[:, 5], o[:, 5] - o[:, 4]
+    n = np.cross(a, b)
+    return o[:, 4] + a * (np.einsum("mi,mi->m", np.cross(d, b), n) / np.einsum("mi,mi->m", n, n))[:, None]
+
+
+def _ahead(h: Array, o: Array) -> Array:
+    """How far (m,) the wrist is from axis 1 along h1 x h2: zero where the turn of axis 1 moves it along axis 2."""
+    return np.einsum("mi,mi->m", _centre(h, o) - o[:, 0], np.cross(h[:, 0], h[:, 1]))
+
+
+def _measures(kind: Kind, h: Array, o: Array) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
+    """Signed measures (m,) of shoulder, elbow and wrist, and the lengths (m,) of the two links of the elbow.
+
+    The shoulder counts the offset of the arm from axis 1, so that the sense of axis 2 does not matter where there is
+    one; the elbow is that of the plane across axis 2, seen from the side to which axis 2 points.
+    """
+    centre, across = _centre(h, o), np.cross(h[:, 0], h[:, 1])
+    size2 = np.einsum("mi,mi->m", across, across)
+    foot = o[:, 0] + h[:, 0] * (
+        np.einsum("mi,mi->m", np.cross(o[:, 1] - o[:, 0], h[:, 1]), across) / size2
+    )[:, None]  # fmt: skip
+    offset = np.einsum("mi,mi->m", centre - foot, h[:, 1])
+    side = np.where(np.abs(offset) > CENTRED, np.sign(offset), 1.0)
+    shoulder = -side * _ahead(h, o)
+    upper, lower = o[:, 2] - o[:, 1], (o[:, 3] if kind.three_parallel else centre) - o[:, 2]
+    upper, lower = (v - h[:, 1] * np.einsum("mi,mi->m", v, h[:, 1])[:, None] for v in (upper, lower))
+    lengths = np.linalg.norm(upper, axis=1), np.linalg.norm(lower, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        bend = -np.einsum("mi,mi->m", h[:, 1], np.cross(upper, lower)) / (lengths[0] * lengths[1])
+    turn = np.einsum("mi,mi->m", h[:, 4], np.cross(h[:, 3], h[:, 5]))
+    full = np.linalg.norm(np.cross(h[:, 3], h[:, 4]), axis=1) * np.linalg.norm(np.cross(h[:, 4], h[:, 5]), axis=1)
+    return (shoulder, bend, turn / full), lengths

@@ -1,0 +1,398 @@
+"""The plan of an analytical inverse model: what is unknown, what completes it to six joints, how it is solved."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from kempe import spatial
+from kempe.errors import UnsupportedError
+from kempe.kernels.closed_form import analytic_layout as A
+from kempe.kernels.closed_form.analytic_layout import X_FIRST, Z_FIRST
+from kempe.kernels.forward.table_layout import SLIDE, TURN
+from kempe.solvers.analytic.plans.chain_lines import Lines
+from kempe.solvers.analytic.plans.structure import Axes, Way, ways
+from kempe.solvers.common.targets import TASKS as TASKS
+from kempe.spatial import Array
+
+TRIALS = 24
+"""Random configurations that a plan must find again before it is used."""
+
+ELIMINATIONS, MOST_FORMS = 3, 5
+"""Completions to six lines that are tried by elimination, and formulations that are kept."""
+
+EIGHT = 8
+"""Rows of an answer where targets are solved side by side."""
+
+RANK, AGAIN = 1e-7, 1e-6
+"""Singular values below this fraction of the largest are zero when freedoms are counted; how near is found again."""
+
+
+@dataclass(frozen=True, eq=False)
+class Extra:
+    """Lines that complete a chain, in its frame of reference: roles say whether they may move."""
+
+    kinds: np.ndarray
+    h: Array
+    o: Array
+    roles: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """How a chain's inverse model is solved: packed for the kernels, with what a reader wants to know.
+
+    `method` is "closed", "elimination" or "search"; `locked` are the joints held at values: those `fixed` by whoever
+    asks, and others where the chain has more than the task needs, which are at `first` (n,) where nobody says where.
+    `extra` are the lines that complete the rest to six. `blurred`: lengths leave so few digits that roots may be lost.
+    """
+
+    lines: Lines
+    task: str
+    locked: tuple[int, ...]
+    method: str
+    way: Way | None
+    extra: Extra = field(repr=False)
+    ints: np.ndarray = field(repr=False)
+    floats: np.ndarray = field(repr=False)
+    fixed: tuple[int, ...] = ()
+    planar: bool = False
+    first: tuple[float, ...] = ()
+    blurred: bool = False
+
+    @property
+    def rests(self) -> bool:
+        """Whether the chain has fewer joints than the task equations: lines that must stay at rest stand in."""
+        return bool(np.any(self.extra.roles == A.REST)) and not self.planar
+
+    @cached_property
+    def other(self) -> Plan | None:
+        """Another plan for the same, with other lines at rest; None where there is none."""
+        found = make(self.lines, self.task, self.locked, self.planar, self.extra)
+        return found if found.method != "search" else None
+
+    @cached_property
+    def side_by_side(self) -> bool:
+        """Whether many targets are solved side by side: six turning joints, an equation in one unknown."""
+        way, lines = self.way, self.lines
+        if way is None or self.task != "pose" or way.mode not in (X_FIRST, Z_FIRST):
+            return False
+        if tuple(sorted(way.order)) != way.order or way.order[-1] >= len(lines) or np.any(lines.kinds == SLIDE):
+            return False
+        return (way.inner, way.option) not in ((1, 0), (2, 1))
+
+    @property
+    def slots(self) -> int:
+        """Rows of an answer."""
+        return EIGHT if self.side_by_side else A.SLOTS
+
+    @cached_property
+    def plain(self) -> bool:
+        """Whether the chain's coordinates are the system's, in their order."""
+        return bool(np.array_equal(self.lines.q_index, np.arange(len(self.lines))))
+
+
+def sweep(lines: Lines, theta: Array) -> tuple[Array, Array, Array]:
+    """Tip poses (m, 4, 4), and directions and points (m, n, 3) of the lines, at theta (m, n)."""
+    m, n = theta.shape
+    h, o = np.empty((m, n, 3)), np.empty((m, n, 3))
+    R, p = np.broadcast_to(np.eye(3), (m, 3, 3)), np.zeros((m, 3))
+    K = spatial.skew(lines.h)
+    turns = (lines.kinds != SLIDE)[:, None, None]
+    s, c = np.sin(theta)[..., None, None], np.cos(theta)[..., None, None]
+    E = np.where(turns, np.eye(3) + s * K + (1.0 - c) * (K @ K), np.eye(3))
+    shift = np.where(turns[..., 0], lines.o - np.einsum("mnij,nj->mni", E, lines.o), theta[..., None] * lines.h)
+    for i in range(n):
+        h[:, i], o[:, i] = R @ lines.h[i], R @ lines.o[i] + p
+        p = p + np.einsum("mij,mj->mi", R, shift[:, i])
+        R = R @ E[:, i]
+    T = np.zeros((m, 4, 4))
+    T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R @ lines.tip[:3, :3], R @ lines.tip[:3, 3] + p, 1.0
+    return T, h, o
+
+
+def ground_poses(lines: Lines, q: Array) -> Array:
+    """Tip poses (m, 4, 4) in the ground frame, in metres, at coordinates q (m, n)."""
+    T = sweep(lines, lines.theta(q))[0]
+    T[:, :3, 3] = T[:, :3, 3] * lines.length + lines.origin
+    return T
+
+
+def jacobians(lines: Lines, theta: Array) -> Array:
+    """Jacobians (m, 6, n) [linear; angular] in the tip's frame at theta (m, n)."""
+    T, h, o = sweep(lines, theta)
+    slides = (lines.kinds == SLIDE)[:, None]
+    v = np.where(slides, h, np.cross(h, T[:, None, :3, 3] - o))
+    w = np.where(slides, 0.0, h)
+    back = np.swapaxes(T[:, :3, :3], 1, 2)
+    return np.concatenate([back @ np.swapaxes(v, 1, 2), back @ np.swapaxes(w, 1, 2)], axis=1)
+
+
+def motion(kind: int, h: Array, o: Array, theta: float) -> Array:
+    """Pose (4, 4) of a turn about a line or a slide along it."""
+    X = np.eye(4)
+    if kind == SLIDE:
+        X[:3, 3] = theta * h
+        return X
+    X[:3, :3] = spatial.exp_so3(theta * h)
+    X[:3, 3] = o - X[:3, :3] @ o
+    return X
+
+
+def free_lines(lines: Lines, task: str, planar: bool) -> Extra:
+    """Lines at the tip that may move freely, for what the task does not ask."""
+    R, p = lines.tip[:3, :3], lines.tip[:3, 3]
+    turns = {"position": (0, 1, 2), "direction": (2,), "position_axis": (2,)}.get(task, ())
+    slides = (0, 1, 2) if task in ("orientation", "direction") else ()
+    if planar:
+        R = np.eye(3)
+        turns, slides = ((2,), ()) if task == "position" else ((), slides[:2])
+    kinds = [TURN] * len(turns) + [SLIDE] * len(slides)
+    h = [R[:, i] for i in (*turns, *slides)]
+    k = len(kinds)
+    return Extra(
+        np.array(kinds, dtype=np.int64), np.array(h).reshape(k, 3), np.tile(p, (k, 1)), np.full(k, A.FREE)
+    )  # fmt: skip
+
+
+def screws(extra: Extra, tip: Array) -> Array:
+    """Columns (6, k) of extra lines in the tip's frame: constant, for they come last."""
+    R, p = tip[:3, :3].T, tip[:3, 3]
+    J = np.zeros((6, len(extra.kinds)))
+    for i, kind in enumerate(extra.kinds):
+        if kind == SLIDE:
+            J[:3, i] = R @ extra.h[i]
+        else:
+            J[:3, i], J[3:, i] = R @ np.cross(extra.h[i], p - extra.o[i]), R @ extra.h[i]
+    return J
+
+
+def spread(lines: Lines, rng: np.random.Generator, count: int) -> Array:
+    """Random theta (count, n): any angle, slides of the size of the chain."""
+    shape = (count, len(lines))
+    return np.where(lines.kinds == SLIDE, rng.uniform(-1.0, 1.0, shape), rng.uniform(-np.pi, np.pi, shape))
+
+
+def resting(lines: Lines, free: Extra, unknown: list[int], planar: bool) -> Iterator[Extra]:
+    """Sets of lines that complete the unknown joints and the free lines to six, the best conditioned first."""
+    count = 6 - len(unknown) - len(free.kinds)
+    if count == 0:
+        yield Extra(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64))
+        return
+    kinds, h, o = _pool(lines, unknown, planar)
+    rng = np.random.default_rng(5)
+    samples = jacobians(lines, spread(lines, rng, 5))[:, :, unknown]
+    at_tip = screws(free, lines.tip)
+    pool = screws(Extra(kinds, h, o, kinds), lines.tip)
+    choices = list(itertools.combinations(range(len(kinds)), count))
+    J = np.zeros((len(choices), len(samples), 6, 6))
+    J[..., : len(unknown)] = samples
+    J[..., len(unknown) : 6 - count] = at_tip
+    J[..., 6 - count :] = np.moveaxis(pool[:, np.array(choices)], 0, 1)[:, None]
+    least = np.median(np.linalg.svd(J, compute_uv=False)[..., -1], axis=1)
+    scored = list(zip(least.tolist(), choices, strict=True))
+    best = max(s for s, _ in scored)
+    good = [(s, c) for s, c in scored if s > 0.05 * best]
+    for _, choice in sorted(good, key=lambda pair: (sum(pair[1]), -pair[0])):
+        at = list(choice)
+        yield Extra(kinds[at], h[at], o[at], np.full(len(at), A.REST))
+
+
+def _pool(lines: Lines, unknown: list[int], planar: bool) -> tuple[np.ndarray, Array, Array]:
+    """Lines to choose from: turns through a point of the last axis, slides, turns through another point."""
+    if planar:
+        R, at = np.eye(3), np.zeros((6, 3))
+        at[3] = 0.4, 0.7, 0.0
+        return np.array([SLIDE, TURN, TURN, TURN, SLIDE, SLIDE]), R[[2, 0, 1, 2, 0, 1]], at
+    turning = [i for i in unknown if lines.kinds[i] != SLIDE]
+    last = turning[-1] if turning else unknown[-1]
+    h = lines.h[last]
+    u = np.cross(h, [0.36, 0.48, 0.8] if abs(h @ [0.36, 0.48, 0.8]) < 0.9 else [0.8, -0.6, 0.0])
+    u /= np.linalg.norm(u)
+    w = np.cross(h, u)
+    on, off = lines.o[last] + 0.4 * h, lines.o[last] + 0.3 * h + 0.5 * u + 0.35 * w
+    kinds = np.array([TURN, TURN, SLIDE, SLIDE, SLIDE, TURN, TURN, TURN])
+    return kinds, np.array([u, w, h, u, w, h, u, w]), np.array([on, on, on, on, on, off, off, off])
+
+
+def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
+    """Rank of the Jacobian of the unknown joints and the free lines at random configurations."""
+    if not unknown:
+        return len(free.kinds)
+    if lines.even is not None:
+        lines, free = lines.even, replace(free, o=np.tile(lines.even.tip[:3, 3], (len(free.kinds), 1)))
+    T, h, o = sweep(lines, spread(lines, np.random.default_rng(7), 4))
+    X = T @ spatial.inverse(lines.tip)
+    turns = np.concatenate([lines.kinds[unknown], free.kinds]) != SLIDE
+    h = np.concatenate([h[:, unknown], np.einsum("mij,kj->mki", X[:, :3, :3], free.h)], axis=1)
+    moved = np.einsum("mij,kj->mki", X[:, :3, :3], free.o) + X[:, None, :3, 3]
+    o = np.concatenate([o[:, unknown], moved], axis=1)
+    J = np.concatenate([np.where(turns[:, None], np.cross(o, h), h), np.where(turns[:, None], h, 0.0)], axis=2)
+    J = J / np.linalg.norm(J, axis=2, keepdims=True)  # seen from the chain, whatever the tool
+    values = np.linalg.svd(J, compute_uv=False)
+    return int((values > RANK * values[:, :1]).sum(axis=1).max())
+
+
+def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None) -> Plan:
+    """The plan for a chain of which so many joints are locked that the others are not redundant.
+
+    but: lines that complete it in a plan that is known; then another one is made.
+    """
+    plan = in_closed_form(lines, task, locked, planar, but)
+    if plan is not None:
+        return plan
+    unknown = [i for i in range(len(lines)) if i not in locked]
+    for extra in itertools.islice(_completions(lines, task, unknown, planar, but), ELIMINATIONS):
+        plan = _by_elimination(lines, task, unknown, locked, extra)
+        if plan is not None:
+            return plan
+    return pack(lines, task, locked, Extra(*_parts(free_lines(lines, task, planar))), None)
+
+
+def in_closed_form(
+    lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None
+) -> Plan | None:
+    """The plan that solves the joints that are not locked in closed form, None where there is none; see `make`."""
+    unknown = [i for i in range(len(lines)) if i not in locked]
+    if not unknown:
+        raise UnsupportedError("no joint is left to move: all of the chain are held, or do nothing for this task")
+    for extra in _completions(lines, task, unknown, planar, but):
+        for way in _ways(lines, unknown, locked, extra):
+            plan = pack(lines, task, locked, extra, way)
+            if (off := _error(plan)) < max(AGAIN, lines.span.blur):
+                return replace(plan, blurred=off >= AGAIN)
+    return None
+
+
+def _completions(lines: Lines, task: str, unknown: list[int], planar: bool, but: Extra | None) -> Iterator[Extra]:
+    """Lines that complete the unknown joints to six: free ones for what the task does not ask, others at rest."""
+    free = free_lines(lines, task, planar)
+    for rest in resting(lines, free, unknown, planar):
+        extra = Extra(*(np.concatenate([a, b]) for a, b in zip(_parts(free), _parts(rest), strict=True)))
+        if but is None or not (np.array_equal(extra.h, but.h) and np.array_equal(extra.o, but.o)):
+            yield extra
+
+
+def _by_elimination(lines: Lines, task: str, unknown: list[int], locked: tuple[int, ...], extra: Extra) -> Plan | None:
+    """The plan that takes the six lines as general ones; None where no formulation suits them."""
+    from kempe.kernels.closed_form.analytic_layout import FORMULATIONS
+    from kempe.kernels.compiled import elimination_score
+
+    theta = spread(lines, np.random.default_rng(11), 1)[0]
+    places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
+    axes, _ = carried_lines(lines, locked, extra, theta)
+    scores = np.zeros(FORMULATIONS)
+    elimination_score.score(axes.kinds[places].astype(np.int64), axes.packed().reshape(-1, 8)[places], scores)
+    best = [int(f) for f in np.argsort(-scores, kind="stable") if scores[f] > 0.0][:MOST_FORMS]
+    if not best:
+        return None
+    plan = pack(lines, task, locked, extra, None, (tuple(places), best))
+    return plan if _error(plan) < AGAIN else None
+
+
+def kernel_of(plan: Plan) -> Callable[..., None]:
+    """The kernel that carries out a plan."""
+    if plan.method == "elimination":
+        from kempe.kernels.compiled import elimination_ik
+
+        return elimination_ik.general
+    from kempe.kernels.compiled import every_solution
+
+    return every_solution.closed
+
+
+def side_by_side_of(plan: Plan) -> Callable[..., int] | None:
+    """The kernel that solves many targets side by side, None where the plan is not made for it."""
+    if not plan.side_by_side:
+        return None
+    from kempe.kernels.compiled import candidate_blocks
+
+    return candidate_blocks.closed_side_by_side
+
+
+def _parts(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
+    return extra.kinds, extra.h, extra.o, extra.roles
+
+
+def _ways(lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extra) -> list[Way]:
+    """Ways for the six lines, as they are common to two positions of the locked joints."""
+    rng, variants, goals = np.random.default_rng(11), [], []
+    places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
+    for _ in range(2 if locked else 1):
+        theta = spread(lines, rng, 4)
+        theta[1:, list(locked)] = theta[0, list(locked)]
+        axes, shift = carried_lines(lines, locked, extra, theta[0])
+        variants.append(Axes(axes.kinds[places], axes.h[places], axes.o[places]))
+        G = sweep(lines, theta[1:])[0] @ spatial.inverse(lines.tip) @ spatial.inverse(shift)
+        goals.append([np.ascontiguousarray(g[:3]).ravel() for g in G])
+    at_rest = {i for i, j in enumerate(places) if j >= len(lines) and extra.roles[j - len(lines)] == A.REST}
+    found = ways(variants, goals, at_rest)
+    return [Way(tuple(places[i] for i in w.order), *_tail(w)) for w in found]
+
+
+def _tail(w: Way) -> tuple[int, int, int, int, int]:
+    return w.inner, w.what, w.mode, w.measure, w.option
+
+
+def carried_lines(lines: Lines, locked: tuple[int, ...], extra: Extra, theta: Array) -> tuple[Axes, Array]:
+    """All lines as the locked joints carry them, and the motion (4, 4) of all locked joints."""
+    X = np.eye(4)
+    kinds = np.concatenate([lines.kinds, extra.kinds])
+    h, o = np.vstack([lines.h, extra.h]), np.vstack([lines.o, extra.o])
+    for i in range(len(kinds)):
+        if i in locked:
+            X = X @ motion(kinds[i], h[i], o[i], theta[i])
+        else:
+            h[i], o[i] = X[:3, :3] @ h[i], X[:3, :3] @ o[i] + X[:3, 3]
+    return Axes(kinds, h, o), X
+
+
+def pack(
+    lines: Lines, task: str, locked: tuple[int, ...], extra: Extra, way: Way | None,
+    forms: tuple[tuple[int, ...], list[int]] | None = None,
+) -> Plan:  # fmt: skip
+    """The plan with its arrays, see `kernels.analytic_layout`; forms: order and formulations of an elimination."""
+    n, k = len(lines), len(extra.kinds)
+    ints = np.zeros(A.PLAN_HEADER + n + k + n, dtype=np.int64)
+    ints[[A.N_LINES, A.N_JOINTS, A.N_LOCKED]] = n + k, n, len(locked)
+    order = () if forms is None else forms[0]
+    if way is not None:
+        ints[[A.INNER, A.WHAT, A.MODE, A.MEASURE, A.OPTION]] = _tail(way)
+        order = way.order
+    if forms is not None:
+        ints[A.N_FORMS] = len(forms[1])
+        ints[A.FORMS : A.FORMS + len(forms[1])] = forms[1]
+    if order:
+        ints[A.ORDER : A.ORDER + 6] = order
+        ints[A.ROLES : A.ROLES + 6] = [A.JOINT if j < n else extra.roles[j - n] for j in order]
+    ints[A.PLAN_HEADER : A.PLAN_HEADER + n + k] = [*lines.kinds, *extra.kinds]
+    ints[A.PLAN_HEADER + n + k :] = [int(i not in locked) for i in range(n)]
+    head = np.concatenate([lines.tip[:3].ravel(), TASKS[task], [lines.length], lines.origin])
+    axes = Axes(np.zeros(n + k), np.vstack([lines.h, extra.h]), np.vstack([lines.o, extra.o]))
+    joints = np.column_stack([lines.gauge, lines.multiplier, *lines.limits]).ravel()
+    floats = np.concatenate([head, axes.packed(), joints])
+    method = "closed" if way is not None else "search" if forms is None else "elimination"
+    return Plan(lines, task, locked, method, way, extra, ints, floats)
+
+
+def _error(plan: Plan) -> float:
+    """The angle or length up to which the plan finds four of five random configurations again."""
+    lines, rng = plan.lines, np.random.default_rng(3)
+    theta = spread(lines, rng, TRIALS)
+    q = (theta - lines.gauge) / lines.multiplier
+    n = len(lines)
+    floats = plan.floats.copy()  # limits do not matter here
+    floats[-A.JOINT_FLOATS * n :].reshape(n, -1)[:, A.LOW :] = -np.inf, np.inf
+    out, numbers, kernel = np.empty((TRIALS, plan.slots, n + A.INFO)), np.arange(TRIALS), side_by_side_of(plan)
+    if kernel is not None:
+        q[:, list(plan.locked)] = q[0, list(plan.locked)]
+        kernel(plan.ints, floats, ground_poses(lines, q), q, q[:1], 0, out, numbers)
+    else:
+        counts = np.empty((TRIALS, 2), dtype=np.int64)
+        kernel_of(plan)(plan.ints, floats, ground_poses(lines, q), q, q, 1e-9, 1e-9, 0, numbers, out, counts)
+    off = np.where(out[..., n + A.CODE] >= 0.0, np.abs(out[..., :n] - q[:, None]).max(axis=-1), np.inf)
+    return float(np.sort(off.min(axis=1))[int(0.8 * TRIALS)])

@@ -1,0 +1,174 @@
+"""What the axes of six joints have in common, and by which subproblems that solves the chain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST, Z_FIRST
+from kempe.kernels.compiled import candidates
+from kempe.kernels.forward.table_layout import SLIDE, TURN
+from kempe.spatial import Array
+
+EXACT = 1e-9
+"""Sine of an angle, or distance in lengths of the chain, below which axes count as parallel, or as meeting.
+
+Chains that are farther from a structure than this, calibrated ones say, are solved as what they are."""
+
+TURNED_OVER = 40
+"""Orders of slides among turns along their direction that are looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Axes:
+    """Six lines: kinds (6,), directions (6, 3), points (6, 3)."""
+
+    kinds: np.ndarray
+    h: Array
+    o: Array
+
+    def ordered(self, order: tuple[int, ...]) -> Axes:
+        """The same lines in another order."""
+        at = list(order)
+        return Axes(self.kinds[at], self.h[at], self.o[at])
+
+    def packed(self) -> Array:
+        """The lines as kernels read them."""
+        out = np.zeros((len(self.kinds), 8))
+        out[:, :3], out[:, 4:7] = self.h, self.o
+        return out.ravel()
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to solve six lines in closed form: their `order`, the place `inner` of the three joints that leave `what`
+    (POINT or PLANE) in place, and how the outer three are solved: `mode`, `measure`, `option` (see `kernels.outer`)."""
+
+    order: tuple[int, ...]
+    inner: int
+    what: int
+    mode: int
+    measure: int
+    option: int
+
+
+def parallel(g: Array, h: Array) -> bool:
+    """Whether two unit vectors are parallel, of either sense."""
+    return float(np.linalg.norm(np.cross(g, h))) <= EXACT
+
+
+def apart(axes: Axes, i: int, j: int) -> float:
+    """The distance between two lines."""
+    n, d = np.cross(axes.h[i], axes.h[j]), axes.o[j] - axes.o[i]
+    size = float(np.linalg.norm(n))
+    if size <= EXACT:
+        return float(np.linalg.norm(np.cross(axes.h[i], d)))
+    return abs(float(n @ d)) / size
+
+
+def meets(axes: Axes, i: int, j: int) -> bool:
+    """Whether two axes that are not parallel meet."""
+    return not parallel(axes.h[i], axes.h[j]) and apart(axes, i, j) <= EXACT
+
+
+def coincide(axes: Axes, i: int, j: int) -> bool:
+    """Whether two axes are one line."""
+    return parallel(axes.h[i], axes.h[j]) and apart(axes, i, j) <= EXACT
+
+
+def meeting(axes: Axes, places: tuple[int, ...]) -> Array | None:
+    """The point (3,) in which these axes meet, None where they do not (or are all parallel)."""
+    across = np.eye(3) - axes.h[list(places), :, None] * axes.h[list(places), None, :]
+    total = across.sum(axis=0)
+    if np.linalg.svd(total, compute_uv=False)[-1] <= EXACT**2:
+        return None
+    centre = np.linalg.solve(total, np.einsum("nij,nj->i", across, axes.o[list(places)]))
+    away = np.linalg.norm(np.cross(centre - axes.o[list(places)], axes.h[list(places)]), axis=-1)
+    return centre if float(away.max()) <= EXACT else None
+
+
+def keeps_point(axes: Axes, k: int) -> bool:
+    """Whether turns k, k + 1, k + 2 meet in a point, and can give any rotation near most positions."""
+    if np.any(axes.kinds[k : k + 3] == SLIDE) or parallel(axes.h[k], axes.h[k + 1]):
+        return False
+    return not parallel(axes.h[k + 1], axes.h[k + 2]) and meeting(axes, (k, k + 1, k + 2)) is not None
+
+
+def keeps_plane(axes: Axes, k: int) -> bool:
+    """Whether joints k, k + 1, k + 2 move one plane in itself, with three freedoms."""
+    turns = [i for i in range(k, k + 3) if axes.kinds[i] == TURN]
+    slides = [i for i in range(k, k + 3) if axes.kinds[i] == SLIDE]
+    if not turns or any(not parallel(axes.h[i], axes.h[turns[0]]) for i in turns[1:]):
+        return False
+    if any(abs(float(axes.h[i] @ axes.h[turns[0]])) > EXACT for i in slides):
+        return False
+    if len(slides) == 2 and axes.kinds[k + 1] == SLIDE and parallel(axes.h[slides[0]], axes.h[slides[1]]):
+        return False
+    return not any(i + 1 in turns and apart(axes, i, i + 1) <= EXACT for i in turns)
+
+
+def swaps(axes: Axes, i: int) -> bool:
+    """Whether lines i and i + 1 can change places: two slides, or a slide and a turn along its direction."""
+    a, b = axes.kinds[i], axes.kinds[i + 1]
+    if a == SLIDE and b == SLIDE:
+        return True
+    return a != b and parallel(axes.h[i], axes.h[i + 1])
+
+
+def orders(variants: list[Axes]) -> Iterator[tuple[int, ...]]:
+    """Orders of the lines that are the same chain, the given one first."""
+    n = len(variants[0].kinds)
+    seen = [tuple(range(n))]
+    for order in seen:
+        yield order
+        now = [axes.ordered(order) for axes in variants]
+        for i in range(n - 1):
+            other = (*order[:i], order[i + 1], order[i], *order[i + 2 :])
+            if other not in seen and len(seen) < TURNED_OVER and all(swaps(axes, i) for axes in now):
+                seen.append(other)
+
+
+def ways(variants: list[Axes], goals: list[Array], at_rest: set[int]) -> list[Way]:
+    """All ways to solve six lines in closed form, the best first.
+
+    variants: the lines for several positions of locked joints, of which the structure must be common; goals: for each
+    some goals (m, 12) that can be reached; at_rest: lines that stand for no joint and must stay at zero.
+    """
+    found = []
+    for order in orders(variants):
+        now = [axes.ordered(order) for axes in variants]
+        for k in range(4):
+            outer = {order[(k + 3 + i) % 6] for i in range(3)}
+            for what, keeps in ((POINT, keeps_point), (PLANE, keeps_plane)):
+                if not all(keeps(axes, k) for axes in now):
+                    continue
+                if outer <= at_rest:
+                    found.append((-1, Way(order, k, what, AT_REST, 0, 0)))
+                elif what == POINT or sum(now[0].kinds[(k + 3 + i) % 6] == SLIDE for i in range(3)) < 2:
+                    found += [(rank, Way(order, k, what, *how)) for rank, how in _outer(now, goals, k, what)]
+    return [way for _, way in sorted(found, key=lambda pair: pair[0])]
+
+
+def _outer(now: list[Axes], goals: list[Array], k: int, what: int) -> Iterator[tuple[int, tuple[int, int, int]]]:
+    """How the outer joints can be solved: (rank, (mode, measure, option)), rank 0 the best."""
+    for option in (0, 1):
+        size = np.zeros((2, 2, 2))  # joint x or z, measure, largest or smallest over the goals
+        size[..., 1] = np.inf
+        for axes, some in zip(now, goals, strict=True):
+            lines = axes.packed()
+            for goal in some:
+                terms = np.empty(12)
+                candidates.outer_terms(axes.kinds, lines, goal, k, what, option, terms)
+                amplitude = np.linalg.norm(terms.reshape(2, 2, 3)[..., 1:], axis=-1)
+                size[..., 0] = np.maximum(size[..., 0], amplitude)
+                size[..., 1] = np.minimum(size[..., 1], amplitude)
+        missing, there = size[..., 0] <= EXACT, size[..., 0] > 1e-6
+        for j in (0, 1):
+            if missing[1, j] and there[0, j] and there[1, 1 - j]:
+                yield 0, (X_FIRST, j, option)
+            if missing[0, j] and there[1, j] and there[0, 1 - j]:
+                yield 0, (Z_FIRST, j, option)
+        if not missing.any():
+            yield 2, (COUPLED, 0, option)

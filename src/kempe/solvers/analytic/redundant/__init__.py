@@ -1,0 +1,1 @@
+"""Solutions of redundant chains as functions of a parameter."""

@@ -1,0 +1,278 @@
+"""The inverse model of a chain with one freedom to spare: its solutions as functions of a parameter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.budget import Budget, Usual
+from kempe.calls import explained
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.reals import is_whole, reals
+from kempe.rigid import EXACT, arrays, rotation_error
+from kempe.solvers.analytic.ik_all import chain_lines, ik_all, plan_for
+from kempe.solvers.analytic.plans.chain_lines import Lines
+from kempe.solvers.analytic.plans.choice import domains
+from kempe.solvers.analytic.plans.question import held, near_of
+from kempe.solvers.analytic.redundant.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, required_arm
+from kempe.solvers.analytic.redundant.sweep import Sweep
+from kempe.solvers.analytic.redundant.sweep_curves import Arc, Motion
+from kempe.solvers.analytic.redundant.sweep_net import arcs_through
+from kempe.solvers.common.targets import Z_AXIS, axis_for, targets_of, task_and_axis, task_of
+from kempe.spatial import Array, log_so3
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+ARM_ANGLE = "arm_angle"
+
+SAMPLES = 256
+"""Values of a joint at which all solutions are asked for, as starts of the curves between them."""
+USUAL = Usual("ik_sweep", points=SAMPLES)
+
+
+@explained
+def ik_sweep(
+    system: System, target: ArrayLike, frame: FrameLike, parameter: str | tuple[str, ArrayLike] | None = None, *,
+    n: int | None = None, task: str | tuple[str, ArrayLike] | None = None, start: Any = None,
+    fixed: Mapping[str, Any] | None = None, budget: Budget | None = None,
+) -> Sweep:  # fmt: skip
+    """The solutions of a redundant chain for one target, over a parameter, and where they are inside the limits.
+
+    `parameter` is a joint of the chain, or "arm_angle" for seven turning joints of which the first three axes meet, and
+    the last three (`kempe.solvers.analytic.redundant.arm_angle` says what it is; a pair ("arm_angle", reference) names
+    its reference); by default that, and else the joint that `ik_all` holds. `target` and `task` are as in `ik_all`.
+    Where there is more than one freedom to spare, joints are held: those `fixed`, by name, and others at `start` (nq,),
+    which also chooses among turns of angles; without `start` where `ik_all` finds a solution inside the limits. `n`
+    asks for samples at so many values; the points of the `budget` (256) are the values of a joint at which curves are
+    looked for.
+
+    Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where that is asked for,
+    `InputError`, `UnknownNameError`.
+
+    >>> import kempe
+    >>> robot = kempe.load("iiwa14")
+    >>> target = robot.fk([0.3, 0.9, 0.2, 1.3, -0.4, 0.8, 0.1], "tool")
+    >>> sweep = ik_sweep(robot, target, "tool")
+    >>> [(round(low, 3), round(high, 3)) for low, high in sweep.intervals[0]]
+    [(0.156, 6.204)]
+    >>> sweep.at(0.2).q[0].round(3).tolist()
+    [0.252, -0.341, -0.177, -1.3, 0.474, -0.535, -0.241]
+    """
+    name = system.structure.frame_name(frame)
+    said, axis = task_and_axis(task)
+    parameter, reference = parameter if isinstance(parameter, (tuple, list)) else (parameter, None)
+    points = _count(USUAL.of(budget).points)
+    direction = axis_for(axis, said)
+    targets, lead, is_position = targets_of(system, arrays(target, "target"), said, direction)
+    if lead != () or not np.isfinite(targets).all():
+        raise InputError("a sweep needs one target, of finite numbers")
+    task = task_of(said, is_position, bool(system.structure.table.at[name][2]))
+    given_near = near_of(system, start, None)
+    base = system.neutral if given_near is None else given_near[0]
+    lines = chain_lines(system, name, Z_AXIS)
+    if task != "position" and system.dim == 3:
+        _refuse_no_rotation(targets[0, :3, :3])
+    given = held(name, lines.names, fixed)
+    if any(v.ndim for v in given.values()):
+        raise InputError("a sweep holds joints at single numbers")
+    arm = find_arm(system, name, reference) if task == "pose" and not given and parameter in (None, ARM_ANGLE) else ""
+    if parameter == ARM_ANGLE and not isinstance(arm, Arm):
+        if task != "pose" or given:
+            joints = ", ".join(lines.names)
+            raise UnsupportedError(f"the arm angle is for poses, with no joint held; name a joint: {joints}")
+        required_arm(system, name, reference)
+    question = Asked(system, name, lines, task, direction, targets[0], reals(target, "target"), base, given,
+                     given_near is None)  # fmt: skip
+    curves = ArmCurves(question, arm) if isinstance(arm, Arm) else _joint_curves(question, parameter, points)
+    return _sweep(question, curves, None if n is None else _count(n))
+
+
+def _refuse_no_rotation(R: Array) -> None:
+    if rotation_error(R) > EXACT:
+        raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
+
+
+def _count(n: object) -> int:
+    if not is_whole(n) or n < 2:
+        raise InputError(f"the number of samples is {n!r}; it must be a whole number, at least 2")
+    return int(n)
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What a sweep was asked for."""
+
+    system: System
+    frame: str
+    lines: Lines
+    task: str
+    axis: tuple[float, float, float]
+    target: Array
+    given: Array
+    near: Array
+    fixed: dict[str, Array]
+    anywhere: bool
+
+    def locked(self, fixed: Mapping[str, Any]) -> tuple[int, ...]:
+        """Joints that `ik_all` holds, with these `fixed`."""
+        lines = chain_lines(self.system, self.frame, self.axis)
+        return plan_for(self.system, self.frame, lines, self.task, self.axis, tuple(fixed)).locked
+
+    def place(self) -> Array:
+        """Configuration (nq,) where joints are held that nobody named: near, inside the limits, or on target."""
+        if self.anywhere:
+            found = ik_all(self.system, self.given, self.frame, task=(self.task, self.axis), fixed=self.fixed)
+            if found:
+                return found.q[0]
+        q, at = self.near.copy(), self.lines.q_index
+        q[at] = np.clip(q[at], *self.lines.limits)
+        return q
+
+    def all_at(self, name: str, values: Array, fixed: Mapping[str, Any]) -> Any:
+        """`ik_all` with a joint held at values () or (m,)."""
+        m = (len(values),) if values.ndim else ()
+        target = np.broadcast_to(self.given, (*m, *self.given.shape))
+        near = np.array(np.broadcast_to(self.near, (*m, self.system.nq)), order="C")
+        return ik_all(self.system, target, self.frame, near, task=(self.task, self.axis),
+                      fixed={**fixed, name: values})  # fmt: skip
+
+
+def _sweep(asked: Asked, curves: ArmCurves | JointCurves, n: int | None) -> Sweep:
+    """The answer, with samples."""
+    rows, spans = (tuple(tuple(r) for r in curves.intervals(limited)) for limited in (True, False))
+    none = np.zeros((0, len(curves.labels)), dtype=bool)
+    sweep = Sweep(
+        asked.system, asked.frame, curves.parameter, asked.task, asked.target, curves.held, curves.domain,
+        curves.labels, rows, spans, curves.exact, np.zeros(0), np.zeros((*none.shape, asked.system.nq)), none, none,
+        curves, curves.base, None if curves.exact else lambda v: asked.all_at(curves.parameter, v, curves.held),
+    )  # fmt: skip
+    if n is None:
+        return sweep
+    values = np.linspace(*curves.domain, n)
+    q, mask, fits = sweep._sampled(values, True)
+    for name, x in (("values", values), ("q", q), ("mask", mask), ("inside", fits)):
+        object.__setattr__(sweep, name, x)
+    return sweep
+
+
+class ArmCurves:
+    """The eight branches of an arm over its arm angle."""
+
+    parameter, exact, circular = ARM_ANGLE, True, True
+    domain = (-math.pi, math.pi)
+
+    def __init__(self, asked: Asked, arm: Arm):
+        self.asked, self.posed, self.lines, self.base = asked, Posed(arm, asked.target), arm.lines, asked.near
+        self.held: dict[str, float] = {}
+        names = (arm.lines.names[1], arm.lines.names[ELBOW], arm.lines.names[5])
+        self.labels = tuple(
+            " ".join(n + ("+", "-")[side] for n, side in zip(names, (s, e, w), strict=True)) for e, s, w in BRANCHES
+        )
+        self.reason = f"the wrist would have to be {self.posed.distance * arm.lines.length:.6g} m from the shoulder"
+
+    def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
+        """For each branch, where it exists, inside the limits where `limited`."""
+        return self.posed.intervals(limited)
+
+    def residual(self, q: Array) -> Array:
+        """Norm (...) of position error [m] and orientation error [rad] of configurations (..., nq)."""
+        X = self.asked.system.fk(q, self.asked.frame)
+        turn = log_so3(np.swapaxes(X[..., :3, :3], -1, -2) @ self.asked.target[:3, :3])
+        return np.linalg.norm(np.concatenate([X[..., :3, 3] - self.asked.target[:3, 3], turn], axis=-1), axis=-1)
+
+    def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
+        """Coordinates (m, 8, 7), and which branches are there (m, 8); (m, 1, 7) and (m, 1) of one branch."""
+        theta, found = self.posed.theta(values)
+        if branch is not None:
+            theta, found = theta[:, [branch]], found[:, [branch]]
+        return (theta - self.lines.gauge) / self.lines.multiplier, found
+
+
+class JointCurves:
+    """Branches over a joint: arcs of the curves of self-motion."""
+
+    exact, circular = False, False
+
+    def __init__(self, motion: Motion, arcs: list[Arc], name: str, domain: tuple[float, float], fixed: dict[str, float],
+                 samples: int):  # fmt: skip
+        self.motion, self.arcs, self.lines, self.parameter = motion, arcs, motion.lines, name
+        self.domain, self.held, self.base, self.unit = domain, fixed, motion.base, float(motion.unit[motion.p])
+        self.labels = tuple(f"branch {k + 1}" for k in range(len(arcs)))
+        self.reason = f"none of {samples} values has one; it may be that the target alone decides it"
+
+    def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
+        """For each branch, where it exists, inside the limits where `limited`."""
+        return [[(a * self.unit, b * self.unit) for a, b in arc.intervals(limited)] for arc in self.arcs]
+
+    def residual(self, q: Array) -> Array:
+        """Norm (...) of position error [m] and orientation error [rad] of configurations (..., nq)."""
+        return np.linalg.norm(self.motion.missing(q) * np.repeat([self.lines.length, 1.0], 3), axis=-1)
+
+    def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
+        """Coordinates (m, K, n), and which branches are there (m, K); of one branch K = 1."""
+        arcs = self.arcs if branch is None else [self.arcs[branch]]
+        q = np.full((len(values), len(arcs), len(self.lines)), np.nan)
+        mask = np.zeros(q.shape[:2], dtype=bool)
+        for k, arc in enumerate(arcs):
+            x, mask[:, k] = arc.at(values / self.unit)
+            q[:, k] = self.motion.q(x)[:, self.lines.q_index]
+            q[:, k, self.motion.free[self.motion.p]] = values
+        q[~mask] = np.nan
+        return q, mask
+
+
+def _joint_curves(asked: Asked, parameter: str | None, samples: int) -> JointCurves:
+    """The branches over a joint. Errors: `UnsupportedError` where the chain has no freedom to spare."""
+    lines = asked.lines
+    if parameter is not None and parameter not in lines.names:
+        raise UnknownNameError("joint", str(parameter), (*lines.names, ARM_ANGLE), f"the chain of {asked.frame!r}")
+    if parameter in asked.fixed:
+        raise InputError(f"{parameter} is fixed; the parameter must be free")
+    locked = _locked(asked, parameter)
+    if not locked:
+        raise UnsupportedError(
+            f"the chain of {asked.frame!r} has no freedom to spare for {_article(asked.task)}: ask `ik_all`"
+        )
+    name = locked[0] if parameter is None else parameter
+    others = {n: float(asked.fixed[n]) for n in locked if n in asked.fixed}
+    if len(others) + 1 < len(locked):
+        q = asked.place()
+        others |= {n: float(q[lines.q_index[lines.names.index(n)]]) for n in locked if n not in (name, *others)}
+    i = lines.names.index(name)
+    first, last = domains(lines)[:, i].tolist()
+    domain = first, last
+    shift = (domain[1] - domain[0]) * 0.381966 / samples  # arms tend to be singular at round values
+    inner = np.linspace(*domain, samples)[:-1] + shift
+    values = np.concatenate([[domain[0]], inner, [domain[1]]])
+    found = asked.all_at(name, values, others)
+    free = tuple(j for j, n in enumerate(lines.names) if n not in others)
+    base = asked.near.copy()
+    for other, value in others.items():
+        base[lines.q_index[lines.names.index(other)]] = value
+    motion = Motion(asked.system, asked.frame, lines, asked.task, asked.axis, asked.target, base, free, free.index(i))
+    level, row = np.nonzero(found.mask & (found.multiplicity > 0))
+    arcs = arcs_through(motion, values / motion.unit[motion.p], motion.x(found.q[level, row]), level)
+    return JointCurves(motion, arcs, name, domain, others, samples)
+
+
+def _article(task: str) -> str:
+    return f"a{'n' if task[0] in 'aeiou' else ''} {task.replace('_axis', ' with an axis')}"
+
+
+def _locked(asked: Asked, parameter: str | None) -> list[str]:
+    """Joints that `ik_all` holds for this task, the parameter first; none where the chain has no freedom to spare."""
+    fixed = dict(asked.fixed)
+    if parameter is not None:
+        fixed[parameter] = np.zeros(())
+    names = asked.lines.names
+    chosen = [names[i] for i in asked.locked(fixed) if names[i] not in fixed]
+    if parameter is None:
+        return [*chosen, *fixed] if chosen else []
+    spare = [i for i in asked.locked(asked.fixed) if names[i] not in asked.fixed]
+    return [parameter, *chosen, *asked.fixed] if spare else []

@@ -1,0 +1,343 @@
+"""`Sweep`: the answer of `ik_sweep`, the solutions of a redundant chain as functions of a parameter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.calls import explained_methods
+from kempe.constraints.frame_targets import AXIS_TASKS, of_target
+from kempe.errors import InputError
+from kempe.kernels.forward.table_layout import SLIDE
+from kempe.kinematics.common.result import Cells
+from kempe.kinematics.tasks.task_classes import task_of
+from kempe.reals import reals
+from kempe.solvers.analytic.plans.chain_lines import Lines
+from kempe.solvers.analytic.redundant.intervals import Intervals, spelled, union
+from kempe.solvers.common.answer import Answer
+from kempe.solvers.common.targets import Z_AXIS
+from kempe.spatial import Array
+from kempe.status import Status
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+EDGE = 1e-10
+"""How far beyond a limit rounding may push a coordinate, as in `ik_all`."""
+
+HOLDS = (1e-6, 1e-6)
+"""Metres and radians that a sampled solution may miss the target by."""
+
+SAME = 1e-6
+"""Largest difference of two configurations that count as one."""
+
+TRIES, REFINED = 201, 4
+"""Configurations of each interval that are compared, and how many of the best of these are refined."""
+
+TWO_PI = 2.0 * math.pi
+
+
+class Curves(Protocol):
+    """What a sweep is made of: branches of solutions over the parameter."""
+
+    domain: tuple[float, float]
+    labels: tuple[str, ...]
+    base: Array
+    lines: Lines
+    exact: bool
+    circular: bool
+    reason: str
+
+    def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
+        """For each branch, where it exists, inside the limits where `limited`."""
+        ...
+
+    def rows(self, values: Array, branch: int | None) -> tuple[Array, np.ndarray]:
+        """Coordinates (m, K, n) of the chain, in any turn, and which are there (m, K); of one branch K = 1."""
+        ...
+
+    def residual(self, q: Array) -> Array:
+        """Norm (...) of position error [m] and orientation error [rad] of configurations (..., nq)."""
+        ...
+
+
+class Best(NamedTuple):
+    """The best configuration of a sweep: parameter `value`, `q` (nq,), `branch` and `score`."""
+
+    value: float
+    q: Array
+    branch: int
+    score: float
+
+
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """All solutions at one value of the parameter, or at each of many.
+
+    For one: `q` (k, nq), those inside the limits first, and `inside`, `residual` (norm of position error [m] and
+    orientation error [rad] by the forward model) and `branch` (k,). For values (m,): `q` (m, K, nq) with a row for each
+    branch, NaN where `mask` (m, K) is False, the others (m, K).
+    """
+
+    value: Any
+    q: Array
+    mask: np.ndarray
+    inside: np.ndarray
+    residual: Array
+    branch: np.ndarray
+    status: str = ""
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __bool__(self) -> bool:
+        return bool(self.inside.any())
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter(self.q)
+
+    def __getitem__(self, k: Any) -> Array:
+        return self.q[k]
+
+    def __str__(self) -> str:
+        return self.status
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep(Answer):
+    """The solutions of a chain with one freedom to spare, over a `parameter`: a joint, or "arm_angle".
+
+    `intervals` has, for each branch, the intervals (low, high) of the parameter in which its solution is inside the
+    limits; `spans` those in which it exists at all; `feasible` is the union of `intervals`. Arm angles: low is in
+    [-pi, pi), and high is beyond pi where the interval passes it. `exact`: the intervals are in closed form and
+    complete; else they are found from solutions at many values, their ends to 1e-10, and pieces between two of these
+    values may be missing. `labels` name the branches, by the sides to which shoulder, elbow and wrist bend.
+
+    `values` (n,), `q` (n, K, nq), `mask` and `inside` (n, K) are samples, if any were asked for: each row is one
+    branch, continuous inside its intervals, NaN where `mask` is False. `at` gives all solutions at any value, `best`
+    the best.
+    """
+
+    also = ("frame", "parameter", "task", "held", "domain", "labels", "intervals", "spans", "feasible", "exact",
+            "values", "inside")  # fmt: skip
+
+    system: System
+    frame: str
+    parameter: str
+    task: str
+    target: Array
+    held: dict[str, float]
+    domain: tuple[float, float]
+    labels: tuple[str, ...]
+    intervals: tuple[Intervals, ...]
+    spans: tuple[Intervals, ...]
+    exact: bool
+    values: Array
+    q: Array
+    mask: np.ndarray
+    inside: np.ndarray
+    curves: Curves
+    near: Array
+    ask: Callable[[Array], Any] | None
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns for a file: a row a sample and branch inside the limits, with the parameter's value."""
+        row, branch = np.nonzero(self.inside)
+        first = [np.asarray(self.values, dtype=float)[row], branch.astype(float)]
+        return ["value", "branch", *self.system.coordinate_names], np.column_stack([*first, self.q[row, branch]])
+
+    @property
+    def feasible(self) -> Intervals:
+        """The intervals in which there is any solution inside the limits."""
+        return union([i for rows in self.intervals for i in rows], self.curves.circular)
+
+    def at(self, value: ArrayLike) -> Any:
+        """All solutions at a value of the parameter, a `Slice`, or for joints `Solutions` of `ik_all`; (m,) for many.
+
+        Errors: `InputError` for values that are not finite.
+        """
+        x = reals(value, "value", "a finite number, or an array (m,) of them")
+        if x.ndim > 1 or not np.isfinite(x).all():
+            raise InputError(f"value is {value!r}; it must be a finite number, or an array (m,) of them")
+        return self.ask(x) if self.ask is not None else self._slice(x)
+
+    def _slice(self, x: Array) -> Slice:
+        q, mask, fits = self._sampled(np.atleast_1d(x), False)
+        error = np.where(mask, self.curves.residual(np.where(mask[..., None], q, self.near)), np.nan)
+        branch = np.where(mask, np.arange(mask.shape[1]), -1)
+        if x.ndim:
+            return Slice(x, q, mask, fits, error, branch)
+        keep = distinct(self.curves.lines, self.system, q[0], mask[0])
+        score = np.linalg.norm((q[0] - self.near)[keep], axis=-1)
+        keep = keep[np.lexsort((score, ~fits[0, keep]))]
+        count, good = len(keep), int(fits[0, keep].sum())
+        said = f"{count} solution{'' if count == 1 else 's'} at {self.parameter} = {float(x):.9g}, {good} inside limits"
+        return Slice(float(x), q[0, keep], mask[0, keep], fits[0, keep], error[0, keep], branch[0, keep], said)
+
+    def _sampled(self, values: Array, along: bool, branch: int | None = None) -> tuple[Array, np.ndarray, np.ndarray]:
+        """Configurations (m, K, nq), which are there, which are inside the limits (m, K); of one branch K = 1."""
+        lines = self.curves.lines
+        chain, mask = self.curves.rows(values, branch)
+        chain, fits = turned(lines, chain, mask, self.near[lines.q_index], along)
+        q = np.full((*mask.shape, self.system.nq), np.nan)
+        q[:] = self.near
+        q[..., lines.q_index] = chain
+        q[~mask] = np.nan
+        return q, mask, fits & mask
+
+    def best(self, objective: str | Callable[[Array], Array] = "limits") -> Best | None:
+        """The best configuration inside the limits, over all branches; None where there is none.
+
+        objective: "limits" (the share of its range by which the joint nearest to a limit is away from it, at most 1),
+        "near" (minus the distance to `near`), or a function of configurations (m, nq) that gives numbers (m,), the
+        larger the better. Method: many values in each interval, the best refined by smaller and smaller steps.
+        """
+        score = self._objective(objective)
+        found: list[Best] = []
+        for branch, rows in enumerate(self.intervals):
+            for low, high in rows:
+                values = np.linspace(low, high, TRIES)[1:-1]
+                first = self._best_of(score, branch, values, None)
+                found += [first] if first else []
+        if not found:
+            return None
+        found = sorted(found, key=lambda b: -b.score)[:REFINED]
+        return max((self._refined(score, b) for b in found), key=lambda b: b.score)
+
+    def _best_of(self, score: Callable[[Array], Array], branch: int, values: Array, best: Best | None) -> Best | None:
+        """The best of one branch at these values, or `best` where that is better."""
+        q, mask, fits = self._sampled(values, False, branch)
+        rows = np.flatnonzero((mask & fits)[:, 0])
+        if not rows.size:
+            return best
+        scores = reals(score(q[rows, 0]), "the score")
+        if scores.shape != rows.shape:
+            raise InputError(f"the objective gives an array {scores.shape} for {len(rows)} configurations")
+        k = int(np.argmax(scores))
+        if best is not None and scores[k] <= best.score:
+            return best
+        return Best(float(values[rows[k]]), q[rows[k], 0], branch, float(scores[k]))
+
+    def _refined(self, score: Callable[[Array], Array], best: Best) -> Best:
+        low, high = next((a, b) for a, b in self.intervals[best.branch] if a <= best.value <= b)
+        step = (high - low) / (TRIES - 1)
+        while step > 1e-10:
+            values = np.clip(best.value + step * np.linspace(-1.0, 1.0, 21), low, high)
+            best = self._best_of(score, best.branch, values, best) or best
+            step *= 0.1
+        return best
+
+    def _objective(self, objective: str | Callable[[Array], Array]) -> Callable[[Array], Array]:
+        if callable(objective):
+            return objective
+        lines = self.curves.lines
+        if objective == "near":
+            return lambda q: -np.linalg.norm(q - self.near, axis=-1)
+        if objective != "limits":
+            raise InputError(f"objective is {objective!r}; it must be 'limits', 'near' or a function of configurations")
+        (low, high), at = lines.limits, lines.q_index
+        limited = np.isfinite(low) & np.isfinite(high) & (high > low)
+
+        def room(q: Array) -> Array:
+            x = q[..., at][..., limited]
+            a, b = low[limited], high[limited]
+            return np.min(2.0 * np.minimum(x - a, b - x) / (b - a), axis=-1, initial=1.0)
+
+        return room
+
+    @property
+    def success(self) -> bool:
+        """Whether there is any solution inside the limits."""
+        return any(self.intervals)
+
+    @property
+    def code(self) -> Status:
+        """The outcome: that there is no solution is proven where the intervals are `exact`."""
+        if self.success:
+            return Status.SOLVED
+        return Status.NOT_FOUND if not self.exact else Status.OUTSIDE_LIMITS if any(self.spans) else Status.NONE_EXISTS
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        made = () if self.task in AXIS_TASKS else of_target(self.frame, self.task, Z_AXIS, self.target)
+        return [(task_of(c, self.system.dim), None, HOLDS) for c in made]
+
+    def _claimed(self) -> np.ndarray:
+        return self.mask
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        way = "in closed form" if self.exact else "ends to 1e-10, from solutions at sampled values"
+        if self:
+            return f"{self.parameter} can be in {spelled(self.feasible)} ({way})"
+        if any(self.spans):
+            return f"outside the limits for every {self.parameter} ({way})"
+        return f"no solution for any {self.parameter}: {self.curves.reason}"
+
+    def __repr__(self) -> str:
+        return f"Sweep({self.system.name!r}, {self.frame!r}, {self.parameter!r}, feasible=[{spelled(self.feasible)}])"
+
+    def _headline(self) -> str:
+        return f"{self.frame!r} of {self.system.name}, {self.task}: {self.status}"
+
+    def _cells(self) -> Cells:
+        each = zip(self.labels, self.intervals, self.spans, strict=True)
+        rows = [(label, spelled(a) or "-", spelled(b)) for label, a, b in each if b]
+        return ("branch", "inside the limits", "exists"), rows
+
+    def _lines(self) -> Sequence[str]:
+        lines = []
+        if self.held:
+            lines.append("held: " + ", ".join(f"{n} = {x:.9g}" for n, x in self.held.items()))
+        for label, rows in zip(self.labels, self.intervals, strict=True):
+            if rows:
+                lines.append(f"{label}: {spelled(rows)}")
+        outside = sum(1 for rows, spans in zip(self.intervals, self.spans, strict=True) if spans and not rows)
+        if outside and self:
+            lines.append(f"{outside} more branch{'' if outside == 1 else 'es'} outside the limits")
+        return lines
+
+
+def turned(lines: Lines, q: Array, mask: np.ndarray, near: Array, along: bool) -> tuple[Array, np.ndarray]:
+    """Coordinates (m, K, n) with turns chosen, inside the limits and nearest to `near` (n,), and whether they fit.
+
+    `along`: nearest to the row before, where there is one.
+    """
+    period = np.where(lines.kinds == SLIDE, np.inf, TWO_PI / np.abs(lines.multiplier))
+    if not along:
+        out, fits = _turned(lines, q, near, period)
+        return out, fits & mask
+    out, fits = np.empty_like(q), np.empty(mask.shape, dtype=bool)
+    last = np.broadcast_to(near, q.shape[1:])
+    for i in range(len(q)):
+        out[i], fits[i] = _turned(lines, q[i], last, period)
+        last = np.where(mask[i][:, None], out[i], near)
+    return out, fits & mask
+
+
+def _turned(lines: Lines, q: Array, near: Array, period: Array) -> tuple[Array, np.ndarray]:
+    low, high = lines.limits
+    with np.errstate(invalid="ignore"):
+        best = np.where(np.isfinite(period), q + period * np.round((near - q) / period), q)
+        over = np.where(np.isfinite(period), period * np.ceil((best - high - EDGE) / period), 0.0)
+        under = np.where(np.isfinite(period), period * np.ceil((low - EDGE - best) / period), 0.0)
+        other = np.where(best > high + EDGE, best - over, np.where(best < low - EDGE, best + under, best))
+        fits = (other >= low - EDGE) & (other <= high + EDGE)
+        return np.where(fits, np.clip(other, low, high), best), fits.all(axis=-1)
+
+
+def distinct(lines: Lines, system: System, q: Array, mask: np.ndarray) -> np.ndarray:
+    """Rows (k,) of q (K, nq) in use that are not the same configuration as one before them."""
+    out: list[int] = []
+    period = np.where(lines.kinds == SLIDE, np.inf, TWO_PI / np.abs(lines.multiplier))
+    for k in np.flatnonzero(mask):
+        d = q[out][:, lines.q_index] - q[k, lines.q_index]
+        with np.errstate(invalid="ignore"):
+            d = np.where(np.isfinite(period), d - period * np.round(d / period), d)
+        if not len(out) or np.abs(d).max(axis=-1).min() > SAME:
+            out.append(int(k))
+    return np.array(out, dtype=int)

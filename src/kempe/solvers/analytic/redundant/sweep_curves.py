@@ -1,0 +1,360 @@
+"""The motions of a chain that leave its task as it is, where one freedom is left: curves, cut into arcs over a joint.
+
+Each curve is followed by predictor and corrector from solutions at many values of the parameter, so that its *folds*,
+where the parameter turns back and two solutions merge, and the places where joints reach limits, are found on the curve
+itself (Burdick, "On the inverse kinematics of redundant manipulators: characterization of the self-motion manifolds",
+ICRA 1989). A curve that lives between two of the values is missed: hence "not exact", however small the errors are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from kempe.kernels.forward.table_layout import SLIDE
+from kempe.kinematics.common.gauss_newton import Found, gauss_newton_of_many
+from kempe.kinematics.common.roots import sign_change
+from kempe.model.system import System
+from kempe.solvers.analytic.plans.chain_lines import Lines
+from kempe.solvers.analytic.plans.plan import TASKS
+from kempe.solvers.common.targets import frame_of, points_along
+from kempe.solvers.common.tracing import ACROSS, Curve, Node, node, step, walk
+from kempe.spatial import Array
+
+LONGEST, MOST_STEPS = 0.15, 4000
+"""The longest step along a curve [rad, lengths of the chain], and how many a curve may have."""
+
+CONVERGED, HELD = 1e-13, 1e-11
+"""Error of a configuration that is corrected no further, and of one that is taken for good."""
+
+CHECKS = np.linspace(0.0, 1.0, 6)
+"""Places in a step where folds and limits are looked for: a pair of them closer than that is missed."""
+
+TWO_PI = 2.0 * math.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Motion(Curve):
+    """A chain that keeps its task at a target, with one freedom: joints `free` of the chain move, that at `p` of these
+    is the parameter, the others stay as in `base` (nq,). x are the free coordinates, slides in lengths of the chain."""
+
+    system: System
+    frame: str
+    lines: Lines
+    task: str
+    axis: tuple[float, float, float]
+    target: Array = field(repr=False)
+    base: Array = field(repr=False)
+    free: tuple[int, ...]
+    p: int
+
+    @property
+    def n(self) -> int:
+        """How many joints move."""
+        return len(self.free)
+
+    @property
+    def unit(self) -> Array:
+        """What one of x is in the system's units (nf,)."""
+        free = list(self.free)
+        return np.where(self.lines.kinds[free] == SLIDE, self.lines.length, 1.0)
+
+    @property
+    def period(self) -> Array:
+        """After how much of x (nf,) a joint is as before; infinite for slides."""
+        free = list(self.free)
+        return np.where(self.lines.kinds[free] == SLIDE, np.inf, TWO_PI / np.abs(self.lines.multiplier[free]))
+
+    @property
+    def limits(self) -> Array:
+        """Limits (2, nf) of x."""
+        return self.lines.limits[:, list(self.free)] / self.unit
+
+    def q(self, x: Array) -> Array:
+        """Configurations (..., nq) of x (..., nf)."""
+        out = np.array(np.broadcast_to(self.base, (*x.shape[:-1], len(self.base))), order="C")
+        out[..., self.lines.q_index[list(self.free)]] = x * self.unit
+        return out
+
+    def x(self, q: Array) -> Array:
+        """Free coordinates (..., nf) of configurations (..., nq)."""
+        return q[..., self.lines.q_index[list(self.free)]] / self.unit
+
+    @property
+    def tool(self) -> Array:
+        """The rotation (3, 3) from the frame to one whose z axis is the tool's axis, where the task reads that."""
+        return frame_of(np.array(self.axis)) if points_along(self.task) else np.eye(3)
+
+    @property
+    def rows(self) -> Array:
+        """Which of the six errors count (6,), as 0 and 1."""
+        planar = self.system.dim == 2 and self.task == "pose"
+        return np.array((1, 1, 0, 0, 0, 1) if planar else TASKS[self.task], dtype=float)
+
+    def missing(self, q: Array) -> Array:
+        """The twist (..., 6) from the tip to the target, in the tip's frame, lengths in those of the chain.
+
+        What the task does not ask for is zero.
+        """
+        X, turn = self.system.fk(q, self.frame), self.tool
+        back = np.swapaxes(X[..., :3, :3] @ turn, -1, -2)
+        away = np.einsum("...ij,...j->...i", back, self.target[:3, 3] - X[..., :3, 3]) / self.lines.length
+        left = back @ (self.target[:3, :3] @ turn)
+        if points_along(self.task):
+            angular = np.stack([-left[..., 1, 2], left[..., 0, 2], np.zeros(left.shape[:-2])], axis=-1)
+        else:
+            angular = rotation_vector(left)
+        return self.rows * np.concatenate([away, angular], axis=-1)
+
+    def jacobian(self, x: Array) -> Array:
+        """The twist (..., 6, nf) of the tip by x, as in `missing`."""
+        J = self.system.jacobian(self.q(x), self.frame, "body")
+        J = J[..., self.lines.v_index[list(self.free)]] * self.unit
+        J = np.concatenate([self.tool.T @ J[..., :3, :] / self.lines.length, self.tool.T @ J[..., 3:, :]], axis=-2)
+        return self.rows[:, None] * J
+
+    def both(self, x: Array) -> tuple[Array, Array]:
+        """Minus the twist that is missing at x (nf,), and the derivatives, rows of zeros below."""
+        return np.append(-self.missing(self.q(x)), np.zeros(max(self.n - 6, 0))), self.matrix(x)
+
+    def matrix(self, x: Array) -> Array:
+        """The derivatives of `both` alone."""
+        return np.append(self.jacobian(x), np.zeros((max(self.n - 6, 0), self.n)), axis=0)
+
+    def tolerance(self, x: Array) -> float:
+        """Error below which a point is on the curve."""
+        return HELD
+
+    def closed(self, x: Array, across: Array, rounds: int = 8) -> tuple[Array, np.ndarray]:
+        """Points (m, nf) of the curve in planes through x (m, nf) across directions (m, nf), and whether found (m,)."""
+        at = np.sum(across * x, axis=-1)
+
+        def both(x: Array, some: np.ndarray) -> tuple[Array, Array]:
+            e, J = self.missing(self.q(x)), self.jacobian(x)
+            away = np.sum(across[some] * x, axis=-1) - at[some]
+            return np.append(-e, away[:, None], axis=-1), np.append(J, across[some, None], axis=-2)
+
+        x = gauss_newton_of_many(both, x, rounds, met=CONVERGED)
+        return x, np.abs(self.missing(self.q(x))).max(axis=-1) < HELD
+
+    def gap(self, x: Array, y: Array) -> Array:
+        """y - x (..., nf), angles the short way."""
+        d, period = y - x, self.period
+        with np.errstate(invalid="ignore"):
+            return np.where(np.isfinite(period), d - period * np.round(d / period), d)
+
+    def inside(self, x: Array) -> np.ndarray:
+        """Whether x (..., nf) is inside the limits (...), by any turn; the parameter is not asked."""
+        (low, high), period = self.limits, self.period
+        with np.errstate(invalid="ignore"):
+            up = np.where(np.isfinite(period) & np.isfinite(low), low + np.mod(x - low, period), x)
+            only = np.isfinite(period) & ~np.isfinite(low) & np.isfinite(high)
+            up = np.where(only, high - np.mod(high - x, period), up)
+        good = (up >= low) & (up <= high)
+        good[..., self.p] = True
+        return good.all(axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Arc:
+    """A piece of a curve over which the parameter rises: nodes x (k, nf) and unit tangents t (k, nf)."""
+
+    motion: Motion
+    x: Array
+    t: Array
+
+    @property
+    def values(self) -> Array:
+        """Parameter (k,) of the nodes."""
+        return self.x[:, self.motion.p]
+
+    def guess(self, k: np.ndarray, s: Array) -> Array:
+        """Points (m, nf) near the curve at fractions s (m,) of steps k (m,): cubics."""
+        return hermite(self.x[k], self.t[k], self.x[k + 1], self.t[k + 1], s)
+
+    def points(self, k: np.ndarray, s: Array) -> Array:
+        """Points (m, nf) of the curve at fractions s (m,) of steps k (m,)."""
+        across = self.x[k + 1] - self.x[k]
+        across /= np.linalg.norm(across, axis=-1, keepdims=True)
+        return self.motion.closed(self.guess(k, s), across)[0]
+
+    def at(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Points (m, nf) at values (m,) of the parameter, and whether the arc is there (m,)."""
+        p, known = self.motion.p, self.values
+        there = (values >= known[0]) & (values <= known[-1])
+        out = np.full((len(values), self.x.shape[1]), np.nan)
+        if not there.any():
+            return out, there
+        v = values[there]
+        k = np.clip(np.searchsorted(known, v, side="right") - 1, 0, len(known) - 2)
+        low, high = np.zeros(len(v)), np.ones(len(v))
+        for _ in range(45):
+            s = 0.5 * (low + high)
+            less = self.guess(k, s)[:, p] < v
+            low, high = np.where(less, s, low), np.where(less, high, s)
+        x = self.guess(k, 0.5 * (low + high))
+        x[:, p] = v
+        across = np.zeros_like(x)
+        across[:, p] = 1.0
+        better, good = self.motion.closed(x, across)
+        steps = np.linalg.norm(self.x[k + 1] - self.x[k], axis=-1)
+        good &= np.linalg.norm(better - x, axis=-1) < 0.5 * steps + 1e-6
+        for end in (0, -1):  # the ends are folds, where the corrector has nothing to hold on to
+            at_end = np.abs(v - known[end]) <= 1e-14 * (1.0 + abs(known[end]))
+            better[at_end], good[at_end] = self.x[end], True
+        out[there], there[there] = better, good
+        return out, there
+
+    def intervals(self, limited: bool = True) -> list[tuple[float, float]]:
+        """Intervals of the parameter in which the arc is inside the limits; all of it where not `limited`."""
+        if not limited:
+            return [(float(self.values[0]), float(self.values[-1]))]
+        last = len(self.x) - 1
+        ends = [(0.0, self.values[0]), *sorted(self._crossings()), (float(last), self.values[-1])]
+        pairs = [(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True) if b[0] - a[0] > 1e-11]
+        middles = np.array([0.5 * (a[0] + b[0]) for a, b in pairs])
+        k = np.minimum(middles.astype(int), last - 1)
+        good = self.motion.inside(self.points(k, middles - k))
+        out: list[tuple[float, float]] = []
+        for i, ((_, low), (_, high)) in enumerate(pairs):
+            if good[i] and i and good[i - 1]:
+                out[-1] = (out[-1][0], float(high))
+            elif good[i]:
+                out.append((float(low), float(high)))
+        return out
+
+    def _crossings(self) -> Iterator[tuple[float, float]]:
+        """Places (step and fraction of it) where a joint other than the parameter passes a limit, and the parameter."""
+        m, steps = self.motion, len(self.x) - 1
+        k = np.repeat(np.arange(steps), len(CHECKS))
+        some = self.guess(k, np.tile(CHECKS, steps)).reshape(steps, len(CHECKS), -1)
+        found: list[tuple[int, int, int, float]] = []
+        for j, (low, high) in enumerate(m.limits.T):
+            for limit in {low, high} if j != m.p else ():
+                if not math.isfinite(limit):
+                    continue
+                period = m.period[j] if math.isfinite(m.period[j]) else 1e30
+                lap = np.floor((some[..., j] - limit) / period)
+                for k, i in zip(*np.nonzero(lap[:, 1:] != lap[:, :-1]), strict=True):
+                    lifted = max(lap[k, i], lap[k, i + 1])
+                    found.append((int(k), int(i), j, float(limit + period * lifted if lifted else limit)))
+        if not found:
+            return
+        at, i, joint, level = (np.array(column) for column in zip(*found, strict=True))
+        low, high = CHECKS[i], CHECKS[i + 1]
+        rows = np.arange(len(at))
+        rising = self.guess(at, high)[rows, joint] > self.guess(at, low)[rows, joint]
+        for _ in range(30):
+            s = 0.5 * (low + high)
+            before = (self.guess(at, s)[rows, joint] < level) == rising
+            low, high = np.where(before, s, low), np.where(before, high, s)
+        first = self.guess(at, 0.5 * (low + high))
+        first[rows, joint] = level
+        x, good = m.closed(first, np.eye(some.shape[-1])[joint])
+        size = np.linalg.norm(self.x[at + 1] - self.x[at], axis=-1)
+        good &= np.linalg.norm(x - first, axis=-1) < 0.05 * size + 1e-9
+        for r in rows:
+            if not good[r]:  # the joint only grazes its limit: found on the curve, step by step
+                f = lambda s, r=r: float(self.points(at[[r]], np.array([s]))[0, joint[r]] - level[r])  # noqa: E731
+                s = sign_change(f, float(CHECKS[i[r]]), float(CHECKS[i[r] + 1]))
+                if s is None:
+                    continue
+                low[r] = high[r] = s
+                x[r] = self.points(at[[r]], np.array([s]))[0]
+            yield float(at[r] + 0.5 * (low[r] + high[r])), float(np.clip(x[r, m.p], self.values[0], self.values[-1]))
+
+
+def rotation_vector(R: Array) -> Array:
+    """2 tan(angle / 2) times the axis (..., 3) of rotations: the rotation vector where it is small."""
+    v = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
+    return v * (2.0 / np.maximum(1.0 + trace, 1e-9))[..., None]
+
+
+def hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
+    """Points (m, n) at fractions s (m,) of steps between nodes (m, n) with unit tangents."""
+    size, s = np.linalg.norm(x1 - x0, axis=-1, keepdims=True), s[:, None]
+    d = x1 - x0
+    return x0 + s * s * (3.0 - 2.0 * s) * d + size * (s * (1.0 - s) ** 2 * t0 - s * s * (1.0 - s) * t1)
+
+
+# ---- following a curve between two values
+
+
+def follow(
+    motion: Motion, start: Array, tangent: Array, between: tuple[float, float]
+) -> tuple[list[Array], list[Array]]:
+    """Nodes and tangents of the curve from a point on, until the parameter leaves an interval: the last is on its end.
+
+    Where the curve has no tangent, or is too long, the last node is inside.
+    """
+    nodes, ends = [node(motion, start, tangent)], list[Node]()
+
+    def taken(a: Node, h: float) -> list[Node] | None:
+        b = step(motion, a, h)
+        if b is None or between[0] <= b.x[motion.p] <= between[1]:
+            return None if b is None else [b]
+        end = _landed(motion, a, b, between[0] if b.x[motion.p] < between[0] else between[1])
+        ends[:] = [] if end is None else [node(motion, end.x, a.t, end.J)]
+        return ends or None
+
+    for b in walk(nodes[0], taken, LONGEST, LONGEST):
+        nodes.append(b)
+        if ends or len(nodes) == MOST_STEPS:
+            break
+    return [a.x for a in nodes], [a.t for a in nodes]
+
+
+def _landed(motion: Motion, a: Node, b: Node, value: float) -> Found | None:
+    """What is found in a step where the parameter has a value, None where there is none."""
+    p = motion.p
+    ends = a.x[None], a.t[None], b.x[None], b.t[None]
+    s = sign_change(lambda s: float(hermite(*ends, np.array([s]))[0, p] - value), 1e-9, 1.0)
+    if s is None:
+        return None
+    guess = hermite(*ends, np.array([s]))[0]
+    guess[p] = value
+    end = motion.corrected(guess, np.eye(motion.n)[p])
+    near = end is not None and np.linalg.norm(end.x - guess) <= ACROSS * np.linalg.norm(b.x - a.x)
+    return end if near else None
+
+
+def pieces(motion: Motion, xs: list[Array], ts: list[Array]) -> list[tuple[Array, Array]]:
+    """Nodes and tangents between the folds of a path, in its order."""
+    nodes, tangents, ends = [xs[0]], [ts[0]], [0]
+    for k in range(len(xs) - 1):
+        for x, t in _folds(motion, xs[k], ts[k], xs[k + 1], ts[k + 1]):
+            ends.append(len(nodes))
+            nodes.append(x)
+            tangents.append(t)
+        nodes.append(xs[k + 1])
+        tangents.append(ts[k + 1])
+    ends.append(len(nodes) - 1)
+    spans = zip(ends[:-1], ends[1:], strict=True)
+    return [(np.array(nodes[a : b + 1]), np.array(tangents[a : b + 1])) for a, b in spans]
+
+
+def _folds(motion: Motion, x: Array, t: Array, y: Array, u: Array) -> Iterator[tuple[Array, Array]]:
+    """Points and tangents in a step where the parameter turns back."""
+    p, piece, at_0 = motion.p, Arc(motion, np.array([x, y]), np.array([t, u])), np.array([0])
+
+    def slope(s: float) -> float:
+        return float(node(motion, piece.points(at_0, np.array([s]))[0], t).t[p])
+
+    size = float(np.linalg.norm(y - x))
+    s, d = CHECKS, (y - x)[p]
+    rates = 6.0 * s * (1.0 - s) * d + size * ((1.0 - s) * (1.0 - 3.0 * s) * t[p] - s * (2.0 - 3.0 * s) * u[p])
+    rates[0], rates[-1] = t[p], u[p]
+    if not np.any((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
+        return
+    # the cubic says that there is one; the curve itself says where
+    tangents = [node(motion, z, t).t for z in piece.points(np.zeros(len(s), dtype=int), s)]
+    rates = np.array([t[p], *(v[p] for v in tangents[1:-1]), u[p]])
+    for i in np.flatnonzero((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
+        at = sign_change(slope, float(s[i]), float(s[i + 1]))
+        if at is not None and 0.0 < at < 1.0:
+            z = piece.points(at_0, np.array([at]))[0]
+            yield z, node(motion, z, t).t

@@ -1,0 +1,100 @@
+"""Solutions by many starts, for chains with neither a closed form nor an elimination: never known to be complete."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kempe.kernels.closed_form import analytic_layout as A
+from kempe.kernels.forward.table_layout import SLIDE
+from kempe.kinematics.common.gauss_newton import gauss_newton_of_many
+from kempe.solvers.analytic.answers.nearest import Aim
+from kempe.solvers.analytic.plans.plan import TASKS, Plan
+from kempe.solvers.analytic.plans.question import Question
+from kempe.solvers.common.targets import Z_AXIS, frame_of
+from kempe.spatial import Array
+
+STARTS, STEPS, LONGEST = 400, 80, 0.7
+"""Starts, damped Newton steps of each, and the longest change of a joint in one."""
+
+FLOOR = 1e-14
+"""Damping that is always there, and as a part of the trace."""
+
+APART = 1e-6
+"""Solutions nearer than this are one."""
+
+
+def search(
+    question: Question, plan: Plan, near: Array, locked: Array, out: Array, counts: np.ndarray, which: np.ndarray
+) -> None:
+    """Fill the rows `out` (N, K, n + 2) and `counts` (N, 2) of the targets whose numbers are in `which`."""
+    out[which, :, -A.INFO + A.CODE] = A.UNUSED
+    counts[which, 1] = 1
+    for i in which:
+        target = question.targets[i]
+        if not np.isfinite(target).all():
+            counts[i, 0] = -1
+            continue
+        at = i if len(locked) > 1 else 0
+        found, error = _solutions(question, plan, target, locked[at])
+        _write(plan, found, error, near[i if len(near) > 1 else 0], out[i], question.lead is None)
+        counts[i, 0] = int((out[i, :, -A.INFO + A.CODE] >= 0.0).sum())
+
+
+def _solutions(question: Question, plan: Plan, target: Array, locked: Array) -> tuple[Array, Array]:
+    """Variables (k, n) of distinct solutions, and their errors (k,)."""
+    lines, rng = plan.lines, np.random.default_rng(0)
+    T = np.array(target)
+    if question.axis != Z_AXIS:
+        T[:3, :3] = T[:3, :3] @ frame_of(np.array(question.axis))
+    T[:3, 3] = (T[:3, 3] - lines.origin) / lines.length
+    moves = np.array([i for i in range(len(lines)) if i not in plan.locked], dtype=np.int64)
+    aim = Aim(lines, np.flatnonzero(TASKS[plan.task]), T, moves)
+    theta = np.where(lines.kinds == SLIDE, rng.uniform(-2.0, 2.0, (STARTS, len(lines))),
+                     rng.uniform(-np.pi, np.pi, (STARTS, len(lines))))  # fmt: skip
+    theta[:, list(plan.locked)] = lines.theta(locked)[list(plan.locked)]
+
+    def damped(e: Array, J: Array) -> Array:
+        damping = np.minimum(0.05 * (e * e).sum(axis=1), 0.1) + FLOOR
+        N = np.swapaxes(J, 1, 2) @ J
+        damping += FLOOR * np.trace(N, axis1=1, axis2=2)  # else LU may find it singular
+        N += damping[:, None, None] * np.eye(len(moves))
+        y = np.zeros((len(e), len(lines)))
+        y[:, moves] = np.linalg.solve(N, np.swapaxes(J, 1, 2) @ e[..., None])[..., 0]
+        return y
+
+    theta = gauss_newton_of_many(lambda x, _: aim.at(x), theta, STEPS, step=damped, met=1e-15, last=0.0,
+                                 longest=LONGEST)  # fmt: skip
+    size = np.linalg.norm(aim.at(theta)[0], axis=1)
+    found, error = [], []
+    for k in np.flatnonzero(size <= question.tolerance / max(lines.length, 1.0)):
+        gaps = [np.where(lines.kinds == SLIDE, theta[k] - x, _wrapped(theta[k] - x)) for x in found]
+        if all(np.abs(g).max() > APART for g in gaps):
+            found.append(theta[k])
+            error.append(size[k] * max(lines.length, 1.0))
+        if len(found) == plan.slots:
+            break
+    return np.array(found).reshape(-1, len(lines)), np.array(error)
+
+
+def _wrapped(x: Array) -> Array:
+    return x - 2.0 * math.pi * np.round(x / (2.0 * math.pi))
+
+
+def _write(plan: Plan, found: Array, error: Array, near: Array, out: Array, sort: bool) -> None:
+    """Rows of one target, of each angle the turn inside the limits that is nearest to `near`."""
+    lines = plan.lines
+    period = np.where(lines.kinds == SLIDE, np.inf, 2.0 * math.pi / np.abs(lines.multiplier))
+    low, high = lines.limits
+    q = (found - lines.gauge) / lines.multiplier
+    with np.errstate(invalid="ignore"):
+        turns = np.where(np.isinf(period), 0.0, period)
+        q = q + turns * np.round(np.where(turns > 0.0, (near - q) / period, 0.0))
+        q = np.where((q > high) & (turns > 0.0), q - turns * np.ceil((q - high) / period), q)
+        q = np.where((q < low) & (turns > 0.0), q + turns * np.ceil((low - q) / period), q)
+    inside = ((q >= low) & (q <= high)).all(axis=1)
+    order = np.lexsort((np.linalg.norm(q - near, axis=1), ~inside)) if sort else np.arange(len(q))
+    for row, k in zip(out, order, strict=False):
+        row[: len(lines)], row[-A.INFO + A.ERROR] = q[k], error[k]
+        row[-A.INFO + A.CODE] = A.MULTIPLICITY_UNIT + float(inside[k])

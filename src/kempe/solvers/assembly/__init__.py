@@ -1,0 +1,1 @@
+"""Assembly: configurations that close all loops, within one tolerance."""

@@ -1,0 +1,65 @@
+"""The answer of an assembly: the configuration, whether and how well it closes, and the sentence that says so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.calls import brief, explained_methods
+from kempe.solvers.common.answer import Answer
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.solvers.assembly.assembly import Assembler
+    from kempe.solvers.common.problem import Choice
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Assembly(Answer):
+    """Answer of `assemble`: one configuration for each set of known values.
+
+    `q` (..., nq) closes all loops where `success`; elsewhere it is the configuration found that is nearest to closing.
+    `residual` is the norm of the closure equations, in radians and characteristic lengths; `iterations` and `starts`
+    count the work. All have the leading shape of the known values; for a single set they are plain Python numbers.
+    """
+
+    __repr__ = brief
+
+    what = "configurations closed"
+    also = ("iterations", "starts")
+
+    q: Array
+    success: Any
+    code: Any
+    residual: Any = field()
+    iterations: Any
+    starts: Any
+    assembler: Assembler = field(repr=False)
+
+    @property
+    def system(self) -> System:
+        """The system that was asked."""
+        return self.assembler.system
+
+    def _chosen(self) -> Choice:
+        from kempe.solvers.assembly.assembly_asked import chosen
+
+        return chosen(self.assembler.one_sided is not None)
+
+    def _left(self) -> Any:
+        return np.where(self.success, self.residual, 0.0)
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the coordinates of each configuration, NaN where it is not closed."""
+        names, q = super().table()
+        return names, np.where(np.reshape(self.success, (-1, 1)), q, np.nan)
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        """The sentence for one configuration."""
+        from kempe.solvers.assembly.explain_assembly import sentence
+
+        return sentence(self, index)

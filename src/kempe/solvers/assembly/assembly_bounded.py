@@ -1,0 +1,127 @@
+"""Assembly of systems with one-sided constraints: all equations and bounds are held by the solver of tasks.
+
+Its steps are small quadratic programmes with an active set (`kempe.kernels.tasks.active_set`). What is found is then
+led back towards its start, so that a start which violates a bound is brought to the nearest place that holds all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.kernels.base import search_layout as S
+from kempe.kernels.compiled import closure_batch
+from kempe.kernels.compiled import task_search as kernel
+from kempe.kernels.constraints import loop_layout as L
+from kempe.kinematics.common.parallel import over_chunks
+from kempe.model.closures.packed_loops import Loops
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+CHUNK, SERIAL_BELOW = 16, 32
+
+
+@dataclass(frozen=True, eq=False)
+class Bounded:
+    """One assembly: packed ties with one-sided ones, `weights` with or without limits, steps of a start, tolerance."""
+
+    system: System
+    loops: Loops
+    weights: Array
+    steps: int
+    tolerance: float
+    rng: int
+    threads: int | None
+
+    @property
+    def held(self) -> np.ndarray:
+        """Which velocity coordinates (nv,) stay as they are given."""
+        return np.isin(np.arange(self.system.nv), self.loops.unknown, invert=True)
+
+    def assemble(self, starts: Array, pins: Array, tries: int) -> tuple[Array, Array, np.ndarray]:
+        """Configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3), as kernels write them."""
+        q, info = self._search(starts, pins, tries, 0)
+        return q, self.residuals(q, pins), info
+
+    def follow(self, starts: Array, pins: Array, tries: int) -> tuple[Array, Array, np.ndarray]:
+        """The same, each row started where the two before it lead, with its own held coordinates."""
+        q, info = np.empty_like(starts), np.zeros((len(starts), 3), dtype=np.int64)
+        for i in range(len(starts)):
+            first = starts[i : i + 1]
+            if i:
+                ahead = self.system.structure.layout.difference(q[max(i - 2, 0)], q[i - 1])
+                first = self._with_known(self.system.structure.layout.integrate(q[i - 1], ahead)[None], first)
+            q[i : i + 1], info[i : i + 1] = self._search(first, pins[i : i + 1] if len(pins) > 1 else pins, tries, i)
+        return q, self.residuals(q, pins), info
+
+    def residuals(self, q: Array, pins: Array) -> Array:
+        """Norm (N,) of what equations and bounds miss at configurations, in radians and characteristic lengths."""
+        loops, m = self.loops, len(self.loops.names)
+        g, none = np.empty((len(q), m)), np.empty((0, m, 0))
+        closure_batch.equations(
+            loops.ints, loops.floats, loops.plan, self.weights, pins, np.ascontiguousarray(q), False, g, none
+        )
+        return np.linalg.norm(g - np.clip(g, *bounds_of(loops)), axis=1)
+
+    def _search(self, starts: Array, pins: Array, tries: int, offset: int) -> tuple[Array, np.ndarray]:
+        """Configurations and (status, steps, starts), from starts that are drawn wider and wider about those given."""
+        q, info = self._solve(starts, starts, pins)
+        left = np.flatnonzero(info[:, 0] == S.NOT_FOUND)
+        nv, least = self.system.nv, self.residuals(q, pins)
+        scale, count = self.loops.weights[L.SCALES : L.SCALES + nv] * ~self.held, 1
+        while count < tries and len(left):
+            each = [np.random.default_rng((self.rng, offset + int(i), count)).uniform(-1.0, 1.0, nv) for i in left]
+            spread = min(1.0, L.WIDER * count) * np.pi * scale
+            some = pins[left] if len(pins) > 1 else pins
+            found, more = self._solve(
+                self.system.structure.layout.integrate(starts[left], np.stack(each) * spread), starts[left], some
+            )
+            size = self.residuals(found, some)
+            better = (more[:, 0] == S.SOLVED) | (size < least[left])
+            q[left[better]], least[left[better]] = found[better], size[better]
+            info[left, 0] = more[:, 0]
+            info[left, 1:] += more[:, 1:]
+            left, count = left[more[:, 0] == S.NOT_FOUND], count + 1
+        return q, info
+
+    def _solve(self, starts: Array, goals: Array, pins: Array) -> tuple[Array, np.ndarray]:
+        """One start each; what is found is led towards the goals."""
+        loops, ties = self.loops, len(self.loops.ties)
+        q, info = np.empty_like(starts), np.empty((len(starts), 3), dtype=np.int64)
+        stages, strengths = np.ones(2 * ties, dtype=np.int64), np.ones((ties, 3))
+        strengths[:, 1:] = self.tolerance
+
+        def work(i: int, j: int) -> int:
+            return kernel.solve(
+                loops.ints, loops.floats, loops.plan, self.weights, stages, strengths, starts[i:j], goals[i:j],
+                pins[i:j] if len(pins) > 1 else pins, 1, self.steps, S.AHEAD, 0, False, self.rng, q[i:j], info[i:j],
+            )  # fmt: skip
+
+        over_chunks(work, len(starts), CHUNK, self.threads, SERIAL_BELOW)
+        return q, info
+
+    def _with_known(self, q: Array, known: Array) -> Array:
+        """Configurations with the held coordinates of others."""
+        layout, held, out = self.system.structure.layout, self.held, q.copy()
+        at = layout.vector_q[held[layout.vector_v]]
+        out[:, at] = known[:, at]
+        for iq, iv in zip(layout.quaternion_q, layout.quaternion_v, strict=True):
+            if held[iv]:
+                out[:, iq : iq + 4] = known[:, iq : iq + 4]
+        return out
+
+
+def bounds_of(loops: Loops) -> tuple[Array, Array]:
+    """The bounds (m,) of all equations of packed ties, as scaled there; zero for equations."""
+    low, at = np.zeros((2, len(loops.names))), 0
+    for k, tie in enumerate(loops.ties):
+        n = len(tie.rows)
+        if tie.bounds:
+            place = int(loops.plan[L.AT_BOUNDS] + loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND])
+            low[:, at : at + n] = loops.weights[place : place + 2 * n].reshape(n, 2).T
+        at += n
+    return low[0], low[1]

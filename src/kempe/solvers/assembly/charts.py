@@ -1,0 +1,362 @@
+"""Minimal coordinates of systems with loops: which of the joint coordinates are independent, and the others from them.
+
+Near a regular configuration the closed configurations form a surface of dimension p, and p of the n velocity
+coordinates can be its parameters: a *chart* (Haug, 1989, chapter 3; the lecture's generalised positions). It is as good
+as the smallest singular value of the tangent space's rows of these p coordinates: 1 where they are the tangent space, 0
+where they no longer move the others (a turning point of a driver).
+
+The three angles of a ball would be such coordinates, but are not part of q: their place take the components of the
+rotation vector from where the chart was chosen (exponential coordinates, Murray, Li, Sastry, 1994, section 2.2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.budget import Budget
+from kempe.calls import explained, explained_methods, listed, numbers
+from kempe.errors import InputError, UnknownNameError
+from kempe.kinematics.closure_rows import RANK_TOLERANCE, evaluate, scales
+from kempe.kinematics.common.gauss_newton import gauss_newton
+from kempe.kinematics.common.result import Report
+from kempe.kinematics.configuration import as_q
+from kempe.reals import plain
+from kempe.solvers.assembly.assembly import TOLERANCE, Assembly, assemble
+from kempe.solvers.assembly.ideal import said, tolerant
+from kempe.solvers.assembly.idle import Spin, idle_part, spins_of
+from kempe.solvers.assembly.shaky import moving
+from kempe.spatial import Array, skew
+from kempe.status import Status, member
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.solvers.assembly.ideal import Idealised
+
+ENOUGH = 0.1
+"""Of the movement of a ball, the part that an angle or a length must have to be preferred to it."""
+MANY = 300
+"""Velocities from which idle spins are looked for only where there is no other choice."""
+TRIES, LONGEST = 60, 0.5
+"""Steps of a search for rotation vectors, and the longest, in radians and characteristic lengths."""
+REACHED = 1e-9
+"""How far coordinates may be from what was asked for."""
+FARTHEST = 3.0
+"""Angle of a ball from the origin up to which its rotation vector is used."""
+WORST = 0.02
+"""Conditioning below which a chart is given up, for up to four coordinates a freedom; with more, less is usual."""
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Chart(Report):
+    """Independent coordinates of a system about a closed configuration.
+
+    `independent` are the names of the p coordinates chosen, `dependent` those of all others, `origin` (nq,) where it
+    was chosen, `quality` its conditioning there, from 0 (useless) to 1. Names `B.ex`, `B.ey`, `B.ez` are those of the
+    rotation vector [rad] that leads the ball B from the origin to where it is, in axes of its child. The last of the
+    independent ones, `idle`, move nothing but bodies that spin idly.
+    """
+
+    system: System
+    independent: tuple[str, ...]
+    dependent: tuple[str, ...]
+    origin: Array
+    quality: float
+    idle: tuple[str, ...] = ()
+
+    @property
+    def within(self) -> Idealised | None:  # type: ignore[override]
+        """The nearest mechanism that closes exactly, whose chart it is; None: the given one's."""
+        return self.system._ideal
+
+    @property
+    def dim(self) -> int:
+        """Number p of independent coordinates."""
+        return len(self.independent)
+
+    @cached_property
+    def _plain(self) -> bool:
+        """Whether all are angles and lengths."""
+        return all(n in self.system.coordinate_names for n in self.independent)
+
+    @property
+    def useful(self) -> tuple[str, ...]:
+        """The independent coordinates that are not idle."""
+        return self.independent[: self.dim - len(self.idle)]
+
+    def u(self, q: Any) -> Array:
+        """The independent coordinates (..., p) of configurations (..., nq)."""
+        q = as_q(self.system, q)
+        if self._plain:
+            return q[..., [self.system.coordinate_names.index(n) for n in self.independent]]
+        way = self.system.structure.layout.difference(self.origin, q)
+        way[..., self.system.structure.layout.vector_v] = q[..., self.system.structure.layout.vector_q]
+        return way[..., self._rows()]
+
+    def q(self, u: Any, start: Any = None) -> Assembly:
+        """The configuration with these independent coordinates (..., p), reached by one search from `start`.
+
+        Default for `start`: the origin. From far away it may be on another branch: lead it in steps. Idle ones may be
+        left out: what spins then stays about as it is at `start`.
+        """
+        u = numbers(u, "u")
+        given = self.independent
+        if u.ndim == 0 and 1 in (self.dim, len(self.useful)):
+            u = u[None]
+        if u.shape[-1:] != (self.dim,):
+            given = self.useful
+        if u.shape[-1:] != (len(given),):
+            names = ", ".join(self.useful) + (f" (and, idle, {', '.join(self.idle)})" if self.idle else "")
+            raise InputError(f"u has shape {u.shape}; needed is (..., {self.dim}): {names}")
+        start = self.origin if start is None else start
+        if self._plain:
+            return assemble(self.system, {n: u[..., i] for i, n in enumerate(given)}, start, budget=Budget(starts=1))
+        known = {n: u[..., i] for i, n in enumerate(given) if not _is_exponential(self.system, n)}
+        if len(known) < len(given):
+            start = self._led(u, given, start)
+        answer = assemble(self.system, known, start, budget=Budget(starts=1))
+        if len(known) == len(given):
+            return answer
+        off = np.abs(self.u(answer.q)[..., : len(given)] - u).max(axis=-1, initial=0.0)
+        success = np.logical_and(answer.success, off < REACHED)
+        code = np.where(np.logical_and(answer.success, ~success), Status.NOT_FOUND, answer.code)
+        return replace(answer, success=plain(success), code=member(code))
+
+    def _rows(self, names: Iterable[str] | None = None) -> list[int]:
+        """Velocity indices of the independent coordinates, or of others."""
+        names, own = self.independent if names is None else tuple(names), self.system.structure.velocity_names
+        return [own.index(n) if n in own else _numbers(self.system)[n] for n in names]
+
+    def _rates(self, q: Array, names: tuple[str, ...]) -> Array:
+        """Rates (len(names), nv) of some independent coordinates by the velocities, in units, at q (nq,)."""
+        system, rows = self.system, self._rows(names)
+        out, way = np.eye(system.nv), system.structure.layout.difference(self.origin, q)
+        for i in system.structure.layout.quaternion_v.tolist():
+            out[i : i + 3, i : i + 3] = _of_log(way[i : i + 3])
+        return out[rows]
+
+    def _led(self, u: Array, given: tuple[str, ...], near: Any) -> Array:
+        """Configurations (..., nq) near those that have such coordinates: Newton's method, of least movement."""
+        system, scale, rows = self.system, scales(self.system), self._rows(given)
+        start = as_q(system, near)
+        lead = np.broadcast_shapes(u.shape[:-1], start.shape[:-1])
+        starts = np.broadcast_to(start, (*lead, system.nq)).reshape(-1, system.nq)
+        wanted = np.broadcast_to(u, (*lead, len(given))).reshape(-1, len(given))
+        out = np.array(starts)
+
+        def both(q: Array, target: Array) -> tuple[Array, Array]:
+            error, J = evaluate(system, q, True, True)
+            more = self._rates(q, given) * scale / scale[rows, None]
+            return np.append(error, (self.u(q)[: len(given)] - target) / scale[rows]), np.concatenate([J, more])
+
+        for k, target in enumerate(wanted):
+            out[k] = gauss_newton(lambda q, u=target: both(q, u), out[k], TRIES, cut=RANK_TOLERANCE, longest=LONGEST,
+                                  move=lambda q, y: system.structure.layout.integrate(q, scale * y)).x  # fmt: skip
+        return out.reshape(*lead, system.nq)
+
+    def tangent(self, q: Any) -> Array:
+        """Rates (nv, p) of all velocity coordinates by the independent ones, at a closed configuration (nq,)."""
+        N, scale = tangent_space(self.system, q, self.dim)
+        N = scale[:, None] * N
+        if self._plain:
+            return N @ np.linalg.inv(N[self._rows()])
+        return N @ np.linalg.inv(self._rates(as_q(self.system, q), self.independent) @ N)
+
+    def condition(self, q: Any) -> float:
+        """How well the independent coordinates move all others at a closed q (nq,): 1 best, 0 not at all.
+
+        It is 0 where a ball with exponential coordinates has turned by nearly half a turn, where these jump.
+        """
+        N, scale = tangent_space(self.system, q, self.dim)
+        if self._plain:
+            return _quality(N, self._rows())
+        q = as_q(self.system, q)
+        way = self.system.structure.layout.difference(self.origin, q)
+        own = {int(i) for i in self.system.structure.layout.quaternion_v if {i, i + 1, i + 2} & {*self._rows()}}
+        if any(np.linalg.norm(way[i : i + 3]) > FARTHEST for i in own):
+            return 0.0
+        rates = self._rates(q, self.independent) * scale / scale[self._rows(), None]
+        return float(np.linalg.svd(rates @ N, compute_uv=False).min(initial=1.0)) if self.dim else 1.0
+
+    def valid(self, q: Any) -> bool:
+        """Whether the chart can still be used at the closed configuration q (nq,)."""
+        return self.condition(q) >= _worst(self.dim, self.system.nv)
+
+    def next(self, q: Any) -> Chart:
+        """The best chart at the closed configuration q (nq,)."""
+        return independent(self.system, q)
+
+    @property
+    def status(self) -> str:
+        """Which coordinates are independent, and how well they move the others."""
+        idle = f"; idle: {', '.join(self.idle)}" if self.idle else ""
+        return (
+            f"{self.dim} independent coordinates: {', '.join(self.useful) or 'none'}{idle} "
+            f"(conditioning {self.quality:.2g}); dependent: {', '.join(self.dependent) or 'none'}{said(self.within)}"
+        )
+
+    def _data(self) -> dict[str, Any]:
+        names = ("independent", "dependent", "idle", "useful", "dim", "quality")
+        return {"system": self.system.name, **{n: getattr(self, n) for n in names}, "origin": self.origin}
+
+
+@explained
+@tolerant("q")
+def independent(
+    system: System, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
+) -> Chart:  # fmt: skip
+    """A chart at a closed configuration q (nq,): which p coordinates can be set, so that the others follow.
+
+    Without a wish the best conditioned ones are taken, greedily (QR with column pivoting of the tangent space: Golub,
+    1965): angles and lengths; where these cannot do, rotation vectors of balls from q on (`B.ex`, `B.ey`, `B.ez`); and
+    those that move idle spins only come last. `prefer` are names of coordinates that must be among them. Default for q:
+    the closed configuration that `assemble` finds. Errors: `InputError` if q is not closed, or if the preferred ones
+    cannot be set independently, with the reason; `UnknownNameError`.
+    """
+    if q is None:
+        answer = assemble(system)
+        if not answer:
+            raise InputError(f"{system.name} could not be assembled: {answer.status}")
+        q = answer.q
+    q = as_q(system, q)
+    N, scale = tangent_space(system, q)
+    p, wish = N.shape[1], listed(prefer, "prefer")
+    rows = _wished(system, wish) if wish else []
+    if len(set(rows)) < len(rows) or len(rows) > p:
+        raise InputError(f"{len(rows)} coordinates are preferred; here {p} different ones are independent")
+    least = _worst(p, system.nv)
+    if rows and _quality(N, rows) < least:
+        raise InputError(
+            f"{', '.join(wish)} cannot be set independently here: conditioning {_quality(N, rows):.2g}, at least "
+            f"{least:.2g} is needed; the best choice is {', '.join(independent(system, q).independent)}"
+        )
+    plain = sorted(system.structure.layout.vector_v.tolist())
+    found, idle = _extend(N, rows, plain), []
+    quality = _quality(N, found)
+    sure = len(found) == p and quality >= least
+    if not sure or (1 < p < system.nv < MANY and system.dim == 3):
+        spins = spins_of(system, q)
+        if spins or not sure:
+            found, idle = _in_turn(N, rows, plain, spins, idle_part(system, q, N, scale, spins))
+            quality = _quality(N, found)
+    if len(found) < p or (p and quality < least):
+        raise InputError(f"no choice of coordinates is independent here: the best has conditioning {quality:.2g}")
+    idle = sorted(idle)
+    chosen = [*sorted({*found} - {*idle}), *idle]
+    names = system.structure.velocity_names if {*chosen} <= {*plain} else tuple(_numbers(system))
+    rest = tuple(n for v, n in enumerate(system.structure.velocity_names) if v not in chosen)
+    return Chart(system, tuple(names[v] for v in chosen), rest, q.copy(), quality, tuple(names[v] for v in idle))
+
+
+def _wished(system: System, names: Iterable[str]) -> list[int]:
+    """Velocity indices of coordinates. Errors: `UnknownNameError`."""
+    number = _numbers(system)
+    for name in names:
+        if name not in number:
+            raise UnknownNameError("coordinate", name, sorted(number), system.name)
+    return [number[n] for n in names]
+
+
+def _in_turn(
+    N: Array, rows: list[int], plain: list[int], spins: tuple[Spin, ...], idle: Array
+) -> tuple[list[int], list[int]]:  # fmt: skip
+    """Rows of p coordinates, and which are idle: useful ones first, in each part angles and lengths first."""
+    nv, p = N.shape
+    moved = np.any([s.moves for s in spins], axis=0) if spins else np.zeros(nv, dtype=bool)
+    others = [v for v in range(nv) if v not in plain]
+    found, asked = list(rows), sum(bool(moved[v]) for v in rows)
+    for still in (True, False):
+        most = min(p, p - idle.shape[1] + asked) if still else p
+        own = [v for v in range(nv) if moved[v] != still]
+        for stage in (plain, others):
+            usable = [v for v in stage if moved[v] != still and v not in found]
+            found = _extend(N, found, usable, most, own if stage is plain else ())
+    spinning = [v for v in found if moved[v]]
+    return found, spinning if len(spinning) == idle.shape[1] else []
+
+
+def _is_exponential(system: System, name: str) -> bool:
+    """Whether this is the name of a component of a rotation vector."""
+    return name not in system.coordinate_names
+
+
+def _numbers(system: System) -> dict[str, int]:
+    """Velocity index of each name that a coordinate of a chart can have."""
+    names, vector = system.structure.velocity_names, {*system.structure.layout.vector_v.tolist()}
+    return {n if v in vector else f"{n[:-2]}e{n[-1]}": v for v, n in enumerate(names)}
+
+
+def _of_log(w: Array) -> Array:
+    """Rates (3, 3) of a rotation vector (3,) by the angular velocity in axes of what turns (Bullo, Murray, 1995)."""
+    angle = float(np.linalg.norm(w))
+    K = skew(w)
+    if angle < 1e-4:
+        factor = 1.0 / 12.0 + angle**2 / 720.0
+    else:
+        factor = (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2
+    return np.eye(3) + 0.5 * K + factor * K @ K
+
+
+def tangent_space(system: System, q: Any, dim: int | None = None) -> tuple[Array, Array]:
+    """Orthonormal basis (nv, p) of the velocities that keep all loops closed at q (nq,), and the scales (nv,).
+
+    Those are left out that lead to no motion, where the equations touch all along (`analysis.deflation`); this need not
+    be looked at where p is known (`dim`).
+
+    Slides are measured in characteristic lengths: velocities in units are ``scale * N``. Errors: `InputError` if q
+    is not closed.
+    """
+    q = as_q(system, q)
+    if q.ndim != 1:
+        raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
+    error, J = evaluate(system, q, True, True)
+    if not np.linalg.norm(error) <= 10.0 * TOLERANCE:
+        raise InputError(f"q is not closed: the loops' equations are off by {np.linalg.norm(error):.3g}; use assemble")
+    U, values, Vt = np.linalg.svd(J, full_matrices=True)
+    rank = int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
+    N, scale = Vt[rank:].T, scales(system)
+    if rank < len(J) and 1 < N.shape[1] != dim:
+        N = moving(system, q, U[:, rank:], N, scale)
+    return N, scale
+
+
+def _quality(N: Array, rows: list[int]) -> float:
+    """The smallest singular value of these rows of an orthonormal basis."""
+    return float(np.linalg.svd(N[rows], compute_uv=False).min(initial=1.0)) if rows else 1.0
+
+
+def _worst(p: int, n: int) -> float:
+    """The least conditioning of p of n coordinates; even the best choice has no more than sqrt(p / n)."""
+    return WORST * min(1.0, 2.0 * np.sqrt(p / max(n, 1)))
+
+
+def _extend(
+    N: Array, rows: list[int], usable: list[int], most: int | None = None, better: Sequence[int] = ()
+) -> list[int]:  # fmt: skip
+    """The rows, extended to p (or `most`), each time by that which is farthest from the span of those chosen; it ends
+    where one of the `better` rows is much farther."""  # fmt: skip
+    rows, p = list(rows), N.shape[1] if most is None else most
+    rest = N.copy()
+    for row in rows:
+        rest = _without(rest, rest[row])
+    while len(rows) < p and usable:
+        size = np.linalg.norm(rest[usable], axis=1)
+        row = usable[int(np.argmax(np.round(size, 9)))]  # rounding does not decide between equals: the first is taken
+        if better and size.max() < ENOUGH * np.linalg.norm(rest[better], axis=1).max():
+            break
+        rows.append(row)
+        rest = _without(rest, rest[row])
+    return rows
+
+
+def _without(N: Array, direction: Array) -> Array:
+    size = np.linalg.norm(direction)
+    if size < 1e-300:
+        return N
+    u = direction / size
+    return N - np.outer(N @ u, u)

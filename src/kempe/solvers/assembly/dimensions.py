@@ -1,0 +1,230 @@
+"""Small changes of the dimensions of a mechanism, and those by which it closes exactly all along a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.joints import Fixed
+from kempe.kinematics.closure_rows import evaluate, scales
+from kempe.kinematics.common.gauss_newton import gauss_newton
+from kempe.model.tree.characteristic_length import characteristic_length
+from kempe.model.tree.own_tree import own_tree
+from kempe.placement import Placement
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+STRIDE, FAR, NEAR = 0.4, 20, 10
+"""Length of the steps along a motion, and how many each way: of one freedom, a whole turn; of several, in each of some
+directions."""
+ENOUGH = 6
+"""Configurations at which a motion must be followed at least, for it to be one."""
+REGULAR = 1e-2
+"""Smallest singular value, relative to the largest, of configurations at which dimensions are fitted."""
+DIFFERENCE = 1e-5
+"""Step of the central differences by dimensions; the error is about 1e-10, which only slows the method."""
+ROUNDS, DAMPING = 24, (3.0, 0.3, 30.0)
+"""Steps of a fit at most, and its dampings as multiples of what is open, one after the other until one ends."""
+LEAST, LITTLE, SOON, LATE = 1e-6, 1e-8, 12, 1e-9
+"""The least damping where `LITTLE` is open, so that rounding changes nothing, and elsewhere and after some steps, for
+mechanisms about which several families meet."""
+PATIENCE, HOPEFUL = 6, 1e-5
+"""Steps in which a fit must gain, and what may stay open for another damping to be tried."""
+TRIES = 3
+"""Fits, each with configurations between those of the one before."""
+EXACT = 2e-14
+"""Residual at which the fit ends."""
+CLOSED = 8e-14
+"""Residual up to which what was fitted is closed, at other configurations, too."""
+ZERO = 1e-9
+"""Singular values below this part of the largest are those of a motion, where dimensions were fitted."""
+
+
+class Shape:
+    """The placements of all joints and constraints of a system, and small changes `p` of them.
+
+    `p` (size,) are slides and turns by `motions`, in characteristic lengths and radians, after each placement of
+    `places`: (table, name, side). `unit` (size,) are metres or radians of one unit.
+    """
+
+    def __init__(self, system: System):
+        self.system = own_tree(system)
+        m = self.mechanism = self.system.mechanism
+        self.length = characteristic_length(self.system)
+        self.motions = ("x", "y", "rz") if m.dim == 2 else ("x", "y", "z", "rz", "ry", "rx")
+        joints = [("joints", j.name) for j in m.joints.values() if not isinstance(j.type, Fixed)]
+        declared = [("constraints", c.name) for c in m.constraints.values() if c.parent]
+        self.places = [(*part, side) for part in joints + declared for side in ("X_PF", "X_CM")]
+        self.unit = np.tile([self.length if len(x) == 1 else 1.0 for x in self.motions], len(self.places))
+        self.size = len(self.unit)
+
+    def steps(self, p: Array) -> dict[tuple[str, str, str], Array]:
+        """What is done (k,) after each placement that changes, in metres and radians."""
+        each = (p * self.unit).reshape(len(self.places), len(self.motions))
+        return {place: d for place, d in zip(self.places, each, strict=True) if d.any()}
+
+    def changed(self, p: Array, system: System | None = None) -> System:
+        """The system with these changes, over its own tree or over that of `system`."""
+        system = system or self.system
+        m = system.mechanism
+        for (table, name, side), d in self.steps(p).items():
+            parts = getattr(m, table)
+            more = tuple((motion, (float(x),)) for motion, x in zip(self.motions, d, strict=True) if x)
+            parts[name] = replace(parts[name], **{side: Placement(getattr(parts[name], side).steps + more)})
+        return type(system)(m, system.structure.topology)
+
+    def derivative(self, p: Array, q: Array) -> Array:
+        """Derivatives (N, m, size) of the loop equations at configurations q (N, nq) by the changes."""
+        out = []
+        for e in DIFFERENCE * np.eye(self.size):
+            above, below = (evaluate(self.changed(p + s * e), q, False, True)[0] for s in (1.0, -1.0))
+            out.append((above - below) / (2.0 * DIFFERENCE))
+        return np.stack(out, axis=-1)
+
+
+class Valley:
+    """Where the loop equations of a system are nearest to zero, if only their `rank` strongest combinations count."""
+
+    def __init__(self, system: System, rank: int):
+        self.system, self.rank, self.scale = own_tree(system), rank, scales(own_tree(system))
+
+    def at(self, q: Array) -> tuple[Array, Array, Array, Array]:
+        """Residual (m,), left vectors (m, m), singular values (rank + 1 or rank,), right vectors (n, n) at q (nq,)."""
+        f, J = evaluate(self.system, q, True, True)
+        U, s, Vt = np.linalg.svd(J)
+        return f, U, s, Vt
+
+    def settle(self, q: Array, rounds: int = 12) -> Array:
+        """The configuration of the valley that Gauss-Newton steps lead to from q (nq,)."""
+        r, system = self.rank, self.system
+
+        def step(q: Array, f: Array, J: Array) -> Array:
+            U, s, Vt = np.linalg.svd(J)
+            return -Vt[:r].T @ ((U[:, :r].T @ f) / np.maximum(s[:r], 1e-300))
+
+        return gauss_newton(lambda q: evaluate(system, q, True, True), q, rounds, step=step, last=1e-13, longest=0.3,
+                            move=lambda q, y: system.structure.layout.integrate(q, self.scale * y)).x  # fmt: skip
+
+    def residual(self, q: Array) -> Array:
+        """Norms (...) of the residual at configurations (..., nq)."""
+        return np.linalg.norm(evaluate(self.system, q, False, True)[0], axis=-1)
+
+    def regular(self, q: Array) -> bool:
+        """Whether the combinations that count are independent at q (nq,)."""
+        s = self.at(q)[2]
+        return self.rank == 0 or bool(s[self.rank - 1] > REGULAR * s[0])
+
+    def ahead(self, q: Array, direction: Array, length: float) -> tuple[Array, Array]:
+        """The configuration one step ahead along the valley, and the direction (n,) in which it goes on."""
+        there = self.settle(self.system.structure.layout.integrate(q, self.scale * direction * length))
+        kernel = self.at(there)[3][self.rank :]
+        onward = kernel.T @ (kernel @ direction)
+        return there, onward / max(float(np.linalg.norm(onward)), 1e-300)
+
+    def between(self, q: Array) -> list[Array]:
+        """Regular configurations some way along the valley from q (N, nq)."""
+        if self.rank == self.system.nv:
+            return []
+        found = [self.ahead(x, self.at(x)[3][-1], 0.37 * STRIDE)[0] for x in q]
+        return [x for x in found if self.regular(x)]
+
+    def walk(self, q: Array, most: float, rng: np.random.Generator) -> Array:
+        """Regular configurations (N, nq) along the valley on both sides of q, where at most `most` stays open."""
+        freedoms = self.system.nv - self.rank
+        found = [q] if self.regular(q) else []
+        kernel = self.at(q)[3][self.rank :]
+        ways = kernel if freedoms == 1 else rng.normal(size=(2 * freedoms, freedoms)) @ kernel
+        for way in (sign * w / np.linalg.norm(w) for w in ways for sign in (1.0, -1.0)):
+            x = q
+            for _ in range(FAR if freedoms == 1 else NEAR):
+                before, heading = x, way
+                x, way = self.ahead(x, way, STRIDE)
+                moved = float(np.linalg.norm(self.system.structure.layout.difference(before, x) / self.scale))
+                if not self.residual(x) <= most or not 0.5 * STRIDE < moved < 2.0 * STRIDE or way @ heading < 0.5:
+                    break
+                if self.regular(x):
+                    found.append(x)
+        return np.array(found).reshape(len(found), self.system.nq)
+
+
+def fitted(
+    shape: Shape, rank: int, q: Array, most: float, also: Callable[[Array], tuple[Array, Array]] | None = None,
+    tries: int = len(DAMPING),
+) -> tuple[Array, Array] | None:  # fmt: skip
+    """The changes (size,) nearest to none with which all configurations q (N, nq) close, and these then; else None.
+
+    `most` is the largest change, in metres and radians. What is fitted must close at configurations in between, too;
+    where they do not they are fitted as well. `also` gives values that must vanish, and their derivatives;
+    `tries` are the dampings that are tried.
+    """
+    p = np.zeros(shape.size)
+    for _ in range(TRIES):
+        for damped in DAMPING[:tries]:
+            *found, left = _fit(shape, rank, p, q, most, damped, also)
+            if not CLOSED < left < HOPEFUL:
+                break
+        if left > CLOSED or np.abs(found[0] * shape.unit).max(initial=0.0) > most:
+            return None
+        p, q = found
+        valley = Valley(shape.changed(p), rank)
+        if not moves(valley, q):
+            return None
+        between = valley.between(q)
+        if valley.residual(np.array([*q, *between])).max() <= CLOSED:
+            return p, q
+        q = np.array([*q, *between])
+    return None
+
+
+def _fit(
+    shape: Shape, rank: int, p: Array, q: Array, most: float, damped: float,
+    also: Callable[[Array], tuple[Array, Array]] | None,
+) -> tuple[Array, Array, float]:  # fmt: skip
+    """Changes from p on with which configurations q close, by Levenberg's method, these, and what stays open.
+
+    It acts on those combinations of equations that the configurations cannot answer for.
+    """
+    P, at, before = np.zeros((0, 0, 0)), np.full(shape.size, np.inf), [np.inf] * PATIENCE
+    for k in range(ROUNDS):
+        valley = Valley(shape.changed(p), rank)
+        q = np.array([valley.settle(x, 4) for x in q])
+        F, J = evaluate(valley.system, q, True, True)
+        h, H = also(p) if also is not None else (np.zeros(0), np.zeros((0, shape.size)))
+        left = float(max(np.linalg.norm(F, axis=-1).max(), np.abs(h).max(initial=0.0)))
+        if not left < 0.9 * before[-PATIENCE] or (left <= EXACT and before[-1] <= EXACT):  # one more for the last digit
+            return p, q, left
+        if not np.isfinite(left) or np.abs(p * shape.unit).max() > 3.0 * most:
+            return p, q, np.inf
+        before.append(left)
+        if np.abs(p - at).max() > 1e-6:
+            P, at = shape.derivative(p, q), p
+        U = np.linalg.svd(J)[0][:, :, rank:]
+        G = np.concatenate([*(np.swapaxes(U, -1, -2) @ P), H])
+        g = np.concatenate([*(np.swapaxes(U, -1, -2) @ F[..., None])[..., 0], h])
+        if not U.size:  # no equation too many
+            return p, q, np.inf
+        L, s, Rt = np.linalg.svd(G, full_matrices=False)
+        least = LEAST if left < LITTLE and k < SOON else LATE
+        damping = max(least, damped * left) * max(float(s[0]), 1e-300)
+        p = p - Rt.T @ (s * (L.T @ g) / (s * s + damping * damping))
+    return p, q, left
+
+
+def moves(valley: Valley, q: Array) -> bool:
+    """Whether the equations have no more than their rank at all configurations q (N, nq)."""
+    for x in q:
+        s = valley.at(x)[2]
+        if valley.rank < valley.system.nv and len(s) > valley.rank and s[valley.rank] > ZERO * s[0]:
+            return False
+    return True
+
+
+def moves_all_along(valley: Valley, q: Array) -> bool:
+    """Whether loops close exactly along the valley near configurations q (N, nq), and between, with its freedoms."""
+    q = np.array([valley.settle(x) for x in q])
+    return bool(valley.residual(np.array([*q, *valley.between(q)])).max() <= CLOSED) and moves(valley, q)

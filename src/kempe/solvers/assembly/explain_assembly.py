@@ -1,0 +1,191 @@
+"""Why loops could not be closed: which is open, by how much, and whether limits or the known values prevent it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe import words
+from kempe.kinematics import closure_rows
+from kempe.kinematics.configuration import random
+from kempe.model.immovable import immovable
+from kempe.solvers.assembly.assembled import Assembly
+from kempe.solvers.assembly.assembly import LOOSEST, Assembler, assembler, of_equations
+from kempe.solvers.assembly.ideal import nearly
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+MOST = 1000
+"""Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
+NEARLY = 0.05
+"""Residual up to which it is asked whether the loops close within a larger tolerance."""
+COINCIDE = 1e-6
+"""Distance of joints, in characteristic lengths, below which they are at one place."""
+
+
+def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
+    """The sentence for one configuration of an assembly."""
+    bound = answer.assembler
+    code, residual, steps, starts = (
+        np.asarray(x)[index].item() for x in (answer.code, answer.residual, answer.iterations, answer.starts)
+    )
+    q = answer.q[index]
+    if code == Status.BAD_INPUT:
+        return "known values, places or start are not finite"
+    if code == Status.SOLVED:
+        return f"closed: residual {residual:.1e} ({words.work(steps, starts)}){_left(bound, q)}"
+    if code == Status.OUTSIDE_LIMITS:
+        return f"a known value is outside its limits: {_outside(bound, q)}"
+    if code == Status.OTHER_BRANCH:
+        return "the branch asked for cannot be closed with these values; q is closed on another one"
+    reason = _one_sided(bound, q) or _limits(bound, q) or _too_many(bound)
+    reason = reason or "with these values no closed configuration was found"
+    what = _open(bound, q, residual)
+    wider = nearly(bound.system) if residual < NEARLY else None
+    if wider is not None:
+        reason += f"; it closes {wider.least}: give a larger tolerance"
+    elif residual <= LOOSEST / 2.0:
+        reason += f"; with tolerance={1.1 * residual:.2g} it counts as closed as it is"
+    still = immovable(bound.system)
+    reason += f"; {still}" if still else ""
+    return f"not closed after {counted(starts, 'start')}: {what}; {reason}; q is the nearest to closing"
+
+
+def _left(bound: Assembler, q: Array) -> str:
+    """How many freedoms are left open, with a warning where these are more than the mechanism is for."""
+    if bound.frames or len(bound.loops.names) > MOST:
+        return ""
+    system = bound.system
+    left = closure_rows.freedoms_left(system, q, bound.held)
+    if not left:
+        return ""
+    said = f"; {counted(left, 'freedom')} left open"
+    count, who = system.nv - len(bound.held) - len(closure_rows.row_names(system)), "by the count"
+    is_folded = count >= 0 or 0 <= bound.freedoms < left
+    if count < 0:  # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey their group
+        somewhere = random(system, np.random.default_rng(0))
+        count, who = closure_rows.freedoms_left(system, somewhere, bound.held), "in general"
+    folded = _coinciding(system, q) if count < left else []
+    if folded:
+        pins = ", ".join(f"{a} and {b}" for a, b in folded[:3]) + (", ..." if len(folded) > 3 else "")
+        why = "the mechanism is folded or singular here, where" if is_folded else "it may be folded, for"
+        return f"{said}, {count} {who}: {why} {pins} coincide"
+    if 0 <= bound.freedoms < left:
+        return f"{said}, {bound.freedoms} at home: singular here, or on another branch"
+    return said
+
+
+def _coinciding(system: System, q: Array) -> list[tuple[str, str]]:
+    """Pairs of joints at one place that no body holds there: neither both of them nor others at the same place."""
+    joints, number = [*system.mechanism.joints.values()], {b: i for i, b in enumerate(system.body_names)}
+    bodies, m = system.fk(q), system.mechanism
+    places = np.array([bodies[number[j.child]] @ j.X_CM.evaluate(m.parameters)[:, 3] for j in joints])[:, :3]
+    cells: dict[tuple[int, ...], list[int]] = {}
+    for i, cell in enumerate(np.round(places / (COINCIDE * closure_rows.characteristic_length(system))).tolist()):
+        cells.setdefault(tuple(int(x) for x in cell), []).append(i)
+    out = []
+    for members in cells.values():
+        groups: list[tuple[set[str], str]] = []  # bodies that meet there, and the first joint
+        for i in members:
+            ends = {joints[i].parent, joints[i].child}
+            met = [g for g in groups if g[0] & ends]
+            groups = [g for g in groups if not g[0] & ends]
+            groups.append((ends.union(*(g[0] for g in met)), met[0][1] if met else joints[i].name))
+        out += [(groups[0][1], g[1]) for g in groups[1:]]
+    return out
+
+
+def _outside(bound: Assembler, q: Array) -> str:
+    texts = []
+    for name, i, low, high in zip(bound.sources, bound.places, bound.low, bound.high, strict=True):
+        if not low <= q[i] <= high:
+            texts.append(f"{name} = {q[i]:.6g} is not in [{low:.6g}, {high:.6g}]")
+    return ", ".join(texts)
+
+
+def _open(bound: Assembler, q: Array, missed: float) -> str:
+    """What is violated most, in metres and radians; `missed` is the norm of all residuals."""
+    from kempe.kinematics.closure_rows import residual, row_names
+
+    system, length = bound.system, bound.loops.length
+    parts: dict[tuple[str, bool], list[float]] = {}
+    plain = [tie.plain for tie in closure_rows.full(system, False).ties for _ in tie.rows]
+    for (name, row), off, value in zip(row_names(system), plain, residual(system, q).tolist(), strict=True):
+        part = parts.setdefault((name, off), [0.0, 0.0])
+        kind = int(row.startswith("r") or off)
+        part[kind] = math.hypot(part[kind], value)
+    worst, text = 0.0, "nothing is open"
+    if bound.frames:  # loops that are open by next to nothing are not the reason
+        worst = 0.1 * missed
+        text = f"the place of {' or '.join(map(repr, bound.frames))} is missed by {missed * length:.6g} m"
+    for (name, related), (apart, turned) in parts.items():
+        size = math.hypot(apart / length, turned)
+        if size <= worst:
+            continue
+        worst = size
+        if related:
+            what = "constraint" if name in system.mechanism.constraints else "the relation of"
+            text = f"{what} {name!r} is off by {turned:.6g}"
+            continue
+        text = f"the loop of joint {name!r}" if name in system.structure.joints else f"constraint {name!r}"
+        text += f" stays open by {apart:.6g} m" + (f" and {turned:.3g} rad" if turned > 1e-9 else "")
+    for name, beyond, unit, size in _beyond(bound, q):
+        if size > worst:
+            text = f"the one-sided constraint {name!r} is violated by {beyond:.6g} {unit}".removesuffix(" 1")
+            worst = size
+    return text
+
+
+def _beyond(bound: Assembler, q: Array) -> list[tuple[str, float, str, float]]:
+    """Declared one-sided rows that are violated: name, by how much, unit, and the same in characteristic lengths."""
+    rows = bound.one_sided
+    if rows is None:
+        return []
+    beyond = rows.beyond(q, declared=True)
+    return [(rows.names[k], float(beyond[k]), rows.units[k], float(beyond[k] * rows.scale[k]))
+            for k in np.flatnonzero(beyond)]  # fmt: skip
+
+
+def _one_sided(bound: Assembler, q: Array) -> str:
+    """Whether the equations alone can be closed with what is known, and which one-sided constraints are then violated.
+
+    With no freedom left that is a contradiction of what is known with them.
+    """
+    if bound.one_sided is None or bound.frames:
+        return ""
+    answer = of_equations(bound.system, bound.known)(q[bound.places] * 1.0, q) if bound.plain else None
+    if answer is None or not answer.success:
+        return ""
+    found = words.violations(each[:3] for each in _beyond(bound, answer.q))
+    if bound.known and not closure_rows.freedoms_left(bound.system, answer.q, bound.held):
+        return f"what is known contradicts {found}" if found else ""
+    return f"without one-sided constraints it closes, violating {found}" if found else ""
+
+
+def _limits(bound: Assembler, q: Array) -> str:
+    """Whether it closes without the limits, and which coordinates are then outside."""
+    system = bound.system
+    if bound.frames or not np.isfinite(system.structure.limits).any():
+        return ""
+    free, _, info = bound.run(q[None], bound.no_pins, limits=False)
+    if info[0, 0] != Status.SOLVED:
+        return ""
+    v = system.structure.layout.difference(system.neutral, free[0])
+    slack = 1e-9
+    names = [n for n, x, low, high in zip(system.structure.velocity_names, v, system.lower, system.upper, strict=True)
+             if not low - slack <= x <= high + slack]  # fmt: skip
+    return f"the limits of {', '.join(map(repr, names))} prevent it" if names else ""
+
+
+def _too_many(bound: Assembler) -> str:
+    """Whether more is given than the system has freedoms where it is closed."""
+    freedoms = assembler(bound.system).freedoms
+    if not bound.held or not 0 <= freedoms < len(bound.held):
+        return ""
+    return f"{len(bound.held)} coordinates are given, but it has {counted(freedoms, 'freedom')}"

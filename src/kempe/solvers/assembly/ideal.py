@@ -1,0 +1,369 @@
+"""One tolerance: the nearest mechanism that closes exactly and moves, where given numbers are slightly wrong.
+
+Redundant constraints of an overconstrained mechanism agree only if its dimensions obey conditions, which rounded and
+measured numbers miss. *Within a tolerance* it closes, and has so many freedoms, if changes of the placements of its
+joints by at most this tolerance, in metres and radians, make it close exactly with them. That nearest mechanism, here
+the *ideal* one, has the same coordinates; what is asked of the given one is answered for it, and says so.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from kempe.budget import Budget
+from kempe.calls import explained, explained_methods
+from kempe.errors import InputError, shown
+from kempe.kinematics.ball_angles import regular_chart
+from kempe.kinematics.closure_rows import evaluate, full, residual, row_names
+from kempe.kinematics.common.result import Report
+from kempe.kinematics.configuration import as_q, home_of
+from kempe.model.clocked import timed
+from kempe.model.kept import keep, kept
+from kempe.model.tree.characteristic_length import characteristic_length, origin_of
+from kempe.model.tree.own_tree import own_tree
+from kempe.reals import is_real
+from kempe.solvers.assembly.dimensions import ENOUGH, Shape, Valley, fitted, moves_all_along
+from kempe.solvers.assembly.relations import Relations, snapped
+from kempe.solvers.common.slip import rolls
+from kempe.spatial import Array, log_so3, xyz_rpy_from_pose
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+Function = TypeVar("Function", bound=Callable)
+
+UNASKED = 1e-5
+"""The tolerance that nobody has to ask for, in characteristic lengths and radians: what is off by less is rounding."""
+WIDEST = 1e-2
+"""The largest tolerance, in characteristic lengths and radians: above it, it would be another mechanism."""
+FINEST = 1e-13
+"""The smallest one, in characteristic lengths, also those to the joints from the origin: below it is rounding."""
+MEASURED = "measured"
+"""The smallest tolerance with which the loops close, up to the largest one."""
+MOST = 60
+"""Velocity coordinates up to which a mechanism is compared with others: it takes dense decompositions."""
+EXACT = 1e-13
+"""Residual up to which a mechanism is closed as it is, and singular values, as parts of the largest, that are zero."""
+SHOWN = 1e-3
+"""Part of the largest change below which others are not listed."""
+OPEN = 10.0
+"""What may stay open along the motion of the given mechanism, as a multiple of the tolerance."""
+FEW = 3
+"""Starts of the search for a configuration at which the given loops are least open."""
+NEARLY = 4.0
+"""Relations that hold within this multiple of the changes that make it close are meant to hold."""
+GAP = 3.0
+"""Ratio of singular values from which they may part what moves from what is held."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """What differs at a joint or constraint: its placement `side`, before and after, `moved` [m] and `turned` [rad]."""
+
+    name: str
+    side: str
+    old: str
+    new: str
+    moved: float
+    turned: float
+
+    def __str__(self) -> str:
+        where = "on its parent" if self.side == "X_PF" else "on its child"
+        return f"{self.name!r} {where}: {self.old} -> {self.new}"
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Idealised(Report):
+    """The nearest mechanism found that closes exactly with `freedoms`, and how it differs from the `given` one.
+
+    `system` is that mechanism, with the same coordinates. `tolerance` is the largest change of a placement, in metres
+    and radians; `asked` what was allowed. `residual` is how far the given loops stay open along its motion, in metres
+    and radians, `absorbed` the same by closing joint or constraint.
+    """
+
+    given: System = field(repr=False)
+    system: System = field(repr=False)
+    asked: float
+    tolerance: float
+    residual: float
+    freedoms: int
+    changes: tuple[Change, ...]
+    absorbed: dict[str, float]
+
+    @property
+    def within(self) -> Idealised:  # type: ignore[override]
+        """Itself."""
+        return self
+
+    @property
+    def status(self) -> str:
+        """What is true, in one sentence."""
+        return f"closed {self.least}, with {counted(self.freedoms, 'freedom')}; {self.exactly}"
+
+    @property
+    def least(self) -> str:
+        """How far the given numbers are from these."""
+        return f"within {self.tolerance:.2g} m and rad"
+
+    @property
+    def exactly(self) -> str:
+        """What the given numbers say if they are taken exactly."""
+        lock = " and would lock it" if self.freedoms else ""
+        return f"taken exactly, its numbers leave loops open by {self.residual:.2g} (m, rad){lock}"
+
+    @property
+    def lines(self) -> list[str]:
+        """What differs, the largest change first, and what the given numbers contradict."""
+        off = sorted(self.absorbed.items(), key=lambda x: -x[1])
+        said = ", ".join(f"{name!r} by {x:.2g}" for name, x in off if x >= SHOWN * self.residual)
+        return [self.exactly, f"absorbed is what misses in {said} (m, rad)", *map(str, self.changes)]
+
+    def _data(self) -> dict[str, Any]:
+        return {"sentence": self.sentence, "asked": self.asked, "tolerance": self.tolerance, "residual": self.residual,
+                "freedoms": self.freedoms, "absorbed": self.absorbed, "changes": [vars(c) for c in self.changes]}
+
+    def closed(self, q: Any) -> Array:
+        """The configurations (..., nq) nearest to q that close the ideal mechanism, or q as it is where it is open.
+
+        What is farther from closed than the tolerance explains is left as it is.
+        """
+        from kempe.solvers.assembly.assembly import bare
+
+        q = as_q(self.system, q)
+        off = np.linalg.norm(evaluate(self.system, q, False, True)[0], axis=-1)
+        length = characteristic_length(self.system)
+        near = (off > EXACT) & (off <= OPEN * self.tolerance * (1.0 + 1.0 / length))
+        if not np.any(near):
+            return q
+        flat, out = q.reshape(-1, self.system.nq), q.reshape(-1, self.system.nq).copy()
+        for i in np.flatnonzero(near.ravel()):
+            answer = bare(self.system)(start=flat[i], limits=False, budget=Budget(starts=1))
+            out[i] = answer.q if answer.success else flat[i]
+        return out.reshape(q.shape)
+
+    def _headline(self) -> str:
+        return f"{self.given.name}: {self.status}"
+
+    def _notes(self) -> list[str]:
+        return self.lines[1:]
+
+
+def one_number(tolerance: Any) -> Any:
+    """The smaller one of a pair of metres and radians; anything else as it is."""
+    pair = isinstance(tolerance, tuple) and len(tolerance) == 2 and all(map(is_real, tolerance))
+    return min(tolerance) if pair else tolerance
+
+
+def tolerance_of(system: System, tolerance: Any) -> float:
+    """The tolerance that was asked for, in metres and radians. Errors: `InputError` with both bounds."""
+    size = characteristic_length(system)
+    widest = WIDEST * min(size, 1.0)
+    if tolerance is None:
+        return UNASKED * min(size, 1.0)
+    if isinstance(tolerance, str) and tolerance == MEASURED:
+        return widest
+    finest = FINEST * max(size, float(np.linalg.norm(origin_of(system))))
+    if not (is_real(tolerance) and finest <= float(tolerance) <= widest):
+        raise InputError(
+            f"tolerance is {shown(tolerance)}; it must be from {finest:.2g} (rounding) to {widest:.2g} (a hundredth of "
+            f"the size of {system.name}), in metres and radians, or {MEASURED!r}"
+        )
+    return float(tolerance)
+
+
+def within(system: System, tolerance: Any = None) -> Idealised | None:
+    """The nearest mechanism within a tolerance; None where the given one closes as it is, or where there is none.
+
+    `tolerance` is a number in metres and radians, "measured", or None: that of the system, else what is rounding. Of a
+    `kempe.Tolerance` the smaller number counts.
+    """
+    tolerance = system.structure.tolerance if tolerance is None else one_number(tolerance)
+    answers, key = system._kept.setdefault(within, {}), tolerance
+    if tolerance.__class__ not in (float, int, str):
+        key = repr(tolerance)
+    found = answers.get(key, answers)  # it never holds itself
+    return keep(answers, key, _searched(system, tolerance_of(system, tolerance))) if found is answers else found
+
+
+@explained
+def idealised(system: System, tolerance: float | str | None = MEASURED) -> Idealised | None:
+    """The nearest system that closes exactly and moves, as a proposal: what differs, and by how much.
+
+    None where the given one closes as it is, or where there is none within the `tolerance`: a number in metres and
+    radians, or "measured", the smallest up to a hundredth of the system's size. Errors: `InputError`.
+    """
+    return within(system, tolerance)
+
+
+def nearly(system: System) -> Idealised | None:
+    """As `within` what is measured, but found in a short time or not at all: for a hint."""
+    return system._kept.get(within, {}).get(MEASURED) or _soon(system)
+
+
+@kept
+def _soon(system: System) -> Idealised | None:
+    return _searched(system, tolerance_of(system, MEASURED), False)
+
+
+def ideal_of(system: System, tolerance: Any = None) -> System:
+    """The system that answers for this one: the nearest within its tolerance, or itself."""
+    found = within(system, tolerance)
+    return system if found is None else found.system
+
+
+def said(found: Idealised | None) -> str:
+    """What an answer adds to its sentence."""
+    return "" if found is None else f"; {found.sentence}"
+
+
+def _searched(system: System, most: float, thorough: bool = True) -> Idealised | None:
+    if system._ideal is not None or not (system.structure.closures or system.mechanism.constraints):
+        return None
+    if not 0 < system.nv <= MOST:
+        return None
+    if timed(system) or rolls(system):
+        return None
+    tree = own_tree(system)
+    if not len(full(tree, True).names) or any(t.function is not None for t in full(tree, True).ties):
+        return None
+    scaled = most / characteristic_length(system) + most
+    q, ranks = _starts(tree, scaled)
+    for rank in ranks:
+        found = _with_rank(system, rank, q, most, scaled, thorough)
+        if found is not None:
+            return found
+    return None
+
+
+def _starts(system: System, scaled: float) -> tuple[Array, list[int]]:
+    """Where to look for a motion, and the ranks that the equations may have there, the lowest first."""
+    from kempe.solvers.assembly.assembly import bare
+
+    home = home_of(system)
+    q = bare(system)(start=home, budget=Budget(starts=FEW)).q
+    f, _, s, _ = Valley(system, 0).at(q)
+    left, limit = float(np.linalg.norm(f)), OPEN * scaled
+    exact = EXACT + 4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / characteristic_length(system)
+    s = np.append(s, np.zeros(max(system.nv - len(s), 0)))[: system.nv] / max(float(s[0]), 1e-300)
+    if not left <= limit or (left <= exact and not np.any((s > exact) & (s < limit))):
+        return q, []
+    if regular_chart(system, q)[2]:  # angles of a ball that move nothing are no motion
+        return q, []
+    floor = max(0.1 * min(left, scaled), EXACT)
+    ratio = np.append(np.maximum(s, floor), floor)
+    most = system.nv + (left > exact)  # what closes and has no freedom is as it is
+    ranks = [r for r in range(1, most) if ratio[r - 1] >= GAP * ratio[r] and (r == system.nv or s[r] < limit)]
+    near = Valley(system, 0).residual(home) <= limit
+    return home if near else q, ranks
+
+
+def _with_rank(
+    system: System, rank: int, q: Array, most: float, scaled: float, thorough: bool
+) -> Idealised | None:  # fmt: skip
+    """The nearest mechanism whose equations have this rank along its motion near q; None if there is none."""
+    shape, freedoms, limit = Shape(system), system.nv - rank, OPEN * scaled
+    valley = Valley(shape.system, rank)
+    q = valley.settle(q)
+    if not valley.residual(q) <= limit:
+        return None
+    points = valley.walk(q, limit, np.random.default_rng(0)) if freedoms else q[None]
+    if freedoms and len(points) < ENOUGH:
+        return None
+    off = float(Valley(shape.system, rank).residual(points).max())
+    if off <= EXACT:
+        return None
+    nice = snapped(system, min(most, NEARLY * off))
+    if nice is not None and moves_all_along(Valley(nice, rank), points):
+        return _told(system, shape, nice, points, most, freedoms)
+    found = _best(shape, rank, points, most) if thorough else fitted(shape, rank, points, most, tries=1)
+    return None if found is None else _told(system, shape, shape.changed(found[0], system), found[1], most, freedoms)
+
+
+def _best(shape: Shape, rank: int, q: Array, most: float) -> tuple[Array, Array] | None:
+    """The changes that make it close, and configurations: those that obey relations which nearly hold, if they do."""
+    found = fitted(shape, rank, q, most)
+    off = float(Valley(shape.system, rank).residual(q).max())
+    size = off if found is None else float(np.abs(found[0]).max())
+    if size <= EXACT or off <= EXACT:
+        return found
+    relations = Relations(shape, NEARLY * size)
+    if not relations.rows:
+        return found
+    nicer = fitted(shape, rank, q, most if found is None else min(most, NEARLY * size * shape.unit.max()), relations)
+    return found if nicer is None else nicer
+
+
+def _told(system: System, shape: Shape, ideal: System, q: Array, most: float, freedoms: int) -> Idealised:
+    """What was found, with what differs."""
+    m, changes, size = system.mechanism, [], 0.0
+    for table, name, side in shape.places:
+        old, new = (getattr(getattr(x, table)[name], side).evaluate(m.parameters) for x in (m, ideal.mechanism))
+        twist = log_so3((np.linalg.inv(old) @ new)[:3, :3])
+        slide = new[:3, 3] - old[:3, 3]
+        by = float(np.linalg.norm(slide)), float(np.linalg.norm(twist))
+        size = max(size, float(np.abs(slide).max()), float(np.abs(twist).max()))
+        changes.append((name, side, old, new, *by))
+    told = [Change(name, side, *_texts(old, new, m.dim, SHOWN * size), moved, turned)
+            for name, side, old, new, moved, turned in changes if max(moved, turned) >= SHOWN * size]  # fmt: skip
+    told.sort(key=lambda c: -max(c.moved, c.turned))
+    off = np.abs(residual(system, q)).max(axis=0)
+    absorbed: dict[str, float] = {}
+    for (name, _), x in zip(row_names(system), off.tolist(), strict=True):
+        absorbed[name] = max(x, absorbed.get(name, 0.0))
+    found = Idealised(system, ideal, most, size, float(off.max()), freedoms, tuple(told), absorbed)
+    vars(ideal)["_ideal"] = found  # it is frozen, and known only now
+    return found
+
+
+def _texts(old: Array, new: Array, dim: int, least: float) -> tuple[str, str]:
+    """The numbers of two poses that differ by at least so much, as x, y, z and fixed-axis angles."""
+    names = ("x", "y", "z", "roll", "pitch", "yaw") if dim == 3 else ("x", "y", "", "", "", "angle")
+    a, b = xyz_rpy_from_pose(old), xyz_rpy_from_pose(new)
+    digits = max(3, 2 - math.floor(math.log10(least)))
+    differ = [i for i in range(6) if abs(a[i] - b[i]) >= least] or [int(np.argmax(np.abs(a - b)))]
+    said = [", ".join(f"{names[i]} {_number(x[i], i > 2, digits)}" for i in differ if names[i]) for x in (a, b)]
+    return said[0], said[1]
+
+
+def _number(x: float, is_angle: bool, digits: int) -> str:
+    """The number as text; angles that are simple fractions of pi by name."""
+    part = Fraction(round(12.0 * x / math.pi), 12)
+    if is_angle and part and abs(x - math.pi * part) < 1e-14:
+        return f"{'-' * (part < 0)}{abs(part.numerator) if abs(part.numerator) > 1 else ''}pi" + (
+            f"/{part.denominator}" if part.denominator > 1 else "")  # fmt: skip
+    return f"{x:.{digits}f}"
+
+
+def tolerant(*closed: str) -> Callable[[Function], Function]:
+    """A verb that answers for the nearest mechanism within its `tolerance`, and says so by `within` of its answer.
+
+    `closed` are its arguments that are configurations and must close the loops: they are led to where that one does.
+    """
+
+    def of(function: Function) -> Function:
+        @functools.wraps(function)
+        def call(system: System, *args: Any, **options: Any) -> Any:
+            found = within(system, options.pop("tolerance", None))
+            if found is None:
+                return function(system, *args, **options)
+            for name in closed:
+                if args and args[0] is not None:
+                    args = (found.closed(args[0]), *args[1:])
+                elif options.get(name) is not None:
+                    options[name] = found.closed(options[name])
+            answer = function(found.system, *args, **options)
+            named = {f.name for f in fields(answer)} if is_dataclass(answer) else ()
+            return replace(answer, within=found) if "within" in named else answer  # type: ignore[type-var]
+
+        return call  # type: ignore[return-value]
+
+    return of

@@ -1,0 +1,75 @@
+"""The idle spins of a system, found once, and what answers need to know of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kempe.model.kept import kept
+from kempe.model.tree.own_tree import own_tree
+from kempe.spatial import Array, skew
+
+if TYPE_CHECKING:
+    from kempe.analysis.first_order.idle_freedoms import IdleFreedom
+    from kempe.analysis.mobility.mobility import Mobility
+    from kempe.model.system import System
+
+ZERO = 1e-8
+"""Singular values below this count as zero."""
+
+
+class Spin(NamedTuple):
+    """An idle spin: a body that spins, point and direction (3,) of its line in the body's axes, velocities (nv,) that
+    it moves, and the sentence that says it."""  # fmt: skip
+
+    body: str
+    point: Array
+    line: Array
+    moves: np.ndarray
+    text: str
+
+
+def spins_of(system: System, q: Array) -> tuple[Spin, ...]:
+    """The idle spins of a system: as at its posture `closed`, or at a closed configuration that is found; if there is
+    none, at q (nq,)."""  # fmt: skip
+    tree = own_tree(system)
+    found = _at_home(tree)
+    return _spins(tree, tree.mobility(q, local=False)) if found is None else found
+
+
+@kept
+def _at_home(system: System) -> tuple[Spin, ...] | None:
+    report = system.mobility(local=False)
+    return _spins(system, report) if report.closed else None
+
+
+def _spins(system: System, report: Mobility) -> tuple[Spin, ...]:
+    return tuple(_spin(system, report.q, f) for f in report.idle_freedoms)
+
+
+def _spin(system: System, q: Array, found: IdleFreedom) -> Spin:
+    X = system.fk(q, found.bodies[0])
+    point, line = (X[:3, :3].T @ v for v in (np.array(found.point) - X[:3, 3], np.array(found.direction)))
+    return Spin(found.bodies[0], point, line, found.velocity != 0.0, str(found))
+
+
+def idle_part(system: System, q: Array, N: Array, scale: Array, spins: tuple[Spin, ...]) -> Array:
+    """Of a basis (nv, p) of scaled velocities at q (nq,), the combinations (p, k), orthonormal, that are idle spins."""
+    tree, found = own_tree(system), [np.zeros((0, N.shape[1]))]
+    for spin in spins:
+        rows = _nothing(N[~spin.moves])
+        if len(rows) > 1:  # they move what is useful as well: the spin is what keeps the line
+            X, J = tree.fk(q, spin.body), tree.jacobian(q, spin.body)
+            line, arm = X[:3, :3] @ spin.line, X[:3, :3] @ spin.point
+            keeps = np.concatenate([J[:3] - skew(arm) @ J[3:], skew(line) @ J[3:]])
+            rows = _nothing(np.concatenate([N[~spin.moves], keeps @ (scale[:, None] * N)]))
+        found.append(rows)
+    _, sizes, V = np.linalg.svd(np.concatenate(found), full_matrices=False)
+    return V[sizes > ZERO].T
+
+
+def _nothing(A: Array) -> Array:
+    """A basis (k, p) of what a matrix (n, p) makes nothing of."""
+    _, sizes, V = np.linalg.svd(A, full_matrices=True)
+    return V[int(np.sum(sizes > ZERO)) :]

@@ -1,0 +1,191 @@
+"""Relations that dimensions of a mechanism nearly obey: parallel, orthogonal and meeting axes, equal lengths."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.joints import Fixed, Revolute
+from kempe.placement import Placement
+from kempe.spatial import Array
+from kempe.values import Expression, Value
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.solvers.assembly.dimensions import Shape
+
+STEP = math.pi / 12.0
+"""Angles between axes that are multiples of this are meant to be."""
+TURNS = ("rx", "ry", "rz")
+DIFFERENCE = 1e-6
+"""Step of the central differences."""
+
+Values = Callable[[dict[tuple[str, str, str], Array]], Any]
+
+
+class Relations:
+    """Those relations between the axes on each body that hold within `near`, in characteristic lengths and radians."""
+
+    def __init__(self, shape: Shape, near: float):
+        self.shape, self.near = shape, near
+        m = shape.mechanism
+        self.given = {
+            (table, name, side): getattr(getattr(m, table)[name], side).evaluate(m.parameters)
+            for table, name, side in shape.places
+        }
+        bodies: dict[str, list[tuple[str, str, str]]] = {}
+        for j in m.joints.values():
+            if not isinstance(j.type, Fixed):
+                bodies.setdefault(j.parent, []).append(("joints", j.name, "X_PF"))
+                bodies.setdefault(j.child, []).append(("joints", j.name, "X_CM"))
+        self.rows: list[Values] = []
+        lengths: list[tuple[float, Values]] = []
+        for places in bodies.values():
+            for a, b in itertools.combinations(places, 2):
+                lengths += self._pair(a, b)
+            for three in itertools.combinations(places, 3):
+                self._add(_flat(*three, shape.length)) if m.dim == 2 else None
+        for j in m.joints.values() if m.dim == 3 else ():
+            if isinstance(j.type, Revolute):
+                own = ("joints", j.name, "X_PF"), ("joints", j.name, "X_CM")
+                others = ([x for x in bodies[b] if x not in own] for b in (j.parent, j.child))
+                for a, b in itertools.product(*others):
+                    if self._skew(own[0], a) and self._skew(own[1], b):
+                        self._add(_offset(own, (a, b), shape.length))
+        lengths.sort(key=lambda x: x[0])
+        for (x, f), (y, g) in itertools.pairwise(lengths):
+            if y - x < near:
+                self.rows.append(_same(f, g))
+
+    def _add(self, row: Values) -> bool:
+        """Take a relation where it nearly holds."""
+        holds = bool(np.abs(row(self.given)).max() < self.near)
+        if holds:
+            self.rows.append(row)
+        return holds
+
+    def _skew(self, a: tuple[str, str, str], b: tuple[str, str, str]) -> bool:
+        """Whether two axes of a body are not nearly parallel."""
+        return bool(np.abs(_parallel(a, b)(self.given)).max() >= self.near)
+
+    def _pair(self, a: tuple[str, str, str], b: tuple[str, str, str]) -> list[tuple[float, Values]]:
+        """Take what nearly holds between two axes of a body; the length between them, if there is one."""
+        length = self.shape.length
+        if self.shape.mechanism.dim == 2:
+            far = _apart(a, b, length)
+            return [(float(far(self.given)[0]), far)]
+        if self._add(_parallel(a, b)):
+            far = _across(a, b, length)
+        else:
+            angle = math.acos(float(np.clip(self.given[a][:3, 2] @ self.given[b][:3, 2], -1.0, 1.0)))
+            self._add(_inclined(a, b, math.cos(STEP * round(angle / STEP))))
+            far = _normal(a, b, length)
+        return [] if self._add(far) else [(abs(float(far(self.given)[0])), _size(far))]
+
+    def __call__(self, p: Array) -> tuple[Array, Array]:
+        """Values (k,) of all relations at the changes p, and their derivative (k, size)."""
+        if not self.rows:
+            return np.zeros(0), np.zeros((0, self.shape.size))
+        columns = [(self._values(p + e) - self._values(p - e)) / (2.0 * DIFFERENCE)
+                   for e in DIFFERENCE * np.eye(self.shape.size)]  # fmt: skip
+        return self._values(p), np.stack(columns, axis=-1)
+
+    def _values(self, p: Array) -> Array:
+        poses = dict(self.given)
+        for place, d in self.shape.steps(p).items():
+            poses[place] = poses[place] @ _pose(d)
+        return np.concatenate([np.atleast_1d(row(poses)) for row in self.rows])
+
+
+def snapped(system: System, most: float) -> System | None:
+    """The system with angles that are within `most` of simple fractions of pi made these; None where there is none."""
+    m, found = system.mechanism, False
+    tables: Any = (m.joints, m.constraints)
+    for table in tables:
+        for name, part in table.items():
+            for side in ("X_PF", "X_CM"):
+                old = getattr(part, side).steps
+                new = tuple((k, tuple(_simple(x, most) for x in xs) if k in TURNS else xs) for k, xs in old)
+                if new != old:
+                    part = table[name] = replace(part, **{side: Placement(new)})
+                    found = True
+    return type(system)(m, system.structure.topology) if found else None
+
+
+def _simple(x: Value, most: float) -> Value:
+    """The multiple of `STEP` that an angle is meant to be, where it is near one; 0 is one."""
+    if isinstance(x, Expression):
+        return x
+    nice = math.pi * round(x / STEP) / 12.0
+    return nice if abs(nice - x) <= most else x
+
+
+def _pose(d: Array) -> Array:
+    """The pose of slides and turns in the order of `Shape.motions`."""
+    x, y, z, yaw, pitch, roll = d if len(d) == 6 else (d[0], d[1], 0.0, d[2], 0.0, 0.0)
+    return spatial.pose_from_xyz_rpy([x, y, z, roll, pitch, yaw])
+
+
+def _parallel(a: tuple, b: tuple) -> Values:
+    return lambda at: np.cross(at[a][:3, 2], at[b][:3, 2])
+
+
+def _inclined(a: tuple, b: tuple, cosine: float) -> Values:
+    return lambda at: np.array([at[a][:3, 2] @ at[b][:3, 2] - cosine])
+
+
+def _apart(a: tuple, b: tuple, length: float) -> Values:
+    return lambda at: np.array([np.linalg.norm(at[b][:3, 3] - at[a][:3, 3]) / length])
+
+
+def _across(a: tuple, b: tuple, length: float) -> Values:
+    """Distance of parallel axes."""
+    return lambda at: np.array([np.linalg.norm(np.cross(at[b][:3, 3] - at[a][:3, 3], at[a][:3, 2])) / length])
+
+
+def _normal(a: tuple, b: tuple, length: float) -> Values:
+    """Length of the common normal of two axes, with a sign."""
+
+    def value(at: dict) -> Array:
+        n = np.cross(at[a][:3, 2], at[b][:3, 2])
+        return np.array([(at[b][:3, 3] - at[a][:3, 3]) @ n / (np.linalg.norm(n) * length)])
+
+    return value
+
+
+def _offset(own: tuple, others: tuple, length: float) -> Values:
+    """Distance along the axis of a hinge between its common normals with an axis on each of its bodies."""
+
+    def value(at: dict) -> Array:
+        feet = []
+        for a, b in zip(own, others, strict=True):
+            X = np.linalg.inv(at[a]) @ at[b]
+            u, p = X[:3, 2], X[:3, 3]
+            feet.append((p[2] - u[2] * (u @ p)) / (1.0 - u[2] ** 2))
+        return np.array([(feet[0] - feet[1]) / length])
+
+    return value
+
+
+def _flat(a: tuple, b: tuple, c: tuple, length: float) -> Values:
+    """How far three points of a plane are from one line."""
+
+    def value(at: dict) -> Array:
+        u, v = (at[x][:2, 3] - at[a][:2, 3] for x in (b, c))
+        return np.array([(u[0] * v[1] - u[1] * v[0]) / (length * max(np.linalg.norm(u), np.linalg.norm(v), 1e-300))])
+
+    return value
+
+
+def _size(f: Values) -> Values:
+    return lambda at: np.abs(f(at))
+
+
+def _same(f: Values, g: Values) -> Values:
+    return lambda at: f(at) - g(at)

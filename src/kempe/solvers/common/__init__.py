@@ -1,0 +1,1 @@
+"""What all solvers share: questions, answers, targets, proofs, the clock, and the tracer of curves."""

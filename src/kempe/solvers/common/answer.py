@@ -1,0 +1,211 @@
+"""What all answers of solvers share: configurations, what they miss, and what an independent judge says of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+
+from kempe.calls import explained_methods, place_in
+from kempe.errors import NoSolutionError
+from kempe.kinematics.common.result import MOST_JUDGED, Cells, Result
+from kempe.kinematics.common.tabular import Tabular
+from kempe.kinematics.measure import Judgement, judge
+from kempe.reals import plain
+from kempe.solvers.common.clock import partial
+from kempe.spatial import Array
+from kempe.status import Status
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.solvers.assembly.ideal import Idealised
+    from kempe.solvers.common.problem import Choice
+
+@explained_methods
+class Answer(Result, Tabular):
+    """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why. Base of answers.
+
+    Rows of `q` that are no answer are the nearest found, or NaN where there is none, as for input that is no number.
+    """
+
+    system: System
+    q: Array
+    what: ClassVar[str] = ""
+    """What is counted of a batch: "3 of 4 targets reached"."""
+    also: ClassVar[tuple[str, ...]] = ()
+    """Names of further members that the `data` have."""
+
+    @property
+    def within(self) -> Idealised | None:  # type: ignore[override]
+        """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
+        return self.system._ideal
+
+    def sentence(self, index: tuple[int, ...] | int = ()) -> str:
+        """The sentence for one question, by its place in a batch. Errors: `InputError`."""
+        return self._sentence(place_in(index, self._shape))
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        """The leading shape of a batch; () for a single question."""
+        return np.shape(self.code)
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        raise NotImplementedError
+
+    @cached_property
+    def status(self) -> Any:
+        """The sentence for a single answer; an array of sentences for a batch. Made when asked for."""
+        more = "" if self.within is None else f"; {self.within.sentence}"
+        if not self._shape:
+            return self._sentence(()) + more
+        out = np.empty(self._shape, dtype=object)
+        for index in np.ndindex(out.shape):
+            out[index] = self._sentence(index) + more
+        return out
+
+    # ---- what is missed
+
+    @cached_property
+    def residual(self) -> Any:
+        """How much (...) each of `q` misses what is declared and asked for: the largest norm of metres and radians.
+
+        It is NaN for configurations that are no numbers.
+        """
+        return plain(np.linalg.norm(self.judged.errors, axis=-1).max(axis=0, initial=0.0))
+
+    @cached_property
+    def judged(self) -> Judgement:
+        """How far `q` misses what is declared and asked for, by poses multiplied out in numpy, when first asked for.
+
+        It shares nothing with the equations by which kernels say `success`.
+        """
+        return judge(self.system, self.q, self._goals(), self._left())
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        """The tasks that must hold, with their goals and tolerances."""
+        return ()
+
+    def _left(self) -> Any:
+        """What (...) is left of the equations of a success, as solvers say."""
+        return 0.0
+
+    def _claimed(self) -> np.ndarray:
+        """Which of `q` (...) are said to be right."""
+        return np.asarray(self.success)
+
+    @property
+    def verdict(self) -> str:
+        """What the judge says of what succeeded, in one sentence; '' where nothing did, or there is nothing to judge.
+
+        Of a batch only what contradicts a success is said.
+        """
+        claimed = self._claimed()
+        if not claimed.any() or not self.judged.names:
+            return ""
+        false = int((claimed & ~np.asarray(self.judged.holds)).sum())
+        if self._shape:
+            return f"{false} are contradicted by poses multiplied out in numpy" if false else ""
+        said = self.judged.of(claimed)
+        return f"success is contradicted, {said}" if false else str(said)
+
+    # ---- as a table, as text, as data
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and metres."""
+        return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
+
+    def expect(self) -> Self:
+        """The answer itself, where it is a success. Errors: `NoSolutionError`, with the answer as its `solution`."""
+        if not self:
+            raise NoSolutionError(self)
+        return self
+
+    @property
+    def solver(self) -> Choice | None:
+        """Who answered, of the table of solvers, and why those before it did not; None where there is no choice."""
+        return self.__dict__.get("_choice") or self._chosen()
+
+    def _chosen(self) -> Choice | None:
+        """The choice of bound calls, which was made once."""
+        return None
+
+    def __len__(self) -> int:
+        return len(self.success)
+
+    def _headline(self) -> str:
+        if self._shape:
+            return f"{int(np.sum(self.success))} of {np.size(self.success)} {self.what}"
+        return self.status
+
+    def _cells(self) -> Cells:
+        if np.ndim(self.q) > 1:
+            return (), ()
+        return (), [(name, f"{x:.9g}") for name, x in zip(self.system.coordinate_names, self.q, strict=True)]
+
+    def _notes(self) -> Sequence[str]:
+        said = "" if self._shape else self.verdict
+        return [said] if said else []
+
+    def _head(self) -> dict[str, Any]:
+        solver = {} if self.solver is None else {"solver": self.solver.name}
+        return {"system": self.system.name, "angle_unit": "rad"} | solver
+
+    def _data(self) -> dict[str, Any]:
+        out = {name: getattr(self, name) for name in self.also} | {"residual": np.asarray(self.residual).tolist()}
+        if np.size(self.q) <= MOST_JUDGED:
+            out["judged"] = self.judged.data()
+        return out | {"q": self._by_name(self.q)}
+
+    def _by_name(self, q: Array) -> Any:
+        """Values by coordinate name of a configuration, nested lists of these of several; None for NaN."""
+        if np.ndim(q) > 1:
+            return [self._by_name(x) for x in q]
+        named = dict(zip(self.system.coordinate_names, q.tolist(), strict=True))
+        return None if named and np.isnan(q).all() else named
+
+
+@explained_methods
+class Configurations(Answer):
+    """Configurations `q` (n, nq) that answer one question together: all that there are, or a way. Base of such answers.
+
+    Where the work was `interrupted` from the keyboard, or the time limit came (`late`), these are those found by then.
+    """
+
+    interrupted: bool
+    late: bool
+    reason: str
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter(self.q)
+
+    def __getitem__(self, k: Any) -> Array:
+        return self.q[k]
+
+    @property
+    def code(self) -> Any:
+        """The outcome, a `Status`."""
+        if self.success:
+            return Status.SOLVED
+        return self._broken_off() or (Status.PARTLY if len(self) > 1 else Status.NOT_FOUND)
+
+    def _broken_off(self) -> Status | None:
+        """What ended the work early, if anything did."""
+        return Status.INTERRUPTED if self.interrupted else Status.OUT_OF_TIME if self.late else None
+
+    def _partial(self) -> str:
+        """The tail of a sentence about work that was broken off."""
+        return partial(self.interrupted, self.late)
+
+    def _claimed(self) -> np.ndarray:
+        return np.full(len(self), bool(self.success) or len(self) > 1)
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        return self.reason
+
+    def _headline(self) -> str:
+        return f"{self.system.name}: {self.status}"

@@ -1,0 +1,90 @@
+"""What is asked of a system, and who answers: rows of a table, each of which says what it is not for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+from kempe.budget import Budget
+from kempe.errors import UnsupportedError
+from kempe.solvers.common.targets import Z_AXIS
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+Found = TypeVar("Found")
+TaskOf = tuple[str, tuple[float, float, float]]
+"""What of a frame's target counts, and the axis of the tool that it points."""
+
+
+class Problem(NamedTuple):
+    """What is asked of a `system`, checked: what the solvers of `ik`, `ik_all` and `assembly_modes` get.
+
+    `asked` is "one" configuration or "all" of them. `targets` (N, 4, 4) are those of a `frame`, of which `task` names
+    what counts, with the axis of the tool that is pointed; `lead` is their leading shape. They are None where what is
+    `known` (coordinates, and places of frames, by name) is all that is asked. The search begins at `start`.
+    """
+
+    system: System
+    asked: str
+    frame: str | None = None
+    task: TaskOf = ("", Z_AXIS)
+    targets: Any = None
+    lead: tuple[int, ...] = ()
+    known: Mapping[str, Any] = MappingProxyType({})
+    start: Any = None
+    method: str = "numeric"
+    prefer: Any = None
+    limits: bool | str = True
+    tolerance: Any = None
+    budget: Budget | None = None
+
+
+class Solver(NamedTuple):
+    """A row of the table: its name, how it works, and two functions.
+
+    `refuses` says in a sentence why it is not for what is asked, None where it is; it looks at the structure only, not
+    at numbers that differ from call to call. `run` answers.
+    """
+
+    name: str
+    how: str
+    refuses: Callable[..., str | None]
+    run: Callable[..., Any]
+
+    def choice(self, refused: Sequence[tuple[str, str]] = ()) -> Choice:
+        """What an answer of it says, with those before it that refused."""
+        return Choice(self.name, self.how, tuple(refused))
+
+
+class Choice(NamedTuple):
+    """Which solver answered and how it works, and why those before it in the table did not: names and sentences."""
+
+    name: str
+    how: str
+    refused: tuple[tuple[str, str], ...]
+
+    def __str__(self) -> str:
+        return "\n".join([f"{self.name}: {self.how}", *(f"  not {name}: {why}" for name, why in self.refused)])
+
+
+def choose(rows: Sequence[Solver], *structure: Any) -> tuple[Solver, Choice]:
+    """The first row that does not refuse. Errors: `UnsupportedError` with what the first one says, if all refuse."""
+    refused = []
+    for solver in rows:
+        why = solver.refuses(*structure)
+        if why is None:
+            return solver, solver.choice(refused)
+        refused.append((solver.name, why))
+    raise UnsupportedError(refused[0][1])
+
+
+def takes_all(*structure: Any) -> None:
+    """Refuse nothing: of the last row, which takes what all others leave."""
+
+
+def chosen_by(answer: Found, choice: Choice) -> Found:
+    """The answer, which says by whom it is."""
+    answer.__dict__["_choice"] = choice
+    return answer

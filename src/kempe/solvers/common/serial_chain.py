@@ -1,0 +1,200 @@
+"""The chain that moves one frame, packed for the kernels of the numerical inverse model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kempe.errors import UnsupportedError
+from kempe.kernels.base.search_layout import LARGEST
+from kempe.kernels.forward.table_layout import (
+    HEADER,
+    KIND,
+    MULTIPLIER,
+    N_ROWS,
+    ROW_FLOATS,
+    ROW_INTS,
+    SLIDE,
+    TURN,
+    V_INDEX,
+)
+from kempe.model.kept import kept
+from kempe.model.tree.gauge import regauge
+from kempe.model.tree.primitive_table import local_chain
+from kempe.solvers.common.span import Span, span_of
+from kempe.solvers.common.targets import Z_AXIS, frame_of
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+
+class ReachBound(NamedTuple):
+    """What lengths alone say: how far and how near a point of the frame can be to a point of the ground."""
+
+    centre: Array
+    """The point of the ground (3,)."""
+    largest: float
+    smallest: float
+    point: Array
+    """The point of the frame (3,), in its axes: its origin, or one of the last axis."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """The chain that moves one frame, packed for the kernel with coordinates of its own.
+
+    `q_index` and `v_index` say which entries of the system's `q` and velocities they are.
+    """
+
+    ints: np.ndarray
+    floats: np.ndarray
+    q_index: np.ndarray
+    v_index: np.ndarray
+    limits: np.ndarray
+    circular: np.ndarray
+    base: Array
+    """Where (1, nq) coordinates rest that no seed names: neutral, inside the limits."""
+    no_seed: Array
+    bounds: tuple[ReachBound, ...]
+    span: Span
+
+
+def chain_of(system: System, name: str, axis: tuple[float, float, float] = Z_AXIS) -> Chain:
+    """The packed chain of a frame, its z axis turned to `axis`.
+
+    Errors: `UnsupportedError` where loops or relations move it.
+    """
+    return _packed(system, name, axis)
+
+
+@kept
+def _packed(system: System, name: str, axis: tuple[float, float, float]) -> Chain:
+    return _chain(system, name) if axis == Z_AXIS else _turned(chain_of(system, name), axis)
+
+
+def _turned(chain: Chain, axis: tuple[float, float, float]) -> Chain:
+    floats, turn = chain.floats.copy(), frame_of(np.array(axis))
+    tip = floats[ROW_FLOATS * int(chain.ints[N_ROWS]) :][:12].reshape(3, 4)
+    tip[:, :3] = tip[:, :3] @ turn
+    return replace(chain, floats=floats)
+
+
+def _chain(system: System, name: str) -> Chain:
+    refusal = obstacle(system, name)
+    if refusal is not None:
+        raise UnsupportedError(refusal)
+    table, q_index, v_index = local_chain(system.structure.table, name)
+    packed = table.pack([name], table.path(name))
+    limits = np.ascontiguousarray(system.structure.limits[v_index].T)
+    largest = float(np.abs(packed[1]).max(initial=0.0))
+    if not largest < LARGEST:
+        raise UnsupportedError(f"the chain of {name!r} has a length of {largest:.3g} m; it must be below {LARGEST:g} m")
+    ints, floats = regauge(*packed)
+    circular = np.zeros(len(v_index), dtype=np.int64)
+    wide = np.subtract(limits[1], limits[0]) >= 2.0 * math.pi
+    for iv in range(len(v_index)):
+        rows = table.multiplier[table.iv == iv]
+        circular[iv] = wide[iv] and len(rows) == 1 and abs(rows[0]) == 1.0 and table.kind[table.iv == iv][0] == TURN
+    bounds = tuple(b for arrays in (packed, (ints, floats)) for b in reach_bounds(*arrays, limits))
+    base, no_seed = inside(system, system.neutral[None].copy()), np.empty((1, 0, len(q_index)))
+    return Chain(ints, floats, q_index, v_index, limits, circular, base, no_seed, bounds,
+                 span_of(ints, floats))  # fmt: skip
+
+
+def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+    """Which velocities (n,) of the chain turn something, and which slide something (masks); those of screws do both."""
+    n = int(chain.ints[N_ROWS])
+    rows = chain.ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
+    each = np.arange(len(chain.v_index))
+    turns, slides = (np.isin(each, rows[rows[:, KIND] == kind, V_INDEX]) for kind in (TURN, SLIDE))
+    return turns, slides
+
+
+def of_loops(system: System, name: str) -> bool:
+    """Whether a frame moves with a loop."""
+    return " moves with the loop " in (obstacle(system, name) or "")
+
+
+@kept
+def obstacle(system: System, name: str) -> str | None:
+    """Why no chain of its own leads to a frame: a loop or a relation that moves it; None if one does."""
+    used = {system.structure.velocity_names[i] for i in local_chain(system.structure.table, name)[2]}
+    for closure in system.structure.closures:
+        if used & loop_coordinates(system, closure):
+            return f"frame {name!r} moves with the loop that joint {closure!r} closes: no chain of its own leads there"
+    for relation in system.structure.relations:
+        if used & {relation.of, *relation.sources}:
+            return (
+                f"frame {name!r} moves with coordinate {relation.of!r}, which follows several others: no chain of its "
+                f"own leads there"
+            )
+    return None
+
+
+def loop_coordinates(system: System, closure: str) -> set[str]:
+    """Velocity coordinates of the joints of the loop that a left-out joint closes, its own included."""
+    number = {b: i for i, b in enumerate(system.body_names)}
+    joint = system.structure.joints[closure]
+    ways: list[set[int]] = []
+    for body in (joint.parent, joint.child):
+        i, way = number[body], set()
+        while i:
+            way.add(i)
+            i = system.parent[i - 1]
+        ways.append(way)
+    joints = {closure} | {system.structure.parent_joints[i - 1] for i in ways[0] ^ ways[1]}
+    names: set[str] = set()
+    for j in joints:
+        for c in system.structure.coordinates_of_joint(j):
+            follower = system.structure.couplings.get(c)
+            names.add(c if follower is None else follower.source or c)
+        names |= {v for v in system.structure.velocity_names if v.startswith(f"{j}.")}
+    return names
+
+
+def reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[ReachBound]:
+    """Bounds for the tip, and for the last axis if it turns: a pose of the tip says where that is, by less lengths.
+
+    Of an axis that turns the best point counts: of the first the one nearest to the second joint, of the last the one
+    nearest to the joint before.
+    """
+    n = int(ints[N_ROWS])
+    rows = np.array([floats[ROW_FLOATS * k :][:12] for k in range(n + 1)]).reshape(n + 1, 3, 4)
+    R, p = rows[..., :3], rows[..., 3].copy()
+    kinds = ints[HEADER + KIND : HEADER + ROW_INTS * n : ROW_INTS] if n else ints[:0]
+    start, slides = p[0], 0.0
+    for row in np.flatnonzero(kinds == SLIDE):
+        iv = ints[HEADER + ROW_INTS * row + V_INDEX]
+        slides += float(np.max(np.abs(floats[ROW_FLOATS * row + MULTIPLIER] * limits[:, iv])))
+    if n and kinds[0] != SLIDE:
+        start = start + p[1, 2] * R[0, :, 2]
+        p[1, 2] = 0.0
+    out = [_bound(start, p[1:], slides, bool(np.any(kinds == SLIDE)), np.zeros(3))]
+    if n and kinds[-1] == TURN:
+        along = 0.0
+        if n > 2:
+            axis = R[n - 1, :, 2]
+            along = -float(p[n - 1] @ axis)
+            p[n - 1] = p[n - 1] + along * axis
+        point = R[n].T @ (np.array([0.0, 0.0, along]) - rows[n, :, 3])
+        out.append(_bound(start, p[1:n], slides, bool(np.any(kinds[:-1] == SLIDE)), point))
+    return [b for b in out if math.isfinite(b.largest)]
+
+
+def _bound(start: Array, p: Array, slides: float, any_slide: bool, point: Array) -> ReachBound:
+    """The bound by the lengths of steps p (n, 3), of which a single long one may keep the point away."""
+    lengths = np.sqrt((p * p).sum(axis=-1))
+    total = float(lengths.sum()) + slides
+    longest = 0.0 if any_slide else float(lengths.max(initial=0.0))
+    return ReachBound(start, total, max(0.0, 2.0 * longest - total), point)
+
+
+def inside(system: System, q: Array) -> Array:
+    """The configurations (N, nq) with every limited coordinate brought inside its limits, in place."""
+    at_q, at_v = system.structure.layout.vector_q, system.structure.layout.vector_v
+    q[:, at_q] = np.clip(q[:, at_q], system.lower[at_v], system.upper[at_v])
+    return q

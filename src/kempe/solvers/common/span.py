@@ -1,0 +1,111 @@
+"""How many orders of magnitude the lengths of a chain span, and what of that double precision can carry."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from kempe.kernels.forward.table_layout import N_ROWS, ROW_FLOATS
+from kempe.spatial import Array
+
+NOISE = 1e-14
+"""Parts of an offset that are rounding: cos(pi / 2) of a length, say."""
+
+NOTHING = 1e-12
+"""Parts of a middling length of the chain that are no length."""
+
+EVEN, SQUEEZED = 1e3, 3.0
+"""Ratio of lengths to their median from which a chain is uneven, and to which they are brought then."""
+
+WIDE = 1e5
+"""Ratio of lengths from which solutions are searched for and polished with care."""
+
+AWAY = 1e8
+"""Largest lengths of the chain that its base may be from the origin, likewise."""
+
+BLUR = 100.0
+"""Roundings of an angle, in units of the square of the ratio of lengths: seen are up to 10."""
+
+EPSILON = float(np.finfo(float).eps)
+
+
+class Span(NamedTuple):
+    """The smallest and the largest length between the joints of a chain and to its tip, in metres; 0, 0 without any.
+
+    `middle` is the median of the steps from joint to joint, `away` how far from the ground's origin the first stands.
+    """
+
+    smallest: float
+    largest: float
+    middle: float
+    away: float
+
+    @property
+    def wide(self) -> bool:
+        """Whether a length is too large beside the others for answers without a word of caution.
+
+        Small ones do no harm: calibrated arms have some that are nearly zero.
+        """
+        return self.largest >= WIDE * self.middle > 0.0 or self.away > AWAY * self.largest > 0.0
+
+    @property
+    def rounding(self) -> float:
+        """What rounding leaves of positions, in metres."""
+        return 16.0 * EPSILON * max(self.largest, self.away)
+
+    @property
+    def blur(self) -> float:
+        """What rounding leaves of angles, where a long length moves what short ones decide."""
+        return BLUR * EPSILON * (self.largest / self.middle) ** 2 if self.middle > 0.0 else 0.0
+
+    def figures(self) -> str:
+        """How far lengths are apart, and what is left of positions."""
+        largest = max(self.largest, self.away)
+        orders = math.log10(largest) - math.log10(self.smallest)
+        what = "the distance of the base" if self.away > self.largest else "the longest"
+        return (
+            f"lengths from {self.smallest:.3g} m to {largest:.3g} m, {what}, span {orders:.0f} orders of magnitude, of "
+            f"which double precision keeps 16: positions are known to {self.rounding:.1g} m"
+        )
+
+    def sentence(self) -> str:
+        """What is to be said of an answer that was not found."""
+        return f"{self.figures()}, and solutions may be missed"
+
+
+def span_of(ints: np.ndarray, floats: np.ndarray) -> Span:
+    """The span of a table of a chain."""
+    p = np.abs(offsets(ints, floats))
+    away, p = float(p[0].max()), p[1:]
+    p = p[p.max(axis=1) > NOISE * p.max(initial=0.0)]
+    if not p.any():
+        return Span(0.0, 0.0, 0.0, away)
+    return Span(float(p[p > 0.0].min()), float(p.max()), float(np.median(p.max(axis=1))), away)
+
+
+def offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
+    """Offsets (n + 1, 3) of the joints and the tip, each seen from the joint before, without what is rounding."""
+    n = int(ints[N_ROWS])
+    p = np.array([floats[ROW_FLOATS * k :][:12].reshape(3, 4)[:, 3] for k in range(n + 1)])
+    return np.where(np.abs(p) > NOISE * np.abs(p).max(axis=1, keepdims=True), p, 0.0)
+
+
+def evened(ints: np.ndarray, floats: np.ndarray) -> Array | None:
+    """Offsets (n + 1, 3) of a chain with the same axes and no length far from the others; None where none is.
+
+    What freedoms a chain has does not depend on how large its lengths are, only on which are zero: so they are counted
+    with lengths of one size. The first joint stands at the origin.
+    """
+    p = offsets(ints, floats)
+    p[0] = 0.0
+    steps = np.abs(p).max(axis=1)
+    if not steps.any():
+        return None
+    middle = float(np.median(steps[steps > NOISE * steps.max()]))
+    p = np.where(np.abs(p) > NOTHING * middle, p, 0.0)
+    sizes = np.abs(p[np.nonzero(p)])
+    if middle / EVEN <= sizes.min() and sizes.max() <= middle * EVEN:
+        return None
+    return np.sign(p) * np.where(p == 0.0, 0.0, np.clip(np.abs(p), middle / SQUEEZED, middle * SQUEEZED))

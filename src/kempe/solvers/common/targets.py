@@ -1,0 +1,213 @@
+"""Targets of the inverse models: what is asked of a frame, checked."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.calls import numbers
+from kempe.constraints.frame_targets import AXIS_TASKS
+from kempe.constraints.reading import refuse_rotations
+from kempe.errors import InputError
+from kempe.kernels.base.search_layout import LARGEST
+from kempe.placement import direction
+from kempe.reals import reals
+from kempe.rigid import EXACT, rotation_error, sound
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+Z_AXIS = (0.0, 0.0, 1.0)
+
+UNTURNED = 1e-6
+"""Largest entry of R - 1 of a pose that is given for a particle, which has no orientation."""
+
+TASKS = {
+    "pose": (1, 1, 1, 1, 1, 1), "position": (1, 1, 1, 0, 0, 0), "orientation": (0, 0, 0, 1, 1, 1),
+    "direction": (0, 0, 0, 1, 1, 0), "position_axis": (1, 1, 1, 1, 1, 0),
+}  # fmt: skip
+"""Tasks, and which errors [linear; angular] in the frame of the tip count; the direction is that of its z axis."""
+
+
+def task_of(task: object, is_position: bool, particle: bool) -> str:
+    """The task by its name, or as the target says. Errors: `InputError`."""
+    if task is None:
+        return "position" if is_position or particle else "pose"
+    if not isinstance(task, str) or task not in TASKS:
+        raise InputError(f"task is {task!r}; it must be one of {', '.join(map(repr, TASKS))}")
+    if particle and task != "position":
+        raise InputError(f"task {task!r} asks for an orientation, which a particle does not have")
+    return task
+
+
+def task_and_axis(task: Any) -> tuple[Any, Any]:
+    """The task and the axis of the tool that it points, where a pair of these is given; by default the z axis."""
+    if isinstance(task, (tuple, list)) and len(task) == 2:
+        return task[0], task[1]
+    return task, Z_AXIS
+
+
+def axis_of(axis: object) -> tuple[float, float, float]:
+    """The pointing axis as a unit vector of the tool. Errors: `InputError`."""
+    v = reals(direction(axis), "axis", "three numbers: a direction in the tool's frame")
+    size = float(np.linalg.norm(v)) if v.shape == (3,) and np.all(np.abs(v) < 1e100) else 0.0
+    if size == 0.0:
+        raise InputError(f"axis is {axis!r}; it must be three numbers, not all zero: a direction in the tool's frame")
+    x, y, z = (v / size).tolist()
+    return x, y, z
+
+
+def axis_for(axis: object, task: str | None) -> tuple[float, float, float]:
+    """The pointing axis of a task, which is checked where the task reads none, too. Errors: `InputError`."""
+    given = Z_AXIS if axis is Z_AXIS else axis_of(axis)
+    return given if points_along(task) else Z_AXIS
+
+
+def frame_of(z: Array) -> Array:
+    """Rotations (..., 3, 3) whose third column is the unit vector z (..., 3)."""
+    z = np.asarray(z, dtype=float)
+    other = np.where(np.abs(z[..., 2:3]) < 0.8, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    x = np.cross(other, z)
+    x = x / np.sqrt((x * x).sum(axis=-1, keepdims=True))
+    return np.asarray(np.stack([x, np.cross(z, x), z], axis=-1), dtype=float)
+
+
+def targets_of(
+    system: System, target: Any, task: str | None, axis: tuple[float, float, float]
+) -> tuple[Array, tuple[int, ...], bool]:
+    """Targets (N, 4, 4), their leading shape, and whether positions were given. Errors: `InputError`.
+
+    Besides poses and positions: directions (..., 3) for the task "direction", rotations (..., 3, 3) for "orientation",
+    and (..., 6), position and direction, for "position_axis"; directions are those of the tool's axis.
+    """
+    try:
+        shape = np.shape(target)
+    except ValueError:
+        raise InputError("target is ragged; it must be an array of real numbers") from None
+    width = 3 if task == "direction" else 6 if task == "position_axis" else None
+    if task == "orientation" and shape[-2:] == (3, 3) and system.dim == 3:
+        out = np.zeros((*shape[:-2], 4, 4))
+        out[..., :3, :3], out[..., 3, 3] = numbers_of(target), 1.0
+        return parse_targets(system, out)
+    if width is None or shape[-1:] != (width,) or shape[-2:] == (4, 4):
+        return parse_targets(system, target, task == "position")
+    values = numbers_of(target)
+    d = values[..., -3:]
+    size = np.linalg.norm(d, axis=-1, keepdims=True)
+    if not shape[:-1] and not (np.isfinite(values).all() and size.item() > 0.0):
+        raise InputError("the direction of the target must be finite and not zero")
+    out = np.zeros((math.prod(shape[:-1]), 4, 4))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        R = frame_of(d / size)
+        out[:, :3, :3] = (R if axis == Z_AXIS else R @ frame_of(np.array(axis)).T).reshape(-1, 3, 3)
+    out[:, 3, 3] = 1.0
+    if width == 6:
+        out[:, :3, 3] = values[..., :3].reshape(-1, 3)
+    return out, shape[:-1], False
+
+
+def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
+    """Target and task of a planar system where an axis of the tool is pointed: the angle of the frame is then given.
+
+    Directions have two or three numbers, positions too; poses are left as they are.
+    """
+    full = "orientation" if task == "direction" else "pose"
+    shape, widths = np.shape(target), (2, 3) if task == "direction" else (4, 6)
+    if shape[-2:] in ((4, 4), (3, 3)) or shape[-1:] not in [(w,) for w in widths]:
+        return target, full
+    x, y, _ = axis_of(axis)
+    values = numbers_of(target)
+    k = shape[-1] // (1 if task == "direction" else 2)
+    d = values[..., -k:]
+    if not shape[:-1] and not np.any(d):
+        raise InputError("the direction of the target must be finite and not zero")
+    if math.hypot(x, y) < 1e-9 or (k == 3 and np.any(np.abs(d[..., 2]) > 1e-9)):
+        raise InputError("in a planar system the axis of the tool and its direction must lie in the plane")
+    angle = np.arctan2(d[..., 1], d[..., 0]) - math.atan2(y, x)
+    out = np.zeros((*shape[:-1], 4, 4))
+    out[..., 0, 0] = out[..., 1, 1] = np.cos(angle)
+    out[..., 1, 0], out[..., 0, 1] = np.sin(angle), -np.sin(angle)
+    out[..., 2, 2] = out[..., 3, 3] = 1.0
+    if task != "direction":
+        out[..., :k, 3] = values[..., :k]
+    return out, full
+
+
+def points_along(task: str | None) -> bool:
+    """Whether the task reads one axis of the tool only."""
+    return task in AXIS_TASKS
+
+
+def numbers_of(target: Any) -> Array:
+    """A target as an array of real numbers. Errors: `InputError`."""
+    return numbers(target, "target")
+
+
+def parse_targets(
+    system: System, target: Any, positions: bool = False
+) -> tuple[Array, tuple[int, ...], bool]:  # fmt: skip
+    """Targets (N, 4, 4), their leading shape, and whether they are positions, as they must be with `positions`.
+
+    Errors: `InputError`, also for rotations (3, 3) that would pass for three positions.
+    """
+    array = numbers_of(target)
+    planar = system.dim == 2
+    is_pose = array.ndim >= 2 and array.shape[-2:] == (4, 4)
+    if planar and array.ndim >= 2 and array.shape[-2:] == (3, 3) and np.all(array[..., 2, :] == [0.0, 0.0, 1.0]):
+        flat = array
+        array = np.zeros((*flat.shape[:-2], 4, 4))
+        array[..., :2, :2], array[..., :2, 3], array[..., 2, 2], array[..., 3, 3] = (
+            flat[..., :2, :2], flat[..., :2, 2], 1.0, 1.0)  # fmt: skip
+        is_pose = True
+    if is_pose:
+        lead = array.shape[:-2]
+        if not lead:  # of many, the kernels tell those that need a closer look
+            array = sound(array, "target")
+        out = array.reshape(math.prod(lead), 4, 4)
+        if not lead and out.flags.c_contiguous and out.flags.aligned and array[3].tolist() == [0.0, 0.0, 0.0, 1.0]:
+            return out, lead, False  # the usual case, without the cost of arrays
+        bad = np.any(out[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=-1)  # a transposed pose would pass for another one
+        if bad.any():
+            out = out.copy()
+            out[bad, :3] = math.nan
+            if not lead and np.isfinite(array).all():
+                raise InputError(f"target is not a pose: its last row is {array[3].tolist()}; it must be 0 0 0 1")
+        return np.require(out, requirements=["C", "A"]), lead, False
+    if array.ndim and (array.shape[-1] == 3 or (planar and array.shape[-1] == 2)):
+        lead = array.shape[:-1]
+        if not positions:
+            refuse_rotations(array, "target")
+        out = np.zeros((math.prod(lead), 4, 4))
+        out[:] = np.eye(4)
+        out[:, : array.shape[-1], 3] = array.reshape(len(out), array.shape[-1])
+        return out, lead, True
+    in_plane = ", or (..., 3, 3) or (..., 2) in the plane" if planar else ""
+    allowed = f"a pose (..., 4, 4) or a position (..., 3){in_plane}"
+    raise InputError(f"target has shape {array.shape}; it must be {allowed}")
+
+
+def check_particle(targets: Array, name: str) -> None:
+    """Refuse, with an `InputError`, poses that turn a particle."""
+    turned = np.abs(targets[:, :3, :3] - np.eye(3)).max(axis=(1, 2), initial=0.0) > UNTURNED  # a NaN stays one
+    if turned.any():
+        raise InputError(f"{name!r} is a particle, which has no orientation; give a position (..., 3) as target")
+
+
+def not_a_pose(target: Array, other: str = "target") -> str:
+    """Why a target (4, 4) was refused; `other` is what was bad where that is fine."""
+    R, last = target[:3, :3], target[3].tolist()
+    if np.isfinite(last).all() and last != [0.0, 0.0, 0.0, 1.0]:
+        return f"target is not a pose: its last row is {last}; it must be 0 0 0 1"
+    if not np.isfinite(target).all():
+        return "target has entries that are not finite"
+    largest = np.abs(target).max()
+    if largest >= LARGEST:
+        return f"target has an entry of {largest:.3g}; allowed are numbers below {LARGEST:g}"
+    off = float(rotation_error(R))
+    if off > EXACT:
+        text = "target is not a pose: its rotation part must be orthonormal with determinant +1"
+        return f"{text}; R'R differs from 1 by {off:.1g}" if np.linalg.det(R) > 0.0 else text
+    return f"{other} has entries that are not finite or too large, or a quaternion that is zero"

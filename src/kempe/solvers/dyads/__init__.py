@@ -1,0 +1,1 @@
+"""Planar mechanisms made of dyads, in closed form."""

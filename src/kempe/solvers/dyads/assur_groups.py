@@ -1,0 +1,399 @@
+"""The search for rings of three rigid clusters, and the program that closes them one after another."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from itertools import product
+from typing import TYPE_CHECKING
+
+from kempe.joints import P, R
+from kempe.kernels.dyads import dyads_layout as K
+from kempe.solvers.dyads.decompose import NOWHERE, SAME, Code, Dyad, End, Link, Parts, Pose, inverse, times, turned
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.model.tree.coordinates import Relation
+
+Edge = tuple[int, int]
+"""What joins clusters: (R, number of a hinge) or (P, number of a link)."""
+
+GROUND = 0
+
+
+class Decomposition:
+    """Clusters that grow while rings close; `code` is the program so far, `dyads` what it closes."""
+
+    def __init__(self, system: System, parts: Parts, known: list[int]):
+        self.parts, self.system = parts, system
+        n = len(parts.names)
+        self.code = Code(n, system.nq)
+        self.dyads: list[Dyad] = []
+        self.cluster = list(range(n))
+        self.members: dict[int, list[int]] = {p: [p] for p in range(n)}
+        self.incident: list[list[Edge]] = [[] for _ in range(n)]
+        self.of_part: list[list[int]] = [[] for _ in range(n)]
+        self.by_slot: dict[int, list[int]] = {}
+        for h, (_, ends) in enumerate(parts.hinges):
+            for end in ends:
+                self.incident[end.part].append((R, h))
+        for i, link in enumerate(parts.links):
+            if link.slot != NOWHERE:
+                self.by_slot.setdefault(link.slot, []).append(i)
+            for part in {link.a, link.b}:
+                self.of_part[part].append(i)
+                if link.kind == P:
+                    self.incident[part].append((P, i))
+        self.done: set[int] = set()
+        self.known: set[int] = set()
+        self.drives: deque[int] = deque()
+        self.near: deque[int] = deque(range(n))
+        self.relations: list[Relation] = list(system.structure.relations)
+        self.number = {link.name: i for i, link in enumerate(parts.links)}
+        layout = system.structure.layout
+        bounds = zip(layout.vector_q.tolist(), system.structure.limits[layout.vector_v].tolist(), strict=True)
+        self.limits: dict[int, list[float]] = {NOWHERE: [-math.inf, math.inf], **dict(bounds)}
+        if parts.misfit > 0.0:
+            self._expect(parts.misfit, {})
+        for part in range(n):
+            self._meet([part])
+        for slot in known:
+            self._learn(slot)
+
+    def run(self) -> list[int]:
+        """Clusters, other than the ground's, that remain when no further ring closes."""
+        while self._drive() or self._relate() or self._ground() or self._floating():
+            pass
+        return [c for c in self.members if c != GROUND]
+
+    def freedom(self) -> int:
+        """Degrees of freedom of the clusters against each other, by counting (Gruebler, 1883)."""
+        count = 3 * (len(self.members) - 1)
+        for _, ends in self.parts.hinges:
+            count -= 2 * (len({self.cluster[e.part] for e in ends}) - 1)
+        for link in self.parts.links:
+            count -= 2 * (link.kind == P and self.cluster[link.a] != self.cluster[link.b])
+        return count - len(self.relations)
+
+    # ---- what is known
+
+    def _learn(self, slot: int) -> None:
+        if slot not in self.known and slot != NOWHERE:
+            self.known.add(slot)
+            self.drives += self.by_slot.get(slot, [])
+
+    def _relate(self) -> bool:
+        """Use relations of several coordinates: one unknown is found, none is a check."""
+        slots = {c: i for i, c in enumerate(self.system.coordinate_names)}
+        for relation in self.relations:
+            terms = {slots[relation.of]: 1.0, **{slots[k]: -m for k, m in relation.sources.items()}}
+            unknown = [s for s in terms if s not in self.known]
+            if len(unknown) > 1:
+                continue
+            self.relations.remove(relation)
+            if not unknown:
+                self._expect(-relation.offset, terms)
+                return True
+            c = terms.pop(unknown[0])
+            place = self.code.coordinate(unknown[0])
+            self.code.say(K.SET, [place], [relation.offset / c])
+            for slot, m in terms.items():
+                self.code.say(K.ADD, [place, self.code.coordinate(slot)], [-m / c])
+            self._learn(unknown[0])
+            return True
+        return False
+
+    def _expect(self, constant: float, terms: dict[int, float]) -> None:
+        """Count how far constant + sum of terms is from zero among the openings."""
+        self.code.say(K.SET, [K.SPARE], [constant])
+        for slot, m in terms.items():
+            self.code.say(K.ADD, [K.SPARE, self.code.coordinate(slot)], [m])
+        self.code.say(K.EXPECT_ZERO, [K.SPARE], [self.parts.size])
+
+    def _drive(self) -> bool:
+        """Merge the clusters on both sides of a joint whose coordinate is known."""
+        while self.drives:
+            i = self.drives.popleft()
+            link = self.parts.links[i]
+            a, b = self.cluster[link.a], self.cluster[link.b]
+            if i in self.done or a == b:
+                continue
+            self.done.add(i)
+            base, other = self._by_size(a, b)
+            forward = base == a
+            start, end = (link.F, link.M) if forward else (link.M, link.F)
+            sign = 1.0 if forward else -1.0
+            start = _led(link.kind, start, sign * link.offset)
+            part, on = (link.b, link.a) if forward else (link.a, link.b)
+            out = self._out(other, 0)
+            numbers = [sign * link.multiplier, *start, *inverse(end)]
+            register, coordinate = self.code.register, self.code.coordinate(link.slot)
+            self.code.say(K.TURN if link.kind == R else K.SLIDE, [out, register(on), coordinate], numbers)
+            if len(self.members[other]) > 1:
+                self.code.say(K.DIVIDE, [out, register(part)])
+            self._join(base, {other: out})
+            return True
+        return False
+
+    def _meet(self, parts: list[int]) -> None:
+        """Read, or check, the joints of these parts whose other side is in the same cluster."""
+        for part in parts:
+            for i in self.of_part[part]:
+                link = self.parts.links[i]
+                if i not in self.done and self.cluster[link.a] == self.cluster[link.b]:
+                    self.done.add(i)
+                    self._read(link)
+
+    def _read(self, link: Link) -> None:
+        code, size = self.code, self.parts.size
+        check = link.slot in self.known
+        ints = [code.register(link.a), code.register(link.b), K.SPARE, K.SPARE + 1, False]
+        if link.slot != NOWHERE:
+            ints[2:] = code.coordinate(link.slot), code.target(link.slot), check
+        m, o = link.multiplier, link.offset
+        if link.kind == R:
+            between = times((link.F[0], -link.F[1], 0.0, 0.0), (link.M[0], link.M[1], 0.0, 0.0))
+            numbers = [*between[:2], 1.0 / m, -o / m, 2.0 * math.pi / abs(m), *self.limits[link.slot]]
+            code.say(K.READ_TURN, ints, [*numbers, *link.F[2:], *link.M[2:], abs(m) * size])
+        else:
+            a, b = link.rails(True)
+            code.say(K.READ_SLIDE, ints, [*a.rail, *b.rail, 1.0 / m, -o / m, abs(m), size])
+        self._learn(link.slot)
+
+    # ---- clusters
+
+    def _by_size(self, *clusters: int) -> list[int]:
+        """The clusters, the one that should stay first: the ground, else the largest."""
+        return sorted(clusters, key=lambda c: (c != GROUND, -len(self.members[c]), c))
+
+    def _out(self, cluster: int, spare: int) -> int:
+        """Where to put the pose of a cluster: its part's register, or a spare one where it has several parts."""
+        members = self.members[cluster]
+        return self.code.register(members[0] if len(members) == 1 else self.code.n_parts + spare)
+
+    def _join(self, base: int, others: dict[int, int]) -> None:
+        """Make the others part of the base; their poses in its frame are in the registers given."""
+        moved = []
+        for cluster, register in others.items():
+            members = self.members.pop(cluster)
+            if len(members) > 1:
+                for part in members:
+                    self.code.say(K.CARRY, [self.code.register(part), register])
+            for part in members:
+                self.cluster[part] = base
+            moved += members
+        self.members[base] += moved
+        self._meet(moved)
+        self.near += [base, *(self.cluster[p] for part in moved for p in self._touched(part))]
+
+    def _touched(self, part: int) -> Iterator[int]:
+        """Parts joined to a part."""
+        for edge in self.incident[part]:
+            yield from self._at(edge)
+
+    def _at(self, edge: Edge) -> list[int]:
+        """Parts that an edge joins."""
+        kind, k = edge
+        return [e.part for e in self.parts.hinges[k][1]] if kind == R else self._sides(k)
+
+    def _sides(self, link: int) -> list[int]:
+        return [self.parts.links[link].a, self.parts.links[link].b]
+
+    def _edges(self, cluster: int) -> dict[int, list[Edge]]:
+        """What joins a cluster to others, by cluster."""
+        out: dict[int, list[Edge]] = {}
+        for part in self.members[cluster]:
+            for edge in self.incident[part]:
+                for p in self._at(edge):
+                    there = self.cluster[p]
+                    if there != cluster and edge not in out.setdefault(there, []):
+                        out[there].append(edge)
+        return out
+
+    # ---- rings
+
+    def _ground(self) -> bool:
+        """Close something with the ground in it."""
+        while self.near:
+            here = self.near.popleft()
+            if here == GROUND or here not in self.members:
+                continue
+            edges = self._edges(here)
+            if GROUND not in edges:
+                continue
+            if self._twice(GROUND, here, edges[GROUND]):
+                return True
+            for there in sorted(edges):
+                if there != GROUND and self._thrice(GROUND, here, there, edges):
+                    return True
+        return False
+
+    def _floating(self) -> bool:
+        """Close something without the ground."""
+        for here in list(self.members):
+            if here == GROUND:
+                continue
+            edges = self._edges(here)
+            others = sorted(c for c in edges if c != GROUND)
+            for there in others:
+                base, other = self._by_size(here, there)
+                if self._twice(base, other, edges[there]):
+                    return True
+            for k, a in enumerate(others):
+                known = self._edges(a)
+                for b in others[k + 1 :]:
+                    if b in known:
+                        base, *rest = self._by_size(here, a, b)
+                        if self._thrice(base, rest[0], rest[1], self._edges(rest[0])):
+                            return True
+        return False
+
+    def _twice(self, base: int, other: int, edges: list[Edge]) -> bool:
+        """Place a cluster by two of its joints to another; what they do not agree on shows when joints are read."""
+        pins, rails = [e for e in edges if e[0] == R], [e for e in edges if e[0] == P]
+        out = self._out(other, 0)
+        if len(pins) > 1:
+            a, b = (self._pins(e, base, other) for e in pins[:2])
+            self.code.pins(K.PIN_PIN, [a[0], b[0], a[1], b[1]], [out])
+        elif pins and rails:
+            self.code.pins(K.PIN_RAIL, [*self._rails(rails[0], base), *self._pins(pins[0], base, other)], [out], 2)
+        else:
+            ends = [self._rails(e, base) for e in rails]
+            crossing = next((e for e in ends[1:] if not _parallel(ends[0][0], e[0])), None)
+            if crossing is None:
+                return False
+            self.code.pins(K.RAIL_RAIL, [*ends[0], *crossing], [out], 4)
+        self._join(base, {other: out})
+        return True
+
+    def _thrice(self, base: int, first: int, second: int, edges: dict[int, list[Edge]]) -> bool:
+        """Close the ring of three clusters, where its joints make it rigid."""
+        back = self._edges(second).get(base, [])
+        for ring in product(edges.get(base, []), edges.get(second, []), back):
+            hinges = [k for kind, k in ring if kind == R]
+            if len(set(hinges)) < len(hinges) or not hinges:
+                continue
+            if ring[2] < ring[0]:
+                first, second, ring = second, first, ring[::-1]
+            if len(hinges) == 3:
+                self._circles(base, first, second, ring)
+            elif len(hinges) == 2:
+                self._line_circle(base, first, second, ring)
+            elif not self._lines(base, first, second, ring):
+                continue
+            return True
+        return False
+
+    def _circles(self, base: int, first: int, second: int, ring: tuple[Edge, ...]) -> None:
+        (a, a1), (b1, b2), (c, c2) = (
+            self._pins(ring[0], base, first), self._pins(ring[1], first, second), self._pins(ring[2], base, second)
+        )  # fmt: skip
+        sign, outs = self.code.sign(), [self._out(first, 0), self._out(second, 1)]
+        self.code.pins(K.CIRCLES, [a, c, a1, b1, b2, c2], [sign, *outs])
+        A, B, C = self._names(base, first, second, ring)
+        meaning = f"+ where {B} lies to the left of the way from {A} to {C}"
+        ends = self._seen(ring[0], a), self._seen(ring[2], c), self._seen(ring[1], b1)
+        self._record(base, first, second, ring, meaning, ends, False)
+        self._join(base, {first: outs[0], second: outs[1]})
+
+    def _line_circle(self, base: int, first: int, second: int, ring: tuple[Edge, ...]) -> None:
+        rail = next(e for e in ring if e[0] == P)
+        clusters = {self.cluster[p] for p in self._sides(rail[1])}
+        link = self.parts.links[rail[1]]
+        still = base if base in clusters else self.cluster[link.a]
+        slider = next(c for c in clusters if c != still)
+        other = next(c for c in (base, first, second) if c not in clusters)
+        pairs = (base, first), (first, second), (second, base)
+        between = {frozenset(pair): e for pair, e in zip(pairs, ring, strict=True)}
+        moving, fixed = between[frozenset((slider, other))], between[frozenset((still, other))]
+        b1, b2 = self._pins(moving, slider, other)
+        a, a2 = self._pins(fixed, still, other)
+        rails = self._rails(rail, still)
+        sign, outs, rebase = self.code.sign(), *self._outs(base, still, slider, other)
+        self.code.pins(K.LINE_CIRCLE, [*rails, b1, b2, a2, a], [sign, *outs.values()], 2)
+        meaning = f"+ where {link.name} slides farther than where its two roots meet"
+        pins = self._seen(fixed, a), self._seen(moving, b1)
+        if self.cluster[link.a] != still:
+            pins = pins[::-1]
+        self._record(base, first, second, ring, meaning, (pins[0], link.rails(True)[0], pins[1]), True)
+        self._finish(base, outs, rebase)
+
+    def _lines(self, base: int, first: int, second: int, ring: tuple[Edge, ...]) -> bool:
+        rails = [e for e in ring if e[0] == P]
+        sides = [{self.cluster[p] for p in self._sides(e[1])} for e in rails]
+        still = next(iter(sides[0] & sides[1]))
+        y, z = (next(c for c in s if c != still) for s in sides)
+        one, two = self._rails(rails[0], still), self._rails(rails[1], still)
+        if _parallel(one[0], two[0]):
+            return False
+        pins = self._pins(next(e for e in ring if e[0] == R), y, z)
+        outs, rebase = self._outs(base, still, y, z)
+        self.code.pins(K.LINES, [*one, *two, *pins], list(outs.values()), 4)
+        self._record(base, first, second, ring, "one root only", (), False, None)
+        self._finish(base, outs, rebase)
+        return True
+
+    def _outs(self, base: int, still: int, y: int, z: int) -> tuple[dict[int, int], tuple[int, int] | None]:
+        """Registers for the poses of y and z seen from `still`; where the base is not that, what to turn round."""
+        if still == base:
+            return {y: self._out(y, 0), z: self._out(z, 1)}, None
+        spare = {c: self.code.register(self.code.n_parts + k) for k, c in enumerate((y, z))}
+        return spare, (still, y if z == base else z)
+
+    def _finish(self, base: int, outs: dict[int, int], rebase: tuple[int, int] | None) -> None:
+        if rebase is not None:
+            still, other = rebase
+            new = {still: self._out(still, 2), other: self._out(other, 0 if len(self.members[other]) == 1 else 1)}
+            self.code.say(K.REBASE, [outs[base], outs[other], new[still], new[other]])
+            outs = new
+        self._join(base, outs)
+
+    def _record(
+        self, base: int, first: int, second: int, ring: tuple[Edge, ...], meaning: str, ends: tuple[End, ...],
+        along: bool, sign: int | None = 0,
+    ) -> None:  # fmt: skip
+        bodies = tuple(tuple(b for p in self.members[c] for b in self.parts.names[p]) for c in (first, second))
+        kind = "".join("RP"[e[0] == P] for e in ring)
+        number = None if sign is None else self.code.signs - 1
+        names = self._names(base, first, second, ring)
+        root = next((self.parts.reps[p] for p in self.members[base] if self.parts.reps[p] != NOWHERE), 0)
+        self.dyads.append(Dyad(kind, root, bodies, names, number, meaning, ends, along))  # type: ignore[arg-type]
+
+    def _names(self, base: int, first: int, second: int, ring: tuple[Edge, ...]) -> tuple[str, str, str]:
+        """Names of the ring's joints; of a hinge of several, one that joins the two clusters where there is one."""
+        names = []
+        for (kind, k), pair in zip(ring, ({base, first}, {first, second}, {second, base}), strict=True):
+            if kind == P:
+                names.append(self.parts.links[k].name)
+                continue
+            here = self.parts.hinges[k][0]
+            direct = [n for n in here if {self.cluster[p] for p in self._sides(self.number[n])} == pair]
+            names.append((direct or list(here))[0])
+        return names[0], names[1], names[2]
+
+    def _pins(self, edge: Edge, one: int, two: int) -> tuple[End, End]:
+        """Ends of a hinge on two clusters."""
+        ends = self.parts.hinges[edge[1]][1]
+        a, b = (next(e for e in ends if self.cluster[e.part] == c) for c in (one, two))
+        return a, b
+
+    def _seen(self, edge: Edge, end: End) -> End:
+        """The end of a hinge, or another one of it where that is not on a body."""
+        ends = (end, *self.parts.hinges[edge[1]][1])
+        return next(e for e in ends if self.parts.reps[e.part] != NOWHERE)
+
+    def _rails(self, edge: Edge, base: int) -> tuple[End, End]:
+        """Rails of a prismatic joint on the base and on what slides."""
+        link = self.parts.links[edge[1]]
+        return link.rails(self.cluster[link.a] == base)
+
+
+def _led(kind: int, pose: Pose, by: float) -> Pose:
+    """The pose after a constant motion of a joint."""
+    return turned(pose, by) if kind == R else times(pose, (1.0, 0.0, by, 0.0))
+
+
+def _parallel(a: End, b: End) -> bool:
+    """Whether two rails on one part are parallel for ever."""
+    return a.part == b.part and abs(a.dx * b.dy - a.dy * b.dx) <= SAME

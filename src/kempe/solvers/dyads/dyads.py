@@ -1,0 +1,323 @@
+"""Planar mechanisms made of dyads in closed form: all configurations for known coordinates, with their branches."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.calls import explained, explained_methods, listed
+from kempe.errors import InputError, UnknownNameError
+from kempe.kinematics.common.parallel import over_chunks
+from kempe.kinematics.common.result import Report
+from kempe.kinematics.configuration import as_q, as_start
+from kempe.kinematics.forward import fk
+from kempe.model.kept import kept
+from kempe.reals import reals
+from kempe.solvers.dyads.assur_groups import Decomposition
+from kempe.solvers.dyads.decompose import Dyad, End, parts_of
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+CLOSED = 1e-12
+"""Openings below this share of the mechanism's size are rounding."""
+CHUNK, SERIAL_BELOW = 8192, 20_000
+MOST_SIGNS = 16
+"""Branch signs up to which all combinations are tried: 65536 configurations."""
+
+
+@dataclass(frozen=True)
+class Incomplete(Report):
+    """Why there is no closed form: `reason` as a sentence, and the `bodies` that no ring of three places."""
+
+    reason: str
+    bodies: tuple[str, ...] = ()
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: that a closed form was not found is no proof that there is none."""
+        return Status.NOT_FOUND
+
+    @property
+    def status(self) -> str:
+        """Why there is no closed form."""
+        return self.reason
+
+    def _data(self) -> dict[str, Any]:
+        return {"bodies": self.bodies}
+
+
+@dataclass(frozen=True, eq=False)
+class Closed:
+    """Configurations `q` (..., nq); which are `ok` (...), that is closed; their openings `gap` (...) in metres.
+
+    `undetermined` (...) counts the parts of each that these inputs leave free: links without length, circles with one
+    centre, parallel lines. They got one of their infinitely many positions.
+    """
+
+    q: Array
+    ok: Any
+    gap: Any
+    undetermined: Any
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Plan(Report):
+    """A mechanism in closed form for `known` coordinates: ring after ring of three rigid clusters.
+
+    `dyads` lists the rings; `signs` is how many of them have two roots, and so are chosen by a branch sign, +1 or -1.
+    A sign stays along a motion until its `heights` is zero: there two branches meet. Most mechanisms turn back at such
+    a place; at a change point, as of a parallelogram that is flat, a smooth motion goes on with the other sign.
+    Openings up to `tolerance` metres count as closed. Method: chained circle and line intersections of the dyads
+    (Assur, 1914), in vectors of configurations.
+    """
+
+    system: System
+    known: tuple[str, ...]
+    dyads: tuple[Dyad, ...]
+    tolerance: float
+    program: tuple[np.ndarray, np.ndarray] = field(repr=False)
+
+    @property
+    def signs(self) -> int:
+        """Number of branch signs."""
+        return sum(d.sign is not None for d in self.dyads)
+
+    @property
+    def status(self) -> str:
+        """From what it is closed, and by how many dyads."""
+        return f"{self.system.name} from {', '.join(self.known) or 'nothing'}: {counted(len(self.dyads), 'dyad')}"
+
+    def describe(self) -> str:
+        """What each dyad is, and what its branch sign means, as text; one line each."""
+        return str(self)
+
+    def _notes(self) -> list[str]:
+        return [f"{'sign ' + str(d.sign + 1) if d.sign is not None else 'no sign'}: {d}" for d in self.dyads]
+
+    def _data(self) -> dict[str, Any]:
+        return {"system": self.system.name, "known": self.known, "signs": self.signs, "dyads": self._notes()}
+
+    def solve(
+        self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None
+    ) -> tuple[Array, Any, Any]:
+        """Configurations q (..., nq), whether they are closed (...), and their openings (...) in metres.
+
+        `values` (..., n_known) are the known coordinates in the order of `known`. `branch` are the signs, (signs,) or
+        (..., signs), or text such as '+-'; where it is left out, the branch of `start` is taken, else + everywhere.
+        Angles are those nearest to `start`, (nq,) or (..., nq), else to zero, and inside the limits where some
+        representative is. What cannot close is put where it nearly touches; NaN among the values gives NaN.
+        """
+        closed = self.close(values, branch, start, threads)
+        return closed.q, closed.ok, closed.gap
+
+    def close(self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None) -> Closed:
+        """As `solve`, with what these inputs leave undetermined."""
+        given, lead = self._values(values)
+        n, nq = len(given), self.system.nq
+        if start is None:
+            targets = np.zeros((1, nq))
+        else:
+            targets = _rows(as_start(self.system, start), lead, "near")
+            if not np.isfinite(targets).all():
+                raise InputError("start has entries that are not finite")
+        signs = self._signs(branch, targets if branch is None and start is not None else None, lead)
+        q, status = np.empty((n, nq)), np.empty((n, 2))
+        self._run(given, signs, targets, q, status, threads)
+        gap = status[:, 0]
+        ok = (gap <= self.tolerance) & np.isfinite(given).all(axis=-1)
+        if not lead:
+            return Closed(q[0], bool(ok[0]), float(gap[0]), int(status[0, 1]))
+        return Closed(q.reshape(*lead, nq), ok.reshape(lead), gap.reshape(lead), status[:, 1].astype(int).reshape(lead))
+
+    def all(self, values: ArrayLike, start: Any = None) -> tuple[Array, np.ndarray]:
+        """Configurations q (..., 2**signs, nq) on all branches, and a mask (..., 2**signs) of those that close.
+
+        Branches are in the order of `branches()`. Angles are nearest to `start` (nq,), else to zero.
+        """
+        given, lead = self._values(values)
+        signs = self.branches()
+        k, nq = len(signs), self.system.nq
+        targets = np.zeros((1, nq)) if start is None else _rows(as_start(self.system, start), (), "near")
+        q, status = np.empty((len(given) * k, nq)), np.empty((len(given) * k, 2))
+        many = np.repeat(given, k, axis=0)
+        self._run(many, np.tile(signs, (len(given), 1)), targets, q, status, None)
+        mask = (status[:, 0] <= self.tolerance) & np.isfinite(many).all(axis=-1)
+        return q.reshape(*lead, k, nq), mask.reshape(*lead, k)
+
+    def branches(self) -> Array:
+        """All combinations of signs (2**signs, signs), + before -. Errors: `InputError` where they are too many."""
+        if self.signs > MOST_SIGNS:
+            raise InputError(f"there are 2**{self.signs} branches; all of them are listed up to 2**{MOST_SIGNS}")
+        return np.array(list(product((1.0, -1.0), repeat=self.signs))).reshape(2**self.signs, self.signs)
+
+    def heights(self, q: Any) -> Array:
+        """What the branch signs are the signs of (..., signs), in metres; zero where two branches meet.
+
+        For three revolute joints, the distance of the middle one from the line through the others; with a prismatic
+        joint, the way that it has slid from where its two roots meet.
+        """
+        q = as_q(self.system, q)
+        X = fk(self.system, q)
+        out = np.empty((*q.shape[:-1], self.signs))
+        for d in self.dyads:
+            if d.sign is None:
+                continue
+            first, line, last = (self._place(X, e) for e in d.ends)
+            to = last[0] - first[0]
+            if d.along:
+                out[..., d.sign] = np.sum(line[1] * to, axis=-1)
+                continue
+            way = line[0] - first[0]
+            length = np.linalg.norm(way, axis=-1, keepdims=True)
+            base = X[..., d.base, :2, 0]
+            unit = np.where(length > 0.0, way / np.where(length > 0.0, length, 1.0), base)
+            out[..., d.sign] = unit[..., 0] * to[..., 1] - unit[..., 1] * to[..., 0]
+        return out
+
+    def branch_of(self, q: Any) -> Array:
+        """Branch signs (..., signs), +1 or -1, of closed configurations q (..., nq); + where two branches meet."""
+        return np.where(self.heights(q) < 0.0, -1.0, 1.0)
+
+    def _place(self, X: Array, end: End) -> tuple[Array, Array]:
+        pose = X[..., end.part, :, :]
+        point = pose[..., :2, 3] + pose[..., :2, :2] @ np.array([end.x, end.y])
+        return point, pose[..., :2, :2] @ np.array([end.dx, end.dy])
+
+    def _run(self, values: Array, signs: Array, targets: Array, q: Array, status: Array, threads: int | None) -> None:
+        from kempe.kernels.compiled import dyads_program as dyads
+
+        ints, floats = self.program
+
+        def work(i: int, j: int) -> int:
+            s, t = (a if len(a) == 1 else a[i:j] for a in (signs, targets))
+            return dyads.solve(ints, floats, values[i:j], s, t, q[i:j], status[i:j])
+
+        over_chunks(work, len(values), CHUNK, threads, SERIAL_BELOW)
+
+    def _values(self, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
+        array = reals(values, "values")
+        if array.ndim == 0 or array.shape[-1] != len(self.known):
+            got = "a single number" if array.ndim == 0 else f"shape {array.shape}"
+            raise InputError(f"values have {got}; they must be (..., {len(self.known)}): {', '.join(self.known)}")
+        lead = array.shape[:-1]
+        return np.ascontiguousarray(array.reshape(math.prod(lead), len(self.known))), lead
+
+    def _signs(self, branch: Any, start: Array | None, lead: tuple[int, ...]) -> Array:
+        if branch is None:
+            return np.ones((1, self.signs)) if start is None else np.ascontiguousarray(self.branch_of(start))
+        given = [{"+": 1.0, "-": -1.0}.get(c, math.nan) for c in branch] if isinstance(branch, str) else branch
+        signs = reals(given, "branch", "signs, +1 or -1")
+        if signs.ndim == 0 or signs.shape[-1] != self.signs or not np.all(np.abs(signs) == 1.0):
+            each = f"{counted(self.signs, 'sign')}, + or - (1 or -1), one for each dyad"
+            raise InputError(
+                f"branch is {branch!r}; it must be {each}; loops.closed_form({self.known}).describe() tells"
+            )
+        return _rows(signs, lead, "branch")
+
+
+def _rows(x: Array, lead: tuple[int, ...], what: str) -> Array:
+    """`x` as (1 or N, k), where it has no leading axes or those of the values."""
+    if x.ndim > 1 and x.shape[:-1] != lead:
+        raise InputError(f"{what} has shape {x.shape}; it must be ({x.shape[-1]},) or {(*lead, x.shape[-1])}")
+    return np.ascontiguousarray(x.reshape(math.prod(x.shape[:-1]), x.shape[-1]))
+
+
+@explained
+def closed_form(system: System, known: Sequence[str] | str) -> Plan | Incomplete:
+    """The closed form of a planar system for these known coordinates, or `Incomplete`, which says what is left over.
+
+    It exists for bodies, joined by revolute, prismatic and fixed joints, that are placed by known coordinates, their
+    followers, and rings of three rigid clusters (dyads, or Assur groups of the second class). Errors:
+    `UnknownNameError` for the names, `InputError` for one that is not in q.
+    """
+    return _closed_form(system, listed(known, "known"))
+
+
+def source_values(system: System, known: Mapping[str, Any]) -> dict[str, Any]:
+    """Known values by coordinates of q: a coordinate that follows another is led back to that.
+
+    Errors: `UnknownNameError`, and `InputError` for a coordinate that is held, or two that move together.
+    """
+    out: dict[str, Any] = {}
+    for name, given in known.items():
+        follower = system.structure.couplings.get(name)
+        if follower is None and name not in system.coordinate_names:
+            raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
+        if follower is not None and follower.source is None:
+            raise InputError(f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given")
+        number = reals(given, f"coordinate {name!r}", "a number")
+        source = name if follower is None else str(follower.source)
+        if source in out:
+            raise InputError(f"known coordinates {name!r} and {source!r} move together: give one of them")
+        out[source] = number if follower is None else (number - follower.offset) / follower.multiplier
+    return out
+
+
+def on_branch(system: System, known: Mapping[str, Any], branch: Any, near: Any = None) -> Array:
+    """Configurations (..., nq) on a branch, as `Plan.solve` gives them, for known values by coordinate name.
+
+    What cannot close on this branch is put where it nearly touches. Errors: `InputError` where there is no closed form,
+    and so no branch signs.
+    """
+    values = source_values(system, known)
+    plan = closed_form(system, tuple(values))
+    if isinstance(plan, Incomplete):
+        raise InputError(f"branch {branch!r} cannot be looked up: {plan.reason}")
+    columns = np.broadcast_arrays(*values.values(), np.zeros(()))[:-1]
+    stacked = np.stack(columns, axis=-1) if columns else np.zeros(0)
+    return plan.solve(stacked, branch, near)[0]
+
+
+@kept
+def _closed_form(system: System, names: tuple[str, ...]) -> Plan | Incomplete:
+    slots = {c: i for i, c in enumerate(system.coordinate_names)}
+    for name in names:
+        if name in slots:
+            continue
+        follower = system.structure.couplings.get(name)
+        if follower is None:
+            raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
+        follows = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"
+        raise InputError(f"coordinate {name!r} is not part of q: {follows}")
+    if len(set(names)) < len(names):
+        raise InputError(f"known names a coordinate twice: {', '.join(names)}")
+    parts = parts_of(system)
+    if parts.trouble:
+        return Incomplete(f"no closed form: {parts.trouble}")
+    search = Decomposition(system, parts, [slots[n] for n in names])
+    left = search.run()
+    if left:
+        return _incomplete(search, left)
+    dyads = tuple(_in_bodies(d, parts.reps) for d in search.dyads)
+    program = search.code.pack([slots[n] for n in names])
+    return Plan(system, names, dyads, CLOSED * parts.size, program)
+
+
+def _in_bodies(dyad: Dyad, reps: tuple[int, ...]) -> Dyad:
+    """A dyad whose ends count bodies instead of parts."""
+    ends = tuple(End(reps[e.part], *e.rail) for e in dyad.ends)
+    return Dyad(dyad.kind, dyad.base, dyad.bodies, dyad.joints, dyad.sign, dyad.meaning, ends, dyad.along)
+
+
+def _incomplete(search: Decomposition, left: list[int]) -> Incomplete:
+    """What is left over, and why: too little is known, or no ring of three is among it."""
+    bodies = tuple(b for c in left for p in search.members[c] for b in search.parts.names[p])
+    shown = ", ".join(bodies[:8]) + (f", ... ({len(bodies)} in all)" if len(bodies) > 8 else "")
+    missing = search.freedom()
+    if missing > 0:
+        them = "coordinate" if missing == 1 else "coordinates"
+        why = f"by counting, {missing} more {them} must be known"
+    else:
+        why = "they form an Assur group of a higher class, which has no ring of three"
+    return Incomplete(f"no closed form: {shown} cannot be placed one dyad after another; {why}", bodies)

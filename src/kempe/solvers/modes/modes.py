@@ -1,0 +1,280 @@
+"""All assembly modes: the configurations that close a mechanism for given inputs, and how surely these are all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.budget import Budget, Usual
+from kempe.calls import brief, explained, explained_methods, flag, generator
+from kempe.errors import InputError
+from kempe.kinematics.common.result import Cells
+from kempe.kinematics.configuration import as_start, home_of
+from kempe.kinematics.one_sided import one_sided_rows
+from kempe.solvers.assembly.held import held_at
+from kempe.solvers.assembly.ideal import tolerant
+from kempe.solvers.common.answer import Configurations
+from kempe.solvers.common.arguments import start_count
+from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
+from kempe.solvers.common.problem import Problem, Solver, choose, chosen_by, takes_all
+from kempe.solvers.dyads.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
+from kempe.solvers.modes.same_configuration import INSIDE, SAME, Clusters, metric_of
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+STARTS = 4096
+"""Starts of a search, at most."""
+USUAL = Usual("assembly_modes", starts=STARTS, rng=0, time_limit=TIME_LIMIT, progress=None)
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Modes(Configurations):
+    """Configurations `q` (k, nq) that close the mechanism for the `known` inputs, each once.
+
+    `complete` says that there are no others, proven by structure. `branches` names them where the mechanism is made of
+    dyads ('+-', see `Plan.describe`; 0 where two branches meet), else they are ''. `multiplicity` (k,) counts merged
+    roots, or, in a search, how many starts found it: 0 where only a mirror image or a mixture of others led there.
+    `freedoms` (k,) says how many freedoms are left at each with the inputs held, idle spins left out: where it is not
+    0, the configuration is one example of infinitely many. `inside` (k,) says which respect the limits; `outside`
+    counts what was dropped because it does not. Of a search, `coverage` is a lower bound, with 95 % confidence, of the
+    share of random starts that lead to what was found (Good, Biometrika 40, 1953), which is never 1, and `expected`
+    the estimated number of modes (Chao, Scand. J. Statist. 11, 1984); both are None where there is a proof.
+    A search that was `interrupted` from the keyboard, or that the time limit ended (`late`), says so.
+    """
+
+    __repr__ = brief
+
+    also = ("complete", "branches", "multiplicity", "freedoms", "inside", "outside", "coverage", "expected",
+            "interrupted", "late")  # fmt: skip
+
+    q: Array
+    complete: bool
+    reason: str
+    branches: tuple[str, ...]
+    multiplicity: np.ndarray
+    freedoms: np.ndarray
+    inside: np.ndarray
+    outside: int
+    system: System = field(repr=False)
+    known: dict[str, Any] = field(repr=False)
+    coverage: float | None = None
+    expected: float | None = None
+    interrupted: bool = False
+    late: bool = False
+    left_out: int = 0
+    """How many close the mechanism, but violate declared one-sided constraints."""
+
+    @property
+    def success(self) -> bool:
+        """Whether there is any."""
+        return len(self.q) > 0
+
+    @property
+    def code(self) -> Status:
+        """The outcome: that there is none is proven where the search is `complete`."""
+        if self.success:
+            return Status.SOLVED
+        if self.complete:
+            return Status.OUTSIDE_LIMITS if self.outside else Status.NONE_EXISTS
+        return self._broken_off() or Status.NOT_FOUND
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return held_at(self.system, self.known)
+
+    def _cells(self) -> Cells:
+        """What is shown: the coordinates that are not known."""
+        names = [n for n in self.system.coordinate_names if n not in self.known]
+        at = [self.system.coordinate_names.index(n) for n in names]
+        rows = [[self.branches[k] or str(k + 1), *(f"{x:.9g}" for x in q[at])] for k, q in enumerate(self.q)]
+        return ["", *names], rows
+
+    def _lines(self) -> Sequence[str]:
+        heads, rows = self._cells()
+        names = heads[1:]
+        return [f"{k:>3s}  " + ", ".join(f"{n} = {x}" for n, x in zip(names, row, strict=True)) for k, *row in rows]
+
+    def _headline(self) -> str:
+        return f"{counted(len(self), 'configuration')} of {self.system.name}; {self.status}"
+
+
+@explained
+@tolerant()
+def assembly_modes(
+    system: System, known: Mapping[str, Any] | None = None, start: Any = None, *, limits: bool = True,
+    frame: FrameLike | None = None, tolerance: float | str | None = None, budget: Budget | None = None,
+) -> Modes:  # fmt: skip
+    """All configurations found that close the mechanism with the `known` coordinates (or frames) held.
+
+    Planar mechanisms made of dyads are solved in closed form: then `complete` is True. Others are assembled from random
+    starts, and from mirror images and mixtures of what is found, with a bound of how much was missed; starts go on
+    while the number found is odd where it must be even. `start` (nq,) sorts the answer, the nearest first, and chooses
+    the representatives of angles (else they are near zero). With `limits` what is outside the joint limits is dropped,
+    else it is flagged by `inside`. With `frame`, configurations that put this frame at one pose count as one: legs that
+    can be turned over would multiply the modes of a platform. Without it, those that differ only by idle spins (see
+    `mobility`) are one. Of the `budget` are read: starts (4096, at most), rng (0), time_limit (120 s), progress(starts,
+    modes), called after each round of starts; an interrupt from the keyboard, or the time limit, leaves what was found
+    by then. Errors: `UnknownNameError`, `InputError` for values that are not single numbers.
+    """
+    given = {} if known is None else known
+    if not isinstance(given, Mapping):
+        raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
+    base = None if start is None else as_start(system, start)
+    if base is not None and (base.ndim != 1 or not np.isfinite(base).all()):
+        raise InputError(f"start must be one configuration ({system.nq},) of finite numbers")
+    spend = USUAL.of(budget)
+    generator(spend.rng), start_count(spend.starts), TimeLimit(spend.time_limit)
+    flag(limits, "limits")
+    name = None if frame is None else system.structure.frame_name(frame)
+    problem = Problem(system, "all", name, known=dict(given), start=base, limits=bool(limits), budget=budget)
+    solver, choice = choose(SOLVERS, system, tuple(given))
+    return chosen_by(solver.run(problem), choice)
+
+
+# ---- by structure
+
+
+def no_dyads(system: System, known: tuple[str, ...]) -> str | None:
+    """Why there is no closed form with these names known; None where there is one."""
+    if system.dim != 2:
+        return "it is for planar mechanisms"
+    frames = [k for k in known if k in system.frame_names and k not in system.coordinate_names]
+    if frames:
+        return f"the place of frame {frames[0]!r} is known, not only coordinates"
+    plan = closed_form(system, tuple(source_values(system, dict.fromkeys(known, 0.0))))
+    if isinstance(plan, Incomplete):
+        return plan.reason
+    return f"it has 2^{plan.signs} branches, too many to list" if plan.signs > MOST_SIGNS else None
+
+
+def by_dyads(question: Problem) -> Modes:
+    """The answer in closed form, of a mechanism that is made of dyads."""
+    system = question.system
+    values = source_values(system, question.known)
+    for name, x in values.items():
+        if x.ndim or not np.isfinite(x):
+            raise InputError(f"known coordinate {name!r} must be one finite number")
+    plan: Any = closed_form(system, tuple(values))
+    signs = plan.branches()
+    numbers = np.array([[float(x) for x in values.values()]] * len(signs)).reshape(len(signs), len(values))
+    closed = plan.close(numbers, signs, question.start)
+    names = ["".join("+" if s > 0 else "-" for s in row) for row in signs]
+    ok = np.flatnonzero(closed.ok)
+    clusters = Clusters(system, () if question.frame is None else (question.frame,))
+    clusters.add(closed.q[ok], np.full(len(ok), SAME))
+    groups = [ok[members] for members in clusters.members]
+    free = np.array([int(closed.undetermined[g].max()) for g in groups], dtype=np.int64)
+    status = f"complete: every dyad in closed form, {len(ok)} of {len(signs)} branches close"
+    if not len(ok):
+        status = f"complete: none of the {len(signs)} branches closes; the best is open by {closed.gap.min():.3g} m"
+    if any(len(g) > 1 for g in groups):
+        status += f", {counted(sum(len(g) > 1 for g in groups), 'multiple root')}"
+    if free.any():
+        status = (
+            f"not finite: {int((free > 0).sum())} of {counted(len(groups), 'configuration')} can move with these "
+            "inputs held (coinciding centres or parallel slides leave a dyad undetermined)"
+        )
+    sizes = np.array([len(g) for g in groups], dtype=np.int64)
+    branches = [_merged([names[i] for i in g]) for g in groups]
+    return _answer(question, closed.q[[g[0] for g in groups]], status, branches, sizes, free, not free.any())
+
+
+def _merged(names: list[str]) -> str:
+    """The name of branches that meet: their common signs, 0 for the others."""
+    return "".join(c[0] if len(set(c)) == 1 else "0" for c in zip(*names, strict=True))
+
+
+# ---- by many starts
+
+
+def by_starts(question: Problem) -> Modes:
+    """The answer of many starts: never proven complete."""
+    from kempe.solvers.modes.modes_search import estimates, search  # its kernels are not needed before
+
+    system, spend = question.system, USUAL.of(question.budget)
+    found = search(system, dict(question.known), question.start, question.frame, generator(spend.rng),
+                   start_count(spend.starts), TimeLimit(spend.time_limit), spend.progress)  # fmt: skip
+    q, hits, free = found.clusters.q, found.clusters.hits, found.free
+    isolated, families = np.flatnonzero(free == 0), np.flatnonzero(free > 0)
+    coverage, expected = estimates(found.hits)
+    expected *= len(isolated) / max(len(found.hits), 1)  # mirror images are counted together
+    expected += found.odd
+    closed = int(hits.sum())
+    status = (
+        f"not proven complete: {len(isolated)} found from {found.tried} starts, of which {closed} closed; with 95 % "
+        f"confidence at most {_up(100.0 * (1.0 - coverage))} % of starts lead to others"
+    )
+    if expected > len(isolated) + 0.5:
+        status += f", about {expected:.3g} in all"
+    if found.odd:
+        status += "; one is missing at least, since their number is even"
+    if not closed:
+        status = f"none found, which proves nothing: of {found.tried} starts none closed"
+    if len(families):
+        besides = f"besides {counted(len(isolated), 'isolated configuration')}, " if len(isolated) else ""
+        left = "1 freedom" if free.max() == 1 else f"up to {free.max()} freedoms"
+        status = f"not finite: {besides}there are some with {left} left, of which one is shown; give more inputs"
+        near = home_of(system) if question.start is None else question.start
+        families = families[[int(np.argmin(found.clusters.metric.distances(q[families], near)))]]
+    if found.spins:
+        status += f"; {counted(len(found.spins), 'idle spin')} left out: " + ", ".join(map(str, found.spins[:3]))
+        status += ", ..." if len(found.spins) > 3 else ""
+    keep = np.concatenate([isolated, families])
+    guess = (coverage, float(expected))
+    interrupted, late = (isinstance(found.broken, kind) for kind in BROKEN_OFF)
+    status += partial(interrupted, late)
+    answer = _answer(question, q[keep], status, [""] * len(keep), hits[keep], free[keep], False, guess)
+    return replace(answer, interrupted=interrupted, late=late)
+
+
+def _up(percent: float) -> str:
+    """A percentage with two digits, rounded up."""
+    if percent <= 0.0:
+        return "0"
+    unit = 10.0 ** (np.floor(np.log10(percent)) - 1)
+    return f"{np.ceil(percent / unit - 1e-9) * unit:.3g}"
+
+
+# ---- what both need
+
+
+def _answer(
+    question: Problem, q: Array, status: str, branches: list[str], multiplicity: np.ndarray, freedoms: np.ndarray,
+    complete: bool, guess: tuple[float | None, float | None] = (None, None),
+) -> Modes:  # fmt: skip
+    """The modes, sorted, with what is outside the limits dropped or flagged."""
+    system = question.system
+    v = q[:, system.structure.layout.vector_q]
+    low, high = (x[system.structure.layout.vector_v] for x in (system.lower, system.upper))
+    inside = np.all((v >= low - INSIDE) & (v <= high + INSIDE), axis=-1)
+    bounds, left_out = one_sided_rows(system), 0
+    keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
+    if bounds.declared:
+        beyond = bounds.beyond(q, declared=True) > 0.0
+        holds = np.logical_not(beyond.any(axis=1))
+        inside, left_out, keep = inside & holds, int(np.sum(~holds)), keep[holds[keep]]
+        status += bounds.left_out(beyond)
+    if question.start is not None:
+        keep = keep[np.argsort(metric_of(system).distances(q[keep], question.start), kind="stable")]
+    outside = len(q) - int(inside.sum()) - left_out
+    if outside:
+        status += f"; {outside} {'are' if outside > 1 else 'is'} outside the limits"
+    return Modes(
+        q[keep], complete, status, tuple(branches[i] for i in keep), multiplicity[keep], freedoms[keep], inside[keep],
+        outside if question.limits else 0, system, dict(question.known), *guess, left_out=left_out,
+    )  # fmt: skip
+
+
+SOLVERS = (
+    Solver("dyads", "closed form, one ring of three places after the other", no_dyads, by_dyads),
+    Solver("many starts", "assembly from random starts, from mirror images and mixtures of what is found",
+           takes_all, by_starts),
+)  # fmt: skip
+"""Who answers for all assembly modes."""

@@ -1,0 +1,1 @@
+"""The numerical inverse model of one frame of a tree."""

@@ -1,0 +1,259 @@
+"""Why a target was not reached: by a proof, or by asking again with more starts, without limits, without orientation.
+
+Proofs are lengths, and limits where all answers are known to be outside them. Else what is found by asking again is
+true, and what is not found is evidence: it is said with the number of starts, and as what may be the reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from kempe import words
+from kempe.model.immovable import immovable
+from kempe.solvers.common.proofs import Lengths, Limits, LowRank
+from kempe.solvers.common.serial_chain import Chain, chain_of
+from kempe.solvers.common.targets import Z_AXIS, frame_of, not_a_pose
+from kempe.solvers.one_frame.inverse import run
+from kempe.solvers.one_frame.multi_start import ITERATIONS, MOST, TOLERANCE, Task, past_lengths
+from kempe.solvers.one_frame.shut_out import shut_out
+from kempe.solvers.one_frame.solution import Solution
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
+
+AT_LIMIT = 1e-9
+"""How near to a limit a coordinate is at it."""
+NEAR_MISS, NEAR_TURN, SMALL = 1e-6, 1e-2, 1e-2
+"""Errors [m, rad] of a near miss, of which it is not said that the target may be outside; length of links [m] that are
+small for tolerances in metres."""
+ROUNDED = 2e-3
+"""Errors, in radians and parts of the chain's longest link, that rounding of published figures may have made."""
+FEW_LIMITS = 12
+"""Limits up to which each is lifted in turn; of more, only those that a configuration touches."""
+STARTS = 250
+"""Starts of a search without some limits, which begins where the target is reached without any."""
+TILTED = 1e-7
+"""Angle between a pose and the plane that is not rounding [rad]."""
+ROUNDING = 1e-14
+"""What rounding makes of a configuration that reaches a target, in parts of its size."""
+RANK_TOLERANCE, NEARLY = 1e-9, 1e-4
+"""Singular values below this fraction of the largest count as zero when the freedoms of a chain are counted, and when
+it is asked whether a search ended at a singular configuration."""
+
+
+def sentence(solution: Solution, index: tuple[int, ...]) -> str:
+    """The sentence for one target of a solution."""
+    task = solution.task
+    figures = (
+        solution.code, solution.position_error, solution.orientation_error, solution.starts, solution.iterations
+    )  # fmt: skip
+    code, position, angle, starts, steps = (np.asarray(x)[index].item() for x in figures)
+    if code == Status.SOLVED:
+        how = words.work(steps, starts) if starts else "analytically"
+        return f"reached: {_errors(task, f'position error {position:.1e} m', angle)} ({how})"
+    at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
+    target = task.targets[at : at + 1]
+    if code == Status.BAD_INPUT:
+        return not_a_pose(target[0], "start")
+    near = f"the nearest configuration found misses it by {_errors(task, f'{position:.6g} m', angle)}"
+    if code == Status.OUT_OF_REACH:
+        return f"{beyond(task, target).text}; {near}"
+    tilt = float(np.arccos(np.clip(target[0, 2, 2], -1.0, 1.0))) if task.system.dim == 2 and any(task.mask[3:]) else 0.0
+    if tilt > max(task.tolerance[1], TILTED):
+        return f"tilted out of the plane of the system by {tilt:.2g} rad; {near}"
+    if code == Status.OUT_OF_TIME:
+        return f"{words.late(task.time_limit or 0.0, starts, task.starts)}; {near}"
+    q = np.asarray(solution.q)[index][task.chain.q_index]
+    size = 1.0 + float(np.linalg.norm(target[0, :3, 3]))
+    if position <= ROUNDING * size and angle <= ROUNDING:
+        return f"the tolerance is finer than rounding: {near}"
+    span = task.chain.span
+    reason = span.sentence() if span.wide else _again(task, target, q)
+    reason = reason or _limits(task, target, q) or _over_determined(task, target, position, angle)
+    reason = reason or _close(task, position, angle) or _why(task)
+    still = immovable(task.system, task.chain.v_index)
+    return f"not reached after {counted(starts, 'start')}: {reason}; {near}{f'; {still}' if still else ''}"
+
+
+def proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Lengths | Limits, ...]:
+    """What proves that there is no answer for one target of a solution."""
+    task, code = solution.task, np.asarray(solution.code)
+    at = int(np.ravel_multi_index(index, code.shape)) if index else 0
+    target = task.targets[at : at + 1]
+    if code[index] not in (Status.OUT_OF_REACH, Status.NOT_FOUND):
+        return ()
+    proof = beyond(task, target) if code[index] == Status.OUT_OF_REACH else shut_out(task, target)
+    return (proof,) if proof else ()
+
+
+def beyond(task: Task, target: Array) -> Lengths:
+    """How far a target (1, 4, 4) is out of reach at least, by the lengths of the links."""
+    off = abs(float(target[0, 2, 3])) if task.system.dim == 2 else 0.0
+    place, turned = past_lengths(task, target)[0].tolist()
+    return Lengths(place, turned, off if off > task.tolerance[0] else 0.0)
+
+
+def _errors(task: Task, position: str, angle: float) -> str:
+    parts = [position] * bool(any(task.mask[:3])) + [f"{angle:.2g} rad"] * bool(any(task.mask[3:]))
+    return ", ".join(parts)
+
+
+def _solved(task: Task, target: Array, limits: Array | None = None, near: Array | None = None) -> Array | None:
+    """The configuration (n,) of the chain that reaches a target (1, 4, 4), from `start` first; None if none does."""
+    seeds = task.chain.no_seed if near is None else near.reshape(1, 1, -1)
+    q, _, info = run(task, seeds, 1, limits, target)
+    return q[0] if info[0, 0] == Status.SOLVED else None
+
+
+def _rows(task: Task, q: Array, tolerance: float) -> int:
+    """The largest rank of what the task reads of the frame's Jacobian, at configurations (N, nq)."""
+    from kempe.kinematics.forward import jacobian  # only here: a success needs no forward kernels
+
+    J = jacobian(task.system, q, task.frame, "body")
+    J[:, 3:] = frame_of(np.array(task.axis)).T @ J[:, 3:]
+    J = J[:, [i for i, used in enumerate(task.mask) if used]]
+    if J.shape[-1] == 0:
+        return 0
+    values = np.linalg.svd(J, compute_uv=False)
+    return int((values > tolerance * values[:, :1]).sum(axis=1).max())
+
+
+def rank_of(task: Task) -> LowRank:
+    """The equations of a task, and the freedoms in which the chain moves its frame at random configurations."""
+    system, rows = task.system, sum(map(bool, task.mask))
+    wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else rows
+    return LowRank(wanted, _rows(task, system.random(0, 16), RANK_TOLERANCE))
+
+
+def _over_determined(task: Task, target: Array, position: float, angle: float) -> str:
+    """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random configurations.
+
+    `position` and `angle` are the errors of the nearest found: small ones are those of a target that was rounded.
+    """
+    system, rank = task.system, rank_of(task)
+    if rank.freedoms == 0:
+        return f"no joint moves frame {task.frame!r}"
+    if not rank:
+        return ""
+    equations, freedoms = rank
+    text = f"the task has {equations} equations, but the chain moves this frame in {freedoms} freedoms only"
+    if task.name in ("pose", "position_axis"):
+        place = replace(task, name="position", axis=Z_AXIS, chain=chain_of(system, task.frame))
+        other = "cannot" if _solved(place, target) is None else "can"
+        text += f" (its position alone {other} be reached)"
+    return text + rounded(position, angle, task.chain.span.largest)
+
+
+def rounded(position: float, angle: float, length: float, one: bool = False) -> str:
+    """The tail of a sentence on a target with more equations than freedoms: the tolerance that accepts it.
+
+    `position` and `angle` are the errors of the nearest found. Empty where these are more than rounding of figures,
+    seen from a robot with links of this `length`. With `one` the tolerance is one number for both.
+    """
+    if position > ROUNDED * length or angle > ROUNDED:
+        return ""
+    metres, radians = _above(position), _above(angle)
+    said = "; a target that was rounded needs a larger tolerance"
+    if one:
+        return f"{said}: tolerance={max(metres, radians):g} accepts it"
+    return f"{said}: tolerance=({metres:g}, {radians:g}) accepts it"
+
+
+def _above(error: float) -> float:
+    """A round number above an error: one digit, and at least the usual tolerance."""
+    if error <= TOLERANCE[0]:
+        return TOLERANCE[0]
+    unit = 10.0 ** math.floor(math.log10(error))
+    return float(f"{math.ceil(error / unit * 1.001) * unit:.0e}")
+
+
+def _many(task: Task) -> Task:
+    """The same with as many starts as are given by default, at least, and no limit of time."""
+    return replace(task, starts=max(MOST, task.starts), iterations=max(ITERATIONS, task.iterations), end=math.inf)
+
+
+def _again(task: Task, target: Array, nearest: Array) -> str:
+    """That other starts find an answer, and where the search was stuck, if it was: `nearest` (n,) is what it found."""
+    if _solved(replace(_many(task), rng=task.rng + 1), target) is None:
+        return ""
+    stuck = "the search is stuck at a singular configuration; " if _singular(task, nearest) else ""
+    return f"{stuck}more starts find an answer"
+
+
+def _singular(task: Task, q: Array) -> bool:
+    """Whether the chain moves the frame in fewer freedoms at q (n,) than elsewhere."""
+    full = task.chain.base[0].copy()
+    full[task.chain.q_index] = q
+    return _rows(task, full[None], NEARLY) < _rows(task, task.system.random(0, 16), NEARLY)
+
+
+def _limits(task: Task, target: Array, nearest: Array) -> str:
+    """Which limits block the target, or may do so, by solving without them; `nearest` (n,) is what came nearest.
+
+    Or that they do not, for all starts may fail where there is an answer.
+    """
+    chain, names = task.chain, task.system.structure.velocity_names
+    bounded = np.flatnonzero(np.isfinite(chain.limits).any(axis=0) & (chain.circular == 0))
+    open_ = np.stack([np.full(len(chain.v_index), -np.inf), np.full(len(chain.v_index), np.inf)])
+    many = _many(task)
+    free = _solved(many, target, open_) if bounded.size else None
+    if free is None:
+        return ""
+    if _solved(replace(many, rng=task.rng + 1), target, None, free) is not None:
+        return "more starts find an answer"
+    suspects = list(bounded if len(bounded) <= FEW_LIMITS else _suspects(chain, bounded, nearest, free))
+    few = replace(many, starts=min(many.starts, STARTS * FEW_LIMITS // max(FEW_LIMITS, len(suspects))))
+
+    def without(lifted: Sequence[Any]) -> bool:
+        limits = chain.limits.copy()
+        limits[:, lifted] = open_[:, lifted]
+        return _solved(few, target, limits, free) is not None
+
+    def said(which: str, short: str, one: bool) -> str:
+        if proof := shut_out(task, target):
+            return f"blocked by {which} ({proof.text}); without limits it is reachable"
+        return words.may_block(which, one, short)
+
+    alone = [i for i in suspects if without([i])]
+    if alone:
+        which = words.limits_of([names[chain.v_index[i]] for i in alone], " or of ")
+        return said(which, which, True)
+    lifted = suspects if len(suspects) < len(bounded) and without(suspects) else list(bounded)
+    for i in list(lifted):  # what is left cannot be done without
+        rest = [k for k in lifted if k != i]
+        lifted = rest if without(rest) else lifted
+    which = words.limits_of([names[chain.v_index[i]] for i in lifted], " and ")
+    return said(f"{which} together", which, False)
+
+
+def _suspects(chain: Chain, bounded: np.ndarray, nearest: Array, free: Array) -> np.ndarray:
+    """Of the bounded coordinates those that are at a limit in `nearest`, or beyond one in `free`."""
+    if len(chain.q_index) != len(chain.v_index):
+        return bounded
+    low, high = chain.limits
+    at = (nearest <= low + AT_LIMIT) | (nearest >= high - AT_LIMIT) | (free < low) | (free > high)
+    return bounded[at[bounded]]
+
+
+def _close(task: Task, position: float, angle: float) -> str:
+    """What a near miss means, where it is one: by then neither the search nor the workspace is known to end there."""
+    longest = task.chain.span.largest
+    if not any(task.mask[:3]) or position > NEAR_MISS or angle > NEAR_TURN:
+        return ""
+    came = f"the search came within {_errors(task, f'{position:.1g} m', angle)}"
+    if longest <= SMALL:
+        return f"{came} with links of at most {longest:.2g} m: it may have ended early at so small a scale"
+    return f"{came}, so it may have ended early, or the target is just outside the workspace"
+
+
+def _why(task: Task) -> str:
+    """What is left where nothing else was found out."""
+    limits = " without limits either" if np.isfinite(task.chain.limits).any() else ""
+    may = "the target may be outside the workspace" if any(task.mask[:3]) else "the orientation may be out of reach"
+    turned = ", or not reachable with this orientation" if any(task.mask[:3]) and any(task.mask[3:]) else ""
+    return f"no configuration was found{limits}, so {may}{turned}"

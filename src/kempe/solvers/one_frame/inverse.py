@@ -1,0 +1,398 @@
+"""The inverse geometric model, numerically: a configuration in which a frame of a tree reaches a target."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.budget import Budget, Usual
+from kempe.calls import explained
+from kempe.constraints.frame_targets import of_target
+from kempe.errors import InputError
+from kempe.kernels.base.search_layout import ANSWER, LARGEST, LINEAR, SOLVED, STATUS
+from kempe.kernels.compiled import maker, schedule
+from kempe.kernels.forward.table_layout import HAS_QUATERNION
+from kempe.kinematics.common.parallel import over_chunks
+from kempe.kinematics.configuration import as_start
+from kempe.kinematics.one_sided import one_sided_rows
+from kempe.model.kept import kept
+from kempe.rigid import arrays, sound
+from kempe.solvers.common.arguments import deadline, seed_number, start_count, step_count, tolerances
+from kempe.solvers.common.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by
+from kempe.solvers.common.serial_chain import Chain, chain_of, inside, obstacle
+from kempe.solvers.common.targets import (
+    Z_AXIS,
+    axis_for,
+    check_particle,
+    in_plane,
+    not_a_pose,
+    points_along,
+    targets_of,
+    task_and_axis,
+    task_of,
+)
+from kempe.solvers.one_frame import multi_start
+from kempe.solvers.one_frame.multi_start import FEW, ITERATIONS, MOST, TOLERANCE, Task, outside
+from kempe.solvers.one_frame.solution import Solution
+from kempe.spatial import Array
+from kempe.status import Status, member
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+METHODS = ("numeric", "analytic", "auto")
+CHUNK, SERIAL_BELOW = 256, 1024
+USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
+
+
+@explained
+def ik(
+    system: System, target: Any, frame: FrameLike | None = None, start: Any = None, *,
+    task: str | tuple[str, ArrayLike] | None = None, prefer: Any = None, method: str | None = None,
+    tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None,
+) -> Solution:  # fmt: skip
+    """A configuration in which `frame` reaches `target` (the inverse geometric model), always inside the limits.
+
+    Without a frame `target` are tasks, see `kempe.solvers.tasks.ik_tasks.reach`.
+    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)), or a position (..., 3)
+    (in planar systems also (..., 2)), or an object or words that say one (`kempe.rigid.arrays`).
+    `task` says what of it counts: "pose", "position", "orientation", "direction" (of the tool's z axis, or of another
+    one in a pair such as ("direction", (1, 0, 0))), "position_axis" (both). `tolerance` is the largest position error
+    [m] and rotation angle [rad], by default 1e-6 each.
+    `start` (nq,) or (..., nq), or a dict by name, is the first start; what the chain does not move keeps its value
+    there, else the neutral one, inside the limits.
+
+    Of the `budget` are read: starts (1000), iterations (40), time_limit, rng (0), threads. Starts are tried in order,
+    `start` or the middle of the limits first, the others drawn from rng; the first that reaches the target is the
+    answer: the same for the same arguments, whatever the threads. Iterations are the steps of one start, at most; where
+    all fail, as many descents to the nearest, at most 16, have five times as many. The time limit is looked at after
+    each 32 starts: an answer that it ended says so, and is the only one that depends on the machine.
+
+    The answer says by `success` and `status` whether it was reached and if not, why; ``answer.expect()`` raises
+    `NoSolutionError` then. A NaN in a single target is an `InputError`, in a batch it gives a NaN row. A frame that
+    moves with closed loops, or with relations of several coordinates, is a case for
+    `kempe.solvers.tasks.ik_tasks.reach`, which holds these, and so is what one would `prefer` of many configurations,
+    as there: the answer then is `Reached`.
+
+    `method`: "numeric" (the default), damped least squares with an active set of limits and restarts (Sugihara, 2011;
+    Chan and Lawrence, 1988); "analytic", of all solutions that `ik_all` finds the one nearest to `start`; "auto", that
+    where the chain allows it, else numeric. Targets that have no analytic solution inside the limits get the numeric
+    answer.
+    """
+    if frame is not None:
+        return _of_frame(system, target, frame, start, task, prefer, method or "numeric", tolerance, budget)
+    from kempe.solvers.tasks.ik_tasks import reach
+
+    for name, value in (("task", task), ("method", method)):
+        if value is not None:
+            raise InputError(f"{name} is {value!r}; it belongs to a target of one frame, not to tasks")
+    return reach(system, target, start, prefer=prefer, tolerance=tolerance, budget=budget)
+
+
+def _of_frame(
+    system: System, target: Any, frame: FrameLike, start: Any, task: Any, prefer: Any, method: str, tolerance: Any,
+    budget: Budget | None,
+) -> Solution:  # fmt: skip
+    """The answer for targets of one frame."""
+    name, target = system.structure.frame_name(frame), arrays(target, "target")
+    said, axis = task_and_axis(task)
+    asked, targets, lead = _asked(system, name, target, said, axis)
+    if method not in METHODS:
+        raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
+    if prefer is not None and method != "numeric":
+        raise InputError(f"method is {method!r}, which prefers nothing; leave it out, or prefer")
+    solver, choice = chosen(system, name, asked, method, prefer is not None)
+    targets = targets.copy() if np.may_share_memory(targets, target) else targets  # the answer keeps them
+    problem = Problem(system, "one", name, asked, targets, lead, start=start, method=method, prefer=prefer,
+                      tolerance=tolerance, budget=budget)  # fmt: skip
+    answer = chosen_by(solver.run(problem), choice)
+    if not lead and task is said and solver is not BY_TASKS:
+        _bind(answer.task, said, np.shape(target))
+    return answer
+
+
+# ---- the solvers
+
+
+def _no_closed_form(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> str | None:
+    if method == "numeric":
+        return "method='analytic' or 'auto' asks for it"
+    bounds = one_sided_rows(system)
+    if bounds.declared:
+        return (f"method 'analytic' does not hold one-sided constraints, such as {bounds.names[0]!r}; leave it out, or "
+                "take one of the solutions of ik_all, which do")  # fmt: skip
+    from kempe.solvers.analytic.ik_analytic import plan_of
+
+    plan = plan_of(system, frame, *task)
+    return plan if isinstance(plan, str) else None
+
+
+def _no_chain(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> str | None:
+    if method == "analytic":
+        return "method='analytic' asks for a closed form"
+    if prefers:
+        return "it prefers nothing"
+    if one_sided_rows(system).declared:
+        return f"it does not hold one-sided constraints, such as {one_sided_rows(system).names[0]!r}"
+    return obstacle(system, frame)
+
+
+def _no_tasks(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> str | None:
+    return "method='analytic' asks for a closed form" if method == "analytic" else None
+
+
+def _of_chain(problem: Problem) -> Solution:
+    """The answer by the frame's own chain: by numbers, or in closed form where the method is not numeric."""
+    system, name, lead, spend = problem.system, str(problem.frame), problem.lead, USUAL.of(problem.budget)
+    chain, tolerance = chain_of(system, name, problem.task[1]), problem.tolerance
+    base, seeds = _seeds(system, chain, problem.start, lead)
+    question = Task(
+        system, name, problem.targets, *problem.task, TOLERANCE if tolerance is None else tolerances(tolerance),
+        start_count(spend.starts), seed_number(spend.rng), chain, step_count(spend.iterations), spend.time_limit,
+        deadline(spend.time_limit),
+    )  # fmt: skip
+    plan = None
+    if problem.method != "numeric":
+        from kempe.solvers.analytic import ik_analytic
+
+        found = ik_analytic.plan_of(system, name, *problem.task)
+        plan = None if isinstance(found, str) else found
+    question, (q, residual, info) = _run(question, plan, base, seeds, spend.threads, lead)
+    return _judged(question, base, q, residual, info, lead, seeds, spend.threads)
+
+
+def _of_tasks(problem: Problem) -> Solution:
+    """The answer of `kempe.solvers.tasks.ik_tasks.reach`."""
+    from kempe.solvers.tasks.ik_tasks import reach
+
+    wanted = of_target(str(problem.frame), *problem.task, problem.targets.reshape(*problem.lead, 4, 4))
+    return reach(problem.system, wanted, problem.start, prefer=problem.prefer, tolerance=problem.tolerance,
+                 budget=problem.budget)  # fmt: skip
+
+
+BY_TASKS = Solver("levels", "least squares over all coordinates, with loops, limits and one-sided rows, by priorities",
+                  _no_tasks, _of_tasks)  # fmt: skip
+SOLVERS = (
+    Solver("closed form", "of all solutions of ik_all the nearest; else as chain", _no_closed_form, _of_chain),
+    Solver("chain", "damped least squares over the frame's own chain, with limits and restarts", _no_chain, _of_chain),
+    BY_TASKS,
+)
+"""Who answers for targets of one frame."""
+
+
+@kept
+def chosen(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> tuple[Solver, Choice]:
+    """Who answers for a frame and a task."""
+    return choose(SOLVERS, system, frame, task, method, prefers)
+
+
+def _run(
+    question: Task, plan: Any, base: Array, seeds: Array, threads: int | None, lead: tuple[int, ...]
+) -> tuple[Task, tuple[Array, Array, np.ndarray]]:  # fmt: skip
+    """The question and what `run`, or the closed form of a plan, finds; rotations that were rounded are mended."""
+    if plan is None:
+        found = run(question, seeds, threads, postpone=bool(lead) and question.time_limit is None)
+    else:
+        from kempe.solvers.analytic import ik_analytic
+
+        found = ik_analytic.answer(question, plan, base, seeds, threads)
+    targets = question.targets
+    if lead and (found[2][:, 0] == Status.BAD_INPUT).any() and (mended := sound(targets, "target")) is not targets:
+        return _run(replace(question, targets=mended), plan, base, seeds, threads, lead)
+    return question, found
+
+
+def _nearest(
+    question: Task, base: Array, seeds: Array, threads: int | None, q: Array, residual: Array, info: np.ndarray,
+    lead: tuple[int, ...],
+) -> Solution:  # fmt: skip
+    """The answer of a batch as of `run`, with what is nearest to the targets that are out of reach."""
+    far = np.flatnonzero(info[:, 0] == Status.OUT_OF_REACH)
+    some = seeds[far] if len(seeds) > 1 else seeds
+    q[far], residual[far], info[far] = run(question, some, threads, targets=question.targets[far])
+    return _judged(question, base, q, residual, info, lead, seeds, threads)
+
+
+def _judged(
+    question: Task, base: Array, q: Array, residual: Array, info: np.ndarray, lead: tuple[int, ...], seeds: Array,
+    threads: int | None,
+) -> Solution:  # fmt: skip
+    """The answer, from the chain's configurations (N, n), residuals (N, 2) and status, steps and starts (N, 3).
+
+    Where `run` has postponed targets, their part of it is found when it is asked for.
+    """
+    system, targets, code = question.system, question.targets, info[:, 0]
+    if (code == Status.OUT_OF_REACH).any():
+        given = (question, base, seeds, threads, q, residual, info, lead)
+        return Solution.postponed(code.reshape(lead).copy(), question, (_nearest, given))
+    full = np.empty((len(targets), system.nq))
+    full[:] = base
+    full[:, question.chain.q_index] = q
+    if code.any():
+        _look_closer(question, code)
+        full[code == Status.BAD_INPUT] = math.nan
+    if not lead and code[0] == Status.BAD_INPUT:
+        raise InputError(not_a_pose(targets[0], "start"))
+    return _answer(question, full, code, residual, info, lead)
+
+
+def _asked(
+    system: System, frame: str, target: Any, task: str | None, axis: ArrayLike
+) -> tuple[tuple[str, tuple[float, float, float]], Array, tuple[int, ...]]:
+    """(task, axis), targets (N, 4, 4) and their leading shape."""
+    if system.dim == 2 and points_along(task):
+        target, task = in_plane(target, task, axis)
+    direction = axis_for(axis, task)
+    targets, lead, is_position = targets_of(system, target, task, direction)
+    particle = bool(system.structure.table.at[frame][2])
+    name = task_of(task, is_position, particle)
+    if is_position and name != "position":
+        raise InputError(f"target is a position, but task {name!r} asks for an orientation; give a pose (..., 4, 4)")
+    if particle and task is None and not is_position:
+        check_particle(targets, frame)
+    return (name, direction), targets, lead
+
+
+def run(
+    task: Task, seeds: Array, threads: int | None = 1, limits: Array | None = None, targets: Array | None = None,
+    postpone: bool = False,
+) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
+    """Chain configurations, residuals (N, 2) and (status, steps, starts) of all targets, in fixed chunks.
+
+    `postpone` is as in `rounds.answered`.
+    """
+    chain = task.chain
+    goals = task.targets if targets is None else targets
+    n, nq = len(goals), len(chain.q_index)
+    out = np.empty((n, nq + ANSWER))
+    bounds = chain.limits if limits is None else limits
+
+    def work(i: int, j: int) -> int:
+        first = seeds[i:j] if len(seeds) > 1 else seeds
+        return multi_start.answered(task, goals[i:j], first, bounds, out[i:j], postpone)
+
+    if task.time_limit is None:
+        over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+    else:  # all targets get their first starts before one gets its last: each thread has all of its own at once
+        over_chunks(work, n, None, threads, CHUNK)
+    return out[:, :nq], out[:, nq + LINEAR : nq + STATUS], out[:, nq + STATUS :].astype(np.int64)
+
+
+def _bind(question: Task, task: str | None, shape: tuple[int, ...]) -> None:
+    """Nothing; calls like this one go by a `Bound` from now on, if they are plain enough."""
+    system, chain, key = question.system, question.chain, (question.frame, task, len(shape))
+    point = question.name == "position" and (task is not None or shape != (4, 4))  # a turned particle is an error
+    plain = shape in ((4, 4), (3,), (2,)) if point else (shape == (4, 4) and question.name != "position")
+    if plain and question.axis == Z_AXIS and not chain.ints[HAS_QUATERNION] and key not in system._queries:
+        usual = replace(question, tolerance=TOLERANCE, starts=MOST, rng=0)
+        system._queries[key] = Bound(usual, shape)
+
+
+class Bound:
+    """`ik` of single targets for one frame and task, with all looked up that can be: the way of plain calls."""
+
+    def __init__(self, question: Task, shape: tuple[int, ...]):
+        self.asked, self.chain, self.rows = question, question.chain, multi_start.rows_of(question)
+        system, self.size = question.system, len(question.chain.q_index)
+        self.nq = system.nq
+        first = int(self.chain.q_index[0]) if self.size else 0
+        in_a_row = np.array_equal(self.chain.q_index, np.arange(first, first + self.size))
+        self.part = slice(first, first + self.size) if in_a_row else self.chain.q_index
+        self.whole = in_a_row and self.size == system.nq
+        """Whether the chain has all coordinates of the system."""
+        self.plain = system.nq == system.nv == len(system.structure.layout.vector_q)
+        """Whether entry i of q and of the limits belong together."""
+        self.lower, self.upper, self.unmoved = system.lower, system.upper, np.eye(4)[None]
+        self.shape, self.posed, self.new = shape, len(shape) == 2, maker(1, self.size + ANSWER)
+        self.reach, self.base, self.no_seed = schedule.reach, self.chain.base[0], self.chain.no_seed
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Bound, (self.asked, self.shape)
+
+    def task(self, X: Array) -> Task:
+        """What was asked, for poses (1, 4, 4)."""
+        return replace(self.asked, targets=X)
+
+    def _pose(self, target: Array) -> Array:
+        """A position as (1, 4, 4)."""
+        X = self.unmoved.copy()
+        X[0, : self.shape[0], 3] = target
+        return X
+
+    def __call__(self, target: Array, start: Any) -> Solution | None:
+        """The answer for a target, None where target or seed need the general solver."""
+        if target.shape != self.shape or not (self.posed or target.dtype == np.float64):
+            return None
+        chain, n = self.chain, self.size
+        if start is None:
+            base, seeds = self.base, self.no_seed
+        else:
+            if start.__class__ is not np.ndarray or start.dtype != np.float64 or start.shape != (self.nq,):
+                return None
+            if not (self.plain and start.flags.c_contiguous):
+                return None
+            base, seeds = start, (start if self.whole else start[self.part]).reshape(1, 1, n)
+        out = self.new()
+        X = target.copy()[None] if self.posed else self._pose(target)  # the answer keeps it
+        try:
+            missed = self.reach(
+                chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0, 0, FEW, ITERATIONS, *TOLERANCE, 0.0, out
+            )
+        except TypeError:  # not float64
+            return None
+        row = out[0]
+        if missed:
+            head = (chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0)
+            multi_start.go_on(self.task(X), X, head, FEW, out)
+            if row[n + STATUS] == Status.BAD_INPUT:
+                return None
+        if self.whole:
+            q = row[:n]
+        else:
+            q = np.maximum(base, self.lower) if self.plain else base.copy()
+            if self.plain:
+                np.minimum(q, self.upper, out=q)
+            q[self.part] = row[:n]
+            if not math.isfinite(base.dot(base)):
+                return None
+        if not missed or row[n + STATUS] == Status.SOLVED:
+            return Solution.reached((self, X), q, row)
+        task, codes = self.task(X), np.array([Status.NOT_FOUND])
+        _look_closer(task, codes)
+        linear, angular, _, steps, starts = row[n:].tolist()
+        return Solution(q, False, member(codes[0]), linear, angular, int(steps), int(starts), task)
+
+
+def _look_closer(task: Task, code: np.ndarray) -> None:
+    """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
+    failed = np.flatnonzero((code == Status.NOT_FOUND) | (code == Status.OUT_OF_TIME))
+    code[failed[outside(task, task.targets[failed]) > 0.0]] = Status.OUT_OF_REACH
+
+
+def _seeds(system: System, chain: Chain, start: Any, lead: tuple[int, ...]) -> tuple[Array, Array]:
+    """Configurations (1 or N, nq) to start from, and the chain's part of them as (1 or N, K, nq) for the kernel."""
+    if start is None:
+        return chain.base, chain.no_seed
+    base = as_start(system, start)
+    if base.ndim > 1 and base.shape[:-1] != lead:
+        each = f" or {(*lead, system.nq)}" if lead else ""
+        raise InputError(f"start has shape {base.shape}; it must be ({system.nq},){each}")
+    base = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq))
+    if not lead and not np.all(np.abs(base) < LARGEST):
+        raise InputError(not_a_pose(np.eye(4), "start"))
+    seeds = np.ascontiguousarray(base[:, None, chain.q_index])  # the kernel brings them inside, circles by turns
+    return inside(system, base), seeds
+
+
+def _answer(
+    task: Task, q: Array, code: np.ndarray, residual: Array, info: np.ndarray, lead: tuple[int, ...]
+) -> Solution:  # fmt: skip
+    columns = (code == SOLVED, code, residual[:, 0], residual[:, 1], info[:, 1], info[:, 2])
+    fields = [x.reshape(lead) if lead else x[0].item() for x in columns]
+    success, code_, position, angle, steps, starts = fields
+    q = q.reshape(*lead, task.system.nq)
+    return Solution(q, success, member(code_), position, angle, steps, starts, task)

@@ -1,0 +1,104 @@
+"""Whether it is proven that limits keep the answers of the inverse model away: all of them are known, or slides end.
+
+Both hold for chains without loops and relations. That a search finds nothing inside the limits proves nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kempe.errors import UnsupportedError
+from kempe.kernels.forward.table_layout import HEADER, KIND, MULTIPLIER, N_ROWS, ROW_FLOATS, ROW_INTS, SLIDE, V_INDEX
+from kempe.solvers.common.proofs import Limits
+from kempe.solvers.common.serial_chain import Chain, moved_by, of_loops
+from kempe.solvers.one_frame.multi_start import Task
+from kempe.spatial import Array
+
+CLEAR = 1e-3
+"""How far beyond a limit, in radians or parts of the target's distance, each answer must be: what is nearer may be
+reached within the tolerance, or be rounding where two answers are near each other."""
+NOTHING = Limits()
+"""No proof."""
+
+
+def shut_out(task: Task, target: Array) -> Limits:
+    """What proves that a target (1, 4, 4) has no answer inside the limits; false where that is not proven."""
+    return _slides_end(task, target) or _all_outside(task, target)
+
+
+def _all_outside(task: Task, target: Array) -> Limits:
+    """Whether all the answers there are without limits are outside them."""
+    system = task.system
+    chain, n = task.chain, int(task.chain.ints[N_ROWS])
+    factors = [abs(chain.floats[ROW_FLOATS * k + MULTIPLIER]) for k in range(n)]
+    if max(task.tolerance) > CLEAR * CLEAR or len(chain.q_index) != len(chain.v_index) or factors != [1.0] * n:
+        return NOTHING
+    from kempe.solvers.analytic.answers.solutions import Solutions
+    from kempe.solvers.analytic.ik_all import ik_all
+
+    if of_loops(system, task.frame):
+        return NOTHING
+    position = task.name == "position"
+    goal = target[0, :3, 3] if position else target[0]
+    if position and system.dim == 2:
+        goal = goal[:2]
+    try:
+        found = ik_all(system, goal, task.frame, task=(task.name, task.axis))
+    except UnsupportedError:
+        return NOTHING
+    if not isinstance(found, Solutions) or not found.complete or not len(found.q) or found.families:
+        return NOTHING
+    size = 1.0 + float(np.linalg.norm(target[0, :3, 3]))
+    beyond = min(_beyond(chain, q[chain.q_index]) for q in found.q)
+    if not beyond > CLEAR * size:
+        return NOTHING
+    return Limits(count=len(found.q))
+
+
+def _beyond(chain: Chain, q: Array) -> float:
+    """How far the coordinate that is farthest outside its limits is outside, whatever whole turns are added."""
+    turning, sliding = moved_by(chain)
+    (low, high), turns = chain.limits, 2.0 * np.pi * (turning & ~sliding)
+    above, below = np.maximum(q - high, 0.0), np.maximum(low - q, 0.0)
+    off = above + below
+    for v in np.flatnonzero((turns > 0.0) & (off > 0.0)):  # the nearest turns on both sides of the range
+        x = off[v] % turns[v]
+        room = high[v] - low[v]
+        off[v] = max(min(x, turns[v] - x - room), 0.0)
+    return float(off.max(initial=0.0))
+
+
+def _slides_end(task: Task, target: Array) -> Limits:
+    """Whether slides which nothing turns end too far from the target, along some direction, whatever the rest does."""
+    chain, n = task.chain, int(task.chain.ints[N_ROWS])
+    rows = [chain.floats[ROW_FLOATS * k :][:12].reshape(3, 4) for k in range(n + 1)]
+    R, place, axes, reach = np.eye(3), np.zeros(3), [], 0.0
+    moved: list[tuple[float, float]] = []
+    for k, X in enumerate(rows):
+        place, R = place + R @ X[:, 3], R @ X[:, :3]
+        at = HEADER + ROW_INTS * k
+        if k == n or chain.ints[at + KIND] != SLIDE:
+            rest = rows[k + 1 :]
+            reach = sum(float(np.linalg.norm(Y[:, 3])) for Y in rest)
+            if any(chain.ints[HEADER + ROW_INTS * j + KIND] == SLIDE for j in range(k, n)):
+                return NOTHING
+            break
+        factor, v = chain.floats[ROW_FLOATS * k + MULTIPLIER], chain.ints[at + V_INDEX]
+        ends = factor * chain.limits[:, v]
+        axes.append(R[:, 2])
+        moved.append((float(ends.min()), float(ends.max())))
+    if not axes or not task.mask[0] or len(set(chain.ints[HEADER + V_INDEX :: ROW_INTS][: len(axes)])) < len(axes):
+        return NOTHING
+    A, (low, high) = np.array(axes).T, np.array(moved).T
+    p = target[0, :3, 3]
+    for d in np.concatenate([A.T, np.linalg.pinv(A, rcond=1e-9)]):
+        d = d / max(float(np.linalg.norm(d)), 1e-300)
+        part = d @ A
+        used = np.abs(part) > 1e-12
+        ends = np.stack([part[used] * low[used], part[used] * high[used]])
+        least, most = float(ends.min(axis=0).sum()), float(ends.max(axis=0).sum())
+        off = float(d @ (p - place))
+        out = max(off - most, least - off) - reach
+        if out > task.tolerance[0] + 1e-9 * (1.0 + abs(off) + reach):
+            return Limits(short=out)
+    return NOTHING

@@ -1,0 +1,210 @@
+"""Answers of solvers: the configuration, whether and how well it solves the task, and the sentence that says so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.calls import brief, explained_methods, place_in
+from kempe.errors import InputError
+from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
+from kempe.reals import plain
+from kempe.solvers.common.answer import Answer
+from kempe.spatial import Array
+from kempe.status import MEMBERS, PROOFS, Status
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.solvers.common.problem import Choice
+    from kempe.solvers.one_frame.multi_start import Task
+
+_MEASURED: dict[str, tuple[int, Callable]] = {
+    "iterations": (STEPS, int), "starts": (STARTS, int), "code": (STATUS, lambda x: MEMBERS[int(x)]),
+    "position_error": (LINEAR, float), "orientation_error": (ANGULAR, float),
+}  # fmt: skip
+"""Fields of an answer for a single target, where the kernels leave them, and as what they are read."""
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Solution(Answer):
+    """Answer of the inverse model: one configuration for each target.
+
+    `q` (..., nq) solves the task where `success`; elsewhere it is the nearest configuration found inside the limits
+    (NaN for targets that are not numbers). `position_error` in metres and `orientation_error` in radians (0 for
+    position targets) are measured by a forward pass; `residual` is the norm of both. `iterations` and `starts` count
+    the work. All have the leading shape of the targets; for a single target they are plain Python numbers.
+
+    In a batch, what is nearest to targets that lengths prove to be out of reach is searched for when `q`, an error,
+    `iterations`, `starts` or `status` is first asked for: `success`, `code` and `proven` need no search.
+    """
+
+    __repr__ = brief
+
+    what = "targets reached"
+    also = ("position_error", "orientation_error", "iterations", "starts")
+
+    q: Array
+    success: Any
+    code: Any
+    position_error: Any
+    orientation_error: Any
+    iterations: Any
+    starts: Any
+    asked: Any = field(repr=False)
+    """The `Task`, or a bound form and its target, which can tell it."""
+
+    @classmethod
+    def reached(cls, asked: Any, q: Array, measured: Array) -> Solution:
+        """The answer for a single target that was reached, in a fraction of the time that a frozen class takes.
+
+        `measured` ends with errors, status, steps and starts, as the kernels leave them: they become fields when one is
+        asked for.
+        """
+        out = object.__new__(cls)
+        own = out.__dict__
+        own["q"], own["success"], own["asked"], own["_measured"] = q, True, asked, measured
+        return out
+
+    @classmethod
+    def postponed(cls, code: np.ndarray, asked: Any, later: tuple[Callable[..., Solution], Any]) -> Solution:
+        """The answer for a batch of which only codes (...) are known: ``later[0](*later[1])`` gives the rest."""
+        out = object.__new__(cls)
+        out.__dict__.update(success=code == Status.SOLVED, code=code, asked=asked, _later=later)
+        return out
+
+    if not TYPE_CHECKING:  # a type checker would take any name for a field
+
+        def __getattr__(self, name: str) -> Any:
+            if "_later" in self.__dict__ and name in self.__dataclass_fields__:
+                function, given = self.__dict__["_later"]
+                self.__dict__.update(function(*given).__dict__)
+                del self.__dict__["_later"]
+                return self.__dict__[name]
+            measured = self.__dict__.get("_measured")
+            if measured is None or name not in _MEASURED:
+                return object.__getattribute__(self, name)  # the error as it was
+            place, kind = _MEASURED[name]
+            value = self.__dict__[name] = kind(measured[place - ANSWER])
+            return value
+
+    @cached_property
+    def task(self) -> Task:
+        """What was asked."""
+        if isinstance(self.asked, tuple):
+            bound, target = self.asked
+            return bound.task(target)
+        return self.asked
+
+    def _chosen(self) -> Choice | None:
+        from kempe.solvers.one_frame.inverse import chosen
+
+        task = self.task
+        return chosen(task.system, task.frame, (task.name, task.axis), "numeric", False)[1]
+
+    @property
+    def residual(self) -> Any:
+        """Norm (...) of position error [m] and orientation error [rad]."""
+        return plain(np.hypot(self.position_error, self.orientation_error))
+
+    @property
+    def proven(self) -> Any:
+        """Where (...) it is proven that there is no answer; elsewhere a failure is evidence, from so many starts.
+
+        Proofs are lengths, two tasks that contradict each other, and limits outside of which all the answers are.
+        """
+        out = np.array(np.isin(self.code, PROOFS))
+        for index in np.argwhere(np.asarray(self.code) == Status.NOT_FOUND):
+            out[tuple(index)] = bool(self._proofs(tuple(index.tolist())))
+        return plain(out)
+
+    def proofs(self, index: tuple[int, ...] | int = ()) -> tuple[Any, ...]:
+        """What proves that there is no answer for one question, as data; empty where nothing does.
+
+        Each has a `text`, and is one of `kempe.solvers.common.proofs`, or of tasks a `Contradiction` of two of them.
+        Errors: `InputError` for a place that is not in the batch.
+        """
+        return self._proofs(place_in(index, self._shape))
+
+    def _proofs(self, index: tuple[int, ...]) -> tuple[Any, ...]:
+        from kempe.solvers.one_frame.explain_ik import proofs
+
+        return proofs(self, index)
+
+    @property
+    def system(self) -> System:
+        """The system that was asked."""
+        return self.task.system
+
+    @cached_property
+    def _local(self) -> tuple[int, int, int, Array]:
+        """Equations of what was asked, freedoms, rank of the equations in these, basis of self-motions."""
+        if np.ndim(self.success):
+            raise InputError("m, n, rank and self_motion are those of one answer: ask for one problem, not for a batch")
+        return self._analysed()
+
+    def _analysed(self) -> tuple[int, int, int, Array]:
+        from kempe.constraints.frame_targets import of_target
+        from kempe.solvers.tasks.ik_tasks import pose_problem
+        from kempe.solvers.tasks.reached import analyse
+
+        task = self.task
+        problem, _ = pose_problem(task.system, of_target(task.frame, task.name, task.axis, task.targets[0]), self.q)
+        return analyse(problem, self.q)
+
+    @property
+    def m(self) -> int:
+        """Number of equations of the hard tasks, inequalities left out."""
+        return self._local[0]
+
+    @property
+    def n(self) -> int:
+        """Freedoms of the system at the answer: velocity coordinates, less what loops and relations take."""
+        return self._local[1]
+
+    @property
+    def rank(self) -> int:
+        """Rank of the hard tasks' Jacobian in these freedoms, at the answer."""
+        return self._local[2]
+
+    @property
+    def redundancy(self) -> int:
+        """Freedoms that the hard tasks leave, n - rank."""
+        return self.n - self.rank
+
+    @property
+    def self_motion(self) -> Array:
+        """Orthonormal basis (nv, k) of velocities that keep loops and tasks, in radians and characteristic lengths."""
+        return self._local[3]
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        from kempe.constraints.frame_targets import of_target
+        from kempe.kinematics.tasks.task_classes import task_of
+
+        task = self.task
+        X = np.reshape(task.targets, (*np.shape(self.success), 4, 4))
+        made = of_target(task.frame, task.name, task.axis, X)
+        return [(task_of(c, task.system.dim), None, task.tolerance) for c in made]
+
+    @cached_property
+    def derivative(self) -> Any:
+        """dq (..., nv, 6) for a twist [linear; angular] of the target; see `kempe.solvers.one_frame.derivative`."""
+        from kempe.solvers.one_frame.derivative import derivative
+
+        return derivative(self)
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        """The sentence for one configuration."""
+        from kempe.solvers.one_frame.explain_ik import sentence
+
+        return sentence(self, index) + self._way_there(index)
+
+    def _way_there(self, index: tuple[int, ...]) -> str:
+        """The tail of a sentence about what was reached: whether going there is a manoeuvre."""
+        from kempe.solvers.common.slip import way_there
+
+        return way_there(self.system) if np.asarray(self.success)[index] else ""

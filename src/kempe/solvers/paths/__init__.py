@@ -1,0 +1,1 @@
+"""Paths of configurations that follow targets, and self-motions."""

@@ -1,0 +1,237 @@
+"""Steps along the way of targets: from target to target without a jump, also through singularities.
+
+Where nothing is singular a step is explained by its first order. Near a singularity that says little: there a path goes
+on as before where it can, and a turn of joints that leaves the targets' way alone is no jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from kempe import spatial
+from kempe.kernels.base.search_layout import SOLVED
+from kempe.solvers.common.clock import TimeLimit
+from kempe.solvers.common.serial_chain import inside
+from kempe.solvers.tasks.ik_tasks import Demands, judge
+from kempe.spatial import Array
+
+TOLERANCE = 1e-10
+"""Largest error of the targets along a path, in metres and radians."""
+DEPTH = 12
+"""How often the way between two targets is halved before it counts as a jump."""
+SMALL = 0.02
+"""Steps so small, in radians and characteristic lengths, need no explanation: with square roots, 1 / 2^(DEPTH/2)."""
+STRETCH = 2.0
+"""How many times longer than its first order a step may be."""
+ALIKE = 0.5
+"""How much a step may differ from the one before, as a part of it, to count as going on."""
+DAMPING = 1e-3
+"""Singular values below it do not make the first order longer (Wampler, 1986)."""
+SINGULAR = 0.05
+"""Ratio of singular values at the end of a path below which it ends at a singularity; it falls with a square root."""
+WEAK = 0.1
+"""Ratio of singular values below which a path goes on as before where it can."""
+BESIDE = 0.1
+"""How far from their way, as a part of it, straight lines of the joints may lead that are no jump."""
+ASIDE = (0.0, 1.0, -1.0, 2.0, -2.0)
+"""Steps aside, as parts of the first order, from which the other side of a singularity is looked for."""
+CALM = 0.7
+"""Part of the steps before the last one in what goes on, where tolerances let targets be rounded."""
+UNEVEN = 0.5
+"""Part by which the ways to two targets may differ that count as equal steps of one motion."""
+STAYS = 1e-9
+"""Length of a way below which a target stays where it was."""
+TRUNCATED = 6
+"""Steps that leave out what is singular."""
+
+
+class Order(NamedTuple):
+    """What is missing, to first order."""
+
+    ahead: Array
+    """The scaled step (nv,) to it, damped."""
+    ratio: float
+    """The smallest singular value, as a part of the largest."""
+    weak: Array
+    """The velocity (nv,) that belongs to it."""
+    way: float
+    """The length of what is missing."""
+
+
+class Way:
+    """The targets of a path, all that lies between them, and steps along it."""
+
+    def __init__(
+        self, problem: Demands, max_step: float, budget: TimeLimit, progress: Callable[[int], None] | None = None
+    ):  # fmt: skip
+        tasks = tuple(t.exactly() for t in problem.tasks)
+        self.problem, self.max_step, self.budget = replace(problem, tasks=tasks), max_step, budget
+        self.given = min(problem.tolerance)
+        self.calm = CALM if self.given > TOLERANCE else 0.0
+        self.system, self.scale, self.progress = problem.system, problem.packed.scale, progress
+        self.rows = [self.problem.of(i) for i in range(problem.lead[0])]
+        packed = problem.packed
+        equal = np.repeat([not t.bounds for t in packed.loops.ties], [len(t.rows) for t in packed.loops.ties])
+        hard = [i for i, t in enumerate(tasks) if t.weight is None]
+        own = packed.rows >= 0
+        self.counts = np.isin(packed.rows[own], hard) & equal[own]
+
+    def at(self, i: int, part: float) -> Demands:
+        """The problem at a part of the way from target i - 1 to target i."""
+        if part >= 1.0:
+            return self.rows[i]
+        a, b = self.rows[i - 1].goals, self.rows[i].goals
+        goals: Any = tuple(
+            [(_between(x, y, part), None if m is None or n is None else m + part * (n - m))
+             for (x, m), (y, n) in zip(g, h, strict=True)] for g, h in zip(a, b, strict=True))  # fmt: skip
+        return replace(self.rows[i], goals=goals, pins=self.problem.packed.pins(goals))
+
+    def first_order(self, problem: Demands, q: Array, weak: float = 0.0) -> Order:
+        """What a problem asks from q to first order, damped; of singular values above `weak` times the largest."""
+        e, J = self.missing(problem, q)
+        if not J.size:
+            return Order(np.zeros(self.system.nv), 1.0, np.zeros(self.system.nv), 0.0)
+        U, s, Vt = np.linalg.svd(J, full_matrices=False)
+        part = s / (s * s + DAMPING**2)
+        if weak:
+            part[s < weak * s[0]] = 0.0
+        return Order(-Vt.T @ (part * (U.T @ e)), float(s[-1] / max(s[0], 1e-300)), Vt[-1], float(np.linalg.norm(e)))
+
+    def missing(self, problem: Demands, q: Array) -> tuple[Array, Array]:
+        """The equations (m,) of hard tasks and loops at q (nq,), and their Jacobian (m, nv)."""
+        packed = problem.packed
+        e, J = packed.evaluate(q, problem.pins)
+        if not self.counts.all():
+            e, J = e[self.counts], J[self.counts]
+        if packed.closed:
+            more, rows = packed.evaluate(q, problem.pins, closures=True)
+            e, J = np.concatenate([e, more]), np.concatenate([J, rows])
+        return e, J
+
+    def step(self, problem: Demands, q: Array, order: Order | None = None) -> Array | None:
+        """The configuration (nq,) that holds a problem and that one gets to from q; None where one does not.
+
+        Singular configurations are left by a small step to either side: there, what is missing gives no direction.
+        """
+        ahead, ratio, weak, _ = self.first_order(problem, q) if order is None else order
+        if np.abs(ahead).max(initial=0.0) > self.max_step:
+            return None
+        for aside in (0.0, 0.5, -0.5) if ratio < SINGULAR else (0.0,):
+            found, moved = self.land(problem, q, ahead + aside * SMALL * weak)
+            most = np.abs(moved).max(initial=0.0)
+            explained = most <= self.max_step and np.linalg.norm(moved) <= STRETCH * np.linalg.norm(ahead) + SMALL
+            if found is not None and (explained or most <= SMALL):
+                return found
+        return None
+
+    def coast(self, problem: Demands, q: Array, before: Array) -> Array | None:
+        """The same by going on as before, by the scaled step (nv,): so targets that jump over a singularity are met."""
+        if not before.any():
+            return None
+        found = self.loose(problem, q, before)
+        if found is not None:
+            return found
+        found, moved = self.land(problem, q, before)
+        return found if found is not None and self.smooth(moved, before) else None
+
+    def loose(self, problem: Demands, q: Array, before: Array) -> Array | None:
+        """The same where it holds within the tolerance only: what a singularity cannot give is left out."""
+        x = self.truncated(problem, q, before) if self.given > TOLERANCE else None
+        good = x is not None and judge(problem, x[None], np.full((1, 3), SOLVED)).success
+        return x if good else None
+
+    def truncated(self, problem: Demands, q: Array, before: Array) -> Array | None:
+        """Where (nq,) one gets to by going on as before and making good what is not singular; None if elsewhere."""
+        x = self.system.structure.layout.integrate(q, before * self.scale)
+        for _ in range(TRUNCATED):
+            x = self.system.structure.layout.integrate(x, self.first_order(problem, x, SINGULAR).ahead * self.scale)
+            x = inside(self.system, x[None])[0] if problem.limits else x
+        return x if self.smooth(self.system.structure.layout.difference(q, x) / self.scale, before) else None
+
+    def smooth(self, moved: Array, before: Array) -> bool:
+        """Whether a scaled step (nv,) goes on as one before."""
+        close = np.linalg.norm(moved - before) <= ALIKE * np.linalg.norm(before)
+        return bool(close) and np.abs(moved).max(initial=0.0) <= self.max_step
+
+    def opening(self, i: int, q: Array, order: Order) -> Array | None:
+        """Of the configurations (nq,) at target i near q, on either side of a singularity, that from which the next
+        target is reached by going on most alike; None where there is none."""
+        size = max(float(np.linalg.norm(order.ahead)), SMALL)
+        tried: list[tuple[float, Array]] = []
+        for aside in ASIDE if i + 1 < len(self.rows) and order.way > STAYS else ():
+            start = order.ahead + aside * size * order.weak
+            found, moved = self.land(self.rows[i], q, start)
+            if found is not None and np.linalg.norm(moved) <= (1.0 + STRETCH) * size and self.smooth(moved, moved):
+                there, further = self.land(self.rows[i + 1], found, moved)
+                if there is not None and self.smooth(further, moved):
+                    tried.append((float(np.linalg.norm(further - moved)), found))
+        return min(tried, key=lambda x: x[0])[1] if tried else None
+
+    def bridge(self, i: int, q: Array, before: Array, order: Order) -> Array | None:
+        """The nearest configuration (nq,) at target i from which straight lines of the joints lead along the way.
+
+        At a singularity joints may turn by much while the targets move by little: that is no jump, as long as the way
+        between is held as well as short steps hold it elsewhere.
+        """
+        starts = (np.zeros(self.system.nv), order.ahead, before)
+        tried = [self.land(self.rows[i], q, x) for x in starts if np.abs(x).max(initial=0.0) <= self.max_step]
+        found = [(np.abs(moved).max(initial=0.0), x, moved) for x, moved in tried if x is not None]
+        integrate = self.system.structure.layout.integrate
+        for most, x, moved in sorted(found, key=lambda f: float(f[0])):
+            if most <= self.max_step and all(
+                np.linalg.norm(self.missing(self.at(i, part), integrate(q, part * moved * self.scale))[0])
+                <= BESIDE * order.way for part in (0.25, 0.5, 0.75)):  # fmt: skip
+                return x
+        return None
+
+    def land(self, problem: Demands, q: Array, ahead: Array) -> tuple[Array | None, Array]:
+        """Where (nq,) the solver gets to from a scaled step (nv,) away from q, None without success, and the step."""
+        self.budget.check()
+        start = self.system.structure.layout.integrate(q, ahead * self.scale)[None]
+        found, info = replace(problem, starts=1).run(inside(self.system, start) if problem.limits else start)
+        moved = self.system.structure.layout.difference(q, found[0]) / self.scale
+        return found[0] if info[0, 0] == SOLVED else None, moved
+
+    def follow(self, i: int, q: Array, before: Array, last: float) -> tuple[Array, float, float]:
+        """Where one gets from q at target i - 1 towards target i, which part of the way that is, and its length.
+
+        `before` (nv,) is the scaled step that led to q, and `last` the length of its way.
+        """
+        begin, order, part, size = q, self.first_order(self.rows[i], q), 0.0, 1.0
+        if abs(order.way - last) > UNEVEN * last:
+            before = before * (order.way / last if last else 0.0)
+        near = order.ratio < WEAK
+        found = None
+        if near:
+            found = self.coast(self.rows[i], q, before) if before.any() else self.opening(i, q, order)
+        if found is None:
+            found = self.step(self.rows[i], q, order)
+        if found is None and not near:
+            found = self.coast(self.rows[i], q, before)
+        if found is not None:
+            return found, 1.0, order.way
+        while part < 1.0:
+            found = self.step(self.at(i, part + size), q) if size < 1.0 else None
+            if found is None:
+                size *= 0.5
+                if size < 0.5**DEPTH:
+                    break
+            else:
+                q, part = found, part + size
+                size = min(2.0 * size, 1.0 - part)
+        if part < 1.0 and (found := self.bridge(i, begin, before, order)) is not None:
+            return found, 1.0, order.way
+        return q, part, order.way
+
+
+def _between(a: Array | None, b: Array | None, part: float) -> Array | None:
+    """The pose at a part of the way between two: positions linear, rotations by the exponential map."""
+    if a is None or b is None:
+        return None
+    R, S = a[:3, :3], b[:3, :3]
+    turned = R @ spatial.exp_so3(part * spatial.log_so3(R.T @ S))
+    return spatial.pose(turned, a[:3, 3] + part * (b[:3, 3] - a[:3, 3]))

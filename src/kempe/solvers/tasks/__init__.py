@@ -1,0 +1,1 @@
+"""The inverse model of several tasks, on any frames of any system."""

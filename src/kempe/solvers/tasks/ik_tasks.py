@@ -1,0 +1,365 @@
+"""The inverse geometric model for several tasks on any frames of any system: trees, loops, relations, free bases."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.budget import Budget, Usual
+from kempe.calls import explained
+from kempe.constraints.base import Constraint
+from kempe.errors import InputError, shown
+from kempe.kernels.base import search_layout as S
+from kempe.kernels.compiled import task_search as kernel
+from kempe.kinematics.common.parallel import over_chunks
+from kempe.kinematics.configuration import as_start, home_of
+from kempe.kinematics.tasks.packed import Packed, lead_of, refuse
+from kempe.kinematics.tasks.task import Goals, Task
+from kempe.kinematics.tasks.task_classes import task_of
+from kempe.model.closures.callback import Callback
+from kempe.model.kept import keep, kept
+from kempe.reals import is_whole
+from kempe.solvers.assembly.assembly import TOLERANCE as CLOSED
+from kempe.solvers.assembly.assembly import limitless
+from kempe.solvers.assembly.ideal import ideal_of
+from kempe.solvers.common.arguments import deadline, seed_number, start_count, step_count, tolerances
+from kempe.solvers.common.clock import Clock
+from kempe.solvers.common.serial_chain import inside
+from kempe.solvers.tasks import effort
+from kempe.solvers.tasks.contradictions import contradictory
+from kempe.solvers.tasks.default_start import beside
+from kempe.solvers.tasks.effort import most_starts
+from kempe.solvers.tasks.levels import KEPT, level_of, packed_for, solve
+from kempe.solvers.tasks.reach_bounds import unreachable
+from kempe.solvers.tasks.reached import Reached
+from kempe.solvers.tasks.uninvolved import apart
+from kempe.spatial import Array
+from kempe.status import MEMBERS, Status
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+TOLERANCE = (1e-6, 1e-6)
+"""Largest error in metres and radians of a hard task that has no tolerance of its own."""
+STARTS = effort.FIRST
+"""Starts before tasks are given up that are asked for beside something else, as along a path."""
+STEPS = 60
+"""Steps of one start; those that succeed need 5 to 20."""
+CHUNK, SERIAL_BELOW = 16, 32
+SLACK = 1.0 + 1e-6
+"""By which part of a tolerance the check by the forward model may differ from the solver's own: rounding."""
+PREFER = ("nearest", "mid")
+USUAL = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threads=None)
+
+
+@dataclass(frozen=True, eq=False)
+class Demands:
+    """What was asked: kept with the answer, so that it can say why it failed.
+
+    `pins` (N or 1, k) are the goals, `use` (tasks,) says which count, `limits` whether limits do.
+    """
+
+    system: System
+    tasks: tuple[Task, ...]
+    packed: Packed = field(repr=False)
+    goals: tuple[Goals, ...] = field(repr=False)
+    pins: Array = field(repr=False)
+    lead: tuple[int, ...]
+    tolerance: tuple[float, float]
+    starts: int
+    rng: int
+    use: tuple[bool, ...]
+    mode: int = S.NOTHING
+    aim: Array | None = field(default=None, repr=False)
+    """Configurations (N or 1, nq) that the last stage leads towards."""
+    callback: Callback | None = field(default=None, repr=False)
+    limits: bool = True
+    one_sided: bool = True
+    """Whether declared one-sided constraints hold."""
+    loose: bool = False
+    """Whether nobody named a start, so that a free base may be moved before the first start."""
+    iterations: int = STEPS
+    time_limit: float | None = None
+    end: float = math.inf
+    """When the time is up, by `time.monotonic`."""
+
+    def tolerance_of(self, task: Task) -> tuple[float, float]:
+        """Largest error of a hard task in metres and radians."""
+        return self.tolerance if task.tolerance is None else tolerances(task.tolerance)
+
+    def of(self, index: int) -> Demands:
+        """The problem of one row of a batch."""
+        pins = self.pins[index : index + 1] if len(self.pins) > 1 else self.pins
+        aim = self.aim[index : index + 1] if self.aim is not None and len(self.aim) > 1 else self.aim
+        goals = tuple(_row(g, index, self.lead) for g in self.goals)
+        return replace(self, goals=goals, pins=pins, aim=aim, lead=())
+
+    def only(self, tasks: Sequence[int], limits: bool = True, one_sided: bool = True) -> Demands:
+        """The same with only these tasks, nothing preferred, no limit of time, and few starts."""
+        use = tuple(i in tasks for i in range(len(self.tasks)))
+        few = min(self.starts, STARTS)
+        return replace(
+            self, use=use, limits=limits, one_sided=one_sided, mode=S.NOTHING, end=math.inf, starts=few)  # fmt: skip
+
+    def run(
+        self, starts: Array, threads: int | None = 1, *, tries: int | None = None, rows: np.ndarray | None = None
+    ) -> tuple[Array, np.ndarray]:
+        """Configurations (N, nq) and (status, steps, starts) (N, 3) from starts (N or 1, nq), of some `rows` or all.
+
+        `tries` are the starts at most, by default those of the problem.
+        """
+        loops, n = self.packed.loops, math.prod(self.lead) if rows is None else len(rows)
+        stages, strengths, *_ = self.levels
+        weights = loops.weights if self.limits else limitless(self.system, loops)
+        q, info = np.empty((n, self.system.nq)), np.empty((n, 3), dtype=np.int64)
+        aim, pins, clock = starts if self.aim is None else self.aim, self.pins, Clock(self.end)
+        if rows is not None:
+            starts, aim, pins = (x[rows] if len(x) > 1 else x for x in (starts, aim, pins))
+        most = self.starts if tries is None else min(tries, self.starts)
+
+        def part(x: Array, i: int, j: int) -> Array:
+            return x[i:j] if len(x) > 1 else x
+
+        def work(i: int, j: int) -> int:
+            return kernel.solve(
+                loops.ints, loops.floats, loops.plan, weights, stages, strengths, part(starts, i, j), part(aim, i, j),
+                part(pins, i, j), most, self.iterations, self.mode, clock.address, self.loose, self.rng,
+                q[i:j], info[i:j],
+            )  # fmt: skip
+
+        over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+        callbacks = [t.function for t in loops.ties if t.function is not None] + [self.callback]
+        for callback in callbacks:
+            if isinstance(callback, Callback) and callback.error is not None:
+                error, callback.error = callback.error, None
+                raise error
+        return self._kept(self.packed.inside(q) if self.limits else q, starts), info
+
+    def _kept(self, q: Array, starts: Array) -> Array:
+        """The configurations (N, nq), what no task depends on as in the starts (N or 1, nq), in place."""
+        if self.mode != S.NOTHING:
+            return q
+        unasked = apart(self.packed, self.pins)
+        if unasked.size and not (q[:, unasked] == starts[:, unasked]).all():
+            own = inside(self.system, starts.copy()) if self.limits else starts
+            sound = ~np.isnan(q).any(axis=1)
+            q[np.ix_(sound, unasked)] = (own if len(own) == 1 else own[sound])[:, unasked]
+        return q
+
+    @cached_property
+    def proofs(self) -> np.ndarray:
+        """Codes (N,) of the problems that are proven to have no answer, 0 of others."""
+        against = np.where(contradictory(self), Status.CONTRADICTORY, 0)
+        return np.where(unreachable(self), Status.OUT_OF_REACH, against).ravel()
+
+    @property
+    def levels(self) -> tuple[np.ndarray, Array, list[int], Array]:
+        """For kernels the stage of each tie and whether it is hard (2 ties,), and weight and tolerances (ties, 3); the
+        tasks that are hard, and their tolerances (hard, 2)."""
+        asked = (self.use, self.one_sided, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
+        found = self.packed.stages.get(asked)
+        if found is None:
+            hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
+            allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
+            found = keep(self.packed.stages, asked, (*self._staged(), hard, allowed), KEPT)
+        return found
+
+    def _staged(self) -> tuple[np.ndarray, Array]:
+        keys = [level_of(t) for t in self.tasks]
+        order = sorted({k for k, used in zip(keys, self.use, strict=True) if used})
+        top = {k: max(t.weight or 0.0 for t, key in zip(self.tasks, keys, strict=True) if key == k) for k in keys}
+        ties, length = self.packed.loops.ties, self.packed.loops.length
+        stages, strengths = np.zeros((2, len(ties)), dtype=np.int64), np.ones((len(ties), 3))
+        stages[1], strengths[:, 1:] = 1, CLOSED
+        for k, i in enumerate(self.packed.owner):
+            if i < 0:
+                stages[0, k] = -1 if ties[k].bounds and not self.one_sided else 0
+                continue
+            task, key = self.tasks[i], keys[i]
+            stages[:, k] = order.index(key) + 1 if self.use[i] else -1, task.weight is None
+            linear, angular = self.tolerance_of(task)
+            strengths[k] = 1.0 if task.weight is None else task.weight / top[key], linear / length, angular
+        return stages.ravel(), strengths
+
+
+@explained
+def reach(
+    system: System, wanted: Constraint | Sequence[Constraint], start: Any = None, *,
+    prefer: str | Callable[[Array], Any] | None = None,
+    tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None,
+) -> Reached:  # fmt: skip
+    """A configuration that holds several tasks at once (the inverse geometric model of any system).
+
+    `wanted` are tasks of `kempe.tasks`, hard or soft and in strict priorities; goals with leading axes make a batch.
+    Joint limits, couplings, relations and closed loops hold, too. `start` (nq,) or (..., nq), or a dict by name, is the
+    first start (default: the posture 'closed' of the file, else the middle of the limits). `prefer` says what is made
+    least in the freedoms that all tasks leave: "nearest" (distance to the start), "mid" (distance to the middle of the
+    limits), "manipulability" (its inverse, of the hard tasks), or a function of q (nq,). `tolerance` is the largest
+    error of a hard task in metres and radians, by default 1e-6 each; what is reached is then closed to rounding where
+    it converges. Soft tasks alone are lowered from up to five starts, the least counts.
+
+    Of the `budget` are read: starts, iterations (60), time_limit, rng (0), threads. Starts are drawn from rng: the same
+    arguments give the same answer, whatever the threads. By default they are 60, then as many as the problem deserves:
+    no more where it is proven that there is no answer; where one is found without the limits, 30 times the square of
+    the number of limited coordinates that the tasks move (at least 300, at most 15 000); else a tenth of these.
+    Iterations are the steps of one start, at most, and four times as many those of a lower level from one start. The
+    time limit is looked at before each start: an answer that it ended says so, and is the only one that depends on the
+    machine.
+
+    A success is checked by the forward model: hard tasks, limits and loops. Else the answer says what fails and why,
+    and ``answer.expect()`` raises `NoSolutionError`. Method: damped least squares with an active set of limits and
+    restarts (Levenberg, 1944; Sugihara, 2011), then the lower levels in the null space of the higher ones (Siciliano
+    and Slotine, 1991). Errors: `InputError`, `UnknownNameError`.
+    """
+    spend, tolerance = USUAL.of(budget), TOLERANCE if tolerance is None else tolerance
+    starts, threads = spend.starts, spend.threads
+    turns = prefer is None or prefer == "nearest"
+    problem, base = pose_problem(system, wanted, start, tolerance, starts, spend.rng, turns)
+    search = Demands.run if starts is not None else effort.search
+    if spend.iterations != STEPS or spend.time_limit is not None:
+        limit = spend.time_limit
+        problem = replace(problem, iterations=step_count(spend.iterations), time_limit=limit, end=deadline(limit))
+    if prefer == "manipulability" and problem.lead:  # it depends on the goal, of which each row has its own
+        rows = [_preferring(problem.of(i), prefer, base) for i in range(math.prod(problem.lead))]
+        each = [solve(row, base[i : i + 1] if len(base) > 1 else base, search) for i, row in enumerate(rows)]
+        q, info = (np.concatenate([x[k] for x in each] or [np.empty((0, n))]) for k, n in ((0, system.nq), (1, 3)))
+    else:
+        problem = problem if prefer is None else _preferring(problem, prefer, base)
+        q, info = solve(problem, base, search, threads)
+    answer = judge(problem, q, info)
+    if not problem.lead and answer.code == Status.BAD_INPUT:
+        for each, goals in zip(problem.tasks, problem.goals, strict=True):
+            refuse(goals, each.label)
+        raise InputError("the start has entries that are not finite or too large, or a quaternion that is zero")
+    return answer
+
+
+def pose_problem(
+    system: System, wanted: Constraint | Sequence[Constraint], start: Any = None, tolerance: Any = TOLERANCE,
+    starts: int | None = STARTS, rng: Any = 0, turns: bool = False,
+) -> tuple[Demands, Array]:  # fmt: skip
+    """The problem, checked and packed, and its first starts (N or 1, nq); `turns` as in `Packed`.
+
+    `starts` None are as many as it deserves.
+    """
+    system = ideal_of(system)
+    tasks = _distinct(wanted, system.dim)
+    goals = tuple(t.goals(system) for t in tasks)
+    base = _home(system) if start is None else as_start(system, start)
+    lead = own = lead_of(goals)
+    if base.ndim > 1:
+        try:
+            lead = np.broadcast_shapes(lead, base.shape[:-1])
+        except ValueError:
+            raise InputError(f"start has shape {base.shape}, the goals have the leading shape {lead}") from None
+        base = np.broadcast_to(base, (*lead, system.nq)).reshape(math.prod(lead), system.nq)
+    packed = packed_for(system, tasks, turns)
+    pins = packed.pins(goals, lead if own else ())
+    use = (True,) * len(tasks)
+    most = most_starts(system, packed) if starts is None else start_count(starts)
+    problem = Demands(
+        system, tasks, packed, goals, pins, lead, TOLERANCE if tolerance is TOLERANCE else tolerances(tolerance), most,
+        seed_number(rng), use, loose=start is None,
+    )  # fmt: skip
+    starts_at = beside(problem, base) if start is None else base.reshape(math.prod(base.shape[:-1]), system.nq)
+    return problem, np.ascontiguousarray(starts_at)
+
+
+@kept
+def _home(system: System) -> Array:
+    """Where a search starts by default."""
+    return home_of(system)
+
+
+def _distinct(wanted: Any, dim: int) -> tuple[Task, ...]:
+    """The tasks, checked, with labels that differ."""
+    given = (wanted,) if isinstance(wanted, Constraint) else tuple(wanted) if isinstance(wanted, (list, tuple)) else ()
+    if not given or not all([isinstance(t, Constraint) for t in given]):
+        what = "an empty list" if isinstance(wanted, (list, tuple)) and not wanted else shown(wanted)
+        raise InputError(f"without a frame the target must be a task of kempe.tasks or a list of them; it is {what}")
+    out: dict[str, Task] = {}
+    for task in given:
+        if not is_whole(task.priority):
+            raise InputError(f"priority of {task.label} is {task.priority!r}; it must be a whole number")
+        number = isinstance(task.weight, (int, float, np.integer, np.floating)) and not isinstance(task.weight, bool)
+        if task.weight is not None and not (number and 0.0 < task.weight < math.inf):
+            raise InputError(f"weight of {task.label} is {task.weight!r}; it must be a positive number, or None")
+        if not isinstance(task.name, str):
+            raise InputError(f"name of a task is {task.name!r}; it must be text")
+        if task.tolerance is not None:
+            allowed = tolerances(task.tolerance)
+            task = task if task.tolerance.__class__ in (int, float) else replace(task, tolerance=allowed)
+        label, count = task.label, 1
+        while label in out:
+            count += 1
+            label = f"{task.label} ({count})"
+        out[label] = task_of(task if count == 1 else replace(task, name=label), dim)
+    return tuple(out.values())
+
+
+def _row(goals: Goals, index: int, lead: tuple[int, ...]) -> Goals:
+    """The goals of one row of a batch."""
+    cores = ((4, 4), (-1,))
+    out: Any = []
+    for pair in goals:
+        row = [None if x is None else np.broadcast_to(x, (*lead, *x.shape[-len(c) :])).reshape(-1, *x.shape[-len(c) :])[
+            index] for x, c in zip(pair, cores, strict=True)]  # fmt: skip
+        out.append(tuple(row))
+    return out
+
+
+def _preferring(problem: Demands, prefer: Any, base: Array) -> Demands:
+    """The problem with what is to be made least last."""
+    if prefer == "nearest":
+        return replace(problem, mode=S.AHEAD, aim=_home(problem.system)[None] if problem.loose else base)
+    if prefer == "mid":
+        return replace(problem, mode=S.AHEAD, aim=problem.system.mid[None])
+    from kempe.solvers.tasks.preferences import least
+
+    callback = least(problem, prefer)
+    return replace(problem, mode=callback.address, callback=callback)
+
+
+def judge(problem: Demands, q: Array, info: np.ndarray) -> Reached:
+    """The answer, each configuration checked by the forward model, the limits and the loops."""
+    system, lead, packed, status = problem.system, problem.lead, problem.packed, info[:, 0]
+    bad = status == S.BAD_INPUT
+    some_bad = bad.any()
+    sound = (np.where(bad[:, None], system.neutral, q) if some_bad else q).reshape(*lead, system.nq)
+    hard, allowed = problem.levels[2:]
+    every = np.empty((len(problem.tasks), *lead, 2))
+    for error, task, goals in zip(every, problem.tasks, problem.goals, strict=True):
+        error[..., 0], error[..., 1] = task.measure(system, sound, goals)
+    allowed = allowed.reshape(-1, *[1] * len(lead), 2)
+    of_hard = every if len(hard) == len(every) else every[hard]
+    good = (of_hard <= allowed * SLACK).all(axis=(0, -1))
+    worst = of_hard.max(axis=0, initial=0.0)
+    if problem.limits:
+        at, low, high = packed.limits
+        x = sound[..., at]
+        good &= ((x >= low) & (x <= high)).all(axis=-1)
+    if packed.closed:
+        from kempe.kinematics.closure_rows import evaluate
+
+        good &= np.linalg.norm(evaluate(system, sound, False, True)[0], axis=-1) <= 10.0 * CLOSED
+    if packed.one_sided.declared and problem.one_sided:
+        good &= ~packed.one_sided.beyond(sound, declared=True).any(axis=-1)
+    late = status >= S.LATE
+    code = np.zeros(len(status), dtype=np.int64)  # S.SOLVED: np.full takes ten times as long
+    if some_bad or not good.all():
+        code = np.where(good.ravel(), Status.SOLVED, np.where(late, Status.OUT_OF_TIME, Status.NOT_FOUND))
+        code[bad] = Status.BAD_INPUT
+        if problem.limits and np.any(code == Status.NOT_FOUND):
+            code = np.where((code == Status.NOT_FOUND) & (problem.proofs > 0), problem.proofs, code)
+    columns = (code == S.SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
+    fields = [x.reshape(lead) if lead else x.item() for x in columns]
+    errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}
+    success, code, *fields, cut_off = fields
+    q = q.reshape(*lead, system.nq)
+    code = code if lead else MEMBERS[int(code)]
+    return Reached(q, success, code, *fields, asked=problem, errors=errors, late=cut_off)

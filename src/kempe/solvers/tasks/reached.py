@@ -1,0 +1,76 @@
+"""The answer for several tasks: the configuration, what each task misses, and what freedoms are left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from kempe.calls import brief, explained_methods
+from kempe.solvers.common.freedoms import Local
+from kempe.solvers.one_frame.solution import Solution
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.solvers.common.problem import Choice
+    from kempe.solvers.tasks.ik_tasks import Demands
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Reached(Solution):
+    """Answer of `System.ik` for tasks.
+
+    As `Solution`; `position_error` and `orientation_error` are the largest among the hard tasks. `errors` gives for
+    each task, by its label, how far it is missed (..., 2) in metres and radians. `late` (...) says where the time limit
+    ended the search, or the lowering of soft tasks and preferences.
+    """
+
+    __repr__ = brief
+
+    what = "problems solved"
+
+    errors: dict[str, Array]
+    late: Any
+
+    def _chosen(self) -> Choice:
+        from kempe.solvers.one_frame.inverse import BY_TASKS
+
+        return BY_TASKS.choice()
+
+    def _analysed(self) -> tuple[int, int, int, Array]:
+        return analyse(self.asked, self.q)
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return asked_of(self.asked)
+
+    def _proofs(self, index: tuple[int, ...]) -> tuple[Any, ...]:
+        from kempe.solvers.tasks.explain_tasks import proofs
+
+        return proofs(self, index)
+
+    @cached_property
+    def derivative(self) -> dict[str, Array]:
+        """For each task, by its label, dq (..., nv, k) for motions of its goal; see `solvers.derivative_tasks`."""
+        from kempe.solvers.velocity.derivative_tasks import derivative
+
+        return derivative(self)
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        """The sentence for one problem."""
+        from kempe.solvers.tasks.explain_tasks import sentence
+
+        return sentence(self, index) + self._way_there(index)
+
+
+def asked_of(problem: Demands) -> list[tuple[Any, Any, Any]]:
+    """The hard tasks of a problem, with their goals and tolerances."""
+    every = zip(problem.tasks, problem.goals, problem.use, strict=True)
+    return [(task, goals, problem.tolerance_of(task)) for task, goals, used in every if used and task.weight is None]
+
+
+def analyse(problem: Demands, q: Array) -> tuple[int, int, int, Array]:
+    """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions at q (nq,), scaled."""
+    local = Local(problem, q)
+    return local.m, local.n, local.n - local.left.shape[1], local.left

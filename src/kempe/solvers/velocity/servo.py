@@ -1,0 +1,319 @@
+"""One step of the differential inverse model: velocities that give a frame a twist, within all limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.calls import brief, explained, explained_methods
+from kempe.errors import InputError
+from kempe.kernels.forward.table_layout import BALL, TURN
+from kempe.kinematics.common.result import by_code
+from kempe.kinematics.configuration import as_q
+from kempe.kinematics.forward import refuse_bad
+from kempe.kinematics.one_sided import one_sided_rows
+from kempe.model.kept import kept
+from kempe.model.tree.own_tree import own_tree
+from kempe.reals import reals
+from kempe.rigid import arrays, sound
+from kempe.solvers.common.answer import Answer
+from kempe.solvers.common.serial_chain import chain_of, obstacle
+from kempe.solvers.common.slip import rolls
+from kempe.solvers.velocity.least_squares import NEAR, damped, scaled
+from kempe.solvers.velocity.servo_pose import Approach, chain_length, error
+from kempe.spatial import Array
+from kempe.status import Status
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+    from kempe.solvers.velocity.servo_closed import Closed, Stage
+
+WHOLE = 1.0 - 1e-3
+"""Fraction of what is wanted that counts as all of it: damping takes less than the rest far from singularities."""
+NONE, EYE = np.zeros(0), np.eye(3)
+TURNING, SLIDING = math.pi, 1.0
+"""Largest speeds of joints that the description gives none, in rad/s and m/s."""
+SKEW = 1e-5
+"""Sum of what a rotation's product with its transpose may miss."""
+BESIDE = 1e-12
+"""How near to a bound a velocity is at it, where it is a sum of others."""
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class IkStep(Answer):
+    """Velocities of one step: `q` (nq,) after it, `velocity` (nv,), and the `twist` (6,) that they give the frame.
+
+    For tasks, `twist` are the rates (m,) of the equations of the hard ones, in radians and characteristic lengths.
+    `fraction` is the part of the wanted twist in that, 1 where it is had in full; `saturated` names the coordinates
+    that are at a limit of position or velocity.
+    """
+
+    __repr__ = brief
+
+    also = ("velocity", "twist", "fraction", "saturated")
+
+    q: Array
+    velocity: Array
+    twist: Array
+    fraction: float
+    saturated: tuple[str, ...]
+    system: System = field(repr=False)
+
+    success = by_code
+
+    @property
+    def code(self) -> Status:
+        """The outcome: `PARTLY` where limits or a singularity leave only a fraction of what was wanted."""
+        return Status.SOLVED if self.fraction >= WHOLE else Status.PARTLY
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        had = "all" if self.success else f"{self.fraction:.3g}"
+        at = f"; at a limit: {', '.join(map(repr, self.saturated))}" if self.saturated else ""
+        return f"{had} of what was wanted is had{at}"
+
+    def _claimed(self) -> np.ndarray:
+        return np.array(False)  # a step is of first order: how far it leads away is its residual
+
+
+class Servo:
+    """All of a frame's steps that does not depend on the configuration, looked up once."""
+
+    def __init__(self, system: System, frame: str):
+        self.system, self.frame, self.query = system, frame, system.query(frame)
+        chain = chain_of(system, frame)
+        self.v, reach = chain.v_index, min((b.largest for b in chain.bounds), default=math.inf)
+        self.near = NEAR * min(1.0, reach) if reach > 0.0 else NEAR
+        """Singular values to be damped: metres, so less where the whole chain is shorter than one."""
+        layout = system.structure.layout
+        place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
+        limited = [(k, place[v]) for k, v in enumerate(self.v.tolist()) if v in place]
+        self.at_v = np.array([k for k, _ in limited], dtype=np.int64)
+        self.at_q = np.array([i for _, i in limited], dtype=np.int64)
+        own = self.v[self.at_v]
+        self.lower, self.upper, self.speed = (
+            system.lower[own],
+            system.upper[own],
+            system.structure.velocity_limits[self.v],
+        )
+        self.plain = len(limited) == len(self.v)
+        self.ahead, self.behind = np.arange(2 * len(self.v)).reshape(2, -1)
+        self.names = [system.structure.velocity_names[i] for i in self.v]
+        length, slides = chain_length(chain), ~system.structure.coordinates.turning[self.v]
+        slides[~np.isin(self.v, system.structure.layout.vector_v)] = False
+        self.metric = np.array([1.0 / length] * 3 + [1.0] * 3)
+        """What weighs the error of a pose as `ik` does."""
+        self.unit = np.where(slides, length, 1.0)
+
+    def box(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
+        """Least and largest velocities (n,) for which limits of position and speed hold after dt.
+
+        What is outside its limits comes back as fast as it may.
+        """
+        x = q[self.at_q]
+        low, high = -speed, speed.copy()
+        low[self.at_v] = np.minimum(np.maximum(low[self.at_v], (self.lower - x) / dt), speed[self.at_v])
+        high[self.at_v] = np.maximum(np.minimum(high[self.at_v], (self.upper - x) / dt), -speed[self.at_v])
+        return low, high
+
+    def spread(self, velocity: Array) -> Array:
+        """Velocities (nv,) of the system, those of the chain (n,) given, the others zero."""
+        out = np.zeros(self.system.nv)
+        out[self.v] = velocity
+        return out
+
+    def beside(self, q: Array, step: Array) -> Array:
+        """Configurations (2 n, nq), each coordinate of the chain moved by its step (n,), then by minus that."""
+        n = len(self.v)
+        if self.plain:
+            out = np.broadcast_to(q, (2 * n, len(q))).copy()
+            out[self.ahead, self.at_q] += step
+            out[self.behind, self.at_q] -= step
+            return out
+        moves = np.zeros((2 * n, self.system.nv))
+        moves[range(n), self.v], moves[range(n, 2 * n), self.v] = step, -step
+        return self.system.structure.layout.integrate(q, moves)
+
+    def after(self, q: Array, velocity: Array, dt: float) -> Array:
+        """The configuration (nq,) after dt, limits kept to the last bit where q kept them."""
+        if not self.plain:
+            out = self.system.structure.layout.integrate(q, velocity * dt)
+        else:
+            out = q.copy()
+            out[self.at_q] += velocity[self.v] * dt
+        x = q[self.at_q]
+        out[self.at_q] = np.minimum(np.maximum(out[self.at_q], np.minimum(self.lower, x)), np.maximum(self.upper, x))
+        return out
+
+
+@explained
+def ik_step(
+    system: System, q: Any, wanted: Any, frame: FrameLike | None = None, dt: float = 0.0, *,
+    velocity_limits: Any = None, damping: float = 0.05, keep_direction: bool = False, weights: Any = None,
+) -> IkStep:  # fmt: skip
+    """The step that gives a frame the wanted twist for the time dt [s], as nearly as limits allow.
+
+    `wanted` is a twist (6,), [linear; angular] of the frame's origin in ground axes, or a pose (4, 4) to be reached in
+    dt; without a frame, tasks of `kempe.tasks` to be reached in dt, hard or soft and in strict priorities. The
+    velocities make the squared error of the twist least (`weights` (6,) of its rows, zero where a row does not
+    count) and, among those that do, their own size; near singularities the directions that are hard to move in are
+    damped, by at most `damping` (Maciejewski and Klein, 1988). They stay in `velocity_limits` (a number or (nv,);
+    default: those of the system, and where it has none pi rad/s and 1 m/s of all that a coordinate turns or slides;
+    `math.inf` lifts them), and no coordinate leaves its limits within dt: bounds are met by an active set, so
+    that other joints take over (Stark and Parker, 1995). With `keep_direction` the twist is scaled instead of bent:
+    what is had is the largest part of it that the limits allow, from 0 to 1, and that takes the place of damping.
+
+    A pose or tasks that cannot be had within dt, since they are far, out of reach or beyond limits, are approached:
+    where a step of first order does not halve the error, its second order counts (Newton), and a step must lower the
+    error as promised. So cycles that ask for the same come to rest, at a local minimum of the error, in radians and
+    characteristic lengths as in `ik`; with `keep_direction` where the straight way ends. Of a twist only the caller
+    knows where it leads.
+
+    Loops and relations of several coordinates stay closed, those of the whole system for tasks and for a frame that
+    they move: to first order by the velocities, and then in `q`, which is closed again (q may be open a little, as by
+    drift). Velocity constraints hold: what rolls does not slip, and the way to `q` obeys them to second order. Declared
+    one-sided constraints hold as limits do. There
+    sizes are measured in radians and characteristic lengths, and damping relative to the largest singular value.
+    Errors: `InputError`, also where the loops are open.
+    """
+    q = as_q(system, q)
+    if q.ndim != 1 or not (0.0 < dt < math.inf and 0.0 <= damping < math.inf):
+        raise InputError(f"q has shape {q.shape}, dt is {dt!r}, damping {damping!r}; needed are one configuration "
+                         f"({system.nq},), a positive time and a number not negative")  # fmt: skip
+    speed = speeds(system) if velocity_limits is None else _numbers(velocity_limits, system.nv, "velocity_limits")
+    w = _numbers(weights, 6, "weights") if weights is not None else None
+    if frame is None:
+        if keep_direction or w is not None:
+            raise InputError("keep_direction and weights are for the twist of a frame; tasks have weights of their own")
+        return _held_step(system, q, wanted, None, dt, speed, damping, False, None)
+    name = system.structure.frame_name(frame)
+    if rolls(system) or obstacle(system, name) or one_sided_rows(system).declared:
+        return _held_step(system, q, wanted, name, dt, speed, damping, keep_direction, w)
+    servo = _servo(system, name)
+    pose, J = servo.query.pose_and_jacobian(q)
+    J = J[:, servo.v]
+    x = _motion(wanted)
+    low, high = servo.box(q, dt, speed[servo.v])
+    approach = Approach(servo, q, x, pose, J, dt, w) if x.ndim == 2 else None
+    twist = x if approach is None else approach.e / dt
+    A, b = (J, twist) if w is None else (w[:, None] * J, w * twist)
+    if approach is not None:
+        own = approach.go(low, high, damping, w, keep_direction)
+    else:
+        own = scaled(A, b, low, high) if keep_direction else damped(A, b, low, high, damping, near=servo.near)
+    velocity = servo.spread(own)
+    at = ((own <= low) | (own >= high)).nonzero()[0]
+    names = tuple(servo.names[i] for i in at)
+    return IkStep(servo.after(q, velocity, dt), velocity, J @ own, _part(A @ own, b), names, system)
+
+
+@kept
+def _servo(system: System, frame: str) -> Servo:
+    return Servo(system, frame)
+
+
+def _held_step(
+    system: System, q: Array, wanted: Any, frame: str | None, dt: float, speed: Array, damping: float, direction: bool,
+    weights: Array | None,
+) -> IkStep:  # fmt: skip
+    """A step for a frame, or for tasks, while the system's loops and relations stay closed."""
+    if not np.isfinite(q).all():
+        refuse_bad(system, q)
+    closed = _closed(system)
+    at, J = _asked(system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights)
+    low, high = closed.box(q, dt, speed)
+    stages = at(q)
+    if frame is not None and np.ndim(wanted) == 1:
+        u = closed.velocity(closed.free(q, dt), stages, low, high, damping, direction)
+        after, u = closed.after(q, u, dt, low, high)
+    else:
+        after, u = closed.towards(q, stages, low, high, damping, direction, dt, at)
+    velocity = u * closed.scale
+    near = BESIDE * np.maximum(1.0, np.abs(u))
+    at = ((u <= low + near) | (u >= high - near)).nonzero()[0]
+    asked = np.concatenate([NONE, *(s.b for s in stages if s.hard)])
+    had = np.concatenate([NONE, *(s.A @ u for s in stages if s.hard)])
+    twist = had if frame is None else J @ velocity
+    names = tuple(system.structure.velocity_names[i] for i in at)
+    return IkStep(after, velocity, twist, _part(had, asked), names, system)
+
+
+def _asked(
+    system: System, closed: Closed, q: Array, wanted: Any, frame: str | None, dt: float, weights: Array
+) -> tuple[Callable[[Array], list[Stage]], Array]:  # fmt: skip
+    """What is asked at a configuration (nq,), as a function of it, and the Jacobian (6, nv) of the frame, if any."""
+    from kempe.solvers.velocity.servo_closed import posed, stages_of
+
+    if frame is None:
+        problem = posed(system, wanted, q)
+        return lambda x: stages_of(problem, x, dt), NONE
+    goal, query = _motion(wanted), system.query(frame)
+
+    def at(x: Array) -> list[Stage]:
+        pose, J = query.pose_and_jacobian(x)
+        return [closed.twist(J, goal if goal.ndim == 1 else error(goal, pose) / dt, weights)]
+
+    return at, query.jacobian(q)
+
+
+@kept
+def _closed(system: System) -> Any:
+    from kempe.solvers.velocity.servo_closed import Closed
+
+    return Closed(system)
+
+
+def _part(had: Array, asked: Array) -> float:
+    """Which part of what is asked is had."""
+    square = float(asked @ asked)
+    return float(asked @ had) / square if square else 1.0
+
+
+def _motion(wanted: Any) -> Array:
+    """The twist (6,) or pose (4, 4) that is wanted, checked."""
+    x = reals(arrays(wanted, "the wanted motion"), "the wanted motion", "a twist (6,) or a pose (4, 4)")
+    good = x.shape == (6,) and math.isfinite(x.dot(x))
+    if x.shape == (4, 4) and not (good := _is_pose(x)):
+        x = sound(x, "the wanted motion")
+        good = _is_pose(x)
+    if not good:
+        raise InputError(f"the wanted motion has shape {x.shape}; it must be a twist (6,) or a pose (4, 4), finite, "
+                         f"the rotation of a pose orthonormal with determinant +1")  # fmt: skip
+    return x
+
+
+def _is_pose(x: Array) -> bool:
+    R = x[:3, :3]
+    off = math.fsum(np.abs((R @ R.T - EYE).ravel())) + abs(float(x[3, 3]) - 1.0)
+    return off < SKEW and math.isfinite(x[:3, 3].sum()) and float(R[2] @ np.cross(R[0], R[1])) > 0.0
+
+
+@kept
+def speeds(system: System) -> Array:
+    """Largest speeds (nv,) that steps keep: those of the system, and where it has none `TURNING` and `SLIDING`.
+
+    What follows a coordinate counts, too: nothing that it turns or slides is faster than that.
+    """
+    table, given = own_tree(system).structure.table, system.structure.velocity_limits
+    usual = np.where(system.structure.coordinates.turning, TURNING, SLIDING)
+    usual[system.structure.layout.quaternion_v[:, None] + np.arange(3)] = TURNING
+    for kind, v, m in zip(table.kind.tolist(), table.iv.tolist(), table.multiplier.tolist(), strict=True):
+        if kind != BALL:
+            usual[v] = min(usual[v], (TURNING if kind == TURN else SLIDING) / abs(m))
+    return np.where(np.isfinite(given), given, usual)
+
+
+def _numbers(x: Any, n: int, what: str) -> Array:
+    try:
+        out = np.broadcast_to(reals(x, what, f"a number or ({n},) numbers"), (n,))
+    except InputError:
+        raise
+    except ValueError:
+        out = np.full(1, np.nan)
+    if not (out >= 0.0).all():
+        raise InputError(f"{what} is {x!r}; it must be a number or ({n},) numbers, none negative")
+    return out

@@ -1,0 +1,379 @@
+"""One step of the differential inverse model under constraints: loops and relations stay closed, tasks come in order.
+
+Velocities are looked for in what the constraints leave, velocity constraints among them: v = N z, with an orthonormal
+basis N of their null space, in radians and characteristic lengths. What each stage reaches, the next ones keep: they
+act in the null space of its equations, its inequalities become bounds (Siciliano and Slotine, 1991; Escande, Mansard
+and Wieber, 2014). The step is of first order, so it opens the loops by the square of its size: they are closed again,
+within the same limits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.errors import InputError
+from kempe.kernels.constraints import loop_layout as L
+from kempe.kinematics.closure_rows import evaluate, full
+from kempe.kinematics.one_sided import one_sided_rows
+from kempe.solvers.common.freedoms import null
+from kempe.solvers.common.slip import at_rest, hard_rows, rolls
+from kempe.solvers.velocity.least_squares import LEAST, NEAR, bounded, damped, scaled
+from kempe.solvers.velocity.servo_pose import BLIND, FLAT, STILL, TAKEN, TRIALS
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.kinematics.tasks.packed import Packed
+    from kempe.model.system import System
+    from kempe.solvers.tasks.ik_tasks import Demands
+
+OPEN = 1e-3
+"""By how much, in radians and characteristic lengths, loops may be open at first: more is no drift."""
+CLOSED = 1e-12
+"""By how much they may be open after the step."""
+CORRECTIONS, HALVINGS = 8, 12
+"""Steps that close the loops again, and how often a step is halved after which that fails."""
+HALF, ENOUGH, BUSY = 0.5, 1e-13, 2.0
+"""Part of what is asked that a step of first order may leave; what may be left in any case; and what earlier stages
+miss, as a multiple of the square of the step, to count as not arrived."""
+DIFFERENCE = 1e-5
+"""Step of the differences of Jacobians, in radians and characteristic lengths."""
+ROUNDING = 1e-14
+"""Length of what is missed that rounding makes."""
+EPSILON = 1e-15
+"""Part of a coordinate by which it is at a limit."""
+BEYOND = 1e-12
+"""By how much a bound may seem to be exceeded: rounding."""
+
+
+class Stage(NamedTuple):
+    """What is asked at one level: A u = b as nearly as can be, and low <= I u <= high; u are scaled velocities."""
+
+    A: Array
+    b: Array
+    inequalities: Array
+    low: Array
+    high: Array
+    hard: bool = True
+
+    def beside(self, rest: Array) -> Stage:
+        """What is asked of the velocities beside some that are there at rest (nv,)."""
+        if not rest.any():
+            return self
+        have = self.inequalities @ rest
+        return self._replace(b=self.b - self.A @ rest, low=self.low - have, high=self.high - have)
+
+    def missed(self, u: Array | None = None) -> float:
+        """The length of what velocities u (nv,) leave of what is asked, or of all of it."""
+        left = self.b if u is None else self.b - self.A @ u
+        square = float(left @ left)
+        if len(self.low):
+            value = np.zeros(len(self.low)) if u is None else self.inequalities @ u
+            out = np.maximum(self.low - value, 0.0) + np.maximum(value - self.high, 0.0)
+            square += float(out @ out)
+        return math.sqrt(square)
+
+
+class Left(NamedTuple):
+    """What constraints leave of the velocities at a configuration: a `basis` (nv, k) of what equations do, velocities
+    (nv,) that these ask for at `rest`, and between what declared one-sided `rows` (m, nv) of them stay for dt."""
+
+    basis: Array
+    rest: Array
+    rows: Array
+    low: Array
+    high: Array
+
+
+class Closed:
+    """All of a system's steps under its constraints that does not depend on the configuration."""
+
+    def __init__(self, system: System):
+        self.system, layout = system, system.structure.layout
+        loops = full(system, True)
+        self.length, self.names, self.rolls = loops.length, loops.names, rolls(system)
+        self.scale: Array = loops.weights[L.SCALES : L.SCALES + system.nv]
+        self.at_v, self.at_q = layout.vector_v, layout.vector_q
+        self.lower, self.upper = system.lower[self.at_v], system.upper[self.at_v]
+        self.bounds = one_sided_rows(system)
+
+    def box(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
+        """Least and largest scaled velocities (nv,) for which limits of position and speed hold after dt.
+
+        What is outside its limits comes back as fast as it may.
+        """
+        x, low, high, at = q[self.at_q], -speed, speed.copy(), self.at_v
+        below, above = self.lower - x, self.upper - x
+        near = EPSILON * np.maximum(1.0, np.abs(x))
+        below[np.abs(below) <= near], above[np.abs(above) <= near] = 0.0, 0.0
+        low[at] = np.minimum(np.maximum(low[at], below / dt), speed[at])
+        high[at] = np.maximum(np.minimum(high[at], above / dt), -speed[at])
+        return low / self.scale, high / self.scale
+
+    def twist(self, J: Array, twist: Array, weights: Array) -> Stage:
+        """The stage of a frame's twist, of its Jacobian (6, nv)."""
+        w = weights.copy()
+        w[:3] /= self.length
+        nothing = np.zeros(0)
+        return Stage(w[:, None] * J * self.scale, w * twist, np.zeros((0, self.system.nv)), nothing, nothing)
+
+    def free(self, q: Array, dt: float) -> Left:
+        """What constraints leave of the velocities at q (nq,), for dt. Errors: `InputError` for open loops."""
+        error, C = evaluate(self.system, q, True, True)
+        worst = int(np.argmax(np.abs(error))) if len(error) else -1
+        if len(error) and not abs(error[worst]) < OPEN:
+            raise InputError(f"the loops are open at q: {self.names[worst][0]!r} by {abs(error[worst]):.2g} (radians, "
+                             f"characteristic lengths); robot.assemble(start=q) closes them")  # fmt: skip
+        between = self._between(q, dt)
+        if not self.rolls:
+            return Left(null(C), np.zeros(self.system.nv), *between)
+        A, b = hard_rows(self.system, q, self.scale)
+        return Left(null(np.concatenate([C, A])), at_rest(C, A, b), *between)
+
+    def _between(self, q: Array, dt: float) -> tuple[Array, Array, Array]:
+        """Declared one-sided rows (m, nv) of the scaled velocities, and between what they stay within dt."""
+        rows, k = self.bounds, self.bounds.declared
+        if not k:
+            return np.zeros((0, self.system.nv)), np.zeros(0), np.zeros(0)
+        value, G = rows.rates(q, declared=True)
+        scale = rows.scale[:k] / dt
+        return G, scale * (rows.low[:k] - value), scale * (rows.high[:k] - value)
+
+    def _missed(self, x: Array, before: Array) -> tuple[Array, Array]:
+        """What equations miss at x, and declared one-sided rows by more than `before`, with the rates of both."""
+        error, C = evaluate(self.system, x, True, True)
+        if not self.bounds.declared:
+            return error, C
+        more, G = self.bounds.violated(x, before)
+        return np.concatenate([error, more]), np.concatenate([C, G])
+
+    def velocity(
+        self, free: Left, stages: list[Stage], low: Array, high: Array, damping: float, direction: bool,
+        model: Array | None = None,
+    ) -> Array:  # fmt: skip
+        """Scaled velocities (nv,) of the stages, in order, within the box; what is left `free` as from there.
+
+        `model` (k, k), where given, is the Hessian that counts for the last stage.
+        """
+        N, rest, rows, least, most = free
+        some, own = _Descent(N), np.isfinite(low) | np.isfinite(high)
+        rows = np.concatenate([np.eye(len(low))[own], rows])
+        box = Stage(N.T[:0], low[:0], rows, np.append(low[own], least), np.append(high[own], most))
+        some.take(box.beside(rest), 0.0, False)
+        for k, stage in enumerate(stages):
+            some.take(stage.beside(rest), damping, direction, model if k + 1 == len(stages) else None)
+        return np.minimum(np.maximum(rest + N @ some.z, low), high)
+
+    def towards(
+        self, q: Array, stages: list[Stage], low: Array, high: Array, damping: float, direction: bool, dt: float,
+        at: Callable[[Array], list[Stage]],
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """The configuration (nq,) after dt, and the scaled velocities (nv,), towards goals.
+
+        The first stage that a step of first order does not halve takes one of second order, which must lower the
+        error as promised, else a shorter one; stages after it do not count. `at` gives the stages at a configuration.
+        """
+        free = self.free(q, dt)
+        u = self.velocity(free, stages, low, high, damping, direction)
+        size, asked = dt * float(u @ u), [s.missed() for s in stages]
+        if size * dt <= ENOUGH**2:
+            return self.after(q, np.minimum(np.maximum(0.0, low), high), dt, low, high)
+        left = [s.missed(u) for s in stages]
+        k = next((k for k, had in enumerate(asked) if left[k] > max(HALF * had, ENOUGH / dt)), None)
+        if (
+            k is None
+            or (k and max(asked[:k]) > BUSY * size)
+            or (k and asked[k] ** 2 - left[k] ** 2 > 2.0 * BUSY * size * left[k])
+        ):  # earlier ones move it, by more than it disturbs them; or curvature is little beside what is gained
+            return self.after(q, u, dt, low, high)
+        first, own, before = stages[:k], stages[: k + 1], asked[k]
+        model = None if direction else self.curvature(q, free.basis, own, u, low, high, dt, at)
+        more = 0.0
+        for _ in range(TRIALS):
+            if model is not None:
+                u = self.velocity(free, own, low, high, damping, False, model + more * np.eye(len(model)))
+            found = self.after(q, u, dt, low, high)
+            promise = before**2 - own[k].missed(found[1]) ** 2
+            if 0.0 <= promise <= STILL * before**2 + (ROUNDING / dt) ** 2:
+                break
+            if 0.0 < promise <= BLIND * before**2:
+                return found
+            if promise > 0.0 and at(found[0])[k].missed() ** 2 <= before**2 - TAKEN * promise:
+                return found
+            more = 4.0 * more if more else 1e-2 * float(np.abs(model).max()) if model is not None else 0.0
+            u = 0.5 * u
+        return self.after(q, self.velocity(free, first, low, high, damping, direction), dt, low, high)
+
+    def curvature(
+        self, q: Array, N: Array, stages: list[Stage], u: Array, low: Array, high: Array, dt: float,
+        at: Callable[[Array], list[Stage]],
+    ) -> Array:  # fmt: skip
+        """The Hessian (k, k), in the free velocities, of half the square of what the last stage misses, where loops and
+        earlier stages stay as they are: that of the Lagrangian, by differences."""
+
+        def push(x: Array, asked: list[Stage]) -> tuple[Array, Array]:
+            """What the last stage pulls at (nv,), and the rows (m, nv) that stay, at a configuration."""
+            C = evaluate(self.system, x, True, True)[1]
+            s = asked[-1]
+            out = np.maximum(s.low, 0.0) + np.minimum(s.high, 0.0)
+            return dt * (s.b @ s.A + out @ s.inequalities), np.concatenate([C, *(t.A for t in asked[:-1])])
+
+        pull, rows = push(q, stages)
+        at_bound = np.eye(len(u))[(u <= low) | (u >= high)]
+        rolling = hard_rows(self.system, q, self.scale)[0] if self.rolls else at_bound[:0]
+        held = np.concatenate([rows, rolling, at_bound])
+        forces = np.linalg.lstsq(held.T, pull, rcond=1e-9)[0][: len(rows)] if len(held) else np.zeros(0)
+        slopes = []
+        for way in N.T:
+            ends = []
+            for h in (DIFFERENCE, -DIFFERENCE):
+                x = self.system.structure.layout.integrate(q, h * way * self.scale)
+                pulled, kept = push(x, at(x)[: len(stages)])
+                ends.append(pulled - forces @ kept)
+            slopes.append((ends[1] - ends[0]) / (2.0 * DIFFERENCE))
+        H = np.array(slopes).reshape(N.shape[1], len(u)) @ N
+        return 0.5 * (H + H.T)
+
+    def after(self, q: Array, u: Array, dt: float, low: Array, high: Array) -> tuple[Array, Array]:
+        """The configuration (nq,) after dt, loops closed and limits held, and u, shortened where that has to be."""
+        for k in range(HALVINGS):
+            part = 0.5**k
+            found = self.closed(q, part * u, dt, low, high)
+            if found is not None:
+                return found, part * u
+        return q.copy(), 0.0 * u
+
+    def closed(self, q: Array, u: Array, dt: float, low: Array, high: Array) -> Array | None:
+        """The closed configuration (nq,) next to q + u dt, None where limits or a singularity are in the way.
+
+        By the smallest corrections (Newton), bounded where these would leave the box.
+        """
+        system, x = (
+            self.system,
+            self.system.structure.layout.integrate(q, (self.bent(q, u, dt) if self.rolls else u) * self.scale * dt),
+        )
+        before = self.bounds.beyond(q, declared=True) if self.bounds.declared else x
+        for _ in range(CORRECTIONS):
+            error, C = self._missed(x, before)
+            if np.abs(error).max(initial=0.0) <= CLOSED:
+                return self._inside(q, x)
+            moved = system.structure.layout.difference(q, x) / self.scale
+            least, most = np.minimum(low * dt - moved, 0.0), np.maximum(high * dt - moved, 0.0)
+            more = -np.linalg.pinv(C, rcond=1e-8) @ error
+            if (more < least).any() or (more > most).any():
+                A = np.concatenate([C, LEAST * np.eye(len(more))])
+                more = bounded(A, np.concatenate([-error, np.zeros(len(more))]), least, most, more)
+            x = system.structure.layout.integrate(x, more * self.scale)
+        return None
+
+    def bent(self, q: Array, u: Array, dt: float) -> Array:
+        """Scaled velocities (nv,) over dt for those at q: without slip in the middle of the way, to second order."""
+        A, b = hard_rows(
+            self.system, self.system.structure.layout.integrate(q, 0.5 * dt * u * self.scale), self.scale
+        )
+        return u - np.linalg.pinv(A, rcond=1e-8) @ (A @ u - b)
+
+    def _inside(self, q: Array, x: Array) -> Array:
+        """x, its limits kept to the last bit where q kept them."""
+        now = q[self.at_q]
+        x[self.at_q] = np.clip(x[self.at_q], np.minimum(self.lower, now), np.maximum(self.upper, now))
+        return x
+
+
+class _Descent:
+    """Velocities N z, lowered stage by stage: what earlier stages reached stays."""
+
+    def __init__(self, N: Array):
+        self.N, self.z, self.free = N, np.zeros(N.shape[1]), np.eye(N.shape[1])
+        self.G, self.low, self.high = np.zeros((0, N.shape[1])), np.zeros(0), np.zeros(0)
+
+    def take(self, stage: Stage, damping: float, direction: bool, model: Array | None = None) -> None:
+        """Do for a stage what can be done; `model` (k, k), where given, is the Hessian that counts for it."""
+        A, b, G = stage.A @ self.N, stage.b, stage.inequalities @ self.N
+        value = G @ self.z
+        slack = BEYOND * np.maximum(1.0, np.abs(value))
+        out = (value < stage.low - slack) | (value > stage.high + slack)
+        if stage.hard:
+            self._bound(G[~out], stage.low[~out], stage.high[~out])
+        free = self.free
+        equations = np.concatenate([A, G[out]]) @ free
+        wish = np.concatenate([b - A @ self.z, (np.clip(value, stage.low, stage.high) - value)[out]])
+        low, high = self.low - self.G @ self.z, self.high - self.G @ self.z
+        low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)  # rounding
+        if len(wish) and free.shape[1]:
+            if direction:
+                y = scaled(equations, wish, low, high, self.G @ free)
+            else:
+                if model is not None:
+                    pull = free.T @ (A.T @ b + G[out].T @ np.clip(value, stage.low, stage.high)[out] - model @ self.z)
+                    equations, wish = convex(free.T @ model @ free, pull, equations, damping)
+                    damping = 0.0
+                y = damped(equations, wish, low, high, damping, self.G @ free, None)
+            self.z = self.z + free @ y
+        if stage.hard and out.any():
+            value = G[out] @ self.z
+            self._bound(G[out], np.minimum(stage.low[out], value), np.maximum(stage.high[out], value))
+        self.free = free @ null(A @ free)
+
+    def _bound(self, G: Array, low: Array, high: Array) -> None:
+        self.G = np.concatenate([self.G, G])
+        self.low, self.high = np.concatenate([self.low, low]), np.concatenate([self.high, high])
+
+
+def convex(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Array]:
+    """Rows and wish (n,) of the least squares that a Hessian, its curvatures made positive, and a pull stand for.
+
+    What damping the equations J would have is added.
+    """
+    _, s, Vt = np.linalg.svd(J, full_matrices=True)
+    s = np.concatenate([s, np.zeros(len(Vt) - len(s))]) / max(float(s.max(initial=0.0)), 1e-300)
+    weak = damping * np.sqrt(np.maximum(1.0 - (s / NEAR) ** 2, 0.0)) * float(np.linalg.norm(J, 2))
+    values, V = np.linalg.eigh(H + (Vt.T * weak**2) @ Vt)
+    size = np.abs(values)
+    size[size <= FLAT * size.max()] = max(float(size.max()), 1e-300)
+    return np.sqrt(size)[:, None] * V.T, (pull @ V) / np.sqrt(size)
+
+
+def stages_of(problem: Demands, q: Array, dt: float) -> list[Stage]:
+    """What tasks ask of the velocities at q (nq,), level by level: that what they miss is gone after dt."""
+    packed, loops = problem.packed, problem.packed.loops
+    error, J = packed.evaluate(q, problem.pins)
+    levels, strengths, *_ = problem.levels
+    counts = np.array([len(t.rows) for t in loops.ties])
+    own = packed.rows >= 0
+    level, hard = (np.repeat(x, counts)[own] for x in levels.reshape(2, -1))
+    weight = np.repeat(np.sqrt(strengths[:, 0]), counts)[own]
+    low, high = ends_of_rows(packed)
+    J, low, high = weight[:, None] * J, weight * (low - error) / dt, weight * (high - error) / dt
+    out = []
+    for s in range(1, int(level.max(initial=0)) + 1):
+        equal, between = (level == s) & (low == high), (level == s) & (low < high)
+        out.append(Stage(J[equal], low[equal], J[between], low[between], high[between], bool(hard[level == s][0])))
+    return out
+
+
+def ends_of_rows(packed: Packed) -> tuple[Array, Array]:
+    """Low and high ends (m,) of the tasks' rows, in radians and characteristic lengths; zero for equations."""
+    loops, plan, ends = packed.loops, packed.loops.plan, [np.zeros((0, 2))]
+    for k, tie in enumerate(loops.ties):
+        first = plan[L.AT_BOUNDS] + plan[plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND]
+        own = loops.weights[first : first + 2 * len(tie.rows)] if tie.bounds else np.zeros(2 * len(tie.rows))
+        ends.append(own.reshape(-1, 2))
+    low, high = np.concatenate(ends)[packed.rows >= 0].T
+    return low, high
+
+
+def posed(system: System, wanted: Any, q: Array) -> Demands:
+    """The tasks of one step, checked and packed. Errors: `InputError` for a batch, and for goals that are none."""
+    from kempe.kinematics.tasks.packed import refuse
+    from kempe.solvers.tasks.ik_tasks import pose_problem
+
+    problem, _ = pose_problem(system, wanted, q)
+    if problem.lead:
+        raise InputError(f"the goals have the leading shape {problem.lead}; one step has one goal for each task")
+    for task, goals in zip(problem.tasks, problem.goals, strict=True):
+        refuse(goals, task.label)
+    return problem

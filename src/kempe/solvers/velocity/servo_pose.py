@@ -1,0 +1,252 @@
+"""Steps of one frame towards a pose: to second order wherever the first order does not halve the error.
+
+A step of least squares takes what is missing for something that the joints can make good. Where they cannot, at the
+border of the workspace, at limits or by far, the error stays, and with it the second derivative of the chain that such
+a step lacks: it overshoots, and the next one shoots back. So there the error's own Hessian counts (Newton), in the box
+of what the limits allow, and a step is taken where it lowers the error as promised. What cannot be had is then left by
+speeds that go to zero, at a local minimum of the error. It is measured as `ik` does, in radians and characteristic
+lengths.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe import spatial
+from kempe.kernels.forward.table_layout import N_ROWS, ROW_FLOATS
+from kempe.solvers.velocity.least_squares import INWARD, scaled, wish
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.solvers.common.serial_chain import Chain
+    from kempe.solvers.velocity.servo import Servo
+
+ENOUGH = 1e-26
+"""Square of the error that counts as zero: 1e-13 of a length."""
+HALF = 0.25
+"""Part of the square of the error down to which a step of first order must bring it."""
+DIFFERENCE = 1e-5
+"""Step of the differences of the Jacobian, in radians and characteristic lengths."""
+LARGEST, ASIDE = 0.5, 0.05
+"""Longest step of a coordinate where no speed bounds it, and where a singular configuration is left."""
+FLAT, SADDLE = 1e-10, 1e-6
+"""Parts of the largest curvature: up to the first it counts as none, below minus the second as negative."""
+TAKEN, STRICT = 0.1, 0.5
+"""Part of the promised decrease that must be had; more than half of it where a direction is kept."""
+STILL, BLIND = 1e-20, 1e-13
+"""Promised decreases, as parts of the square of the error, below which one rests, or rounding hides the true one."""
+ROUNDING = 1e-28
+"""Promised decrease below which one rests, however small the error is."""
+LITTLE = 0.01
+"""Least decrease of the error, as a part of what the joints move, for which a direction is kept."""
+NOISE = 1e-9
+"""Part of the largest velocity up to which one is rounding."""
+TRIALS, HALVINGS = 16, 6
+"""Steps tried in one cycle, each shorter than the one before; halvings of a step in a direction that is kept."""
+
+
+def chain_length(chain: Chain) -> float:
+    """The characteristic length of a chain, as `ik` weighs lengths by it: a third of the lengths of its links."""
+    n = int(chain.ints[N_ROWS])
+    placements = chain.floats[: ROW_FLOATS * n + 12]
+    steps = np.array([placements[ROW_FLOATS * k + 3 : ROW_FLOATS * k + 12 : 4] for k in range(1, n + 1)])
+    length = float(np.linalg.norm(steps.reshape(-1, 3), axis=1).sum())
+    return length / 3.0 if length > 0.0 else 1.0
+
+
+def error(goal: Array, pose: Array) -> Array:
+    """What is missing (6,) of a pose: [position; rotation vector] in ground axes."""
+    out = np.empty(6)
+    out[:3] = goal[:3, 3] - pose[:3, 3]
+    R = goal[:3, :3] @ pose[:3, :3].T
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    x, y, z, cosine = 0.5 * (h - f), 0.5 * (c - g), 0.5 * (d - b), 0.5 * (a + e + i - 1.0)
+    if not cosine > -0.9:  # the antisymmetric part fades
+        out[3:] = spatial.log_so3(R)
+        return out
+    sine = math.sqrt(x * x + y * y + z * z)
+    factor = math.atan2(sine, cosine) / sine if sine > 1e-8 else 1.0
+    out[3], out[4], out[5] = factor * x, factor * y, factor * z
+    return out
+
+
+class Approach:
+    """One step towards a pose, from a configuration q (nq,): `velocity` (n,) of the chain, and `q` after it."""
+
+    def __init__(self, servo: Servo, q: Array, goal: Array, pose: Array, J: Array, dt: float, weights: Array | None):
+        self.servo, self.before, self.goal, self.dt = servo, q, goal, dt
+        self.e, self.J = error(goal, pose), J
+        self.metric = servo.metric if weights is None else servo.metric * weights
+        self.missing = self.metric * self.e
+        self.even = weights is None or weights[3] == weights[4] == weights[5]
+        """Whether the logarithm's own derivative leaves the gradient alone."""
+        self.A = self.metric[:, None] * (J if self.even else turned(self.e[3:], J)) * servo.unit
+        self.square = float(self.missing @ self.missing)
+
+    def go(self, low: Array, high: Array, damping: float, weights: Array | None, direction: bool) -> Array:
+        """Velocities (n,) in the box from `low` to `high`."""
+        twist = self.e / self.dt
+        A, b = (self.J, twist) if weights is None else (weights[:, None] * self.J, weights * twist)
+        if self.square <= ENOUGH or not len(low):
+            return np.minimum(np.maximum(0.0, low), high)
+        if direction:
+            return self.shortened(scaled(A, b, low, high))
+        x, damped = wish(A, b, damping, self.servo.near)
+        if (x >= low).all() and (x <= high).all() and self.left(x) <= HALF * self.square:
+            return x
+        return self.second_order(low, high, damped)
+
+    def left(self, velocity: Array) -> float:
+        """Square of the error after velocities (n,)."""
+        servo = self.servo
+        pose = servo.query(servo.after(self.before, servo.spread(velocity), self.dt))
+        missing = self.metric * error(self.goal, pose)
+        return float(missing @ missing)
+
+    def shortened(self, velocity: Array) -> Array:
+        """The velocities (n,), halved until they lower the error by at least half of what they promise.
+
+        Zero where that is next to nothing for what the joints move: there the direction leads no farther.
+        """
+        velocity = np.where(np.abs(velocity) > NOISE * np.abs(velocity).max(), velocity, 0.0)
+        z = velocity * self.dt / self.servo.unit
+        slope = 2.0 * float(self.missing @ (self.A @ z))
+        if slope <= 2.0 * LITTLE * math.sqrt(self.square * float(z @ z)) + ROUNDING:
+            return 0.0 * velocity
+        for _ in range(HALVINGS):
+            if self.left(velocity) <= self.square - STRICT * slope:
+                return velocity
+            velocity, slope = 0.5 * velocity, 0.5 * slope
+        return 0.0 * velocity
+
+    def second_order(self, low: Array, high: Array, damped: Array) -> Array:
+        """The velocities (n,) in the box that make the error's second order least, if they lower the error itself."""
+        unit, dt = self.servo.unit, self.dt
+        least, most = np.maximum(low * dt / unit, -LARGEST), np.minimum(high * dt / unit, LARGEST)
+        rest = np.minimum(np.maximum(0.0, least), most)
+        push, H = self.A.T @ self.missing, self.hessian()
+        strength = np.abs(H).max(axis=1)
+        idle = strength <= FLAT * strength.max()
+        weak = damped * unit
+        model, more = H + weak.T @ weak if len(weak) else H, 0.0
+        for _ in range(TRIALS):
+            z, curvature, way = newton(model, push, least, most)
+            z[idle] = rest[idle]
+            promise = 2.0 * float(push @ z) - float(z @ H @ z)
+            if promise <= BLIND * self.square and curvature < 0.0:
+                z = aside(z, way if push @ way >= 0.0 else -way, least, most)
+                promise = 2.0 * float(push @ z) - float(z @ H @ z)
+            if rest.any():  # what is outside its limits comes back
+                return unit * z / dt
+            if 0.0 <= promise <= STILL * self.square + ROUNDING:
+                break
+            if 0.0 < promise <= BLIND * self.square or self.left(unit * z / dt) <= self.square - TAKEN * promise:
+                return unit * z / dt
+            more = max(4.0 * more, 1e-3 * float(np.abs(model).max()))
+            model = model + more * np.eye(len(z))
+        return rest
+
+    def hessian(self) -> Array:
+        """The Hessian (n, n) of half the square of the error, in radians and characteristic lengths.
+
+        Of the chain's second derivatives by differences of its Jacobian, of the logarithm by its own derivative
+        (Bullo and Murray, 1995).
+        """
+        servo, w = self.servo, self.metric
+        if not self.even:
+            return self.by_differences()
+        J = servo.query.pose_and_jacobian(servo.beside(self.before, DIFFERENCE * servo.unit))[1]
+        ahead, behind = J[: len(servo.v)], J[len(servo.v) :]
+        rate = w[:, None] * turned(self.e[3:], self.J) * servo.unit
+        forces = ((w * self.missing) @ (ahead - behind))[:, servo.v] * servo.unit
+        H = self.A.T @ rate - forces / (2.0 * DIFFERENCE)
+        return 0.5 * (H + H.T)
+
+    def by_differences(self) -> Array:
+        """The Hessian (n, n) where turns about the axes of the ground count unequally: differences of the gradient."""
+        servo, w = self.servo, self.metric
+        pushes = []
+        for q in servo.beside(self.before, DIFFERENCE * servo.unit):
+            pose, J = servo.query.pose_and_jacobian(q)
+            e = error(self.goal, pose)
+            pushes.append((w * e) @ (w[:, None] * turned(e[3:], J[:, servo.v]) * servo.unit))
+        ahead, behind = np.reshape(pushes, (2, len(servo.v), len(servo.v)))
+        H = (behind - ahead) / (2.0 * DIFFERENCE)
+        return 0.5 * (H + H.T)
+
+
+def turned(r: Array, J: Array) -> Array:
+    """A Jacobian (6, n) whose angular rows are the rates of what is missing, the rotation vector r, not of turns."""
+    angle = math.sqrt(float(r @ r))
+    gamma = 0.5 * angle / math.tan(0.5 * angle) if angle > 1e-3 else 1.0 - angle * angle / 12.0
+    rest = (1.0 - gamma) / (angle * angle) if angle > 1e-3 else 1.0 / 12.0
+    x, y, z = (0.5 * r).tolist()
+    M = 4.0 * rest * np.array([[x * x, x * y, x * z], [x * y, y * y, y * z], [x * z, y * z, z * z]])
+    M += np.array([[gamma, -z, y], [z, gamma, -x], [-y, x, gamma]])
+    out = J.copy()
+    out[3:] = M @ J[3:]
+    return out
+
+
+def newton(H: Array, push: Array, low: Array, high: Array) -> tuple[Array, float, Array]:
+    """The z (n,) in a box that makes z H z / 2 - push z least, H's curvatures made positive; also the least curvature
+    of what is free, where it is negative, and its direction (n,)."""
+    values, V = np.linalg.eigh(H)
+    most = max(float(-values[0]), float(values[-1]), 1e-300)
+    if values[0] > FLAT * most:
+        return least_in_box(H, push, low, high)[0], 0.0, push
+    size = np.abs(values)
+    size[size <= FLAT * most] = most  # nothing is gained there
+    z, free = least_in_box((V * size) @ V.T, push, low, high)
+    own = free.nonzero()[0]
+    if values[0] >= -SADDLE * most or not len(own):
+        return z, 0.0, z
+    some, W = np.linalg.eigh(H[own[:, None], own])
+    if some[0] >= FLAT * most:  # convex in what is free: its own curvature, not one made larger
+        x = z.copy()
+        x[own] = np.linalg.solve(H[own[:, None], own], push[own] - H[own] @ np.where(free, 0.0, z))
+        x = np.minimum(np.maximum(x, low), high)
+        return x if 2.0 * push @ x - x @ H @ x > 2.0 * push @ z - z @ H @ z else z, 0.0, z
+    way = np.zeros(len(z))
+    way[own] = W[:, 0]
+    return z, min(float(some[0]) + SADDLE * most, 0.0), way
+
+
+def least_in_box(H: Array, push: Array, low: Array, high: Array) -> tuple[Array, np.ndarray]:
+    """The z (n,) in a box that makes z H z / 2 - push z least, of a positive H, and which entries are at no bound."""
+    z: Array = np.asarray(np.linalg.solve(H, push), dtype=float)
+    free = (low < z) & (z < high)
+    if free.all():
+        return z, free
+    z = np.minimum(np.maximum(z, low), high)
+    for _ in range(10 * len(z)):
+        own = free.nonzero()[0]
+        step = np.zeros(len(z))
+        step[own] = np.linalg.solve(H[own[:, None], own], (push - H @ z)[own])
+        ahead = z + step
+        over = free & ((ahead < low) | (ahead > high))
+        if over.any():
+            room = np.where(step < 0.0, low - z, high - z)[over] / step[over]
+            which = over.nonzero()[0][int(np.argmin(room))]
+            z = np.minimum(np.maximum(z + float(room.min()) * step, low), high)
+            z[which] = low[which] if step[which] < 0.0 else high[which]
+            free[which] = False
+            continue
+        z = ahead
+        slope = push - H @ z
+        pull = np.where(free | (low >= high), 0.0, np.where(z <= low, slope, -slope))
+        worst = int(np.argmax(pull))
+        if pull[worst] <= INWARD * float(np.abs(push).max()):
+            break
+        free[worst] = True
+    return z, free
+
+
+def aside(z: Array, way: Array, low: Array, high: Array) -> Array:
+    """z (n,) moved along a way, as far as the box and a small step let it."""
+    moves = np.abs(way) > 1e-12
+    room = np.where(way > 0.0, high - z, z - low)[moves] / np.abs(way[moves])
+    return np.minimum(np.maximum(z + min(ASIDE, float(room.min(initial=ASIDE))) * way, low), high)

@@ -1,0 +1,1 @@
+"""Values that people type, and files of them."""
