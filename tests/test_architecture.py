@@ -40,7 +40,7 @@ FOLDERS: dict[str, list[set[str]]] = {
 Each may import itself and what stands to the left; folders in one set do not import one another."""
 
 LATER = {
-    "description.mechanism": {"write"},
+    "description.mechanism": {"write"}, "description.formats": {"toml", "urdf"},
     "solvers.one_frame.inverse": {"tasks", "analytic"}, "solvers.one_frame.sharpen": {"analytic"},
     "solvers.one_frame.shut_out": {"analytic"}, "solvers.one_frame.solution": {"tasks"},
     "solvers.tasks.reached": {"velocity"}, "solvers.analytic.answers.solutions": {"."},

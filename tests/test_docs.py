@@ -179,7 +179,7 @@ def written_by(script: str) -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("name", ["joints", "trust"])
+@pytest.mark.parametrize("name", ["formats", "joints", "trust"])
 def test_written_pages_are_up_to_date(name):
     shown = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
     assert shown == written_by(f"{name}_page").page(), f"run  python docs/{name}_page.py"

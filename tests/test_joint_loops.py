@@ -328,7 +328,7 @@ def test_files_hold_registered_types():
                 assert f'type = "{kind.type_name}"' in text and read_toml(text) == m
                 assert read_toml(text).build() == m.build()
     assert not {kind.type_name for kind in OWN} & TYPES.keys()
-    with pytest.raises(UnsupportedError, match="not in the zoo"):
+    with pytest.raises(DescriptionError, match="not in the table of joints"):
         write_toml(m)
     with pytest.raises(UnknownNameError, match="pin_slot"):
         from kempe.joints import joint_type

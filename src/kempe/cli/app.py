@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kempe import __version__
+from kempe.description.formats import named, read_by
 from kempe.description.source import no_file
 from kempe.errors import InputError, KernelsError
 from kempe.model.immovable import immovable
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 app = typer.Typer(
     cls=Commands, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="FILE is a URDF or TOML file, or the name of a shipped model. "
+    epilog=f"FILE is a file in {named(read_by())}, or the name of a shipped model. "
     "Exit codes: 0 complete, 1 no solution, problems or a time limit, 2 wrong usage or unreadable file, 130 Ctrl-C.",
 )  # fmt: skip
 
@@ -44,18 +45,18 @@ TimeLimit = Annotated[
 ]
 
 _READ = "How FILE is read"
-File = Annotated[str, typer.Argument(metavar="FILE", help="URDF or TOML file, or a shipped model's name.")]
+File = Annotated[str, typer.Argument(metavar="FILE", help=f"File in {named(read_by())}, or a shipped model's name.")]
 Json = Annotated[bool, option("--json", "Print JSON.")]
 Deg = Annotated[bool, option("--deg", "Angles are degrees, read and printed; lengths stay metres.")]
 Out = Annotated[Path | None, option("-o,--out", "Write the results to a .csv or .npy file.", "FILE")]
 InPlace = Annotated[Path | None, option("-o,--out", "The file to write, in place of OUT.", "FILE")]
-Base = Annotated[str | None, option("--base", "'free': the root link moves freely (URDF).", "free", _READ)]
+_FREE = f"'free': the root link moves freely ({named(read_by('base'))})."
+Base = Annotated[str | None, option("--base", _FREE, "free", _READ)]
 Root = Annotated[str | None, option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)]
 Dirs = Annotated[list[Path] | None, option("--package-dir", "Folder for package://; can be repeated.", "FOLDER", _READ)]
 Xacro = Annotated[bool, option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)]
-Lenient = Annotated[
-    bool, option("--lenient-limits", "Limits without a range (no bounds, or swapped) are none (URDF).", None, _READ)
-]
+_LENIENT = f"Limits without a range (no bounds, or swapped) are none ({named(read_by('lenient_limits'))})."
+Lenient = Annotated[bool, option("--lenient-limits", _LENIENT, None, _READ)]
 
 FrameOrAll = Annotated[str | None, option("--frame", "Body or frame; all bodies if not given.", "NAME")]
 Values = Annotated[

@@ -31,6 +31,7 @@ from kempe.cli.app import (
     told,
     written_to,
 )
+from kempe.description.formats import endings_written, named, read_by
 from kempe.views.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
 
 # ---- describe
@@ -59,7 +60,7 @@ def info(
 @app.command(rich_help_panel=DESCRIBE)
 @guarded
 def check(
-    files: Annotated[list[str], typer.Argument(metavar="FILE...", help="URDF or TOML files.")],
+    files: Annotated[list[str], typer.Argument(metavar="FILE...", help=f"Files in {named(read_by())}.")],
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
@@ -96,13 +97,13 @@ def check(
 def convert(
     file: File,
     out: Annotated[
-        Path | None, typer.Argument(metavar="OUT", help="File to write: .toml or .urdf; or -o FILE.")
+        Path | None, typer.Argument(metavar="OUT", help=f"File to write: {endings_written()}; or -o FILE.")
     ] = None,
     output: InPlace = None,
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
-    """Write a system in another format: .toml (everything) or .urdf (trees).
+    """Write a system in another format, told by the ending of OUT.
 
     Example: kempe convert panda.urdf panda.toml
     """

@@ -273,7 +273,7 @@ class Mechanism(ConstraintMethods):
             return System(self)
 
     def save(self, path: str | Path) -> Path:
-        """Write it to a file: .toml holds everything, .urdf what URDF can express; returns the path."""
+        """Write it to a file, in the format that the ending names (.toml holds everything); returns the path."""
         from kempe.description.write import write
 
         return write(self, path)
