@@ -56,10 +56,10 @@ class ClusterMobility:
 class Mobility(Report):
     """Degrees of freedom of a mechanism at a configuration, with the reasoning; ``print`` it.
 
-    `gruebler` is the count; `rank_dof` the nullity of the loop equations at `q`, `generic_rank_dof` its minimum at
-    other configurations around; `dof` the true local number: the dimension of the set of closed configurations at `q`
-    (None where it was not asked for, or the mechanism cannot be closed). `redundant` constraints depend on others at
-    generic configurations, to first order; `redundant_here` at `q`. `idle` freedoms transmit nothing: `useful` are
+    `gruebler` is the Grübler count; `rank_dof` the nullity of the loop equations at `q`, `generic_rank_dof` its minimum
+    at other configurations around; `dof` the true local number: the dimension of the set of closed configurations at
+    `q` (None where it was not asked for, or the mechanism cannot be closed). `redundant` constraints depend on others
+    at generic configurations, to first order; `redundant_here` at `q`. `idle` freedoms transmit nothing: `useful` are
     the others. `singular` says that `q` is a singular point of the configuration space, `kind` which.
     """
 

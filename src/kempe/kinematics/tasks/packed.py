@@ -91,13 +91,13 @@ class Packed:
 
         self.wide = _wide(system, self.tasks) if turns else np.zeros(system.nv, dtype=bool)
         tree = own_tree(system)
-        carried = frozenset(tree.structure.closures)
+        explicit = frozenset(tree.structure.closures)
         level = (lambda tie: levels[owner[id(tie)][0]] if id(tie) in owner else 0) if any(levels) else None
         self.one_sided = one_sided_rows(system)
         """One-sided rows of the system; those that are declared hold, too."""
         bounded = self.one_sided.declared > 0
         self.loops: Loops = pack(
-            tree, carried, length=length, further=further, wide=self.wide, level=level, one_sided=bounded
+            tree, explicit, length=length, further=further, wide=self.wide, level=level, one_sided=bounded
         )
         self.stages: dict[Hashable, Any] = {}
         """What solvers have worked out of weights and priorities."""

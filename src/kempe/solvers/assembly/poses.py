@@ -21,7 +21,7 @@ from kempe.kinematics.closure_errors import coordinate_value
 from kempe.kinematics.closure_rows import evaluate, full, row_names
 from kempe.kinematics.configuration import as_start
 from kempe.kinematics.maximal import as_poses, coordinates_of_pose, maximal, maximal_q
-from kempe.model.closures.reduced import flat_frame, reduced, screw, slides_along_z
+from kempe.model.closures.implicit_form import flat_frame, implicit_form, screw, slides_along_z
 from kempe.placement import Placement, place
 from kempe.rigid import rotation_error
 from kempe.solvers.assembly.assembly import LOOSEST, TOLERANCE, assembler
@@ -131,7 +131,7 @@ def fit(
     if pitch:
         near = X[..., 2, 3, None] / pitch  # the slide tells the turns
     start = np.concatenate([*coordinates_of_pose(X, dim, particle), near], axis=-1).reshape(math.prod(lead), system.nq)
-    form, bound = reduced(kind, dim, particle), assembler(system, free)
+    form, bound = implicit_form(kind, dim, particle), assembler(system, free)
     tolerance = min(max(tolerance, TOLERANCE), LOOSEST)
     found, size, _ = bound.run(start, bound.no_pins, 1, tolerance=tolerance)
     far = size > tolerance
