@@ -125,8 +125,8 @@ class Tree:
         """
         kind = cut.joint.type.type_name
         if kind not in ("revolute", "spherical"):
-            told = "only hinges and ball joints can be told by points"
-            raise UnsupportedError(f"{self.system.name}: joint {cut.joint.name!r} is cut, and {kind}; {told}")
+            reported = "only hinges and ball joints can be given by points"
+            raise UnsupportedError(f"{self.system.name}: joint {cut.joint.name!r} is cut, and {kind}; {reported}")
         if kind == "spherical" or self.system.dim == 2:
             return np.zeros((1, 3))
         return np.array([[0.0, 0.0, 0.0], [0.0, 0.0, characteristic_length(self.system)]])

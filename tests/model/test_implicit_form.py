@@ -39,7 +39,7 @@ def test_what_is_held(kind):
         assert held == kind.constraints()
 
 
-def test_screws_are_told_by_their_primitives():
+def test_screws_are_recognised_by_their_primitives():
     turn, slide = Primitive(R, "z", 0), Primitive(P, "z", 0, 0.3)
     assert screw(Helical(0.3)) == screw(declared("s", [slide, turn])) == 0.3
     for steps in ([turn], [turn, slide._replace(coordinate=1)], [turn, slide._replace(axis="x")], [turn, turn],

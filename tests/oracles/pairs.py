@@ -22,7 +22,7 @@ Rows = tuple[Array, Array]
 
 AXES = {"x": 0, "y": 1, "z": 2}
 ANGLES_SINGULAR = 1e-9
-"""Cosine of ry below which the turns about z and x of three angles are not told apart."""
+"""Cosine of ry below which the turns about z and x of three angles are not distinguished."""
 
 
 @dataclass(frozen=True)

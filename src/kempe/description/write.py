@@ -21,7 +21,7 @@ def write(mechanism: Mechanism, path: str | Path) -> Path:
     """
     path = expanded(path)
     if path.suffix.lower() not in WRITERS:
-        raise InputError(f"{path}: the format is told by the ending; it must be .toml or .urdf")
+        raise InputError(f"{path}: the ending decides on the format; it must be .toml or .urdf")
     if what := no_file(path):
         raise InputError(f"{path}: this is {what}; name a plain file")
     text = WRITERS[path.suffix.lower()](mechanism)

@@ -51,7 +51,7 @@ def jacobian(system: System, q: Any) -> Array:
 def evaluate(
     system: System, q: Any, with_jacobian: bool = True, scaled: bool = False, loops: Loops | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Residual (..., m) and Jacobian (..., m, nv) in one pass; the Jacobian is empty unless asked for.
+    """Residual (..., m) and Jacobian (..., m, nv) in one pass; the Jacobian is empty unless requested.
 
     `scaled`: lengths, those of sliding coordinates included, are measured in characteristic lengths, and loops are cut
     where solvers cut them (`own_tree`), so that nothing depends on the unit or on joints marked `cut`. `loops` are the

@@ -1,4 +1,4 @@
-"""What is asked of the inverse kinematics in one call, the goals one by one, and how answers are judged and written."""
+"""The problem of one call of the inverse kinematics: its goals one by one, and how answers are judged and written."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ STEPS = 60
 TOLERANCE = 1e-10
 """Largest norm of the closure equations of a success, in radians and characteristic lengths; 1e-15 is usual."""
 LOOSEST = 1e-3
-"""The largest tolerance that can be asked for: above it, an open loop would be called closed."""
+"""The largest tolerance that can be requested: above it, an open loop would be called closed."""
 NEAREST_STEPS = 50
 """Steps at most towards the closed configuration nearest to the start."""
 PREFER = (None, "nearest", "continuous")
@@ -377,12 +377,12 @@ def assemble(
     if TIME in given:
         system, given = known_time(system, given)
     if tolerance is not None:
-        from kempe.solvers.assembly.assembly_asked import allowing
+        from kempe.solvers.assembly.assembly_branch import allowing
 
         system, tolerance = allowing(system, tolerance)
     bound = _within(system, tuple(given))
     if branch is not None and branch not in system.structure.posture_names:
-        from kempe.solvers.assembly.assembly_asked import on_named_branch
+        from kempe.solvers.assembly.assembly_branch import on_named_branch
 
         answer = on_named_branch(bound, given, start, branch, limits)
     else:
