@@ -45,7 +45,7 @@ LATER = {
     "solvers.one_frame.shut_out": {"analytic"}, "solvers.one_frame.solution": {"tasks"},
     "solvers.tasks.reached": {"velocity"}, "solvers.analytic.answers.solutions": {"."},
 }  # fmt: skip
-"""Modules that import to the right inside functions: another solver answers, or what is asked of an answer later."""
+"""Modules that import to the right inside functions: another solver answers, or what is required of an answer later."""
 
 LARGEST_FOLDER = 14
 

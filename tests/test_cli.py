@@ -115,10 +115,10 @@ def tip(q1: float, q2: float) -> tuple[float, float, float]:
 
 def test_help_and_version():
     assert Result("--version").out == f"kempe {kempe.__version__}, kernels {VARIANT}\n"
-    alone, asked = Result(), Result("--help")
-    assert alone.code == asked.code == 0
+    alone, requested = Result(), Result("--help")
+    assert alone.code == requested.code == 0
     for name in ("info", "check", "fk", "ik", "convert", "library"):
-        assert name in alone.out and name in asked.out
+        assert name in alone.out and name in requested.out
         assert Result(name, "--help").code == 0
 
 

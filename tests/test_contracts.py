@@ -346,8 +346,8 @@ def test_degrees_change_the_angles_of_data_only():
         k: v for k, v in rad.items() if k not in ("q", "angle_unit")}  # fmt: skip
 
 
-def test_the_judge_finds_what_was_asked_for_in_answers_that_are_altered():
-    """Of each sort of answer one is moved away from what was asked: the judge, and with it the verdict, says so."""
+def test_the_judge_finds_answers_that_are_altered():
+    """Of each sort of answer one is moved away from its target: the judge, and with it the verdict, says so."""
     modes, path = LINKAGE.assembly_modes({CRANK: 0.3}), ARM.ik_path(REACHED, TOOL, Q)
     drive, every = LINKAGE.drive(held(4), start=CLOSED), ARM.ik_all(X, TOOL)
     for answer in (modes, path, drive, every):
@@ -357,7 +357,7 @@ def test_the_judge_finds_what_was_asked_for_in_answers_that_are_altered():
         answer.__dict__.pop("judged", None)
         assert not answer.judged and "contradicted" in answer.verdict
     other = LINKAGE.assembly_modes({CRANK: 0.4})
-    object.__setattr__(other, "known", {CRANK: 0.3})  # closed, but not where it was asked for
+    object.__setattr__(other, "known", {CRANK: 0.3})  # closed, but not where it was requested
     assert "contradicted" in other.verdict and repr(CRANK) in other.verdict
 
 

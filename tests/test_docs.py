@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import importlib.util
 import io
@@ -183,6 +184,47 @@ def written_by(script: str) -> ModuleType:
 def test_written_pages_are_up_to_date(name):
     shown = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
     assert shown == written_by(f"{name}_page").page(), f"run  python docs/{name}_page.py"
+
+
+def test_the_map_is_up_to_date():
+    shown = (ROOT / "docs" / "_static" / "map.svg").read_text(encoding="utf-8")
+    assert shown == written_by("map_page").picture(), "run  python docs/map_page.py"
+
+
+def test_arrows_of_the_map_are_what_cannot_be_left_out():
+    """Short cuts go, levels are longest paths, and a cycle has no levels."""
+    chart = written_by("map_page")
+    found = {"c": {"b", "a"}, "b": {"a"}, "a": set()}
+    assert chart.levels(found) == {"a": 0, "b": 1, "c": 2}
+    assert chart.direct(found) == {"c": {"b"}, "b": {"a"}, "a": set()}
+    with pytest.raises(ValueError, match=r"\['a', 'b'\]"):
+        chart.levels({"a": {"b"}, "b": {"a"}})
+
+
+DESIGN = (ROOT / "docs" / "design.md").read_text(encoding="utf-8")
+JOURNEYS = re.findall(r"^`[^`\n]*`, from [^\n]*:\n\n((?:\d+\. .*\n)+)", DESIGN, re.MULTILINE)
+STATION = re.compile(r"\d+\. `(kempe(?:\.\w+)+)` [^.]*\.")
+
+
+def test_there_are_three_journeys_of_at_most_ten_stations():
+    assert [1 < journey.count("\n") <= 10 for journey in JOURNEYS] == [True] * 3
+
+
+@pytest.mark.parametrize("station", [line for journey in JOURNEYS for line in journey.splitlines()])
+def test_stations_of_journeys_exist(station):
+    """Looked up in the sources, since kernels are imported only where Numba is."""
+    match = STATION.match(station)
+    assert match, f"{station!r} is no name with one sentence"
+    parts = match[1].split(".")
+    folder = next(i for i in range(len(parts), 0, -1) if (ROOT / "src" / Path(*parts[:i])).is_dir())
+    inside = (ROOT / "src" / Path(*parts[:folder])) / "__init__.py"
+    path, names = inside.with_name(f"{parts[folder]}.py"), parts[folder + 1 :]
+    path, names = (path, names) if path.exists() else (inside, parts[folder:])
+    body: list[ast.stmt] = ast.parse(path.read_text(encoding="utf-8")).body
+    for name in names:
+        found = [n for n in body if isinstance(n, (ast.FunctionDef, ast.ClassDef)) and n.name == name]
+        assert found, f"{name} is not in {path.name}"
+        body = found[-1].body
 
 
 # ---- general sentences

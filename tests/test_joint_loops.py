@@ -34,7 +34,7 @@ from kempe.description.toml.toml_writer import write_toml
 from kempe.errors import DescriptionError, InputError, UnknownNameError, UnsupportedError
 from kempe.joints import TYPES, Cylindrical, Free, JointType, P, Planar, Primitive, Q, R, Revolute, joint_type
 from kempe.kinematics import closure_rows
-from kempe.model.closures.reduced import reduced
+from kempe.model.closures.implicit_form import implicit_form
 from kempe.views.drawing import symbols
 from kempe.views.drawing.scene import look
 from kempe.views.drawing.solids import Solids
@@ -109,7 +109,7 @@ def test_closures_in_numpy(kind, dim):
     s = shape.system(frozenset({"j2"}))
     steps = 1e-6 * np.eye(s.nv)
     for own in (False, True):
-        judge = closures.closure_of(s, "j2", own or reduced(kind, dim) is None)
+        judge = closures.closure_of(s, "j2", own or implicit_form(kind, dim) is None)
         for closure in [c for c in closure_rows.of_system(s, own) if c.name == "j2"]:
             q = s.random(3)
             ends = [[closure.residual(s, s.configuration_space.integrate(q, x * e)) for x in (1, -1)] for e in steps]

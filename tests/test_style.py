@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-SOURCE = Path(__file__).parent.parent / "src" / "kempe"
+ROOT = Path(__file__).parent.parent
+SOURCE = ROOT / "src" / "kempe"
 MODULES = sorted(SOURCE.rglob("*.py"))
 every_module = pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
 
@@ -91,3 +94,38 @@ def test_no_leftovers(path):
     text = path.read_text()
     for word in ("TODO", "FIXME", "XXX", "breakpoint(", "import pdb"):
         assert word not in text, word
+
+
+# ---- words
+
+DIALECT = re.compile(
+    r"(?<![a-z])(?:asked|unasked|told|halls?|desks?|employ(?:s|ed)?|fetch(?:es|ed)?|settle)(?![a-z])|Nothing;|"
+    r"nobody's",
+    re.IGNORECASE,
+)  # fmt: skip
+GLOSSARY = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8").partition("{glossary}\n")[2].partition("```")[0]
+TERMS = re.findall(r"^\S.*", GLOSSARY, re.MULTILINE)
+
+
+def test_the_glossary_is_a_list_that_is_overlooked():
+    """In alphabetical order, each term once with one meaning, about sixty."""
+    assert sorted(set(TERMS), key=str.lower) == TERMS and 50 <= len(TERMS) <= 75
+    meanings = re.split(r"^\S.*\n", GLOSSARY, flags=re.MULTILINE)[1:]
+    assert len(meanings) == len(TERMS) and all(re.fullmatch(r"  \S.+\.\s*", m, re.DOTALL) for m in meanings)
+    assert not DIALECT.search(GLOSSARY)
+
+
+@cache
+def prose() -> str:
+    """All pages but the glossary, and all docstrings of modules, classes and functions."""
+    pages = [p.read_text(encoding="utf-8") for p in (ROOT / "docs").glob("*.md") if p.name != "glossary.md"]
+    nodes = (n for p in MODULES for n in ast.walk(ast.parse(p.read_text())))
+    return "\n".join([*pages, *(ast.get_docstring(n) or "" for n in nodes
+                                if isinstance(n, (ast.Module, ast.ClassDef, ast.FunctionDef)))])  # fmt: skip
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_terms_of_the_glossary_are_used(term):
+    """In pages or docstrings."""
+    pattern = re.compile(r"(?<![\w-])" + re.escape(term).replace(r"\ ", r"\s+") + r"s?(?![\w-])", re.IGNORECASE)
+    assert pattern.search(prose())

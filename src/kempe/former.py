@@ -36,7 +36,7 @@ def _position_only(arguments: dict[str, Any], value: Any) -> str:
 def _preferred(name: str) -> Change:
     def change(arguments: dict[str, Any], value: Any) -> str:
         if value and arguments.get("prefer") is not None:
-            raise InputError(f"prefer is {arguments['prefer']!r}, and {name} is asked for, too; give one of them")
+            raise InputError(f"prefer is {arguments['prefer']!r}, and {name} is requested, too; give one of them")
         if value:
             arguments["prefer"] = name
         return f"prefer={name!r}"

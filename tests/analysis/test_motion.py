@@ -418,7 +418,7 @@ def test_names_are_checked():
     assert not path.closed and "20 points" in path.status
 
 
-# ---- what a path can be asked
+# ---- what a path knows
 
 
 def test_arc_length_points_in_between_and_tables():

@@ -168,10 +168,10 @@ def test_velocity_rows():
     assert row_names(s) == (("w", "velocity"),)
 
 
-# ---- asked of ik
+# ---- given to ik
 
 
-def test_asked_of_ik():
+def test_as_a_task_of_ik():
     s = arm().build()
     answer = s.ik([Equation("A = 3*B"), kempe.constraints.OnLine("tip", (0.0, 0.5), (1.0, 0.0))])
     assert answer.success
@@ -183,7 +183,7 @@ def test_asked_of_ik():
     assert called.success and called.q[0] == pytest.approx(2 * called.q[1], abs=1e-7)
 
 
-def test_velocities_are_not_asked_of_ik():
+def test_velocities_are_no_tasks_of_ik():
     with pytest.raises(InputError, match="about velocities"):
         arm().build().ik([VelocityEquation([[1, 0]], of=("A", "B"))])
 

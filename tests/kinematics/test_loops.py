@@ -16,7 +16,7 @@ from kempe import Mechanism, System, load, spatial
 from kempe import constraints as c
 from kempe.joints import joint_type
 from kempe.kinematics import closure_rows
-from kempe.model.closures.reduced import reduced
+from kempe.model.closures.implicit_form import implicit_form
 
 STEP = 1e-6
 
@@ -131,8 +131,8 @@ def test_closures(kind, options, dim, particle, backwards, own):
     s = loop(kind, options, dim, particle, backwards)
     closure = closure_of(s, "J", own)
     type_ = joint_type(kind, **options)  # its constraints: see TABLE in tests/test_joint_zoo.py
-    carried = own or reduced(type_, dim, particle) is None
-    assert closure.size == type_.constraints(dim, particle) + (type_.dof(dim, particle) if carried else 0)
+    explicit = own or implicit_form(type_, dim, particle) is None
+    assert closure.size == type_.constraints(dim, particle) + (type_.dof(dim, particle) if explicit else 0)
     check(closure, s, s.random(4, 6))
 
 
@@ -161,7 +161,7 @@ def test_closed_loops_have_no_residual(kind, options, dim, particle, backwards):
         closure = closure_of(s, "J", own)
         np.testing.assert_allclose(closure.residual(s, q), 0, atol=1e-12)
         check(closure, s, q[None])
-    judge = closures.closure_of(s, "J", own=reduced(joint.type, dim, particle) is None)
+    judge = closures.closure_of(s, "J", own=implicit_form(joint.type, dim, particle) is None)
     J, K = closure_of(s, "J").jacobian(s, q), judge.jacobian(s, q)
     assert [np.linalg.matrix_rank(M, tol=1e-9) for M in (J, K, np.vstack([J, K]))] == 3 * [len(J)]  # none too many
 

@@ -184,7 +184,7 @@ def test_plain_calls_are_answered_as_careful_ones():
     assert np.array_equal(a.q, b.q) and inside(robot, a.q)
 
 
-@pytest.mark.parametrize("options", [{}, {"task": "position"}], ids=["told by the shape", "told by name"])
+@pytest.mark.parametrize("options", [{}, {"task": "position"}], ids=["by the shape", "by name"])
 def test_plain_calls_for_points_are_answered_as_careful_ones(options):
     for robot in map(kempe.load, ("panda", "ur5", "youbot")):
         frame = robot.frame_names[-1]

@@ -89,9 +89,9 @@ def test_answers_say_who_answered_and_why(case):
 
 def test_every_row_answers_something():
     """All but the search of ik_all, which is for chains that no shipped arm has."""
-    asked = {case[:2] for case in CASES}
+    requested = {case[:2] for case in CASES}
     every = {(verb, row.name) for verb, rows in TABLE.items() for row in rows}
-    assert every - asked == {("ik_all", "search")}
+    assert every - requested == {("ik_all", "search")}
 
 
 @pytest.mark.parametrize("verb", TABLE)

@@ -1,7 +1,7 @@
 """The command line: each command is a few lines over the library.
 
 Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that are no
-numbers); 2 the question could not be asked (wrong usage, unknown name, a file that cannot be read).
+numbers); 2 the question could not be posed (wrong usage, unknown name, a file that cannot be read).
 """
 
 from __future__ import annotations

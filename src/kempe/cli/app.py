@@ -1,8 +1,8 @@
 """What all commands share: the application, their options, how files are read.
 
 Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that are no
-numbers, a time limit); 2 the question could not be asked (wrong usage, unknown name, a file that cannot be read);
-130 Ctrl-C, where files that were asked for hold what was done.
+numbers, a time limit); 2 the question could not be posed (wrong usage, unknown name, a file that cannot be read);
+130 Ctrl-C, where files that were requested hold what was done.
 """
 
 from __future__ import annotations
@@ -179,6 +179,6 @@ def written_to(out: Path | None, option: Path | None) -> Path:
     return out or option  # type: ignore[return-value]
 
 
-def told(out: Path, json: bool) -> None:
+def say_written(out: Path, json: bool) -> None:
     """Say which file was written."""
     print_json({"written": str(out)}) if json else print(f"written to {out}")

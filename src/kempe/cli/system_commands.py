@@ -28,7 +28,7 @@ from kempe.cli.app import (
     reading,
     remark,
     results,
-    told,
+    say_written,
     written_to,
 )
 from kempe.description.formats import endings_written, named, read_by
@@ -139,13 +139,13 @@ def fk(
     from kempe.views import facts, report, rows
 
     if frame is not None:
-        system.structure.frame_name(frame)  # a wrong name is told before kernels are compiled
+        system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
     results(out)
     values = rows.configuration(system, q, posture, deg)
     X = system.fk(values, frame)
     if out is not None:
         rows.write_poses(out, X, frame is None, deg)
-        told(out, json)
+        say_written(out, json)
     elif json:
         print_json(facts.poses_facts(system, frame, X, deg))
     else:

@@ -1,7 +1,7 @@
 """Kinds that hold a frame, or a point or an axis of it, in, on or near something; lengths in metres, angles in radians.
 
 A frame is held against the ground, or against the frame `other`, in whose axes targets are then read. Targets may have
-leading axes where `System.ik` is asked: they make a batch. `point` is a point of the frame, in its axes.
+leading axes where `System.ik` takes them: they make a batch. `point` is a point of the frame, in its axes.
 """
 
 from __future__ import annotations

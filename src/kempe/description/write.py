@@ -19,7 +19,7 @@ def write(mechanism: Mechanism, path: str | Path) -> Path:
     path = expanded(path)
     format = by_ending(path.name)
     if format is None or format.write is None:
-        raise InputError(f"{path}: the format is told by the ending; it must be {endings_written()}")
+        raise InputError(f"{path}: the ending decides on the format; it must be {endings_written()}")
     if what := no_file(path):
         raise InputError(f"{path}: this is {what}; name a plain file")
     text = format.write(mechanism)

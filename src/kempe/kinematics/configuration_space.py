@@ -89,7 +89,7 @@ class ConfigurationSpace:
 
     @property
     def at(self) -> Array:
-        """The configuration (nq,) at which the dimension is told: closed, near home; of a tree it is the same anywhere.
+        """The closed configuration (nq,) of which the dimension is found; of a tree it is the same anywhere.
 
         At a singular point the dimension may differ from that of configurations nearby.
         """
@@ -113,7 +113,7 @@ class ConfigurationSpace:
 
 
 def configuration_space(system: System) -> ConfigurationSpace:
-    """The configuration space of a system; its dimension is found when asked for."""
+    """The configuration space of a system; its dimension is found on demand."""
     turning = system.structure.coordinates.turning[system.structure.layout.vector_v]
     turns, slides = int(turning.sum()), int((~turning).sum())
     balls = len(system.structure.layout.quaternion_q)

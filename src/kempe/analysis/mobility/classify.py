@@ -98,7 +98,7 @@ class Classification(Report):
     reachable_around: int | None = None
     """The dimension that motions reach from configurations drawn at random."""
     within: Idealised | None = field(default=None, repr=False)
-    """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
+    """The nearest mechanism that closes exactly, which was solved in place of the given one; None: it was itself."""
 
     @property
     def singular(self) -> bool:
@@ -206,7 +206,7 @@ class _Classifier:
             why = f"q is a singular point of what holds positions, which leaves {count}"
             return self._without(why, made, around)
         if place.extra and not np.any(np.abs(place.kernel(which).basis[-1]) > 1e-9):
-            return self._without("the velocities that are asked for contradict each other at q", made, around)
+            return self._without("the velocities that are requested contradict each other at q", made, around)
         total = reach(place, around, which, self.rng)
         kind = self._together(total)
         lost = "constraints of velocity lose rank at q, where velocities do not go on smoothly around"

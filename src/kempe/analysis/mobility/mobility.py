@@ -56,10 +56,10 @@ class ClusterMobility:
 class Mobility(Report):
     """Degrees of freedom of a mechanism at a configuration, with the reasoning; ``print`` it.
 
-    `gruebler` is the count; `rank_dof` the nullity of the loop equations at `q`, `generic_rank_dof` its minimum at
-    other configurations around; `dof` the true local number: the dimension of the set of closed configurations at `q`
-    (None where it was not asked for, or the mechanism cannot be closed). `redundant` constraints depend on others at
-    generic configurations, to first order; `redundant_here` at `q`. `idle` freedoms transmit nothing: `useful` are
+    `gruebler` is the Grübler count; `rank_dof` the nullity of the loop equations at `q`, `generic_rank_dof` its minimum
+    at other configurations around; `dof` the true local number: the dimension of the set of closed configurations at
+    `q` (None where it was not requested, or the mechanism cannot be closed). `redundant` constraints depend on others
+    at generic configurations, to first order; `redundant_here` at `q`. `idle` freedoms transmit nothing: `useful` are
     the others. `singular` says that `q` is a singular point of the configuration space, `kind` which.
     """
 
@@ -151,7 +151,7 @@ class Mobility(Report):
         bent = [c for r in self.rank.clusters for c in r.cluster.bent] if self.rank is not None else []
         if bent:
             return f"no bound is known of how {', '.join(map(repr, bent))} bends"
-        return "a singular value is too near zero to be told from it"
+        return "a singular value is too near zero to be distinguished from it"
 
     @property
     def code(self) -> Status:  # type: ignore[override]

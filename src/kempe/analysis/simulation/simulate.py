@@ -91,13 +91,13 @@ class Simulation(Motion):
 
         Errors: `InputError` for times outside.
         """
-        return self._asked(t)[0]
+        return self._sampled(t)[0]
 
     def velocity(self, t: ArrayLike) -> Array:
         """Velocities (..., nv) at times `t` (...), at a bounce those after it; as `at`."""
-        return self._asked(t)[1]
+        return self._sampled(t)[1]
 
-    def _asked(self, t: ArrayLike) -> tuple[Array, Array]:
+    def _sampled(self, t: ArrayLike) -> tuple[Array, Array]:
         t = numbers(t, "t")
         if not ((t >= self.t[0]) & (t <= self.t[-1])).all():
             raise InputError(f"t is outside the motion, which is known from {self.t[0]:g} to {self.t[-1]:.9g} s")

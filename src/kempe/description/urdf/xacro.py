@@ -86,7 +86,7 @@ def expand_xacro(
 ) -> str:
     """URDF text that a xacro file expands to, with `arguments` for its ``<xacro:arg>``.
 
-    Only for files that you trust: xacro reads any file that it is told to. It runs in a process with little
+    Only for files that you trust: xacro reads any file that it names. It runs in a process with little
     environment, bounded in time, memory and output. `package_dirs` are searched by ``$(find package)``: for a
     package.xml with that name at any depth, then for a folder of that name in them or above the file.
     Errors: `MissingExtraError` without the extra [xacro], `DescriptionError` with xacro's own message.

@@ -75,7 +75,7 @@ class _HelperLibrary(CodeOnly):
                         known.append(library)
             for part in needed[1:]:
                 whole.link_in(part._final_module, preserve=True)
-            for library in others:  # last: of these only what is asked for is taken
+            for library in others:  # last: of these only what is requested is taken
                 whole.link_in(library._get_module_for_linking(), preserve=True)
             for function in whole.functions:
                 if not function.is_declaration and function.linkage == Linkage.external:

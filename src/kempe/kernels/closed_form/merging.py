@@ -13,7 +13,7 @@ from kempe.kernels.forward.table_layout import SLIDE
 
 EQUAL, SAME, NEAR, INDISTINCT = 1e-9, 1e-6, 2e-3, 1e-15
 """Solutions nearer than SAME are one, and those nearer than NEAR whose midpoint solves the target to INDISTINCT: roots
-that merge cannot be told apart at the square root of rounding. Their mean stands for both, unless they are EQUAL."""
+that merge cannot be distinguished at the square root of rounding. Their mean stands for both, unless they are EQUAL."""
 
 MERGED, CLOSE, UNSURE, STUCK = 1e-8, 1e-4, 1e-12, 1e-13
 """Bound of the smallest singular value squared of a solution in which roots may have merged, or that lies near a curve

@@ -216,7 +216,7 @@ def fill_tape(loops, k, at, with_blocks):
 
 @routine
 def fill(loops, with_blocks):
-    """Square of the residual at the poses last written; writes it and, if asked, the Jacobian's blocks."""
+    """Square of the residual at the poses last written; writes it and, if requested, the Jacobian's blocks."""
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
         tie = plan[L.AT_TIES] + L.TIE_INTS * k

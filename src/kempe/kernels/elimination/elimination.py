@@ -84,12 +84,12 @@ ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, S
     2**k for k in range(12)
 )
 """Bits of `suspect`: an odd number of candidates; a pair of roots so nearly real that two postures may have been lost;
-eigenvalues not found; leading matrix nearly singular; fewer null vectors than roots, some that cannot be told apart, or
-too many candidates; a real root that led to no posture; two that led to the same; no independent equations; a singular
-posture, where others may merge with it or be connected with it by a self-motion; a hidden joint that is nearly free, as
-on a self-motion, or near one, where the eigenvalues are those of noise; a real root without a posture of its own that
-has its value of the hidden joint, or a posture without a root; a triple that does not determine the pair, so that two
-postures may share it."""
+eigenvalues not found; leading matrix nearly singular; fewer null vectors than roots, some that cannot be distinguished,
+or too many candidates; a real root that led to no posture; two that led to the same; no independent equations; a
+singular posture, where others may merge with it or be connected with it by a self-motion; a hidden joint that is nearly
+free, as on a self-motion, or near one, where the eigenvalues are those of noise; a real root without a posture of its
+own that has its value of the hidden joint, or a posture without a root; a triple that does not determine the pair, so
+that two postures may share it."""
 
 DEGENERATE = NO_EIGENVALUES | ILL_LEAD | ILL_NULL | UNUSABLE
 """Bits of doubts that a goal nearby may not raise."""
@@ -117,7 +117,7 @@ NULL = 1e-9
 """Third last pivot, relative to the first, below which there are more than two null vectors."""
 
 SEPARATE = 1e-8
-"""Separation below which two postures cannot be told apart."""
+"""Separation below which two postures cannot be distinguished."""
 
 NO_MATRIX, GOOD_LEAD = 1e-12, 1e-7
 """Pivot ratio of the leading matrix: below the first the equations are dependent, below the second they are suspect."""

@@ -239,7 +239,7 @@ def solve(
     tries: starts at most, drawn from `seed`, for all rows alike; with 0 each stage is lowered in turn from `starts`,
     with -1 only the last one.
     limit: steps of a start. mode: NOTHING, AHEAD, or the address of a function to lower. stop: address of a function
-    that writes whether the time is up, or 0: it is asked before each start and each step of a lower stage. loose:
+    that writes whether the time is up, or 0: it is read before each start and each step of a lower stage. loose:
     whether a free base may be moved before the first start.
     out_q: (N, nq). info: (N, 3) status, steps, starts.
     """

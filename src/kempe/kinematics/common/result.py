@@ -33,7 +33,7 @@ class Result:
     code: Any
     status: Any
     within: Idealised | None = None
-    """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
+    """The nearest mechanism that closes exactly, which was solved in place of the given one; None: it was itself."""
 
     def data(self) -> dict[str, Any]:
         """All numbers and texts as plain Python, ready for JSON; `code` by the names of `Status`, NaN as None."""

@@ -1,4 +1,4 @@
-"""A constraint as something asked of a configuration: ties for the kernels, goals, and a measure by the forward model.
+"""A constraint as what a configuration shall do: ties for the kernels, goals, and a measure by the forward model.
 
 Which of the classes below a constraint needs follows from the operations of its rows (`task_of`).
 """
@@ -57,7 +57,7 @@ class Hold(NamedTuple):
 
 
 class Task(ABC):
-    """A constraint `of` that is asked for; see `kempe.constraints`."""
+    """A constraint `of` that is requested; see `kempe.constraints`."""
 
     lengths: bool = True
     """Whether its error has a part in metres."""
@@ -190,7 +190,7 @@ class Placed(Task):
         leaned = a[2] and (h.turns != L.DISTANCE or np.any(self.goal(system)[..., :3, 3]))
         if (particle and turned) or leaned:
             name = h.b if particle and turned else h.a
-            raise InputError(f"{name!r} is a particle, which has no axes: {self.label} cannot be asked of it")
+            raise InputError(f"{name!r} is a particle, which has no axes: {self.label} cannot be required of it")
         return tie
 
     def centre(self, system: System, table: Table) -> Centre | None:

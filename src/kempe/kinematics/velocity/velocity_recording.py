@@ -324,7 +324,7 @@ class Recorder:
 
 
 class Seen:
-    """Numbers of the pose of b seen from a by name, and their rates, as they are asked for."""
+    """Numbers of the pose of b seen from a by name, and their rates, as they are requested."""
 
     def __init__(self, recorder: Recorder, a: tuple, b: tuple):
         self.recorder, self.a, self.b = recorder, a, b

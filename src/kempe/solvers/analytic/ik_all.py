@@ -193,7 +193,7 @@ class Bound:
         return bind, (self.system, self.frame)
 
     def question(self, target: Array) -> Question:
-        """What was asked."""
+        """The problem."""
         return Question(self.system, self.frame, "pose", Z_AXIS, target[None], None, TOLERANCE)
 
     def __call__(self, target: Array) -> Solutions | None:

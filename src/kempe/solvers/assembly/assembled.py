@@ -42,11 +42,11 @@ class Assembly(Answer):
 
     @property
     def system(self) -> System:
-        """The system that was asked."""
+        """The system of the problem."""
         return self.assembler.system
 
     def _chosen(self) -> Choice:
-        from kempe.solvers.assembly.assembly_asked import chosen
+        from kempe.solvers.assembly.assembly_branch import chosen
 
         return chosen(self.assembler.one_sided is not None)
 

@@ -22,7 +22,7 @@ from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.tasks.functions import held_too
 from kempe.model.clocked import known_time
-from kempe.model.closures.packed_loops import Loops, loops_of, must_carry
+from kempe.model.closures.packed_loops import Loops, loops_of, must_be_explicit
 from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
 from kempe.reals import reals
@@ -42,7 +42,7 @@ STEPS = 60
 TOLERANCE = 1e-10
 """Largest norm of the closure equations of a success, in radians and characteristic lengths; 1e-15 is usual."""
 LOOSEST = 1e-3
-"""The largest tolerance that can be asked for: above it, an open loop would be called closed."""
+"""The largest tolerance that can be requested: above it, an open loop would be called closed."""
 NEAREST_STEPS = 50
 """Steps at most towards the closed configuration nearest to the start."""
 PREFER = (None, "nearest", "continuous")
@@ -77,7 +77,7 @@ class Assembler:
         coordinates = [k for k in self.known if k not in system.frame_names or k in system.coordinate_names]
         self.frames = tuple(k for k in self.known if k not in coordinates)
         self._places(coordinates)
-        self.carried = must_carry(self.tree, self.sources)
+        self.explicit = must_be_explicit(self.tree, self.sources)
         self.loops = self._loops((False,) * len(self.frames))
         self.no_pins = np.zeros((1, 12 * len(self.frames)))
 
@@ -132,9 +132,9 @@ class Assembler:
         nearest does not depend on where the loops are cut.
         """
         bounded = self.one_sided is not None
-        carried = frozenset(self.tree.structure.closures) if whole or bounded else self.carried
+        explicit = frozenset(self.tree.structure.closures) if whole or bounded else self.explicit
         pins = tuple(zip(self.frames, turned, strict=True))
-        return loops_of(self.tree, carried, self.held, pins, one_sided=bounded)
+        return loops_of(self.tree, explicit, self.held, pins, one_sided=bounded)
 
     @cached_property
     def freedoms(self) -> int:
@@ -377,12 +377,12 @@ def assemble(
     if TIME in given:
         system, given = known_time(system, given)
     if tolerance is not None:
-        from kempe.solvers.assembly.assembly_asked import allowing
+        from kempe.solvers.assembly.assembly_branch import allowing
 
         system, tolerance = allowing(system, tolerance)
     bound = _within(system, tuple(given))
     if branch is not None and branch not in system.structure.posture_names:
-        from kempe.solvers.assembly.assembly_asked import on_named_branch
+        from kempe.solvers.assembly.assembly_branch import on_named_branch
 
         answer = on_named_branch(bound, given, start, branch, limits)
     else:

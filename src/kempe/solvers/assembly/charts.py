@@ -44,7 +44,7 @@ MANY = 300
 TRIES, LONGEST = 60, 0.5
 """Steps of a search for rotation vectors, and the longest, in radians and characteristic lengths."""
 REACHED = 1e-9
-"""How far coordinates may be from what was asked for."""
+"""How far coordinates may be from what was requested."""
 FARTHEST = 3.0
 """Angle of a ball from the origin up to which its rotation vector is used."""
 WORST = 0.02
@@ -269,9 +269,9 @@ def _in_turn(
     nv, p = N.shape
     moved = np.any([s.moves for s in spins], axis=0) if spins else np.zeros(nv, dtype=bool)
     others = [v for v in range(nv) if v not in plain]
-    found, asked = list(rows), sum(bool(moved[v]) for v in rows)
+    found, requested = list(rows), sum(bool(moved[v]) for v in rows)
     for still in (True, False):
-        most = min(p, p - idle.shape[1] + asked) if still else p
+        most = min(p, p - idle.shape[1] + requested) if still else p
         own = [v for v in range(nv) if moved[v] != still]
         for stage in (plain, others):
             usable = [v for v in stage if moved[v] != still and v not in found]

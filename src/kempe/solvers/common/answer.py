@@ -39,7 +39,7 @@ class Answer(Result, Tabular):
 
     @property
     def within(self) -> Idealised | None:  # type: ignore[override]
-        """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
+        """The nearest mechanism that closes exactly, solved in place of the given one; None: that was solved."""
         return self.system._ideal
 
     def sentence(self, index: tuple[int, ...] | int = ()) -> str:
@@ -56,7 +56,7 @@ class Answer(Result, Tabular):
 
     @cached_property
     def status(self) -> Any:
-        """The sentence for a single answer; an array of sentences for a batch. Made when asked for."""
+        """The sentence for a single answer; an array of sentences for a batch. Made on demand."""
         more = "" if self.within is None else f"; {self.within.sentence}"
         if not self._shape:
             return self._sentence(()) + more
@@ -69,7 +69,7 @@ class Answer(Result, Tabular):
 
     @cached_property
     def residual(self) -> Any:
-        """How much (...) each of `q` misses what is declared and asked for: the largest norm of metres and radians.
+        """How much (...) each of `q` misses what is declared and requested: the largest norm of metres and radians.
 
         It is NaN for configurations that are no numbers.
         """
@@ -77,7 +77,7 @@ class Answer(Result, Tabular):
 
     @cached_property
     def judged(self) -> Judgement:
-        """How far `q` misses what is declared and asked for, by poses multiplied out in numpy, when first asked for.
+        """How far `q` misses what is declared and requested, by poses multiplied out in numpy, on demand.
 
         It shares nothing with the equations by which kernels say `success`.
         """

@@ -1,4 +1,4 @@
-"""What is asked of a system, and who answers: rows of a table, each of which says what it is not for."""
+"""What is required of a system, and who answers: rows of a table, each of which says what it is not for."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ TaskOf = tuple[str, tuple[float, float, float]]
 
 
 class Problem(NamedTuple):
-    """What is asked of a `system`, checked: what the solvers of `ik`, `ik_all` and `assembly_modes` get.
+    """What is required of a `system`, checked: what the solvers of `ik`, `ik_all` and `assembly_modes` get.
 
-    `asked` is "one" configuration or "all" of them. `targets` (N, 4, 4) are those of a `frame`, of which `task` names
-    what counts, with the axis of the tool that is pointed; `lead` is their leading shape. They are None where what is
-    `known` (coordinates, and places of frames, by name) is all that is asked. The search begins at `start`.
+    `requested` is "one" configuration or "all" of them. `targets` (N, 4, 4) are those of a `frame`, of which `task`
+    names what counts, with the axis of the tool that is pointed; `lead` is their leading shape. They are None where
+    what is `known` (coordinates, and places of frames, by name) is all that is required. The search begins at `start`.
     """
 
     system: System
-    asked: str
+    requested: str
     frame: str | None = None
     task: TaskOf = ("", Z_AXIS)
     targets: Any = None
@@ -44,8 +44,8 @@ class Problem(NamedTuple):
 class Solver(NamedTuple):
     """A row of the table: its name, how it works, and two functions.
 
-    `refuses` says in a sentence why it is not for what is asked, None where it is; it looks at the structure only, not
-    at numbers that differ from call to call. `run` answers.
+    `refuses` says in a sentence why it is not for what is required, None where it is; it looks at the structure only,
+    not at numbers that differ from call to call. `run` answers.
     """
 
     name: str

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 ROUND = 128
-"""Starts in one batch; after each it is asked whether the search may end."""
+"""Starts in one batch; after each it is checked whether the search may end."""
 SEEN_OFTEN, LEAST = 6, 512
 """The search ends when each mode has been found this many times, and after so many starts: of a mode to which 1 % of
 them leads, fewer would miss more than one in a hundred."""
@@ -59,9 +59,9 @@ CONFIDENCE = 0.95
 class Search:
     """Modes found: `clusters`, `free` (k,) freedoms left at each, `twin` (k,) the first of those that are its images.
 
-    With a `frame`, modes are one that put it at the same pose. `spins` are the idle freedoms that do not count (`asked`
-    whether they were looked for), `odd` says that the number found must be even, and is not, `broken` what ended the
-    search early.
+    With a `frame`, modes are one that put it at the same pose. `spins` are the idle freedoms that do not count
+    (`requested` whether they were looked for), `odd` says that the number found must be even, and is not, `broken` what
+    ended the search early.
     """
 
     system: System
@@ -74,7 +74,7 @@ class Search:
     free: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     twin: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     spins: tuple[Any, ...] = ()
-    asked: bool = False
+    requested: bool = False
     tried: int = 0
     odd: bool = False
     broken: BaseException | None = None
@@ -103,8 +103,8 @@ class Search:
         tolerance = np.maximum(SAME, 10.0 * np.sqrt(np.asarray(answer.residual)[good]))
         where = self.clusters.add(found, tolerance, counted)
         self._look(len(self.free))
-        if counted and self.frame is None and not self.asked and self.free.any():
-            self.asked = True
+        if counted and self.frame is None and not self.requested and self.free.any():
+            self.requested = True
             self._leave_out_spins(found, tolerance)
         return good, where
 

@@ -101,14 +101,14 @@ def _of_frame(
     """The answer for targets of one frame."""
     name, target = system.structure.frame_name(frame), arrays(target, "target")
     said, axis = task_and_axis(task)
-    asked, targets, lead = _asked(system, name, target, said, axis)
+    requested, targets, lead = _checked(system, name, target, said, axis)
     if method not in METHODS:
         raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
     if prefer is not None and method != "numeric":
         raise InputError(f"method is {method!r}, which prefers nothing; leave it out, or prefer")
-    solver, choice = chosen(system, name, asked, method, prefer is not None)
+    solver, choice = chosen(system, name, requested, method, prefer is not None)
     targets = targets.copy() if np.may_share_memory(targets, target) else targets  # the answer keeps them
-    problem = Problem(system, "one", name, asked, targets, lead, start=start, method=method, prefer=prefer,
+    problem = Problem(system, "one", name, requested, targets, lead, start=start, method=method, prefer=prefer,
                       tolerance=tolerance, budget=budget)  # fmt: skip
     answer = chosen_by(solver.run(problem), choice)
     if not lead and task is said and solver is not BY_TASKS:
@@ -224,7 +224,7 @@ def _judged(
 ) -> Solution:  # fmt: skip
     """The answer, from the chain's configurations (N, n), residuals (N, 2) and status, steps and starts (N, 3).
 
-    Where `run` has postponed targets, their part of it is found when it is asked for.
+    Where `run` has postponed targets, their part of it is found on demand.
     """
     system, targets, code = question.system, question.targets, info[:, 0]
     if (code == Status.OUT_OF_REACH).any():
@@ -241,7 +241,7 @@ def _judged(
     return _answer(question, full, code, residual, info, lead)
 
 
-def _asked(
+def _checked(
     system: System, frame: str, target: Any, task: str | None, axis: ArrayLike
 ) -> tuple[tuple[str, tuple[float, float, float]], Array, tuple[int, ...]]:
     """(task, axis), targets (N, 4, 4) and their leading shape."""
@@ -297,7 +297,7 @@ class Bound:
     """`ik` of single targets for one frame and task, with all looked up that can be: the way of plain calls."""
 
     def __init__(self, question: Task, shape: tuple[int, ...]):
-        self.asked, self.chain, self.rows = question, question.chain, multi_start.rows_of(question)
+        self.question, self.chain, self.rows = question, question.chain, multi_start.rows_of(question)
         system, self.size = question.system, len(question.chain.q_index)
         self.nq = system.nq
         first = int(self.chain.q_index[0]) if self.size else 0
@@ -312,11 +312,11 @@ class Bound:
         self.reach, self.base, self.no_seed = schedule.reach, self.chain.base[0], self.chain.no_seed
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Bound, (self.asked, self.shape)
+        return Bound, (self.question, self.shape)
 
     def task(self, X: Array) -> Task:
-        """What was asked, for poses (1, 4, 4)."""
-        return replace(self.asked, targets=X)
+        """The problem, for poses (1, 4, 4)."""
+        return replace(self.question, targets=X)
 
     def _pose(self, target: Array) -> Array:
         """A position as (1, 4, 4)."""

@@ -27,7 +27,7 @@ from kempe.solvers.common.slip import rolls
 from kempe.solvers.common.targets import Z_AXIS, parse_targets
 from kempe.solvers.paths.path_steps import DEPTH, SINGULAR, STAYS, TOLERANCE, WEAK, Way
 from kempe.solvers.tasks.ik_tasks import STARTS, Demands, judge, pose_problem
-from kempe.solvers.tasks.reached import asked_of
+from kempe.solvers.tasks.reached import demands_of
 from kempe.solvers.tasks.uninvolved import apart
 from kempe.spatial import Array
 from kempe.status import Status
@@ -64,7 +64,7 @@ class IkPath(Configurations):
     success: np.ndarray
     jumps: tuple[int, ...]
     reason: str
-    asked: Demands = field(repr=False)
+    problem: Demands = field(repr=False)
     """The tasks, with a goal for each of the targets."""
     interrupted: bool = False
     late: bool = False
@@ -83,7 +83,7 @@ class IkPath(Configurations):
         return SOLVERS[0].choice()
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        return asked_of(self.asked)
+        return demands_of(self.problem)
 
     def _data(self) -> dict[str, Any]:
         return {"success": bool(self), "followed": self.success} | super()._data()
@@ -118,7 +118,7 @@ def ik_path(
     With `branches`, paths from several start configurations are tried, those of `ik_all` among them where it applies:
     the answer is the one that gets farthest, then the one with fewest jumps, then the shortest.
     Of the `budget` are read: starts (60) and rng (0) of what is looked for, time_limit (600 s) of the whole call, after
-    which what was done by then is the answer, and progress, which is told how many targets are done.
+    which what was done by then is the answer, and progress, which receives how many targets are done.
     Errors: `InputError`, `UnknownNameError`.
     """
     if not 0.0 < max_step < math.inf:
@@ -199,8 +199,8 @@ class _Path(Way):
         """Configurations found that hold target i, from many starts, the nearest to q first."""
         row = self.rows[i]
         seeds = np.concatenate([q[None], self.system.random(row.rng, TRIED - 1)])
-        unasked = apart(row.packed, row.pins)
-        seeds[:, unasked] = q[unasked]
+        untouched = apart(row.packed, row.pins)
+        seeds[:, untouched] = q[untouched]
         found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run(seeds)
         good = found[info[:, 0] == SOLVED]
         return sorted(
@@ -219,8 +219,8 @@ class _Path(Way):
         except BROKEN_OFF as error:
             interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
             said.append(partial(interrupted, late).strip(" ()"))
-        unasked = apart(self.problem.packed, self.problem.pins)
-        out[:, unasked] = q[unasked]  # to the last bit
+        untouched = apart(self.problem.packed, self.problem.pins)
+        out[:, untouched] = q[untouched]  # to the last bit
         success = self._checked(out)
         status = f"{success.sum()} of {n} targets followed"
         jumped = f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
@@ -305,8 +305,8 @@ def _all(
         found = system.ik_all(reals(targets, "targets")[begin], frame)
     except UnsupportedError:
         return []
-    starts, unasked = found.q[found.inside], apart(row.packed, row.pins)
-    starts[:, unasked] = q[unasked]
+    starts, untouched = found.q[found.inside], apart(row.packed, row.pins)
+    starts[:, untouched] = q[untouched]
     answers = [row.run(x[None]) for x in starts]
     return [x[0] for x, info in answers if info[0, 0] == SOLVED]
 

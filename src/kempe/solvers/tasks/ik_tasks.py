@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 TOLERANCE = (1e-6, 1e-6)
 """Largest error in metres and radians of a hard task that has no tolerance of its own."""
 STARTS = effort.FIRST
-"""Starts before tasks are given up that are asked for beside something else, as along a path."""
+"""Starts before tasks are given up that are requested beside something else, as along a path."""
 STEPS = 60
 """Steps of one start; those that succeed need 5 to 20."""
 CHUNK, SERIAL_BELOW = 16, 32
@@ -59,7 +59,7 @@ USUAL = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threa
 
 @dataclass(frozen=True, eq=False)
 class Demands:
-    """What was asked: kept with the answer, so that it can say why it failed.
+    """The problem: kept with the answer, so that it can say why it failed.
 
     `pins` (N or 1, k) are the goals, `use` (tasks,) says which count, `limits` whether limits do.
     """
@@ -144,11 +144,11 @@ class Demands:
         """The configurations (N, nq), what no task depends on as in the starts (N or 1, nq), in place."""
         if self.mode != S.NOTHING:
             return q
-        unasked = apart(self.packed, self.pins)
-        if unasked.size and not (q[:, unasked] == starts[:, unasked]).all():
+        untouched = apart(self.packed, self.pins)
+        if untouched.size and not (q[:, untouched] == starts[:, untouched]).all():
             own = inside(self.system, starts.copy()) if self.limits else starts
             sound = ~np.isnan(q).any(axis=1)
-            q[np.ix_(sound, unasked)] = (own if len(own) == 1 else own[sound])[:, unasked]
+            q[np.ix_(sound, untouched)] = (own if len(own) == 1 else own[sound])[:, untouched]
         return q
 
     @cached_property
@@ -161,12 +161,13 @@ class Demands:
     def levels(self) -> tuple[np.ndarray, Array, list[int], Array]:
         """For kernels the stage of each tie and whether it is hard (2 ties,), and weight and tolerances (ties, 3); the
         tasks that are hard, and their tolerances (hard, 2)."""
-        asked = (self.use, self.one_sided, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
-        found = self.packed.stages.get(asked)
+        own = ((t.priority, t.weight, t.tolerance) for t in self.tasks)
+        requested = (self.use, self.one_sided, self.tolerance, *own)
+        found = self.packed.stages.get(requested)
         if found is None:
             hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
             allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
-            found = keep(self.packed.stages, asked, (*self._staged(), hard, allowed), KEPT)
+            found = keep(self.packed.stages, requested, (*self._staged(), hard, allowed), KEPT)
         return found
 
     def _staged(self) -> tuple[np.ndarray, Array]:
@@ -362,4 +363,4 @@ def judge(problem: Demands, q: Array, info: np.ndarray) -> Reached:
     success, code, *fields, cut_off = fields
     q = q.reshape(*lead, system.nq)
     code = code if lead else MEMBERS[int(code)]
-    return Reached(q, success, code, *fields, asked=problem, errors=errors, late=cut_off)
+    return Reached(q, success, code, *fields, problem=problem, errors=errors, late=cut_off)

@@ -56,7 +56,7 @@ class Solutions(Answer):
 
     @cached_property
     def question(self) -> Question:
-        """What was asked."""
+        """The problem."""
         if isinstance(self._question, tuple):
             bound, target = self._question
             return bound.question(target)
@@ -64,15 +64,15 @@ class Solutions(Answer):
 
     @property
     def system(self) -> System:
-        """The system that was asked."""
+        """The system of the problem."""
         return self._question[0].system if isinstance(self._question, tuple) else self._question.system
 
     def _chosen(self) -> Choice | None:
         from kempe.solvers.analytic.ik_all import chosen
 
-        asked, names = self.question, self.plan.lines.names
+        question, names = self.question, self.plan.lines.names
         fixed = tuple(names[i] for i in self.plan.fixed)
-        return chosen(asked.system, asked.frame, (asked.task, asked.axis), fixed)[1]
+        return chosen(question.system, question.frame, (question.task, question.axis), fixed)[1]
 
     @property
     def single(self) -> bool:
@@ -163,7 +163,7 @@ class Solutions(Answer):
 
     @property
     def spare(self) -> tuple[str, ...]:
-        """Names of the joints that are held since the chain has more than the task needs, not by who asked."""
+        """Names of the joints that are held since the chain has more than the task needs, not by the caller."""
         plan = self.plan
         return tuple(plan.lines.names[i] for i in plan.locked if i not in plan.fixed)
 
@@ -179,7 +179,7 @@ class Solutions(Answer):
 
     @property
     def tried(self) -> Any:
-        """At how many values of the `spare` joints solutions were asked for: an int, or an array (...) of a batch."""
+        """At how many values of the `spare` joints solutions were requested: an int, or an array (...) of a batch."""
         tried = np.ones(len(self._rows), dtype=np.int64) if self._tried is None else self._tried
         return int(tried[0]) if self._lead is None else tried.reshape(self._lead)
 
@@ -210,7 +210,7 @@ class Solutions(Answer):
         """
         return named(self._kind, self.names, words)
 
-    # ---- what is found out when it is asked for
+    # ---- what is found out on demand
 
     @cached_property
     def jacobian(self) -> Array:

@@ -1,4 +1,4 @@
-"""What is asked of the analytical inverse model: targets, task, joints that are held, checked."""
+"""What is required of the analytical inverse model: targets, task, joints that are held, checked."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class Question:
     targets: Array = field(repr=False)
     lead: tuple[int, ...] | None
     tolerance: float
-    asked: float = 0.0
-    """The tolerance that was asked for, which far away is below rounding."""
+    requested: float = 0.0
+    """The tolerance that was requested, which far away is below rounding."""
 
     @property
     def angular(self) -> float:
         """The tolerance of angles [rad], which rounding of positions leaves mostly alone."""
-        return max(self.asked, min(self.tolerance, ANGULAR))
+        return max(self.requested, min(self.tolerance, ANGULAR))
 
 
 def within(tolerance: object) -> float:

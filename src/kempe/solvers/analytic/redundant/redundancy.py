@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 ARM_ANGLE = "arm_angle"
 
 SAMPLES = 256
-"""Values of a joint at which all solutions are asked for, as starts of the curves between them."""
+"""Values of a joint at which all solutions are requested, as starts of the curves between them."""
 USUAL = Usual("ik_sweep", points=SAMPLES)
 
 
@@ -52,7 +52,7 @@ def ik_sweep(
     asks for samples at so many values; the points of the `budget` (256) are the values of a joint at which curves are
     looked for.
 
-    Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where that is asked for,
+    Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where that is requested,
     `InputError`, `UnknownNameError`.
 
     >>> import kempe
@@ -87,7 +87,7 @@ def ik_sweep(
             joints = ", ".join(lines.names)
             raise UnsupportedError(f"the arm angle is for poses, with no joint held; name a joint: {joints}")
         required_arm(system, name, reference)
-    question = Asked(system, name, lines, task, direction, targets[0], reals(target, "target"), base, given,
+    question = SweepProblem(system, name, lines, task, direction, targets[0], reals(target, "target"), base, given,
                      given_near is None)  # fmt: skip
     curves = ArmCurves(question, arm) if isinstance(arm, Arm) else _joint_curves(question, parameter, points)
     return _sweep(question, curves, None if n is None else _count(n))
@@ -105,8 +105,8 @@ def _count(n: object) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
-    """What a sweep was asked for."""
+class SweepProblem:
+    """The problem of a sweep, checked."""
 
     system: System
     frame: str
@@ -143,14 +143,14 @@ class Asked:
                       fixed={**fixed, name: values})  # fmt: skip
 
 
-def _sweep(asked: Asked, curves: ArmCurves | JointCurves, n: int | None) -> Sweep:
+def _sweep(problem: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -> Sweep:
     """The answer, with samples."""
     rows, spans = (tuple(tuple(r) for r in curves.intervals(limited)) for limited in (True, False))
     none = np.zeros((0, len(curves.labels)), dtype=bool)
     sweep = Sweep(
-        asked.system, asked.frame, curves.parameter, asked.task, asked.target, curves.held, curves.domain,
-        curves.labels, rows, spans, curves.exact, np.zeros(0), np.zeros((*none.shape, asked.system.nq)), none, none,
-        curves, curves.base, None if curves.exact else lambda v: asked.all_at(curves.parameter, v, curves.held),
+        problem.system, problem.frame, curves.parameter, problem.task, problem.target, curves.held, curves.domain,
+        curves.labels, rows, spans, curves.exact, np.zeros(0), np.zeros((*none.shape, problem.system.nq)), none, none,
+        curves, curves.base, None if curves.exact else lambda v: problem.all_at(curves.parameter, v, curves.held),
     )  # fmt: skip
     if n is None:
         return sweep
@@ -167,8 +167,8 @@ class ArmCurves:
     parameter, exact, circular = ARM_ANGLE, True, True
     domain = (-math.pi, math.pi)
 
-    def __init__(self, asked: Asked, arm: Arm):
-        self.asked, self.posed, self.lines, self.base = asked, Posed(arm, asked.target), arm.lines, asked.near
+    def __init__(self, problem: SweepProblem, arm: Arm):
+        self.problem, self.posed, self.lines, self.base = problem, Posed(arm, problem.target), arm.lines, problem.near
         self.held: dict[str, float] = {}
         names = (arm.lines.names[1], arm.lines.names[ELBOW], arm.lines.names[5])
         self.labels = tuple(
@@ -182,9 +182,9 @@ class ArmCurves:
 
     def residual(self, q: Array) -> Array:
         """Norm (...) of position error [m] and orientation error [rad] of configurations (..., nq)."""
-        X = self.asked.system.fk(q, self.asked.frame)
-        turn = log_so3(np.swapaxes(X[..., :3, :3], -1, -2) @ self.asked.target[:3, :3])
-        return np.linalg.norm(np.concatenate([X[..., :3, 3] - self.asked.target[:3, 3], turn], axis=-1), axis=-1)
+        X = self.problem.system.fk(q, self.problem.frame)
+        turn = log_so3(np.swapaxes(X[..., :3, :3], -1, -2) @ self.problem.target[:3, :3])
+        return np.linalg.norm(np.concatenate([X[..., :3, 3] - self.problem.target[:3, 3], turn], axis=-1), axis=-1)
 
     def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
         """Coordinates (m, 8, 7), and which branches are there (m, 8); (m, 1, 7) and (m, 1) of one branch."""
@@ -227,22 +227,22 @@ class JointCurves:
         return q, mask
 
 
-def _joint_curves(asked: Asked, parameter: str | None, samples: int) -> JointCurves:
+def _joint_curves(problem: SweepProblem, parameter: str | None, samples: int) -> JointCurves:
     """The branches over a joint. Errors: `UnsupportedError` where the chain has no freedom to spare."""
-    lines = asked.lines
+    lines = problem.lines
     if parameter is not None and parameter not in lines.names:
-        raise UnknownNameError("joint", str(parameter), (*lines.names, ARM_ANGLE), f"the chain of {asked.frame!r}")
-    if parameter in asked.fixed:
+        raise UnknownNameError("joint", str(parameter), (*lines.names, ARM_ANGLE), f"the chain of {problem.frame!r}")
+    if parameter in problem.fixed:
         raise InputError(f"{parameter} is fixed; the parameter must be free")
-    locked = _locked(asked, parameter)
+    locked = _locked(problem, parameter)
     if not locked:
         raise UnsupportedError(
-            f"the chain of {asked.frame!r} has no freedom to spare for {_article(asked.task)}: ask `ik_all`"
+            f"the chain of {problem.frame!r} has no freedom to spare for {_article(problem.task)}: ask `ik_all`"
         )
     name = locked[0] if parameter is None else parameter
-    others = {n: float(asked.fixed[n]) for n in locked if n in asked.fixed}
+    others = {n: float(problem.fixed[n]) for n in locked if n in problem.fixed}
     if len(others) + 1 < len(locked):
-        q = asked.place()
+        q = problem.place()
         others |= {n: float(q[lines.q_index[lines.names.index(n)]]) for n in locked if n not in (name, *others)}
     i = lines.names.index(name)
     first, last = domains(lines)[:, i].tolist()
@@ -250,12 +250,13 @@ def _joint_curves(asked: Asked, parameter: str | None, samples: int) -> JointCur
     shift = (domain[1] - domain[0]) * 0.381966 / samples  # arms tend to be singular at round values
     inner = np.linspace(*domain, samples)[:-1] + shift
     values = np.concatenate([[domain[0]], inner, [domain[1]]])
-    found = asked.all_at(name, values, others)
+    found = problem.all_at(name, values, others)
     free = tuple(j for j, n in enumerate(lines.names) if n not in others)
-    base = asked.near.copy()
+    base = problem.near.copy()
     for other, value in others.items():
         base[lines.q_index[lines.names.index(other)]] = value
-    motion = Motion(asked.system, asked.frame, lines, asked.task, asked.axis, asked.target, base, free, free.index(i))
+    motion = Motion(problem.system, problem.frame, lines, problem.task, problem.axis, problem.target, base, free,
+                    free.index(i))  # fmt: skip
     level, row = np.nonzero(found.mask & (found.multiplicity > 0))
     arcs = arcs_through(motion, values / motion.unit[motion.p], motion.x(found.q[level, row]), level)
     return JointCurves(motion, arcs, name, domain, others, samples)
@@ -265,14 +266,14 @@ def _article(task: str) -> str:
     return f"a{'n' if task[0] in 'aeiou' else ''} {task.replace('_axis', ' with an axis')}"
 
 
-def _locked(asked: Asked, parameter: str | None) -> list[str]:
+def _locked(problem: SweepProblem, parameter: str | None) -> list[str]:
     """Joints that `ik_all` holds for this task, the parameter first; none where the chain has no freedom to spare."""
-    fixed = dict(asked.fixed)
+    fixed = dict(problem.fixed)
     if parameter is not None:
         fixed[parameter] = np.zeros(())
-    names = asked.lines.names
-    chosen = [names[i] for i in asked.locked(fixed) if names[i] not in fixed]
+    names = problem.lines.names
+    chosen = [names[i] for i in problem.locked(fixed) if names[i] not in fixed]
     if parameter is None:
         return [*chosen, *fixed] if chosen else []
-    spare = [i for i in asked.locked(asked.fixed) if names[i] not in asked.fixed]
-    return [parameter, *chosen, *asked.fixed] if spare else []
+    spare = [i for i in problem.locked(problem.fixed) if names[i] not in problem.fixed]
+    return [parameter, *chosen, *problem.fixed] if spare else []

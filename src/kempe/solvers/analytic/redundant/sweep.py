@@ -119,7 +119,7 @@ class Sweep(Answer):
     complete; else they are found from solutions at many values, their ends to 1e-10, and pieces between two of these
     values may be missing. `labels` name the branches, by the sides to which shoulder, elbow and wrist bend.
 
-    `values` (n,), `q` (n, K, nq), `mask` and `inside` (n, K) are samples, if any were asked for: each row is one
+    `values` (n,), `q` (n, K, nq), `mask` and `inside` (n, K) are samples, if any were requested: each row is one
     branch, continuous inside its intervals, NaN where `mask` is False. `at` gives all solutions at any value, `best`
     the best.
     """

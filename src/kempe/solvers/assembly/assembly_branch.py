@@ -1,4 +1,4 @@
-"""What `assemble` is asked besides values: a branch by the signs of its dyads, a tolerance."""
+"""What `assemble` takes besides values: a branch by the signs of its dyads, a tolerance."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def on_named_branch(bound: Assembler, given: Mapping[str, Any], near: Any, branc
     start = on_branch(system, given, branch, near)
     answer = bound._ask(given, start, limits=limits, budget=ONCE)
     plan: Any = closed_form(system, tuple(bound.sources))
-    asked, found = plan.branch_of(start), plan.branch_of(answer.q)
-    strayed = np.any((found != asked) & (asked != 0) & (found != 0), axis=-1) & (answer.code == Status.SOLVED)
+    requested, found = plan.branch_of(start), plan.branch_of(answer.q)
+    strayed = np.any((found != requested) & (requested != 0) & (found != 0), axis=-1) & (answer.code == Status.SOLVED)
     if np.any(strayed):
         code = np.where(strayed, Status.OTHER_BRANCH, answer.code)
         answer = replace(answer, success=plain(code == Status.SOLVED), code=member(code))
