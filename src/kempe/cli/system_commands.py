@@ -103,7 +103,7 @@ def convert(
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
-    """Write a system in another format, told by the ending of OUT.
+    """Write a system in another format, which the ending of OUT names.
 
     Example: kempe convert panda.urdf panda.toml
     """
