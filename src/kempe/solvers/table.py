@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kempe.solvers.analytic import ik_all
-from kempe.solvers.assembly import assembly_asked
+from kempe.solvers.assembly import assembly
 from kempe.solvers.common.problem import Solver
 from kempe.solvers.modes import modes
 from kempe.solvers.one_frame import inverse
@@ -11,7 +11,7 @@ from kempe.solvers.paths import following
 
 TABLE: dict[str, tuple[Solver, ...]] = {
     "ik": inverse.SOLVERS, "ik_all": ik_all.SOLVERS, "ik_path": following.SOLVERS,
-    "assemble": assembly_asked.SOLVERS, "assembly_modes": modes.SOLVERS,
+    "assemble": assembly.SOLVERS, "assembly_modes": modes.SOLVERS,
 }  # fmt: skip
 """The rows by verb: the first that does not refuse answers; `Answer.solver` names it, and why those before it did not.
 

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
 METHODS = ("numeric", "analytic", "auto")
+TASKS, CLOSED = "tasks are asked for, not a target of one frame", "method='analytic' asks for a closed form"
 CHUNK, SERIAL_BELOW = 256, 1024
 USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
 
@@ -85,12 +86,12 @@ def ik(
     """
     if frame is not None:
         return _of_frame(system, target, frame, start, task, prefer, method or "numeric", tolerance, budget)
-    from kempe.solvers.tasks.ik_tasks import reach
-
     for name, value in (("task", task), ("method", method)):
         if value is not None:
             raise InputError(f"{name} is {value!r}; it belongs to a target of one frame, not to tasks")
-    return reach(system, target, start, prefer=prefer, tolerance=tolerance, budget=budget)
+    problem = Problem(system, "one", start=start, prefer=prefer, tolerance=tolerance, budget=budget, wanted=target)
+    solver, choice = chosen(system, None, problem.task, problem.method, prefer is not None)
+    return chosen_by(solver.run(problem), choice)
 
 
 def _of_frame(
@@ -107,8 +108,8 @@ def _of_frame(
         raise InputError(f"method is {method!r}, which prefers nothing; leave it out, or prefer")
     solver, choice = chosen(system, name, asked, method, prefer is not None)
     targets = targets.copy() if np.may_share_memory(targets, target) else targets  # the answer keeps them
-    problem = Problem(system, "one", name, asked, targets, lead, start=start, method=method, prefer=prefer,
-                      tolerance=tolerance, budget=budget)  # fmt: skip
+    problem = Problem(system, "one", start=start, prefer=prefer, tolerance=tolerance, budget=budget, frame=name,
+                      task=asked, targets=targets, lead=lead, method=method)  # fmt: skip
     answer = chosen_by(solver.run(problem), choice)
     if not lead and task is said and solver is not BY_TASKS:
         _bind(answer.task, said, np.shape(target))
@@ -118,9 +119,9 @@ def _of_frame(
 # ---- the solvers
 
 
-def _no_closed_form(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> str | None:
-    if method == "numeric":
-        return "method='analytic' or 'auto' asks for it"
+def _no_closed_form(system: System, frame: str | None, task: TaskOf, method: str, prefers: bool) -> str | None:
+    if frame is None or method == "numeric":
+        return TASKS if frame is None else "method='analytic' or 'auto' asks for it"
     bounds = one_sided_rows(system)
     if bounds.declared:
         return (f"method 'analytic' does not hold one-sided constraints, such as {bounds.names[0]!r}; leave it out, or "
@@ -131,9 +132,9 @@ def _no_closed_form(system: System, frame: str, task: TaskOf, method: str, prefe
     return plan if isinstance(plan, str) else None
 
 
-def _no_chain(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> str | None:
-    if method == "analytic":
-        return "method='analytic' asks for a closed form"
+def _no_chain(system: System, frame: str | None, task: TaskOf, method: str, prefers: bool) -> str | None:
+    if frame is None or method == "analytic":
+        return TASKS if frame is None else CLOSED
     if prefers:
         return "it prefers nothing"
     if one_sided_rows(system).declared:
@@ -141,8 +142,8 @@ def _no_chain(system: System, frame: str, task: TaskOf, method: str, prefers: bo
     return obstacle(system, frame)
 
 
-def _no_tasks(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> str | None:
-    return "method='analytic' asks for a closed form" if method == "analytic" else None
+def _no_tasks(system: System, frame: str | None, task: TaskOf, method: str, prefers: bool) -> str | None:
+    return CLOSED if method == "analytic" else None
 
 
 def _of_chain(problem: Problem) -> Solution:
@@ -169,9 +170,10 @@ def _of_tasks(problem: Problem) -> Solution:
     """The answer of `kempe.solvers.tasks.ik_tasks.reach`."""
     from kempe.solvers.tasks.ik_tasks import reach
 
-    wanted = of_target(str(problem.frame), *problem.task, problem.targets.reshape(*problem.lead, 4, 4))
-    return reach(problem.system, wanted, problem.start, prefer=problem.prefer, tolerance=problem.tolerance,
-                 budget=problem.budget)  # fmt: skip
+    if problem.frame is None:
+        return reach(problem)
+    targets = problem.targets.reshape(*problem.lead, 4, 4)
+    return reach(problem._replace(wanted=of_target(problem.frame, *problem.task, targets)))
 
 
 BY_TASKS = Solver("levels", "least squares over all coordinates, with loops, limits and one-sided rows, by priorities",
@@ -181,12 +183,12 @@ SOLVERS = (
     Solver("chain", "damped least squares over the frame's own chain, with limits and restarts", _no_chain, _of_chain),
     BY_TASKS,
 )
-"""Who answers for targets of one frame."""
+"""Who answers for targets of one frame, and for tasks."""
 
 
 @kept
-def chosen(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> tuple[Solver, Choice]:
-    """Who answers for a frame and a task."""
+def chosen(system: System, frame: str | None, task: TaskOf, method: str, prefers: bool) -> tuple[Solver, Choice]:
+    """Who answers for a frame and a task of it, or, without a frame, for tasks."""
     return choose(SOLVERS, system, frame, task, method, prefers)
 
 
