@@ -171,10 +171,9 @@ def _of_tasks(problem: Problem) -> Solution:
     """The answer of `kempe.solvers.tasks.ik_tasks.reach`."""
     from kempe.solvers.tasks.ik_tasks import reach
 
-    if problem.frame is None:
-        return reach(problem)
-    targets = problem.targets.reshape(*problem.lead, 4, 4)
-    return reach(problem._replace(wanted=of_target(problem.frame, *problem.task, targets)))
+    frame, targets = problem.frame, problem.targets
+    held = problem.wanted if frame is None else of_target(frame, *problem.task, targets.reshape(*problem.lead, 4, 4))
+    return reach(problem._replace(wanted=held))
 
 
 BY_TASKS = Solver("levels", "least squares over all coordinates, with loops, limits and one-sided rows, by priorities",
