@@ -11,6 +11,7 @@ import pytest
 
 import kempe
 from kempe.errors import UnsupportedError
+from kempe.model.namespaces import Inverse
 from kempe.solvers.common.problem import Problem
 from kempe.solvers.common.targets import Z_AXIS
 from kempe.solvers.modes import modes
@@ -70,6 +71,11 @@ CASES = {
     ("assembly_modes", "dyads"): lambda: LINKAGE.assembly_modes({"A": 0.3}),
     ("assembly_modes", "many starts"): lambda: SPATIAL.assembly_modes(
         {SPATIAL.coordinate_names[0]: 0.2}, budget=kempe.Budget(starts=64)),
+    ("self_motion", "tangents"): lambda: SEVEN.inverse.self_motion(
+        SEVEN.mid + 0.2, "tool", budget=kempe.Budget(points=5)),
+    ("sweep", "arm angle"): lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN.mid + 0.2, "tool"), "tool"),
+    ("sweep", "joint"): lambda: SEVEN.inverse.sweep(
+        SEVEN.fk(SEVEN.mid + 0.2, "tool"), "tool", SEVEN.coordinate_names[2], budget=kempe.Budget(points=16)),
 }  # fmt: skip
 """Questions by verb and by who must answer."""
 
@@ -99,7 +105,8 @@ def test_rows_have_names_sentences_and_a_last_one_that_takes_what_is_left(verb):
     names = [row.name for row in TABLE[verb]]
     assert len(set(names)) == len(names)
     assert all(row.how and not row.how.endswith(".") for row in TABLE[verb])
-    assert hasattr(kempe.System, verb) and inspect.signature(getattr(kempe.System, verb))
+    owner = Inverse if verb in vars(Inverse) else kempe.System
+    assert inspect.signature(vars(owner)[verb])
 
 
 @pytest.mark.parametrize("name", ["puma560", "ur5", "stanford", "two_link_pose"])

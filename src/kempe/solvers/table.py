@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from kempe.solvers.analytic import ik_all
+from kempe.solvers.analytic.redundant import redundancy
 from kempe.solvers.assembly import assembly
 from kempe.solvers.common.problem import Solver
 from kempe.solvers.modes import modes
 from kempe.solvers.one_frame import inverse
-from kempe.solvers.paths import following
+from kempe.solvers.paths import following, self_motion
 
 TABLE: dict[str, tuple[Solver, ...]] = {
     "ik": inverse.SOLVERS, "ik_all": ik_all.SOLVERS, "ik_path": following.SOLVERS,
     "assemble": assembly.SOLVERS, "assembly_modes": modes.SOLVERS,
+    "self_motion": self_motion.SOLVERS, "sweep": redundancy.SOLVERS,
 }  # fmt: skip
 """The rows by verb: the first that does not refuse answers; `Answer.solver` names it, and why those before it did not.
 
-`ik` without a frame is answered by "levels". Of `ik_all` for a frame that moves with loops, "assembly modes" are those
-of `assembly_modes`.
+"self_motion" and "sweep" are asked for a set that is continuous. "assembly modes", of `ik_all` for a frame that moves
+with loops, are those of `assembly_modes`.
 """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,10 +20,11 @@ from kempe.solvers.analytic.ik_all import chain_lines, ik_all, plan_for
 from kempe.solvers.analytic.plans.chain_lines import Lines
 from kempe.solvers.analytic.plans.choice import domains
 from kempe.solvers.analytic.plans.question import held, near_of
-from kempe.solvers.analytic.redundant.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, required_arm
+from kempe.solvers.analytic.redundant.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, no_arm, required_arm
 from kempe.solvers.analytic.redundant.sweep import Sweep
 from kempe.solvers.analytic.redundant.sweep_curves import Arc, Motion
 from kempe.solvers.analytic.redundant.sweep_net import arcs_through
+from kempe.solvers.common.problem import Problem, Solver, choose, chosen_by
 from kempe.solvers.common.targets import Z_AXIS, axis_for, targets_of, task_and_axis, task_of
 from kempe.spatial import Array, log_so3
 
@@ -67,7 +69,7 @@ def ik_sweep(
     name = system.structure.frame_name(frame)
     said, axis = task_and_axis(task)
     parameter, reference = parameter if isinstance(parameter, (tuple, list)) else (parameter, None)
-    points = _count(USUAL.of(budget).points)
+    _count(USUAL.of(budget).points)
     direction = axis_for(axis, said)
     targets, lead, is_position = targets_of(system, arrays(target, "target"), said, direction)
     if lead != () or not np.isfinite(targets).all():
@@ -81,16 +83,61 @@ def ik_sweep(
     given = held(name, lines.names, fixed)
     if any(v.ndim for v in given.values()):
         raise InputError("a sweep holds joints at single numbers")
-    arm = find_arm(system, name, reference) if task == "pose" and not given and parameter in (None, ARM_ANGLE) else ""
-    if parameter == ARM_ANGLE and not isinstance(arm, Arm):
-        if task != "pose" or given:
-            joints = ", ".join(lines.names)
-            raise UnsupportedError(f"the arm angle is for poses, with no joint held; name a joint: {joints}")
-        required_arm(system, name, reference)
-    question = Asked(system, name, lines, task, direction, targets[0], reals(target, "target"), base, given,
-                     given_near is None)  # fmt: skip
-    curves = ArmCurves(question, arm) if isinstance(arm, Arm) else _joint_curves(question, parameter, points)
-    return _sweep(question, curves, None if n is None else _count(n))
+    options = {"parameter": parameter, "reference": reference, "base": base,
+               "n": None if n is None else _count(n), "given": reals(target, "target")}  # fmt: skip
+    problem = Problem(system, "set", given, start, budget=budget, options=options, frame=name, task=(task, direction),
+                      targets=targets)  # fmt: skip
+    solver, choice = choose(SOLVERS, system, name, task, tuple(given), parameter, reference)
+    return chosen_by(solver.run(problem), choice)
+
+
+# ---- the solvers
+
+
+def _no_arm(
+    system: System, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
+) -> str | None:  # fmt: skip
+    joints = ", ".join(chain_lines(system, frame, Z_AXIS).names)
+    if parameter not in (None, ARM_ANGLE):
+        return f"joint {parameter!r} is named as the parameter"
+    if task != "pose" or fixed:
+        return f"the arm angle is for poses, with no joint held; name a joint: {joints}"
+    arm = find_arm(system, frame, reference)
+    return no_arm(system, frame, arm) if isinstance(arm, str) else None
+
+
+def _no_joint(
+    system: System, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
+) -> str | None:  # fmt: skip
+    return "the arm angle is asked for" if parameter == ARM_ANGLE else None
+
+
+def by_arm_angle(problem: Problem) -> Sweep:
+    """The branches of an arm over its arm angle, in closed form."""
+    asked = _asked(problem)
+    arm = required_arm(problem.system, asked.frame, problem.options["reference"])
+    return _sweep(asked, ArmCurves(asked, arm), problem.options["n"])
+
+
+def by_joint(problem: Problem) -> Sweep:
+    """The branches over a joint, from solutions at many of its values."""
+    asked, points = _asked(problem), _count(USUAL.of(problem.budget).points)
+    return _sweep(asked, _joint_curves(asked, problem.options["parameter"], points), problem.options["n"])
+
+
+SOLVERS = (
+    Solver("arm angle", "both sides of shoulder, elbow and wrist over the angle of the arm's plane", _no_arm,
+           by_arm_angle),
+    Solver("joint", "all solutions at many values of a joint, and the curves through them", _no_joint, by_joint),
+)  # fmt: skip
+"""Who answers for the solutions over a parameter."""
+
+
+def _asked(problem: Problem) -> Asked:
+    (task, axis), given = problem.task, problem.options["given"]
+    lines = chain_lines(problem.system, str(problem.frame), Z_AXIS)
+    return Asked(problem.system, str(problem.frame), lines, task, axis, problem.targets[0], given,
+                 problem.options["base"], dict(problem.known), problem.start is None)  # fmt: skip
 
 
 def _refuse_no_rotation(R: Array) -> None:
@@ -150,7 +197,7 @@ def _sweep(asked: Asked, curves: ArmCurves | JointCurves, n: int | None) -> Swee
     sweep = Sweep(
         asked.system, asked.frame, curves.parameter, asked.task, asked.target, curves.held, curves.domain,
         curves.labels, rows, spans, curves.exact, np.zeros(0), np.zeros((*none.shape, asked.system.nq)), none, none,
-        curves, curves.base, None if curves.exact else lambda v: asked.all_at(curves.parameter, v, curves.held),
+        curves, curves.base, None if curves.exact else partial(asked.all_at, curves.parameter, fixed=curves.held),
     )  # fmt: skip
     if n is None:
         return sweep
