@@ -83,11 +83,12 @@ def test_hunt_four_bars_on_bars_in_line(hunt):
         assert a.closed == b.closed and b.s[-1] == pytest.approx(a.s[-1], abs=1e-7)
 
 
-def test_a_parallelogram_on_bars_in_line_goes_straight_on():
+@pytest.mark.parametrize("A", [0.4, 0.7, 1.3, 2.2, 2.7])
+def test_a_parallelogram_on_bars_in_line_goes_straight_on(A):
     """It passes its change points, as on the ground; the other branch may be unseen there, which is said."""
     alone, hanging = (four_bar(on, (1.0, 3.0, 1.0), 3.0) for on in (False, True))
-    a = alone.trace("A", alone.assemble({"A": 0.7}).q)
-    b = hanging.trace("A", hanging.assemble({"A": 0.7, **STILL}).q)
+    a = alone.trace("A", alone.assemble({"A": A}).q)
+    b = hanging.trace("A", hanging.assemble({"A": A, **STILL}).q)
     assert a.closed and b.closed and b.s[-1] == pytest.approx(a.s[-1], abs=1e-8)
     assert len(a.singular_points) == 2 and "may be passed unseen" in b.status
 

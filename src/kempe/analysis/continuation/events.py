@@ -9,6 +9,7 @@ import numpy as np
 
 from kempe.analysis.continuation.continuation import Closure
 from kempe.analysis.continuation.crossings import AHEAD, crossing, locate, singular_node
+from kempe.analysis.continuation.deflation import rank_held
 from kempe.kinematics.common.gauss_newton import LARGE
 from kempe.kinematics.common.roots import sign_change
 from kempe.solvers.common import tracing
@@ -53,11 +54,22 @@ def checked(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
     """A step from `a` to `b` with the crossing in between, if any; None where it may have changed the branch."""
     if b is None:
         return None
-    turned = flipped(a, b)
+    turned = sides_change(equations, a, b)
     if not turned:
         return None if turned is None else [b]
     middle = crossing(equations, a, b)
     return None if middle is None else [middle, b]
+
+
+def sides_change(equations: Closure, a: Node, b: Node) -> bool | None:
+    """`flipped`, with derivatives of the same equations at both nodes.
+
+    What holds the rank changes its bases on the way, and equations in other bases have determinants of other signs.
+    """
+    if rank_held(equations) and a.nullity == 1:
+        here = node(equations, a.x, a.t)
+        a = replace(a, matrix=here.matrix, image=here.image)
+    return flipped(a, b)
 
 
 def root(

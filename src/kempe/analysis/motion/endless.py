@@ -13,8 +13,9 @@ import numpy as np
 
 from kempe.analysis.continuation.beginning import MOST_TURNS, SAME_RATIO, followers
 from kempe.analysis.continuation.continuation import Closure
+from kempe.analysis.continuation.events import sides_change
 from kempe.analysis.continuation.one_sided_ends import Limits
-from kempe.solvers.common.tracing import Node, bend, flipped, step
+from kempe.solvers.common.tracing import Node, bend, step
 from kempe.spatial import Array
 
 FAR = 50.0
@@ -112,7 +113,7 @@ class Endless:
         a = b
         while gone < AHEAD:
             c = step(equations, a, h)
-            if c is None or bend(a, c) > 0.1 or flipped(a, c) or np.any(c.t[rest] * b.t[rest] <= 0.0):
+            if c is None or bend(a, c) > 0.1 or sides_change(equations, a, c) or np.any(c.t[rest] * b.t[rest] <= 0.0):
                 if h <= 1e-2 * max(gone, 1.0):
                     return ""
                 h *= 0.5
