@@ -194,6 +194,7 @@ class Assembler:
 
     def _solve(self, problem: Problem) -> Assembly:
         """The answer for a problem with these names known."""
+        limits: Any
         _, _, given, start, prefer, limits, tolerance, budget, *_ = problem
         if self.frames:
             given = with_places(given, self.frames)

@@ -127,7 +127,8 @@ def self_motion(
 
 def by_tangents(problem: Problem) -> SelfMotion:
     """The configurations, each a step along the tangent of the one before, led back."""
-    system, direction, spend = problem.system, problem.options["direction"], USUAL.of(problem.budget)
+    spend: Any = USUAL.of(problem.budget)
+    system, direction = problem.system, problem.options["direction"]
     steps, step, time = spend.points, spend.step, TimeLimit(spend.time_limit)
     time.put_in_order()  # there is nothing to do afterwards
     demands, q0 = _begin(system, problem.start, problem.wanted)
