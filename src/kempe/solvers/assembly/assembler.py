@@ -194,7 +194,8 @@ class Assembler:
 
     def _solve(self, problem: Problem) -> Assembly:
         """The answer for a problem with these names known."""
-        _, _, given, start, prefer, limits, tolerance, budget, *_ = problem
+        asked: tuple[Any, ...] = problem
+        _, _, given, start, prefer, limits, tolerance, budget, *_ = asked
         if self.frames:
             given = with_places(given, self.frames)
         if given.keys() != self.names:

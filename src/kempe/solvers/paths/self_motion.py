@@ -115,10 +115,6 @@ def self_motion(
     q = as_q(system, q)
     if q.ndim != 1:
         raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
-    spend = USUAL.of(budget)
-    steps, step, _ = spend.points, spend.step, TimeLimit(spend.time_limit)
-    if not is_whole(steps) or steps < 1 or not isinstance(step, (int, float, np.floating)) or not 0.0 < step <= 0.5:
-        raise InputError(f"points is {steps!r}, step {step!r}; needed are a whole number from 1, and 0 < step <= 0.5")
     wanted = _wanted(system, q, tasks, *task_and_axis(task))
     asked = Problem(system, "set", NOTHING, q, budget=budget, options={"direction": direction}, wanted=wanted)
     solver, choice = choose(SOLVERS, system)
@@ -129,6 +125,8 @@ def by_tangents(asked: Problem) -> SelfMotion:
     """The configurations, each a step along the tangent of the one before, led back."""
     system, direction, spend = asked.system, asked.options["direction"], USUAL.of(asked.budget)
     steps, step, time = spend.points, spend.step, TimeLimit(spend.time_limit)
+    if not is_whole(steps) or steps < 1 or not isinstance(step, (int, float, np.floating)) or not 0.0 < step <= 0.5:
+        raise InputError(f"points is {steps!r}, step {step!r}; needed are a whole number from 1, and 0 < step <= 0.5")
     time.put_in_order()  # there is nothing to do afterwards
     problem, q0 = _begin(system, asked.start, asked.wanted)
     local = Local(problem, q0)
