@@ -74,11 +74,6 @@ def may_block(which: str, one: bool, short: str = "") -> str:
     return f"without {short or which} it is reached, so {'that' if one else 'these'} may be what blocks it"
 
 
-def violations(which: Iterable[tuple[str, float, str]]) -> str:
-    """One-sided constraints that do not hold: name, by how much, unit (1: none)."""
-    return ", ".join(f"{name!r} by {far:.6g} {unit}".removesuffix(" 1") for name, far, unit in which)
-
-
 # ---- text, HTML, JSON
 
 

@@ -9,7 +9,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,25 @@ CLOSED = 1e-6
 """Slack in radians, or as a part of the characteristic length, up to which a row counts as closed."""
 ROUNDING = 1e-9
 """By how much more than a bound, of 1 or less, a value may be and still respect it."""
+
+
+class Violation(NamedTuple):
+    """The declared row `name` is outside its bounds by `far` in its `unit`, by `size` in characteristic lengths."""
+
+    name: str
+    far: float
+    unit: str
+    size: float
+
+    @property
+    def amount(self) -> str:
+        """By how much, with the unit."""
+        return f"{self.far:.6g} {self.unit}".removesuffix(" 1")
+
+    @property
+    def text(self) -> str:
+        """Which row, and by how much."""
+        return f"{self.name!r} by {self.amount}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +116,12 @@ class OneSided:
         off = np.minimum(x - self.low[:k] + allowed, 0.0) + np.maximum(x - self.high[:k] - allowed, 0.0)
         out = np.flatnonzero(off)
         return (self.scale[:k] * off)[out], J[out]
+
+    def violations(self, q: Array) -> list[Violation]:
+        """Which declared rows are violated at q (nq,), and by how much."""
+        far = self.beyond(q, declared=True)
+        return [Violation(self.names[k], float(far[k]), self.units[k], float(far[k] * self.scale[k]))
+                for k in np.flatnonzero(far)]  # fmt: skip
 
     def left_out(self, beyond: np.ndarray) -> str:
         """What is said where configurations are left out that violate rows: which of them (n, k) each does violate."""

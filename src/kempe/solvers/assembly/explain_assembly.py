@@ -135,21 +135,10 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
             continue
         text = f"the loop of joint {name!r}" if name in system.structure.joints else f"constraint {name!r}"
         text += f" stays open by {apart:.6g} m" + (f" and {turned:.3g} rad" if turned > 1e-9 else "")
-    for name, beyond, unit, size in _beyond(bound, q):
-        if size > worst:
-            text = f"the one-sided constraint {name!r} is violated by {beyond:.6g} {unit}".removesuffix(" 1")
-            worst = size
+    for v in bound.one_sided.violations(q) if bound.one_sided is not None else ():
+        if v.size > worst:
+            text, worst = f"the one-sided constraint {v.name!r} is violated by {v.amount}", v.size
     return text
-
-
-def _beyond(bound: Assembler, q: Array) -> list[tuple[str, float, str, float]]:
-    """Declared one-sided rows that are violated: name, by how much, unit, and the same in characteristic lengths."""
-    rows = bound.one_sided
-    if rows is None:
-        return []
-    beyond = rows.beyond(q, declared=True)
-    return [(rows.names[k], float(beyond[k]), rows.units[k], float(beyond[k] * rows.scale[k]))
-            for k in np.flatnonzero(beyond)]  # fmt: skip
 
 
 def _one_sided(bound: Assembler, q: Array) -> str:
@@ -162,7 +151,7 @@ def _one_sided(bound: Assembler, q: Array) -> str:
     answer = of_equations(bound.system, bound.known)(q[bound.places] * 1.0, q) if bound.plain else None
     if answer is None or not answer.success:
         return ""
-    found = words.violations(each[:3] for each in _beyond(bound, answer.q))
+    found = ", ".join(v.text for v in bound.one_sided.violations(answer.q))
     if bound.known and not closure_rows.freedoms_left(bound.system, answer.q, bound.held):
         return f"what is known contradicts {found}" if found else ""
     return f"without one-sided constraints it closes, violating {found}" if found else ""

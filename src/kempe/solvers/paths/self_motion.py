@@ -115,10 +115,6 @@ def self_motion(
     q = as_q(system, q)
     if q.ndim != 1:
         raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
-    spend = USUAL.of(budget)
-    steps, step, _ = spend.points, spend.step, TimeLimit(spend.time_limit)
-    if not is_whole(steps) or steps < 1 or not isinstance(step, (int, float, np.floating)) or not 0.0 < step <= 0.5:
-        raise InputError(f"points is {steps!r}, step {step!r}; needed are a whole number from 1, and 0 < step <= 0.5")
     wanted = _wanted(system, q, tasks, *task_and_axis(task))
     problem = Problem(system, "set", NOTHING, q, budget=budget, options={"direction": direction}, wanted=wanted)
     solver, choice = choose(SOLVERS, system)
@@ -130,6 +126,8 @@ def by_tangents(problem: Problem) -> SelfMotion:
     spend: Any = USUAL.of(problem.budget)
     system, direction = problem.system, problem.options["direction"]
     steps, step, time = spend.points, spend.step, TimeLimit(spend.time_limit)
+    if not is_whole(steps) or steps < 1 or not isinstance(step, (int, float, np.floating)) or not 0.0 < step <= 0.5:
+        raise InputError(f"points is {steps!r}, step {step!r}; needed are a whole number from 1, and 0 < step <= 0.5")
     time.put_in_order()  # there is nothing to do afterwards
     demands, q0 = _begin(system, problem.start, problem.wanted)
     local = Local(demands, q0)

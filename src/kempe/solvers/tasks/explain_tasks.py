@@ -95,10 +95,8 @@ def _freedoms(problem: Demands, q: Array) -> str:
 
 def _violated(problem: Demands, q: Array) -> str:
     """Which declared one-sided constraints are violated at q (nq,), and by how much."""
-    rows = problem.packed.one_sided
-    beyond = rows.beyond(q, declared=True)
-    which = [(rows.names[k], float(beyond[k]), rows.units[k]) for k in np.flatnonzero(beyond)]
-    return f"violating {words.violations(which)}" if which else ""
+    which = ", ".join(v.text for v in problem.packed.one_sided.violations(q))
+    return f"violating {which}" if which else ""
 
 
 def _solved(
