@@ -9,6 +9,7 @@ import pytest
 from graphs import KINDS, PLANAR_KINDS, SLIDES, graphs
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from linkages import four_bar
 from oracles import closures
 from oracles.declared import declared
 
@@ -252,3 +253,10 @@ def test_same_zeros_as_closure_error(graph, seed):
         if np.linalg.norm(full) > 1e-6:
             assert np.linalg.norm(small) > 1e-9 and np.linalg.norm(other) > 1e-9
         assert small.size == (s.dim if particle else 6 if s.dim == 3 else 3)
+
+
+@pytest.mark.parametrize("cut", "ABCD")
+@pytest.mark.parametrize("at", [(0.0, 0.0), (1000.0, -2000.0)])
+def test_the_characteristic_length_is_of_the_links(cut, at):
+    """Neither the cut nor where the ground has its origin matters."""
+    assert closure_rows.characteristic_length(four_bar(cut=cut, at=at)) == pytest.approx(0.4, rel=1e-9)
