@@ -214,7 +214,7 @@ def bind(system: System, frame: str) -> Bound | None:
     plan = plan_for(system, frame, lines, "pose", Z_AXIS, ())
     kernel = None if plan.locked or system.structure.table.at[frame][2] else side_by_side_of(plan)
     bound = None if kernel is None else Bound(system, frame, plan, kernel)
-    system._queries[(frame,)] = bound
+    system._queries[(frame,)] = None if bound is None else bound.__call__
     return bound
 
 

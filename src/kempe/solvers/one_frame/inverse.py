@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
 METHODS = ("numeric", "analytic", "auto")
 CHUNK, SERIAL_BELOW = 256, 1024
+LENGTH, ANGLE = TOLERANCE
 USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
 
 
@@ -289,7 +290,7 @@ def _bind(question: Task, task: str | None, shape: tuple[int, ...]) -> None:
     plain = shape in ((4, 4), (3,), (2,)) if point else (shape == (4, 4) and question.name != "position")
     if plain and question.axis == Z_AXIS and not chain.ints[HAS_QUATERNION] and key not in system._queries:
         usual = replace(question, tolerance=TOLERANCE, starts=MOST, rng=0)
-        system._queries[key] = Bound(usual, shape)
+        system._queries[key] = Bound(usual, shape).__call__  # a method, which takes less time to call
 
 
 class Bound:
@@ -340,8 +341,9 @@ class Bound:
         X = target.copy()[None] if self.posed else self._pose(target)  # the answer keeps it
         try:
             missed = self.reach(
-                chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0, 0, FEW, ITERATIONS, *TOLERANCE, 0.0, out
-            )
+                chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0, 0, FEW, ITERATIONS, LENGTH, ANGLE,
+                0.0, out,
+            )  # fmt: skip
         except TypeError:  # not float64
             return None
         row = out[0]
