@@ -189,3 +189,11 @@ def test_an_interrupt_returns_what_was_done():
     motion = drive(four_bar(1, 2.5, 2, 3), {"A": np.linspace(0.5, 3, 60)}, start={"A": 0.5},
                    budget=kempe.Budget(progress=stop))  # fmt: skip
     assert motion.interrupted and not motion and 20 < len(motion) < 60 and len(motion.inputs["A"]) == len(motion)
+
+
+@pytest.mark.parametrize("inputs", [{"A": "x"}, {"A": lambda t: [1, 2]}, {"A": lambda t: "x"}, ["A"], {"A": []},
+                                    {"A": lambda t: 1.5 if t < 1 else np.nan}])  # fmt: skip
+def test_bad_inputs_of_a_drive_are_refused(inputs):
+    times = [0, 1, 2] if isinstance(inputs, dict) and callable(inputs["A"]) else None
+    with pytest.raises(InputError, match=r"must be|no samples"):
+        kempe.load("four_bar").drive(inputs, times)

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from literature import BENT, HEXAGON, look
 from mechanisms import PLANAR, SINGULAR, Case, branches
 from mechanisms_spatial import SPATIAL, Spatial
+from world_mechanisms import World, X, Y, Z, on_rods
 
 import kempe
 from kempe import Mechanism, System
@@ -441,3 +443,74 @@ def test_last_digits_are_corrected():
 def test_without_sampling():
     system, q = flat([1, 1, 2], [1, 1])
     assert local_dimension(system, q, sampling=False).sampled is None
+
+
+def test_a_platform_on_parallel_legs_of_one_length_translates():
+    """All legs are one vector of that length: a sphere of translations; the turn about the legs is to first order."""
+    m = look(on_rods("translation", BENT, BENT + [0.3, 0.2, 1.4]))
+    assert (m.gruebler, m.rank_dof, m.dof, m.local.branch_dims, m.local.doubts) == (0, 3, 2, (2,), ())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_branches_with_the_same_null_space_are_distinguished(seed):
+    """Legs on a circle, straight up: it translates (2), or turns while it sinks (1); the kernel is 3 all along both."""
+    m = look(on_rods("circle", HEXAGON, HEXAGON + [0, 0, 1.4]), rng=seed)
+    assert (m.rank_dof, m.dof, m.local.branch_dims, m.local.doubts) == (3, 2, (2, 1), ()), str(m)
+
+
+def in_a_row(stages: int) -> World:
+    """Stretched bars shift a slider by s^2, which at the dead centre of the next shifts that by s^4, and so on."""
+    w = World("dead centres", 2)
+    w.turn("ground", "a", (0, 0))
+    w.turn("a", "b", (1, 0))
+    p, along = np.array([2.0, 0.0]), np.array([1.0, 0.0])
+    w.turn("b", "k0", p)
+    w.slide("k0", "ground", along, p)
+    for i in range(1, stages):
+        along = np.array([-along[1], along[0]])
+        end = "ground" if i == stages - 1 else f"k{i}"
+        w.turn(f"k{i - 1}", f"c{i}", p)
+        p = p + along
+        w.turn(f"c{i}", end, p)
+        if end != "ground":
+            w.slide(end, "ground", along, p)
+    return w
+
+
+@pytest.mark.parametrize("stages", [2, 3, 4])
+def test_what_is_shaky_of_a_high_order_is_not_called_mobile_for_certain(stages):
+    """Rigid, though s^(2^stages) = 0 is all that says so; s^16 is beyond rounding for s = 0.1."""
+    m = look(in_a_row(stages))
+    assert m.rank_dof == 1
+    assert m.dof == 0 or not m.certain and "the truth to order 8" in m.sentence or "1 to order 8" in m.sentence
+    assert stages > 3 or (m.dof, m.local.obstruction_order) == (0, 2**stages)
+
+
+def torus(at, normal) -> World:
+    """A point of an arm of two hinges, at distance 1 from the second, in a plane that touches its torus."""
+    w = World("torus")
+    w.turn("ground", "a", (0, 0, 0), Z)
+    w.turn("a", "b", (2, 0, 0), Y)
+    w.plane("ground", "b", at, normal)
+    return w
+
+
+@pytest.mark.parametrize("moved", [False, True])
+@pytest.mark.parametrize(
+    ("at", "normal", "dof", "generic", "branches"),
+    [((3, 0, 0), X, 0, 2, ()), ((1, 0, 0), X, 1, 1, (1, 1)), ((2, 0, 1), Z, 1, 2, (1,))],
+    ids=["outside: a point", "inside: a node", "on top: a circle, twice"],
+)
+def test_a_plane_that_touches_a_torus(at, normal, dof, generic, branches, moved):
+    m = look(torus(at, normal), moved=moved)
+    assert (m.gruebler, m.rank_dof, m.dof, m.singular) == (1, 2, dof, True), str(m)
+    assert m.generic_rank_dof == generic and m.local.branch_dims == branches
+
+
+def test_nothing_to_move():
+    assert local_dimension(Mechanism("empty").build(), []).dim == 0
+    frame = World("frame")
+    frame.joint("fixed", "ground", "a")
+    frame.joint("fixed", "a", "b", (1, 0, 0))
+    frame.joint("fixed", "b", "ground", (0, 1, 0))
+    assert local_dimension(frame.build(), []).dim == 0 and look(frame).redundant == 6

@@ -8,13 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from literature import SPREAD, look, miura
 from mechanisms import PLANAR, SINGULAR, Case
 from mechanisms_spatial import SPATIAL, Spatial, joint_constraints
+from world_mechanisms import World, Z, loop, unit
 
 import kempe
 from kempe import Mechanism, System
 from kempe.analysis.first_order.generic_configurations import nearby
-from kempe.analysis.first_order.rank import rank_at
+from kempe.analysis.first_order.rank import decide, rank_at
+from kempe.analysis.local.local import local_dimension
 from kempe.analysis.mobility.mobility import Mobility, mobility
 from kempe.errors import InputError, UnknownNameError
 from kempe.joints import Universal
@@ -437,3 +440,53 @@ def test_groups_of_loops_are_counted_by_themselves():
     report = mobility(m.build(), q)
     assert [(c.gruebler, c.rank_dof, c.redundant) for c in report.clusters] == [(1, 1, 0), (1, 1, 0)]
     assert (report.gruebler, report.dof, report.outside) == (2, 2, 0)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+def test_axes_through_one_point_away_from_the_origin(scale):
+    """The spread of the joints is rounding there, and no length."""
+    spherical = loop("spherical", [("revolute", np.zeros(3), unit(z)) for z in SPREAD[:5]])
+    m = look(spherical, scale, moved=True)
+    assert (m.gruebler, m.rank_dof, m.dof, m.redundant) == (-1, 2, 2, 3)
+    assert m.loops[0].motion == "turns about one point"
+    jack = [("revolute", np.zeros(3), Z), ("helical", np.zeros(3), Z, {"pitch": 0.1}), ("prismatic", np.zeros(3), Z)]
+    m = look(loop("screw jack", jack), scale, moved=True)
+    assert (m.gruebler, m.rank_dof, m.dof) == (-3, 1, 1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_redundancy_does_not_depend_on_the_seed_where_branches_meet(seed):
+    """Flat, Miura's panels fold along both straight lines at once (2), or in ways of one freedom."""
+    m = look(miura(3, 3, 0.0), rng=seed)
+    assert (m.gruebler, m.dof, m.local.branch_dims[0], m.local.branch_dims[-1]) == (-12, 2, 2, 1)
+    assert (m.generic_rank_dof, m.redundant) == (1, 13)
+
+
+def test_the_rank_can_be_zero():
+    assert decide(np.array([1e-16]), 2, 1.0)[0] == 0 and decide(np.array([1e-16]), 2)[0] == 1
+    assert decide(np.array([1e-2]), 2, 1.0)[0] == 1
+
+
+@pytest.mark.parametrize("off", [1e-6, 1e-7, 1e-8])
+def test_what_is_nearly_a_mechanism_is_none_for_certain_or_probably_one(off):
+    """A Bennett linkage whose axes are off by this much is no mechanism, but nearly one."""
+    system = kempe.load("bennett")
+    rng = np.random.default_rng(0)
+    pose = dict(zip(system.body_names, system.fk(system.q("closed")), strict=True))
+    world = World("nearly")
+    for j in system.structure.joints.values():
+        F = pose[j.parent] @ j.X_PF.evaluate(system.structure.parameters)
+        p, z = F[:3, 3] + off * rng.normal(size=3), F[:3, 2] + off * rng.normal(size=3)
+        world.turn(*("ground" if b == system.body_names[0] else b for b in (j.parent, j.child)), p, z)
+    report = look(world)
+    assert report.dof == 0 if report.certain else "probably" in report.sentence
+
+
+def test_drives_are_a_list_and_tolerances_are_small():
+    system = kempe.load("four_bar")
+    q = system.q("closed")
+    with pytest.raises(InputError, match="list of names"):
+        mobility(system, q, actuated=3)  # pyright: ignore[reportArgumentType]
+    for tolerance in (0.0, -1.0, 1.0, 2.0, float("nan")):
+        with pytest.raises(InputError, match="tolerance"):
+            local_dimension(system, q, tolerance=tolerance)

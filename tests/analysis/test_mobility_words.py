@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hunts import Hunt
 from known_truths import dead_centres
+from literature import look, trammel
 from world_mechanisms import World
 
 import kempe
@@ -119,3 +120,17 @@ def test_one_is_not_written_as_many():
 def test_dead_centres_that_hide_their_order_are_known_to_an_order():
     system = dead_centres(np.random.default_rng(0), 5)[0].build()
     assert "to order 8" in mobility(system, system.neutral).sentence
+
+
+def test_counts_are_sentences():
+    m = kempe.load("four_bar").mechanism
+    m.lock({"A": m.postures["closed"]["A"]})
+    assert "1 locked coordinate takes away one" in mobility(m.build()).counting.steps[-1]
+    assert "5 on-line constraints x 1" in look(trammel(5)).counting.steps[1]
+
+
+def test_control_says_that_it_counts_to_first_order():
+    """The slider is not driven by the pendulum, but the dead centre keeps it: P alone is what truly moves."""
+    report = mobility(kempe.load("pendulum_dead_centre"), actuated=["P"])
+    assert (report.control.controlled, report.control.useful) == (1, 2)
+    assert "counted to first order, where the rank sees 2 freedoms; truly there is 1" in str(report)

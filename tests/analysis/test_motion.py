@@ -472,3 +472,35 @@ def test_paths_depend_neither_on_start_step_nor_unit(lengths, place, step, scale
     large = trace(four_bar(k * a, k * b, k * c, k * d), "A", path.q[0])
     assert large.length == pytest.approx(path.length, rel=1e-6)
     assert [e.value for e in large.turning_points] == pytest.approx([e.value for e in path.turning_points], abs=1e-9)
+
+
+def test_a_branch_closes_where_limits_are_not_looked_at():
+    m = four_bar(0.1, 0.5, 0.4, 0.4).mechanism
+    m.joints.pop("A")
+    m.revolute("A", m.ground, "crank", limits=(-1, 1))
+    path = m.build().trace("A", {"A": 0.0}, limits=False)
+    assert path.closed and path.turns["A"] == 1 and len(path) < 200
+
+
+def test_points_allowed_are_all_points():
+    path = kempe.load("four_bar").trace("A", budget=kempe.Budget(points=7))
+    assert len(path) == 7 and path.ends == ("the start", "the 7 points allowed")
+
+
+@pytest.mark.parametrize("wrong", [{"step": "x"}, {"points": "x"}, {"points": 2.5}])
+def test_bad_budgets_of_a_trace_are_refused(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        kempe.load("four_bar").trace("A", budget=kempe.Budget(**wrong))
+
+
+@pytest.mark.parametrize("rate", [np.nan, "x"])
+def test_bad_rates_of_a_trace_are_refused(rate):
+    with pytest.raises(InputError, match="toward"):
+        kempe.load("four_bar").trace("A", toward={"A": rate})
+
+
+def test_what_has_no_coordinates_does_not_move():
+    m = Mechanism("nothing", dim=2)
+    assert len(m.build().trace()) == 1
+    m.fixed("F", m.ground, m.body("block"))
+    assert "cannot move" in m.build().trace().status

@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from literature import look
 from oracles.maximal import maximal_jacobian
 from rods import FORMS, UNITS, Rods, mechanism
 from world_mechanisms import World
@@ -197,3 +198,23 @@ def test_hunt_many_rods(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(400)):
         check(mechanism(rng))
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+def test_a_roller_on_its_pin_is_idle_and_links_that_happen_to_be_in_line_are_not(scale):
+    """Textbooks' idle freedom: a roller between an arm and a block. A rhombus folded for good is no such thing."""
+    w = World("roller", 2)
+    w.turn("ground", "arm", (0, 0))
+    w.turn("arm", "roller", (1, 0.5))
+    w.turn("roller", "block", (1, 0.5))
+    w.slide("block", "ground", (0.3, 1), (1, 0.5))
+    m = look(w, scale, moved=True)
+    assert (m.gruebler, m.dof, m.idle, m.useful) == (1, 1, 1, 0)
+    w.joints[-1] = ("bar", "revolute", "block", "bar", np.array([2.0, 1.0, 0.0]), np.eye(3), {})
+    w.turn("bar", "ground", (2, 0))
+    m = look(w, scale, moved=True)
+    assert (m.dof, [f.bodies for f in m.idle_freedoms], m.useful) == (2, [("roller",)], 1)
+    folded = World("rhombus", 2)
+    for a, b, p in (("ground", "a", (0, 0)), ("a", "b", (1, 0)), ("b", "c", (1.6, 0.8)), ("c", "ground", (1, 0))):
+        folded.turn(a, b, p)
+    assert look(folded).idle == 0

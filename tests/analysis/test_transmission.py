@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from motion_linkages import bennett, four_bar, jansen, linkage, slider_crank
 
+import kempe
 from kempe import Mechanism, spatial
 from kempe.analysis.motion.drive import drive
 from kempe.analysis.motion.motion import trace
@@ -206,3 +207,9 @@ def test_names_and_open_loops():
     J = loop_jacobian(twin.build(), [0.1], ["x"], ["joint:x", "frame:x"])
     np.testing.assert_allclose(J.matrix[:, 0], [1, 0, 0, 0, 0, 0, 1], atol=1e-15)
     assert "determine" in str(J) and "<table>" in J._repr_html_()
+
+
+def test_a_joint_on_the_ground_has_no_transmission_angle():
+    s = kempe.load("four_bar")
+    with pytest.raises(InputError, match="on the ground"):
+        transmission_angle(s, s.q("closed"), "A")

@@ -9,6 +9,7 @@ import pytest
 from bad_file_cases import LIMIT, LINKS, joint, mimic, robot
 from scipy.spatial.transform import Rotation
 
+import kempe
 from kempe.description.urdf.urdf import read_urdf
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 
@@ -372,3 +373,12 @@ def test_balls_of_mujoco(hunt):
         hand = model.body("hand").id
         X[:3, :3], X[:3, 3] = data.xmat[hand].reshape(3, 3), data.xpos[hand]
         np.testing.assert_allclose(s.fk(q, "hand"), X, rtol=0, atol=1e-14)
+
+
+def test_swapped_letters_of_a_short_attribute_are_a_slip():
+    text = (
+        "<robot name='r'><link name='a'/><link name='b'/><joint name='j' type='fixed'><parent link='a'/>"
+        "<child link='b'/><origin xzy='1 0 0'/></joint></robot>"
+    )
+    with pytest.raises(DescriptionError, match="did you mean 'xyz'"):
+        kempe.load(text)

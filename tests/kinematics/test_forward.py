@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from types import MappingProxyType
 
@@ -406,3 +407,27 @@ def test_arrays_that_are_not_aligned_are_copied():
     np.testing.assert_array_equal(bar.assemble({"A": 0.9}, unaligned(closed)).q, bar.assemble({"A": 0.9}, closed).q)
     with pytest.raises(InputError, match="aligned"):
         s.fk(q, "tool", out=unaligned(X))
+
+
+def test_out_that_overlaps_q_gives_the_same_poses():
+    robot = kempe.load("puma560")
+    q = robot.random(0, 100)
+    for frame, tail in (("tool", (4, 4)), (None, (7, 4, 4))):
+        memory = np.zeros(100 * math.prod(tail))
+        memory[: q.size] = q.ravel()
+        out = robot.fk(memory[: q.size].reshape(q.shape), frame, out=memory.reshape(100, *tail))
+        assert np.array_equal(out, robot.fk(q, frame))
+
+
+def test_a_jacobian_written_over_its_own_configuration():
+    robot = kempe.load("puma560")
+    query = robot.query("tool")
+    q = robot.random(0)
+    J, X = query.jacobian(q), query(q)
+    memory = np.zeros(40)
+    for start in (0, 3, 30, 34):
+        memory[start : start + 6] = q
+        out = query.jacobian(memory[start : start + 6], "world_aligned", memory[:36].reshape(6, 6))
+        assert np.array_equal(out, J)
+    memory[5:11] = q
+    assert np.array_equal(query(memory[5:11], memory[:16].reshape(4, 4)), X)

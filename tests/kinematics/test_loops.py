@@ -9,6 +9,7 @@ import pytest
 from graphs import KINDS, PLANAR_KINDS, SLIDES, graphs
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from linkages import four_bar
 from oracles import closures
 from oracles.declared import declared
 
@@ -259,3 +260,10 @@ def test_same_zeros_as_closure_error(graph, seed):
 def test_whether_own_coordinates_count_is_true_or_false(own):
     with pytest.raises(InputError, match="own is .*; it must be True or False"):
         closure_rows.of_system(load("four_bar"), own)
+
+
+@pytest.mark.parametrize("cut", "ABCD")
+@pytest.mark.parametrize("at", [(0.0, 0.0), (1000.0, -2000.0)])
+def test_the_characteristic_length_is_of_the_links(cut, at):
+    """Neither the cut nor where the ground has its origin matters."""
+    assert closure_rows.characteristic_length(four_bar(cut=cut, at=at)) == pytest.approx(0.4, rel=1e-9)

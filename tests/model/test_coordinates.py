@@ -170,3 +170,29 @@ def test_followers_say_what_they_follow():
     m.gear("b", "a", 2.0, offset=1.0)
     m.lock({"c": 0.5})
     assert m.build().structure.couplings == {"c": Follower(None, 0.0, 0.5), "b": Follower("a", 2.0, 1.0)}
+
+
+def geared(driver: tuple[float, float], driven: tuple[float, float], ratio: float, driven_first: bool):
+    system = Mechanism("gear")
+    joints = {"x": driver, "y": driven}
+    for name in sorted(joints, reverse=driven_first):
+        system.revolute(name, system.ground, system.body(f"body_{name}"), limits=joints[name])
+    system.gear("y", "x", ratio)
+    return system.build()
+
+
+@pytest.mark.parametrize("driven_first", [False, True])
+def test_limits_that_do_not_overlap_name_both_joints_whatever_their_order(driven_first):
+    with pytest.raises(DescriptionError, match=r"joint 'y': .*'x' in \[5, 6\], those of joint 'x' for \[-1, 1\]"):
+        geared((-1.0, 1.0), (5.0, 6.0), 1.0, driven_first)
+
+
+@pytest.mark.parametrize("driven_first", [False, True])
+@pytest.mark.parametrize(
+    ("driver", "driven"), [((0.3, 0.3), (0.1, 0.1)), ((-1.0, 0.3), (0.1, 2.0)), ((0.3, 1.0), (0.0, 0.1))]
+)
+def test_limits_that_touch_through_a_gear_are_accepted(driver, driven, driven_first):
+    for ratio in (1.0 / 3.0, np.nextafter(1.0 / 3.0, 0.0), np.nextafter(1.0 / 3.0, 1.0)):
+        limits = geared(driver, driven, ratio, driven_first).structure.limits
+        np.testing.assert_allclose(limits, [[0.3, 0.3]], rtol=1e-15)
+        assert limits[0, 0] <= limits[0, 1]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from linkages import four_bar
 
 import kempe
 from kempe import Mechanism, constraints
@@ -22,18 +23,6 @@ MECHANISMS = [
     "four_bar", "slider_crank", "double_parallelogram", "bennett", "sarrus", "stewart", "peaucellier", "jansen",
     "three_rrr", "delta_ss", "bricard_trihedral",
 ]  # fmt: skip
-
-
-def four_bar(a=0.1, b=0.5, c=0.4, d=0.4, cut="C", **more) -> kempe.System:
-    m = Mechanism("four-bar", dim=2)
-    for body in ("crank", "coupler", "rocker"):
-        m.body(body)
-    for name, parent, child, at, child_at in (
-        ("A", "ground", "crank", 0.0, 0.0), ("B", "crank", "coupler", a, 0.0), ("C", "coupler", "rocker", b, c),
-        ("D", "ground", "rocker", d, 0.0),
-    ):  # fmt: skip
-        m.revolute(name, parent, child, at=(at, 0), child_at=(child_at, 0), cut=name == cut, **more.get(name, {}))
-    return m.build()
 
 
 def rocker_angles(a, b, c, d, theta):
@@ -413,3 +402,128 @@ def test_constraints_of_one_call():
     assert not far and "is violated by" in far.status
     with pytest.raises(InputError, match="no constraint of kempe.constraints"):
         s.assemble(also=["rod"])
+
+
+def test_the_nearest_does_not_depend_on_the_cut():
+    """The distance counts all coordinates, so that the answer by name is the same wherever the loop is cut."""
+    near = {"A": 1.4, "B": -0.7, "C": 1.0, "D": 1.3}
+    answers = []
+    for cut in "ABCD":
+        s = four_bar(cut=cut)
+        answer = s.assemble(start=near, prefer="nearest")
+        assert answer
+        answers.append([s.q_dict(answer.q)[n] for n in "ABCD"])
+    np.testing.assert_allclose(answers, np.broadcast_to(answers[0], (4, 4)), atol=1e-7)
+
+
+def test_the_nearest_is_nearest():
+    """No closed configuration of a fine sweep of the crank is nearer, measured in all joints."""
+    s = kempe.load("four_bar")
+    near = s.q({"A": 1.4, "B": -0.7, "C": 1.0, "D": 1.3})
+    answer = s.assemble(start=near, prefer="nearest")
+    crank = answer.q[0] + np.linspace(-0.2, 0.2, 2001)
+    around = s.assemble({"A": crank}, start=answer.q)
+    assert around
+    assert s.configuration_space.distance(near, answer.q) <= s.configuration_space.distance(near, around.q).min() + 1e-9
+
+
+def test_a_mechanism_far_from_the_origin():
+    """1000 m away loops close, and are traced, as at the origin: no digits and no tolerance are lost."""
+    m = Mechanism("far", ground="world")
+    m.attach(kempe.load("sarrus"), m.ground, at=(1000.0, 2000.0, 0.0), rpy=(0.3, 0.2, 1.0))
+    far, home = m.build(), kempe.load("sarrus")
+    driver = home.structure.velocity_names[0]
+    start = far.q({k: v for k, v in home.q_dict(home.q("closed")).items()})
+    assert far.trace(driver, start).length == pytest.approx(home.trace(driver, "closed").length, rel=1e-6)
+    s = four_bar(at=(1e6, 0.0))
+    answer = s.assemble({"A": 1.0})
+    assert answer and np.abs(s.loops.closure_error(answer.q)).max() < 1e-9
+    tip = s.fk(answer.q, "rocker")[:3, 3] + s.fk(answer.q, "rocker")[:3, :3] @ [0.4, 0, 0]
+    assert np.linalg.norm(tip[:2] - [1e6 + 0.1 * np.cos(1.0), 0.1 * np.sin(1.0)]) == pytest.approx(0.5, abs=1e-9)
+
+
+def test_a_known_place_far_from_the_origin():
+    """Places of frames are in the ground, however the loops are measured."""
+    m = Mechanism("four-bar", dim=2)
+    crank, coupler, rocker = m.body("crank"), m.body("coupler"), m.body("rocker")
+    m.revolute("A", m.ground, crank, at=(500, 0))
+    m.revolute("B", crank, coupler, at=(0.1, 0))
+    m.revolute("C", coupler, rocker, at=(0.5, 0), child_at=(0.4, 0))
+    m.revolute("D", m.ground, rocker, at=(500.4, 0))
+    m.frame("pin", "crank", at=(0.1, 0))
+    s = m.build()
+    place = [500 + 0.1 * np.cos(0.7), 0.1 * np.sin(0.7)]
+    answer = s.assemble({"pin": place})
+    assert answer and s.q_dict(answer.q)["A"] == pytest.approx(0.7, abs=1e-8)
+
+
+@pytest.mark.parametrize("tolerance", [-1.0, 0.0, 1.0, float("nan"), float("inf"), "x"])
+def test_a_tolerance_that_would_call_open_loops_closed_is_refused(tolerance):
+    with pytest.raises(InputError, match="tolerance"):
+        kempe.load("four_bar").assemble({"A": 1.0}, tolerance=tolerance)
+
+
+@pytest.mark.parametrize("values", [{}, {"B": 1.0}, {"A": 1.0, "B": 1.0}])
+def test_a_bound_assembler_says_which_values_it_needs(values):
+    with pytest.raises(InputError, match=r"needed are \('A',\)"):
+        kempe.load("four_bar").loops.assembler(["A"])(values)
+
+
+def test_a_bad_row_leaves_the_others_alone_where_rows_follow_each_other():
+    s = kempe.load("four_bar")
+    angles = np.linspace(1.5, 2.5, 11)
+    bad = np.where(np.arange(11) == 4, np.nan, angles)
+    answer = s.assemble({"A": bad}, prefer="continuous")
+    np.testing.assert_array_equal(answer.success, np.arange(11) != 4)
+    assert np.isnan(answer.q[4]).all()
+    whole = s.assemble({"A": angles}, prefer="continuous")
+    good = np.arange(11) != 4
+    np.testing.assert_allclose(answer.q[good], whole.q[good], atol=1e-9)
+
+
+def test_a_bad_place_of_a_frame_leaves_the_other_rows_alone():
+    s = kempe.load("four_bar")
+    places = s.fk(s.assemble({"A": np.array([1.0, 1.1, 1.2])}).q, "coupler")[:, :2, 3]
+    places[1] = np.nan
+    answer = s.assemble({"coupler": places})
+    assert answer.success.tolist() == [True, False, True] and np.isnan(answer.q[1]).all()
+
+
+@pytest.mark.parametrize("cut", "ABCD")
+@pytest.mark.parametrize(("driven", "driver"), [("D", "A"), ("A", "D"), ("C", "A"), ("B", "C")])
+def test_gears_close_wherever_the_loop_is_cut(cut, driven, driver):
+    """A cut joint that others follow is no less bound than one that follows."""
+    m = four_bar(cut=cut).mechanism
+    m.gear(driven, driver, -0.5, 0.4)
+    s = m.build()
+    answer = s.assemble()
+    assert np.abs(s.loops.closure_error(answer.q)).max() < 1e-9 or not answer
+    assert answer
+
+
+def test_places_that_no_frame_can_have_are_refused():
+    s = kempe.load("three_rrr")
+    body = s.body_names[-1]
+    tilted = np.eye(4)
+    tilted[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    for place in ([0.0, 0.0, 1.0], tilted):
+        with pytest.raises(InputError, match="leaves the plane"):
+            s.assemble({body: place})
+    for place in (np.full((4, 4), 2.0), np.diag([1.0, 1.0, -1.0, 1.0])):
+        with pytest.raises(InputError, match="is no pose"):
+            s.assemble({body: place})
+
+
+def test_bad_further_constraints_are_refused_and_violated_ones_named():
+    s = kempe.load("five_bar")
+    for bad in (3, ["x"]):
+        with pytest.raises(InputError, match="also holds"):
+            s.assemble(also=bad)
+    for wrong in (lambda q: "x", lambda q: np.nan):
+        with pytest.raises(InputError, match="must give a number"):
+            s.assemble(also=wrong)
+    with pytest.raises(InputError, match=r"its Jacobian has shape \(1, 3\)"):
+        s.assemble(also=constraints.Function(lambda q: q[0], lambda q: np.zeros(3)))
+    a, b = s.body_names[1], s.body_names[-1]
+    answer = s.assemble(also=constraints.Distance(a, b, 99.0, name="far rod"))
+    assert not answer and "'far rod'" in answer.status

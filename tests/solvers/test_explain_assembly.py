@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from linkages import four_bar
 
 import kempe
 from kempe import Mechanism, System
@@ -127,3 +128,41 @@ def test_no_warning_where_nothing_is_wrong(name):
 def test_all_given_leaves_nothing_to_say():
     system = kempe.load("four_bar")
     assert "left" not in system.assemble({"A": 1.0}).status
+
+
+@pytest.mark.parametrize("beyond", [1e-9, 1e-7, 1e-3])
+def test_the_open_loop_is_named_however_little_it_is_open(beyond):
+    s = four_bar(a=0.4, b=0.2, c=0.3, d=0.8)
+    toggle = np.arccos((0.16 + 0.64 - 0.25) / (2 * 0.4 * 0.8))
+    answer = s.assemble({"A": toggle + beyond})
+    assert not answer and "the loop of joint" in answer.status
+
+
+def test_a_violated_rod_and_a_violated_relation_are_named():
+    m = Mechanism("rod", dim=2)
+    crank, block = m.body("crank"), m.body("block")
+    m.revolute("A", m.ground, crank)
+    m.prismatic("S", m.ground, block, axis=(1, 0), limits=(5, 6))
+    m.distance("rod", crank, block, length=2.0, at=(1, 0))
+    answer = m.build().assemble()
+    assert not answer and "constraint 'rod' stays open by 2 m" in answer.status
+    m = Mechanism("differential")
+    for name in ("L", "R", "C"):
+        m.revolute(name, m.ground, m.body(f"body {name}"), limits=(0, 1))
+    m.couple("C", {"L": 1.0, "R": 1.0}, offset=5.0)
+    answer = m.build().assemble()
+    assert not answer and "the relation of 'C' is off by 4" in answer.status
+
+
+def test_too_many_known_values_are_said_to_be_too_many():
+    s = four_bar()
+    assert "2 coordinates are given, but it has 1 freedom" in s.assemble({"A": 1.0, "D": 1.0}).status
+
+
+def test_by_how_much_a_place_is_missed():
+    m = Mechanism("arm", dim=2)
+    m.revolute("A", m.ground, m.body("a"))
+    m.revolute("B", "a", m.body("b"), at=(1, 0))
+    s = m.build()
+    assert "the place of 'b' is missed by 0.118034 m" in s.assemble({"b": [1.0, 0.5]}).status
+    assert "the place of 'ground' is missed by 1 m" in kempe.load("four_bar").assemble({"ground": [1, 0]}).status

@@ -366,3 +366,45 @@ def test_work_is_counted():
     s = robot.ik(robot.fk(robot.random(0, 300), "tool"), "tool")
     assert np.median(s.iterations) <= 30 and np.median(s.starts) <= 2
     assert robot.ik([50.0, 0, 0], "tool", budget=kempe.Budget(starts=7)).starts == 7
+
+
+def test_transposed_pose_is_refused_as_target():
+    robot = kempe.load("puma560")
+    X = robot.fk(robot.q("qn"), "tool")
+    with pytest.raises(InputError, match="its last row is"):
+        robot.ik(X.T, "tool")
+    batch = robot.ik(np.stack([X, X.T]), "tool")
+    assert batch.success.tolist() == [True, False] and np.isnan(batch.q[1]).all()
+    with pytest.raises(InputError, match="real numbers"):
+        robot.ik(X.astype(complex), "tool")
+
+
+def test_orientation_of_a_particle_is_refused_as_target():
+    system = kempe.Mechanism("particle")
+    system.translation("t", system.ground, system.particle("p"))
+    built = system.build()
+    target = np.diag([-1.0, -1.0, 1.0, 1.0])
+    with pytest.raises(InputError, match="particle"):
+        built.ik(target, "p")
+    assert built.ik(target, "p", task="position") and built.ik(np.eye(4), "p") and built.ik([1.0, 2.0, 3.0], "p")
+
+
+def test_limit_is_the_reason_even_where_the_task_has_more_equations_than_freedoms():
+    robot = kempe.load("cobra600")
+    for joint in ("q1", "q3"):
+        i = robot.coordinate_names.index(joint)
+        q = robot.mid.copy()
+        q[i] = robot.upper[i] + 0.05
+        assert f"blocked by the limit of '{joint}'" in robot.ik(robot.fk(q, "tool"), "tool").status
+
+
+def test_wrong_arguments_are_named():
+    robot = kempe.load("puma560")
+    target = robot.fk(robot.q("qn"), "tool")
+    with pytest.raises(InputError, match="starts is"):
+        robot.ik(target, "tool", budget=kempe.Budget(starts=10**30))
+    with pytest.raises(InputError, match=r"it must be \(6,\)$"):
+        robot.ik(target, "tool", start=np.zeros((2, 6)))
+    with pytest.raises(kempe.KempeError, match="frame of expression"):
+        robot.jacobian(robot.neutral, "tool", ["body"])
+    assert robot.ik(target, "tool", tolerance=np.array([1e-6, 1e-6]))

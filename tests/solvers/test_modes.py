@@ -9,6 +9,7 @@ import pytest
 from dyad_chains import random_chain
 from hypothesis import given
 from hypothesis import strategies as st
+from linkages import four_bar
 
 import kempe
 from kempe import Mechanism, System
@@ -323,3 +324,29 @@ def test_refused_arguments():
     ):
         with pytest.raises(InputError):
             call()
+
+
+@pytest.mark.parametrize("cut", [None, "B", "D"])
+@pytest.mark.parametrize(("driven", "driver", "ratio", "count"), [("D", "A", -0.3, 6), ("B", "C", -0.5, 4)])
+def test_all_modes_of_a_gear_that_comes_back_after_several_turns(cut, driven, driver, ratio, count):
+    """Counts by sign changes over all turns of the driver, from the closed form of the four-bar."""
+    m = four_bar(cut=cut).mechanism
+    m.gear(driven, driver, ratio, 0.4)
+    s = m.build()
+    modes = s.assembly_modes({})
+    assert len(modes) == count and not modes.complete
+    assert max(np.abs(s.loops.closure_error(q)).max() for q in modes) < 1e-8
+
+
+def test_a_search_among_thousands_of_modes_ends():
+    m = Mechanism("row", dim=2)
+    before = m.body("r0")
+    m.revolute("A0", m.ground, before)
+    for k in range(1, 21):
+        coupler, rocker = m.body(f"c{k}"), m.body(f"r{k}")
+        m.revolute(f"B{k}", before, coupler, at=(0, 0.5))
+        m.revolute(f"C{k}", coupler, rocker, at=(1, 0), child_at=(0, 0.5))
+        m.revolute(f"A{k}", m.ground, rocker, at=(k, 0))
+        before = rocker
+    modes = m.build().assembly_modes({"A0": 0.4})
+    assert len(modes) > 500 and not modes.complete and modes.coverage < 0.9
