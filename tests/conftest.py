@@ -55,10 +55,10 @@ def solved_as_marked() -> Iterator[None]:
     """Solvers close loops where they are marked `cut`: for tests of how each type of joint closes one."""
     from kempe.kinematics import closure_rows
     from kempe.kinematics.tasks import packed
-    from kempe.solvers.assembly import assembly
+    from kempe.solvers.assembly import assembler
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (assembly, closure_rows, packed):
+        for module in (assembler, closure_rows, packed):
             patch.setattr(module, "own_tree", lambda system: system)
         yield
 

@@ -178,7 +178,8 @@ CASES = {
         "loop_jacobian", lambda: LINKAGE.loops.jacobian(np.zeros((0, 4)), [CRANK], [ROCKER]), []),
 }  # fmt: skip
 
-REPORTING = {"mobility", "classify", "idealised", "independent", "closed_form", "ik_plan", "loop_jacobian"}
+REPORTING = {"mobility", "classify", "idealised", "independent", "closed_form", "ik_plan", "loop_jacobian",
+             "configuration_space"}  # fmt: skip
 REPORTS, ANSWERS = ([n for n, c in CASES.items() if (c.verb in REPORTING) == report] for report in (True, False))
 """Cases of the verbs that find something out about a system, and of those that give configurations."""
 NAMED = {"loop_jacobian": "jacobian", "ik_sweep": "sweep", "ik_plan": "plan"}

@@ -9,11 +9,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from kempe.model.closures.reduced import reduced
 
 from kempe import spatial
 from kempe.errors import UnsupportedError
 from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
+from kempe.model.closures.implicit_form import implicit_form
 from kempe.model.closures.packed_loops import characteristic_length
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Link:
     def opening(self, X: list[spatial.Array]) -> spatial.Array:
         """How far (...) the joint is from assembled, in metres and sines of angles, for poses X of all bodies."""
         between = spatial.inverse(X[self.a] @ self.X_a) @ (X[self.b] @ self.X_b)
-        form = reduced(self.joint.type)
+        form = implicit_form(self.joint.type)
         if form is None:
             raise UnsupportedError(f"joint {self.joint.name!r} has no implicit form")
         slides, turns = form.position, form.turns

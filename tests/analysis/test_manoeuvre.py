@@ -139,7 +139,7 @@ def test_what_a_dict_does_not_name_rolls_along():
     path = system.manoeuvre({}, {"pose.x": 1.0})
     np.testing.assert_allclose(path.q[-1], [1.0, 0.0, 0.0, 2.0], rtol=0, atol=1e-14)
     named = system.manoeuvre(np.zeros(4), [1.0, 0, 0, 9.0], free=["roll"], radius=0.5)
-    assert named.q[-1].tolist() == [1.0, 0.0, 0.0, 2.0]
+    np.testing.assert_allclose(named.q[-1], [1.0, 0.0, 0.0, 2.0], rtol=0, atol=1e-14)
     with pytest.raises(UnsupportedError, match=r"'roll' ends 7 away.*free=\['roll'\]"):
         system.manoeuvre(np.zeros(4), [1.0, 0, 0, 9.0], radius=0.5)
     with pytest.raises(InputError, match="'pose.x' does not roll along"):

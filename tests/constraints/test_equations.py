@@ -96,7 +96,7 @@ def test_functions_that_branch_are_called():
     np.testing.assert_allclose(J, [[1.0, -2.0]], atol=1e-9)
     assert s.assemble({"B": 0.1}).q[0] == pytest.approx(0.2, abs=1e-9)
     assert pickle.loads(pickle.dumps(m)) == m
-    with pytest.raises(UnsupportedError, match="'law'.*branching"):
+    with pytest.raises(DescriptionError, match="'law'.*branching"):
         m.save("never.toml")
 
 

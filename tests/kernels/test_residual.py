@@ -13,7 +13,7 @@ from kempe.kernels.base.declare import OUT, F, I
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.forward.table_layout import SLIDE, TURN
 from kempe.kernels.one_frame.descent import fill_hessian
-from kempe.kernels.one_frame.ik_problem import aim, count_columns, job_floats, job_ints, job_of
+from kempe.kernels.one_frame.ik_problem import aim, count_columns, problem_floats, problem_ints, problem_of
 from kempe.kernels.one_frame.residual import JACOBIAN_STRIDE, error, fill_jacobian, trace
 
 LENGTH = 0.7
@@ -26,12 +26,12 @@ LENGTH = 0.7
 def probe(ints, floats, limits, task, targets, q, out, e, J, H):
     """Error (6,), Jacobian (6, nv) and Hessian (nv, nv) at one configuration q (1, 1, nq)."""
     columns, nq, nv = count_columns(raw(ints)), ints[2], ints[3]
-    notes, block = np.empty(job_ints(columns, nv), np.int64), np.empty(job_floats(columns, nq, nv))
-    job = job_of(
+    notes, block = np.empty(problem_ints(columns, nv), np.int64), np.empty(problem_floats(columns, nq, nv))
+    problem = problem_of(
         ints, floats, limits, task, targets, q, 0, 0, 1, 1, 1e-6, 1e-6, 0.7, out, columns, raw(notes), raw(block)
     )
-    chain = job.chain
-    aim(chain, job.targets, 0)
+    chain = problem.chain
+    aim(chain, problem.targets, 0)
     for i in range(nq):
         chain.q[i] = q[0, 0, i]
     tip = trace(chain)

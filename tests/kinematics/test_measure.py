@@ -14,7 +14,7 @@ import kempe
 from kempe import Mechanism, library
 from kempe.joints import TYPES, joint_type
 from kempe.kinematics.measure import Poses, judge, motion
-from kempe.solvers.assembly import assembly
+from kempe.solvers.assembly import assembler
 from kempe.status import Status
 from kempe.views import facts, loop_report, report
 
@@ -89,7 +89,7 @@ def test_a_kernel_that_closes_nothing_is_exposed(monkeypatch):
         q[:], residual[:], info[:] = given[4], 0.0, (Status.SOLVED, 1, 1)
         return 0
 
-    monkeypatch.setattr(assembly.kernel, "assemble", blind)
+    monkeypatch.setattr(assembler.kernel, "assemble", blind)
     answer = system.assemble({"A": 0.3}, start=system.neutral)
     assert answer.success and answer.residual == 0.0 and not answer.judged.holds
     said = "success is contradicted, judged by poses multiplied out in numpy: 'C' is missed by"
