@@ -10,7 +10,7 @@ import pytest
 
 import kempe
 from kempe.constraints import Equation, Inequality, VelocityEquation
-from kempe.errors import DescriptionError, InputError, KempeError, UnknownNameError, UnsupportedError
+from kempe.errors import DescriptionError, InputError, KempeError, UnknownNameError
 from kempe.kinematics import closure_rows
 
 
