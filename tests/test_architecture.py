@@ -142,6 +142,17 @@ def test_a_module_has_its_name_alone():
     assert sorted(set(names)) == names
 
 
+def test_a_class_has_its_name_alone():
+    """No name of a class has two meanings, be it with an underscore or without."""
+    names = sorted(
+        node.name.lstrip("_")
+        for path in MODULES
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.ClassDef)
+    )
+    assert sorted(set(names)) == names
+
+
 @pytest.mark.parametrize("module", ["system.py", "namespaces.py"])
 def test_the_map_of_the_library_only_delegates(module):
     """A method of System that imports upwards ends by calling what it imported, and does little before."""

@@ -11,7 +11,7 @@ import sympy
 from sympy.parsing.sympy_parser import parse_expr
 
 from kempe.constraints.text import from_text
-from kempe.kinematics.velocity.velocity_rows import RowName, Rows
+from kempe.kinematics.velocity.velocity_rows import RowName, VelocityRows
 from kempe.model.tree.coordinate_layout import Layout
 
 EMPTY = np.zeros(0, dtype=np.int64)
@@ -29,14 +29,14 @@ class Pfaffian:
         """The coordinates."""
         return tuple(self.coordinates.split())
 
-    def rows(self) -> Rows:
+    def rows(self) -> VelocityRows:
         """The rows, recorded; those of one matrix entry that is the text 0 have none."""
         n = len(self.names)
         entries = [(i, j) for i, row in enumerate(self.text) for j, x in enumerate(row) if x != "0"]
         tape = from_text([self.text[i][j] for i, j in entries], self.names, {})
         layout = Layout(n, n, np.arange(n), np.arange(n), EMPTY, EMPTY)
         names = tuple(RowName("law", str(i)) for i in range(len(self.text)))
-        return Rows(layout, self.names, tape, np.array(entries).reshape(-1, 2), names, np.ones(n + 1))
+        return VelocityRows(layout, self.names, tape, np.array(entries).reshape(-1, 2), names, np.ones(n + 1))
 
     def symbolic(self) -> tuple[list[Any], Any]:
         """The coordinates and the matrix in symbols."""

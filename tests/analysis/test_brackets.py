@@ -11,7 +11,7 @@ from hunts import Hunt
 from pfaffian import SYSTEMS, Pfaffian, at_point, bracket, fields, growth_by_symbols, trailers
 
 from kempe.analysis.mobility.growth_vectors import Words, distribution, growth
-from kempe.analysis.mobility.reachable import Place, Reach, random_place, reach
+from kempe.analysis.mobility.reachable import EvaluationPoint, Reach, random_place, reach
 
 CHEAP = [name for name in SYSTEMS if name != "three trailers"]
 
@@ -19,7 +19,7 @@ CHEAP = [name for name in SYSTEMS if name != "three trailers"]
 def reached(system: Pfaffian, q: object, seed: int = 0) -> Reach:
     """What motions reach from q."""
     rows, rng = system.rows(), np.random.default_rng(seed)
-    place = Place(rows, np.array(q, dtype=float), 0.0, (), lambda q: q)
+    place = EvaluationPoint(rows, np.array(q, dtype=float), 0.0, (), lambda q: q)
     return reach(place, random_place(place, rng), range(len(rows.names)), rng)
 
 

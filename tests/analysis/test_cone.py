@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cones import Exact, kernel
 
-from kempe.analysis.mobility.cone import Ways, tangent_cone
+from kempe.analysis.mobility.cone import ConeDirections, tangent_cone
 
 
 def rows_of(rng, k, n, size):
@@ -101,8 +101,8 @@ def test_contacts_of_a_point(G, dimension, lineality, implicit, redundant):
 
 def test_up_but_not_down():
     C = tangent_cone(np.zeros((0, 3)), np.array([[0.0, 0, 1]]))
-    assert C.ways([0, 0, 1]) == Ways(down=False, up=True)
-    assert C.ways([1, 0, 0]) == Ways(down=True, up=True)
+    assert C.ways([0, 0, 1]) == ConeDirections(down=False, up=True)
+    assert C.ways([1, 0, 0]) == ConeDirections(down=True, up=True)
     assert C.exact
 
 
@@ -135,5 +135,5 @@ def test_many_rows_list_no_rays_but_answer(hunt):
     C = tangent_cone(np.zeros((0, 5)), G)
     assert C.rays is None
     assert (C.dimension, C.lineality) == (5, 0)
-    assert C.ways([0, 0, 0, 0, 1]) == Ways(down=False, up=True)
-    assert C.ways([1, 0, 0, 0, 0]) == Ways(down=True, up=True)
+    assert C.ways([0, 0, 0, 0, 1]) == ConeDirections(down=False, up=True)
+    assert C.ways([1, 0, 0, 0, 0]) == ConeDirections(down=True, up=True)

@@ -15,9 +15,9 @@ from kempe.constraints.base import Frame, Number
 from kempe.constraints.tape import POSE
 from kempe.constraints.text import from_text
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.tasks.task import Centred, Placed
+from kempe.kinematics.tasks.task import Centred, PlacedTask
 from kempe.kinematics.tasks.task_classes import task_of
-from kempe.kinematics.tasks.tasks_whole import Coordinates
+from kempe.kinematics.tasks.tasks_whole import CoordinateTask
 from kempe.kinematics.tasks.written import Written
 from kempe.solvers.tasks.levels import packed_for
 
@@ -110,9 +110,9 @@ def free():
 
 
 @pytest.mark.parametrize(("made", "family"), [
-    (c.Pose("b", np.eye(4)), Placed), (c.InBox("b", [0, 0, 0], [1, 1, 1]), Placed), (c.Contact("b"), Written),
-    (c.CentreOfMass([0.0, 0.0, 0.0]), Centred), (c.Posture({"J.x": 0.3}), Coordinates),
-    (c.Distance("b", "a", 1), Placed),
+    (c.Pose("b", np.eye(4)), PlacedTask), (c.InBox("b", [0, 0, 0], [1, 1, 1]), PlacedTask), (c.Contact("b"), Written),
+    (c.CentreOfMass([0.0, 0.0, 0.0]), Centred), (c.Posture({"J.x": 0.3}), CoordinateTask),
+    (c.Distance("b", "a", 1), PlacedTask),
     (c.Equation("x + y"), Written), (c.Function(lambda q: q[0]), Written), (Level("b", 0.3), Written),
     (Apart("b", 1.0), Written),
 ], ids=lambda x: getattr(x, "__name__", type(x).__name__))  # fmt: skip

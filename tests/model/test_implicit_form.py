@@ -12,7 +12,7 @@ from kempe.joints import TYPES, Free, Helical, JointType, P, Primitive, Q, R, Re
 from kempe.kernels.compiled import closure_batch
 from kempe.kinematics import closure_rows as full
 from kempe.model.closures.implicit_form import implicit_form, screw, slides_along_z
-from kempe.model.closures.packed_loops import Loops, loops_of, must_be_explicit
+from kempe.model.closures.packed_loops import PackedLoops, loops_of, must_be_explicit
 from kempe.solvers.assembly.assembler import Assembler
 
 TABLE = [kind(**options) for kind in TYPES.values() for options in variants(kind, 0.3)]
@@ -55,7 +55,7 @@ def loop(rng: np.random.Generator, kind: JointType, dim: int) -> tuple[System, n
     return s, shape.values(s)
 
 
-def evaluated(system: System, loops: Loops, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def evaluated(system: System, loops: PackedLoops, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residual and Jacobian of packed loops at configurations (n, nq)."""
     out, columns = np.empty((len(q), len(loops.names))), np.empty((len(q), len(loops.names), system.nv))
     closure_batch.equations(

@@ -179,7 +179,7 @@ def test_an_odd_number_is_called_incomplete(monkeypatch):
     import kempe.solvers.modes.modes_search as many
 
     f = k33(np.random.default_rng([1, 0]))
-    monkeypatch.setattr(many.Search, "complete", lambda self: False)
+    monkeypatch.setattr(many.ModesSearch, "complete", lambda self: False)
     modes = assembly_modes(f.system(), budget=kempe.Budget(starts=128))
     assert len(modes) == 7 and modes.expected >= 8
     assert "one is missing at least, since their number is even" in modes.status

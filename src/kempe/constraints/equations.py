@@ -89,7 +89,7 @@ def as_text(x: Any, what: str) -> str:
     return x
 
 
-class _Written(Constraint):
+class _WrittenKind(Constraint):
     """A kind whose rows the user writes, over coordinates `of` and parameters."""
 
     needs: ClassVar[str] = "a number or a list of numbers"
@@ -163,7 +163,7 @@ class _Written(Constraint):
         raise NotImplementedError
 
 
-class _Valued(_Written, Bounded):
+class _Valued(_WrittenKind, Bounded):
     """A kind on values of an expression. Bounds are for all values alike, or (..., n) for the n values."""
 
     sense: ClassVar[dict[str, Any]] = {}
@@ -277,7 +277,7 @@ class Inequality(_Valued):
 
 
 @kind("velocity_equation", says="the velocities v of {of} obey {matrix} v = {b}")
-class VelocityEquation(_Written):
+class VelocityEquation(_WrittenKind):
     """Rows A(q) v = b(q, t) over the velocities of the coordinates `of`: numbers, texts, or a function of these.
 
     `matrix` has a row for each equation and a column for each of `of`; `b` is one number, or one for each row.

@@ -25,7 +25,7 @@ class Branches(KempeError):
     """Raised inside a function that asks a recording number for its value."""
 
 
-class Recorded:
+class RecordedNumber:
     """A number that notes what is done to it. It has no value: comparisons and float() raise `Branches`."""
 
     __slots__ = ("_builder", "place")
@@ -35,7 +35,7 @@ class Recorded:
 
     def _of(self, x: object) -> int | None:
         """The place of another operand."""
-        if isinstance(x, Recorded):
+        if isinstance(x, RecordedNumber):
             if x._builder is not self._builder:
                 raise Branches("it keeps numbers of an earlier call")
             return x.place
@@ -57,10 +57,10 @@ class Recorded:
         a, b = self._of(left), self._of(right)
         if a is None or b is None:
             return NotImplemented
-        return Recorded(self._builder, self._builder.binary(op, a, b))
+        return RecordedNumber(self._builder, self._builder.binary(op, a, b))
 
-    def _unary(self, op: int) -> Recorded:
-        return Recorded(self._builder, self._builder.unary(op, self.place))
+    def _unary(self, op: int) -> RecordedNumber:
+        return RecordedNumber(self._builder, self._builder.unary(op, self.place))
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         if method == "__call__" and not options:
@@ -100,13 +100,13 @@ class Recorded:
     def __rpow__(self, other: object) -> Any:
         return self._binary(L.POW, other, self)
 
-    def __neg__(self) -> Recorded:
+    def __neg__(self) -> RecordedNumber:
         return self._unary(L.NEG)
 
-    def __pos__(self) -> Recorded:
+    def __pos__(self) -> RecordedNumber:
         return self
 
-    def conjugate(self) -> Recorded:
+    def conjugate(self) -> RecordedNumber:
         """Itself: it is real."""
         return self
 
@@ -129,7 +129,7 @@ class Recorded:
 
     __int__ = __index__ = __complex__ = __float__  # type: ignore[assignment]
 
-    def __abs__(self) -> Recorded:
+    def __abs__(self) -> RecordedNumber:
         return self._raise("uses abs(), which has a corner")
 
     def __mod__(self, other: object) -> Any:
@@ -143,7 +143,7 @@ class Recorded:
     __floor__ = __ceil__ = __trunc__ = __round__
 
 
-def _scaled(factor: float, op: int | None = None) -> Callable[[Recorded], Any]:
+def _scaled(factor: float, op: int | None = None) -> Callable[[RecordedNumber], Any]:
     return lambda x: (x if op is None else x._unary(op)) * factor
 
 
@@ -151,7 +151,7 @@ _UFUNCS_2 = {
     np.add: L.ADD, np.subtract: L.SUB, np.multiply: L.MUL, np.divide: L.DIV, np.power: L.POW, np.float_power: L.POW,
     np.arctan2: L.ATAN2, np.hypot: L.HYPOT,
 }  # fmt: skip
-_UFUNCS: dict[np.ufunc, Callable[[Recorded], Any]] = {
+_UFUNCS: dict[np.ufunc, Callable[[RecordedNumber], Any]] = {
     f: (lambda x, op=op: x._unary(op))
     for f, op in {
         np.negative: L.NEG, np.exp: L.EXP, np.log: L.LOG, np.sqrt: L.SQRT, np.sin: L.SIN, np.cos: L.COS,
@@ -169,10 +169,10 @@ _UFUNCS |= {
 }  # fmt: skip
 
 for _ufunc, _make in _UFUNCS.items():  # an array of objects calls the method of this name on each of them
-    if not hasattr(Recorded, _ufunc.__name__):
-        setattr(Recorded, _ufunc.__name__, _make)
+    if not hasattr(RecordedNumber, _ufunc.__name__):
+        setattr(RecordedNumber, _ufunc.__name__, _make)
 for _ufunc, _op in _UFUNCS_2.items():
-    setattr(Recorded, _ufunc.__name__, lambda self, other, op=_op: self._binary(op, self, other))
+    setattr(RecordedNumber, _ufunc.__name__, lambda self, other, op=_op: self._binary(op, self, other))
 
 
 class _Named(dict):
@@ -220,12 +220,12 @@ def record(
 
 def _once(function: Callable, names: list[str], time: bool) -> tuple[Tape, tuple[int, ...]]:
     builder = Builder(names)
-    recorded = _Named({name: Recorded(builder, i) for i, name in enumerate(names)})
+    recorded = _Named({name: RecordedNumber(builder, i) for i, name in enumerate(names)})
     found = function(recorded, recorded.pop(TIME)) if time else function(recorded)
     entries, shape = _entries(found)
     places = []
     for entry in entries:
-        if isinstance(entry, Recorded):
+        if isinstance(entry, RecordedNumber):
             if entry._builder is not builder:
                 raise Branches("it returns numbers of an earlier call")
             places.append(entry.place)
@@ -246,7 +246,7 @@ def _entries(found: object) -> tuple[list[Any], tuple[int, ...]]:
         if len(shapes) > 1 or any(len(shape) > 1 for shape in shapes):
             raise InputError("it returns lists of different lengths, or deeper than rows of numbers")
         return [x for entries, _ in parts for x in entries], (len(parts), *next(iter(shapes), ()))
-    if isinstance(found, Recorded):
+    if isinstance(found, RecordedNumber):
         return [found], ()
     if isinstance(found, (int, float, np.integer, np.floating)) and not isinstance(found, bool):
         return [float(found)], ()

@@ -33,34 +33,34 @@ _OPERATIONS = {
 
 
 @dataclass(frozen=True)
-class Place:
+class TapePlace:
     """A number under construction: a place of a tape in the making."""
 
     builder: Builder
     place: int
 
-    def apply(self, op: int, other: Place | None = None) -> Place:
+    def apply(self, op: int, other: TapePlace | None = None) -> TapePlace:
         """The operation on this, and on the other where it takes two."""
         if other is None:
-            return Place(self.builder, self.builder.unary(op, self.place))
-        return Place(self.builder, self.builder.binary(op, self.place, other.place))
+            return TapePlace(self.builder, self.builder.unary(op, self.place))
+        return TapePlace(self.builder, self.builder.binary(op, self.place, other.place))
 
-    def __add__(self, other: Place) -> Place:
+    def __add__(self, other: TapePlace) -> TapePlace:
         return self.apply(L.ADD, other)
 
-    def __sub__(self, other: Place) -> Place:
+    def __sub__(self, other: TapePlace) -> TapePlace:
         return self.apply(L.SUB, other)
 
-    def __mul__(self, other: Place) -> Place:
+    def __mul__(self, other: TapePlace) -> TapePlace:
         return self.apply(L.MUL, other)
 
-    def __truediv__(self, other: Place) -> Place:
+    def __truediv__(self, other: TapePlace) -> TapePlace:
         return self.apply(L.DIV, other)
 
-    def __pow__(self, other: Place) -> Place:
+    def __pow__(self, other: TapePlace) -> TapePlace:
         return self.apply(L.POW, other)
 
-    def __neg__(self) -> Place:
+    def __neg__(self) -> TapePlace:
         return self.apply(L.NEG)
 
 
@@ -89,7 +89,7 @@ def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str,
         if name in parameters:
             raise InputError(f"{name!r} is the name of a coordinate and of a parameter; rename one of them")
     builder = Builder([*names, *parameters], parameters)
-    place = {name: Place(builder, i) for i, name in enumerate([*names, *parameters])}
+    place = {name: TapePlace(builder, i) for i, name in enumerate([*names, *parameters])}
     outputs = []
     for text in texts:
         expression, meant = read(text)
@@ -97,7 +97,7 @@ def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str,
             if meant.get(word, word) not in place:
                 raise UnknownNameError("name", meant.get(word, word), place, f"expression {text!r}:")
         leaves = {word: place[meant.get(word, word)] for word in expression.names}
-        number = lambda x: Place(builder, builder.number(float(x)))  # noqa: E731
+        number = lambda x: TapePlace(builder, builder.number(float(x)))  # noqa: E731
         leaves |= {word: number(x) for word, x in CONSTANTS.items()}
         try:
             outputs.append(expression.fold(leaves, _functions(number), number).place)
@@ -107,13 +107,13 @@ def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str,
     return builder.finish(outputs)
 
 
-def _functions(number: Callable[[float], Place]) -> dict[str, Callable]:
+def _functions(number: Callable[[float], TapePlace]) -> dict[str, Callable]:
     made: dict[str, Callable] = {name: _function(op, name in OF_TWO) for name, op in _OPERATIONS.items()}
     factors = {name: float(FUNCTIONS[name](1.0)) for name in ("radians", "degrees")}
     return made | {name: (lambda x, f=f: x * number(f)) for name, f in factors.items()}
 
 
-def _function(op: int, of_two: bool) -> Callable[..., Place]:
+def _function(op: int, of_two: bool) -> Callable[..., TapePlace]:
     if of_two:
         return lambda x, y: x.apply(op, y)
     return lambda x: x.apply(op)

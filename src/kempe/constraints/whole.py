@@ -42,7 +42,7 @@ class Posture(Constraint):
         return (Row(Op.COORDINATE, () if given is None else tuple(given), "value"),)
 
 
-class _Centred(Bounded):
+class _OfCentre(Bounded):
     """A kind on a centre, which takes the place of frame B; along a single axis it can be within bounds."""
 
     @property
@@ -110,7 +110,7 @@ class _Centred(Bounded):
 
 
 @kind("centre_of_mass", says="the centre of mass is at {target}")
-class CentreOfMass(_Centred):
+class CentreOfMass(_OfCentre):
     """The centre of mass at a position `target` (..., 3), along `axes` ("xyz", or "xy", ...), or `within` (m) of it.
 
     Where fewer axes count, `target` may have a number for each of these only.
@@ -140,7 +140,7 @@ class CentreOfMass(_Centred):
 
 
 @kind("centre_of_points", says="the mean of {frames} is at {target}")
-class CentreOfPoints(_Centred):
+class CentreOfPoints(_OfCentre):
     """The mean of the origins of frames at a position `target` (..., 3); `frames` is a list, or a dict of weights.
 
     Along one axis, `at_least` and `at_most` are bounds in place of a target.

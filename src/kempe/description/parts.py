@@ -19,7 +19,7 @@ Limits = tuple[float, float]
 """Lower and upper bound of one velocity coordinate; an infinity where there is none."""
 
 
-class Fixed(dict):
+class ReadOnlyDict(dict):
     """A dict that can only be read: what it says is part of something that does not change."""
 
     def _refuse(self, *_: Any, **__: Any) -> NoReturn:
@@ -29,7 +29,7 @@ class Fixed(dict):
     __setitem__ = __delitem__ = __ior__ = update = setdefault = pop = popitem = clear = _refuse  # type: ignore[assignment]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Fixed, (dict(self),)
+        return ReadOnlyDict, (dict(self),)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from kempe.calls import explained, flag
 from kempe.kernels.compiled import closure_batch
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kinematics.configuration import as_q
-from kempe.model.closures.packed_loops import Loops, characteristic_length, loops_of, must_be_explicit
+from kempe.model.closures.packed_loops import PackedLoops, characteristic_length, loops_of, must_be_explicit
 from kempe.model.tree.own_tree import own_tree
 from kempe.spatial import Array
 
@@ -49,7 +49,7 @@ def jacobian(system: System, q: Any) -> Array:
 
 
 def evaluate(
-    system: System, q: Any, with_jacobian: bool = True, scaled: bool = False, loops: Loops | None = None
+    system: System, q: Any, with_jacobian: bool = True, scaled: bool = False, loops: PackedLoops | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
     """Residual (..., m) and Jacobian (..., m, nv) in one pass; the Jacobian is empty unless requested.
 
@@ -75,7 +75,7 @@ def row_names(system: System) -> list[tuple[str, str]]:
     return list(full(system, False).names)
 
 
-def full(system: System, scaled: bool) -> Loops:
+def full(system: System, scaled: bool) -> PackedLoops:
     """The packed loops in full form, in metres or `scaled`."""
     tree = own_tree(system) if scaled else system
     return loops_of(tree, frozenset(tree.structure.closures), length=None if scaled else 1.0)
@@ -91,7 +91,7 @@ class SystemConstraint:
     """A constraint f(q) = 0 that a system has, by its rows of the packed equations."""
 
     name: str
-    loops: Loops
+    loops: PackedLoops
     rows: tuple[int, ...]
 
     @property

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Product:
+class ProductSpace:
     """The space that the coordinates of all joints span: a circle T for each turn, a line R for each slide, ..."""
 
     shape: str
@@ -41,7 +41,7 @@ class ConfigurationSpace(Report):
     """
 
     system: System
-    ambient: Product
+    ambient: ProductSpace
     limited: int
     constraints: int
 
@@ -143,4 +143,4 @@ def configuration_space(system: System) -> ConfigurationSpace:
         particle = system.mechanism.bodies[joint.child].particle
         # q holds the joint's own coordinates too: all freedoms of the child are tied to it
         rows += joint.type.constraints(system.dim, particle) + joint.type.dof(system.dim, particle)
-    return ConfigurationSpace(system, Product(" x ".join(parts) or "a point", system.nv), limited, rows)
+    return ConfigurationSpace(system, ProductSpace(" x ".join(parts) or "a point", system.nv), limited, rows)

@@ -59,12 +59,12 @@ class Query(Protocol):
 @explained
 def query(system: System, frame: FrameLike) -> Query:
     """The bound forward model of a frame. Errors: `UnknownNameError`."""
-    chain_of = _Chain(system, system.structure.frame_name(frame))
+    chain_of = _ChainQuery(system, system.structure.frame_name(frame))
     bound_to: Any = MethodType(_model(chain_of), chain_of)  # a method, for it is pickled as an attribute of its object
     return bound_to
 
 
-def _model(chain_of: _Chain) -> Any:
+def _model(chain_of: _ChainQuery) -> Any:
     """The forward model of a chain, as a function of an object that is not read, q, out and threads.
 
     A closure over the packed arrays, not an object: for one configuration the way into a method and back would cost
@@ -113,7 +113,7 @@ def _model(chain_of: _Chain) -> Any:
     return function
 
 
-class _Chain:
+class _ChainQuery:
     """The packed chain of one frame, and the general ways through it: conversions, batches, threads, errors."""
 
     def __init__(self, system: System, name: str):
@@ -123,7 +123,7 @@ class _Chain:
         self.regauged = regauge(self.ints, self.floats)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _Chain, (self.system, self.name)
+        return _ChainQuery, (self.system, self.name)
 
     def __repr__(self) -> str:
         return repr(self.system)
@@ -177,7 +177,7 @@ def _query(system: System, frame: FrameLike) -> Any:
     except TypeError:  # nothing that could be a key is a name
         found = None
     if found is None:
-        found = system._queries[frame] = _model(_Chain(system, system.structure.frame_name(frame)))
+        found = system._queries[frame] = _model(_ChainQuery(system, system.structure.frame_name(frame)))
     return found
 
 

@@ -41,7 +41,7 @@ SHOWN = 4
 """Names that a sentence lists."""
 
 
-class Shape(NamedTuple):
+class RowShape(NamedTuple):
     """What rows hold of a pose: directions, what of the rotation, and whether the distance."""
 
     mask: int
@@ -56,7 +56,7 @@ class Shape(NamedTuple):
 
 
 @lru_cache(maxsize=512)
-def shape_of(rows: tuple[Row, ...], dim: int) -> Shape:
+def shape_of(rows: tuple[Row, ...], dim: int) -> RowShape:
     """What rows of one frame hold of its pose."""
     sorts = {
         Op.ROTATION: L.ANGLE if dim == 2 else L.FULL, Op.TILT: L.ALIGN, Op.LOOK: L.LOOK, Op.DISTANCE: L.DISTANCE,
@@ -65,7 +65,7 @@ def shape_of(rows: tuple[Row, ...], dim: int) -> Shape:
     turns = next((sorts[r.op] for r in rows if r.op in sorts), L.NO_TURN)
     units, mask = {r.unit for r in rows}, sum(1 << a for a in axes)
     whole, turned = mask == (3 if dim == 2 else 7), turns in (L.FULL, L.ANGLE)
-    return Shape(mask, turns, "m" in units, "rad" in units, axes, whole, turned)
+    return RowShape(mask, turns, "m" in units, "rad" in units, axes, whole, turned)
 
 
 def size_of(p: Array) -> Array:
@@ -85,7 +85,7 @@ def angle_between(R: Array, S: Array) -> Array:
 
 
 def apart(
-    A: Array, B: Array, shape: Shape, whole: bool, number: Array | float | None = None,
+    A: Array, B: Array, shape: RowShape, whole: bool, number: Array | float | None = None,
     bounds: Sequence[tuple[float, float]] = (),
 ) -> tuple[Array, Array]:  # fmt: skip
     """How far (...) rows of a pose are missed by frame B (..., 4, 4) against A (..., 4, 4), in metres and in radians.

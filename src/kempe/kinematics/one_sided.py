@@ -15,7 +15,7 @@ import numpy as np
 
 from kempe.kinematics.closure_rows import full
 from kempe.kinematics.configuration import as_q
-from kempe.model.closures.packed_loops import Loops, loops_of
+from kempe.model.closures.packed_loops import PackedLoops, loops_of
 from kempe.model.kept import kept
 from kempe.spatial import Array
 
@@ -61,7 +61,7 @@ class OneSided:
     low: Array
     high: Array
     declared: int
-    loops: Loops | None = field(repr=False)
+    loops: PackedLoops | None = field(repr=False)
     chosen: np.ndarray = field(repr=False)
     """Which equations of `loops` are rows."""
     at: np.ndarray = field(repr=False)
@@ -176,7 +176,7 @@ def one_sided_rows(system: System) -> OneSided:
     )  # fmt: skip
 
 
-def _declared(system: System) -> tuple[list[str], list[str], list[tuple[float, float]], list[int], Loops]:
+def _declared(system: System) -> tuple[list[str], list[str], list[tuple[float, float]], list[int], PackedLoops]:
     """Names, units, bounds and places of the declared rows between bounds, and the ties that they are among."""
     loops = loops_of(system, frozenset(system.structure.closures), one_sided=True)
     several = Counter(t.name for t in loops.ties if t.bounds for _ in t.rows)

@@ -73,7 +73,7 @@ def symbolic_fk(
     if isinstance(snap, bool) or not isinstance(snap, (int, float)) or not 0.0 <= snap < math.pi / 4:
         raise InputError(f"snap is {snap!r}; it must be an angle in radians, from 0 to less than pi/4")
     leaves = _Leaves(system, symbols or {}, float(snap))
-    chain = _Chain()
+    chain = _TurnProduct()
     for step in _unwrapped(_steps(system, name, leaves)):
         chain.add(step, leaves)
     rotation, position = chain.pose()
@@ -314,7 +314,7 @@ class _Turn:
         return along + sympy.cos(self.angle) * (sympy.eye(3) - along) + sympy.sin(self.angle) * across
 
 
-class _Chain:
+class _TurnProduct:
     """Orientation = turns[0] turns[1] ... corner, where `corner` is a signed permutation."""
 
     def __init__(self) -> None:

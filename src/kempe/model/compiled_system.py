@@ -10,7 +10,7 @@ import numpy as np
 
 from kempe.calls import known
 from kempe.description.mechanism import Mechanism
-from kempe.description.parts import Body, Fixed, Frame, Joint
+from kempe.description.parts import Body, Frame, Joint, ReadOnlyDict
 from kempe.errors import DescriptionError, Fault, UnknownNameError
 from kempe.model.tree.coordinate_layout import Layout
 from kempe.model.tree.coordinates import Coordinates, Relation, coordinate_names, coordinates_of
@@ -43,17 +43,17 @@ class Structure:
     @property
     def joints(self) -> dict[str, Joint]:
         """All joints, fixed ones and loop closures included, in the order of the description."""
-        return Fixed(self._mechanism.joints)
+        return ReadOnlyDict(self._mechanism.joints)
 
     @property
     def frames(self) -> dict[str, Frame]:
         """The named frames."""
-        return Fixed(self._mechanism.frames)
+        return ReadOnlyDict(self._mechanism.frames)
 
     @property
     def parameters(self) -> dict[str, float]:
         """Named parameters and their values."""
-        return Fixed(self._mechanism.parameters)
+        return ReadOnlyDict(self._mechanism.parameters)
 
     @property
     def posture_names(self) -> tuple[str, ...]:
@@ -97,7 +97,7 @@ class Structure:
     @property
     def couplings(self) -> dict[str, Any]:
         """Coordinates that follow one other (mimic joints, gears) or are held: they are not in `q`."""
-        return Fixed(self.coordinates.followers)
+        return ReadOnlyDict(self.coordinates.followers)
 
     @property
     def limits(self) -> Array:

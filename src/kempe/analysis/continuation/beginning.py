@@ -110,7 +110,7 @@ def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closur
     return equations, q
 
 
-class Follower(NamedTuple):
+class WoundFollower(NamedTuple):
     """A coupled coordinate that is not where it was when its `source` (index) has turned round: it turns or slides on
     by `factor`, in radians or metres, with each radian of the source."""
 
@@ -128,17 +128,17 @@ def periods(system: System, limits: bool = True) -> Array:
     return _turning(system, limits)[0]
 
 
-def followers(system: System, limits: bool = True) -> list[Follower]:
+def followers(system: System, limits: bool = True) -> list[WoundFollower]:
     """The coupled coordinates that keep those which they follow from ever coming back by turning on."""
     return _turning(system, limits)[1]
 
 
-def _turning(system: System, limits: bool) -> tuple[Array, list[Follower]]:
+def _turning(system: System, limits: bool) -> tuple[Array, list[WoundFollower]]:
     c = system.structure.coordinates
     whole = np.where(c.turning & ((np.isinf(c.lower) & np.isinf(c.upper)) | (not limits)), 1, 0).astype(object)
     number = {name: i for i, name in enumerate(system.structure.velocity_names)}
     mechanism, couplings = system.mechanism, system.structure.couplings
-    never: list[Follower] = []
+    never: list[WoundFollower] = []
     for joint in mechanism.joints.values() if couplings else ():
         names = coordinate_names(mechanism, joint)
         for p in joint.type.layout(system.dim, mechanism.bodies[joint.child].particle)[1]:
@@ -152,7 +152,7 @@ def _turning(system: System, limits: bool) -> tuple[Array, list[Follower]]:
                 whole[i] = math.lcm(int(whole[i]), ratio.denominator) if whole[i] else 0
             elif whole[i] or any(f.source == i for f in never):
                 whole[i] = 0
-                never.append(Follower(names[p.coordinate], i, factor, p.kind == R))
+                never.append(WoundFollower(names[p.coordinate], i, factor, p.kind == R))
     found = 2.0 * math.pi * whole.astype(float)
     return np.where(_distinct(system, found), 0.0, found), never
 

@@ -144,7 +144,7 @@ class Closure(Curve):
         return [number[n] for n in names]
 
 
-class Driven(Closure):
+class DrivenClosure(Closure):
     """Closure, and inputs that follow a straight line: a point is a configuration and the length along that line.
 
     Point: (nq + 1,) = [q, length]; input i has the value `origin[i] + unit * direction[i] * length`.

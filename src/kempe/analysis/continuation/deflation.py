@@ -20,7 +20,7 @@ ALIGNED = 0.7
 """Least singular value of the product of two bases from which one need not follow the other."""
 
 
-class LowRank:
+class RankEquations:
     """Equations that hold the rank of those before at what it is at a point: ``left.T @ J @ kernel = 0``.
 
     The bases of the two null spaces are those of the point itself, as near as may be to the last ones used, so that the
@@ -78,7 +78,7 @@ def hold_rank(equations: Closure, x: Array, curve: Callable[[], tuple[Closure, N
 
     `curve` gives the equations of the curve, these or what is made of them, and its node at the point.
     """
-    low = LowRank(equations, x)
+    low = RankEquations(equations, x)
     if not low.count or rank_held(equations):
         return False
     equations.add(low)
@@ -91,7 +91,7 @@ def hold_rank(equations: Closure, x: Array, curve: Callable[[], tuple[Closure, N
 
 def rank_held(equations: Closure) -> bool:
     """Whether the equations hold the rank."""
-    return any(isinstance(m, LowRank) for m in equations.more)
+    return any(isinstance(m, RankEquations) for m in equations.more)
 
 
 def _least(A: Array) -> float:

@@ -31,14 +31,14 @@ ARRIVED = 0.999
 
 
 @dataclass(frozen=True)
-class Stop:
+class WalkEnd:
     """Why a walk ends: a sentence."""
 
     reason: str
 
 
-def walk(equations: Closure, a: Node, longest: float) -> Iterator[Node | Stop]:
-    """Nodes of the curve after `a`, crossings among them, then perhaps a `Stop`; straight on through crossings."""
+def walk(equations: Closure, a: Node, longest: float) -> Iterator[Node | WalkEnd]:
+    """Nodes of the curve after `a`, crossings among them, then perhaps a `WalkEnd`; straight on through crossings."""
 
     def taken(a: Node, h: float) -> list[Node] | None:
         b = step(equations, a, h)
@@ -47,7 +47,7 @@ def walk(equations: Closure, a: Node, longest: float) -> Iterator[Node | Stop]:
         return checked(equations, a, b)
 
     yield from tracing.walk(a, taken, longest, 0.25 * longest)
-    yield Stop("a point where the curve is not smooth")
+    yield WalkEnd("a point where the curve is not smooth")
 
 
 def checked(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:

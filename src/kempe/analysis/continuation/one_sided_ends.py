@@ -19,7 +19,7 @@ OUTSIDE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Bound:
+class OneSidedEnd:
     """One end of a one-sided row: `sign` +1 for an upper one."""
 
     name: str
@@ -46,7 +46,7 @@ class Bound:
 
 
 @dataclass(frozen=True, eq=False)
-class CoordinateBound(Bound):
+class CoordinateBound(OneSidedEnd):
     """A limit of a coordinate at `place` in q."""
 
     place: int
@@ -68,7 +68,7 @@ class CoordinateBound(Bound):
 
 
 @dataclass(frozen=True, eq=False)
-class RowBound(Bound):
+class RowBound(OneSidedEnd):
     """A bound of a declared row, the one at `index` of `rows`."""
 
     rows: OneSided
@@ -92,14 +92,14 @@ class RowBound(Bound):
         return f"the one-sided constraint {self.rows.side(self.index, self.sign > 0)!r}"
 
 
-class Limits:
+class OneSidedEnds:
     """What is one-sided in a system, as ends of a walk: declared rows, and with `limits` those of its coordinates."""
 
     def __init__(self, equations: Closure, limits: bool = True):
         system, rows = equations.system, one_sided_rows(equations.system)
         self.limits = limits
         """Whether limits of coordinates count."""
-        self.all: list[Bound] = []
+        self.all: list[OneSidedEnd] = []
         place = equations.place
         for i in range(system.nv) if limits else ():
             if place[i] >= 0 and i not in equations.held:
@@ -136,7 +136,7 @@ class Limits:
         return None if best is None else best[1:]
 
 
-def _reached(equations: Closure, a: Node, b: Node, bound: Bound) -> Node | None:
+def _reached(equations: Closure, a: Node, b: Node, bound: OneSidedEnd) -> Node | None:
     def over(n: Node) -> float:
         return bound.over(n.x)
 

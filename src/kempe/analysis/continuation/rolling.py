@@ -40,7 +40,7 @@ CORRECTIONS = 6
 Input = float | Callable[[float], Any]
 
 
-class Stop(Exception):
+class RollingStop(Exception):
     """The motion cannot go on; the text says why. Raised inside a motion, and caught there."""
 
 
@@ -76,7 +76,7 @@ class Velocities:
         return float(x)
 
     def at(self, q: Array, t: float) -> Array:
-        """The velocities (nv,). Errors: `Stop` where they are not determined, or do not exist."""
+        """The velocities (nv,). Errors: `RollingStop` where they are not determined, or do not exist."""
         scale = self.closure.unit
         A, b = rates(self.system, q, t)
         J = self.closure.matrix(q)[: self.loops] if self.loops else np.zeros((0, len(scale)))
@@ -91,12 +91,12 @@ class Velocities:
         s = np.concatenate([s, np.zeros(max(0, len(scale) - len(s)))])
         rank = int(np.sum(s > RANK))
         if rank < len(scale):
-            raise Stop(self._loose(Vt[rank:]))
+            raise RollingStop(self._loose(Vt[rank:]))
         z = Vt.T @ ((U.T @ wanted)[:rank] / s[:rank])
         off = np.abs(M @ z - wanted)
         worst = int(np.argmax(off)) if len(off) else 0
         if len(off) and off[worst] > MISS * max(1.0, float(np.abs(wanted).max())):
-            raise Stop(self._contradiction(M, wanted, size))
+            raise RollingStop(self._contradiction(M, wanted, size))
         return z * scale
 
     def _loose(self, kernel: Array) -> str:
@@ -189,7 +189,7 @@ def roll(
         raise InputError(f"the start violates {rows.names[k]!r} by {over[k]:.6g}")
     try:
         first = motion.at(q, float(times[0]))
-    except Stop as stop:
+    except RollingStop as stop:
         raise UnsupportedError(f"{system.name}: {stop}") from None
     out_q, out_v, reason, broken = [q], [first], "", None
     k, end = 1, float(times[-1])
@@ -200,7 +200,7 @@ def roll(
             budget.check()
             said = solver.step()
             if solver.status == "failed":
-                raise Stop(f"at time {solver.t:.6g} the velocities change too fast: {said}")
+                raise RollingStop(f"at time {solver.t:.6g} the velocities change too fast: {said}")
             dense, last = solver.dense_output(), solver.t
             stop = _limit(system, dense, float(solver.t_old or 0.0), last)
             while k < len(times) and times[k] <= (last if stop is None else stop[0]):
@@ -213,10 +213,10 @@ def roll(
                 out_v.append(motion.at(x, stop[0]))
                 out_q.append(x)
                 times = np.append(times[:k], stop[0])
-                raise Stop(stop[1])
+                raise RollingStop(stop[1])
             solver.y = motion.closed(solver.y)
             solver.f = motion.slope(last, solver.y)
-    except Stop as stop:
+    except RollingStop as stop:
         reason = str(stop)
     except BROKEN_OFF as error:
         broken = error

@@ -17,7 +17,7 @@ from kempe.analysis.first_order.cycles import shortened
 from kempe.description.parts import Declared, Joint
 from kempe.joints import P, Primitive, Q
 from kempe.kinematics.closure_rows import full
-from kempe.model.closures.frame_constraints import Loops, Tie
+from kempe.model.closures.frame_constraints import PackedLoops, Tie
 from kempe.model.kept import kept
 from kempe.model.tree.coordinates import Relation
 from kempe.spatial import Array
@@ -138,20 +138,20 @@ class Cluster:
     bent: tuple[str, ...] = ()
     """Laws that are not linear in coordinates."""
 
-    def paths(self, s: Structure, short: bool) -> list[np.ndarray]:
+    def paths(self, s: ConstraintGraph, short: bool) -> list[np.ndarray]:
         """The edges of each loop, shortened or as the tree closes it."""
         if short:
             return [np.array(self.edges)[np.flatnonzero(signs)] for signs in self.cells]
         return [np.array([i for i, _ in s.loops[k].path]) for k in self.loops]
 
-    def size_of_loops(self, s: Structure, short: bool) -> LoopSizes:
+    def size_of_loops(self, s: ConstraintGraph, short: bool) -> LoopSizes:
         """The `LoopSizes`, found once."""
         found = self.__dict__.setdefault("sizes", {})
         if short not in found:
             found[short] = self._sizes(s, self.paths(s, short))
         return found[short]
 
-    def _sizes(self, s: Structure, paths: list[np.ndarray]) -> LoopSizes:
+    def _sizes(self, s: ConstraintGraph, paths: list[np.ndarray]) -> LoopSizes:
         most, joints, rods = 0.0, 1, []
         for k, path in zip(self.loops, paths, strict=True):
             moving = [c for i in path for c in s.edges[i].columns if c.index >= 0]
@@ -172,7 +172,7 @@ class Cluster:
 
 
 @dataclass(frozen=True, eq=False)
-class Structure:
+class ConstraintGraph:
     """What does not depend on the configuration: edges, loops, laws, clusters."""
 
     edges: tuple[Edge, ...]
@@ -199,7 +199,7 @@ class Structure:
 
 
 @kept
-def structure(system: System) -> Structure:
+def structure(system: System) -> ConstraintGraph:
     """Edges, loops and clusters of a system."""
     return _structure(system)
 
@@ -209,7 +209,7 @@ def called(system: System) -> tuple[str, ...]:
     return tuple(dict.fromkeys(t.name for t in full(system, True).ties if t.function is not None))
 
 
-def _structure(system: System) -> Structure:
+def _structure(system: System) -> ConstraintGraph:
     edges = _edges(system)
     loops = _loops(system, edges)
     laws = _laws(system)
@@ -220,7 +220,7 @@ def _structure(system: System) -> Structure:
     for name, iv, _, slide in (c for e in edges for c in e.columns):
         if iv >= 0 and name == system.structure.velocity_names[iv]:
             slides[iv] = slide
-    return Structure(
+    return ConstraintGraph(
         tuple(edges), tuple(loops), laws, clusters, ends[:, 0], ends[:, 1], stack[:, 0], stack[:, 1], slides
     )  # fmt: skip
 
@@ -312,7 +312,7 @@ def _laws(system: System) -> tuple[Law, ...]:
     return tuple(_law(loops, *found[key]) for key in sorted(found))
 
 
-def _law(loops: Loops, of: Relation | Declared, places: list[int], ties: list[Tie]) -> Law:
+def _law(loops: PackedLoops, of: Relation | Declared, places: list[int], ties: list[Tie]) -> Law:
     support = {v for k, tie in enumerate(loops.ties) if tie in ties for v in loops.columns(k)}
     tapes = [t.tape for t in ties]
     linear = all(

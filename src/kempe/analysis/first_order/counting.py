@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.analysis.first_order.constraint_graph import Edge, Structure, rows_of, structure
+from kempe.analysis.first_order.constraint_graph import ConstraintGraph, Edge, rows_of, structure
 from kempe.description.parts import Declared
 from kempe.spatial import Array
 from kempe.words import counted
@@ -97,7 +97,7 @@ class _Closing:
     dim_lost: int
 
 
-def _closing(s: Structure, dim: int) -> list[_Closing]:
+def _closing(s: ConstraintGraph, dim: int) -> list[_Closing]:
     """How many more equations each loop of a planar system has in space."""
     edges = (s.edges[loop.edge] for loop in s.loops)
     return [_Closing(rows_of(e, 3) - rows_of(e, 2)) for e in edges]
@@ -110,7 +110,7 @@ def _takes(edge: Edge, dim: int) -> tuple[int, str]:
     return edge.of.type.constraints(dim, edge.particle), f"{edge.of.type.type_name} joint"
 
 
-def _held(s: Structure, system: System) -> list[tuple[int, str]]:
+def _held(s: ConstraintGraph, system: System) -> list[tuple[int, str]]:
     """What couplings, locks and constraints that are expressions take away."""
     locked = sum(c.index < 0 for e in s.edges for c in e.columns)
     follow = sum(
@@ -145,7 +145,7 @@ def _taken_text(
 
 
 def _lecture_text(
-    system: System, s: Structure, takes: Sequence[tuple[int, str, Edge]], held: Sequence[tuple[int, str]],
+    system: System, s: ConstraintGraph, takes: Sequence[tuple[int, str, Edge]], held: Sequence[tuple[int, str]],
     particles: Sequence[bool], gruebler: int,
 ) -> str:  # fmt: skip
     """The sum body by body: each is held by one joint, what closes loops takes away more."""

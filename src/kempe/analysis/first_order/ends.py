@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.analysis.first_order.constraint_graph import Structure
+from kempe.analysis.first_order.constraint_graph import ConstraintGraph
 from kempe.analysis.first_order.screws import Screws
-from kempe.analysis.first_order.series_joints import Ring, Star, rings, stars
+from kempe.analysis.first_order.series_joints import SeriesLoop, Star, rings, stars
 from kempe.model.kept import keep
 from kempe.spatial import Array
 
@@ -24,7 +24,7 @@ ALONE = 1e-6
 """Sine of the angle between axes, or distance as a part of the mechanism's size, below which they are one, or meet."""
 
 
-class End(NamedTuple):
+class BallEnd(NamedTuple):
     """Consecutive edges of a ring (by place, the one next to the group first) whose axes meet in one point.
 
     The point is on the first edge's axis, `along` from its origin. It is a `hinge` if that is its only axis.
@@ -35,35 +35,35 @@ class End(NamedTuple):
     hinge: bool
 
 
-class Hold(NamedTuple):
+class SignedEnd(NamedTuple):
     """An end, and the sense in which its ring is passed: +1 towards what it holds, -1 from there."""
 
-    ring: Ring
-    end: End
+    ring: SeriesLoop
+    end: BallEnd
     sign: float
 
 
 class Pair(NamedTuple):
     """Two ends of a ring between which something may spin."""
 
-    ring: Ring
-    left: End
-    right: End
+    ring: SeriesLoop
+    left: BallEnd
+    right: BallEnd
 
     @property
-    def holds(self) -> tuple[Hold, ...]:
+    def holds(self) -> tuple[SignedEnd, ...]:
         """Both ends as holds."""
-        return Hold(self.ring, self.left, 1.0), Hold(self.ring, self.right, -1.0)
+        return SignedEnd(self.ring, self.left, 1.0), SignedEnd(self.ring, self.right, -1.0)
 
 
-class Held(NamedTuple):
+class HeldStar(NamedTuple):
     """A star with its ends."""
 
     star: Star
-    holds: tuple[Hold, ...]
+    holds: tuple[SignedEnd, ...]
 
 
-def pairs_of(system: System, s: Structure, at: Screws, driven: frozenset[int]) -> list[Pair]:
+def pairs_of(system: System, s: ConstraintGraph, at: Screws, driven: frozenset[int]) -> list[Pair]:
     """Pairs of ends between which something may spin, by what does not depend on the configuration.
 
     Where axes meet in a part that two joints share, they do so at every closed configuration, such as that of `at`.
@@ -75,7 +75,7 @@ def pairs_of(system: System, s: Structure, at: Screws, driven: frozenset[int]) -
     return found
 
 
-def _of_ring(s: Structure, at: Screws, ring: Ring) -> Iterator[Pair]:
+def _of_ring(s: ConstraintGraph, at: Screws, ring: SeriesLoop) -> Iterator[Pair]:
     n = len(ring.edges)
     meets = [_meet(s, at, ring, k, k + 1) if ring.joined[k] else None for k in range(n - 1)]
     ends = {(k, step): _grow(ring, meets, k, step) for k in range(n) if ring.turns[k] is not None for step in (-1, 1)}
@@ -91,7 +91,7 @@ def _of_ring(s: Structure, at: Screws, ring: Ring) -> Iterator[Pair]:
             yield pair
 
 
-def held(system: System, s: Structure, at: Screws, driven: frozenset[int]) -> list[Held]:
+def held(system: System, s: ConstraintGraph, at: Screws, driven: frozenset[int]) -> list[HeldStar]:
     """Stars with their ends, which do not depend on the configuration either; nor does, without slides, their line."""
     answers = system._kept.setdefault(held, {})
     found = answers.get(driven)
@@ -103,12 +103,12 @@ def held(system: System, s: Structure, at: Screws, driven: frozenset[int]) -> li
                 continue
             for ring in star.chains:
                 meets = [_meet(s, at, ring, k, k + 1) for k in range(len(ring.edges) - 1)]
-                holds.append(Hold(ring, _grow(ring, meets, 0, 1), -1.0))
+                holds.append(SignedEnd(ring, _grow(ring, meets, 0, 1), -1.0))
             simple = all(len(h.end.edges) == 1 for h in holds)
             if not simple and any(h.end.hinge for h in holds):  # it may be a spherical linkage
                 continue
-            if star.slides or line_through(at, Held(star, tuple(holds))) is not None:
-                found.append(Held(star, tuple(holds)))
+            if star.slides or line_through(at, HeldStar(star, tuple(holds))) is not None:
+                found.append(HeldStar(star, tuple(holds)))
     return found
 
 
@@ -119,7 +119,7 @@ class _Meeting(NamedTuple):
     one_axis: bool
 
 
-def _meet(s: Structure, at: Screws, ring: Ring, k: int, m: int) -> _Meeting | None:
+def _meet(s: ConstraintGraph, at: Screws, ring: SeriesLoop, k: int, m: int) -> _Meeting | None:
     """Where the axes of the k-th and the m-th edge, which share a part, meet; None where they do not."""
     a, b = ring.turns[k], ring.turns[m]
     if a is None or b is None or not (a.columns and b.columns):
@@ -157,14 +157,14 @@ def off(to: Array, axis: Array) -> float:
     return math.sqrt(rest @ rest)
 
 
-def line_of(at: Screws, ring: Ring, k: int) -> tuple[Array, Array | None]:
+def line_of(at: Screws, ring: SeriesLoop, k: int) -> tuple[Array, Array | None]:
     """Origin of an edge, in the ground, and the direction of its axis if it can turn about one only."""
     i, own = ring.edges[k], ring.own(k)
     w = at.twists[i][3:, list(own)]
     return at.M[i, :3, 3], w[:, 0] / np.linalg.norm(w) if len(own) == 1 else None
 
 
-def _grow(ring: Ring, meets: Sequence[_Meeting | None], k: int, step: int) -> End:
+def _grow(ring: SeriesLoop, meets: Sequence[_Meeting | None], k: int, step: int) -> BallEnd:
     """The edges from the k-th on, in one direction, whose axes meet in one point, until they are as good as a ball."""
     edges, columns, first, here = [k], len(ring.own(k)), 0.0, None
     while columns < 3:
@@ -180,16 +180,16 @@ def _grow(ring: Ring, meets: Sequence[_Meeting | None], k: int, step: int) -> En
         here = far
         edges.append(last + step)
         columns += len(ring.own(last + step))
-    return End(tuple(edges), first, columns == 1)
+    return BallEnd(tuple(edges), first, columns == 1)
 
 
-def turning_inside(s: Structure, ring: Ring, p: int, q: int) -> bool:
+def turning_inside(s: ConstraintGraph, ring: SeriesLoop, p: int, q: int) -> bool:
     """Whether between two edges of a ring there is more than slides."""
     inside = (s.edges[i] for i in ring.edges[p + 1 : q])
     return any(not e.joint or any(c.index >= 0 and not c.slides for c in e.columns) for e in inside)
 
 
-def _one_of_many(s: Structure, at: Screws, ring: Ring, pair: Pair) -> bool:
+def _one_of_many(s: ConstraintGraph, at: Screws, ring: SeriesLoop, pair: Pair) -> bool:
     """Whether a hinge and a ball made of several joints are but some of the joints about one point: of a spherical
     linkage, whose links are no parts of a ball."""
     hinge, ball = (pair.left, pair.right) if pair.left.hinge else (pair.right, pair.left)
@@ -204,7 +204,7 @@ def _one_of_many(s: Structure, at: Screws, ring: Ring, pair: Pair) -> bool:
     return False
 
 
-def center_of(at: Screws, ring: Ring, end: End) -> Array:
+def center_of(at: Screws, ring: SeriesLoop, end: BallEnd) -> Array:
     """The point that all axes of an end go through, relative to the screws' centre, in their unit."""
     k = end.edges[0]
     point = (at.M[ring.edges[k], :3, 3] - at.center) / at.length
@@ -212,14 +212,14 @@ def center_of(at: Screws, ring: Ring, end: End) -> Array:
     return point if axis is None else point + end.along * axis
 
 
-def centers_of(at: Screws, of: Pair | Held) -> list[Array]:
+def centers_of(at: Screws, of: Pair | HeldStar) -> list[Array]:
     """The points that hold a group, relative to the screws' centre, in their unit."""
-    points = of.star.points if isinstance(of, Held) else ()
+    points = of.star.points if isinstance(of, HeldStar) else ()
     places = [(at.M if child else at.F)[i, :3, 3] for i, child in points]
     return [center_of(at, h.ring, h.end) for h in of.holds] + [(p - at.center) / at.length for p in places]
 
 
-def line_through(at: Screws, of: Pair | Held) -> tuple[Array, Array] | None:
+def line_through(at: Screws, of: Pair | HeldStar) -> tuple[Array, Array] | None:
     """A point and the direction of the line through all points that hold a group, and along all hinges that do."""
     centers = centers_of(at, of)
     a, direction = next((c for c, hold in zip(centers, of.holds, strict=False) if not hold.end.hinge), centers[0]), None

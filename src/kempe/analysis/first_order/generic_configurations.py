@@ -30,7 +30,7 @@ AWAY = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Closed:
+class NearestClosed:
     """A configuration and whether it is closed; `given` is how far it was open as given, `why` says why it is not."""
 
     q: Array
@@ -40,23 +40,23 @@ class Closed:
     why: str = ""
 
 
-def close(system: System, q: Array) -> Closed:
+def close(system: System, q: Array) -> NearestClosed:
     """The configuration (nq,) with its loops closed to machine precision, as near to `q` as may be."""
     given = _residual(system, q)
     if not np.isfinite(given):
         raise InputError("q must be finite numbers, and its quaternions not zero")
     if given <= EXACT:
-        return Closed(q, True, given, given)
+        return NearestClosed(q, True, given, given)
     from kempe.solvers.assembly.assembler import of_equations
 
     answer = of_equations(system)(
         start=q, limits=False, prefer="nearest" if given > NEAR else None, budget=Budget(starts=1))  # fmt: skip
     if answer.success:
-        return Closed(answer.q, True, given, float(answer.residual))
-    return Closed(answer.q, False, given, float(answer.residual), str(answer.status))
+        return NearestClosed(answer.q, True, given, float(answer.residual))
+    return NearestClosed(answer.q, False, given, float(answer.residual), str(answer.status))
 
 
-def find_closed(system: System) -> Closed:
+def find_closed(system: System) -> NearestClosed:
     """A closed configuration: the posture 'closed', the middle of the limits, or else one that is searched."""
     at = close(system, system.q("closed") if "closed" in system.structure.posture_names else system.mid)
     if at.closed and not one_sided_rows(system).beyond(at.q, declared=True).any():
@@ -68,7 +68,7 @@ def find_closed(system: System) -> Closed:
         return close(system, answer.q)
     if at.closed:
         return at
-    return Closed(answer.q, False, at.given, float(answer.residual), str(answer.status))
+    return NearestClosed(answer.q, False, at.given, float(answer.residual), str(answer.status))
 
 
 def _residual(system: System, q: Array) -> float:

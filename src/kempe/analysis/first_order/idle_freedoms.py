@@ -27,12 +27,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.analysis.first_order.constraint_graph import Structure, structure
+from kempe.analysis.first_order.constraint_graph import ConstraintGraph, structure
 from kempe.analysis.first_order.ends import (
     ALONE,
-    Held,
-    Hold,
+    HeldStar,
     Pair,
+    SignedEnd,
     centers_of,
     held,
     line_through,
@@ -81,13 +81,13 @@ class IdleFreedom:
         return f"{who} {verb} between {self.joints[0]} and {self.joints[1]}, about ({direction}) through ({point})"
 
 
-class _Spin(NamedTuple):
+class _SpinCandidate(NamedTuple):
     """A motion of what ends hold: its axis at the first configuration, and rates (all columns) by edge.
 
     The point is relative to the screws' centre, in their unit.
     """
 
-    of: Pair | Held
+    of: Pair | HeldStar
     point: Array
     direction: Array
     rates: dict[int, Array]
@@ -138,9 +138,11 @@ def may_idle(system: System, rank: Rank, driven: Iterable[int] | None = None) ->
 # ---- where something can spin
 
 
-def _spins(system: System, s: Structure, at: Sequence[Screws], driven: frozenset[int]) -> Iterator[_Spin]:
+def _spins(
+    system: System, s: ConstraintGraph, at: Sequence[Screws], driven: frozenset[int]
+) -> Iterator[_SpinCandidate]:
     """Spins that exist at all configurations; the last to be looked at is whether anything else moves with them."""
-    candidates: list[Pair | Held] = [*pairs_of(system, s, at[0], driven), *held(system, s, at[0], driven)]
+    candidates: list[Pair | HeldStar] = [*pairs_of(system, s, at[0], driven), *held(system, s, at[0], driven)]
     for of in candidates:
         axis = None
         for screws in reversed(at):
@@ -151,15 +153,15 @@ def _spins(system: System, s: Structure, at: Sequence[Screws], driven: frozenset
             rates = {}
             for hold in of.holds:
                 rates |= _rates(at[0], hold, *axis)
-            star = of.star if isinstance(of, Held) else None
+            star = of.star if isinstance(of, HeldStar) else None
             for i in star.loose if star else ():
                 sign = 1.0 if star and s.edges[i].child in star.bodies else -1.0
                 screw = sign * np.concatenate([np.cross(axis[0], axis[1]), axis[1]])
                 rates[i] = np.linalg.lstsq(at[0].twists[i], screw, rcond=ALONE)[0]
-            yield _Spin(of, *axis, rates)
+            yield _SpinCandidate(of, *axis, rates)
 
 
-def _axis(at: Screws, of: Pair | Held) -> tuple[Array, Array] | None:
+def _axis(at: Screws, of: Pair | HeldStar) -> tuple[Array, Array] | None:
     """Point and direction of the line that the group can turn about at all ends."""
     line = line_through(at, of)
     if line is None:
@@ -168,7 +170,7 @@ def _axis(at: Screws, of: Pair | Held) -> tuple[Array, Array] | None:
     return line if all(_spans(_axes(at, hold), line[1]) for hold in balls) else None
 
 
-def _axes(at: Screws, hold: Hold) -> Array:
+def _axes(at: Screws, hold: SignedEnd) -> Array:
     """Axes (3, n) of an end, in the sense in which its ring is passed."""
     ring, end, _ = hold
     W = [ring.signs[k] * at.twists[ring.edges[k]][3:, list(ring.own(k))] for k in end.edges]
@@ -190,7 +192,7 @@ def _volume(W: Array) -> float:
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-def _rates(at: Screws, hold: Hold, point: Array, direction: Array) -> dict[int, Array]:
+def _rates(at: Screws, hold: SignedEnd, point: Array, direction: Array) -> dict[int, Array]:
     """Rates of all columns of an end's edges that turn the group about the axis; edges that rest are left out."""
     (ring, end, sign), A, out, first = hold, _axes(at, hold), {}, 0
     if A.shape[1] == 3 and abs(_volume(A)) > INDEPENDENT:
@@ -211,7 +213,7 @@ def _rates(at: Screws, hold: Hold, point: Array, direction: Array) -> dict[int, 
 # ---- whether it is idle
 
 
-def _group(system: System, s: Structure, spin: _Spin, known: bool) -> _Group | None:
+def _group(system: System, s: ConstraintGraph, spin: _SpinCandidate, known: bool) -> _Group | None:
     """What is between the ends of a pair; None where it is not idle."""
     assert isinstance(spin.of, Pair)
     ring, left, right = spin.of
@@ -234,9 +236,9 @@ def _group(system: System, s: Structure, spin: _Spin, known: bool) -> _Group | N
     return _Group(bodies, moving - bodies, (ring.edges[p], ring.edges[q]))
 
 
-def _of_star(system: System, s: Structure, rank: Rank, spin: _Spin) -> _Group | None:
+def _of_star(system: System, s: ConstraintGraph, rank: Rank, spin: _SpinCandidate) -> _Group | None:
     """The bodies of a star, with links of balls that turn with them; None where they are not idle."""
-    assert isinstance(spin.of, Held)
+    assert isinstance(spin.of, HeldStar)
     star, part, at = spin.of.star, parts(system), rank.screws
     bodies, links, outside, joints = set(star.bodies), set(), [], []
     for ring, end, _ in spin.of.holds:
@@ -261,7 +263,7 @@ def _of_star(system: System, s: Structure, rank: Rank, spin: _Spin) -> _Group | 
     return _Group(frozenset(bodies), frozenset(links), (joints[first], joints[second]))
 
 
-def _moves_a_frame(system: System, frames: Sequence[Frame], rank: Rank, spin: _Spin, group: _Group) -> bool:
+def _moves_a_frame(system: System, frames: Sequence[Frame], rank: Rank, spin: _SpinCandidate, group: _Group) -> bool:
     """Whether a frame that somebody named does not stay where it is."""
     names, at, poses, bodies = system.body_names, rank.screws, None, group.bodies
     moving = bodies | group.links
@@ -282,10 +284,10 @@ def _moves_a_frame(system: System, frames: Sequence[Frame], rank: Rank, spin: _S
 
 
 def _freedom(
-    system: System, s: Structure, rank: Rank, spin: _Spin, group: _Group, velocity: Array
+    system: System, s: ConstraintGraph, rank: Rank, spin: _SpinCandidate, group: _Group, velocity: Array
 ) -> IdleFreedom:  # fmt: skip
     at, edges, direction = rank.screws, sorted(group.joints), spin.direction
-    places = dict(spin.of.star.points) if isinstance(spin.of, Held) else {}
+    places = dict(spin.of.star.points) if isinstance(spin.of, HeldStar) else {}
     origins = np.array([(at.M if places.get(i, True) else at.F)[i, :3, 3] for i in edges])
     point = at.center + at.length * spin.point
     point = point + direction * (direction @ (origins[0] - point))

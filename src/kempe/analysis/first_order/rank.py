@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.analysis.first_order.constraint_graph import Cluster, Law, Structure, structure
+from kempe.analysis.first_order.constraint_graph import Cluster, ConstraintGraph, Law, structure
 from kempe.analysis.first_order.screws import Screws, screws
 from kempe.description.parts import Declared
 from kempe.kernels.constraints.loop_layout import SCALES
@@ -151,7 +151,7 @@ def rank_at(system: System, q: Array) -> Rank:
 
 
 def _cluster(
-    system: System, s: Structure, at: Screws, c: Cluster, units: Array, written: Mapping[str, Array]
+    system: System, s: ConstraintGraph, at: Screws, c: Cluster, units: Array, written: Mapping[str, Array]
 ) -> ClusterRank:  # fmt: skip
     J, size = _jacobian(system, s, at, c, units, written)
     if not J.size:
@@ -164,7 +164,7 @@ def _cluster(
 
 
 def _jacobian(
-    system: System, s: Structure, at: Screws, c: Cluster, units: Array, written: Mapping[str, Array]
+    system: System, s: ConstraintGraph, at: Screws, c: Cluster, units: Array, written: Mapping[str, Array]
 ) -> tuple[Array, float]:  # fmt: skip
     """Loop equations (rows, velocities of the cluster), scaled, and the largest twist of a velocity."""
     n = len(c.velocities)
@@ -227,7 +227,7 @@ def written_rows(system: System, q: Array) -> dict[str, Array]:
 _PLANE = [0, 1, 5]
 
 
-def rows_of_loop(system: System, s: Structure, at: Screws, loop: int) -> Array:
+def rows_of_loop(system: System, s: ConstraintGraph, at: Screws, loop: int) -> Array:
     """Rows (k, 6) that the edge that closes a loop takes from the twist around it; their transpose gives wrenches.
 
     They read the twist where the loop is closed, so that loops far away in a large mechanism are seen as others are.

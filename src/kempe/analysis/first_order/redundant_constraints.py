@@ -92,7 +92,7 @@ class Redundancy:
 
 
 @dataclass(frozen=True, eq=False)
-class _Row:
+class _JointReaction:
     """One constraint direction: what it belongs to, its name, and what each self-stress of its cluster puts on it."""
 
     owner: str
@@ -130,7 +130,7 @@ def redundancy(system: System, rank: Rank) -> Redundancy:
 # ---- self-stress in each joint's axes
 
 
-def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_Row]:
+def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
     """All constraint directions of a cluster with the self-stresses in them."""
     s, at = structure(system), rank.screws
     wrenches = np.zeros((len(c.cluster.loops), 6, c.dependent))
@@ -143,7 +143,7 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_Row]:
         edge = s.edges[s.loops[loop].edge]
         if isinstance(edge.of, Declared):
             labels = ("F",) if len(R) == 1 else ("Fx", "Fy")
-            rows += [_Row(edge.name, label, True, edge, x) for label, x in zip(labels, own, strict=True)]
+            rows += [_JointReaction(edge.name, label, True, edge, x) for label, x in zip(labels, own, strict=True)]
     inside = np.tensordot(c.cluster.cells, wrenches, (0, 0))  # (edges, 6, stresses)
     for i, wrench in zip(c.cluster.edges, inside, strict=True):
         edge = s.edges[i]
@@ -154,15 +154,15 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_Row]:
         free = _not_held(names, twists, at.twists[i]) if free is None else free
         for name, twist in zip(names, twists, strict=True):
             if name not in free:
-                rows.append(_Row(edge.name, REACTIONS[name], not edge.actuated, edge, twist @ wrench, free))
+                rows.append(_JointReaction(edge.name, REACTIONS[name], not edge.actuated, edge, twist @ wrench, free))
         for column, twist in zip(edge.columns, at.twists[i].T, strict=True):
             if column.index < 0 or column.name != system.structure.velocity_names[column.index]:
                 what = f"{'lock' if column.index < 0 else 'coupling'} of {column.name}"
-                rows.append(_Row(what, "", False, None, twist @ wrench))
+                rows.append(_JointReaction(what, "", False, None, twist @ wrench))
     for law in (s.laws[k] for k in c.cluster.laws):
         labels = law.names if law.rows > 1 else ("",)
         own = c.stresses[n : n + law.rows]
-        rows += [_Row(law.title, label, False, None, x) for label, x in zip(labels, own, strict=True)]
+        rows += [_JointReaction(law.title, label, False, None, x) for label, x in zip(labels, own, strict=True)]
         n += law.rows
     return rows
 
@@ -226,15 +226,15 @@ def _not_held(names: Sequence[str], twists: Array, moves: Array) -> frozenset[st
 # ---- releases
 
 
-def _choose(rows: Sequence[_Row], count: int) -> list[list[_Row]]:
+def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReaction]]:
     """Rows, by owner, whose removal leaves no self-stress: owners that take most first, so that they are few."""
-    owners: dict[str, list[_Row]] = {}
+    owners: dict[str, list[_JointReaction]] = {}
     for r in rows:
         owners.setdefault(r.owner, []).append(r)
     for own in owners.values():
         own.sort(key=lambda r: _ORDER.index(_direction(r)) if _direction(r) in _ORDER else -1)
     left = np.eye(count)
-    chosen: list[list[_Row]] = []
+    chosen: list[list[_JointReaction]] = []
     while left.shape[1]:
         found = None
         for part in (WELL, CARRIES):
@@ -251,7 +251,7 @@ def _choose(rows: Sequence[_Row], count: int) -> list[list[_Row]]:
     return chosen
 
 
-def _independent(rows: Sequence[_Row], left: Array, part: float) -> list[_Row]:
+def _independent(rows: Sequence[_JointReaction], left: Array, part: float) -> list[_JointReaction]:
     """Rows that are independent on the self-stresses that are `left`, in the given order, each by `part` at least."""
     basis: list[Array] = []
     out = []
@@ -271,11 +271,11 @@ def _independent(rows: Sequence[_Row], left: Array, part: float) -> list[_Row]:
 _DIRECTION_OF = {reaction: direction for direction, reaction in REACTIONS.items()}
 
 
-def _direction(row: _Row) -> str:
+def _direction(row: _JointReaction) -> str:
     return _DIRECTION_OF.get(row.label, "")
 
 
-def _release(rows: Sequence[_Row], dim: int) -> Release:
+def _release(rows: Sequence[_JointReaction], dim: int) -> Release:
     """The release of some directions of one owner."""
     edge = rows[0].edge
     labels = tuple(r.label for r in rows if r.label)

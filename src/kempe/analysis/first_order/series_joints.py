@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.analysis.first_order.constraint_graph import Edge, Structure, structure
+from kempe.analysis.first_order.constraint_graph import ConstraintGraph, Edge, structure
 from kempe.description.parts import Declared
 from kempe.joints import P, Primitive, Q
 from kempe.model.kept import kept
@@ -36,7 +36,7 @@ class Turns:
 
 
 @dataclass(frozen=True, eq=False)
-class Ring:
+class SeriesLoop:
     """Edges in series in the order around their loops, from the ground's piece and back to it.
 
     Joints that cannot move are left out: what they connect is one part. `signs` tells which are passed from parent to
@@ -55,7 +55,7 @@ class Ring:
         return () if turns is None else turns.columns
 
 
-def ends_of(s: Structure, ring: Ring, k: int) -> tuple[int, int]:
+def ends_of(s: ConstraintGraph, ring: SeriesLoop, k: int) -> tuple[int, int]:
     """The bodies before and after the k-th edge of a ring."""
     return _ends(s.edges[ring.edges[k]], ring.signs[k])
 
@@ -65,12 +65,12 @@ def _ends(edge: Edge, sign: float) -> tuple[int, int]:
 
 
 @kept
-def rings(system: System, driven: frozenset[int]) -> tuple[Ring, ...]:
+def rings(system: System, driven: frozenset[int]) -> tuple[SeriesLoop, ...]:
     """All rings of at least two edges in which something can turn; `driven` are velocities that a motor holds."""
     return _rings(system, structure(system), driven)
 
 
-def _uses(system: System, s: Structure) -> np.ndarray:
+def _uses(system: System, s: ConstraintGraph) -> np.ndarray:
     """For each velocity by how many columns and laws it is used."""
     uses = np.bincount([c.index for e in s.edges for c in e.columns if c.index >= 0], minlength=system.nv)
     for law in s.laws:
@@ -78,7 +78,7 @@ def _uses(system: System, s: Structure) -> np.ndarray:
     return uses
 
 
-def _rings(system: System, s: Structure, driven: frozenset[int]) -> tuple[Ring, ...]:
+def _rings(system: System, s: ConstraintGraph, driven: frozenset[int]) -> tuple[SeriesLoop, ...]:
     out, part, uses = [], parts(system), _uses(system, s)
     for c in s.clusters:
         alike: dict[bytes, list[int]] = {}
@@ -95,7 +95,7 @@ def _rings(system: System, s: Structure, driven: frozenset[int]) -> tuple[Ring, 
             if sum(t is not None for t in turns) > 1:
                 ends = [_ends(s.edges[i], sign) for i, sign in path]
                 joined = tuple(bool(part[a[1]] == part[b[0]]) for a, b in pairwise(ends))
-                out.append(Ring(tuple(i for i, _ in path), tuple(sign for _, sign in path), turns, joined))
+                out.append(SeriesLoop(tuple(i for i, _ in path), tuple(sign for _, sign in path), turns, joined))
     return tuple(out)
 
 
@@ -131,7 +131,7 @@ class Star:
 
     bodies: frozenset[int]
     slides: bool
-    chains: tuple[Ring, ...]
+    chains: tuple[SeriesLoop, ...]
     points: tuple[tuple[int, bool], ...]
     loose: tuple[int, ...]
 
@@ -156,7 +156,7 @@ def stars(system: System, driven: frozenset[int]) -> tuple[Star, ...]:
 
 
 def _star(
-    system: System, s: Structure, inside: np.ndarray, edges: list[int], uses: np.ndarray, driven: frozenset[int]
+    system: System, s: ConstraintGraph, inside: np.ndarray, edges: list[int], uses: np.ndarray, driven: frozenset[int]
 ) -> Star | None:  # fmt: skip
     chains, points, loose, looped = [], [], [], in_loop(system)
     bodies = frozenset(np.flatnonzero(inside).tolist())
@@ -183,8 +183,8 @@ def _star(
 
 
 def _outwards(
-    system: System, s: Structure, inside: np.ndarray, i: int, uses: np.ndarray, driven: frozenset[int]
-) -> Ring | None:  # fmt: skip
+    system: System, s: ConstraintGraph, inside: np.ndarray, i: int, uses: np.ndarray, driven: frozenset[int]
+) -> SeriesLoop | None:  # fmt: skip
     """The edges from a group outwards, through links that have two joints; None where the first cannot turn."""
     part, path, turns = parts(system), [], []
     here = s.edges[i].child if inside[s.edges[i].parent] else s.edges[i].parent
@@ -202,7 +202,7 @@ def _outwards(
         own = _turns(e, uses, driven)
     if not path or inside[here]:
         return None
-    return Ring(tuple(k for k, _ in path), tuple(x for _, x in path), tuple(turns), (True,) * (len(path) - 1))
+    return SeriesLoop(tuple(k for k, _ in path), tuple(x for _, x in path), tuple(turns), (True,) * (len(path) - 1))
 
 
 def rigid(edge: Edge) -> bool:

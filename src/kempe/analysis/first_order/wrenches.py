@@ -38,7 +38,7 @@ SMALL = 1e-9
 """Part of the largest number below which a component of a wrench is rounding."""
 
 
-class _Row(NamedTuple):
+class _WrenchRow(NamedTuple):
     """One equation in maximal coordinates: what it belongs to, its name, its unit, whether it always counts, rates."""
 
     of: str
@@ -228,20 +228,20 @@ class Wrenches:
         return self._maximal[0].nv
 
     @cached_property
-    def _rows(self) -> tuple[_Row, ...]:
+    def _rows(self) -> tuple[_WrenchRow, ...]:
         """All equations: those of joints, constraints and couplings, rows of velocity, and one-sided rows."""
         M, Q = self._maximal
         packed, out = closure_rows.full(M, False), []
         J, k = closure_rows.evaluate(M, Q, True, loops=packed)[1], 0
         for tie in packed.ties:
             name = tie.name if tie.relation is None else f"coupling of {tie.relation.of}"
-            out += [_Row(name, row, packed.units[k + i], True, J[k + i]) for i, row in enumerate(tie.rows)]
+            out += [_WrenchRow(name, row, packed.units[k + i], True, J[k + i]) for i, row in enumerate(tie.rows)]
             k += len(tie.rows)
         order = {n: i for i, n in enumerate((*self.system.structure.joints, *self._mechanism.constraints))}
         out.sort(key=lambda r: order.get(r.of, len(order)))
         rates = velocity_rows(M)
         A = rates.values(Q, np.zeros(()))[0]
-        out += [_Row(r.of, r.name, r.unit, True, a) for r, a in zip(rates.names, A, strict=True)]
+        out += [_WrenchRow(r.of, r.name, r.unit, True, a) for r, a in zip(rates.names, A, strict=True)]
         sided = one_sided_rows(M)
         if sided.declared:
             n = sided.declared
@@ -250,10 +250,10 @@ class Wrenches:
             tied = [(t.name, row) for t in sided.loops.ties for row in t.rows]
             for i, which in enumerate(sided.chosen[:n].tolist()):
                 of, name = tied[which]
-                out.append(_Row(of, name, sided.units[i], False, J[i]))
+                out.append(_WrenchRow(of, name, sided.units[i], False, J[i]))
         return tuple(out)
 
-    def _of(self, name: str) -> list[_Row]:
+    def _of(self, name: str) -> list[_WrenchRow]:
         rows = [r for r in self._rows if r.of == name]
         if not rows:
             raise UnknownNameError("joint or constraint", name, self.names, self.system.name)

@@ -75,13 +75,13 @@ class Spot:
 
 
 @dataclass(eq=False)
-class Family:
+class ConeFamily:
     """Points on the largest sphere with nearly the same kernel; where that is a line, points that are one."""
 
     spots: list[Spot]
     cone: bool = False
     hits: int = 1
-    opposite: Family | None = None
+    opposite: ConeFamily | None = None
     """The family on the other side of the configuration: what a curve through it is there."""
 
     @property
@@ -110,7 +110,7 @@ def _same(x: Array, y: Array) -> bool:
     return float(d @ d) < (SAME_POINT * RADII[0]) ** 2
 
 
-class Ring(NamedTuple):
+class SpherePoints(NamedTuple):
     """Points (n, nq) on a sphere with their offsets (n, nv) from its center, Jacobians, and whether they are good."""
 
     q: Array
@@ -119,7 +119,7 @@ class Ring(NamedTuple):
     good: np.ndarray
 
 
-def on_sphere(equations: Equations, q: Array, directions: Array, radius: float) -> Ring:
+def on_sphere(equations: Equations, q: Array, directions: Array, radius: float) -> SpherePoints:
     """Points of the solution set at a distance from q, sought in directions (n, nv).
 
     First they are sought anywhere near: the equation of the sphere would lead many into a local minimum.
@@ -129,17 +129,17 @@ def on_sphere(equations: Equations, q: Array, directions: Array, radius: float) 
     x = np.where(back[:, None], directions, equations.offset(q, near.q) / np.maximum(near.distance, 1e-300)[:, None])
     at = equations.project(equations.move(q, radius * x), q, radius)
     good = ~back & (at.residual < CLOSED) & (np.abs(at.distance - radius) < 1e-4 * radius)
-    return Ring(at.q, equations.offset(q, at.q), at.jacobian, good)
+    return SpherePoints(at.q, equations.offset(q, at.q), at.jacobian, good)
 
 
-def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[list[Family], bool]:
+def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[list[ConeFamily], bool]:
     """Families of points on the largest sphere that can be followed to the smallest; whether all were hit twice.
 
     The part of the branches, by how often random starts lead to them, that was never hit is about the number of
     families hit once over the number of starts (Good, 1953): so the search ends when there is none hit that rarely.
     A curve is hit on either side, for the other side is looked for at once.
     """
-    families: list[Family] = []
+    families: list[ConeFamily] = []
     starts = 0
     while starts < MOST_STARTS:
         d = reduction.unit_directions(rng, BATCH, at.delta) @ at.kernel.T
@@ -155,7 +155,7 @@ def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[lis
     return families, all(f.found > 1 for f in families)
 
 
-def _look_across(equations: Equations, at: Split, families: list[Family], new: list[Family]) -> None:
+def _look_across(equations: Equations, at: Split, families: list[ConeFamily], new: list[ConeFamily]) -> None:
     """Add what is on the other side of the first points of new families."""
     if not new:
         return
@@ -169,9 +169,9 @@ def _look_across(equations: Equations, at: Split, families: list[Family], new: l
             new[i].opposite, other.opposite = other, new[i] if other.opposite is None else other.opposite
 
 
-def _joined(families: list[Family]) -> list[Family]:
+def _joined(families: list[ConeFamily]) -> list[ConeFamily]:
     """The families, those as one whose tangent spaces meet at the configuration: a bent branch seems to be several."""
-    out: list[Family] = []
+    out: list[ConeFamily] = []
     for family in families:
         near = family.spots[0].near
         for other in out:
@@ -194,7 +194,9 @@ def _spots(equations: Equations, at: Split, directions: Array) -> list[Spot]:
     return [Spot(ring.offsets[None, i], split) for i, split in zip(found, splits, strict=True)]
 
 
-def _sort_in(equations: Equations, at: Split, families: list[Family], spots: list[Spot], counted: bool = True) -> None:
+def _sort_in(
+    equations: Equations, at: Split, families: list[ConeFamily], spots: list[Spot], counted: bool = True
+) -> None:
     """Add points to the family that holds them, or make one; all points of cones of one dimension are a family."""
     hit = int(counted)
     for spot in spots:
@@ -202,10 +204,10 @@ def _sort_in(equations: Equations, at: Split, families: list[Family], spots: lis
         if held is None and spot.split.delta > 1 and _turns(equations, at, spot):
             held = next((f for f in families if f.cone and f.spots[0].split.delta == spot.split.delta), None)
             if held is None:
-                families.append(Family([spot], cone=True, hits=hit))
+                families.append(ConeFamily([spot], cone=True, hits=hit))
                 continue
         if held is None:
-            families.append(Family([spot], hits=hit))
+            families.append(ConeFamily([spot], hits=hit))
         else:
             held.add(spot, hit)
 
@@ -276,7 +278,7 @@ def span(x: Array) -> tuple[int, Array]:
     return dim, Vt[:dim].T
 
 
-def dimensions(equations: Equations, families: list[Family], order: int, rng: np.random.Generator) -> bool:
+def dimensions(equations: Equations, families: list[ConeFamily], order: int, rng: np.random.Generator) -> bool:
     """Set dimension and tangent space of all points, and part families whose points are of several branches.
 
     Says whether the ways to find the dimension, and points where equations are smooth, agree.
@@ -316,9 +318,9 @@ def _alike(a: Array | None, b: Array | None) -> bool:
     return a is None or b is None or a.shape[1] < 2 or apart(a, b) < SAME_PLANE
 
 
-def _parted(family: Family) -> list[Family]:
+def _parted(family: ConeFamily) -> list[ConeFamily]:
     """A family by dimension and tangent space: where it is shaky, branches that meet can have the same kernel."""
-    parts: list[Family] = []
+    parts: list[ConeFamily] = []
     for spot in family.spots:
         for part in parts:
             first = part.spots[0]
@@ -326,11 +328,11 @@ def _parted(family: Family) -> list[Family]:
                 part.spots.append(spot)
                 break
         else:
-            parts.append(Family([spot], family.cone, family.hits))
+            parts.append(ConeFamily([spot], family.cone, family.hits))
     return parts
 
 
-def stays_multiple(equations: Equations, at: Split, families: list[Family]) -> bool:
+def stays_multiple(equations: Equations, at: Split, families: list[ConeFamily]) -> bool:
     """Whether branches that are shaky near the configuration are so farther out.
 
     Two branches that touch closely look like one with multiplicity on small spheres; farther out they part.
@@ -343,7 +345,7 @@ def stays_multiple(equations: Equations, at: Split, families: list[Family]) -> b
     return all(d >= s.split.delta for s, d, ok in zip(shaky, deltas, ring.good, strict=True) if ok)
 
 
-def collect(equations: Equations, families: list[Family]) -> tuple[list[Branch], bool]:
+def collect(equations: Equations, families: list[ConeFamily]) -> tuple[list[Branch], bool]:
     """The branches that the points belong to, and whether the curves among them come in pairs of half-branches."""
     out: list[Branch] = []
     for family in sorted(families, key=lambda f: -(f.spots[0].dim or 0)):

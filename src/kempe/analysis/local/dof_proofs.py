@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.analysis.first_order.constraint_graph import Cluster, LoopSizes, Structure, structure
+from kempe.analysis.first_order.constraint_graph import Cluster, ConstraintGraph, LoopSizes, structure
 from kempe.analysis.first_order.counting import fills_group, group_basis
 from kempe.analysis.first_order.rank import Rank
 from kempe.analysis.first_order.screws import Screws, screws
@@ -73,7 +73,7 @@ def regular(system: System, rank: Rank, residual: float) -> bool:
 
 
 def _certified(
-    s: Structure, at: Screws, c: Cluster, values: Array, J: Array, residual: float, short: bool
+    s: ConstraintGraph, at: Screws, c: Cluster, values: Array, J: Array, residual: float, short: bool
 ) -> Certificate:  # fmt: skip
     """The certificate of equations of a cluster, of `short` loops or those of the tree, with singular values of J."""
     if c.bent:  # of whose second derivatives no bound is known
@@ -166,7 +166,7 @@ def _sum(found: Sequence[Proof]) -> Proof:
     return Proof(total, count, "; ".join(dict.fromkeys(p.why for p in found if p.why)))
 
 
-def _parts(system: System, s: Structure, at: Screws, equations: Equations, J: Array) -> list[Part]:
+def _parts(system: System, s: ConstraintGraph, at: Screws, equations: Equations, J: Array) -> list[Part]:
     """The equations of each cluster, reduced loop by loop to what its group of motions leaves."""
     edges = equations.rows_of
     out = []
@@ -191,7 +191,7 @@ def _rows(m: int, at: np.ndarray, mix: Array) -> Array:
 
 
 def _group(
-    system: System, s: Structure, at: Screws, k: int, path: list[int], J: Array, length: float
+    system: System, s: ConstraintGraph, at: Screws, k: int, path: list[int], J: Array, length: float
 ) -> Array:  # fmt: skip
     """Combinations (rows, d) of the rows of a loop that suffice, for its joints generate a group of d dimensions.
 
@@ -220,7 +220,7 @@ class _Open(NamedTuple):
 
 
 def _prove(
-    s: Structure, at: Screws, equations: Equations, q: Array, part: Part, value: Array, J: Array
+    s: ConstraintGraph, at: Screws, equations: Equations, q: Array, part: Part, value: Array, J: Array
 ) -> Proof | _Open | None:  # fmt: skip
     """The dimension of one cluster, if it is a manifold; None where nothing can be proven."""
     here = leading_forms.split_of(q, J, np.hstack(part.rows), part.columns)
@@ -259,7 +259,7 @@ def _within(T: Array, columns: np.ndarray) -> Array:
     return out
 
 
-def _half_angles(s: Structure, at: Screws, equations: Equations, q: Array, c: Cluster, kernel: Array) -> bool:
+def _half_angles(s: ConstraintGraph, at: Screws, equations: Equations, q: Array, c: Cluster, kernel: Array) -> bool:
     """Whether the only loop is of four hinges that move as Bennett's do."""
     if len(c.loops) != 1 or c.laws or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
         return False
@@ -273,7 +273,7 @@ def _half_angles(s: Structure, at: Screws, equations: Equations, q: Array, c: Cl
     return known_motions.half_angles(equations, q, axes, [x.index for x in columns], kernel)
 
 
-def _two_groups(s: Structure, at: Screws, c: Cluster) -> bool:
+def _two_groups(s: ConstraintGraph, at: Screws, c: Cluster) -> bool:
     """Whether the only loop parts into two chains, each of which makes all motions of the group that it generates."""
     if len(c.loops) != 1 or c.laws or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
         return False

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.analysis.continuation.rolling import slip
-from kempe.analysis.manoeuvre.manoeuvre_path import Course, Manoeuvre, Piece
+from kempe.analysis.manoeuvre.manoeuvre_path import ExactManoeuvre, Manoeuvre, Piece
 from kempe.analysis.manoeuvre.steering import Plan, Refused, plans
 from kempe.analysis.manoeuvre.wheeled import Wheeled, wheeled
 from kempe.budget import Budget, Usual
@@ -125,7 +125,7 @@ def _loose(system: System, goal: Any, free: Iterable[str], car: Wheeled) -> tupl
     return (*out, *(v for v in car.driven if given is not None and names[v] not in given))
 
 
-def _course(car: Wheeled, q: Array, goal: Array, plan: Plan) -> Course | None:
+def _course(car: Wheeled, q: Array, goal: Array, plan: Plan) -> ExactManoeuvre | None:
     """A plan in closed form, with the steering between its moves, as fast as limits allow; None for nothing to do."""
     pieces: list[Piece] = []
     now = float(q[car.steering_q])
@@ -152,13 +152,13 @@ def _course(car: Wheeled, q: Array, goal: Array, plan: Plan) -> Course | None:
         pieces.append(Piece("rest", 0.0, float(np.abs(idle).max()), 0.0, 0.0, 0.0))
     if not pieces:
         return None
-    course, limits = Course(car, q, idle, pieces), car.system.structure.velocity_limits
+    course, limits = ExactManoeuvre(car, q, idle, pieces), car.system.structure.velocity_limits
     if not np.isfinite(limits).any():
         return course
-    return Course(car, q, idle, _slower(course, limits))
+    return ExactManoeuvre(car, q, idle, _slower(course, limits))
 
 
-def _slower(course: Course, limits: Array) -> list[Piece]:
+def _slower(course: ExactManoeuvre, limits: Array) -> list[Piece]:
     """The pieces, each slower where a coordinate would exceed its velocity limit (nv,)."""
     idle = np.zeros(len(limits), dtype=bool)
     idle[list(course.car.idle)] = True
@@ -184,7 +184,7 @@ def _stretched(p: Piece, before: Sequence[Piece], by: float) -> Piece:
     return Piece(p.kind, at, p.duration * by, p.forward / by, p.turning / by, p.steering / by)
 
 
-def _times(course: Course, samples: int) -> Array:
+def _times(course: ExactManoeuvre, samples: int) -> Array:
     """Times (n,): the ends of all pieces, and evenly spread ones between them."""
     out = [np.zeros(1)]
     for p in course.pieces:
@@ -194,7 +194,7 @@ def _times(course: Course, samples: int) -> Array:
     return np.concatenate(out)
 
 
-def _outside(system: System, course: Course, samples: int) -> str:
+def _outside(system: System, course: ExactManoeuvre, samples: int) -> str:
     """What a course does that it must not, in words: it leaves limits, or violates one-sided constraints."""
     q = course.at(_times(course, max(samples, 200)))[0]
     if (course.car.pose.spread(q) <= PARALLEL).any():
@@ -209,7 +209,7 @@ def _outside(system: System, course: Course, samples: int) -> str:
             f"between {rows.low[k]:.6g} and {rows.high[k]:.6g}")  # fmt: skip
 
 
-def _arrive(car: Wheeled, course: Course, x: Array, q: Array, goal: Array, free: Sequence[int]) -> int:
+def _arrive(car: Wheeled, course: ExactManoeuvre, x: Array, q: Array, goal: Array, free: Sequence[int]) -> int:
     """Put the ends of samples (n, nq) right to the last bit; returns by how many whole turns the heading is off.
 
     Errors: `UnsupportedError` where the course does not lead to the goal.

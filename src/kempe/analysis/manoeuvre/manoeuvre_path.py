@@ -78,7 +78,7 @@ class Manoeuvre(Motion):
     success: bool
     reason: str = ""
     frames: tuple[str, ...] = ()
-    _course: Course | None = field(default=None, repr=False)
+    _course: ExactManoeuvre | None = field(default=None, repr=False)
 
     @property
     def length(self) -> float:
@@ -137,7 +137,7 @@ class Manoeuvre(Motion):
         return [*(f"{p.start:8.4g} s: {p}" for p in self.pieces), *super()._notes()]
 
 
-class Course:
+class ExactManoeuvre:
     """A manoeuvre in closed form: configurations and velocities at any time."""
 
     def __init__(self, car: Wheeled, q: Array, idle: Array, pieces: Sequence[Piece]):

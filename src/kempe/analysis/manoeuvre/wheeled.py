@@ -35,7 +35,7 @@ SEED = 19900101
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class PlanarPlace:
     """The place of a body in its plane: which coordinates it has, and how the plane lies.
 
     `slides` and `turn` are indices into q and into velocities; the heading is `gear` times the turn's coordinate.
@@ -96,7 +96,7 @@ class Pose:
         return out
 
 
-def pose_of(system: System) -> Pose:
+def pose_of(system: System) -> PlanarPlace:
     """The body nearest to the ground that moves in a plane by two slides and a turn. Errors: `UnsupportedError`."""
     rng = np.random.default_rng(SEED)
     samples = random(system, rng, (TRIALS,))
@@ -123,7 +123,7 @@ def pose_of(system: System) -> Pose:
         x /= np.linalg.norm(x)
         plane = np.array([x, np.cross(normal, x)])
         places = np.array([vectors[int(i)] for i in slides])
-        return Pose(system, body, places, slides, vectors[turn], turn, gear, plane)
+        return PlanarPlace(system, body, places, slides, vectors[turn], turn, gear, plane)
     raise UnsupportedError(
         f"{system.name}: no body moves in a plane by two slides and a turn; a manoeuvre is known for bodies whose "
         "place and heading in a plane are coordinates (a planar joint, or two slides and a turn)"
@@ -138,7 +138,7 @@ class Wheeled:
     that the body may turn about the axle's middle, whatever the steering is.
     """
 
-    pose: Pose
+    pose: PlanarPlace
     axle: Array
     angle: float
     driven: tuple[int, ...]
@@ -216,7 +216,7 @@ def wheeled(system: System, q: Array) -> Wheeled:
     return Wheeled(pose, axle, math.atan2(forward[1], forward[0]), driven, idle, steering, steering_q, loose)
 
 
-def _middle(pose: Pose, q: Array, foot: Array, forward: Array) -> tuple[Array, float]:
+def _middle(pose: PlanarPlace, q: Array, foot: Array, forward: Array) -> tuple[Array, float]:
     """The middle (2,) of the axle in the body's axes, and whether `forward` (2,) is forwards (1) or in reverse (-1).
 
     By the ends of velocity constraints that are fixed on the axle: their middle, and the sense of their x axes. Where
@@ -258,7 +258,7 @@ def binding(system: System, q: Array) -> str | None:
     return closure_rows.row_names(system)[int(held[0])][0] if len(held) else None
 
 
-def _rows(pose: Pose, q: Array) -> Array:
+def _rows(pose: PlanarPlace, q: Array) -> Array:
     """Velocity rows (m, 3 + nv) of the body's own twist, then of all coordinates but those of its pose (zero there)."""
     A = rates(pose.system, q)[0]
     out = np.concatenate([A[:, pose.own] @ np.linalg.inv(pose.twist(q)), A], axis=1)
@@ -266,7 +266,7 @@ def _rows(pose: Pose, q: Array) -> Array:
     return out
 
 
-def _unit(pose: Pose) -> Array:
+def _unit(pose: PlanarPlace) -> Array:
     """What one unit is (3 + nv,): radians, and characteristic lengths."""
     length = closure_rows.characteristic_length(pose.system)
     turning = pose.system.structure.coordinates.turning.copy()
@@ -286,7 +286,7 @@ def _null(A: Array) -> Array:
     return Vt[int(np.sum(s > RANK * max(float(s.max(initial=0.0)), 1e-300))) :].T
 
 
-def _kinds(pose: Pose, q: Array) -> tuple[tuple[int, ...], tuple[int, ...], int | None]:
+def _kinds(pose: PlanarPlace, q: Array) -> tuple[tuple[int, ...], tuple[int, ...], int | None]:
     """Driven and idle velocity indices, and the steering. Errors: `UnsupportedError`."""
     system, unit, rng = pose.system, _unit(pose), np.random.default_rng(SEED)
     samples = random(system, rng, (TRIALS,))
@@ -331,7 +331,7 @@ def _kinds(pose: Pose, q: Array) -> tuple[tuple[int, ...], tuple[int, ...], int 
 
 
 def _normal(
-    pose: Pose, q: Array, driven: tuple[int, ...], steering: int | None, steering_q: int
+    pose: PlanarPlace, q: Array, driven: tuple[int, ...], steering: int | None, steering_q: int
 ) -> tuple[Array, bool]:  # fmt: skip
     """The row (3,) that vanishes on every twist which is allowed, and whether these are all that it leaves.
 

@@ -18,9 +18,9 @@ import numpy as np
 from kempe.analysis.first_order.generic_configurations import NEAR, close, find_closed
 from kempe.analysis.mobility.growth_vectors import growth
 from kempe.analysis.mobility.one_sided_report import OneSidedReport, if_any
-from kempe.analysis.mobility.reachable import Place, Reach, random_place, reach
+from kempe.analysis.mobility.reachable import EvaluationPoint, Reach, random_place, reach
 from kempe.calls import explained, explained_methods, generator
-from kempe.description.parts import Fixed
+from kempe.description.parts import ReadOnlyDict
 from kempe.errors import InputError, shown
 from kempe.kinematics.common.result import Worded
 from kempe.kinematics.configuration import one
@@ -167,7 +167,7 @@ class _Classifier:
         self.moving = {c for c, rows in self.of.items() if any(names[i].velocity for i in rows)}
         # what rolls touches: its one-sided rows hold while it does
         held = (i for i, r in enumerate(names) if not r.velocity and (not r.sided or r.of in self.moving))
-        self.place = Place(self.rows, q, t, tuple(held), self._closed)
+        self.place = EvaluationPoint(self.rows, q, t, tuple(held), self._closed)
 
     def _closed(self, q: Array) -> Array | None:
         if not self.place.holding:
@@ -204,7 +204,7 @@ class _Classifier:
             reachable_around=total.dimension_around,
         )  # fmt: skip
 
-    def _without(self, why: str, made: dict[str, Any], around: Place | None) -> Classification:
+    def _without(self, why: str, made: dict[str, Any], around: EvaluationPoint | None) -> Classification:
         """What can be said where growth is not defined."""
         return Classification(
             **made, kind="", growth=None, growth_around=None, reachable_dimension=None, degree=None,
@@ -218,10 +218,10 @@ class _Classifier:
         sided = bool(self.rows.names) and all(r.sided for r in self.rows.names)
         return UNILATERAL if sided else HOLONOMIC
 
-    def _each(self, place: Place) -> Mapping[str, ConstraintKind]:
-        return Fixed({name: self._one(place, name, rows) for name, rows in self.of.items()})
+    def _each(self, place: EvaluationPoint) -> Mapping[str, ConstraintKind]:
+        return ReadOnlyDict({name: self._one(place, name, rows) for name, rows in self.of.items()})
 
-    def _one(self, place: Place, name: str, own: list[int]) -> ConstraintKind:
+    def _one(self, place: EvaluationPoint, name: str, own: list[int]) -> ConstraintKind:
         rows, whole = self.rows.names, place.kernel().dimension
         names, which = tuple(rows[i].name for i in own), self.velocity_rows([name]) if name in self.moving else []
         if not which:

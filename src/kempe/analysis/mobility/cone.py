@@ -27,7 +27,7 @@ PRECISE = 1e-10
 """Tolerances of the linear programs."""
 
 
-class Ways(NamedTuple):
+class ConeDirections(NamedTuple):
     """Whether a quantity may fall and may rise, to first order."""
 
     down: bool
@@ -71,19 +71,19 @@ class Cone:
         """Whether all that may move may move both ways: the active rows act as equations do."""
         return self.dimension == self.lineality
 
-    def ways(self, row: ArrayLike) -> Ways:
+    def ways(self, row: ArrayLike) -> ConeDirections:
         """Whether `row` @ v may be below and above zero, of a quantity with the gradient `row` (n,)."""
         row = np.asarray(row, dtype=float)
         size = float(np.linalg.norm(row))
         if size == 0.0:
-            return Ways(False, False)
+            return ConeDirections(False, False)
         if np.linalg.norm(self.free @ row) > NOTHING * size:
-            return Ways(True, True)
+            return ConeDirections(True, True)
         if self.rays is not None:
             rates = self.rays @ row
-            return Ways(bool(np.any(rates < -NOTHING * size)), bool(np.any(rates > NOTHING * size)))
+            return ConeDirections(bool(np.any(rates < -NOTHING * size)), bool(np.any(rates > NOTHING * size)))
         own = self.across @ row / size
-        return Ways(_least(own, self.rows) < -NOTHING, _least(-own, self.rows) < -NOTHING)
+        return ConeDirections(_least(own, self.rows) < -NOTHING, _least(-own, self.rows) < -NOTHING)
 
 
 def tangent_cone(equal: Array, one_sided: Array, ignore: float = NOTHING) -> Cone:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kempe.kernels.compiled import lie_brackets
-from kempe.kinematics.velocity.velocity_rows import Rows
+from kempe.kinematics.velocity.velocity_rows import VelocityRows
 from kempe.spatial import Array
 
 ROUNDING = 30.0
@@ -42,7 +42,7 @@ CONDITION = 1e-9
 class Distribution:
     """The kernel of some of the rows at q: fields with these coefficients, smooth where `pivots` stay regular."""
 
-    rows: Rows
+    rows: VelocityRows
     q: Array
     t: float
     chosen: np.ndarray
@@ -66,7 +66,7 @@ class Distribution:
 
 
 def distribution(
-    rows: Rows, q: Array, which: Sequence[int] | None = None, t: float = 0.0, error: float = 1e-15
+    rows: VelocityRows, q: Array, which: Sequence[int] | None = None, t: float = 0.0, error: float = 1e-15
 ) -> Distribution:
     """The kernel of some `rows`, or of all, at q (nq,) and the time t, which are right up to an `error`."""
     requested = np.arange(len(rows.names)) if which is None else np.array(which, dtype=np.int64)
@@ -75,7 +75,7 @@ def distribution(
     return _kernel(rows, q, t, requested, whole * rows.units[: whole.shape[1]], error)
 
 
-def _kernel(rows: Rows, q: Array, t: float, which: np.ndarray, scaled: Array, error: float) -> Distribution:
+def _kernel(rows: VelocityRows, q: Array, t: float, which: np.ndarray, scaled: Array, error: float) -> Distribution:
     n = scaled.shape[1]
     sizes = np.linalg.norm(scaled, axis=1)
     real = np.flatnonzero(sizes > VANISHED * sizes.max(initial=0.0))
@@ -162,7 +162,7 @@ class Growth:
     """Orthonormal directions (columns, k) in units: the first dimensions[s - 1] span D^s."""
 
 
-class _Span:
+class _GrowingSpan:
     """Directions found so far, orthonormal, with estimates of their rounding.
 
     Words that are known to be in the span show how large its rounding truly is: `shares` are the largest parts of the
@@ -218,7 +218,7 @@ def growth(at: Distribution, rng: np.random.Generator, enough: int, patient: boo
 
 def _growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bool) -> Growth:
     words, m = Words(at, rng), at.dimension
-    span = _Span(at.basis, at.error * at.condition, at.error)
+    span = _GrowingSpan(at.basis, at.error * at.condition, at.error)
     found, length, limit = [m], 1, _limit(words)
     while found[-1] < enough and m > 1 and length < limit:
         length += 1

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.analysis.first_order.constraint_graph import Structure, called, structure
+from kempe.analysis.first_order.constraint_graph import ConstraintGraph, called, structure
 from kempe.analysis.first_order.control import Control, control, driven
 from kempe.analysis.first_order.counting import Counting, LoopCount, counting, loop_counts
-from kempe.analysis.first_order.generic_configurations import Closed, close, find_closed, nearby
+from kempe.analysis.first_order.generic_configurations import NearestClosed, close, find_closed, nearby
 from kempe.analysis.first_order.idle_freedoms import IdleFreedom, idle_freedoms, may_idle
 from kempe.analysis.first_order.rank import Rank, rank_at
 from kempe.analysis.first_order.redundant_constraints import Redundancy, redundancy
@@ -197,7 +197,8 @@ def mobility(
 
 
 def _found(
-    system: System, shown: System, at: Closed, actuated: Iterable[str] | None, local: bool, rng: np.random.Generator
+    system: System, shown: System, at: NearestClosed, actuated: Iterable[str] | None, local: bool,
+    rng: np.random.Generator
 ) -> Mobility:  # fmt: skip
     """Everything, at a closed configuration whose coordinates are regular; counted over the tree of `shown`."""
     s, motors = structure(system), driven(system, actuated)
@@ -225,7 +226,7 @@ def _given(system: System, q: Any) -> Array:
     return given
 
 
-def _open(system: System, shown: System, at: Closed) -> Mobility:
+def _open(system: System, shown: System, at: NearestClosed) -> Mobility:
     s = structure(system)
     return Mobility(
         system.name, system.dim, at.q, False, at.residual, at.given, at.why, counting(shown),
@@ -251,7 +252,7 @@ def _on_branches(system: System, truth: LocalDimension | None) -> list[Rank]:
     return [r for dim, r in ranks.items() if r.nullity == dim]
 
 
-def _clusters(s: Structure, rank: Rank | None) -> tuple[ClusterMobility, ...]:
+def _clusters(s: ConstraintGraph, rank: Rank | None) -> tuple[ClusterMobility, ...]:
     out = []
     for k, c in enumerate(s.clusters):
         rows = sum(s.loops[i].rows for i in c.loops) + sum(s.laws[i].rows for i in c.laws)
@@ -265,7 +266,7 @@ def _clusters(s: Structure, rank: Rank | None) -> tuple[ClusterMobility, ...]:
     return tuple(out)
 
 
-def _outside(system: System, s: Structure) -> int:
+def _outside(system: System, s: ConstraintGraph) -> int:
     """Freedoms of joints that no loop touches."""
     return system.nv - sum(len(c.velocities) for c in s.clusters)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.analysis.mobility.cone import Cone, Ways, tangent_cone
+from kempe.analysis.mobility.cone import Cone, ConeDirections, tangent_cone
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError
 from kempe.kernels.constraints import loop_layout as L
@@ -45,7 +45,7 @@ class Side:
     """Whether it is a limit of a coordinate."""
     slack: float
     state: str
-    ways: Ways
+    ways: ConeDirections
     why: str = ""
     """Why it can do neither though it is one-sided, or why nothing is known."""
 
@@ -95,12 +95,12 @@ class OneSidedReport(Report):
         return self.cone.lineality
 
     @property
-    def coordinates(self) -> dict[str, Ways]:
+    def coordinates(self) -> dict[str, ConeDirections]:
         """What each coordinate may do, to first order: whether it may fall, and rise."""
         each = np.eye(self.system.nv)
         return {n: self.cone.ways(row) for n, row in zip(self.system.structure.velocity_names, each, strict=True)}
 
-    def frame(self, frame: FrameLike) -> dict[str, Ways]:
+    def frame(self, frame: FrameLike) -> dict[str, ConeDirections]:
         """What the origin of a frame may do along the axes of the ground, and its turns about them, to first order."""
         J = jacobian(self.system, self.q, frame) * self.scale
         large = np.abs(J).max(axis=1, initial=0.0)
@@ -208,7 +208,7 @@ def _sides(rows: OneSided, values: Array, J: Array, tolerance: float) -> tuple[l
                 continue
             slack = float(bound - values[k] if upper else values[k] - bound)
             state = "open" if slack * scale > tolerance else "closed" if slack * scale >= -tolerance else "violated"
-            both = Ways(True, True)
+            both = ConeDirections(True, True)
             out.append(Side(rows.side(k, upper), float(values[k]), float(bound), unit, upper, k >= rows.declared, slack,
                             state, both))  # fmt: skip
             if state == "closed":
@@ -219,13 +219,13 @@ def _sides(rows: OneSided, values: Array, J: Array, tolerance: float) -> tuple[l
 def _with_ways(side: Side, place: int, cone: Cone, inward: Array, names: list[str]) -> Side:
     """A closed side with what it still allows."""
     if place in cone.vanishing:
-        return replace(side, ways=Ways(True, True), why=BLIND)
+        return replace(side, ways=ConeDirections(True, True), why=BLIND)
     if place in cone.implied:
-        return replace(side, ways=Ways(False, False), why="the equations keep it closed")
+        return replace(side, ways=ConeDirections(False, False), why="the equations keep it closed")
     ways = cone.ways(-inward if side.upper else inward)
     if place in cone.implicit:
         others = ", ".join(names[i] for i in cone.implicit if i != place)
-        return replace(side, ways=Ways(False, False), why=f"held by {others}")
+        return replace(side, ways=ConeDirections(False, False), why=f"held by {others}")
     if place in cone.redundant:
         return replace(side, ways=ways, why="it follows from the others that are closed")
     return replace(side, ways=ways)

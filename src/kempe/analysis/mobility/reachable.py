@@ -10,7 +10,7 @@ import numpy as np
 
 from kempe.analysis.mobility.growth_vectors import Distribution, Growth, distribution, growth
 from kempe.kinematics.velocity.velocity import tangent_rows, velocity_rows
-from kempe.kinematics.velocity.velocity_rows import Rows
+from kempe.kinematics.velocity.velocity_rows import VelocityRows
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -38,13 +38,13 @@ def velocity_freedoms(system: System, q: Array) -> int | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class EvaluationPoint:
     """Where rows are looked at: configuration, time, the rows that hold positions and how to close loops.
 
     `closed` gives for a configuration one with all loops closed near it, or None.
     """
 
-    rows: Rows
+    rows: VelocityRows
     q: Array
     t: float
     holding: tuple[int, ...]
@@ -52,7 +52,7 @@ class Place:
     error: float = 1e-15
     """How far the configuration is from where it should be, in units."""
 
-    def at(self, q: Array) -> Place:
+    def at(self, q: Array) -> EvaluationPoint:
         """The same at another configuration."""
         return replace(self, q=q)
 
@@ -82,7 +82,7 @@ class Reach:
     doubtful: bool
 
 
-def random_place(place: Place, rng: np.random.Generator) -> Place | None:
+def random_place(place: EvaluationPoint, rng: np.random.Generator) -> EvaluationPoint | None:
     """A configuration drawn at random around, with loops closed; None if none is found."""
     basis = place.kernel().basis[: place.rows.layout.nv]
     units = place.rows.units[:-1]
@@ -96,7 +96,7 @@ def random_place(place: Place, rng: np.random.Generator) -> Place | None:
     return None
 
 
-def moved_place(place: Place, which: Sequence[int], rng: np.random.Generator) -> Place:
+def moved_place(place: EvaluationPoint, which: Sequence[int], rng: np.random.Generator) -> EvaluationPoint:
     """A configuration that random motions reach which obey the rows."""
     from scipy.integrate import solve_ivp
 
@@ -127,7 +127,9 @@ def moved_place(place: Place, which: Sequence[int], rng: np.random.Generator) ->
     return replace(place, q=start, t=float(state[-1]), error=DRIFT)
 
 
-def reach(place: Place, around: Place | None, which: Sequence[int], rng: np.random.Generator) -> Reach:
+def reach(
+    place: EvaluationPoint, around: EvaluationPoint | None, which: Sequence[int], rng: np.random.Generator
+) -> Reach:
     """What motions reach from a place that obey further rows; `around` is a place drawn at random."""
     extra, whole = place.extra, place.kernel().dimension
     here = place.kernel(which)

@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike
 
 from kempe.analysis.continuation.beginning import angle_or_slide, begin, longest_step, periods, start_of, wish_of
 from kempe.analysis.continuation.continuation import Closure
-from kempe.analysis.continuation.one_sided_ends import Limits
+from kempe.analysis.continuation.one_sided_ends import OneSidedEnds
 from kempe.analysis.continuation.path import Event, Motion
-from kempe.analysis.motion.input_segments import Course, State, Stuck
+from kempe.analysis.motion.input_segments import SegmentContext, State, Stuck
 from kempe.analysis.motion.motion import Progress
-from kempe.analysis.motion.rolling_drive import Driven, driven
+from kempe.analysis.motion.rolling_drive import RollingSamples, driven
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, explained_methods, flag
 from kempe.constraints.tape import TIME
@@ -195,7 +195,7 @@ def drive(
         return Drive(system, near[None], clock[:1], requested, np.ones(1, dtype=bool), (), (), (), False, False, said)
     closure.budget = time
     wish = wish_of(system, toward)
-    course = Course(closure, index, longest, Limits(closure, limits), wish / closure.unit)
+    course = SegmentContext(closure, index, longest, OneSidedEnds(closure, limits), wish / closure.unit)
     return _run(course, q, names, clock, samples, spend.progress)
 
 
@@ -229,11 +229,12 @@ def _without_time(found: Drive, system: System) -> Drive:
 
 
 def _rolled(
-    found: Driven | None, system: System, names: list[str], clock: Array, samples: Callable[[int, int], list[Array]]
+    found: RollingSamples | None, system: System, names: list[str], clock: Array, samples: Callable[[int, int],
+    list[Array]]
 ) -> Drive:  # fmt: skip
     """The motion of what rolls, as an answer."""
     if found is None:
-        found = Driven(start_of(system, None, {})[None], "the loops do not close near the start", None)
+        found = RollingSamples(start_of(system, None, {})[None], "the loops do not close near the start", None)
     n = len(found.q)
     requested = np.array([samples(k, 1)[-1] for k in range(n)]).reshape(n, len(names))
     return Drive(
@@ -311,7 +312,7 @@ def _begin(
 
 
 def _run(
-    course: Course, q: Array, names: list[str], clock: Array, samples: Callable[[int, int], list[Array]],
+    course: SegmentContext, q: Array, names: list[str], clock: Array, samples: Callable[[int, int], list[Array]],
     progress: Progress | None,
 ) -> Drive:  # fmt: skip
     """The motion through all samples."""

@@ -14,7 +14,7 @@ import numpy as np
 from kempe.analysis.continuation.beginning import MOST_TURNS, SAME_RATIO, followers
 from kempe.analysis.continuation.continuation import Closure
 from kempe.analysis.continuation.events import sides_change
-from kempe.analysis.continuation.one_sided_ends import Limits
+from kempe.analysis.continuation.one_sided_ends import OneSidedEnds
 from kempe.solvers.common.tracing import Node, bend, step
 from kempe.spatial import Array
 
@@ -40,7 +40,7 @@ MOVES = 1e-9
 class Endless:
     """Whether a walk from a first node on has no end; `limits` are those that may still end it."""
 
-    def __init__(self, equations: Closure, first: Node, periods: Array, limits: Limits):
+    def __init__(self, equations: Closure, first: Node, periods: Array, limits: OneSidedEnds):
         self.equations, self.first, self.periods, self.limits = equations, first, periods, limits
         system = equations.system
         self.away = np.array([i for i in system.structure.layout.vector_v if not periods[i]], dtype=np.int64)

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from kempe.analysis.continuation.beginning import too_free
-from kempe.analysis.continuation.continuation import Closure, Driven
+from kempe.analysis.continuation.continuation import Closure, DrivenClosure
 from kempe.analysis.continuation.crossings import branch_lines, locate, singular_node
 from kempe.analysis.continuation.deflation import hold_rank
 from kempe.analysis.continuation.events import AWKWARD, checked, root
-from kempe.analysis.continuation.one_sided_ends import Limits
+from kempe.analysis.continuation.one_sided_ends import OneSidedEnds
 from kempe.analysis.continuation.path import Event
 from kempe.analysis.continuation.spins import hold_spins, spins_held
 from kempe.errors import UnsupportedError
@@ -57,7 +57,7 @@ class Stuck:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class SegmentContext:
     """What does not change from one course to the next; `singular` collects the change points passed.
 
     `index` are the velocity indices of the inputs, `wish` (nv,) a direction that chooses among branches at the start.
@@ -66,7 +66,7 @@ class Course:
     closure: Closure
     index: list[int]
     longest: float
-    limits: Limits
+    limits: OneSidedEnds
     wish: Array
     singular: list[Event] = field(default_factory=list)
 
@@ -136,10 +136,10 @@ class Course:
                 return replace(self._state(way, a), u=u), None
             h = next_step(h, self.longest, was, a)
 
-    def _state(self, way: Driven, a: Node) -> State:
+    def _state(self, way: DrivenClosure, a: Node) -> State:
         return State(a.x[:-1], way.at(float(a.x[-1])), a.t[:-1], way.direction)
 
-    def _stuck(self, way: Driven, a: Node, reason: str, length: float) -> Stuck:
+    def _stuck(self, way: DrivenClosure, a: Node, reason: str, length: float) -> Stuck:
         return Stuck(a.x[:-1], way.at(float(a.x[-1])), reason, abs(float(a.x[-1]) - length) < SAME_INPUT)
 
     def _passed(self, n: Node, k: int) -> None:
@@ -148,7 +148,7 @@ class Course:
             lines = n.lines[:, :-1] * self.closure.unit
             self.singular.append(Event(n.x[:-1], float(k), kind, nullity=n.nullity, directions=lines))
 
-    def _ends(self, way: Driven, a: Node, b: Node, length: float) -> tuple[Stuck | None, Node | None]:
+    def _ends(self, way: DrivenClosure, a: Node, b: Node, length: float) -> tuple[Stuck | None, Node | None]:
         """What ends the course between two nodes: a limit, or that the curve turns back; or the node at its end."""
         turn = None
         if b.t[-1] <= 0.0:
@@ -164,7 +164,7 @@ class Course:
         high = float(a.t @ way.between(a.x, far.x))
         return None, root(way, a, b, lambda n: float(n.x[-1]) - length, 0.0, high)
 
-    def _begin(self, state: State, direction: Array) -> tuple[Driven, Node]:
+    def _begin(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
         """The equations of a course and its first node; what spins idly is held, and so is the rank where it is low
         all along."""  # fmt: skip
         spins = spins_held(self.closure)
@@ -178,12 +178,12 @@ class Course:
             way, here = self._way(state, direction)
         return way, self._first(way, here, state)
 
-    def _way(self, state: State, direction: Array) -> tuple[Driven, Node]:
+    def _way(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
         """The equations of a course, and the node where it begins."""
-        way = Driven(self.closure, self.index, state.u, direction)
+        way = DrivenClosure(self.closure, self.index, state.u, direction)
         return way, node(way, np.append(state.q, 0.0))
 
-    def _first(self, way: Driven, here: Node, state: State) -> Node:
+    def _first(self, way: DrivenClosure, here: Node, state: State) -> Node:
         """The node at the beginning of a course, on the branch of arrival where several meet."""
         x = here.x
         if here.nullity == 1:
@@ -214,7 +214,7 @@ class Course:
         return Node(x, lines[best], here.sigma, max(here.nullity, 2), here.matrix, here.image, lines)
 
 
-def land(way: Driven, a: Node, length: float) -> Node | None:
+def land(way: DrivenClosure, a: Node, length: float) -> Node | None:
     """The node of the curve at this length of the course, or None where that is too far to be sure of it."""
     size = (length - float(a.x[-1])) / float(a.t[-1])
     guess = way.move(a.x, size * a.t)
@@ -229,7 +229,7 @@ def land(way: Driven, a: Node, length: float) -> Node | None:
     return b if b.t[-1] > STEEP and bend(a, b) <= BEND else None
 
 
-def _land_on_crossing(way: Driven, a: Node, guess: Array, length: float, size: float) -> Node | None:
+def _land_on_crossing(way: DrivenClosure, a: Node, guess: Array, length: float, size: float) -> Node | None:
     """The node at this length where it is on a change point, or so near that the branch is straight."""
     x = locate(way, guess, 2, size)
     if x is None or abs(float(x[-1]) - length) > AT_ONCE:

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from kempe.analysis.continuation.beginning import angle_or_slide, begin, first_node, longest_step, periods, start_of
 from kempe.analysis.continuation.continuation import Closure
 from kempe.analysis.continuation.deflation import rank_held
-from kempe.analysis.continuation.events import Stop, extreme, hidden_crossings, home, turns, walk
-from kempe.analysis.continuation.one_sided_ends import Limits
+from kempe.analysis.continuation.events import WalkEnd, extreme, hidden_crossings, home, turns, walk
+from kempe.analysis.continuation.one_sided_ends import OneSidedEnds
 from kempe.analysis.continuation.path import Event, Path, Track
 from kempe.analysis.continuation.spins import spins_held
 from kempe.analysis.motion.endless import NO_RETURN, Endless
@@ -103,7 +103,7 @@ def trace(
     equations, q = begin(system, start, held)
     if q is None:
         return _failed(equations, options, "the loops do not close near the start", start_of(system, start, held))
-    if said := Limits(equations, limits).outside(q):
+    if said := OneSidedEnds(equations, limits).outside(q):
         return _failed(equations, options, f"{said} at the start", q)
     equations.budget = options.time
     try:
@@ -185,12 +185,12 @@ def _one_way(
     equations: Closure, first: Node, options: _Options, most: int
 ) -> tuple[list[Node], str, bool, BaseException | None]:  # fmt: skip
     """Nodes from the first on, why they end, whether they came home, and what broke the walk off, if anything did."""
-    nodes, limits, length = [first], Limits(equations, options.limits), 0.0
+    nodes, limits, length = [first], OneSidedEnds(equations, options.limits), 0.0
     endless = Endless(equations, first, options.periods, limits)
     try:
         for b in walk(equations, first, options.longest):
             a = nodes[-1]
-            if isinstance(b, Stop):
+            if isinstance(b, WalkEnd):
                 return nodes, b.reason, False, None
             hit = limits.hit(equations, a, b)
             back = home(equations, a, b, first, options.periods) if length > 0.0 else None

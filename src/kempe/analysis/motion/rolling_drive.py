@@ -36,7 +36,7 @@ MISS = 1e-9
 """By how much loops may miss the velocities of inputs, of rows of size 1."""
 
 
-class Driven(NamedTuple):
+class RollingSamples(NamedTuple):
     """Configurations (n, nq) at the samples that were done, why the motion ends, if early, and what broke it off."""
 
     q: Array
@@ -47,7 +47,7 @@ class Driven(NamedTuple):
 def driven(
     system: System, names: Sequence[str], hold: Mapping[str, float], start: Any, clock: Array,
     samples: Callable[[int, int], list[Array]], limits: bool, budget: TimeLimit,
-) -> Driven | None:  # fmt: skip
+) -> RollingSamples | None:  # fmt: skip
     """The motion of what rolls under inputs, by their `samples` as `drive` gives them; None where it cannot begin.
 
     Errors: `UnsupportedError` where the inputs leave freedoms.
@@ -82,7 +82,7 @@ def driven(
         reason = (f"the inputs make it slip: before time {clock[slip.index]:.6g} by {speed:.3g} {slip.unit}/s across "
                   f"{slip.name!r}; getting there is a manoeuvre")  # fmt: skip
         done = done[: slip.index]
-    return Driven(done, reason, broken)
+    return RollingSamples(done, reason, broken)
 
 
 def _first(system: System, start: Any, hold: Mapping[str, float], names: Sequence[str], u: Array) -> Array | None:

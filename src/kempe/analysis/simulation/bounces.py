@@ -58,7 +58,7 @@ class Impact(NamedTuple):
     v: Array
 
 
-class Arc(NamedTuple):
+class Parabola(NamedTuple):
     """A parabola: from `time` on the place is y + v s + a s^2 / 2, with s the time since then."""
 
     time: float
@@ -74,7 +74,7 @@ class Flight:
         self.planes, self.gravity, self.restitution = planes, gravity, restitution
         self.N = np.array([p.normal for p in planes]).reshape(len(planes), len(gravity))
         self.offsets = np.array([p.offset for p in planes])
-        self.arcs: list[Arc] = []
+        self.arcs: list[Parabola] = []
         self.impacts: list[Impact] = []
         self.broken, self._largest = False, 0.0
 
@@ -89,12 +89,12 @@ class Flight:
         while True:
             v = self._impact(time, y, v, touching, again > AGAIN)
             v, a, held = self._pressed(v, touching)
-            self.arcs.append(Arc(time, y, v, a))
+            self.arcs.append(Parabola(time, y, v, a))
             step, hit = self._next(y, v, a, touching, held)
             settling = self._settling(y, v, a, touching - held, held)
             if settling is not None and time + settling[0] < duration:
                 rest, i, tangent, pull = settling
-                self.arcs[-1] = Arc(time, y, tangent, pull)
+                self.arcs[-1] = Parabola(time, y, tangent, pull)
                 y, v = y + rest * (tangent + 0.5 * rest * pull), tangent + rest * pull
                 time, touching = time + rest, self._touched(y, held | {i})
                 self.impacts.append(Impact("settles", time, (i,), 0.0, 0.0, y, v))

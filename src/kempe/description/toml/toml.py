@@ -38,7 +38,7 @@ def read_toml(text: str | bytes, source: str = "<text>", *, package_dirs: Iterab
     except InputError as error:
         raise fail(str(error), document.where("dim" if "dim" in str(error) else "ground")) from None
     mechanism.tolerance = _tolerance(document)
-    _Reader(document, mechanism).read()
+    _TomlReader(document, mechanism).read()
     document.findings.finish()
     mechanism.notes = [*head["notes"], *mechanism.notes]
     mechanism.roots = tuple(str(d) for d in package_dirs)
@@ -54,7 +54,7 @@ def _tolerance(document: Document) -> float | str | None:
     raise fail(text, document.where("tolerance"))
 
 
-class _Reader:
+class _TomlReader:
     """Fills a mechanism from a document, table by table."""
 
     def __init__(self, document: Document, mechanism: Mechanism):

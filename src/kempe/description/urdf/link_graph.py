@@ -6,11 +6,11 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 
 from kempe.description.source import Findings
-from kempe.description.urdf.xml import Element
+from kempe.description.urdf.xml import XmlElement
 
 
 def choose_root(
-    links: Mapping[str, Element],
+    links: Mapping[str, XmlElement],
     ends: Mapping[str, tuple[str, str]],
     findings: Findings,
     root: str | None,
@@ -53,7 +53,7 @@ def choose_root(
     return roots[0]
 
 
-def _listed(names: list[str], links: Mapping[str, Element]) -> str:
+def _listed(names: list[str], links: Mapping[str, XmlElement]) -> str:
     shown = ", ".join(f"{n!r} (line {links[n].where.line})" for n in names[:8])
     return shown + (f", ... ({len(names)} in all)" if len(names) > 8 else "")
 

@@ -9,7 +9,7 @@ from typing import Any
 from kempe.description.parts import Body
 from kempe.description.source import Findings, shorten
 from kempe.description.urdf.urdf_unknown import check_known
-from kempe.description.urdf.xml import Element
+from kempe.description.urdf.xml import XmlElement
 from kempe.placement import place
 
 UNLIMITED = 1e308
@@ -75,7 +75,9 @@ ATTRIBUTES = {
 # ---- numbers
 
 
-def numbers(element: Element, attribute: str, count: int, findings: Findings, subject: str) -> tuple[float, ...] | None:
+def numbers(
+    element: XmlElement, attribute: str, count: int, findings: Findings, subject: str
+) -> tuple[float, ...] | None:
     """The finite numbers of an attribute, or None after recording what is wrong with it."""
     text = element.attributes[attribute]
     if _PLAIN.fullmatch(text):
@@ -121,7 +123,7 @@ def _special(piece: str) -> float | None:
     return float(match[0]) if match else None
 
 
-def _bound(element: Element, attribute: str, findings: Findings, subject: str) -> float | None:
+def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str) -> float | None:
     """A limit: a number, where infinity or a huge one stands for none; None where it is missing or wrong."""
     if attribute not in element.attributes:
         return None
@@ -136,7 +138,7 @@ def _bound(element: Element, attribute: str, findings: Findings, subject: str) -
 # ---- links
 
 
-def read_link(name: str, element: Element, findings: Findings) -> Body:
+def read_link(name: str, element: XmlElement, findings: Findings) -> Body:
     """Body of a <link>: its mass and centre of mass where given, its visuals as text."""
     subject = f"link {name!r}"
     mass, center = None, None
@@ -166,7 +168,7 @@ def read_link(name: str, element: Element, findings: Findings) -> Body:
 
 
 def read_joint(
-    kind: str, name: str, element: Element, findings: Findings, quaternions: bool = True, lenient: bool = False
+    kind: str, name: str, element: XmlElement, findings: Findings, quaternions: bool = True, lenient: bool = False
 ) -> dict[str, Any] | None:
     """Keywords for `Mechanism.joint` of a <joint> of type `kind`, or None after recording what is wrong.
 
@@ -181,7 +183,7 @@ def read_joint(
     return out if len(findings.problems) == before else None
 
 
-def _origin(joint: Element, findings: Findings, subject: str, quaternions: bool) -> dict[str, Any]:
+def _origin(joint: XmlElement, findings: Findings, subject: str, quaternions: bool) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for origin in joint.of("origin")[:1]:
         given = {
@@ -207,7 +209,7 @@ def _origin(joint: Element, findings: Findings, subject: str, quaternions: bool)
     return out
 
 
-def _axis(kind: str, joint: Element, findings: Findings, subject: str) -> tuple[float, ...] | None:
+def _axis(kind: str, joint: XmlElement, findings: Findings, subject: str) -> tuple[float, ...] | None:
     """Direction of the axis where the type has one; the default is x."""
     found: tuple[float, ...] | None = (1.0, 0.0, 0.0)
     axis = (joint.of("axis") or [None])[0]
@@ -233,7 +235,7 @@ def _axis(kind: str, joint: Element, findings: Findings, subject: str) -> tuple[
     return found
 
 
-def _limit(kind: str, joint: Element, findings: Findings, subject: str, lenient: bool) -> dict[str, Any]:
+def _limit(kind: str, joint: XmlElement, findings: Findings, subject: str, lenient: bool) -> dict[str, Any]:
     """Keywords `limits`, `velocity`, `effort` and `unstated`."""
     limit = (joint.of("limit") or [None])[0]
     if limit is None:
@@ -268,7 +270,7 @@ def _limit(kind: str, joint: Element, findings: Findings, subject: str, lenient:
 
 
 def _range(
-    limit: Element, bounds: dict[str, float | None], findings: Findings, subject: str, lenient: bool
+    limit: XmlElement, bounds: dict[str, float | None], findings: Findings, subject: str, lenient: bool
 ) -> dict[str, Any]:
     """Keywords `limits` and `unstated` of a revolute or prismatic joint: what is missing is 0 by the rules of URDF."""
     given = [key for key in ("lower", "upper") if key in limit.attributes]
@@ -298,7 +300,7 @@ def _range(
 # ---- what is not known
 
 
-def _check_joint(joint: Element, findings: Findings, subject: str) -> None:
+def _check_joint(joint: XmlElement, findings: Findings, subject: str) -> None:
     for part in (joint, *joint.children):
         if part is not joint and part.tag not in _IN_JOINT:
             check_known("element", part.tag, _IN_JOINT, findings, subject, part)

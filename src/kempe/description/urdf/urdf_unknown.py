@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterator, Mapping
 from functools import lru_cache
 
 from kempe.description.source import Findings, shorten
-from kempe.description.urdf.xml import Element
+from kempe.description.urdf.xml import XmlElement
 
 VERSIONS = ("1.0", "1.1", "1.2")
 """Versions of URDF that are read. 1.1 adds `quat_xyzw` and capsules, 1.2 more kinds of limits (urdfdom's README)."""
@@ -83,7 +83,7 @@ _NOT_READ = ("name", "type", "link", "joint", "xyz", "rpy", "quat_xyzw", "lower"
 # ---- namespaces, version
 
 
-def strip_namespaces(robot: Element) -> None:
+def strip_namespaces(robot: XmlElement) -> None:
     """Give elements whose prefix is bound to URDF's namespace, or to that of the outermost element, their plain names.
 
     Names without a prefix are URDF's, whatever the default namespace is: other readers know no namespaces.
@@ -91,7 +91,7 @@ def strip_namespaces(robot: Element) -> None:
     text = robot.source.text
     if not _PREFIXED.search(text) or not _PREFIXED.search(_COMMENT.sub("", text)):
         return
-    stack: list[tuple[Element, Mapping[str, str]]] = [(robot, {})]
+    stack: list[tuple[XmlElement, Mapping[str, str]]] = [(robot, {})]
     own: str | None = None
     while stack:
         element, bound = stack.pop()
@@ -107,7 +107,7 @@ def strip_namespaces(robot: Element) -> None:
         stack.extend((child, bound) for child in element.children)
 
 
-def check_version(robot: Element, findings: Findings) -> None:
+def check_version(robot: XmlElement, findings: Findings) -> None:
     """Refuse versions of URDF that are not known, as ROS does; without one, a file is of version 1.0."""
     given = robot.attributes.get("version")
     if given is not None and _version(robot) not in VERSIONS:
@@ -119,12 +119,12 @@ def check_version(robot: Element, findings: Findings) -> None:
         )
 
 
-def has_quaternions(robot: Element) -> bool:
+def has_quaternions(robot: XmlElement) -> bool:
     """Whether the file is of a version that has `quat_xyzw`."""
     return _version(robot) != "1.0"
 
 
-def _version(robot: Element) -> str:
+def _version(robot: XmlElement) -> str:
     """The version as two numbers: '1.00' is 1.0, as ROS reads it."""
     given = robot.attributes.get("version", "1.0").strip()
     found = re.fullmatch(r"0*(\d{1,9})\.0*(\d{1,9})", given, re.ASCII)
@@ -135,7 +135,7 @@ def _version(robot: Element) -> str:
 
 
 def check_known(
-    kind: str, name: str, known: tuple[str, ...], findings: Findings, subject: str, element: Element
+    kind: str, name: str, known: tuple[str, ...], findings: Findings, subject: str, element: XmlElement
 ) -> None:
     """Refuse a name that decides on the motion, or looks like a slip of one that is read; note any other."""
     if name in known or name.startswith("xmlns"):
@@ -153,7 +153,7 @@ def check_known(
         findings.note(f"the {kind} {shorten(name)} is not read", subject, where)
 
 
-def _check_element(element: Element, local: str, known: tuple[str, ...], findings: Findings, subject: str) -> None:
+def _check_element(element: XmlElement, local: str, known: tuple[str, ...], findings: Findings, subject: str) -> None:
     where, tag = element.where, element.tag
     if local in MOTION:
         said = f"the prefix of <{tag}> hides it" if local in known else f"<{tag}> is not read here"
@@ -189,7 +189,7 @@ def _near(name: str, known: tuple[str, ...]) -> str | None:
 # ---- what stands in <robot>, and inside what is not read
 
 
-def check_top(robot: Element, links: Collection[str], joints: Mapping[str, Element], findings: Findings) -> None:
+def check_top(robot: XmlElement, links: Collection[str], joints: Mapping[str, XmlElement], findings: Findings) -> None:
     """Judge what a robot holds beside its links and joints: the names of its `links`, and its `joints` by name."""
     names = {*links, *joints}
     for element in robot.children:
@@ -218,7 +218,7 @@ def check_top(robot: Element, links: Collection[str], joints: Mapping[str, Eleme
             _note_ties(element, names, findings)
 
 
-def _note_followers(block: Element, joints: Mapping[str, Element], findings: Findings) -> None:
+def _note_followers(block: XmlElement, joints: Mapping[str, XmlElement], findings: Findings) -> None:
     """Note what makes joints follow each other for a simulator alone: joints that have their own <mimic> are known."""
     for element in block.walk():
         if element.tag not in MOTION and _FOLLOWS.search(element.tag):
@@ -228,7 +228,7 @@ def _note_followers(block: Element, joints: Mapping[str, Element], findings: Fin
                 findings.note(f"{said}; there joints follow each other", "", element.where)
 
 
-def _note_ties(block: Element, names: Collection[str], findings: Findings) -> None:
+def _note_ties(block: XmlElement, names: Collection[str], findings: Findings) -> None:
     """Note what ties links or joints for a simulator alone, such as MuJoCo's <equality>: each tie once."""
     seen: set[int] = set()
     for element in block.walk():
@@ -243,7 +243,7 @@ def _note_ties(block: Element, names: Collection[str], findings: Findings) -> No
             findings.note(said, "", element.where)
 
 
-def _check_inside(outer: Element, findings: Findings) -> None:
+def _check_inside(outer: XmlElement, findings: Findings) -> None:
     """Refuse definitions of links, joints and followers deeper than they are read; note them in <gazebo> blocks."""
     joint = outer.tag == "joint"
     holders = [c for c in outer.children if c.children] if joint or outer.tag == "link" else [outer]
@@ -255,7 +255,7 @@ def _check_inside(outer: Element, findings: Findings) -> None:
                 holders.append(element)
 
 
-def _judge_inside(outer: Element, holder: Element, element: Element, findings: Findings) -> None:
+def _judge_inside(outer: XmlElement, holder: XmlElement, element: XmlElement, findings: Findings) -> None:
     local, joint = element.tag.rpartition(":")[2], outer.tag == "joint"
     defines = local in MOTION and (joint or _defines(element, local))
     urdf = local in MOTION and local not in _ELSEWHERE.get(holder.tag, ()) and _in_urdf_form(element)
@@ -269,12 +269,12 @@ def _judge_inside(outer: Element, holder: Element, element: Element, findings: F
         findings.note(said, subject, element.where)
 
 
-def _held(element: Element) -> set[str]:
+def _held(element: XmlElement) -> set[str]:
     """Names of its children, without prefixes."""
     return {child.tag.rpartition(":")[2] for child in element.children}
 
 
-def _defines(element: Element, local: str) -> bool:
+def _defines(element: XmlElement, local: str) -> bool:
     """Whether an element says what a link or joint is, rather than naming one."""
     if local == "joint":
         return _held(element) >= {"parent", "child"}
@@ -283,19 +283,19 @@ def _defines(element: Element, local: str) -> bool:
     return local == "mimic" and "joint" in element.attributes
 
 
-def _in_urdf_form(element: Element) -> bool:
+def _in_urdf_form(element: XmlElement) -> bool:
     """Whether an element has what URDF writes in attributes, where SDF in <gazebo> blocks has elements."""
     return any(key in element.attributes for key in _NOT_READ if key not in ("name", "type"))
 
 
-def _named(element: Element) -> Iterator[str]:
+def _named(element: XmlElement) -> Iterator[str]:
     """Attributes and contents of an element and all below it."""
     for part in element.walk():
         yield from part.attributes.values()
     yield from (text.strip() for text in _CONTENT.findall(element.text))
 
 
-def _speaks_of(element: Element) -> str:
+def _speaks_of(element: XmlElement) -> str:
     """The tail of a message: what an element that is not read says, as far as that fits into a line."""
     said = [f"{p.tag.rpartition(':')[2]} {k}={shorten(v, 30)}" if p is not element else f"{k}={shorten(v, 30)}"
             for p in element.walk() for k, v in p.attributes.items()

@@ -51,14 +51,14 @@ _EXPLANATIONS = {
 }
 
 
-class Element:
+class XmlElement:
     """One XML element: `tag`, `attributes`, `children` (elements only), and its place in its `source`."""
 
     __slots__ = ("_end", "_start", "attributes", "children", "source", "tag")
 
     def __init__(self, tag: str, attributes: dict[str, str], source: Source, start: int):
         self.tag, self.attributes, self.source = tag, attributes, source
-        self.children: list[Element] = []
+        self.children: list[XmlElement] = []
         self._start = self._end = start
 
     @property
@@ -84,13 +84,13 @@ class Element:
             return tag[0]
         return text[start : text.index(">", self._end) + 1]
 
-    def of(self, tag: str) -> list[Element]:
+    def of(self, tag: str) -> list[XmlElement]:
         """Its children with this tag."""
         return [child for child in self.children if child.tag == tag]
 
-    def walk(self) -> Iterator[Element]:
+    def walk(self) -> Iterator[XmlElement]:
         """The element and all below it, in the order of the file."""
-        stack: list[Element] = [self]
+        stack: list[XmlElement] = [self]
         while stack:
             element = stack.pop()
             yield element
@@ -100,7 +100,7 @@ class Element:
         return f"<{self.tag}> at {self.where}"
 
 
-def parse_xml(data: bytes | str, name: str) -> Element:
+def parse_xml(data: bytes | str, name: str) -> XmlElement:
     """The outermost element of an XML text; `name` is the file's name, for messages.
 
     UTF-8, UTF-16 with a byte order mark, and Latin-1 where declared. Errors: `DescriptionError` with line and
@@ -108,16 +108,16 @@ def parse_xml(data: bytes | str, name: str) -> Element:
     declaration.
     """
     source = Source(name, decode(data, name, _DECLARED))
-    return _Builder(source).run()
+    return _XmlBuilder(source).run()
 
 
-class _Builder:
+class _XmlBuilder:
     """Collects the elements that expat reports."""
 
     def __init__(self, source: Source):
         self.source = source
-        self.stack: list[Element] = []
-        self.root: Element | None = None
+        self.stack: list[XmlElement] = []
+        self.root: XmlElement | None = None
         self.count = 0
         self.data = b""
         self.byte, self.character = 0, 0
@@ -136,7 +136,7 @@ class _Builder:
         return self.character
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        element = Element(tag, attributes, self.source, self._here())
+        element = XmlElement(tag, attributes, self.source, self._here())
         if self.stack:
             self.stack[-1].children.append(element)
         else:
@@ -158,7 +158,7 @@ class _Builder:
             "remove it: a DTD can pull in other files or grow without bound, and is never read",
         )
 
-    def run(self) -> Element:
+    def run(self) -> XmlElement:
         try:
             self.data = self.source.text.encode("utf-8")
             self.parser.Parse(self.data, True)

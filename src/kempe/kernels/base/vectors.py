@@ -46,7 +46,7 @@ LANES = _lanes()
 """Width of the vectors that hold one number of several configurations."""
 
 
-class _Row(types.Type):
+class _Register(types.Type):
     """`width` numbers or truth values in a register."""
 
     entry: ir.Type
@@ -56,25 +56,25 @@ class _Row(types.Type):
         super().__init__(f"{type(self).__name__}({width})")
 
 
-class Vec(_Row):
+class Vec(_Register):
     """`width` numbers of type float64."""
 
     entry = DOUBLE
 
 
-class Mask(_Row):
+class Mask(_Register):
     """`width` truth values, as comparisons of `Vec` give them."""
 
     entry = ir.IntType(1)
 
 
-class _Model(models.PrimitiveModel):
+class _VectorModel(models.PrimitiveModel):
     def __init__(self, dmm, fe_type):
         super().__init__(dmm, fe_type, ir.VectorType(fe_type.entry, fe_type.width))
 
 
-register_model(Vec)(_Model)  # pyright: ignore
-register_model(Mask)(_Model)  # pyright: ignore
+register_model(Vec)(_VectorModel)  # pyright: ignore
+register_model(Mask)(_VectorModel)  # pyright: ignore
 
 
 def _pack(builder, values):

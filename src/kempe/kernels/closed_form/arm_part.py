@@ -37,7 +37,7 @@ SAMPLES, MOST, OPEN = 4, 6, 0.25
 """Samples of a joint that is free; values of one joint at most: samples after roots."""
 
 
-class Element(NamedTuple):
+class PointOrPlane(NamedTuple):
     """A point, or a plane with its unit normal `n` through `p`."""
 
     p: object
@@ -48,8 +48,8 @@ class Element(NamedTuple):
 def carried(kind, h, o, e, c, s, theta):
     """The element moved by a joint."""
     if kind == SLIDE:
-        return Element(plus(e.p, theta, h), e.n)
-    return Element(plus(o, 1.0, turned(h, minus(e.p, o), c, s)), turned(h, e.n, c, s))
+        return PointOrPlane(plus(e.p, theta, h), e.n)
+    return PointOrPlane(plus(o, 1.0, turned(h, minus(e.p, o), c, s)), turned(h, e.n, c, s))
 
 
 @device
@@ -198,8 +198,8 @@ class Outer(NamedTuple):
     kz: int
     hz: object
     oz: object
-    e0: Element
-    e1: Element
+    e0: PointOrPlane
+    e1: PointOrPlane
     first: object
     second: object
 
@@ -216,7 +216,7 @@ def outer_of(what, kinds, lines, x, y, z, option, p0, n0, p1, n1):
     else:
         oy = foot(oy, hy, ox, hx)
     first, second = measures(ky, what, hy, oy, option, hx, kx, hz, kz)
-    return Outer(what, kx, hx, ox, ky, hy, oy, kz, hz, oz, Element(p0, n0), Element(p1, n1), first, second)
+    return Outer(what, kx, hx, ox, ky, hy, oy, kz, hz, oz, PointOrPlane(p0, n0), PointOrPlane(p1, n1), first, second)
 
 
 @device

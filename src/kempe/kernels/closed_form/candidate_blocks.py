@@ -48,7 +48,7 @@ from kempe.kernels.closed_form.analytic_layout import (
     TIP,
     WHAT,
 )
-from kempe.kernels.closed_form.candidate_branches import ROW, ROWS, SLOTS, Problem, block
+from kempe.kernels.closed_form.candidate_branches import ROW, ROWS, SLOTS, SharedTargets, block
 from kempe.kernels.closed_form.candidate_lanes import GOAL, joint_line
 from kempe.kernels.closed_form.candidates import ball_centre
 from kempe.kernels.closed_form.merging import arrange
@@ -134,8 +134,8 @@ def problem_of(ints, floats, six, lanes, out, near, near_step):
     oy = foot(oy, hy, three(lines, LINE_STRIDE * other + 4), three(lines, LINE_STRIDE * other))
     normal = three(lines, LINE_STRIDE * k)
     p = ball_centre(lines, k) if what == POINT else three(lines, LINE_STRIDE * k + 4)
-    return Problem(lines, beyond(six, AT_JOINTS), lanes, out, near, near_step, beyond(ints, ORDER), k, what,
-                   ints[MODE], ints[MEASURE], oy, p, normal, translation(six), floats[LENGTH])  # fmt: skip
+    return SharedTargets(lines, beyond(six, AT_JOINTS), lanes, out, near, near_step, beyond(ints, ORDER), k, what,
+                         ints[MODE], ints[MEASURE], oy, p, normal, translation(six), floats[LENGTH])  # fmt: skip
 
 
 @routine

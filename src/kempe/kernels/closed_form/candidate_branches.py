@@ -59,7 +59,7 @@ ROWS = LANE_ROWS + 12
 """Rows of scratch: those of `candidate_lanes`, the joints' coordinates, and whether these are inside the limits."""
 
 
-class Problem(NamedTuple):
+class SharedTargets(NamedTuple):
     """What all targets of a call share; pointers and numbers."""
 
     lines: object

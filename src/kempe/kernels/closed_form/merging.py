@@ -35,7 +35,7 @@ EDGE = 1e-10
 TWO_PI = 2.0 * math.pi
 
 
-class Found(NamedTuple):
+class FoundSolutions(NamedTuple):
     """Solutions found so far: `rows` of SOLUTION + n numbers, with scratch for one more; the tolerances."""
 
     model: Model

@@ -56,7 +56,7 @@ from kempe.kernels.closed_form.merging import (
     SOLUTION,
     TURNS,
     WEAKEST,
-    Found,
+    FoundSolutions,
     add,
     arrange,
     coordinates,
@@ -188,7 +188,7 @@ class TargetScratch(NamedTuple):
     candidates: object
     kinds: object
     placed: object
-    found: Found
+    found: FoundSolutions
     n: int
 
 
@@ -210,7 +210,7 @@ def target_scratch(ints, floats, block, flags, tol_linear, tol_angular):
     joints = beyond(floats, LINES + LINE_STRIDE * ints[N_LINES])
     model = Model(beyond(ints, PLAN_HEADER), beyond(floats, LINES), moves, beyond(floats, TIP), beyond(floats, TASK),
                   beyond(goal, 12), beyond(rows, stride * (MOST_SOLUTIONS + 1)), n)  # fmt: skip
-    found = Found(model, rows, tol_linear / floats[LENGTH], tol_angular)
+    found = FoundSolutions(model, rows, tol_linear / floats[LENGTH], tol_angular)
     return TargetScratch(ints, floats, moves, joints, goal, beyond(goal, 24), beyond(goal, 36), theta, fixed,
                          candidates, flags, beyond(flags, 6), found, n)  # fmt: skip
 

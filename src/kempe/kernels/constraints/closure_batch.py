@@ -9,7 +9,7 @@ from kempe.kernels.base.declare import FLAG, OUT, F, I
 from kempe.kernels.base.scratch import beyond
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.constraints import loop_layout as L
-from kempe.kernels.constraints.constraint_rows import Loops
+from kempe.kernels.constraints.constraint_rows import LoopScratch
 from kempe.kernels.constraints.envelope import add_product
 from kempe.kernels.constraints.goals import fill
 from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
@@ -37,8 +37,8 @@ def equations(ints, floats, plan, weights, pins, q, with_jacobian, residual, jac
     for i in range(q.shape[0]):
         start = beyond(raw(q), i * nq)
         pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
-        loops = Loops(raw(ints), raw(floats), raw(plan), raw(weights), pin, start, scratch,
-                      beyond(scratch, poses_at(n_rows)), error, blocks, n_rows, nq, nv)  # fmt: skip
+        loops = LoopScratch(raw(ints), raw(floats), raw(plan), raw(weights), pin, start, scratch,
+                            beyond(scratch, poses_at(n_rows)), error, blocks, n_rows, nq, nv)  # fmt: skip
         row_poses(loops.ints, loops.floats, start, 0, scratch)
         fill(loops, with_jacobian)
         for r in range(m):

@@ -38,7 +38,7 @@ MEETS = 1e-12
 """Distance in metres below which there is no direction from one point to another."""
 
 
-class Loops(NamedTuple):
+class LoopScratch(NamedTuple):
     """Packed loops with the scratch of their solver; everything but the numbers is a pointer."""
 
     ints: object

@@ -20,7 +20,7 @@ from kempe.kernels.base.scratch import beyond, copy
 from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, NOT_FOUND, SOLVED
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.constraints import loop_layout as L
-from kempe.kernels.constraints.constraint_rows import Loops
+from kempe.kernels.constraints.constraint_rows import LoopScratch
 from kempe.kernels.constraints.envelope import add_product, factor, normal, product, solve
 from kempe.kernels.constraints.goals import fill
 from kempe.kernels.constraints.loop_coordinates import (
@@ -47,7 +47,7 @@ LONGEST_SLIDE = 2.0
 """Longest step of a slide, in characteristic lengths."""
 
 
-class Work(NamedTuple):
+class ClosingScratch(NamedTuple):
     """Pointers to the scratch of a solver: steps, the way home, two columns of J J^T's size, the matrix, two q's."""
 
     step: object
@@ -260,14 +260,14 @@ def assemble(
     step = beyond(q, 4 * nq)
     error = beyond(step, 2 * nv)
     blocks = beyond(error, 3 * m)
-    work = Work(step, beyond(step, nv), beyond(error, m), beyond(error, 2 * m), beyond(blocks, plan[L.BLOCKS]),
-                beyond(q, nq), beyond(q, 2 * nq))  # fmt: skip
+    work = ClosingScratch(step, beyond(step, nv), beyond(error, m), beyond(error, 2 * m), beyond(blocks,
+                          plan[L.BLOCKS]), beyond(q, nq), beyond(q, 2 * nq))  # fmt: skip
     best_q = beyond(q, 3 * nq)
     accepted, missed = tolerance * tolerance, 0
     for i in range(starts.shape[0]):
         pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
-        loops = Loops(raw(ints), raw(floats), raw(plan), raw(weights), pin, q, scratch,
-                      beyond(scratch, poses_at(n_rows)), error, blocks, n_rows, nq, nv)  # fmt: skip
+        loops = LoopScratch(raw(ints), raw(floats), raw(plan), raw(weights), pin, q, scratch,
+                            beyond(scratch, poses_at(n_rows)), error, blocks, n_rows, nq, nv)  # fmt: skip
         copy(q, beyond(raw(starts), i * nq), 0, nq)
         if follow and i > 0:
             lead_on(loops, raw(out_q), i)

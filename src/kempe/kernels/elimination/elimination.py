@@ -235,7 +235,7 @@ def _posture(s, angle, k, theta):
     return defect, quality
 
 
-class Search(NamedTuple):
+class EliminationScratch(NamedTuple):
     """A chain with its goal, the goal whose roots are taken, the formulation, scratch and result; pointers."""
 
     kinds: object
@@ -361,7 +361,7 @@ def eliminate(kinds, lines, goal, formulation, w, out):
         if disturbed == 1:
             near = beyond(w, _GOAL)
             disturb(goal, near)
-        s = Search(kinds, lines, goal, near, w, out, formulation)
+        s = EliminationScratch(kinds, lines, goal, near, w, out, formulation)
         n, half, ratio = matrix_of(kinds, lines, near, formulation, w)
         suspect = UNUSABLE | suspect & SINGULAR
         least = min(least, ratio)

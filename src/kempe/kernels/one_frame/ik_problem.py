@@ -54,7 +54,7 @@ from kempe.kernels.one_frame.residual import (
     SCALE,
     TURNS,
     WEIGHTS,
-    Chain,
+    ChainScratch,
     distances,
     error,
     trace,
@@ -71,7 +71,7 @@ ARGUMENTS = (
 class IkProblem(NamedTuple):
     """The arguments of a call; all but numbers are pointers."""
 
-    chain: Chain
+    chain: ChainScratch
     limits: object
     circular: object
     targets: object
@@ -260,7 +260,7 @@ def problem_of(
     goal = beyond(jacobian, JACOBIAN_STRIDE * nv)
     q = beyond(goal, GOAL_SIZE)
     unit_length = length if length > 0.0 else characteristic_length(table, numbers)
-    chain = Chain(table, numbers, notes, axes, box, jacobian, q, goal, columns, nq, nv, unit_length)
+    chain = ChainScratch(table, numbers, notes, axes, box, jacobian, q, goal, columns, nq, nv, unit_length)
     prepare(chain, bounds, circular, raw(task))
     rest, kept, home = beyond(q, nq), beyond(q, 2 * nq), beyond(q, 3 * nq)
     if seeds.shape[1] == 0:

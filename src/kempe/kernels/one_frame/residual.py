@@ -51,7 +51,7 @@ WEIGHTS, POINTS, GOAL_SIZE = 12, 18, 19
 """Places in `Chain.goal`, after the 3x4 pose: six weights; 1 if of rotations only the direction of z counts."""
 
 
-class Chain(NamedTuple):
+class ChainScratch(NamedTuple):
     """A chain's table with the scratch of its solver; everything but the numbers is a pointer."""
 
     ints: object

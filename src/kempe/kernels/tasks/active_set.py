@@ -28,7 +28,7 @@ SLIP = 1e-9
 """Multipliers and violations below this are rounding."""
 
 
-class Work(NamedTuple):
+class ActiveSetScratch(NamedTuple):
     """Pointers to the scratch of a solver of tasks. Of velocities, scaled: the step, where it stops, the wish."""
 
     step: object

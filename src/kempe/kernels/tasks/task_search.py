@@ -19,14 +19,14 @@ from kempe.kernels.base.scratch import beyond, copy
 from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND, NOTHING, SOLVED
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.constraints import loop_layout as L
-from kempe.kernels.constraints.constraint_rows import Loops
+from kempe.kernels.constraints.constraint_rows import LoopScratch
 from kempe.kernels.constraints.goals import number_of
 from kempe.kernels.constraints.loop_coordinates import nearest_turn, number, place_of, read_off, sort_of, sound
 from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.forward.table_layout import NQ, NV
 from kempe.kernels.forward.table_rows import poses_at, scratch_size
 from kempe.kernels.tasks import restarts
-from kempe.kernels.tasks.active_set import Work
+from kempe.kernels.tasks.active_set import ActiveSetScratch
 from kempe.kernels.tasks.level_rows import (
     Ask,
     assess,
@@ -253,7 +253,7 @@ def solve(
     weight = beyond(rows, 9 * m)
     blocks = beyond(weight, 3 * ties)
     a = beyond(blocks, plan[L.BLOCKS])
-    work = Work(v, beyond(v, nv), beyond(v, 2 * nv), beyond(v, 3 * nv), beyond(v, 4 * nv), beyond(rows, m),
+    work = ActiveSetScratch(v, beyond(v, nv), beyond(v, 2 * nv), beyond(v, 3 * nv), beyond(v, 4 * nv), beyond(rows, m),
                 beyond(rows, 2 * m), beyond(rows, 3 * m), beyond(rows, 4 * m), beyond(rows, 5 * m),
                 beyond(rows, 6 * m), beyond(rows, 7 * m), beyond(rows, 8 * m), a, beyond(q, nq), beyond(q, 2 * nq),
                 beyond(q, 3 * nq), beyond(q, 4 * nq), beyond(q, 5 * nq), beyond(q, 6 * nq),
@@ -268,8 +268,8 @@ def solve(
     missing = 0
     for i in range(out_q.shape[0]):
         pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
-        loops = Loops(raw(ints), raw(floats), raw(plan), raw(weights), pin, q, scratch,
-                      beyond(scratch, poses_at(n_rows)), rows, blocks, n_rows, nq, nv)  # fmt: skip
+        loops = LoopScratch(raw(ints), raw(floats), raw(plan), raw(weights), pin, q, scratch,
+                            beyond(scratch, poses_at(n_rows)), rows, blocks, n_rows, nq, nv)  # fmt: skip
         copy(q, beyond(raw(starts), i * nq if starts.shape[0] > 1 else 0), 0, nq)
         copy(work.goal, beyond(raw(goals), i * nq if goals.shape[0] > 1 else 0), 0, nq)
         status, steps, count, fine = BAD_INPUT, 0, 0, sound(loops, work.home)

@@ -32,7 +32,7 @@ Equations = Callable[[Array], tuple[Array, Array]]
 """What is missing (m,) at x, and its derivative (m, n) by small changes of x."""
 
 
-class Found(NamedTuple):
+class GaussNewtonEnd(NamedTuple):
     """Where the steps ended, what is missing there, and the derivative of that."""
 
     x: Array
@@ -85,7 +85,7 @@ def gauss_newton(
     equations: Equations, x: Array, tries: int, *, step: Callable[[Array, Array, Array], Array] | None = None,
     cut: float = CUT, met: float = 0.0, last: float = LAST, longest: float = math.inf, halving: bool = False,
     move: Callable[[Array, Array], Array] = np.add,
-) -> Found:  # fmt: skip
+) -> GaussNewtonEnd:  # fmt: skip
     """Where at most `tries` steps from `x` lead.
 
     It ends where no more than `met` is missing, after a step up to `last`, before one that is nothing or not finite,
@@ -102,7 +102,7 @@ def gauss_newton(
         if not NOTHING < size < math.inf or (halving and size > 0.5 * before):
             break
         x, before = move(x, y * (longest / size) if size > longest else y), size
-    return Found(x, r, J)
+    return GaussNewtonEnd(x, r, J)
 
 
 def gauss_newton_of_many(

@@ -17,7 +17,7 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.tasks.task import GROUND, TILTS, Goals, Task
 from kempe.kinematics.tasks.task_classes import task_of
-from kempe.model.closures.packed_loops import Loops, Tie, pack
+from kempe.model.closures.packed_loops import PackedLoops, Tie, pack
 from kempe.model.tree.coordinates import distinct
 from kempe.model.tree.own_tree import own_tree
 from kempe.model.tree.primitive_table import Table
@@ -96,7 +96,7 @@ class Packed:
         self.one_sided = one_sided_rows(system)
         """One-sided rows of the system; those that are declared hold, too."""
         bounded = self.one_sided.declared > 0
-        self.loops: Loops = pack(
+        self.loops: PackedLoops = pack(
             tree, explicit, length=length, further=further, wide=self.wide, level=level, one_sided=bounded
         )
         self.stages: dict[Hashable, Any] = {}

@@ -43,7 +43,7 @@ At = Callable[[Any], Array]
 """Poses (..., 4, 4) of a frame by name; of a list of names, or of all bodies for None, (..., n, 4, 4)."""
 
 
-class Hold(NamedTuple):
+class TaskTie(NamedTuple):
     """One tie of a task: frame `b`, with `X_B` (4, 4, as a tuple) on it, in the goal, which hangs on `a` or stands."""
 
     b: str
@@ -103,10 +103,10 @@ class Task(ABC):
         """
 
 
-class Placed(Task):
+class PlacedTask(Task):
     """A constraint on where one frame, or a centre, is in the goal."""
 
-    _holds: list[Hold] | None = None
+    _holds: list[TaskTie] | None = None
     _ends: tuple[Array, Array] | None = None
 
     def __init__(self, of: Constraint, dim: int, rows: tuple[Row, ...]):
@@ -120,12 +120,12 @@ class Placed(Task):
 
     # ---- what is held
 
-    def hold(self, system: System) -> Hold:
+    def hold(self, system: System) -> TaskTie:
         """Its tie, without bounds."""
         a, b = self.of.ends
         name = None if a is None else system.structure.frame_name(a)
-        return Hold(system.structure.frame_name(b), self.of.tool(self.dim), self.shape.mask, self.shape.turns, name, (),
-                    self.shape.turns == L.DISTANCE)  # fmt: skip
+        return TaskTie(system.structure.frame_name(b), self.of.tool(self.dim), self.shape.mask, self.shape.turns,
+                       name, (), self.shape.turns == L.DISTANCE)  # fmt: skip
 
     def goal(self, system: System) -> Array:
         """The pose (..., 4, 4) of the goal in the ground, or in the frame that it hangs on."""
@@ -154,13 +154,13 @@ class Placed(Task):
         values = [np.array(infinity) if x is None else x if k is None else x[..., k] for x, k in ends]
         return values[0][..., None] if len(values) == 1 else np.stack(np.broadcast_arrays(*values), axis=-1)
 
-    def holds(self, system: System) -> list[Hold]:
+    def holds(self, system: System) -> list[TaskTie]:
         """One tie, or one for each end that is finite anywhere and differs from target to target."""
         if self._holds is None:
             self._holds = self._all_holds(system)
         return self._holds
 
-    def _all_holds(self, system: System) -> list[Hold]:
+    def _all_holds(self, system: System) -> list[TaskTie]:
         h, ends = self.hold(system), self.ends()
         if ends is None:
             return [h]
@@ -180,7 +180,7 @@ class Placed(Task):
         """The ties of the task, one for each hold."""
         return [self._tie(system, table, h) for h in self.holds(system)]
 
-    def _tie(self, system: System, table: Table, h: Hold) -> Tie:
+    def _tie(self, system: System, table: Table, h: TaskTie) -> Tie:
         a = GROUND if h.a is None else table.at[h.a]
         row, X, particle = table.at[h.b]
         b = (row, X @ np.reshape(h.X_B, (4, 4)), particle)
@@ -219,7 +219,7 @@ class Placed(Task):
 
     # ---- how far it is missed
 
-    def place(self, system: System, at: At, hold: Hold | None = None) -> Array:
+    def place(self, system: System, at: At, hold: TaskTie | None = None) -> Array:
         """Where (..., 4, 4) the frame is in the ground."""
         h = hold or self.hold(system)
         X = at(h.b)
@@ -239,7 +239,7 @@ class Placed(Task):
             return np.sqrt(sum(size * size for size, _ in misses)), misses[0][1]
 
     def _apart(
-        self, at: At, h: Hold, X: Array, goal: Array | None, number: Array | None
+        self, at: At, h: TaskTie, X: Array, goal: Array | None, number: Array | None
     ) -> tuple[Array, Array]:  # fmt: skip
         """How far (...) the frame at X (..., 4, 4) misses a goal."""
         assert goal is not None
@@ -254,14 +254,14 @@ def _sides(low: Array, high: Array) -> list[tuple[tuple[float, float], Array]]:
     return [(bound, np.clip(end, -FAR, FAR)) for bound, end in sides if not np.isinf(end).all()]
 
 
-class Centred(Placed):
+class Centred(PlacedTask):
     """A constraint on a centre of masses."""
 
     _shares: tuple[tuple[str, tuple[float, ...], float], ...] | None = None
 
-    def hold(self, system: System) -> Hold:
+    def hold(self, system: System) -> TaskTie:
         """The axes that count."""
-        return Hold(system.body_names[0], HERE, self.shape.mask)
+        return TaskTie(system.body_names[0], HERE, self.shape.mask)
 
     def _points(self, system: System) -> tuple[tuple[str, tuple[float, ...], float], ...]:
         """Frames, points on them and their masses, whose sum is 1."""
@@ -286,7 +286,7 @@ class Centred(Placed):
                 rows[row] += mass, *(mass * p)
         return Centre(rows, rest)
 
-    def place(self, system: System, at: At, hold: Hold | None = None) -> Array:
+    def place(self, system: System, at: At, hold: TaskTie | None = None) -> Array:
         """The centre of mass in the ground frame."""
         points = self._points(system)
         names, moments = _moments(system, points)

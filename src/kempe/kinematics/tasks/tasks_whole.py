@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 
-class Coordinates(Task):
+class CoordinateTask(Task):
     """A constraint on coordinates, at values of the field `q`."""
 
     angles = True

@@ -17,7 +17,7 @@ from kempe.joints import P, Q
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.velocity.velocity_recording import Form, Num, Recorder
-from kempe.kinematics.velocity.velocity_rows import CLOCK, RowName, Rows
+from kempe.kinematics.velocity.velocity_rows import CLOCK, RowName, VelocityRows
 from kempe.model.closures.constraint_program import ends_of, numbers_of
 from kempe.model.closures.frame_constraints import Tie
 from kempe.model.closures.packed_loops import held_ties
@@ -47,13 +47,13 @@ def row_names(system: System) -> tuple[tuple[str, str], ...]:
 
 
 @kept
-def velocity_rows(system: System) -> Rows:
+def velocity_rows(system: System) -> VelocityRows:
     """The rows of the declared velocity constraints, recorded."""
     return _recorded(system, system.structure.table, False)
 
 
 @kept
-def tangent_rows(system: System) -> Rows:
+def tangent_rows(system: System) -> VelocityRows:
     """The rows of all constraints, recorded: tangents of what holds positions, and velocity constraints.
 
     Joints that the tree left out are led on through their own motion, so that all coordinates count. One-sided rows are
@@ -70,7 +70,7 @@ def tangent_rows(system: System) -> Rows:
     return _recorded(system, table, True)
 
 
-def _recorded(system: System, table: Table, positions: bool) -> Rows:
+def _recorded(system: System, table: Table, positions: bool) -> VelocityRows:
     mechanism = system.mechanism  # a copy
     made = _Recording(system, table, mechanism.parameters)
     for tie in held_ties(system, table) if positions else ():
@@ -167,7 +167,7 @@ class _Recording:
             self.recorder.add_row(a, b, form, value)
             self.names.append(RowName(declared.name, row.name, row.unit))
 
-    def rows(self) -> Rows:
+    def rows(self) -> VelocityRows:
         """What was recorded."""
         system, table = self.system, self.recorder.table
         tape, entries = self.recorder.finish()
@@ -175,4 +175,4 @@ class _Recording:
         turning |= {v + i for v in table.iv[table.kind == Q].tolist() for i in range(3)}
         length = characteristic_length(system)
         units = np.array([1.0 if v in turning else length for v in range(system.nv)] + [1.0])
-        return Rows(system.structure.layout, system.coordinate_names, tape, entries, tuple(self.names), units)
+        return VelocityRows(system.structure.layout, system.coordinate_names, tape, entries, tuple(self.names), units)

@@ -92,7 +92,7 @@ class Numbers:
 
 
 @dataclass
-class Pose:
+class RecordedPose:
     """A recorded pose: rotation by rows, and position."""
 
     R: list[list[Num]]
@@ -114,24 +114,24 @@ class Recorder:
         self.numbers, self.time = Numbers(self.builder), len(coordinates)
         self.entries: list[tuple[int, int, Num]] = []
         self.count = 0
-        self._before: dict[int, Pose] = {}
-        self._after: dict[int, Pose] = {-1: Pose(IDENTITY, [0.0, 0.0, 0.0])}
+        self._before: dict[int, RecordedPose] = {}
+        self._after: dict[int, RecordedPose] = {-1: RecordedPose(IDENTITY, [0.0, 0.0, 0.0])}
 
     # ---- poses
 
-    def moved(self, pose: Pose, X: np.ndarray) -> Pose:
+    def moved(self, pose: RecordedPose, X: np.ndarray) -> RecordedPose:
         """pose @ X for a known X (4, 4)."""
         n, X = self.numbers, np.asarray(X, dtype=float)
         R = [[n.dot(row, X[:3, j].tolist()) for j in range(3)] for row in pose.R]
         p = [n.add(pose.p[i], n.dot(pose.R[i], X[:3, 3].tolist())) for i in range(3)]
-        return Pose(R, p)
+        return RecordedPose(R, p)
 
-    def before(self, row: int) -> Pose:
+    def before(self, row: int) -> RecordedPose:
         """The pose before the motion of a row of the table."""
         self.after(row)
         return self._before[row]
 
-    def after(self, row: int) -> Pose:
+    def after(self, row: int) -> RecordedPose:
         """The pose after the motion of a row of the table."""
         way = []
         while row not in self._after:
@@ -143,20 +143,20 @@ class Recorder:
             row = r
         return self._after[way[0] if way else row]
 
-    def _moves(self, r: int, at: Pose) -> Pose:
+    def _moves(self, r: int, at: RecordedPose) -> RecordedPose:
         n, table = self.numbers, self.table
         q, factor = int(table.iq[r]), float(table.multiplier[r])
         if table.kind[r] == Q:
             turn = self._ball(q, factor < 0.0)
-            return Pose([[n.dot(row, [turn[k][j] for k in range(3)]) for j in range(3)] for row in at.R], at.p)
+            return RecordedPose([[n.dot(row, [turn[k][j] for k in range(3)]) for j in range(3)] for row in at.R], at.p)
         theta = n.mul(factor, q)
         if table.kind[r] == P:
-            return Pose(at.R, [n.add(at.p[i], n.mul(theta, at.R[i][2])) for i in range(3)])
+            return RecordedPose(at.R, [n.add(at.p[i], n.mul(theta, at.R[i][2])) for i in range(3)])
         gauge = float(table.gauge[r])
         theta = n.add(theta, gauge)
         s, c = n.of(L.SIN, theta), n.of(L.COS, theta)
         R = [[n.add(n.mul(c, x), n.mul(s, y)), n.sub(n.mul(c, y), n.mul(s, x)), z] for x, y, z in at.R]
-        return Pose(R, at.p)
+        return RecordedPose(R, at.p)
 
     def _ball(self, q: int, inverse: bool) -> list[list[Num]]:
         """The rotation of a quaternion wxyz of norm one, as polynomials; of another norm its square times it."""
@@ -177,10 +177,10 @@ class Recorder:
 
     # ---- frames against frames
 
-    def end(self, end: tuple[int, np.ndarray, bool]) -> Pose:
+    def end(self, end: tuple[int, np.ndarray, bool]) -> RecordedPose:
         """The pose of an end (row, placement, particle)."""
         pose = self.moved(self.after(end[0]), end[1])
-        return Pose(IDENTITY, pose.p) if end[2] else pose
+        return RecordedPose(IDENTITY, pose.p) if end[2] else pose
 
     def add_row(self, a: tuple, b: tuple, form: Form, value: Num = 0.0) -> None:
         """Record a row: `form` is linear in the twist of b against a and in velocities, `value` is -b(q, t)."""
@@ -328,7 +328,7 @@ class Seen:
 
     def __init__(self, recorder: Recorder, a: tuple, b: tuple):
         self.recorder, self.a, self.b = recorder, a, b
-        self._ends: tuple[Pose, Pose] | None = None
+        self._ends: tuple[RecordedPose, RecordedPose] | None = None
 
     def __call__(self, name: str) -> tuple[Num, Form]:
         """A number of the pose and its rate."""

@@ -33,7 +33,7 @@ class RowName:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class VelocityRows:
     """Rows A(q) v = b(q, t), recorded.
 
     `tape` has inputs that are entries of q, by `coordinates`, or the time; its outputs are the entries of A and b that

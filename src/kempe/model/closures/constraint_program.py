@@ -20,7 +20,7 @@ from kempe.errors import InputError
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints import tape_layout as TL
 from kempe.model.closures.callback import Callback
-from kempe.model.closures.frame_constraints import Recorded, Tie
+from kempe.model.closures.frame_constraints import RecordedRows, Tie
 from kempe.model.tree.primitive_table import Table
 
 if TYPE_CHECKING:
@@ -139,14 +139,14 @@ def every_tie(system: System, name: str, made: Constraint, a: End, b: End, given
     return [t if t.tape is None else replace(t, tape=t.tape.over(sources)) for t in found]
 
 
-def recorded(made: Constraint, rows: list[Row], dim: int, given: bool = False) -> Recorded:
+def recorded(made: Constraint, rows: list[Row], dim: int, given: bool = False) -> RecordedRows:
     """Rows of one expression, with the constraint's numbers put in; `given`: those of its fields come with the call."""
     tape = rows[0].args[0].part([r.args[1] for r in rows])
     own = {n: input_of(made, n) for n in tape.inputs if n.partition("[")[0] in _own(made, dim)}
     numbers = numbers_of(made) | ({TIME: 0.0} if getattr(made, "time", False) else {}) | own
     fixed = {k: x for k, x in numbers.items() if k in tape.inputs and not (given and k in own)}
     names, unit, posed = tuple(r.name for r in rows), rows[0].unit, made.ends[1] is not None
-    return Recorded(tape.fixed(fixed) if fixed else tape, names, unit, posed, tuple(own) if given else ())
+    return RecordedRows(tape.fixed(fixed) if fixed else tape, names, unit, posed, tuple(own) if given else ())
 
 
 def _own(made: Constraint, dim: int) -> set[str]:

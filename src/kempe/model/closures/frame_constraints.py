@@ -22,7 +22,7 @@ TURN_NAMES = {
 ONE_ROW = {L.DISTANCE: "distance", L.LINEAR: "relation"}
 
 
-class Function(Protocol):
+class CompiledFunction(Protocol):
     """A function of q in compiled form: `address` of void(double* q, double* value, double* columns, int64 flag).
 
     It writes its `rows` values at q, and with the flag the columns (n, rows) of its Jacobian in scaled velocities.
@@ -50,7 +50,7 @@ class Centre:
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class RecordedRows:
     """Rows that are outputs of a recorded expression: of the pose of B in A (where `posed`), else of coordinates.
 
     Inputs that start with no other meaning are coordinates by name.
@@ -79,7 +79,7 @@ class Recorded:
         """The coordinates that it depends on."""
         return tuple(n for n in self.tape.inputs if self.input(n) == L.COORDINATE)
 
-    def over(self, sources: Mapping[str, tuple[str | None, float, float]]) -> Recorded:
+    def over(self, sources: Mapping[str, tuple[str | None, float, float]]) -> RecordedRows:
         """The same where coordinates follow others: source, multiplier, offset."""
         return replace(self, tape=substituted(self.tape, {n: sources[n] for n in self.coordinates if n in sources}))
 
@@ -107,8 +107,8 @@ class Tie:
     own: int = -1
     """The velocity coordinate that an OWN tie holds, the first of a `ball`."""
     ball: bool = False
-    function: Function | None = None
-    tape: Recorded | None = None
+    function: CompiledFunction | None = None
+    tape: RecordedRows | None = None
 
     @property
     def written(self) -> bool:
@@ -136,7 +136,7 @@ class Tie:
 
 
 @dataclass(frozen=True, eq=False)
-class Loops:
+class PackedLoops:
     """The ties of a system, packed. `ints` and `floats` are its table; the other arrays are as in `loop_layout`."""
 
     ties: tuple[Tie, ...]
@@ -161,7 +161,7 @@ class Loops:
                      for t, n in zip(self.ties, lengths, strict=True) for i in range(len(t.rows)))  # fmt: skip
 
     @cached_property
-    def functions(self) -> tuple[Function, ...]:
+    def functions(self) -> tuple[CompiledFunction, ...]:
         """The Python functions among its ties."""
         return tuple(t.function for t in self.ties if t.function is not None)
 

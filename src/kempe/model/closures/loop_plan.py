@@ -10,7 +10,7 @@ from kempe.description.parts import Joint
 from kempe.joints import P, Q, R
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.forward.table_layout import HEADER, OUTPUT_INTS, ROW_INTS
-from kempe.model.closures.frame_constraints import Centre, Recorded, Tie
+from kempe.model.closures.frame_constraints import Centre, RecordedRows, Tie
 from kempe.model.closures.implicit_form import implicit_form
 from kempe.model.tree.coordinates import Relation, coordinate_names, returning
 
@@ -59,7 +59,7 @@ def laid_out(
     return np.array(out, dtype=np.int64), starts
 
 
-class Plan:
+class LoopPlan:
     """The integers and numbers of `loop_layout`, being collected."""
 
     def __init__(self, system: System, ties: list[Tie], ints: np.ndarray, held: frozenset[str], length: float,
@@ -120,7 +120,7 @@ class Plan:
                 self.uses[v].append((k, column))
         return [len(self.entries) - entry, entry, len(columns), local]
 
-    def _record(self, recorded: Recorded, columns: dict[int, int]) -> None:
+    def _record(self, recorded: RecordedRows, columns: dict[int, int]) -> None:
         """Collect what a TAPE tie reads: its tape, and for each input what it is."""
         ints, floats = recorded.tape.arrays()
         first, inputs = self.system.structure.coordinates.first, []

@@ -19,9 +19,9 @@ import numpy as np
 from kempe.description.parts import Joint
 from kempe.kernels.constraints import loop_layout as L
 from kempe.model.closures.constraint_program import declared_ties
-from kempe.model.closures.frame_constraints import Centre, Function, Loops, Tie
+from kempe.model.closures.frame_constraints import Centre, CompiledFunction, PackedLoops, Tie
 from kempe.model.closures.implicit_form import ImplicitForm, implicit_form, slides_along_z
-from kempe.model.closures.loop_plan import Plan, moving
+from kempe.model.closures.loop_plan import LoopPlan, moving
 from kempe.model.kept import kept
 from kempe.model.tree.characteristic_length import characteristic_length, moved, origin_of
 from kempe.model.tree.primitive_table import Table, lower
@@ -29,8 +29,16 @@ from kempe.model.tree.primitive_table import Table, lower
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-__all__ = ["Centre", "Function", "Loops", "Tie", "characteristic_length", "loops_of", "must_be_explicit", "pack"]
-
+__all__ = [
+    "Centre",
+    "CompiledFunction",
+    "PackedLoops",
+    "Tie",
+    "characteristic_length",
+    "loops_of",
+    "must_be_explicit",
+    "pack",
+]
 Places = dict[str, tuple[int, int]]
 """For each coordinate by name its place in q, and in the velocities."""
 TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FULL}
@@ -57,7 +65,7 @@ def must_be_explicit(system: System, known: Iterable[str] = ()) -> frozenset[str
 def loops_of(
     system: System, explicit: frozenset[str], held: frozenset[str] = frozenset(),
     pins: tuple[tuple[str, bool], ...] = (), length: float | None = None, one_sided: bool = False,
-) -> Loops:  # fmt: skip
+) -> PackedLoops:  # fmt: skip
     """The packed loops of a system; with `one_sided` those declared constraints, too, that hold between bounds.
 
     `explicit` names the left-out joints in explicit form, `held` the velocity coordinates that are no unknowns, `pins`
@@ -71,7 +79,7 @@ def loops_of(
 def _packed(
     system: System, explicit: frozenset[str], held: frozenset[str], pins: tuple[tuple[str, bool], ...],
     length: float | None, one_sided: bool,
-) -> Loops:  # fmt: skip
+) -> PackedLoops:  # fmt: skip
     return pack(system, explicit, held, pins, length, one_sided=one_sided)
 
 
@@ -80,7 +88,7 @@ def pack(
     pins: tuple[tuple[str, bool], ...] = (), length: float | None = None,
     further: Callable[[Table], list[Tie]] | None = None, wide: np.ndarray | None = None,
     level: Callable[[Tie], int] | None = None, one_sided: bool = False,
-) -> Loops:  # fmt: skip
+) -> PackedLoops:  # fmt: skip
     """As `loops_of`, but packed anew, and with `further` ties over the rows of the table that it is given.
 
     `wide` (nv,) marks angles whose limits do not count, for whole turns lead back into them. Ties of a lower `level`
@@ -106,13 +114,13 @@ def pack(
     table = replace(table, at=at)
     every = range(len(table.kind)) if any(t.centre for t in ties) else None  # a centre is moved by all that has mass
     ints, floats = table.pack([("tie", k, end) for k in range(len(ties)) for end in (0, 1)], every)
-    plan, weights = Plan(system, ties, ints, held, size, length is None, wide).arrays()
+    plan, weights = LoopPlan(system, ties, ints, held, size, length is None, wide).arrays()
     for tie in ties:
         if tie.function is not None:
             tie.function.scale = weights[L.SCALES : L.SCALES + system.nv]
     names = tuple((t.name, row) for t in ties for row in t.rows)
     unknown = np.array([i for i, n in enumerate(system.structure.velocity_names) if n not in held], dtype=np.int64)
-    return Loops(tuple(ties), names, ints, floats, plan, weights, unknown, size, origin)
+    return PackedLoops(tuple(ties), names, ints, floats, plan, weights, unknown, size, origin)
 
 
 # ---- what is tied

@@ -104,7 +104,7 @@ class Table:
         return floats
 
 
-class _Rows:
+class _TableRows:
     """Rows being collected, and the state of the walk along one joint."""
 
     def __init__(self, coordinates: Coordinates):
@@ -172,7 +172,7 @@ def lower(
     For each joint in `explicit` that the tree left out, `at` has its frames too: (name, "M") on the child, and
     (name, "F") on the parent, led on through the joint's own motion where `explicit[name]`.
     """
-    rows = _Rows(coordinates)
+    rows = _TableRows(coordinates)
     where: dict[str, tuple[int, np.ndarray]] = {topology.bodies[0]: (-1, _EYE)}
     inverses: dict[Any, np.ndarray] = {}
     tree = zip(topology.bodies[1:], topology.parent, topology.parent_joints, topology.reversed_, strict=True)
@@ -191,7 +191,7 @@ def lower(
 
 
 def _ends(
-    mechanism: Mechanism, rows: _Rows, where: dict, parameters: Mapping[str, Any], explicit: Mapping[str, bool]
+    mechanism: Mechanism, rows: _TableRows, where: dict, parameters: Mapping[str, Any], explicit: Mapping[str, bool]
 ) -> dict:
     """Both frames of each joint in `explicit`: F, led on through the joint where it is explicit, and M."""
     at = {}
@@ -206,7 +206,7 @@ def _ends(
 
 
 def _finish(
-    mechanism: Mechanism, rows: _Rows, where: dict, parameters: Mapping[str, Any], c: Coordinates, ends: dict
+    mechanism: Mechanism, rows: _TableRows, where: dict, parameters: Mapping[str, Any], c: Coordinates, ends: dict
 ) -> Table:
     at: dict[Any, Any] = {b: (row, X, mechanism.bodies[b].particle) for b, (row, X) in where.items()}
     for frame in mechanism.frames.values():

@@ -18,11 +18,11 @@ from kempe.kernels.compiled import schedule
 from kempe.kinematics.common.parallel import over_chunks
 from kempe.solvers.analytic.answers.nearest import Aim, descend, limits_of
 from kempe.solvers.analytic.plans.choice import within_domains
-from kempe.solvers.analytic.plans.plan import TASKS, Plan
+from kempe.solvers.analytic.plans.plan import TASKS, ChainPlan
 from kempe.solvers.analytic.plans.question import Question
 from kempe.solvers.common.serial_chain import chain_of
 from kempe.solvers.common.targets import Z_AXIS, frame_of
-from kempe.solvers.one_frame.multi_start import FEW, ITERATIONS, MOST, Task, answered, outside, rows_of
+from kempe.solvers.one_frame.multi_start import FEW, ITERATIONS, MOST, FrameProblem, answered, outside, rows_of
 from kempe.spatial import Array
 
 VALUES = 64
@@ -49,7 +49,7 @@ Solve = Callable[[Question, Array, Array], tuple[Array, np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class SpareJoints:
     """Where the spare joints are: `locked` (1 or N, n) coordinates of which those count that are held, and of each
     target how many values were `tried` (N,)."""
 
@@ -58,9 +58,9 @@ class Held:
 
 
 def look_further(
-    question: Question, plan: Plan, near: Array, locked: Array, rows: Array, counts: np.ndarray, solve: Solve,
+    question: Question, plan: ChainPlan, near: Array, locked: Array, rows: Array, counts: np.ndarray, solve: Solve,
     threads: int | None,
-) -> Held:  # fmt: skip
+) -> SpareJoints:  # fmt: skip
     """Where the spare joints are in the end, if there are some.
 
     `rows` (N, K, n + 2) and `counts` (N, 2) are made better in place.
@@ -70,7 +70,7 @@ def look_further(
     tried = np.ones(len(rows), dtype=np.int64)
     left = np.flatnonzero((counts[:, 0] >= 0) & ~_reached(rows))
     if not len(left):
-        return Held(locked, tried)
+        return SpareJoints(locked, tried)
     many = _Targets(
         question, plan, near, np.array(np.broadcast_to(locked, (len(rows), len(plan.lines)))), rows, counts, tried,
         solve, threads,
@@ -79,21 +79,21 @@ def look_further(
     if len(left):
         left = left[outside(_task(question), question.targets[left]) == 0.0]
     if not len(left):
-        return Held(many.locked, tried)
+        return SpareJoints(many.locked, tried)
     if plan.method != "search" and many.spare:
         left = many.stepped(left)
     left = many.searched(left, MOST, question.tolerance, True)
     left = many.searched(left, MOST, max(question.tolerance, LOOSE), True)
     many.searched(left[~_used(rows[left])], MOST, max(question.tolerance, LOOSE), False)
-    return Held(many.locked, tried)
+    return SpareJoints(many.locked, tried)
 
 
-def _task(question: Question) -> Task:
+def _task(question: Question) -> FrameProblem:
     """The problem, as numerical solvers read it."""
     chain = chain_of(question.system, question.frame, question.axis)
     tolerance = (question.tolerance, question.angular)
-    return Task(question.system, question.frame, question.targets, question.task, question.axis, tolerance, MOST, 0,
-                chain)  # fmt: skip
+    return FrameProblem(question.system, question.frame, question.targets, question.task, question.axis, tolerance,
+                        MOST, 0, chain)  # fmt: skip
 
 
 def _used(rows: Array) -> np.ndarray:
@@ -112,7 +112,7 @@ class _Targets:
     """The targets of a question with what is known of them: arrays that are written in place."""
 
     question: Question
-    plan: Plan
+    plan: ChainPlan
     near: Array
     locked: Array
     rows: Array
@@ -244,7 +244,7 @@ class _Targets:
         return np.clip(q, *lines.limits) if limited else q, error
 
 
-def spare_values(plan: Plan, spare: list[int]) -> Array:
+def spare_values(plan: ChainPlan, spare: list[int]) -> Array:
     """Values (VALUES - 1, k) of the spare joints between their limits: the ends, and what fills the space between.
 
     The points of one joint are those of van der Corput (1935), of several those of a Kronecker sequence.

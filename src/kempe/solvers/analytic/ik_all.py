@@ -25,7 +25,7 @@ from kempe.solvers.analytic.answers.solutions import Solutions
 from kempe.solvers.analytic.obeying import obeying
 from kempe.solvers.analytic.plans.chain_lines import Lines, lines_of
 from kempe.solvers.analytic.plans.choice import plan_holding
-from kempe.solvers.analytic.plans.plan import Plan, kernel_of, side_by_side_of
+from kempe.solvers.analytic.plans.plan import ChainPlan, kernel_of, side_by_side_of
 from kempe.solvers.analytic.plans.question import Question, held, held_by, near_of, within
 from kempe.solvers.common.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by, takes_all
 from kempe.solvers.common.serial_chain import of_loops
@@ -177,10 +177,10 @@ def chosen(system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> 
     return choose(SOLVERS, system, frame, task, fixed)
 
 
-class Bound:
+class BoundIkAll:
     """`ik_all` of single poses for one frame, with all that can be looked up looked up: the way of plain calls."""
 
-    def __init__(self, system: System, frame: str, plan: Plan, kernel: Callable[..., int]):
+    def __init__(self, system: System, frame: str, plan: ChainPlan, kernel: Callable[..., int]):
         self.system, self.frame, self.plan, self.kernel = system, frame, plan, kernel
         self.base = system.neutral[None]
         self.near = np.ascontiguousarray(self.base[:, plan.lines.q_index])
@@ -208,12 +208,12 @@ class Bound:
         return Solutions((self, X), self.plan, self.base, rows, self.counts, None, -1 - used)
 
 
-def bind(system: System, frame: str) -> Bound | None:
+def bind(system: System, frame: str) -> BoundIkAll | None:
     """The bound form for poses of a frame, None where there is none; made once."""
     lines = chain_lines(system, frame, Z_AXIS)
     plan = plan_for(system, frame, lines, "pose", Z_AXIS, ())
     kernel = None if plan.locked or system.structure.table.at[frame][2] else side_by_side_of(plan)
-    bound = None if kernel is None else Bound(system, frame, plan, kernel)
+    bound = None if kernel is None else BoundIkAll(system, frame, plan, kernel)
     system._queries[(frame,)] = None if bound is None else bound.__call__
     return bound
 
@@ -241,19 +241,19 @@ def chain_lines(system: System, frame: str, axis: tuple[float, float, float]) ->
 
 def plan_for(
     system: System, frame: str, lines: Lines, task: str, axis: tuple[float, float, float], fixed: tuple[str, ...]
-) -> Plan:
+) -> ChainPlan:
     """The plan for a task with these joints held; of redundant chains more are held, by choice."""
     return _plan(system, frame, task, axis, tuple(sorted(lines.names.index(n) for n in fixed)))
 
 
 @kept
-def _plan(system: System, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]) -> Plan:
+def _plan(system: System, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]) -> ChainPlan:
     planar = system.dim == 2
     return replace(plan_holding(chain_lines(system, frame, axis), task, at, planar), fixed=at, planar=planar)
 
 
 def solve(
-    question: Question, plan: Plan, near: Array | None, values: Mapping[str, Array], threads: int | None
+    question: Question, plan: ChainPlan, near: Array | None, values: Mapping[str, Array], threads: int | None
 ) -> Solutions:
     """The answer of the kernels; joints that are held by choice where there are solutions."""
     lines, system = plan.lines, question.system
@@ -280,7 +280,7 @@ def solve(
                      tried=held_at.tried)  # fmt: skip
 
 
-def _outside(plan: Plan, rows: Array) -> None:
+def _outside(plan: ChainPlan, rows: Array) -> None:
     """Mark the rows (N, K, n + 2) as outside the limits where a joint held by name is beyond its own."""
     if not plan.fixed:
         return
@@ -291,7 +291,7 @@ def _outside(plan: Plan, rows: Array) -> None:
 
 
 def solve_held(
-    question: Question, plan: Plan, chain_near: Array, locked: Array, threads: int | None
+    question: Question, plan: ChainPlan, chain_near: Array, locked: Array, threads: int | None
 ) -> tuple[Array, np.ndarray]:
     """Rows (N, K, n + 2) and counts (N, 2) of the kernels with joints locked at their values in `locked` (1 or N, n).
 
@@ -348,7 +348,7 @@ def solve_held(
     return out, counts
 
 
-def _locked(question: Question, plan: Plan, near: Array, values: Mapping[str, Array]) -> Array:
+def _locked(question: Question, plan: ChainPlan, near: Array, values: Mapping[str, Array]) -> Array:
     """Coordinates (1 or N, n) of the chain, of which those of locked joints count."""
     lines = plan.lines
     shapes = [v.shape for v in values.values()]

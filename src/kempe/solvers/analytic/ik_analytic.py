@@ -10,17 +10,17 @@ from kempe.errors import UnsupportedError
 from kempe.kernels.base.search_layout import SOLVED
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.solvers.analytic.ik_all import TOLERANCE, attainable, chain_lines, plan_for, solve, solve_held
-from kempe.solvers.analytic.plans.plan import Plan
+from kempe.solvers.analytic.plans.plan import ChainPlan
 from kempe.solvers.analytic.plans.question import Question
 from kempe.solvers.one_frame.inverse import run
-from kempe.solvers.one_frame.multi_start import Task, misses
+from kempe.solvers.one_frame.multi_start import FrameProblem, misses
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
 
-def plan_of(system: System, frame: str, task: str, axis: tuple[float, float, float]) -> Plan | str:
+def plan_of(system: System, frame: str, task: str, axis: tuple[float, float, float]) -> ChainPlan | str:
     """The plan that answers a task of a frame, or why numbers have to."""
     try:
         plan = plan_for(system, frame, chain_lines(system, frame, axis), task, axis, ())
@@ -32,7 +32,7 @@ def plan_of(system: System, frame: str, task: str, axis: tuple[float, float, flo
     return f"the chain of {frame!r} {why}: method 'analytic' has no single answer for it"
 
 
-def kept(task: Task, plan: Plan, targets: Array, q: Array) -> Array:
+def kept(task: FrameProblem, plan: ChainPlan, targets: Array, q: Array) -> Array:
     """Configurations (N, n) of the chain: a solution inside the limits where the equations have one, else q (N, n)."""
     lines, base = plan.lines, task.chain.base[:, plan.lines.q_index]
     sure = max(*task.tolerance, attainable(targets, lines))
@@ -47,7 +47,9 @@ def kept(task: Task, plan: Plan, targets: Array, q: Array) -> Array:
     return np.where(np.isfinite(error.min(axis=1))[:, None], found, q)
 
 
-def answer(task: Task, plan: Plan, near: Array, seeds: Array, threads: int | None) -> tuple[Array, Array, np.ndarray]:
+def answer(
+    task: FrameProblem, plan: ChainPlan, near: Array, seeds: Array, threads: int | None
+) -> tuple[Array, Array, np.ndarray]:
     """As `inverse.run`: the solution inside the limits nearest to `near` (1 or N, nq); where there is none, numbers."""
     n, chain = len(task.targets), task.chain
     within = min(*task.tolerance, TOLERANCE)

@@ -10,7 +10,7 @@ from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.kinematics.common.gauss_newton import gauss_newton_of_many
 from kempe.solvers.analytic.answers.nearest import Aim
-from kempe.solvers.analytic.plans.plan import TASKS, Plan
+from kempe.solvers.analytic.plans.plan import TASKS, ChainPlan
 from kempe.solvers.analytic.plans.question import Question
 from kempe.solvers.common.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
@@ -26,7 +26,7 @@ APART = 1e-6
 
 
 def search(
-    question: Question, plan: Plan, near: Array, locked: Array, out: Array, counts: np.ndarray, which: np.ndarray
+    question: Question, plan: ChainPlan, near: Array, locked: Array, out: Array, counts: np.ndarray, which: np.ndarray
 ) -> None:
     """Fill the rows `out` (N, K, n + 2) and `counts` (N, 2) of the targets whose numbers are in `which`."""
     out[which, :, -A.INFO + A.CODE] = A.UNUSED
@@ -42,7 +42,7 @@ def search(
         counts[i, 0] = int((out[i, :, -A.INFO + A.CODE] >= 0.0).sum())
 
 
-def _solutions(question: Question, plan: Plan, target: Array, locked: Array) -> tuple[Array, Array]:
+def _solutions(question: Question, plan: ChainPlan, target: Array, locked: Array) -> tuple[Array, Array]:
     """Variables (k, n) of distinct solutions, and their errors (k,)."""
     lines, rng = plan.lines, np.random.default_rng(0)
     T = np.array(target)
@@ -82,7 +82,7 @@ def _wrapped(x: Array) -> Array:
     return x - 2.0 * math.pi * np.round(x / (2.0 * math.pi))
 
 
-def _write(plan: Plan, found: Array, error: Array, near: Array, out: Array, sort: bool) -> None:
+def _write(plan: ChainPlan, found: Array, error: Array, near: Array, out: Array, sort: bool) -> None:
     """Write the rows of one target, of each angle the turn inside the limits that is nearest to `near`."""
     lines = plan.lines
     period = np.where(lines.kinds == SLIDE, np.inf, 2.0 * math.pi / np.abs(lines.multiplier))

@@ -19,7 +19,7 @@ from kempe.kinematics.closure_rows import freedoms_left
 from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.one_sided import one_sided_rows
-from kempe.model.closures.packed_loops import Loops, loops_of, must_be_explicit
+from kempe.model.closures.packed_loops import PackedLoops, loops_of, must_be_explicit
 from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
 from kempe.reals import reals
@@ -123,7 +123,7 @@ class Assembler:
         self.bounds = list(zip(self.low.tolist(), self.high.tolist(), strict=True))
         self.limited = bool(np.isfinite(limits).any())
 
-    def _loops(self, turned: tuple[bool, ...], whole: bool = False) -> Loops:
+    def _loops(self, turned: tuple[bool, ...], whole: bool = False) -> PackedLoops:
         """The packed loops, with the known frames held in place, and in orientation where `turned`.
 
         `whole`: the coordinates of all joints are unknowns, also of those that the tree left out, so that what is
@@ -148,7 +148,7 @@ class Assembler:
     def run(
         self, starts: Array, pins: Array, tries: int = STARTS, nearest: int = 0, rng: int = 0,
         threads: int | None = 1, limits: bool = True, tolerance: float = TOLERANCE, follow: bool = False,
-        loops: Loops | None = None,
+        loops: PackedLoops | None = None,
     ) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
         """Configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3) from starts (N, nq)."""
         loops, n = loops or self.loops, len(starts)
@@ -170,9 +170,9 @@ class Assembler:
                 q[sound], residual[sound], info[sound] = inner
                 return q, residual, info
         if self.one_sided is not None:
-            from kempe.solvers.assembly.assembly_bounded import Bounded
+            from kempe.solvers.assembly.assembly_bounded import OneSidedAssembly
 
-            bounded = Bounded(self.system, loops, weights, STEPS, tolerance, rng, threads)
+            bounded = OneSidedAssembly(self.system, loops, weights, STEPS, tolerance, rng, threads)
             return (bounded.follow if follow else bounded.assemble)(starts, pins, tries)
         if n <= CHUNK or follow:
             work(0, n)
@@ -316,7 +316,7 @@ class Assembler:
         return np.any((x < self.low) | (x > self.high), axis=-1)
 
 
-def limitless(system: System, loops: Loops) -> Array:
+def limitless(system: System, loops: PackedLoops) -> Array:
     """The weights of loops without limits."""
     weights, nv = loops.weights.copy(), system.nv
     weights[L.SCALES + nv : L.SCALES + 2 * nv], weights[L.SCALES + 2 * nv : L.SCALES + 3 * nv] = -np.inf, np.inf

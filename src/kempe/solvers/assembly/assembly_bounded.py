@@ -16,7 +16,7 @@ from kempe.kernels.compiled import closure_batch
 from kempe.kernels.compiled import task_search as kernel
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kinematics.common.parallel import over_chunks
-from kempe.model.closures.packed_loops import Loops
+from kempe.model.closures.packed_loops import PackedLoops
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -26,11 +26,11 @@ CHUNK, SERIAL_BELOW = 16, 32
 
 
 @dataclass(frozen=True, eq=False)
-class Bounded:
+class OneSidedAssembly:
     """One assembly: packed ties with one-sided ones, `weights` with or without limits, steps of a start, tolerance."""
 
     system: System
-    loops: Loops
+    loops: PackedLoops
     weights: Array
     steps: int
     tolerance: float
@@ -115,7 +115,7 @@ class Bounded:
         return out
 
 
-def bounds_of(loops: Loops) -> tuple[Array, Array]:
+def bounds_of(loops: PackedLoops) -> tuple[Array, Array]:
     """The bounds (m,) of all equations of packed ties, as scaled there; zero for equations."""
     low, at = np.zeros((2, len(loops.names))), 0
     for k, tie in enumerate(loops.ties):

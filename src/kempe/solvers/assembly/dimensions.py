@@ -45,7 +45,7 @@ ZERO = 1e-9
 """Singular values below this part of the largest are those of a motion, where dimensions were fitted."""
 
 
-class Shape:
+class Dimensions:
     """The placements of all joints and constraints of a system, and small changes `p` of them.
 
     `p` (size,) are slides and turns by `motions`, in characteristic lengths and radians, after each placement of
@@ -153,7 +153,7 @@ class Valley:
 
 
 def fitted(
-    shape: Shape, rank: int, q: Array, most: float, also: Callable[[Array], tuple[Array, Array]] | None = None,
+    shape: Dimensions, rank: int, q: Array, most: float, also: Callable[[Array], tuple[Array, Array]] | None = None,
     tries: int = len(DAMPING),
 ) -> tuple[Array, Array] | None:  # fmt: skip
     """The changes (size,) nearest to none with which all configurations q (N, nq) close, and these then; else None.
@@ -182,7 +182,7 @@ def fitted(
 
 
 def _fit(
-    shape: Shape, rank: int, p: Array, q: Array, most: float, damped: float,
+    shape: Dimensions, rank: int, p: Array, q: Array, most: float, damped: float,
     also: Callable[[Array], tuple[Array, Array]] | None,
 ) -> tuple[Array, Array, float]:  # fmt: skip
     """Changes from p on with which configurations q close, by Levenberg's method, these, and what stays open.

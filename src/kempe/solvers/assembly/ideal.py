@@ -29,7 +29,7 @@ from kempe.model.kept import keep, kept
 from kempe.model.tree.characteristic_length import characteristic_length, origin_of
 from kempe.model.tree.own_tree import own_tree
 from kempe.reals import is_real
-from kempe.solvers.assembly.dimensions import ENOUGH, Shape, Valley, fitted, moves_all_along
+from kempe.solvers.assembly.dimensions import ENOUGH, Dimensions, Valley, fitted, moves_all_along
 from kempe.solvers.assembly.relations import Relations, snapped
 from kempe.solvers.common.slip import rolls
 from kempe.spatial import Array, log_so3, xyz_rpy_from_pose
@@ -277,7 +277,7 @@ def _with_rank(
     system: System, rank: int, q: Array, most: float, scaled: float, thorough: bool
 ) -> Idealised | None:  # fmt: skip
     """The nearest mechanism whose equations have this rank along its motion near q; None if there is none."""
-    shape, freedoms, limit = Shape(system), system.nv - rank, OPEN * scaled
+    shape, freedoms, limit = Dimensions(system), system.nv - rank, OPEN * scaled
     valley = Valley(shape.system, rank)
     q = valley.converge(q)
     if not valley.residual(q) <= limit:
@@ -295,7 +295,7 @@ def _with_rank(
     return None if found is None else _changes(system, shape, shape.changed(found[0], system), found[1], most, freedoms)
 
 
-def _best(shape: Shape, rank: int, q: Array, most: float) -> tuple[Array, Array] | None:
+def _best(shape: Dimensions, rank: int, q: Array, most: float) -> tuple[Array, Array] | None:
     """The changes that make it close, and configurations: those that obey relations which nearly hold, if they do."""
     found = fitted(shape, rank, q, most)
     off = float(Valley(shape.system, rank).residual(q).max())
@@ -309,7 +309,7 @@ def _best(shape: Shape, rank: int, q: Array, most: float) -> tuple[Array, Array]
     return found if nicer is None else nicer
 
 
-def _changes(system: System, shape: Shape, ideal: System, q: Array, most: float, freedoms: int) -> Idealised:
+def _changes(system: System, shape: Dimensions, ideal: System, q: Array, most: float, freedoms: int) -> Idealised:
     """What was found, with what differs."""
     m, changes, size = system.mechanism, [], 0.0
     for table, name, side in shape.places:

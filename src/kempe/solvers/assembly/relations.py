@@ -18,7 +18,7 @@ from kempe.values import Expression, Value
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.assembly.dimensions import Shape
+    from kempe.solvers.assembly.dimensions import Dimensions
 
 STEP = math.pi / 12.0
 """Angles between axes that are multiples of this are meant to be."""
@@ -32,7 +32,7 @@ Values = Callable[[dict[tuple[str, str, str], Array]], Any]
 class Relations:
     """Those relations between the axes on each body that hold within `near`, in characteristic lengths and radians."""
 
-    def __init__(self, shape: Shape, near: float):
+    def __init__(self, shape: Dimensions, near: float):
         self.shape, self.near = shape, near
         m = shape.mechanism
         self.given = {

@@ -167,7 +167,7 @@ class Answer(Result, Tabular):
         return None if named and np.isnan(q).all() else named
 
 
-class Rows:
+class ConfigurationList:
     """Configurations `q` (n, ...) that are gone through like a list. Mixed into answers of which there may be many."""
 
     q: Array
@@ -183,7 +183,7 @@ class Rows:
 
 
 @explained_methods
-class Configurations(Rows, Answer):
+class Configurations(ConfigurationList, Answer):
     """Configurations `q` (n, nq) that answer one question together: all that there are, or a way. Base of such answers.
 
     Where the work was `interrupted` from the keyboard, or the time limit came (`late`), these are those found by then.

@@ -124,7 +124,7 @@ def _around(system: System, bend: Array) -> Array:
     return out
 
 
-class _Ways(NamedTuple):
+class _SlipVelocities(NamedTuple):
     """Of each way between samples: what the rows make of it, the sizes that add up to that, length and time."""
 
     slip: Array
@@ -133,7 +133,7 @@ class _Ways(NamedTuple):
     time: Array
 
 
-def _ways(system: System, q: Array, clock: Array, step: int) -> _Ways:
+def _ways(system: System, q: Array, clock: Array, step: int) -> _SlipVelocities:
     way = system.structure.layout.difference(q[:-step], q[step:])
     middle = q[1:-1] if step == 2 else system.structure.layout.integrate(q[:-1], 0.5 * way)
     time = clock[step:] - clock[:-step]
@@ -141,4 +141,4 @@ def _ways(system: System, q: Array, clock: Array, step: int) -> _Ways:
     A, b = rates(system, middle, when)
     slip = np.einsum("nij,nj->ni", A, way) - b * time[:, None]
     size = np.einsum("nij,nj->ni", np.abs(A), np.abs(way)) + np.abs(b) * time[:, None]
-    return _Ways(slip, size, np.linalg.norm(way, axis=1), time)
+    return _SlipVelocities(slip, size, np.linalg.norm(way, axis=1), time)

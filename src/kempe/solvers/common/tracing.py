@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kempe.kinematics.common.gauss_newton import LARGE, Found, gauss_newton, least_squares
+from kempe.kinematics.common.gauss_newton import LARGE, GaussNewtonEnd, gauss_newton, least_squares
 from kempe.spatial import Array
 
 RANK = 1e-8
@@ -61,7 +61,7 @@ class Curve:
         """Residual below which the equations hold at `x`."""
         return CLOSED
 
-    def corrected(self, x: Array, across: Array) -> Found | None:
+    def corrected(self, x: Array, across: Array) -> GaussNewtonEnd | None:
         """What is found near `x` on the curve, in the plane across the direction `across` (n,), or None."""
         return correct(self, x, across)
 
@@ -110,7 +110,7 @@ def node(equations: Curve, x: Array, toward: Array | None = None, J: Array | Non
     return Node(x, t, sigma, nullity, J, image)
 
 
-def correct(equations: Curve, x: Array, across: Array, tries: int = 12) -> Found | None:
+def correct(equations: Curve, x: Array, across: Array, tries: int = 12) -> GaussNewtonEnd | None:
     """What is found on the curve in the plane through `x` across the direction `across` (n,), or None.
 
     Newton's method with least squares, so that dependent equations do no harm.
@@ -121,7 +121,7 @@ def correct(equations: Curve, x: Array, across: Array, tries: int = 12) -> Found
         return np.append(F, 0.0), np.vstack([J, across])
 
     found = gauss_newton(both, x, tries, cut=BLUNT, halving=True, move=equations.move)
-    return Found(found.x, found.r[:-1], found.J[:-1]) if found.size < equations.tolerance(found.x) else None
+    return GaussNewtonEnd(found.x, found.r[:-1], found.J[:-1]) if found.size < equations.tolerance(found.x) else None
 
 
 def step(curve: Curve, a: Node, h: float) -> Node | None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from kempe.joints import P, R
 from kempe.kernels.dyads import dyads_layout as K
-from kempe.solvers.dyads.decompose import NOWHERE, SAME, Code, Dyad, End, Link, Parts, Pose, inverse, times, turned
+from kempe.solvers.dyads.decompose import NOWHERE, SAME, Code, Dyad, Link, PartLine, Parts, Pose, inverse, times, turned
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -350,7 +350,7 @@ class Decomposition:
         self._join(base, outs)
 
     def _record(
-        self, base: int, first: int, second: int, ring: tuple[Edge, ...], meaning: str, ends: tuple[End, ...],
+        self, base: int, first: int, second: int, ring: tuple[Edge, ...], meaning: str, ends: tuple[PartLine, ...],
         along: bool, sign: int | None = 0,
     ) -> None:  # fmt: skip
         bodies = tuple(tuple(b for p in self.members[c] for b in self.parts.names[p]) for c in (first, second))
@@ -372,18 +372,18 @@ class Decomposition:
             names.append((direct or list(here))[0])
         return names[0], names[1], names[2]
 
-    def _pins(self, edge: Edge, one: int, two: int) -> tuple[End, End]:
+    def _pins(self, edge: Edge, one: int, two: int) -> tuple[PartLine, PartLine]:
         """Ends of a hinge on two clusters."""
         ends = self.parts.hinges[edge[1]][1]
         a, b = (next(e for e in ends if self.cluster[e.part] == c) for c in (one, two))
         return a, b
 
-    def _seen(self, edge: Edge, end: End) -> End:
+    def _seen(self, edge: Edge, end: PartLine) -> PartLine:
         """The end of a hinge, or another one of it where that is not on a body."""
         ends = (end, *self.parts.hinges[edge[1]][1])
         return next(e for e in ends if self.parts.reps[e.part] != NOWHERE)
 
-    def _rails(self, edge: Edge, base: int) -> tuple[End, End]:
+    def _rails(self, edge: Edge, base: int) -> tuple[PartLine, PartLine]:
         """Rails of a prismatic joint on the base and on what slides."""
         link = self.parts.links[edge[1]]
         return link.rails(self.cluster[link.a] == base)
@@ -394,6 +394,6 @@ def _led(kind: int, pose: Pose, by: float) -> Pose:
     return turned(pose, by) if kind == R else times(pose, (1.0, 0.0, by, 0.0))
 
 
-def _parallel(a: End, b: End) -> bool:
+def _parallel(a: PartLine, b: PartLine) -> bool:
     """Whether two rails on one part are parallel for ever."""
     return a.part == b.part and abs(a.dx * b.dy - a.dy * b.dx) <= SAME

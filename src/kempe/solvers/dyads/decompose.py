@@ -38,7 +38,7 @@ Pose = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class End:
+class PartLine:
     """A point (x, y) and a direction (dx, dy) on a part."""
 
     part: int
@@ -76,14 +76,14 @@ class Link:
     multiplier: float
     offset: float
 
-    def rails(self, base_is_a: bool) -> tuple[End, End]:
+    def rails(self, base_is_a: bool) -> tuple[PartLine, PartLine]:
         """Rails on the base and on what slides; along both the coordinate grows."""
-        a, b = End(self.a, *self.F[2:], *self.F[:2]), End(self.b, *self.M[2:], *self.M[:2])
+        a, b = PartLine(self.a, *self.F[2:], *self.F[:2]), PartLine(self.b, *self.M[2:], *self.M[:2])
         return (a, b) if base_is_a else (_against(b), _against(a))
 
 
-def _against(end: End) -> End:
-    return End(end.part, end.x, end.y, -end.dx, -end.dy)
+def _against(end: PartLine) -> PartLine:
+    return PartLine(end.part, end.x, end.y, -end.dx, -end.dy)
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Parts:
     names: tuple[tuple[str, ...], ...] = ()
     reps: tuple[int, ...] = ()
     links: tuple[Link, ...] = ()
-    hinges: tuple[tuple[tuple[str, ...], tuple[End, ...]], ...] = ()
+    hinges: tuple[tuple[tuple[str, ...], tuple[PartLine, ...]], ...] = ()
     size: float = 1.0
     misfit: float = 0.0
     trouble: str = ""
@@ -120,7 +120,7 @@ class Dyad:
     joints: tuple[str, str, str]
     sign: int | None = None
     meaning: str = ""
-    ends: tuple[End, ...] = ()
+    ends: tuple[PartLine, ...] = ()
     along: bool = False
 
     def __str__(self) -> str:
@@ -276,7 +276,9 @@ def _size(links: list[Link]) -> float:
     return max(spans, default=0.0) or 1.0
 
 
-def _hinges(pins: list[Link], links: list[Link], same: float) -> tuple[tuple[tuple[str, ...], tuple[End, ...]], ...]:
+def _hinges(
+    pins: list[Link], links: list[Link], same: float
+) -> tuple[tuple[tuple[str, ...], tuple[PartLine, ...]], ...]:
     """Groups of revolute joints that share a point of a part which has other points too."""
     points: dict[int, list[tuple[int, tuple[float, float]]]] = {}
     for i, k in enumerate(pins):
@@ -307,8 +309,8 @@ def _hinges(pins: list[Link], links: list[Link], same: float) -> tuple[tuple[tup
     for group in groups.values():
         ends_of = {}
         for k in (pins[i] for i in group):
-            ends_of.setdefault(k.a, End(k.a, *k.F[2:]))
-            ends_of.setdefault(k.b, End(k.b, *k.M[2:]))
+            ends_of.setdefault(k.a, PartLine(k.a, *k.F[2:]))
+            ends_of.setdefault(k.b, PartLine(k.b, *k.M[2:]))
         out.append((tuple(pins[i].name for i in group), tuple(ends_of.values())))
     return tuple(out)
 
@@ -342,7 +344,7 @@ class Code:
         """Append an operation."""
         self.ops.append(([code, *ints], [float(x) for x in floats]))  # type: ignore[attr-defined]
 
-    def pins(self, code: int, ends: list[End], more: list[int], rails: int = 0) -> None:
+    def pins(self, code: int, ends: list[PartLine], more: list[int], rails: int = 0) -> None:
         """Append an operation on ends, the first `rails` of which are rails."""
         floats = [x for i, e in enumerate(ends) for x in (e.rail if i < rails else e.numbers)]
         self.say(code, [*(self.register(e.part) for e in ends), *more], floats)

@@ -21,7 +21,7 @@ from kempe.model.kept import kept
 from kempe.reals import reals
 from kempe.solvers.common.answer import Answer
 from kempe.solvers.dyads.assur_groups import Decomposition
-from kempe.solvers.dyads.decompose import Dyad, End, parts_of
+from kempe.solvers.dyads.decompose import Dyad, PartLine, parts_of
 from kempe.spatial import Array
 from kempe.status import Status, member
 from kempe.words import counted
@@ -59,7 +59,7 @@ class Incomplete(Report):
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Closed(Answer):
+class DyadAnswer(Answer):
     """Configurations `q` (..., nq) of a `plan`; which are closed (`success` or `ok`); their openings `gap` in metres.
 
     `undetermined` (...) counts the parts of each that these inputs leave free: links without length, circles with one
@@ -162,7 +162,7 @@ class Plan(Report):
         closed = self.close(values, branch, start, threads)
         return closed.q, closed.ok, closed.gap
 
-    def close(self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None) -> Closed:
+    def close(self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None) -> DyadAnswer:
         """As `solve`, with what these inputs leave undetermined."""
         given, lead = self._values(values)
         n, nq = len(given), self.system.nq
@@ -178,9 +178,9 @@ class Plan(Report):
         gap = status[:, 0]
         ok = (gap <= self.tolerance) & np.isfinite(given).all(axis=-1)
         if not lead:
-            return Closed(q[0], bool(ok[0]), float(gap[0]), int(status[0, 1]), (self, given))
+            return DyadAnswer(q[0], bool(ok[0]), float(gap[0]), int(status[0, 1]), (self, given))
         ok, gap, free = (x.reshape(lead) for x in (ok, gap, status[:, 1].astype(int)))
-        return Closed(q.reshape(*lead, nq), ok, gap, free, (self, given))
+        return DyadAnswer(q.reshape(*lead, nq), ok, gap, free, (self, given))
 
     def all(self, values: ArrayLike, start: Any = None) -> tuple[Array, np.ndarray]:
         """Configurations q (..., 2**signs, nq) on all branches, and a mask (..., 2**signs) of those that close.
@@ -231,7 +231,7 @@ class Plan(Report):
         """Branch signs (..., signs), +1 or -1, of closed configurations q (..., nq); + where two branches meet."""
         return np.where(self.heights(q) < 0.0, -1.0, 1.0)
 
-    def _place(self, X: Array, end: End) -> tuple[Array, Array]:
+    def _place(self, X: Array, end: PartLine) -> tuple[Array, Array]:
         pose = X[..., end.part, :, :]
         point = pose[..., :2, 3] + pose[..., :2, :2] @ np.array([end.x, end.y])
         return point, pose[..., :2, :2] @ np.array([end.dx, end.dy])
@@ -348,7 +348,7 @@ def _closed_form(system: System, names: tuple[str, ...]) -> Plan | Incomplete:
 
 def _in_bodies(dyad: Dyad, reps: tuple[int, ...]) -> Dyad:
     """A dyad whose ends count bodies instead of parts."""
-    ends = tuple(End(reps[e.part], *e.rail) for e in dyad.ends)
+    ends = tuple(PartLine(reps[e.part], *e.rail) for e in dyad.ends)
     return Dyad(dyad.kind, dyad.base, dyad.bodies, dyad.joints, dyad.sign, dyad.meaning, ends, dyad.along)
 
 

@@ -56,7 +56,7 @@ CONFIDENCE = 0.95
 
 
 @dataclass
-class Search:
+class ModesSearch:
     """Modes found: `clusters`, `free` (k,) freedoms left at each, `twin` (k,) the first of those that are its images.
 
     With a `frame`, modes are one that put it at the same pose. `spins` are the idle freedoms that do not count
@@ -87,7 +87,7 @@ class Search:
             np.unique(self.twin[isolated])
         ]
 
-    def copy(self) -> Search:
+    def copy(self) -> ModesSearch:
         """What was found so far, which later rounds leave as it is."""
         clusters = copy.copy(self.clusters)
         clusters.members = [list(m) for m in clusters.members]
@@ -159,14 +159,14 @@ class Search:
 def search(
     system: System, known: dict[str, Any], near: Array | None, frame: str | None, rng: np.random.Generator, starts: int,
     budget: TimeLimit | None = None, progress: Callable[[int, int], Any] | None = None,
-) -> Search:  # fmt: skip
+) -> ModesSearch:  # fmt: skip
     """Assembly modes from at most so many random starts, the first of them `near` or home.
 
     An interrupt, or the end of the time, which is looked for after each round, leaves what the rounds before found.
     """
     system = own_tree(system)
     bound = of_equations(system, known)
-    s = Search(system, known, near, rng, bound, Clusters(system, _places(system, frame)), frame)
+    s = ModesSearch(system, known, near, rng, bound, Clusters(system, _places(system, frame)), frame)
     while s.tried < starts:
         before = s.copy()
         try:
@@ -186,7 +186,7 @@ def search(
     return s
 
 
-def _one_round(s: Search, starts: int) -> bool:
+def _one_round(s: ModesSearch, starts: int) -> bool:
     """Whether the search may end after one more round of starts."""
     system, near = s.system, s.near
     n = min(ROUND, starts - s.tried)
@@ -213,7 +213,7 @@ def _places(system: System, frame: str | None) -> tuple[str, ...]:
     return tuple(system.body_names[1:]) if winds else ()
 
 
-def _scattered(s: Search, n: int) -> Array:
+def _scattered(s: ModesSearch, n: int) -> Array:
     """Starts (n, nq) all over the limits, angles over their period, free lengths up to two characteristic ones."""
     system, metric = s.system, s.clusters.metric
     q = random(system, s.rng, n)
@@ -283,7 +283,7 @@ def _moving(system: System, clusters: Clusters, q: Array, free: list[int], kerne
 # ---- what the search is worth
 
 
-def must_be_even(s: Search) -> bool:
+def must_be_even(s: ModesSearch) -> bool:
     """Whether the number of modes is even for sure, all found being regular solutions of as many equations as unknowns.
 
     See the module. Limits do not count, and modes that are one only as to some frames are not looked at. Rods that spin
@@ -302,7 +302,7 @@ def must_be_even(s: Search) -> bool:
     return all(metric.period[i] > 0.0 or _round(system, i) or _tied(system, i) for i in free)
 
 
-def _rigid(s: Search, spin: Any) -> bool:
+def _rigid(s: ModesSearch, spin: Any) -> bool:
     """Whether what spins is one part with the known coordinates held, and has no further links in its balls."""
     mechanism = s.system.mechanism
     inside = [j for j in mechanism.joints.values() if {j.parent, j.child} <= {*spin.bodies}]

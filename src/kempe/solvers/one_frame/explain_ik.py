@@ -19,7 +19,7 @@ from kempe.solvers.common.proofs import Lengths, Limits, LowRank
 from kempe.solvers.common.serial_chain import Chain, chain_of
 from kempe.solvers.common.targets import Z_AXIS, frame_of, not_a_pose
 from kempe.solvers.one_frame.inverse import run
-from kempe.solvers.one_frame.multi_start import ITERATIONS, MOST, TOLERANCE, Task, past_lengths
+from kempe.solvers.one_frame.multi_start import ITERATIONS, MOST, TOLERANCE, FrameProblem, past_lengths
 from kempe.solvers.one_frame.shut_out import shut_out
 from kempe.solvers.one_frame.solution import Solution
 from kempe.spatial import Array
@@ -91,26 +91,26 @@ def proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Lengths | Limits
     return (proof,) if proof else ()
 
 
-def beyond(task: Task, target: Array) -> Lengths:
+def beyond(task: FrameProblem, target: Array) -> Lengths:
     """How far a target (1, 4, 4) is out of reach at least, by the lengths of the links."""
     off = abs(float(target[0, 2, 3])) if task.system.dim == 2 else 0.0
     place, turned = past_lengths(task, target)[0].tolist()
     return Lengths(place, turned, off if off > task.tolerance[0] else 0.0)
 
 
-def _errors(task: Task, position: str, angle: float) -> str:
+def _errors(task: FrameProblem, position: str, angle: float) -> str:
     parts = [position] * bool(any(task.mask[:3])) + [f"{angle:.2g} rad"] * bool(any(task.mask[3:]))
     return ", ".join(parts)
 
 
-def _solved(task: Task, target: Array, limits: Array | None = None, near: Array | None = None) -> Array | None:
+def _solved(task: FrameProblem, target: Array, limits: Array | None = None, near: Array | None = None) -> Array | None:
     """The configuration (n,) of the chain that reaches a target (1, 4, 4), from `start` first; None if none does."""
     seeds = task.chain.no_seed if near is None else near.reshape(1, 1, -1)
     q, _, info = run(task, seeds, 1, limits, target)
     return q[0] if info[0, 0] == Status.SOLVED else None
 
 
-def _rows(task: Task, q: Array, tolerance: float) -> int:
+def _rows(task: FrameProblem, q: Array, tolerance: float) -> int:
     """The largest rank of what the task reads of the frame's Jacobian, at configurations (N, nq)."""
     from kempe.kinematics.forward import jacobian  # only here: a success needs no forward kernels
 
@@ -123,14 +123,14 @@ def _rows(task: Task, q: Array, tolerance: float) -> int:
     return int((values > tolerance * values[:, :1]).sum(axis=1).max())
 
 
-def rank_of(task: Task) -> LowRank:
+def rank_of(task: FrameProblem) -> LowRank:
     """The equations of a task, and the freedoms in which the chain moves its frame at random configurations."""
     system, rows = task.system, sum(map(bool, task.mask))
     wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else rows
     return LowRank(wanted, _rows(task, system.random(0, 16), RANK_TOLERANCE))
 
 
-def _over_determined(task: Task, target: Array, position: float, angle: float) -> str:
+def _over_determined(task: FrameProblem, target: Array, position: float, angle: float) -> str:
     """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random configurations.
 
     `position` and `angle` are the errors of the nearest found: small ones are those of a target that was rounded.
@@ -172,12 +172,12 @@ def _above(error: float) -> float:
     return float(f"{math.ceil(error / unit * 1.001) * unit:.0e}")
 
 
-def _many(task: Task) -> Task:
+def _many(task: FrameProblem) -> FrameProblem:
     """The same with as many starts as are given by default, at least, and no limit of time."""
     return replace(task, starts=max(MOST, task.starts), iterations=max(ITERATIONS, task.iterations), end=math.inf)
 
 
-def _again(task: Task, target: Array, nearest: Array) -> str:
+def _again(task: FrameProblem, target: Array, nearest: Array) -> str:
     """That other starts find an answer, and where the search was stuck, if it was: `nearest` (n,) is what it found."""
     if _solved(replace(_many(task), rng=task.rng + 1), target) is None:
         return ""
@@ -185,14 +185,14 @@ def _again(task: Task, target: Array, nearest: Array) -> str:
     return f"{stuck}more starts find an answer"
 
 
-def _singular(task: Task, q: Array) -> bool:
+def _singular(task: FrameProblem, q: Array) -> bool:
     """Whether the chain moves the frame in fewer freedoms at q (n,) than elsewhere."""
     full = task.chain.base[0].copy()
     full[task.chain.q_index] = q
     return _rows(task, full[None], NEARLY) < _rows(task, task.system.random(0, 16), NEARLY)
 
 
-def _limits(task: Task, target: Array, nearest: Array) -> str:
+def _limits(task: FrameProblem, target: Array, nearest: Array) -> str:
     """Which limits block the target, or may do so, by solving without them; `nearest` (n,) is what came nearest.
 
     Or that they do not, for all starts may fail where there is an answer.
@@ -240,7 +240,7 @@ def _suspects(chain: Chain, bounded: np.ndarray, nearest: Array, free: Array) ->
     return bounded[at[bounded]]
 
 
-def _close(task: Task, position: float, angle: float) -> str:
+def _close(task: FrameProblem, position: float, angle: float) -> str:
     """What a near miss means, where it is one: by then neither the search nor the workspace is known to end there."""
     longest = task.chain.span.largest
     if not any(task.mask[:3]) or position > NEAR_MISS or angle > NEAR_TURN:
@@ -251,7 +251,7 @@ def _close(task: Task, position: float, angle: float) -> str:
     return f"{came}, so it may have ended early, or the target is just outside the workspace"
 
 
-def _why(task: Task) -> str:
+def _why(task: FrameProblem) -> str:
     """What is left where nothing else was found out."""
     limits = " without limits either" if np.isfinite(task.chain.limits).any() else ""
     may = "the target may be outside the workspace" if any(task.mask[:3]) else "the orientation may be out of reach"

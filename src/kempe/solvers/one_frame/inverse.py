@@ -36,7 +36,7 @@ from kempe.solvers.common.targets import (
     task_of,
 )
 from kempe.solvers.one_frame import multi_start
-from kempe.solvers.one_frame.multi_start import FEW, ITERATIONS, MOST, TOLERANCE, Task, outside
+from kempe.solvers.one_frame.multi_start import FEW, ITERATIONS, MOST, TOLERANCE, FrameProblem, outside
 from kempe.solvers.one_frame.solution import Solution
 from kempe.spatial import Array
 from kempe.status import Status, member
@@ -151,7 +151,7 @@ def _of_chain(problem: Problem) -> Solution:
     system, name, lead, spend = problem.system, str(problem.frame), problem.lead, USUAL.of(problem.budget)
     chain, tolerance = chain_of(system, name, problem.task[1]), problem.tolerance
     base, seeds = _seeds(system, chain, problem.start, lead)
-    question = Task(
+    question = FrameProblem(
         system, name, problem.targets, *problem.task, TOLERANCE if tolerance is None else tolerances(tolerance),
         start_count(spend.starts), seed_number(spend.rng), chain, step_count(spend.iterations), spend.time_limit,
         deadline(spend.time_limit),
@@ -192,8 +192,8 @@ def chosen(system: System, frame: str | None, task: TaskOf, method: str, prefers
 
 
 def _run(
-    question: Task, plan: Any, base: Array, seeds: Array, threads: int | None, lead: tuple[int, ...]
-) -> tuple[Task, tuple[Array, Array, np.ndarray]]:  # fmt: skip
+    question: FrameProblem, plan: Any, base: Array, seeds: Array, threads: int | None, lead: tuple[int, ...]
+) -> tuple[FrameProblem, tuple[Array, Array, np.ndarray]]:  # fmt: skip
     """The question and what `run`, or the closed form of a plan, finds; rotations that were rounded are mended."""
     if plan is None:
         found = run(question, seeds, threads, postpone=bool(lead) and question.time_limit is None)
@@ -208,7 +208,7 @@ def _run(
 
 
 def _nearest(
-    question: Task, base: Array, seeds: Array, threads: int | None, q: Array, residual: Array, info: np.ndarray,
+    question: FrameProblem, base: Array, seeds: Array, threads: int | None, q: Array, residual: Array, info: np.ndarray,
     lead: tuple[int, ...],
 ) -> Solution:  # fmt: skip
     """The answer of a batch as of `run`, with what is nearest to the targets that are out of reach."""
@@ -219,8 +219,8 @@ def _nearest(
 
 
 def _judged(
-    question: Task, base: Array, q: Array, residual: Array, info: np.ndarray, lead: tuple[int, ...], seeds: Array,
-    threads: int | None,
+    question: FrameProblem, base: Array, q: Array, residual: Array, info: np.ndarray, lead: tuple[int, ...],
+    seeds: Array, threads: int | None,
 ) -> Solution:  # fmt: skip
     """The answer, from the chain's configurations (N, n), residuals (N, 2) and status, steps and starts (N, 3).
 
@@ -259,8 +259,8 @@ def _checked(
 
 
 def run(
-    task: Task, seeds: Array, threads: int | None = 1, limits: Array | None = None, targets: Array | None = None,
-    postpone: bool = False,
+    task: FrameProblem, seeds: Array, threads: int | None = 1, limits: Array | None = None,
+    targets: Array | None = None, postpone: bool = False,
 ) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
     """Chain configurations, residuals (N, 2) and (status, steps, starts) of all targets, in fixed chunks.
 
@@ -283,20 +283,20 @@ def run(
     return out[:, :nq], out[:, nq + LINEAR : nq + STATUS], out[:, nq + STATUS :].astype(np.int64)
 
 
-def _bind(question: Task, task: str | None, shape: tuple[int, ...]) -> None:
-    """Let calls like this one go by a `Bound` from now on, if they are plain enough."""
+def _bind(question: FrameProblem, task: str | None, shape: tuple[int, ...]) -> None:
+    """Let calls like this one go by a `BoundIk` from now on, if they are plain enough."""
     system, chain, key = question.system, question.chain, (question.frame, task, len(shape))
     point = question.name == "position" and (task is not None or shape != (4, 4))  # a turned particle is an error
     plain = shape in ((4, 4), (3,), (2,)) if point else (shape == (4, 4) and question.name != "position")
     if plain and question.axis == Z_AXIS and not chain.ints[HAS_QUATERNION] and key not in system._queries:
         usual = replace(question, tolerance=TOLERANCE, starts=MOST, rng=0)
-        system._queries[key] = Bound(usual, shape).__call__  # a method, which takes less time to call
+        system._queries[key] = BoundIk(usual, shape).__call__  # a method, which takes less time to call
 
 
-class Bound:
+class BoundIk:
     """`ik` of single targets for one frame and task, with all looked up that can be: the way of plain calls."""
 
-    def __init__(self, question: Task, shape: tuple[int, ...]):
+    def __init__(self, question: FrameProblem, shape: tuple[int, ...]):
         self.requested, self.chain, self.rows = question, question.chain, multi_start.rows_of(question)
         system, self.size = question.system, len(question.chain.q_index)
         self.nq = system.nq
@@ -312,9 +312,9 @@ class Bound:
         self.reach, self.base, self.no_seed = schedule.reach, self.chain.base[0], self.chain.no_seed
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Bound, (self.requested, self.shape)
+        return BoundIk, (self.requested, self.shape)
 
-    def task(self, X: Array) -> Task:
+    def task(self, X: Array) -> FrameProblem:
         """The problem, for poses (1, 4, 4)."""
         return replace(self.requested, targets=X)
 
@@ -369,7 +369,7 @@ class Bound:
         return Solution(q, False, member(codes[0]), linear, angular, int(steps), int(starts), task)
 
 
-def _look_closer(task: Task, code: np.ndarray) -> None:
+def _look_closer(task: FrameProblem, code: np.ndarray) -> None:
     """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
     failed = np.flatnonzero((code == Status.NOT_FOUND) | (code == Status.OUT_OF_TIME))
     code[failed[outside(task, task.targets[failed]) > 0.0]] = Status.OUT_OF_REACH
@@ -391,7 +391,7 @@ def _seeds(system: System, chain: Chain, start: Any, lead: tuple[int, ...]) -> t
 
 
 def _answer(
-    task: Task, q: Array, code: np.ndarray, residual: Array, info: np.ndarray, lead: tuple[int, ...]
+    task: FrameProblem, q: Array, code: np.ndarray, residual: Array, info: np.ndarray, lead: tuple[int, ...]
 ) -> Solution:  # fmt: skip
     columns = (code == SOLVED, code, residual[:, 0], residual[:, 1], info[:, 1], info[:, 2])
     fields = [x.reshape(lead) if lead else x[0].item() for x in columns]

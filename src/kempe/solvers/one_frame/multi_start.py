@@ -44,7 +44,7 @@ SHARES = (1.0, 0.2, 5.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class FrameProblem:
     """What was required of the solver: kept with the answer, so that it can say why it failed."""
 
     system: System
@@ -70,7 +70,7 @@ class Task:
         return TASKS[self.name]
 
 
-def rows_of(task: Task) -> np.ndarray:
+def rows_of(task: FrameProblem) -> np.ndarray:
     """What the kernel reads of a task: six rows, whether an axis is pointed, circular coordinates."""
     pointed = points_along(task.name)
     rows = (*task.mask[:5], 1, 1) if pointed else (*task.mask, 0)
@@ -78,7 +78,7 @@ def rows_of(task: Task) -> np.ndarray:
 
 
 def answered(
-    task: Task, targets: Array, seeds: Array, limits: Array, out: Array, postpone: bool = False
+    task: FrameProblem, targets: Array, seeds: Array, limits: Array, out: Array, postpone: bool = False
 ) -> int:  # fmt: skip
     """Number of targets (N, 4, 4) not reached; writes the answers (N, n + ANSWER) as `search.reach` does.
 
@@ -113,7 +113,7 @@ def answered(
     return len(out)
 
 
-def go_on(task: Task, targets: Array, head: tuple[Any, ...], done: int, out: Array) -> int:
+def go_on(task: FrameProblem, targets: Array, head: tuple[Any, ...], done: int, out: Array) -> int:
     """Number of targets not reached in the end, of those that the first `done` starts left.
 
     head: the first arguments of the kernels. Where tolerances are loose, starts that weigh position and orientation
@@ -148,7 +148,7 @@ def go_on(task: Task, targets: Array, head: tuple[Any, ...], done: int, out: Arr
     return missed
 
 
-def _some(task: Task, head: tuple[Any, ...], rows: np.ndarray, first: int, count: int, length: float) -> Array:
+def _some(task: FrameProblem, head: tuple[Any, ...], rows: np.ndarray, first: int, count: int, length: float) -> Array:
     """Answers (k, n + ANSWER) of some starts for these rows; `head` as in `go_on`."""
     *chain, goals, seeds, rng = head
     own = seeds[rows] if len(seeds) > 1 else seeds
@@ -158,7 +158,9 @@ def _some(task: Task, head: tuple[Any, ...], rows: np.ndarray, first: int, count
     return found
 
 
-def _more(task: Task, head: tuple[Any, ...], rows: np.ndarray, first: int, count: int, out: Array) -> np.ndarray:
+def _more(
+    task: FrameProblem, head: tuple[Any, ...], rows: np.ndarray, first: int, count: int, out: Array
+) -> np.ndarray:
     """The rows that are still not reached after further starts; answers that are better than the first are written."""
     if not len(rows):
         return rows
@@ -172,14 +174,14 @@ def _more(task: Task, head: tuple[Any, ...], rows: np.ndarray, first: int, count
     return rows[out[rows, n + STATUS] == NOT_FOUND]
 
 
-def _end(task: Task, targets: Array, left: np.ndarray, out: Array) -> None:
+def _end(task: FrameProblem, targets: Array, left: np.ndarray, out: Array) -> None:
     """Measure these rows as they are: the time is up."""
     n = out.shape[1] - ANSWER
     out[left, n + STATUS] = Status.OUT_OF_TIME
     out[left, n : n + STATUS] = misses(task, targets[left], out[left, :n])
 
 
-def misses(task: Task, targets: Array, q: Array) -> Array:
+def misses(task: FrameProblem, targets: Array, q: Array) -> Array:
     """Linear and angular errors (N, 2), by the forward model, of a chain's configurations (N, n)."""
     from kempe.kinematics.forward import fk
 
@@ -205,7 +207,7 @@ def _search(chain: Chain) -> Callable[..., int]:
     return schedule.reach
 
 
-def outside(task: Task, targets: Array) -> Array:
+def outside(task: FrameProblem, targets: Array) -> Array:
     """How far (N,) targets are outside the reach bounds, in metres, for a point of the frame that each one fixes.
 
     Zero within what the tolerances allow. With the target's orientation, it is a lower bound of the position error.
@@ -217,7 +219,7 @@ def outside(task: Task, targets: Array) -> Array:
     return np.maximum(out, past_lengths(task, targets).max(axis=-1))
 
 
-def past_lengths(task: Task, targets: Array) -> Array:
+def past_lengths(task: FrameProblem, targets: Array) -> Array:
     """How far (N, 2) in metres targets are past what the lengths of the links reach; see `proofs.by_lengths`."""
     free = len(task.chain.v_index) >= (3 if task.system.dim == 2 else sum(task.mask))  # else that is the reason
     along = np.array(task.axis) if free and points_along(task.name) else None

@@ -16,7 +16,7 @@ from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import N_ROWS, ROW_FLOATS
 from kempe.solvers.common.serial_chain import moved_by
 from kempe.solvers.common.targets import frame_of, points_along
-from kempe.solvers.one_frame.multi_start import Task, misses
+from kempe.solvers.one_frame.multi_start import FrameProblem, misses
 from kempe.spatial import Array
 
 TRIES = 24
@@ -31,7 +31,7 @@ CONDITION = 1e-14
 """Singular values below this part of the largest are zero."""
 
 
-def search_again(task: Task, targets: Array, head: tuple[Any, ...], out: Array) -> int:
+def search_again(task: FrameProblem, targets: Array, head: tuple[Any, ...], out: Array) -> int:
     """Number of targets (N, 4, 4) that are still not reached; of the others the answers in `out` are made good.
 
     head: the first arguments of the kernels. Where a search ended counts as a start, and so do more of its ends; for
@@ -66,7 +66,7 @@ def search_again(task: Task, targets: Array, head: tuple[Any, ...], out: Array) 
     return len(left)
 
 
-def _by_equations(task: Task, targets: Array, q: Array) -> Array:
+def _by_equations(task: FrameProblem, targets: Array, q: Array) -> Array:
     """Configurations (N, n) by closed form or elimination, inside the limits, where there are some; else q (N, n)."""
     from kempe.solvers.analytic.ik_analytic import kept, plan_of
 
@@ -74,7 +74,7 @@ def _by_equations(task: Task, targets: Array, q: Array) -> Array:
     return q if isinstance(plan, str) else kept(task, plan, targets, q)
 
 
-def sharpen(task: Task, targets: Array, q: Array, limits: Array) -> tuple[Array, Array]:
+def sharpen(task: FrameProblem, targets: Array, q: Array, limits: Array) -> tuple[Array, Array]:
     """Configurations (N, n) of the chain inside the limits (2, n), nearer to their targets, and their errors (N, 2)."""
     best, least = q.copy(), misses(task, targets, q)
     score = np.max(least / task.tolerance, axis=1)
@@ -96,7 +96,7 @@ def sharpen(task: Task, targets: Array, q: Array, limits: Array) -> tuple[Array,
     return best, least
 
 
-def _step(task: Task, targets: Array, q: Array) -> Array:
+def _step(task: FrameProblem, targets: Array, q: Array) -> Array:
     """Gauss-Newton steps (N, n), lengths measured by the longest of the chain, columns by themselves."""
     from kempe.kinematics.forward import fk, jacobian
 

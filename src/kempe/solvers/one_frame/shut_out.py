@@ -11,7 +11,7 @@ from kempe.errors import UnsupportedError
 from kempe.kernels.forward.table_layout import HEADER, KIND, MULTIPLIER, N_ROWS, ROW_FLOATS, ROW_INTS, SLIDE, V_INDEX
 from kempe.solvers.common.proofs import Limits
 from kempe.solvers.common.serial_chain import Chain, moved_by, of_loops
-from kempe.solvers.one_frame.multi_start import Task
+from kempe.solvers.one_frame.multi_start import FrameProblem
 from kempe.spatial import Array
 
 CLEAR = 1e-3
@@ -21,12 +21,12 @@ NOTHING = Limits()
 """No proof."""
 
 
-def shut_out(task: Task, target: Array) -> Limits:
+def shut_out(task: FrameProblem, target: Array) -> Limits:
     """What proves that a target (1, 4, 4) has no answer inside the limits; false where that is not proven."""
     return _slides_end(task, target) or _all_outside(task, target)
 
 
-def _all_outside(task: Task, target: Array) -> Limits:
+def _all_outside(task: FrameProblem, target: Array) -> Limits:
     """Whether all the answers there are without limits are outside them."""
     system = task.system
     chain, n = task.chain, int(task.chain.ints[N_ROWS])
@@ -68,7 +68,7 @@ def _beyond(chain: Chain, q: Array) -> float:
     return float(off.max(initial=0.0))
 
 
-def _slides_end(task: Task, target: Array) -> Limits:
+def _slides_end(task: FrameProblem, target: Array) -> Limits:
     """Whether slides which nothing turns end too far from the target, along some direction, whatever the rest does."""
     chain, n = task.chain, int(task.chain.ints[N_ROWS])
     rows = [chain.floats[ROW_FLOATS * k :][:12].reshape(3, 4) for k in range(n + 1)]

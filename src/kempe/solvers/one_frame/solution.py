@@ -20,7 +20,7 @@ from kempe.status import MEMBERS, PROOFS, Status
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.common.problem import Choice
-    from kempe.solvers.one_frame.multi_start import Task
+    from kempe.solvers.one_frame.multi_start import FrameProblem
 
 _MEASURED: dict[str, tuple[int, Callable]] = {
     "iterations": (STEPS, int), "starts": (STARTS, int), "code": (STATUS, lambda x: MEMBERS[int(x)]),
@@ -56,7 +56,7 @@ class Solution(Answer):
     iterations: Any
     starts: Any
     problem: Any = field(repr=False)
-    """The `Task`, or a bound form and its target, which can tell it."""
+    """The `FrameProblem`, or a bound form and its target, which can tell it."""
 
     @classmethod
     def reached(cls, problem: Any, q: Array, measured: Array) -> Solution:
@@ -93,7 +93,7 @@ class Solution(Answer):
             return value
 
     @cached_property
-    def task(self) -> Task:
+    def task(self) -> FrameProblem:
         """The problem that was solved."""
         if isinstance(self.problem, tuple):
             bound, target = self.problem

@@ -25,7 +25,7 @@ from kempe.solvers.common.problem import NOTHING, Problem, Solver, choose, chose
 from kempe.solvers.common.serial_chain import of_loops
 from kempe.solvers.common.slip import rolls
 from kempe.solvers.common.targets import Z_AXIS, parse_targets
-from kempe.solvers.paths.path_steps import DEPTH, SINGULAR, STAYS, TOLERANCE, WEAK, Way
+from kempe.solvers.paths.path_steps import DEPTH, SINGULAR, STAYS, TOLERANCE, WEAK, PathSteps
 from kempe.solvers.tasks.ik_tasks import STARTS, Demands, judge, pose_problem
 from kempe.solvers.tasks.reached import demands_of
 from kempe.solvers.tasks.uninvolved import apart
@@ -144,7 +144,7 @@ def by_steps(problem: Problem) -> IkPath:
         refuse(goals, task.label)
     time = TimeLimit(spend.time_limit)
     time.put_in_order()  # there is nothing to do afterwards
-    way = _Path(demands, options["max_step"], time, spend.progress)
+    way = _FollowedPath(demands, options["max_step"], time, spend.progress)
     q0, info = way.rows[0].run(first)
     begin, n = 0, demands.lead[0]
     while restart and info[0, 0] != SOLVED and begin + 1 < n:
@@ -178,7 +178,7 @@ def _held(system: System, targets: Any, frame: FrameLike) -> Constraint:
     return held
 
 
-class _Path(Way):
+class _FollowedPath(PathSteps):
     """The way of targets, and the path along it."""
 
     def reason(self, i: int, q: Array, part: float) -> str:

@@ -62,7 +62,7 @@ class Order(NamedTuple):
     """The length of what is missing."""
 
 
-class Way:
+class PathSteps:
     """The targets of a path, all that lies between them, and steps along it."""
 
     def __init__(

@@ -14,7 +14,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.solvers.paths.following import IkPath
-    from kempe.solvers.paths.path_steps import Way
+    from kempe.solvers.paths.path_steps import PathSteps
 
 LONGEST = 0.02
 """Longest step that is led without slip at once, in radians and characteristic lengths."""
@@ -25,7 +25,7 @@ MOST = 4096
 """Steps at most between two targets."""
 
 
-def without_slip(way: Way, path: IkPath, begin: int) -> IkPath:
+def without_slip(way: PathSteps, path: IkPath, begin: int) -> IkPath:
     """The path where it does not slip; else one that rolls and holds the targets, if they leave that; else what is
     before the first slip, with the place."""
     good = np.flatnonzero(path.success)
@@ -52,7 +52,7 @@ def _broken(path: IkPath, slip: Slip, first: int) -> IkPath:
     return replace(path, q=q, success=success, jumps=(), reason=status)
 
 
-def _led(way: Way, out: Array, begin: int) -> int:
+def _led(way: PathSteps, out: Array, begin: int) -> int:
     """Write configurations (n, nq) that roll from target to target; returns the last one that was reached."""
     q = out[begin]
     for i in range(begin + 1, len(out)):
@@ -68,7 +68,7 @@ def _led(way: Way, out: Array, begin: int) -> int:
     return len(out) - 1
 
 
-def _step(way: Way, i: int, part: float, q: Array) -> Array | None:
+def _step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
     """The configuration (nq,) that holds the target between, without slip in the middle of the way to it; or None.
 
     The smallest such step, by Newton's method.

@@ -140,11 +140,11 @@ def by_tangents(problem: Problem) -> SelfMotion:
     if local.finite == 1:  # of curves that meet here, the one nearest to the direction
         found = np.concatenate([local.motions, -local.motions])
         wish = found[np.argmax(found @ wish)]
-    way = _Way(local, wish, local.finite > 1, step, time, spend.progress)
+    way = _Direction(local, wish, local.finite > 1, step, time, spend.progress)
     forth = way.follow(q0, 1.0, steps)
     if forth.closed:
         return SelfMotion(system, _rolling(system, [q0, *forth.q]), local.finite, 0, True, ("", ""), demands)
-    back = _Half([], False, "the start", -forth.t)
+    back = _HalfCurve([], False, "the start", -forth.t)
     if way.broken is None:
         back = way.follow(q0, -1.0, steps, (forth.q[-1], -forth.t) if forth.q and forth.last else None)
     q = _rolling(system, [*back.q[::-1], q0, *forth.q])
@@ -209,7 +209,7 @@ def _wish(system: System, direction: Any, local: Local, problem: Demands) -> Arr
     return wish / scale / np.linalg.norm(wish / scale)
 
 
-class _Half(NamedTuple):
+class _HalfCurve(NamedTuple):
     """One way from the start: configurations, whether they come to where they should, why they end, the last direction,
     and whether it is only for the number of steps that they end."""
 
@@ -220,7 +220,7 @@ class _Half(NamedTuple):
     last: bool = False
 
 
-class _Way:
+class _Direction:
     """Follows self-motions by steps along the tangent that are led back."""
 
     def __init__(
@@ -231,7 +231,7 @@ class _Way:
         self.broken: BaseException | None = None
         self.local, self.problem, self.wish, self.wished, self.step = local, local.problem, wish, wished, step
 
-    def follow(self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None = None) -> _Half:
+    def follow(self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None = None) -> _HalfCurve:
         """One way from q, until it comes to the goal, a configuration (nq,) and the direction (nv,) in which it is
         passed; without one back to q."""
         out: list[Array] = []
@@ -239,13 +239,15 @@ class _Way:
             return self._follow(q, sign, steps, goal, out)
         except BROKEN_OFF as error:
             self.broken = error
-            return _Half(out, False, self.time.reason(error), sign * self.wish)
+            return _HalfCurve(out, False, self.time.reason(error), sign * self.wish)
 
-    def _follow(self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None, out: list[Array]) -> _Half:
+    def _follow(
+        self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None, out: list[Array]
+    ) -> _HalfCurve:
         system, way = self.problem.system, sign * self.wish
         a, given = self._node(q, way), goal is not None
         goal = (q, a.t) if goal is None else goal
-        nothing = _Half(out, False, "where the tasks leave nothing of this direction", a.t)
+        nothing = _HalfCurve(out, False, "where the tasks leave nothing of this direction", a.t)
         if a.sigma < LEAST_PART:
             return nothing
 
@@ -258,19 +260,19 @@ class _Way:
 
         for b in walk(a, taken, self.step, self.step, least=SHORTEST * self.step, ideal=math.inf):
             if (out or given) and not self.wished and self._passes(a, b, goal):
-                return _Half(out, True, "", a.t)
+                return _HalfCurve(out, True, "", a.t)
             out.append(b.x)
             self.done += 1
             if self.progress is not None:
                 self.progress(self.done)
             if names := _at_limits(system, b.x, a.t):
-                return _Half(out, False, f"the limit of {names[0]!r}", a.t)
+                return _HalfCurve(out, False, f"the limit of {names[0]!r}", a.t)
             if len(out) == steps:
-                return _Half(out, False, f"the last of {steps} steps", a.t, True)
+                return _HalfCurve(out, False, f"the last of {steps} steps", a.t, True)
             if b.sigma < LEAST_PART:
                 return nothing._replace(t=b.t)
             a = b
-        return _Half(out, False, _stop(self.problem, a.x, a.t, 10.0 * SHORTEST * self.step), a.t)
+        return _HalfCurve(out, False, _stop(self.problem, a.x, a.t, 10.0 * SHORTEST * self.step), a.t)
 
     def _led(self, x: Array) -> Array | None:
         """The configuration (nq,) in which the tasks hold, nearest to x, as the solver of tasks finds it; or None."""

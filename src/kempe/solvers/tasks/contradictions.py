@@ -15,7 +15,7 @@ from kempe import spatial
 from kempe.constraints.reading import RIGID
 from kempe.joints import P
 from kempe.kernels.constraints import loop_layout as L
-from kempe.kinematics.tasks.task import Centred, Placed
+from kempe.kinematics.tasks.task import Centred, PlacedTask
 from kempe.model.tree.own_tree import own_tree
 from kempe.spatial import Array
 
@@ -45,7 +45,7 @@ class Region(NamedTuple):
     high: Array
 
 
-class Held(NamedTuple):
+class BodyDemand(NamedTuple):
     """What a task says of a body: pose (...) of its frame in the ground and on the body's row, of which parts count."""
 
     row: int
@@ -79,10 +79,10 @@ def contradictory(problem: Demands) -> np.ndarray:
     return out
 
 
-def _held(problem: Demands, i: int) -> Held | None:
+def _held(problem: Demands, i: int) -> BodyDemand | None:
     """What a task says of one body; None for tasks of other kinds."""
     task, system, goal = problem.tasks[i], own_tree(problem.system), problem.goals[i][0][0]
-    if not isinstance(task, Placed) or isinstance(task, Centred) or goal is None or len(problem.goals[i]) > 1:
+    if not isinstance(task, PlacedTask) or isinstance(task, Centred) or goal is None or len(problem.goals[i]) > 1:
         return None
     if task.shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE, L.ALIGN):
         return None
@@ -98,10 +98,10 @@ def _held(problem: Demands, i: int) -> Held | None:
         region = Region(task.shape.axes, low, high)
     local = X @ np.reshape(hold.X_B, (4, 4))
     axis = task.shape.turns == L.ALIGN
-    return Held(int(row), goal, local, task.point, task.turned, axis, region, linear, angular)
+    return BodyDemand(int(row), goal, local, task.point, task.turned, axis, region, linear, angular)
 
 
-def _between(problem: Demands, a: Held, b: Held) -> list[tuple[Array, str]]:
+def _between(problem: Demands, a: BodyDemand, b: BodyDemand) -> list[tuple[Array, str]]:
     """How far what two tasks ask for is apart, by each argument that applies, and what is said of it."""
     if a.row != b.row:
         if not (a.point and b.point):
@@ -114,7 +114,7 @@ def _between(problem: Demands, a: Held, b: Held) -> list[tuple[Array, str]]:
     return [*_angles(a, b), *_places(a, b)]
 
 
-def _angles(a: Held, b: Held) -> list[tuple[Array, str]]:
+def _angles(a: BodyDemand, b: BodyDemand) -> list[tuple[Array, str]]:
     """By how much the orientations that two tasks ask of one body differ, in radians."""
     slack = a.angular + b.angular
     if a.turn and b.turn:
@@ -130,7 +130,7 @@ def _angles(a: Held, b: Held) -> list[tuple[Array, str]]:
     return [(_more(off, slack), "they turn axes of one body to directions that are {off} rad off")]
 
 
-def _places(a: Held, b: Held) -> list[tuple[Array, str]]:
+def _places(a: BodyDemand, b: BodyDemand) -> list[tuple[Array, str]]:
     """By how much the places that two tasks ask of points of one body exclude each other, in metres."""
     arm = b.local[:3, 3] - a.local[:3, 3]
     length, out = float(np.linalg.norm(arm)), []
@@ -160,7 +160,7 @@ def _places(a: Held, b: Held) -> list[tuple[Array, str]]:
     return out
 
 
-def _body(h: Held) -> Array:
+def _body(h: BodyDemand) -> Array:
     """The rotation (..., 3, 3) of the body that a task asks for."""
     return h.goal[..., :3, :3] @ h.local[:3, :3].T
 
@@ -176,7 +176,7 @@ def _more(off: Array, slack: float, *sizes: Array) -> Array:
     return np.where(off > slack + SLACK * size, off, 0.0)
 
 
-def longest_between(system: System, a: Held, b: Held) -> float:
+def longest_between(system: System, a: BodyDemand, b: BodyDemand) -> float:
     """The largest distance that lengths of links, and limits of slides, allow between two points; may be infinite."""
     above = [_up(system, h.row) for h in (a, b)]
     common = next((row for row in above[0] if row in above[1]), -1)

@@ -11,7 +11,7 @@ from kempe.joints import P
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kinematics.configuration import sampling_box
 from kempe.kinematics.forward import fk
-from kempe.kinematics.tasks.task import Centred, Placed
+from kempe.kinematics.tasks.task import Centred, PlacedTask
 from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
 from kempe.spatial import Array
@@ -34,7 +34,7 @@ def beside(problem: Demands, home: Array) -> Array:
     if not len(base) or problem.packed.loops.plan[L.BASE_TIE] >= 0:
         return home[None]
     for task in problem.tasks:
-        if not isinstance(task, Placed) or isinstance(task, Centred):
+        if not isinstance(task, PlacedTask) or isinstance(task, Centred):
             continue
         placed = task.point and task.weight is None and task.hold(system).a is None
         if not placed:

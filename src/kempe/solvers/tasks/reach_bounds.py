@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.kernels.constraints import loop_layout as L
-from kempe.kinematics.tasks.task import Centred, Goals, Hold, Placed, Task
+from kempe.kinematics.tasks.task import Centred, Goals, PlacedTask, Task, TaskTie
 from kempe.model.tree.gauge import regauge
 from kempe.model.tree.own_tree import own_tree
 from kempe.model.tree.primitive_table import local_chain
@@ -40,7 +40,7 @@ def beyond(problem: Demands, task: Task, goals: Goals) -> Array:
     """
     system, (goal, _) = own_tree(problem.system), goals[0]
     none = np.zeros((1, 2))
-    if not isinstance(task, Placed) or isinstance(task, Centred) or task.bounded or goal is None:
+    if not isinstance(task, PlacedTask) or isinstance(task, Centred) or task.bounded or goal is None:
         return none
     if not task.shape.mask or task.shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE):
         return none
@@ -56,7 +56,7 @@ def beyond(problem: Demands, task: Task, goals: Goals) -> Array:
     return by_lengths(bounds, goal, problem.tolerance_of(task), turned, axes, system.dim)
 
 
-def _bounds(system: System, hold: Hold) -> tuple[list[ReachBound], int]:
+def _bounds(system: System, hold: TaskTie) -> tuple[list[ReachBound], int]:
     """Bounds for the point that a task holds, and how many coordinates move it."""
     table, _, v_index = local_chain(system.structure.table, hold.b)
     row, X, particle = table.at[hold.b]

@@ -26,7 +26,7 @@ RANK = 1e-8
 """Singular values below this fraction of the largest count as zero."""
 
 
-class _Rows(NamedTuple):
+class _DerivativeRows(NamedTuple):
     """Equations (..., m) and Jacobians (..., m, nv) that hold, and those, weighted, whose squares are least."""
 
     held: Array
@@ -75,7 +75,7 @@ def _one(problem: Demands, q: Array) -> dict[str, Array]:
     g = at.S.T @ at.soft
     multipliers = np.linalg.lstsq(at.H.T, -g, rcond=RANK)[0]
 
-    def slope(rows: _Rows) -> Array:
+    def slope(rows: _DerivativeRows) -> Array:
         """Gradients (n, nv) of the Lagrangian."""
         return np.einsum("nij,ni->nj", rows.S, rows.soft) + np.einsum("nij,i->nj", rows.H, multipliers)
 
@@ -117,7 +117,7 @@ def _active(problem: Demands, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
         own]  # fmt: skip
 
 
-def _rows(problem: Demands, q: Array, pins: Array, counts: tuple[np.ndarray, np.ndarray, Array]) -> _Rows:
+def _rows(problem: Demands, q: Array, pins: Array, counts: tuple[np.ndarray, np.ndarray, Array]) -> _DerivativeRows:
     """What is held and what is lowered at q (..., nq), for pins (n or 1, k)."""
     packed, (held, soft, weight) = problem.packed, counts
     error, J = packed.evaluate(q, pins)
@@ -128,8 +128,8 @@ def _rows(problem: Demands, q: Array, pins: Array, counts: tuple[np.ndarray, np.
     if problem.mode == AHEAD and problem.aim is not None:
         miss = problem.system.structure.layout.difference(np.broadcast_to(problem.aim[0], q.shape), q) / packed.scale
         S = np.broadcast_to(np.eye(len(packed.scale)), (*q.shape[:-1], len(packed.scale), len(packed.scale)))
-    return _Rows(np.concatenate([error[..., held], closed], axis=-1),
-                 np.concatenate([J[..., held, :], C], axis=-2), miss, S)  # fmt: skip
+    return _DerivativeRows(np.concatenate([error[..., held], closed], axis=-1),
+                           np.concatenate([J[..., held, :], C], axis=-2), miss, S)  # fmt: skip
 
 
 def _free(problem: Demands, q: Array, H: Array) -> np.ndarray:

@@ -30,7 +30,7 @@ from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
-    from kempe.solvers.velocity.servo_closed import Closed, Stage
+    from kempe.solvers.velocity.servo_closed import ConstrainedSteps, Stage
 
 WHOLE = 1.0 - 1e-3
 """Fraction of what is wanted that counts as all of it: damping takes less than the rest far from singularities."""
@@ -243,7 +243,7 @@ def _held_step(
 
 
 def _wanted(
-    system: System, closed: Closed, q: Array, wanted: Any, frame: str | None, dt: float, weights: Array
+    system: System, closed: ConstrainedSteps, q: Array, wanted: Any, frame: str | None, dt: float, weights: Array
 ) -> tuple[Callable[[Array], list[Stage]], Array]:  # fmt: skip
     """What is required at a configuration (nq,), as a function of it, and the Jacobian (6, nv) of the frame, if any."""
     from kempe.solvers.velocity.servo_closed import posed, stages_of
@@ -262,9 +262,9 @@ def _wanted(
 
 @kept
 def _closed(system: System) -> Any:
-    from kempe.solvers.velocity.servo_closed import Closed
+    from kempe.solvers.velocity.servo_closed import ConstrainedSteps
 
-    return Closed(system)
+    return ConstrainedSteps(system)
 
 
 def _part(had: Array, requested: Array) -> float:

@@ -88,7 +88,7 @@ class Left(NamedTuple):
     high: Array
 
 
-class Closed:
+class ConstrainedSteps:
     """All of a system's steps under its constraints that does not depend on the configuration."""
 
     def __init__(self, system: System):

@@ -34,7 +34,7 @@ NUMBERS = ("weight", "margin")
 
 
 @dataclass(frozen=True)
-class _Row:
+class _TaskRow:
     """A task with its parameters; those in `many` have an entry for each row of a file."""
 
     kind: type[Constraint]
@@ -46,7 +46,7 @@ class _Row:
 class FileTasks:
     """The tasks of a file, for `count` problems, None where it asks one."""
 
-    rows: tuple[_Row, ...]
+    rows: tuple[_TaskRow, ...]
     count: int | None
 
     def tasks(self, start: int = 0, stop: int | None = None) -> list[Constraint]:
@@ -66,13 +66,13 @@ def read(system: System, path: Path, degrees: bool = False) -> FileTasks:
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     document = Document(Source(str(path), decode(path.read_bytes(), str(path))))
-    reader = _Reader(system, document, path.parent, degrees)
+    reader = _TaskReader(system, document, path.parent, degrees)
     found = reader.all()
     document.findings.finish()
     return found
 
 
-class _Reader:
+class _TaskReader:
     """Makes tasks of the tables of a document."""
 
     def __init__(self, system: System, document: Document, folder: Path, degrees: bool):
@@ -95,7 +95,7 @@ class _Reader:
             findings.add(f"the files that values name have {said} rows", "", where("task"), "they need as many each")
         return FileTasks(made, counts.pop() if len(counts) == 1 else None)
 
-    def task(self, table: dict[str, Any], index: int) -> _Row | None:
+    def task(self, table: dict[str, Any], index: int) -> _TaskRow | None:
         """A task, or None after recording what is wrong."""
         findings, at = self.document.findings, ("task", index)
         kind = table.get("type")
@@ -125,11 +125,11 @@ class _Reader:
                 findings.add(f"the key {key!r} is missing", subject, self.document.where(*at), allowed)
         if len(findings.problems) > before:
             return None
-        row = _Row(types()[kind], given, frozenset(many))
+        row = _TaskRow(types()[kind], given, frozenset(many))
         self.check(row, subject, at)
         return row if len(findings.problems) == before else None
 
-    def check(self, row: _Row, subject: str, at: tuple[str, int]) -> None:
+    def check(self, row: _TaskRow, subject: str, at: tuple[str, int]) -> None:
         """Record what does not fit the system, at the key that it is about."""
         try:
             made = task_of(row.kind(**row.given), self.system.dim)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.solvers.analytic.answers.nearest import fixed_joints, held_coordinates
-from kempe.solvers.analytic.plans.plan import Plan, free_lines
+from kempe.solvers.analytic.plans.plan import ChainPlan, free_lines
 from kempe.solvers.one_frame.multi_start import MOST
 from kempe.words import in_words
 
@@ -46,12 +46,12 @@ def tried_sentence(solutions: Solutions, index: int, spare: list[int]) -> str:
     return f" with {joints} at any of {tried} values tried, and none from {MOST} starts of a search"
 
 
-def spare_joints(plan: Plan) -> list[int]:
+def spare_joints(plan: ChainPlan) -> list[int]:
     """Joints that are locked only because the chain has more than the task needs."""
     return [i for i in plan.locked if i not in fixed_joints(plan)]
 
 
-def more_than_enough(plan: Plan) -> bool:
+def more_than_enough(plan: ChainPlan) -> bool:
     """Whether the chain has more joints than the task has equations: else freedoms to spare come from its lengths."""
     free = free_lines(plan.lines, plan.task, plan.planar)
     return len(plan.lines) - len(fixed_joints(plan)) + len(free.kinds) > (3 if plan.planar else 6)

@@ -23,9 +23,9 @@ from kempe.solvers.analytic.answers.explain_held import (
 )
 from kempe.solvers.analytic.answers.families import EXACT, Family
 from kempe.solvers.analytic.answers.nearest import aim_of, fixed_joints, held_coordinates, nearest
-from kempe.solvers.analytic.plans.plan import Plan, carried_lines, free_lines
+from kempe.solvers.analytic.plans.plan import ChainPlan, carried_lines, free_lines
 from kempe.solvers.analytic.plans.plan import freedoms as rank_of
-from kempe.solvers.analytic.plans.structure import Axes, Way
+from kempe.solvers.analytic.plans.structure import Axes, Strategy
 from kempe.solvers.common.proofs import Lengths, by_lengths
 from kempe.solvers.common.serial_chain import chain_of
 from kempe.solvers.common.targets import not_a_pose
@@ -121,7 +121,7 @@ def _reached(solutions: Solutions, index: int) -> str:
     return text
 
 
-def _completeness(plan: Plan, k: int, doubt: bool, spare: bool) -> str:
+def _completeness(plan: ChainPlan, k: int, doubt: bool, spare: bool) -> str:
     if k == 0:
         return ""
     if doubt:
@@ -156,7 +156,7 @@ def _families(families: list[Family]) -> str:
     return "; ".join(out)
 
 
-def _ground(plan: Plan) -> str:
+def _ground(plan: ChainPlan) -> str:
     """Why there is a closed form."""
     way, n = plan.way, len(plan.lines)
     if way is None:
@@ -251,7 +251,7 @@ def _without_root(solutions: Solutions, index: int) -> str:
     return min(texts)[1]
 
 
-def _terms(solutions: Solutions, index: int, way: Way) -> Array:
+def _terms(solutions: Solutions, index: int, way: Strategy) -> Array:
     """Constant and factors (2, 2, 3) of joints x and z in both measures, see `kernels.outer`."""
     from kempe.kernels.compiled import candidates
 
@@ -292,7 +292,7 @@ def _roots(t: Array, wanted: float, slides: bool) -> list[tuple[float, float]]:
     return [(math.cos(middle + s * half), math.sin(middle + s * half)) for s in (1.0, -1.0)]
 
 
-def _named(solutions: Solutions, way: Way, joint: int, measure: int, t: Array, wanted: float) -> str:
+def _named(solutions: Solutions, way: Strategy, joint: int, measure: int, t: Array, wanted: float) -> str:
     """That a joint cannot bring what the inner joints keep to where the target wants it; '' for joints of nobody."""
     plan = solutions.plan
     n, length = len(plan.lines), plan.lines.length

@@ -14,7 +14,7 @@ from kempe.calls import explained_methods
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.reals import reals
-from kempe.solvers.analytic.answers.family_curves import Motion
+from kempe.solvers.analytic.answers.family_curves import TolerantMotion
 from kempe.solvers.analytic.answers.family_points import SINGULAR
 from kempe.solvers.analytic.answers.nearest import Aim, aim_of, held_coordinates
 from kempe.solvers.analytic.plans.plan import kernel_of
@@ -59,7 +59,7 @@ class Family:
     joints: tuple[str, ...]
     parameter: str | None
     residual: float
-    _motion: Motion = field(repr=False)
+    _motion: TolerantMotion = field(repr=False)
     _theta: Array = field(repr=False)
     _base: Array = field(repr=False)
 
@@ -207,7 +207,7 @@ def families_of(solutions: Solutions, index: int) -> tuple[list[Family], np.ndar
         return [], row_family
     aim, rows = aim_of(solutions, index, spare=True), np.flatnonzero(used)
     theta = plan.lines.theta(numbers[rows, : len(plan.lines)])
-    motion = Motion(aim, solutions.question.tolerance)
+    motion = TolerantMotion(aim, solutions.question.tolerance)
     J = aim.at(theta)[1]
     if J.shape[2] == 0:
         return [], row_family
@@ -247,7 +247,7 @@ def _left_out(solutions: Solutions, index: int, aim: Aim) -> Array:
     return plan.lines.theta(out[0, (code >= 0.0) & (code < A.MULTIPLICITY_UNIT), :n])
 
 
-def _collect(families: list[Family], motion: Motion, theta: Array, base: Array) -> None:
+def _collect(families: list[Family], motion: TolerantMotion, theta: Array, base: Array) -> None:
     """Add the families on which variables (n,) lie, and those that cross them."""
 
     def known(x: Array) -> bool:
@@ -262,7 +262,7 @@ def _collect(families: list[Family], motion: Motion, theta: Array, base: Array) 
             starts += motion.crossings_of(curve) if curve.dimension == 1 else []
 
 
-def in_turn(motion: Motion, theta: Array, base: Array) -> Array:
+def in_turn(motion: TolerantMotion, theta: Array, base: Array) -> Array:
     """Coordinates (..., n) of variables, of each angle the turn that is inside the limits and near `base` (nq,)."""
     lines = motion.aim.lines
     q, near, (low, high) = (theta - lines.gauge) / lines.multiplier, base[lines.q_index], lines.limits
@@ -274,12 +274,12 @@ def in_turn(motion: Motion, theta: Array, base: Array) -> Array:
     return np.where((y >= low) & (y <= high), y, x)
 
 
-def _known(families: list[Family], motion: Motion, theta: Array) -> int:
+def _known(families: list[Family], motion: TolerantMotion, theta: Array) -> int:
     """The number of the family on which variables (n,) lie, or -1."""
     return next((i for i, f in enumerate(families) if _on(f, motion, theta)), -1)
 
 
-def _on(family: Family, motion: Motion, theta: Array) -> bool:
+def _on(family: Family, motion: TolerantMotion, theta: Array) -> bool:
     if family.dimension > 1:
         return motion.joined(theta, family._theta, family.dimension)
     if np.abs(motion.gap(family._theta, theta)).max(axis=1).min() > 1.0:
@@ -288,7 +288,7 @@ def _on(family: Family, motion: Motion, theta: Array) -> bool:
     return bool(np.abs(motion.gap(nearest, theta)).max() < ON)
 
 
-def _family(motion: Motion, curve: Any, base: Array) -> Family:
+def _family(motion: TolerantMotion, curve: Any, base: Array) -> Family:
     """A family with names and units."""
     lines, theta = motion.aim.lines, curve.theta
     first = lines.theta(in_turn(motion, theta[0], base))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kempe.kinematics.common.gauss_newton import Found, gauss_newton, least_squares
+from kempe.kinematics.common.gauss_newton import GaussNewtonEnd, gauss_newton, least_squares
 from kempe.solvers.analytic.answers.family_points import CORRECTIONS, DIRECTIONS, SINGULAR, Points
 from kempe.solvers.common.tracing import NONE, Curve, Node, step, walk
 from kempe.spatial import Array
@@ -47,7 +47,7 @@ class Samples:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion(Points, Curve):
+class TolerantMotion(Points, Curve):
     """What a chain can do with its target reached to a tolerance [m, rad]."""
 
     @property
@@ -113,7 +113,7 @@ class Motion(Points, Curve):
             return None
         return Samples(1, x, t, t[:1], end == "closed", worst, np.array([a.sigma for a in nodes]))
 
-    def corrected(self, x: Array, across: Array) -> Found | None:
+    def corrected(self, x: Array, across: Array) -> GaussNewtonEnd | None:
         """What is found on target near x (n,), in the plane across a direction, or None."""
         found = self.led(x, across[None])
         return found if self.on_target(found.r) else None

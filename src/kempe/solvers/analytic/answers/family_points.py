@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from kempe import spatial
-from kempe.kinematics.common.gauss_newton import Found, gauss_newton, gauss_newton_of_many, least_squares
+from kempe.kinematics.common.gauss_newton import GaussNewtonEnd, gauss_newton, gauss_newton_of_many, least_squares
 from kempe.solvers.analytic.answers.nearest import Aim
 from kempe.spatial import Array
 
@@ -93,7 +93,7 @@ class Points:
         out[:, moves] = Vt[len(moves) - d :]
         return out
 
-    def led(self, theta: Array, free: Array) -> Found:
+    def led(self, theta: Array, free: Array) -> GaussNewtonEnd:
         """Variables (n,) moved across directions `free` (d, n) until the error is least; error and Jacobian there."""
 
         def step(theta: Array, e: Array, J: Array) -> Array:

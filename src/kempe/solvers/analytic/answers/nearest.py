@@ -13,7 +13,7 @@ from kempe import spatial
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.solvers.analytic.plans.chain_lines import Lines
-from kempe.solvers.analytic.plans.plan import TASKS, Plan
+from kempe.solvers.analytic.plans.plan import TASKS, ChainPlan
 from kempe.solvers.common.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 
@@ -117,7 +117,7 @@ def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
     return Aim(plan.lines, np.flatnonzero(TASKS[plan.task]), target, moves)
 
 
-def fixed_joints(plan: Plan) -> tuple[int, ...]:
+def fixed_joints(plan: ChainPlan) -> tuple[int, ...]:
     """Joints that the caller wants held; others may be locked because the chain has more than the task needs."""
     return tuple(getattr(plan, "fixed", ()))
 

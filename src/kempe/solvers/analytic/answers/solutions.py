@@ -16,7 +16,7 @@ from kempe.kinematics.common.result import Cells, by_code
 from kempe.solvers.analytic.plans.branch_names import Kind, branch_names, kind_of, named
 from kempe.solvers.analytic.plans.outcome import codes, goals
 from kempe.solvers.analytic.plans.plan import TASKS
-from kempe.solvers.common.answer import Answer, Rows
+from kempe.solvers.common.answer import Answer, ConfigurationList
 from kempe.solvers.common.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 from kempe.status import member
@@ -24,14 +24,14 @@ from kempe.status import member
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.analytic.answers.families import Family
-    from kempe.solvers.analytic.ik_all import Bound
-    from kempe.solvers.analytic.plans.plan import Plan
+    from kempe.solvers.analytic.ik_all import BoundIkAll
+    from kempe.solvers.analytic.plans.plan import ChainPlan
     from kempe.solvers.analytic.plans.question import Question
     from kempe.solvers.common.problem import Choice
 
 
 @explained_methods
-class Solutions(Rows, Answer):
+class Solutions(ConfigurationList, Answer):
     """All configurations that reach a target, or each of a batch of targets.
 
     For one target: `q` (k, nq), those inside the limits first, each group sorted by nearness to `start`. For a batch:
@@ -44,8 +44,8 @@ class Solutions(Rows, Answer):
     """
 
     def __init__(
-        self, question: Question | tuple[Bound, Array], plan: Plan, base: Array, rows: Array, counts: np.ndarray,
-        lead: tuple[int, ...] | None, used: int | None = None, locked: Array | None = None,
+        self, question: Question | tuple[BoundIkAll, Array], plan: ChainPlan, base: Array, rows: Array,
+        counts: np.ndarray, lead: tuple[int, ...] | None, used: int | None = None, locked: Array | None = None,
         first: Array | None = None, tried: np.ndarray | None = None,
     ):  # fmt: skip
         self._question, self.plan = question, plan

@@ -10,8 +10,8 @@ from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, P
 from kempe.kernels.compiled import candidates
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.solvers.analytic.plans.chain_lines import Lines
-from kempe.solvers.analytic.plans.plan import Plan, carried_lines, free_lines, freedoms, motion, spread, sweep
-from kempe.solvers.analytic.plans.structure import EXACT, Axes, Way
+from kempe.solvers.analytic.plans.plan import ChainPlan, carried_lines, free_lines, freedoms, motion, spread, sweep
+from kempe.solvers.analytic.plans.structure import EXACT, Axes, Strategy
 from kempe.spatial import Array
 from kempe.words import in_words, joined
 
@@ -32,7 +32,7 @@ ELIMINATED = (
 METHODS = {"closed": "closed form", "elimination": "elimination", "search": "search"}
 
 
-def path(plan: Plan, given: frozenset[str], planar: bool) -> tuple[str, ...]:
+def path(plan: ChainPlan, given: frozenset[str], planar: bool) -> tuple[str, ...]:
     """Sentences: what is held, what is missing or free, which joints do what; `given` are joints held by the user."""
     out = [*_held(plan, given), *_balance(plan, planar)]
     if plan.method == "closed":
@@ -44,7 +44,7 @@ def path(plan: Plan, given: frozenset[str], planar: bool) -> tuple[str, ...]:
     return tuple(out)
 
 
-def most(plan: Plan) -> int:
+def most(plan: ChainPlan) -> int:
     """The largest number of isolated configurations, turns by 2 pi not counted; held joints stay at their values."""
     places = [i for i in range(len(plan.lines)) if i not in plan.locked]
     kinds = np.concatenate([plan.lines.kinds[places], plan.extra.kinds])
@@ -57,7 +57,7 @@ def most(plan: Plan) -> int:
 # ---- what is held, missing or free
 
 
-def _held(plan: Plan, given: frozenset[str]) -> list[str]:
+def _held(plan: ChainPlan, given: frozenset[str]) -> list[str]:
     names = [plan.lines.names[i] for i in plan.locked]
     by_user, chosen = [n for n in names if n in given], [n for n in names if n not in given]
     out = []
@@ -71,7 +71,7 @@ def _held(plan: Plan, given: frozenset[str]) -> list[str]:
     return out
 
 
-def _balance(plan: Plan, planar: bool) -> list[str]:
+def _balance(plan: ChainPlan, planar: bool) -> list[str]:
     """Sentences about what the task leaves free and about equations that the chain cannot meet at will."""
     out = []
     unknown = [i for i in range(len(plan.lines)) if i not in plan.locked]
@@ -88,7 +88,7 @@ def _balance(plan: Plan, planar: bool) -> list[str]:
     return out
 
 
-def _why(plan: Plan, planar: bool) -> str:
+def _why(plan: ChainPlan, planar: bool) -> str:
     """What the frame can never do, as part of a sentence."""
     if planar:
         return ""
@@ -131,7 +131,7 @@ def _is(names: list[str]) -> str:
 # ---- closed forms
 
 
-def _closed(plan: Plan) -> list[str]:
+def _closed(plan: ChainPlan) -> list[str]:
     assert plan.way is not None
     steps, out = _Steps(plan, plan.way), []
     if steps.swapped:
@@ -142,7 +142,7 @@ def _closed(plan: Plan) -> list[str]:
 class _Steps:
     """The three outer and the three inner joints of a way, and what each contributes."""
 
-    def __init__(self, plan: Plan, way: Way):
+    def __init__(self, plan: ChainPlan, way: Strategy):
         self.plan, self.way = plan, way
         n = len(plan.lines)
         places = [(way.inner + k) % 6 for k in range(6)]
@@ -249,7 +249,7 @@ class _Steps:
         return f"{then}{joined(inner)} {give} the motion within the plane, {kind}{ways}"
 
 
-def _amplitudes(plan: Plan, way: Way) -> Array:
+def _amplitudes(plan: ChainPlan, way: Strategy) -> Array:
     """Largest size (2, 2, 2) of the factors of x and z (rows) in both measures, over some goals."""
     rng, lines = np.random.default_rng(13), plan.lines
     theta = spread(lines, rng, 1)[0]

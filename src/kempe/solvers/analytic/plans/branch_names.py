@@ -16,7 +16,7 @@ from kempe.calls import listed
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.forward.table_layout import TURN
 from kempe.solvers.analytic.plans.chain_lines import Lines
-from kempe.solvers.analytic.plans.plan import Plan, sweep
+from kempe.solvers.analytic.plans.plan import ChainPlan, sweep
 from kempe.solvers.analytic.plans.structure import Axes, keeps_point, meets, parallel
 from kempe.spatial import Array
 
@@ -49,7 +49,7 @@ class Kind:
     three_parallel: bool = False
 
 
-def kind_of(plan: Plan, planar: bool) -> Kind | None:
+def kind_of(plan: ChainPlan, planar: bool) -> Kind | None:
     """The kind of arm of a plan, None where its branches have no names."""
     lines = plan.lines
     n = len(lines)

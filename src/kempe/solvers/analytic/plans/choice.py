@@ -12,8 +12,8 @@ from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.solvers.analytic.plans.chain_lines import Lines
 from kempe.solvers.analytic.plans.plan import (
+    ChainPlan,
     Extra,
-    Plan,
     carried_lines,
     free_lines,
     freedoms,
@@ -40,7 +40,7 @@ NEARLY = 1e-3
 """Sine of an angle, or distance in lengths of the chain, below which an elimination has trouble with two axes."""
 
 
-def plan_holding(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) -> Plan:
+def plan_holding(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) -> ChainPlan:
     """The plan with as many joints locked, beside those `fixed`, as the chain has too many.
 
     Best is to hold slides that carry an arm of turns: a rail, a torso. Then what counts is how the rest is solved (side
@@ -53,7 +53,7 @@ def plan_holding(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) 
     extra = len(unknown) + len(free.kinds) - rank
     if extra <= 0:
         return make(lines, task, fixed, planar)
-    best: tuple[tuple[float, ...], Plan] | None = None
+    best: tuple[tuple[float, ...], ChainPlan] | None = None
     choices = list(_able(lines, task, free, unknown, extra, rank))
     for carried, some in itertools.groupby(choices, lambda choice: _carries(lines, unknown, choice)):
         group = [tuple(sorted((*fixed, *choice))) for choice in some]
@@ -105,14 +105,14 @@ def _carries(lines: Lines, unknown: list[int], choice: tuple[int, ...]) -> bool:
     return bool(slides) and set(slides) <= set(choice)
 
 
-def _rank(plan: Plan) -> float:
+def _rank(plan: ChainPlan) -> float:
     """How a plan is solved, 0 the fastest."""
     if plan.method == "closed":
         return 0.0 if plan.side_by_side else 1.0
     return 2.0
 
 
-def _first(plan: Plan, fixed: tuple[int, ...]) -> tuple[float, ...]:
+def _first(plan: ChainPlan, fixed: tuple[int, ...]) -> tuple[float, ...]:
     """Coordinates (n,) at which joints are held by choice where nobody says where: zero, inside the limits.
 
     An elimination takes long where axes line up that do not otherwise; there they are held aside of zero.
@@ -131,7 +131,7 @@ def _first(plan: Plan, fixed: tuple[int, ...]) -> tuple[float, ...]:
     return tuple(there.tolist())
 
 
-def _aligned(plan: Plan, theta: Array) -> int:
+def _aligned(plan: ChainPlan, theta: Array) -> int:
     """How many joints that move have an axis nearly parallel to the next one's, or nearly meeting it, at theta (n,)."""
     axes, _ = carried_lines(plan.lines, plan.locked, plan.extra, theta)
     moving, count = [i for i in range(len(plan.lines)) if i not in plan.locked], 0
@@ -142,7 +142,7 @@ def _aligned(plan: Plan, theta: Array) -> int:
     return count
 
 
-def _share(plan: Plan) -> float:
+def _share(plan: ChainPlan) -> float:
     """The share of random poses that have a solution inside the limits with the locked joints where they are first."""
     lines, n = plan.lines, len(plan.lines)
     q = within_domains(lines, np.random.default_rng(17).random((SAMPLES, n)))

@@ -15,7 +15,7 @@ from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import X_FIRST, Z_FIRST
 from kempe.kernels.forward.table_layout import SLIDE, TURN
 from kempe.solvers.analytic.plans.chain_lines import Lines
-from kempe.solvers.analytic.plans.structure import Axes, Way, ways
+from kempe.solvers.analytic.plans.structure import Axes, Strategy, ways
 from kempe.solvers.common.targets import TASKS as TASKS
 from kempe.spatial import Array
 
@@ -43,7 +43,7 @@ class Extra:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class ChainPlan:
     """How a chain's inverse model is solved: packed for the kernels, with what a reader wants to know.
 
     `method` is "closed", "elimination" or "search"; `locked` are the joints held at values: those `fixed` by whoever
@@ -55,7 +55,7 @@ class Plan:
     task: str
     locked: tuple[int, ...]
     method: str
-    way: Way | None
+    way: Strategy | None
     extra: Extra = field(repr=False)
     ints: np.ndarray = field(repr=False)
     floats: np.ndarray = field(repr=False)
@@ -70,7 +70,7 @@ class Plan:
         return bool(np.any(self.extra.roles == A.REST)) and not self.planar
 
     @cached_property
-    def other(self) -> Plan | None:
+    def other(self) -> ChainPlan | None:
         """Another plan for the same, with other lines at rest; None where there is none."""
         found = make(self.lines, self.task, self.locked, self.planar, self.extra)
         return found if found.method != "search" else None
@@ -237,7 +237,7 @@ def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
     return int((values > RANK * values[:, :1]).sum(axis=1).max())
 
 
-def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None) -> Plan:
+def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None) -> ChainPlan:
     """The plan for a chain of which so many joints are locked that the others are not redundant.
 
     but: lines that complete it in a plan that is known; then another one is made.
@@ -255,7 +255,7 @@ def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Ex
 
 def in_closed_form(
     lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None
-) -> Plan | None:
+) -> ChainPlan | None:
     """The plan that solves the joints that are not locked in closed form, None where there is none; see `make`."""
     unknown = [i for i in range(len(lines)) if i not in locked]
     if not unknown:
@@ -277,7 +277,9 @@ def _completions(lines: Lines, task: str, unknown: list[int], planar: bool, but:
             yield extra
 
 
-def _by_elimination(lines: Lines, task: str, unknown: list[int], locked: tuple[int, ...], extra: Extra) -> Plan | None:
+def _by_elimination(
+    lines: Lines, task: str, unknown: list[int], locked: tuple[int, ...], extra: Extra
+) -> ChainPlan | None:
     """The plan that takes the six lines as general ones; None where no formulation suits them."""
     from kempe.kernels.closed_form.analytic_layout import FORMULATIONS
     from kempe.kernels.compiled import elimination_score
@@ -294,7 +296,7 @@ def _by_elimination(lines: Lines, task: str, unknown: list[int], locked: tuple[i
     return plan if _error(plan) < AGAIN else None
 
 
-def kernel_of(plan: Plan) -> Callable[..., None]:
+def kernel_of(plan: ChainPlan) -> Callable[..., None]:
     """The kernel that carries out a plan."""
     if plan.method == "elimination":
         from kempe.kernels.compiled import elimination_ik
@@ -305,7 +307,7 @@ def kernel_of(plan: Plan) -> Callable[..., None]:
     return every_solution.closed
 
 
-def side_by_side_of(plan: Plan) -> Callable[..., int] | None:
+def side_by_side_of(plan: ChainPlan) -> Callable[..., int] | None:
     """The kernel that solves many targets side by side, None where the plan is not made for it."""
     if not plan.side_by_side:
         return None
@@ -318,7 +320,7 @@ def _parts(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
     return extra.kinds, extra.h, extra.o, extra.roles
 
 
-def _ways(lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extra) -> list[Way]:
+def _ways(lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extra) -> list[Strategy]:
     """Ways for the six lines, as they are common to two positions of the locked joints."""
     rng, variants, goals = np.random.default_rng(11), [], []
     places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
@@ -331,10 +333,10 @@ def _ways(lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extr
         goals.append([np.ascontiguousarray(g[:3]).ravel() for g in G])
     at_rest = {i for i, j in enumerate(places) if j >= len(lines) and extra.roles[j - len(lines)] == A.REST}
     found = ways(variants, goals, at_rest)
-    return [Way(tuple(places[i] for i in w.order), *_tail(w)) for w in found]
+    return [Strategy(tuple(places[i] for i in w.order), *_tail(w)) for w in found]
 
 
-def _tail(w: Way) -> tuple[int, int, int, int, int]:
+def _tail(w: Strategy) -> tuple[int, int, int, int, int]:
     return w.inner, w.what, w.mode, w.measure, w.option
 
 
@@ -352,9 +354,9 @@ def carried_lines(lines: Lines, locked: tuple[int, ...], extra: Extra, theta: Ar
 
 
 def pack(
-    lines: Lines, task: str, locked: tuple[int, ...], extra: Extra, way: Way | None,
+    lines: Lines, task: str, locked: tuple[int, ...], extra: Extra, way: Strategy | None,
     forms: tuple[tuple[int, ...], list[int]] | None = None,
-) -> Plan:  # fmt: skip
+) -> ChainPlan:  # fmt: skip
     """The plan with its arrays, see `kernels.analytic_layout`; forms: order and formulations of an elimination."""
     n, k = len(lines), len(extra.kinds)
     ints = np.zeros(A.PLAN_HEADER + n + k + n, dtype=np.int64)
@@ -376,10 +378,10 @@ def pack(
     joints = np.column_stack([lines.gauge, lines.multiplier, *lines.limits]).ravel()
     floats = np.concatenate([head, axes.packed(), joints])
     method = "closed" if way is not None else "search" if forms is None else "elimination"
-    return Plan(lines, task, locked, method, way, extra, ints, floats)
+    return ChainPlan(lines, task, locked, method, way, extra, ints, floats)
 
 
-def _error(plan: Plan) -> float:
+def _error(plan: ChainPlan) -> float:
     """The angle or length up to which the plan finds four of five random configurations again."""
     lines, rng = plan.lines, np.random.default_rng(3)
     theta = spread(lines, rng, TRIALS)

@@ -42,7 +42,7 @@ class Axes:
 
 
 @dataclass(frozen=True)
-class Way:
+class Strategy:
     """A way to solve six lines in closed form: their `order`, the place `inner` of the three joints that leave `what`
     (POINT or PLANE) in place, and how the outer three are solved: `mode`, `measure`, `option` (see `kernels.outer`)."""
 
@@ -130,7 +130,7 @@ def orders(variants: list[Axes]) -> Iterator[tuple[int, ...]]:
                 seen.append(other)
 
 
-def ways(variants: list[Axes], goals: list[Array], at_rest: set[int]) -> list[Way]:
+def ways(variants: list[Axes], goals: list[Array], at_rest: set[int]) -> list[Strategy]:
     """All ways to solve six lines in closed form, the best first.
 
     variants: the lines for several positions of locked joints, of which the structure must be common; goals: for each
@@ -145,9 +145,9 @@ def ways(variants: list[Axes], goals: list[Array], at_rest: set[int]) -> list[Wa
                 if not all(keeps(axes, k) for axes in now):
                     continue
                 if outer <= at_rest:
-                    found.append((-1, Way(order, k, what, AT_REST, 0, 0)))
+                    found.append((-1, Strategy(order, k, what, AT_REST, 0, 0)))
                 elif what == POINT or sum(now[0].kinds[(k + 3 + i) % 6] == SLIDE for i in range(3)) < 2:
-                    found += [(rank, Way(order, k, what, *how)) for rank, how in _outer(now, goals, k, what)]
+                    found += [(rank, Strategy(order, k, what, *how)) for rank, how in _outer(now, goals, k, what)]
     return [way for _, way in sorted(found, key=lambda pair: pair[0])]
 
 

@@ -22,7 +22,7 @@ from kempe.solvers.analytic.plans.choice import domains
 from kempe.solvers.analytic.plans.question import held, near_of
 from kempe.solvers.analytic.redundant.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, no_arm, required_arm
 from kempe.solvers.analytic.redundant.sweep import Sweep
-from kempe.solvers.analytic.redundant.sweep_curves import Arc, Motion
+from kempe.solvers.analytic.redundant.sweep_curves import ChainMotion, CurvePiece
 from kempe.solvers.analytic.redundant.sweep_net import arcs_through
 from kempe.solvers.common.problem import Problem, Solver, choose, chosen_by
 from kempe.solvers.common.targets import Z_AXIS, axis_for, targets_of, task_and_axis, task_of
@@ -246,8 +246,8 @@ class JointCurves:
 
     exact, circular = False, False
 
-    def __init__(self, motion: Motion, arcs: list[Arc], name: str, domain: tuple[float, float], fixed: dict[str, float],
-                 samples: int):  # fmt: skip
+    def __init__(self, motion: ChainMotion, arcs: list[CurvePiece], name: str, domain: tuple[float, float],
+                 fixed: dict[str, float], samples: int):  # fmt: skip
         self.motion, self.arcs, self.lines, self.parameter = motion, arcs, motion.lines, name
         self.domain, self.held, self.base, self.unit = domain, fixed, motion.base, float(motion.unit[motion.p])
         self.labels = tuple(f"branch {k + 1}" for k in range(len(arcs)))
@@ -302,7 +302,7 @@ def _joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> Jo
     base = over.near.copy()
     for other, value in others.items():
         base[lines.q_index[lines.names.index(other)]] = value
-    motion = Motion(over.system, over.frame, lines, over.task, over.axis, over.target, base, free, free.index(i))
+    motion = ChainMotion(over.system, over.frame, lines, over.task, over.axis, over.target, base, free, free.index(i))
     level, row = np.nonzero(found.mask & (found.multiplicity > 0))
     arcs = arcs_through(motion, values / motion.unit[motion.p], motion.x(found.q[level, row]), level)
     return JointCurves(motion, arcs, name, domain, others, samples)

@@ -19,7 +19,7 @@ from kempe.kinematics.tasks.task_classes import task_of
 from kempe.reals import reals
 from kempe.solvers.analytic.plans.chain_lines import Lines
 from kempe.solvers.analytic.redundant.intervals import Intervals, spelled, union
-from kempe.solvers.common.answer import Answer, Rows
+from kempe.solvers.common.answer import Answer, ConfigurationList
 from kempe.solvers.common.targets import Z_AXIS
 from kempe.spatial import Array
 from kempe.status import Status, member
@@ -78,7 +78,7 @@ class Best(NamedTuple):
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Slice(Rows, Answer):
+class Slice(ConfigurationList, Answer):
     """All solutions at one value of the parameter of a `sweep`, or at each of many.
 
     For one: `q` (k, nq), those inside the limits first, and `inside`, `residual` (norm of position error [m] and

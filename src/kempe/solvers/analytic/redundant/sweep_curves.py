@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.kinematics.common.gauss_newton import Found, gauss_newton_of_many
+from kempe.kinematics.common.gauss_newton import GaussNewtonEnd, gauss_newton_of_many
 from kempe.kinematics.common.roots import sign_change
 from kempe.model.system import System
 from kempe.solvers.analytic.plans.chain_lines import Lines
@@ -37,7 +37,7 @@ TWO_PI = 2.0 * math.pi
 
 
 @dataclass(frozen=True, eq=False)
-class Motion(Curve):
+class ChainMotion(Curve):
     """A chain that keeps its task at a target, with one freedom: joints `free` of the chain move, that at `p` of these
     is the parameter, the others stay as in `base` (nq,). x are the free coordinates, slides in lengths of the chain."""
 
@@ -159,10 +159,10 @@ class Motion(Curve):
 
 
 @dataclass(frozen=True, eq=False)
-class Arc:
+class CurvePiece:
     """A piece of a curve over which the parameter rises: nodes x (k, nf) and unit tangents t (k, nf)."""
 
-    motion: Motion
+    motion: ChainMotion
     x: Array
     t: Array
 
@@ -285,7 +285,7 @@ def hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
 
 
 def follow(
-    motion: Motion, start: Array, tangent: Array, between: tuple[float, float]
+    motion: ChainMotion, start: Array, tangent: Array, between: tuple[float, float]
 ) -> tuple[list[Array], list[Array]]:
     """Nodes and tangents of the curve from a point on, until the parameter leaves an interval: the last is on its end.
 
@@ -308,7 +308,7 @@ def follow(
     return [a.x for a in nodes], [a.t for a in nodes]
 
 
-def _landed(motion: Motion, a: Node, b: Node, value: float) -> Found | None:
+def _landed(motion: ChainMotion, a: Node, b: Node, value: float) -> GaussNewtonEnd | None:
     """What is found in a step where the parameter has a value, None where there is none."""
     p = motion.p
     ends = a.x[None], a.t[None], b.x[None], b.t[None]
@@ -322,7 +322,7 @@ def _landed(motion: Motion, a: Node, b: Node, value: float) -> Found | None:
     return end if near else None
 
 
-def pieces(motion: Motion, xs: list[Array], ts: list[Array]) -> list[tuple[Array, Array]]:
+def pieces(motion: ChainMotion, xs: list[Array], ts: list[Array]) -> list[tuple[Array, Array]]:
     """Nodes and tangents between the folds of a path, in its order."""
     nodes, tangents, ends = [xs[0]], [ts[0]], [0]
     for k in range(len(xs) - 1):
@@ -337,9 +337,9 @@ def pieces(motion: Motion, xs: list[Array], ts: list[Array]) -> list[tuple[Array
     return [(np.array(nodes[a : b + 1]), np.array(tangents[a : b + 1])) for a, b in spans]
 
 
-def _folds(motion: Motion, x: Array, t: Array, y: Array, u: Array) -> Iterator[tuple[Array, Array]]:
+def _folds(motion: ChainMotion, x: Array, t: Array, y: Array, u: Array) -> Iterator[tuple[Array, Array]]:
     """Points and tangents in a step where the parameter turns back."""
-    p, piece, at_0 = motion.p, Arc(motion, np.array([x, y]), np.array([t, u])), np.array([0])
+    p, piece, at_0 = motion.p, CurvePiece(motion, np.array([x, y]), np.array([t, u])), np.array([0])
 
     def slope(s: float) -> float:
         return float(node(motion, piece.points(at_0, np.array([s]))[0], t).t[p])

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kempe.solvers.analytic.redundant.sweep_curves import LONGEST, Arc, Motion, follow, pieces
+from kempe.solvers.analytic.redundant.sweep_curves import LONGEST, ChainMotion, CurvePiece, follow, pieces
 from kempe.solvers.common.tracing import BEND
 from kempe.spatial import Array
 
@@ -27,7 +27,7 @@ class Net:
     above a, or begin in one below; `loose` are arcs that no value meets.
     """
 
-    def __init__(self, motion: Motion, values: Array, x: Array, level: np.ndarray):
+    def __init__(self, motion: ChainMotion, values: Array, x: Array, level: np.ndarray):
         self.motion, self.values, self.x, self.level = motion, values, x, level
         t = np.linalg.svd(motion.jacobian(x))[2][:, -1] if len(x) else np.zeros_like(x)
         self.t = np.where(t[:, motion.p, None] < 0.0, -t, t)
@@ -106,7 +106,7 @@ class Net:
         k = int(np.argmin(away))
         return int(some[k]) if away[k] < SAME else None
 
-    def arcs(self) -> list[Arc]:
+    def arcs(self) -> list[CurvePiece]:
         """All arcs, in the order of where they begin."""
         out = [self._arc([piece]) for piece in self.loose]
         for a in range(len(self.x)):
@@ -123,7 +123,7 @@ class Net:
                 out.append(self._arc(parts))
         return sorted(out, key=lambda a: (round(float(a.values[0]), 6), *a.x[0].round(6).tolist()))
 
-    def _arc(self, parts: list[Piece]) -> Arc:
+    def _arc(self, parts: list[Piece]) -> CurvePiece:
         """One arc of pieces that follow each other, angles without jumps, the parameter rising."""
         (x, t), p = parts[0], self.motion.p
         xs, ts = list(x), list(t)
@@ -135,10 +135,10 @@ class Net:
         if x[-1, p] < x[0, p]:
             x, t = x[::-1], -t[::-1]
         keep = np.concatenate([[True], np.diff(np.maximum.accumulate(x[:, p])) > 0.0])
-        return Arc(self.motion, x[keep], t[keep])
+        return CurvePiece(self.motion, x[keep], t[keep])
 
 
-def arcs_through(motion: Motion, values: Array, x: Array, level: np.ndarray) -> list[Arc]:
+def arcs_through(motion: ChainMotion, values: Array, x: Array, level: np.ndarray) -> list[CurvePiece]:
     """The arcs of the curves through solutions x (M, nf), at rising values (m,); level (M,): at which.
 
     Solutions at the values are joined to curves; from those that find no partner curves are followed.
