@@ -39,7 +39,7 @@ class Row:
     iq: int
     iv: int
     X: np.ndarray
-    gauge: float = 0.0
+    offset: float = 0.0
     multiplier: float = 1.0
     form: int = GENERAL
 
@@ -61,7 +61,7 @@ class Table:
         floats = []
         for r in self.rows:
             ints += [r.kind, r.parent, r.iq, r.iv, r.form, 0]
-            floats += [*r.X[:3].ravel(), np.cos(r.gauge), np.sin(r.gauge), r.multiplier, 0.0]
+            floats += [*r.X[:3].ravel(), np.cos(r.offset), np.sin(r.offset), r.multiplier, 0.0]
         for row, particle, X in self.outputs:
             ints += [row, int(particle)]
             floats += [*X[:3].ravel()]
@@ -85,7 +85,7 @@ class Table:
 
     def motion(self, r, q):
         if r.kind == TURN:
-            return turn_z(r.gauge) @ turn_z(r.multiplier * q[r.iq])
+            return turn_z(r.offset) @ turn_z(r.multiplier * q[r.iq])
         if r.kind == SLIDE:
             return pose(p=(0, 0, r.multiplier * q[r.iq]))
         w, x, y, z = q[r.iq : r.iq + 4]
@@ -175,9 +175,9 @@ def random_table(
             nq, nv = nq + 1, nv + 1
         if kind != BALL and not plain:
             multiplier = float(rng.choice([1.0, -1.0, rng.normal()]))
-        gauge = rng.uniform(-3, 3) if kind == TURN and not plain else 0.0
+        offset = rng.uniform(-3, 3) if kind == TURN and not plain else 0.0
         form = int(rng.choice(forms))
-        rows.append(Row(kind, parent, iq, iv, random_placement(rng, form), gauge, multiplier, form))
+        rows.append(Row(kind, parent, iq, iv, random_placement(rng, form), offset, multiplier, form))
     outputs = [
         (
             n_rows - 1 if chain else int(rng.integers(-1, n_rows)),

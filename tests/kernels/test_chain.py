@@ -74,7 +74,7 @@ def test_coordinates_off_the_chain_do_not_matter():
 
 def test_far_coordinates_and_strange_norms_are_right_beside_near_ones():
     rows = [
-        Row(TURN, -1, 0, 0, random_pose(np.random.default_rng(1)), gauge=1.0),
+        Row(TURN, -1, 0, 0, random_pose(np.random.default_rng(1)), offset=1.0),
         Row(BALL, 0, 1, 1, np.eye(4)),
         Row(SLIDE, 1, 5, 4, random_pose(np.random.default_rng(2)), multiplier=-2.0),
     ]

@@ -37,7 +37,7 @@ def complex_poses(table, q, v):
             if r.kind == SLIDE:
                 M[2, 3] = x
             else:
-                c, s = np.cos(x + r.gauge), np.sin(x + r.gauge)
+                c, s = np.cos(x + r.offset), np.sin(x + r.offset)
                 M[:2, :2] = [[c, -s], [s, c]]
         after.append(X @ r.X @ M)
     out = [(np.eye(4) if row < 0 else after[row]) @ X for row, _, X in table.outputs]

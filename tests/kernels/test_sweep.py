@@ -131,7 +131,7 @@ def test_bad_coordinates_spoil_what_depends_on_them_and_nothing_else(value):
 def test_the_gauge_keeps_far_turns_exact():
     """cos and sin of a turn by 1e8, and one beyond the polynomial's reach, beside a gauge angle."""
     for turn in (1e8, -1e8, 3e12):
-        table = Table([Row(TURN, -1, 0, 0, np.eye(4), gauge=0.3)], [(0, False, np.eye(4))], 1, 1, True)
+        table = Table([Row(TURN, -1, 0, 0, np.eye(4), offset=0.3)], [(0, False, np.eye(4))], 1, 1, True)
         for out in (
             all_poses(table, np.array([[turn]]))[1][0, 0],
             all_jacobians(table, np.array([[turn]]), 0)[1][0],

@@ -84,7 +84,7 @@ def test_the_table_has_a_row_for_each_moving_primitive_of_the_tree(graph: Graph)
             )
         else:
             assert s.coordinate_names[iq] == s.structure.velocity_names[iv]
-    assert np.all(table.gauge[table.kind != R] == 0.0)
+    assert np.all(table.offset[table.kind != R] == 0.0)
 
 
 @given(graph=graphs(), seed=st.integers(0, 10**6))

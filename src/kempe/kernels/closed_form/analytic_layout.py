@@ -2,7 +2,7 @@
 
     ints    header (see the places below), kind of each line, then 1 for each joint of the chain that is unknown
     floats  rows of the tip's pose (12), rows of the task (6), length, origin (3), the lines (LINE_STRIDE each), then
-            for each joint of the chain: gauge, multiplier, lower and upper limit
+            for each joint of the chain: offset, multiplier, lower and upper limit
 
 Lines are scaled by the length, and seen from the origin. The joints of the chain come first; the others complete it to
 six, and belong to nobody: the target must leave those marked REST at zero, those marked FREE may take any value.
@@ -20,7 +20,7 @@ JOINT, REST, FREE = 0, 1, 2
 TIP, TASK, LENGTH, ORIGIN, LINES = 0, 12, 18, 19, 22
 """Places in `floats`."""
 
-GAUGE, FACTOR, LOW, HIGH, JOINT_FLOATS = 0, 1, 2, 3, 4
+OFFSET, FACTOR, LOW, HIGH, JOINT_FLOATS = 0, 1, 2, 3, 4
 """Places in the numbers of a joint."""
 
 POINT, PLANE = 0, 1

@@ -30,7 +30,6 @@ from kempe.kernels.base.scratch import beyond
 from kempe.kernels.base.vectors import LANES, entry, gather, keep, raw, spread_lanes, store, where
 from kempe.kernels.closed_form.analytic_layout import (
     FACTOR,
-    GAUGE,
     INFO,
     INNER,
     JOINT_FLOATS,
@@ -40,6 +39,7 @@ from kempe.kernels.closed_form.analytic_layout import (
     MODE,
     N_JOINTS,
     N_LINES,
+    OFFSET,
     OPTION,
     ORDER,
     ORIGIN,
@@ -104,7 +104,7 @@ def reduced(ints, floats, moves, locked, six):
     identity(shift)
     for i in range(n):
         at, k = JOINT_FLOATS * i, 0
-        theta[0] = joints[at + FACTOR] * locked[i] + joints[at + GAUGE]
+        theta[0] = joints[at + FACTOR] * locked[i] + joints[at + OFFSET]
         h, o = three(floats, LINES + LINE_STRIDE * i), three(floats, LINES + LINE_STRIDE * i + 4)
         if moves[i] == 0:
             slides = ints[PLAN_HEADER + i] == SLIDE

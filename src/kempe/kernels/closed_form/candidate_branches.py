@@ -15,12 +15,12 @@ from kempe.kernels.base.trig import ROUND, atan2
 from kempe.kernels.base.vectors import LANES, gather, load_lanes, spread_lanes, square_root, store, store_columns, where
 from kempe.kernels.closed_form.analytic_layout import (
     FACTOR,
-    GAUGE,
     HIGH,
     INSIDE_BIT,
     JOINT_FLOATS,
     LOW,
     MULTIPLICITY_UNIT,
+    OFFSET,
     PLANE,
     POINT,
     SLOT_UNIT,
@@ -87,7 +87,7 @@ def coordinate(pr, joint, theta, near):
     low, high = pr.joints[at + LOW], pr.joints[at + HIGH]
     period = 2.0 * math.pi / abs(pr.joints[at + FACTOR])
     per = 1.0 / period
-    q = (theta - pr.joints[at + GAUGE]) * (1.0 / pr.joints[at + FACTOR])
+    q = (theta - pr.joints[at + OFFSET]) * (1.0 / pr.joints[at + FACTOR])
     q = q + period * (((near - q) * per + ROUND) - ROUND)
     # one period back inside is tried from either side; where none fits, q stays as it is and is outside
     over, under = (q - (high + EDGE)) * per, ((low - EDGE) - q) * per

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.scratch import beyond
-from kempe.kernels.closed_form.analytic_layout import CODE, FACTOR, GAUGE, HIGH, INFO, JOINT_FLOATS, LOW
+from kempe.kernels.closed_form.analytic_layout import CODE, FACTOR, HIGH, INFO, JOINT_FLOATS, LOW, OFFSET
 from kempe.kernels.closed_form.polish import Model, error_at, polish, sharpen, weakest
 from kempe.kernels.forward.table_layout import SLIDE
 
@@ -187,7 +187,7 @@ def drop(found, count, k):
 @device
 def coordinate(slides, theta, numbers, near):
     """(q, inside): the coordinate of a variable, of all turns the one inside the limits and nearest to `near`."""
-    q = (theta - numbers[GAUGE]) / numbers[FACTOR]
+    q = (theta - numbers[OFFSET]) / numbers[FACTOR]
     low, high = numbers[LOW], numbers[HIGH]
     if not slides:
         period = TWO_PI / abs(numbers[FACTOR])

@@ -22,7 +22,6 @@ from kempe.kernels.base.scratch import beyond
 from kempe.kernels.closed_form.analytic_layout import (
     CODE,
     FACTOR,
-    GAUGE,
     INFO,
     INSIDE_BIT,
     JOINT,
@@ -32,6 +31,7 @@ from kempe.kernels.closed_form.analytic_layout import (
     MULTIPLICITY_UNIT,
     N_JOINTS,
     N_LINES,
+    OFFSET,
     ORDER,
     ORIGIN,
     PLAN_HEADER,
@@ -221,7 +221,7 @@ def begin(d, target, near, locked):
     sound = take_target(target, 0, d.floats, d.found.model.target)
     for j in range(d.n):
         at = JOINT_FLOATS * j
-        d.fixed[j] = d.joints[at + FACTOR] * locked[j] + d.joints[at + GAUGE] if d.moves[j] == 0 else 0.0
+        d.fixed[j] = d.joints[at + FACTOR] * locked[j] + d.joints[at + OFFSET] if d.moves[j] == 0 else 0.0
         sound = sound and abs(d.fixed[j]) < 1e15 and abs(near[j]) < 1e15
     if sound:
         goal_of(d.found.model.target, d.found.model.tip, d.goal)

@@ -1,7 +1,7 @@
 """Poses of the last frame of a chain, `LANES` configurations side by side.
 
 What a row costs depends on the form of its placement: GENERAL is any, RX is [Rx(alpha) | p], and RX_FLAT
-moreover has p_y = 0 (Denavit and Hartenberg 1955, modified as by Craig 1986); `model.gauge` makes such rows.
+moreover has p_y = 0 (Denavit and Hartenberg 1955, modified as by Craig 1986); `model.tree.gauge` makes such rows.
 The pose stays in twelve registers, one for each entry, named as three matrix rows (x, y, z, p).
 """
 
@@ -39,7 +39,7 @@ from kempe.kernels.forward.table_layout import (
     SLIDE,
     TURN,
 )
-from kempe.kernels.forward.table_rows import gauged, rotation
+from kempe.kernels.forward.table_rows import rotation, with_offset
 from kempe.kernels.forward.table_sweep import pose_at
 
 SMALLEST_SQUARE, LARGEST_SQUARE = 1e-200, 1e200
@@ -145,7 +145,7 @@ def read_variables(ints, floats, q, start, nq, variables):
             theta = multiplier * first
             near &= all_between(-REACH, theta, REACH)
             s, c = sincos(theta)
-            s, c = gauged(floats, kx, s, c)
+            s, c = with_offset(floats, kx, s, c)
             store(variables, k, s)
             store(variables, k + LANES, c)
             k += 2 * LANES

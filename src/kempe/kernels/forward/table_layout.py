@@ -5,10 +5,10 @@ A table is a pair of flat arrays, `ints` (int64) and `floats` (float64):
     ints    n_rows, n_out, nq, nv, is_chain, has_quaternion, size, frame (the last two: see `fuse`, else 0)
             a row:     kind, parent row (-1: ground), index in q, index in v, form, 0
             an output: row (-1: ground), particle flag
-    floats  a row:     placement 3x4, cos and sin of the gauge, multiplier, 0
+    floats  a row:     placement 3x4, cos and sin of the offset, multiplier, 0
             an output: placement 3x4
 
-Pose of a row = pose of its parent @ placement @ motion. Motions: TURN about z by gauge + multiplier * q,
+Pose of a row = pose of its parent @ placement @ motion. Motions: TURN about z by offset + multiplier * q,
 SLIDE along z by multiplier * q, BALL by the unit quaternion wxyz at q, inverted for a negative multiplier.
 """
 
@@ -23,7 +23,7 @@ N_ROWS, N_OUT, NQ, NV, IS_CHAIN, HAS_QUATERNION, SIZE, FRAME = 0, 1, 2, 3, 4, 5,
 KIND, PARENT, Q_INDEX, V_INDEX, FORM = 0, 1, 2, 3, 4
 """Places in a row of `ints`."""
 
-COS_GAUGE, SIN_GAUGE, MULTIPLIER = 12, 13, 14
+COS_OFFSET, SIN_OFFSET, MULTIPLIER = 12, 13, 14
 """Places in a row of `floats`, after the placement."""
 
 TURN, SLIDE, BALL = 0, 1, 2

@@ -64,10 +64,10 @@ def placed(floats, k, a, b, c):
 
 
 @device
-def gauged(floats, k, s, c):
-    """Sine and cosine of the turn of the row at floats[k:], the gauge angle added."""
-    cos_gauge, sin_gauge = floats[k + 12], floats[k + 13]
-    return s * cos_gauge + c * sin_gauge, c * cos_gauge - s * sin_gauge
+def with_offset(floats, k, s, c):
+    """Sine and cosine of the turn of the row at floats[k:], the offset added."""
+    cos_offset, sin_offset = floats[k + 12], floats[k + 13]
+    return s * cos_offset + c * sin_offset, c * cos_offset - s * sin_offset
 
 
 @device
@@ -147,7 +147,7 @@ def row_poses(ints, floats, q, start, scratch):
         kind, parent = ints[k], ints[k + 1]
         a, b, c = placement(floats, kx)
         if kind == TURN:
-            s, co = gauged(floats, kx, scratch[sine + row], scratch[cosine + row])
+            s, co = with_offset(floats, kx, scratch[sine + row], scratch[cosine + row])
             a, b, c = times_turn(a, s, co), times_turn(b, s, co), times_turn(c, s, co)
         elif kind == SLIDE:
             theta = scratch[row]

@@ -25,7 +25,6 @@ from kempe.kernels.forward.table_layout import (
 )
 from kempe.kernels.forward.table_rows import (
     balled,
-    gauged,
     placed,
     placement,
     poses_at,
@@ -34,6 +33,7 @@ from kempe.kernels.forward.table_rows import (
     slid,
     turned,
     unit_quaternion,
+    with_offset,
 )
 
 
@@ -96,7 +96,7 @@ def climb(ints, floats, q, start, with_columns, columns, first):
             if with_columns:
                 add_column(columns, column, nv, multiplier * around(a, b), multiplier * c)
             s, co = sincos_any(multiplier * q[index])
-            s, co = gauged(floats, kx, s, co)
+            s, co = with_offset(floats, kx, s, co)
             a, b = turned(s, co, a, b)
         elif kind == SLIDE:
             if with_columns:

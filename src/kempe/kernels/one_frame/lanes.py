@@ -16,7 +16,7 @@ from kempe.kernels.base.vectors import LANES, load_lanes, spread_lanes, square_r
 from kempe.kernels.forward.table_layout import FORM, GENERAL, HEADER, KIND, ROW_FLOATS, ROW_INTS, SLIDE, TURN, V_INDEX
 from kempe.kernels.one_frame.residual import pointing_error
 
-FACTOR, GAUGE = 12, 13
+FACTOR, OFFSET = 12, 13
 """A row of `Lanes.floats`, after its placement: factor and constant of its motion."""
 
 WHOLE, PLACE, POINTING, SOME = 0, 1, 2, 3
@@ -130,7 +130,7 @@ def trace_lanes(s):
         factor = f[at + FACTOR]
         store3(lanes, lane_row(row) + AXIS, scaled(factor, c))
         store3(lanes, lane_row(row) + POINT, p)
-        theta = factor * load_lanes(lanes, (lane_coordinate(s, s.ints[k + V_INDEX]) + U) * LANES) + f[at + GAUGE]
+        theta = factor * load_lanes(lanes, (lane_coordinate(s, s.ints[k + V_INDEX]) + U) * LANES) + f[at + OFFSET]
         if s.ints[k + KIND] == TURN:
             sine, cosine = sincos(theta)
             a, b = combined(cosine, a, sine, b), combined(cosine, b, -sine, a)

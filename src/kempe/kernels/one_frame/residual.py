@@ -20,7 +20,7 @@ from kempe.kernels.base.trig import atan2, sincos_any
 from kempe.kernels.base.vectors import entry, pack4, square_root, store, where
 from kempe.kernels.forward.table_layout import (
     BALL,
-    COS_GAUGE,
+    COS_OFFSET,
     HEADER,
     KIND,
     MULTIPLIER,
@@ -28,7 +28,7 @@ from kempe.kernels.forward.table_layout import (
     Q_INDEX,
     ROW_FLOATS,
     ROW_INTS,
-    SIN_GAUGE,
+    SIN_OFFSET,
     TURN,
 )
 
@@ -138,8 +138,8 @@ def trace(chain):
         if kind == TURN:
             s, t = sincos_any(theta)
             s, t = (
-                s * floats[f + COS_GAUGE] + t * floats[f + SIN_GAUGE],
-                t * floats[f + COS_GAUGE] - s * floats[f + SIN_GAUGE],
+                s * floats[f + COS_OFFSET] + t * floats[f + SIN_OFFSET],
+                t * floats[f + COS_OFFSET] - s * floats[f + SIN_OFFSET],
             )
             a, b = t * a + s * b, t * b - s * a
         else:

@@ -23,7 +23,7 @@ from kempe.kernels.base.scratch import aligned, beyond, copy
 from kempe.kernels.base.search_layout import ANGULAR, LINEAR, NOT_FOUND, SOLVED, STARTS, STATUS, STEPS
 from kempe.kernels.base.vectors import LANES, keep, raw
 from kempe.kernels.forward.table_layout import (
-    COS_GAUGE,
+    COS_OFFSET,
     HEADER,
     KIND,
     MULTIPLIER,
@@ -31,7 +31,7 @@ from kempe.kernels.forward.table_layout import (
     NV,
     ROW_FLOATS,
     ROW_INTS,
-    SIN_GAUGE,
+    SIN_OFFSET,
     SLIDE,
     V_INDEX,
 )
@@ -56,9 +56,9 @@ from kempe.kernels.one_frame.lanes import (
     COUNT,
     FACTOR,
     FOUND,
-    GAUGE,
     GOAL,
     KEPT,
+    OFFSET,
     PLACE,
     POINTING,
     ROW_LANES,
@@ -144,7 +144,7 @@ def scheduler(problem, notes, block, count):
         v, slides = ints[HEADER + ROW_INTS * row + V_INDEX], ints[HEADER + ROW_INTS * row + KIND] == SLIDE
         unit = chain.box[BOX_STRIDE * v + SCALE] / (chain.length if slides else 1.0)
         floats[at + FACTOR] = chain.floats[at + MULTIPLIER] * unit
-        floats[at + GAUGE] = math.atan2(chain.floats[at + SIN_GAUGE], chain.floats[at + COS_GAUGE])
+        floats[at + OFFSET] = math.atan2(chain.floats[at + SIN_OFFSET], chain.floats[at + COS_OFFSET])
         last[row] = 1
         for other in range(row):
             if ints[HEADER + ROW_INTS * other + V_INDEX] == v:

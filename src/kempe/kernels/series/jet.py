@@ -42,7 +42,7 @@ from kempe.kernels.constraints.loop_layout import (
 from kempe.kernels.constraints.tape_evaluation import tape_order
 from kempe.kernels.constraints.tape_layout import N_INPUTS, TAPE_HEAD
 from kempe.kernels.forward.table_layout import (
-    COS_GAUGE,
+    COS_OFFSET,
     HEADER,
     KIND,
     MULTIPLIER,
@@ -54,7 +54,7 @@ from kempe.kernels.forward.table_layout import (
     Q_INDEX,
     ROW_FLOATS,
     ROW_INTS,
-    SIN_GAUGE,
+    SIN_OFFSET,
     SLIDE,
     TURN,
     V_INDEX,
@@ -230,8 +230,8 @@ def sweep_order(ints, floats, q, start, v, b, k, poses, extra):
             if k == 0:
                 theta = multiplier * q[at]
                 s, c = math.sin(theta), math.cos(theta)
-                extra[b, r, 0, 0] = s * floats[f + COS_GAUGE] + c * floats[f + SIN_GAUGE]
-                extra[b, r, 0, 1] = c * floats[f + COS_GAUGE] - s * floats[f + SIN_GAUGE]
+                extra[b, r, 0, 0] = s * floats[f + COS_OFFSET] + c * floats[f + SIN_OFFSET]
+                extra[b, r, 0, 1] = c * floats[f + COS_OFFSET] - s * floats[f + SIN_OFFSET]
             _turn(v, b, r, k, iv, multiplier, poses, extra)
         elif kind == SLIDE:
             _slide(v, b, r, k, iv, multiplier, multiplier * q[at], poses)

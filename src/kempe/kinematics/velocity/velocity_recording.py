@@ -152,8 +152,8 @@ class Recorder:
         theta = n.mul(factor, q)
         if table.kind[r] == P:
             return RecordedPose(at.R, [n.add(at.p[i], n.mul(theta, at.R[i][2])) for i in range(3)])
-        gauge = float(table.gauge[r])
-        theta = n.add(theta, gauge)
+        offset = float(table.offset[r])
+        theta = n.add(theta, offset)
         s, c = n.of(L.SIN, theta), n.of(L.COS, theta)
         R = [[n.add(n.mul(c, x), n.mul(s, y)), n.sub(n.mul(c, y), n.mul(s, x)), z] for x, y, z in at.R]
         return RecordedPose(R, at.p)

@@ -12,7 +12,7 @@ import numpy as np
 
 from kempe.kernels.forward.table_layout import (
     BALL,
-    COS_GAUGE,
+    COS_OFFSET,
     FORM,
     GENERAL,
     HEADER,
@@ -24,7 +24,7 @@ from kempe.kernels.forward.table_layout import (
     ROW_INTS,
     RX,
     RX_FLAT,
-    SIN_GAUGE,
+    SIN_OFFSET,
     TURN,
 )
 
@@ -85,7 +85,7 @@ def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """A table of the same chain, as many of its rows as possible in form RX or RX_FLAT.
 
     Poses and Jacobians are the same up to rounding, a few 1e-16 of the size of the robot. Turns about an axis
-    are folded into the gauges of turning rows and carried on through sliding ones. A placement stays general
+    are folded into the offsets of turning rows and carried on through sliding ones. A placement stays general
     where a turn is left over: after a slide or at the root (`a` has no gauge), before a ball (`b` has none).
 
     ints, floats: table of one chain (see `kernels.layout`), not changed. ValueError for other tables.
@@ -96,7 +96,7 @@ def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarra
     n_rows = int(ints[N_ROWS])
     row_ints = ints[HEADER : HEADER + ROW_INTS * n_rows].reshape(n_rows, ROW_INTS)
     rows = floats[: ROW_FLOATS * n_rows].reshape(n_rows, ROW_FLOATS)
-    gauges = rows[:, COS_GAUGE] + 1j * rows[:, SIN_GAUGE]
+    gauges = rows[:, COS_OFFSET] + 1j * rows[:, SIN_OFFSET]
     carried, slide = (1.0, 0.0), 0.0  # turn and slide that stand before the next placement
     for r in range(n_rows):
         kind = row_ints[r, KIND]
@@ -122,5 +122,5 @@ def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarra
     output[2, 3] -= slide
     turning = row_ints[:, KIND] == TURN
     gauges[turning] /= np.abs(gauges[turning])
-    rows[:, COS_GAUGE], rows[:, SIN_GAUGE] = gauges.real, gauges.imag
+    rows[:, COS_OFFSET], rows[:, SIN_OFFSET] = gauges.real, gauges.imag
     return ints, floats

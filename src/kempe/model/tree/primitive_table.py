@@ -1,7 +1,7 @@
 """Lowering: joints -> primitive rows whose axis is z, bodies -> (row, constant placement).
 
 The packed form, one int64 and one float64 array, is described in `kempe.kernels.forward.table_layout`. Constants
-(offsets of mimic joints, locked coordinates, fixed joints) end up in placements and gauges, so a table has rows for
+(offsets of mimic joints, locked coordinates, fixed joints) end up in placements and offsets, so a table has rows for
 motion only. Placements may carry leading axes: a batch of designs is lowered in one pass.
 """
 
@@ -18,14 +18,14 @@ from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
 from kempe.joints import AXIS_ROTATIONS, P, Primitive, Q
 from kempe.kernels.forward.table_layout import (
-    COS_GAUGE,
+    COS_OFFSET,
     HEADER,
     MULTIPLIER,
     OUTPUT_FLOATS,
     OUTPUT_INTS,
     ROW_FLOATS,
     ROW_INTS,
-    SIN_GAUGE,
+    SIN_OFFSET,
 )
 from kempe.model.tree.coordinates import Coordinates, coordinate_names
 from kempe.model.tree.topology import Topology
@@ -39,7 +39,7 @@ _EYE = np.eye(4)
 class Table:
     """The primitive rows of a system, and where bodies and frames sit on them.
 
-    Rows: `kind`, `parent` row (-1 ground), `iq`, `iv`, `multiplier`, `gauge` angle (..., n), `placement`
+    Rows: `kind`, `parent` row (-1 ground), `iq`, `iv`, `multiplier`, `offset` angle (..., n), `placement`
     (..., n, 4, 4).
     `at` gives for each body or frame name its row, its pose (..., 4, 4) on that row, and whether it is a particle.
     """
@@ -49,7 +49,7 @@ class Table:
     iq: np.ndarray
     iv: np.ndarray
     multiplier: np.ndarray
-    gauge: np.ndarray
+    offset: np.ndarray
     placement: np.ndarray
     at: Mapping[Any, tuple[int, np.ndarray, bool]]
     nq: int
@@ -96,7 +96,7 @@ class Table:
         floats = np.zeros((*lead, ROW_FLOATS * n + OUTPUT_FLOATS * k))
         body = floats[..., : ROW_FLOATS * n].reshape(*lead, n, ROW_FLOATS)
         body[..., :12] = self.placement[..., rows, :3, :].reshape(*lead, n, 12)
-        body[..., COS_GAUGE], body[..., SIN_GAUGE] = np.cos(self.gauge[..., rows]), np.sin(self.gauge[..., rows])
+        body[..., COS_OFFSET], body[..., SIN_OFFSET] = np.cos(self.offset[..., rows]), np.sin(self.offset[..., rows])
         body[..., MULTIPLIER] = self.multiplier[..., rows]
         tail = floats[..., ROW_FLOATS * n :].reshape(*lead, k, OUTPUT_FLOATS)
         for i, name in enumerate(names):
@@ -121,16 +121,16 @@ class _TableRows:
         factor, offset = sign * primitive.multiplier, 0.0
         if follower is not None:
             name, factor, offset = follower.source or "", factor * follower.multiplier, factor * follower.offset
-        gauge = 0.0
+        turn = 0.0
         if primitive.kind == P:
             X = X @ spatial.pose(p=np.array([0.0, 0.0, offset])) if offset else X
         elif factor == 0.0:
             X = X @ spatial.pose(spatial.rot_z(offset)) if offset else X
         else:
-            gauge = offset
+            turn = offset
         if factor != 0.0:
             iq, iv = self.coordinates.first[name]
-            self.rows.append((primitive.kind, row, iq, iv, factor, gauge, X))
+            self.rows.append((primitive.kind, row, iq, iv, factor, turn, X))
             row, X = len(self.rows) - 1, _EYE
         return row, X @ _AXES_BACK[primitive.axis]
 
@@ -243,7 +243,7 @@ def local_chain(table: Table, name: str) -> tuple[Table, np.ndarray, np.ndarray]
         v_index += range(b, b + (3 if size == 4 else 1))
     local = Table(
         kind, np.arange(len(path)) - 1, np.array([to_q[int(a)] for a in iq], dtype=np.int64),
-        np.array([to_v[int(a)] for a in iq], dtype=np.int64), table.multiplier[..., path], table.gauge[..., path],
+        np.array([to_v[int(a)] for a in iq], dtype=np.int64), table.multiplier[..., path], table.offset[..., path],
         table.placement[..., path, :, :], {name: (len(path) - 1, *table.at[name][1:])}, len(q_index), len(v_index),
     )  # fmt: skip
     return local, np.array(q_index, dtype=np.int64), np.array(v_index, dtype=np.int64)

@@ -240,7 +240,7 @@ class _Targets:
             error = float(np.hypot(np.linalg.norm(e[:3]) * lines.length, np.linalg.norm(e[3:])))
             if error <= 0.1 * self.question.tolerance:
                 break
-        q = (theta[0] - lines.gauge) / lines.multiplier
+        q = (theta[0] - lines.offset) / lines.multiplier
         return np.clip(q, *lines.limits) if limited else q, error
 
 

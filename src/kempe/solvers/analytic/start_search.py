@@ -87,7 +87,7 @@ def _write(plan: ChainPlan, found: Array, error: Array, near: Array, out: Array,
     lines = plan.lines
     period = np.where(lines.kinds == SLIDE, np.inf, 2.0 * math.pi / np.abs(lines.multiplier))
     low, high = lines.limits
-    q = (found - lines.gauge) / lines.multiplier
+    q = (found - lines.offset) / lines.multiplier
     with np.errstate(invalid="ignore"):
         turns = np.where(np.isinf(period), 0.0, period)
         q = q + turns * np.round(np.where(turns > 0.0, (near - q) / period, 0.0))

@@ -157,9 +157,9 @@ class Family:
         """Configurations (k, nq) of a curve in which a joint has a value. Errors: `InputError`."""
         lines = self._motion.aim.lines
         i = lines.names.index(name)
-        theta = self._motion.crossings(self._theta, self.closed, i, value * lines.multiplier[i] + lines.gauge[i])
+        theta = self._motion.crossings(self._theta, self.closed, i, value * lines.multiplier[i] + lines.offset[i])
         if not len(theta):
-            x = (self._theta[:, i] - lines.gauge[i]) / lines.multiplier[i]
+            x = (self._theta[:, i] - lines.offset[i]) / lines.multiplier[i]
             raise InputError(f"the family has no configuration with {name} = {value:.6g}; it goes from {x.min():.6g} "
                              f"to {x.max():.6g}")  # fmt: skip
         q = self._full(theta)
@@ -170,7 +170,7 @@ class Family:
         """Variables (n,) of a configuration in which joints have values. Errors: `InputError`."""
         lines = self._motion.aim.lines
         at = [lines.names.index(n) for n in values]
-        wanted = np.array(list(values.values())) * lines.multiplier[at] + lines.gauge[at]
+        wanted = np.array(list(values.values())) * lines.multiplier[at] + lines.offset[at]
         theta = self._motion.held(self._theta, at, wanted)
         if theta is None:
             raise InputError(f"no configuration of the family was found with {values}")
@@ -265,7 +265,7 @@ def _collect(families: list[Family], motion: TolerantMotion, theta: Array, base:
 def in_turn(motion: TolerantMotion, theta: Array, base: Array) -> Array:
     """Coordinates (..., n) of variables, of each angle the turn that is inside the limits and near `base` (nq,)."""
     lines = motion.aim.lines
-    q, near, (low, high) = (theta - lines.gauge) / lines.multiplier, base[lines.q_index], lines.limits
+    q, near, (low, high) = (theta - lines.offset) / lines.multiplier, base[lines.q_index], lines.limits
     turn = np.where(motion.aim.slides, 0.0, 2.0 * math.pi / np.abs(lines.multiplier))
     unit = np.where(turn > 0.0, turn, 1.0)
     x = q + turn * np.round((near - q) / unit)
@@ -295,7 +295,7 @@ def _family(motion: TolerantMotion, curve: Any, base: Array) -> Family:
     turns = 2.0 * math.pi * np.round((first - theta[0]) / (2.0 * math.pi))
     theta = theta + np.where(motion.aim.slides, 0.0, turns)
     q = np.tile(base, (len(theta), 1))
-    q[:, lines.q_index] = (theta - lines.gauge) / lines.multiplier
+    q[:, lines.q_index] = (theta - lines.offset) / lines.multiplier
     basis = np.zeros((curve.dimension, len(base)))
     basis[:, lines.q_index] = curve.basis / lines.multiplier
     basis /= np.linalg.norm(basis, axis=1, keepdims=True)

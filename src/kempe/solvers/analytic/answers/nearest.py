@@ -167,7 +167,7 @@ def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
     aim = aim_of(solutions, index, spare=True)
     theta = _closest(aim, plan.lines.theta(held_coordinates(solutions, index)))
     q = base.copy()
-    q[plan.lines.q_index] = (theta - plan.lines.gauge) / plan.lines.multiplier
+    q[plan.lines.q_index] = (theta - plan.lines.offset) / plan.lines.multiplier
     R, p, _, _ = aim.sweep(theta[None])
     e = aim.errors(R, p)[0]
     return q, float(np.linalg.norm(e[:3])) * plan.lines.length, float(np.linalg.norm(e[3:]))
@@ -186,7 +186,7 @@ def held_coordinates(solutions: Solutions, index: int) -> Array:
 
 def limits_of(lines: Lines) -> tuple[Array, Array]:
     """Lower and upper limits (n,) of the variables."""
-    ends = np.sort(lines.limits * lines.multiplier + lines.gauge, axis=0)
+    ends = np.sort(lines.limits * lines.multiplier + lines.offset, axis=0)
     return ends[0], ends[1]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from kempe.errors import UnsupportedError
 from kempe.kernels.forward.table_layout import (
     BALL,
-    COS_GAUGE,
+    COS_OFFSET,
     HEADER,
     KIND,
     MULTIPLIER,
@@ -20,7 +20,7 @@ from kempe.kernels.forward.table_layout import (
     Q_INDEX,
     ROW_FLOATS,
     ROW_INTS,
-    SIN_GAUGE,
+    SIN_OFFSET,
     SLIDE,
 )
 from kempe.solvers.common.serial_chain import chain_of
@@ -43,7 +43,7 @@ class Lines:
     """A serial chain T(theta) = E_1 ... E_n M, each joint a turn about a line or a slide along its direction.
 
     `kinds` (n,) TURN or SLIDE, `h` (n, 3) unit directions, `o` (n, 3) points, `tip` (4, 4) the pose M at theta = 0, all
-    seen from `origin` (3,) in the ground's axes and measured in `length` [m]. theta = multiplier q + gauge, slides
+    seen from `origin` (3,) in the ground's axes and measured in `length` [m]. theta = multiplier q + offset, slides
     divided by the length. `limits` (2, n), `q_index` and `v_index` (n,) into the system's q and velocities, `names`.
     """
 
@@ -51,7 +51,7 @@ class Lines:
     h: Array
     o: Array
     tip: Array
-    gauge: Array
+    offset: Array
     multiplier: Array
     limits: Array
     q_index: np.ndarray
@@ -68,7 +68,7 @@ class Lines:
 
     def theta(self, q: Array) -> Array:
         """Variables (..., n) of the lines at coordinates q (..., n) of the chain."""
-        return q * self.multiplier + self.gauge
+        return q * self.multiplier + self.offset
 
 
 def lines_of(system: System, frame: str) -> Lines:
@@ -100,13 +100,13 @@ def lines_of(system: System, frame: str) -> Lines:
         raise UnsupportedError(f"the coordinates of {frame!r} are not one for each joint")
     at = rows[:, Q_INDEX]  # the joint in row i has the chain's coordinate at[i]
     kinds, multiplier = rows[:, KIND].copy(), numbers[:, MULTIPLIER].copy()
-    gauge = np.where(kinds == SLIDE, 0.0, np.arctan2(numbers[:, SIN_GAUGE], numbers[:, COS_GAUGE]))
+    offset = np.where(kinds == SLIDE, 0.0, np.arctan2(numbers[:, SIN_OFFSET], numbers[:, COS_OFFSET]))
 
     def scaled(h: Array, o: Array, tip: Array, even: Lines | None) -> Lines:
         origin, length = _unit_of(kinds, h, o, tip[:3, 3], chain.limits[:, at])
         tip[:3, 3] = (tip[:3, 3] - origin) / length
         return Lines(
-            kinds, h, (o - origin) / length, tip, gauge, np.where(kinds == SLIDE, multiplier / length, multiplier),
+            kinds, h, (o - origin) / length, tip, offset, np.where(kinds == SLIDE, multiplier / length, multiplier),
             np.ascontiguousarray(chain.limits[:, at]), chain.q_index[at], chain.v_index[at],
             tuple(names[i] for i in at), origin, length, chain.span, even,
         )  # fmt: skip

@@ -375,7 +375,7 @@ def pack(
     ints[A.PLAN_HEADER + n + k :] = [int(i not in locked) for i in range(n)]
     head = np.concatenate([lines.tip[:3].ravel(), TASKS[task], [lines.length], lines.origin])
     axes = Axes(np.zeros(n + k), np.vstack([lines.h, extra.h]), np.vstack([lines.o, extra.o]))
-    joints = np.column_stack([lines.gauge, lines.multiplier, *lines.limits]).ravel()
+    joints = np.column_stack([lines.offset, lines.multiplier, *lines.limits]).ravel()
     floats = np.concatenate([head, axes.packed(), joints])
     method = "closed" if way is not None else "search" if forms is None else "elimination"
     return ChainPlan(lines, task, locked, method, way, extra, ints, floats)
@@ -385,7 +385,7 @@ def _error(plan: ChainPlan) -> float:
     """The angle or length up to which the plan finds four of five random configurations again."""
     lines, rng = plan.lines, np.random.default_rng(3)
     theta = spread(lines, rng, TRIALS)
-    q = (theta - lines.gauge) / lines.multiplier
+    q = (theta - lines.offset) / lines.multiplier
     n = len(lines)
     floats = plan.floats.copy()  # limits do not matter here
     floats[-A.JOINT_FLOATS * n :].reshape(n, -1)[:, A.LOW :] = -np.inf, np.inf

@@ -382,7 +382,7 @@ def _half(arm: Arm, goal: Array, frame: Array, theta: float) -> Half:
 
 def inside(lines: Lines, theta: Array, slack: float = FITS) -> np.ndarray:
     """Whether all joints (..., n) are inside their limits (...), by whichever turn."""
-    q = (theta - lines.gauge) / lines.multiplier
+    q = (theta - lines.offset) / lines.multiplier
     low, high = lines.limits
     period = TWO_PI / np.abs(lines.multiplier)
     turned = low + np.mod(q - low, period) if np.isfinite(low).all() else _lifted(q, low, high, period)

@@ -238,7 +238,7 @@ class ArmCurves:
         theta, found = self.posed.theta(values)
         if branch is not None:
             theta, found = theta[:, [branch]], found[:, [branch]]
-        return (theta - self.lines.gauge) / self.lines.multiplier, found
+        return (theta - self.lines.offset) / self.lines.multiplier, found
 
 
 class JointCurves:
