@@ -1,6 +1,6 @@
 """Planar mechanisms made of dyads, `LANES` configurations side by side: a program of closed forms is walked.
 
-Known coordinates place bodies, rings of three are closed (`kempe.kernels.dyads.dyads_rings`), and all other coordinates
+Known coordinates place bodies, dyads are closed (`kempe.kernels.dyads.dyads_groups`), and all other coordinates
 are read off the poses; how far joints are open is summed up on the way. `kempe.solvers.dyads.assur_groups` writes the
 programs.
 """
@@ -16,8 +16,8 @@ from kempe.kernels.base.declare import OUT, F, I
 from kempe.kernels.base.trig import REACH, ROUND, atan2, sincos
 from kempe.kernels.base.vectors import LANES, all_between, keep, rarely, raw, spread_lanes, store, where
 from kempe.kernels.dyads import dyads_layout as K
+from kempe.kernels.dyads.dyads_groups import circles, line_circle, lines, pin_pin, pin_rail, rail_rail
 from kempe.kernels.dyads.dyads_poses import constant, inverted, open_by, pin, pose, put, put_pose, rail, times, vector
-from kempe.kernels.dyads.dyads_rings import circles, line_circle, lines, pin_pin, pin_rail, rail_rail
 
 
 @routine

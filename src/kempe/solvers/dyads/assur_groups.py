@@ -1,4 +1,4 @@
-"""The search for rings of three rigid clusters, and the program that closes them one after another."""
+"""The search for dyads, Assur groups of two clusters, and the program that closes them one after another."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GROUND = 0
 
 
 class Decomposition:
-    """Clusters that grow while rings close; `code` is the program so far, `dyads` what it closes."""
+    """Clusters that grow while dyads close; `code` is the program so far, `dyads` what it closes."""
 
     def __init__(self, system: System, parts: Parts, known: list[int]):
         self.parts, self.system = parts, system
@@ -62,7 +62,7 @@ class Decomposition:
             self._learn(slot)
 
     def run(self) -> list[int]:
-        """Clusters, other than the ground's, that remain when no further ring closes."""
+        """Clusters, other than the ground's, that remain when no further dyad closes."""
         while self._drive() or self._relate() or self._ground() or self._floating():
             pass
         return [c for c in self.members if c != GROUND]
@@ -211,7 +211,7 @@ class Decomposition:
                         out[there].append(edge)
         return out
 
-    # ---- rings
+    # ---- dyads
 
     def _ground(self) -> bool:
         """Close something with the ground in it."""
@@ -268,44 +268,44 @@ class Decomposition:
         return True
 
     def _thrice(self, base: int, first: int, second: int, edges: dict[int, list[Edge]]) -> bool:
-        """Close the ring of three clusters, where its joints make it rigid."""
+        """Close the dyad of three clusters, where its joints make it rigid."""
         back = self._edges(second).get(base, [])
-        for ring in product(edges.get(base, []), edges.get(second, []), back):
-            hinges = [k for kind, k in ring if kind == R]
+        for group in product(edges.get(base, []), edges.get(second, []), back):
+            hinges = [k for kind, k in group if kind == R]
             if len(set(hinges)) < len(hinges) or not hinges:
                 continue
-            if ring[2] < ring[0]:
-                first, second, ring = second, first, ring[::-1]
+            if group[2] < group[0]:
+                first, second, group = second, first, group[::-1]
             if len(hinges) == 3:
-                self._circles(base, first, second, ring)
+                self._circles(base, first, second, group)
             elif len(hinges) == 2:
-                self._line_circle(base, first, second, ring)
-            elif not self._lines(base, first, second, ring):
+                self._line_circle(base, first, second, group)
+            elif not self._lines(base, first, second, group):
                 continue
             return True
         return False
 
-    def _circles(self, base: int, first: int, second: int, ring: tuple[Edge, ...]) -> None:
+    def _circles(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> None:
         (a, a1), (b1, b2), (c, c2) = (
-            self._pins(ring[0], base, first), self._pins(ring[1], first, second), self._pins(ring[2], base, second)
+            self._pins(group[0], base, first), self._pins(group[1], first, second), self._pins(group[2], base, second)
         )  # fmt: skip
         sign, outs = self.code.sign(), [self._out(first, 0), self._out(second, 1)]
         self.code.pins(K.CIRCLES, [a, c, a1, b1, b2, c2], [sign, *outs])
-        A, B, C = self._names(base, first, second, ring)
+        A, B, C = self._names(base, first, second, group)
         meaning = f"+ where {B} lies to the left of the way from {A} to {C}"
-        ends = self._seen(ring[0], a), self._seen(ring[2], c), self._seen(ring[1], b1)
-        self._record(base, first, second, ring, meaning, ends, False)
+        ends = self._seen(group[0], a), self._seen(group[2], c), self._seen(group[1], b1)
+        self._record(base, first, second, group, meaning, ends, False)
         self._join(base, {first: outs[0], second: outs[1]})
 
-    def _line_circle(self, base: int, first: int, second: int, ring: tuple[Edge, ...]) -> None:
-        rail = next(e for e in ring if e[0] == P)
+    def _line_circle(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> None:
+        rail = next(e for e in group if e[0] == P)
         clusters = {self.cluster[p] for p in self._sides(rail[1])}
         link = self.parts.links[rail[1]]
         still = base if base in clusters else self.cluster[link.a]
         slider = next(c for c in clusters if c != still)
         other = next(c for c in (base, first, second) if c not in clusters)
         pairs = (base, first), (first, second), (second, base)
-        between = {frozenset(pair): e for pair, e in zip(pairs, ring, strict=True)}
+        between = {frozenset(pair): e for pair, e in zip(pairs, group, strict=True)}
         moving, fixed = between[frozenset((slider, other))], between[frozenset((still, other))]
         b1, b2 = self._pins(moving, slider, other)
         a, a2 = self._pins(fixed, still, other)
@@ -316,21 +316,21 @@ class Decomposition:
         pins = self._seen(fixed, a), self._seen(moving, b1)
         if self.cluster[link.a] != still:
             pins = pins[::-1]
-        self._record(base, first, second, ring, meaning, (pins[0], link.rails(True)[0], pins[1]), True)
+        self._record(base, first, second, group, meaning, (pins[0], link.rails(True)[0], pins[1]), True)
         self._finish(base, outs, rebase)
 
-    def _lines(self, base: int, first: int, second: int, ring: tuple[Edge, ...]) -> bool:
-        rails = [e for e in ring if e[0] == P]
+    def _lines(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> bool:
+        rails = [e for e in group if e[0] == P]
         sides = [{self.cluster[p] for p in self._sides(e[1])} for e in rails]
         still = next(iter(sides[0] & sides[1]))
         y, z = (next(c for c in s if c != still) for s in sides)
         one, two = self._rails(rails[0], still), self._rails(rails[1], still)
         if _parallel(one[0], two[0]):
             return False
-        pins = self._pins(next(e for e in ring if e[0] == R), y, z)
+        pins = self._pins(next(e for e in group if e[0] == R), y, z)
         outs, rebase = self._outs(base, still, y, z)
         self.code.pins(K.LINES, [*one, *two, *pins], list(outs.values()), 4)
-        self._record(base, first, second, ring, "one root only", (), False, None)
+        self._record(base, first, second, group, "one root only", (), False, None)
         self._finish(base, outs, rebase)
         return True
 
@@ -350,20 +350,20 @@ class Decomposition:
         self._join(base, outs)
 
     def _record(
-        self, base: int, first: int, second: int, ring: tuple[Edge, ...], meaning: str, ends: tuple[PartLine, ...],
+        self, base: int, first: int, second: int, group: tuple[Edge, ...], meaning: str, ends: tuple[PartLine, ...],
         along: bool, sign: int | None = 0,
     ) -> None:  # fmt: skip
         bodies = tuple(tuple(b for p in self.members[c] for b in self.parts.names[p]) for c in (first, second))
-        kind = "".join("RP"[e[0] == P] for e in ring)
+        kind = "".join("RP"[e[0] == P] for e in group)
         number = None if sign is None else self.code.signs - 1
-        names = self._names(base, first, second, ring)
+        names = self._names(base, first, second, group)
         root = next((self.parts.reps[p] for p in self.members[base] if self.parts.reps[p] != NOWHERE), 0)
         self.dyads.append(Dyad(kind, root, bodies, names, number, meaning, ends, along))  # type: ignore[arg-type]
 
-    def _names(self, base: int, first: int, second: int, ring: tuple[Edge, ...]) -> tuple[str, str, str]:
-        """Names of the ring's joints; of a hinge of several, one that joins the two clusters where there is one."""
+    def _names(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> tuple[str, str, str]:
+        """Names of the dyad's joints; of a hinge of several, one that joins the two clusters where there is one."""
         names = []
-        for (kind, k), pair in zip(ring, ({base, first}, {first, second}, {second, base}), strict=True):
+        for (kind, k), pair in zip(group, ({base, first}, {first, second}, {second, base}), strict=True):
             if kind == P:
                 names.append(self.parts.links[k].name)
                 continue

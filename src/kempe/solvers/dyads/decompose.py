@@ -1,7 +1,7 @@
-"""A planar mechanism as a program of dyads: which rings of three rigid clusters close one after another.
+"""A planar mechanism as a program of dyads: which dyads of three rigid clusters close one after another.
 
 Bodies that cannot move against each other form one rigid *cluster*. A joint whose coordinate is known merges two
-clusters; three clusters in a ring, joined by three joints of one freedom, are rigid and merge too: with the ground
+clusters; three clusters, joined in a circle by three joints of one freedom, are rigid and merge too: with the ground
 among them that is a dyad (Assur, 1914), without it the closed form is the same. Two clusters joined twice are
 over-constrained: two joints place them, the rest is checked. Revolute joints that share a point of a body are one
 hinge of several bodies, so it does not matter which pairs of them the description names.
@@ -106,7 +106,7 @@ class Parts:
 
 @dataclass(frozen=True)
 class Dyad:
-    """A ring that was closed: the joint types on the way round from the base, and what its two roots are.
+    """A dyad that was closed: the joint types on the way round from the base, and what its two roots are.
 
     `bodies` are those of the two clusters that it places; `joints` lie between base and first, first and second, and
     second and base. `sign` is its number among the branch signs, None where there is one root only. For `branch_of`:

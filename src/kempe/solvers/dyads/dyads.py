@@ -38,7 +38,7 @@ MOST_SIGNS = 16
 
 @dataclass(frozen=True)
 class Incomplete(Report):
-    """Why there is no closed form: `reason` as a sentence, and the `bodies` that no ring of three places."""
+    """Why there is no closed form: `reason` as a sentence, and the `bodies` that no dyad places."""
 
     reason: str
     bodies: tuple[str, ...] = ()
@@ -114,9 +114,9 @@ class DyadAnswer(Answer):
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class Plan(Report):
-    """A mechanism in closed form for `known` coordinates: ring after ring of three rigid clusters.
+    """A mechanism in closed form for `known` coordinates: dyad after dyad of three rigid clusters.
 
-    `dyads` lists the rings; `signs` is how many of them have two roots, and so are chosen by a branch sign, +1 or -1.
+    `dyads` lists them; `signs` is how many of them have two roots, and so are chosen by a branch sign, +1 or -1.
     A sign stays along a motion until its `heights` is zero: there two branches meet. Most mechanisms turn back at such
     a place; at a change point, as of a parallelogram that is flat, a smooth motion goes on with the other sign.
     Openings up to `tolerance` metres count as closed. Method: chained circle and line intersections of the dyads
@@ -280,7 +280,7 @@ def closed_form(system: System, known: Sequence[str] | str) -> Plan | Incomplete
     """The closed form of a planar system for these known coordinates, or `Incomplete`, which says what is left over.
 
     It exists for bodies, joined by revolute, prismatic and fixed joints, that are placed by known coordinates, their
-    followers, and rings of three rigid clusters (dyads, or Assur groups of the second class). Errors:
+    followers, and dyads of three rigid clusters (Assur groups of the second class). Errors:
     `UnknownNameError` for the names, `InputError` for one that is not in q.
     """
     return _closed_form(system, listed(known, "known"))
@@ -353,7 +353,7 @@ def _in_bodies(dyad: Dyad, reps: tuple[int, ...]) -> Dyad:
 
 
 def _incomplete(search: Decomposition, left: list[int]) -> Incomplete:
-    """What is left over, and why: too little is known, or no ring of three is among it."""
+    """What is left over, and why: too little is known, or no dyad is among it."""
     bodies = tuple(b for c in left for p in search.members[c] for b in search.parts.names[p])
     shown = ", ".join(bodies[:8]) + (f", ... ({len(bodies)} in all)" if len(bodies) > 8 else "")
     missing = search.freedom()
@@ -361,5 +361,5 @@ def _incomplete(search: Decomposition, left: list[int]) -> Incomplete:
         them = "coordinate" if missing == 1 else "coordinates"
         why = f"by counting, {missing} more {them} must be known"
     else:
-        why = "they form an Assur group of a higher class, which has no ring of three"
+        why = "they form an Assur group of a higher class, which has no dyad"
     return Incomplete(f"no closed form: {shown} cannot be placed one dyad after another; {why}", bodies)

@@ -1,6 +1,6 @@
 """Rings of three rigid clusters, and clusters that are joined twice, closed by circles and lines.
 
-Three bodies in a ring, joined by pins and rails, form the dyads of Assur (1914): `circles` (RRR), `line_circle` (one
+Three bodies, joined in a circle by pins and rails, form the dyads of Assur (1914): `circles` (RRR), `line_circle` (one
 rail) and `lines` (two rails). What cannot close is put where it nearly touches. The functions return nothing; in what
 they say, places are counted in the integers of the operation, from 1.
 """
