@@ -69,28 +69,28 @@ def manoeuvre(
         raise InputError(f"points is {samples!r}; it must be a whole number, at least 2 and at most {MOST}")
     car = wheeled(system, q)
     loose = _loose(system, goal, free, car)
-    course, said = None, ""
+    motion, said = None, ""
     try:
         for plan in plans(car, q, goals, None if radius is None else float(radius), loose):
-            found = _course(car, q, goals, plan)
+            found = _exact(car, q, goals, plan)
             said = "" if found is None else _outside(system, found, int(samples))
             if not said:
-                course = found
+                motion = found
                 break
     except Refused as refusal:
         said = str(refusal)
     zero = np.zeros(1)
-    if course is None:
+    if motion is None:
         return Manoeuvre(system, q[None], zero, zero, (), 0.0, 0, not said, said, (car.pose.body,))
-    t = _times(course, int(samples))
-    x, v = course.at(t)
+    t = _times(motion, int(samples))
+    x, v = motion.at(t)
     slipped = slip(system, t, x, v)
     if slipped > SLIP:
         raise UnsupportedError(f"{system.name}: the manoeuvre slips by {slipped:.2g}: its velocity constraints are not "
                                "those of an axle everywhere")  # fmt: skip
-    turns = _arrive(car, course, x, q, goals, loose)
-    return Manoeuvre(system, x, t, course.lengths(t), tuple(course.pieces), slipped, turns, True, "", (car.pose.body,),
-                     course)  # fmt: skip
+    turns = _arrive(car, motion, x, q, goals, loose)
+    return Manoeuvre(system, x, t, motion.lengths(t), tuple(motion.pieces), slipped, turns, True, "", (car.pose.body,),
+                     motion)  # fmt: skip
 
 
 def _one(system: System, q: Any, what: str) -> Array:
@@ -125,7 +125,7 @@ def _loose(system: System, goal: Any, free: Iterable[str], car: Wheeled) -> tupl
     return (*out, *(v for v in car.driven if given is not None and names[v] not in given))
 
 
-def _course(car: Wheeled, q: Array, goal: Array, plan: Plan) -> ExactManoeuvre | None:
+def _exact(car: Wheeled, q: Array, goal: Array, plan: Plan) -> ExactManoeuvre | None:
     """A plan in closed form, with the steering between its moves, as fast as limits allow; None for nothing to do."""
     pieces: list[Piece] = []
     now = float(q[car.steering_q])
@@ -152,25 +152,25 @@ def _course(car: Wheeled, q: Array, goal: Array, plan: Plan) -> ExactManoeuvre |
         pieces.append(Piece("rest", 0.0, float(np.abs(idle).max()), 0.0, 0.0, 0.0))
     if not pieces:
         return None
-    course, limits = ExactManoeuvre(car, q, idle, pieces), car.system.structure.velocity_limits
+    motion, limits = ExactManoeuvre(car, q, idle, pieces), car.system.structure.velocity_limits
     if not np.isfinite(limits).any():
-        return course
-    return ExactManoeuvre(car, q, idle, _slower(course, limits))
+        return motion
+    return ExactManoeuvre(car, q, idle, _slower(motion, limits))
 
 
-def _slower(course: ExactManoeuvre, limits: Array) -> list[Piece]:
+def _slower(motion: ExactManoeuvre, limits: Array) -> list[Piece]:
     """The pieces, each slower where a coordinate would exceed its velocity limit (nv,)."""
     idle = np.zeros(len(limits), dtype=bool)
-    idle[list(course.car.idle)] = True
+    idle[list(motion.car.idle)] = True
     still = np.where(idle, np.inf, limits)
     out: list[Piece] = []
-    for p in course.pieces:
+    for p in motion.pieces:
         n = 65
         inside = p.start + p.duration * (np.arange(n) + 0.5) / n
-        v = np.abs(course.at(inside)[1]).max(axis=0) / math.cos(min(0.5 * abs(p.angle) / n, 1.0))
+        v = np.abs(motion.at(inside)[1]).max(axis=0) / math.cos(min(0.5 * abs(p.angle) / n, 1.0))
         out.append(_stretched(p, out, max(1.0, float((v / still).max(initial=0.0)))))
     total = out[-1].start + out[-1].duration
-    most = float((np.abs(course.idle) * course.total / limits)[idle].max(initial=0.0)) / total
+    most = float((np.abs(motion.idle) * motion.total / limits)[idle].max(initial=0.0)) / total
     if most > 1.0:
         pieces, out = out, []
         for p in pieces:
@@ -184,21 +184,21 @@ def _stretched(p: Piece, before: Sequence[Piece], by: float) -> Piece:
     return Piece(p.kind, at, p.duration * by, p.forward / by, p.turning / by, p.steering / by)
 
 
-def _times(course: ExactManoeuvre, samples: int) -> Array:
+def _times(motion: ExactManoeuvre, samples: int) -> Array:
     """Times (n,): the ends of all pieces, and evenly spread ones between them."""
     out = [np.zeros(1)]
-    for p in course.pieces:
-        n = max(1, math.ceil(p.duration / course.total * (samples - 1)))
+    for p in motion.pieces:
+        n = max(1, math.ceil(p.duration / motion.total * (samples - 1)))
         out.append(p.start + p.duration * np.arange(1, n + 1) / n)
-    out[-1][-1] = course.total
+    out[-1][-1] = motion.total
     return np.concatenate(out)
 
 
-def _outside(system: System, course: ExactManoeuvre, samples: int) -> str:
-    """What a course does that it must not, in words: it leaves limits, or violates one-sided constraints."""
-    q = course.at(_times(course, max(samples, 200)))[0]
-    if (course.car.pose.spread(q) <= PARALLEL).any():
-        slides = " and ".join(repr(system.structure.velocity_names[v]) for v in course.car.pose.slides_v)
+def _outside(system: System, motion: ExactManoeuvre, samples: int) -> str:
+    """What a motion does that it must not, in words: it leaves limits, or violates one-sided constraints."""
+    q = motion.at(_times(motion, max(samples, 200)))[0]
+    if (motion.car.pose.spread(q) <= PARALLEL).any():
+        slides = " and ".join(repr(system.structure.velocity_names[v]) for v in motion.car.pose.slides_v)
         return f"on the way {slides} would be parallel, and cannot go on"
     rows = one_sided_rows(system)
     over = rows.beyond(q)
@@ -209,10 +209,10 @@ def _outside(system: System, course: ExactManoeuvre, samples: int) -> str:
             f"between {rows.low[k]:.6g} and {rows.high[k]:.6g}")  # fmt: skip
 
 
-def _arrive(car: Wheeled, course: ExactManoeuvre, x: Array, q: Array, goal: Array, free: Sequence[int]) -> int:
+def _arrive(car: Wheeled, motion: ExactManoeuvre, x: Array, q: Array, goal: Array, free: Sequence[int]) -> int:
     """Put the ends of samples (n, nq) right to the last bit; returns by how many whole turns the heading is off.
 
-    Errors: `UnsupportedError` where the course does not lead to the goal.
+    Errors: `UnsupportedError` where the motion does not lead to the goal.
     """
     system, end = car.system, goal.copy()
     place = dict(zip(system.structure.layout.vector_v.tolist(), system.structure.layout.vector_q.tolist(), strict=True))
@@ -222,7 +222,7 @@ def _arrive(car: Wheeled, course: ExactManoeuvre, x: Array, q: Array, goal: Arra
     turns = round(float(car.pose.gear * (x[-1, i] - goal[i])) / (2.0 * math.pi))
     end[i] += 2.0 * math.pi * turns / car.pose.gear
     off = np.abs(system.structure.layout.difference(x[-1], end))
-    scale = 1.0 + float(np.abs(x[:, system.structure.layout.vector_q]).max(initial=0.0)) + course.total
+    scale = 1.0 + float(np.abs(x[:, system.structure.layout.vector_q]).max(initial=0.0)) + motion.total
     if off.max() > 1e-12 * scale:
         name = system.structure.velocity_names[int(np.argmax(off))]
         if int(np.argmax(off)) not in car.driven:

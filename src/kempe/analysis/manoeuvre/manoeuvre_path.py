@@ -78,7 +78,7 @@ class Manoeuvre(Motion):
     success: bool
     reason: str = ""
     frames: tuple[str, ...] = ()
-    _course: ExactManoeuvre | None = field(default=None, repr=False)
+    _exact: ExactManoeuvre | None = field(default=None, repr=False)
 
     @property
     def length(self) -> float:
@@ -112,10 +112,10 @@ class Manoeuvre(Motion):
         t = numbers(t, "t")
         if not ((t >= 0.0) & (t <= self.duration)).all():
             raise InputError(f"t is outside the manoeuvre, which takes from 0 to {self.duration:.9g} s")
-        if self._course is None or not self.pieces:
+        if self._exact is None or not self.pieces:
             shape = (*t.shape, self.system.nq)
             return np.broadcast_to(self.q[0], shape).copy(), np.zeros((*t.shape, self.system.nv))
-        q, v = self._course.at(t.ravel())
+        q, v = self._exact.at(t.ravel())
         return q.reshape(*t.shape, -1), v.reshape(*t.shape, -1)
 
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:

@@ -195,8 +195,8 @@ def drive(
         return Drive(system, near[None], clock[:1], requested, np.ones(1, dtype=bool), (), (), (), False, False, said)
     closure.budget = time
     wish = wish_of(system, toward)
-    course = SegmentContext(closure, index, longest, OneSidedEnds(closure, limits), wish / closure.unit)
-    return _run(course, q, names, clock, samples, spend.progress)
+    context = SegmentContext(closure, index, longest, OneSidedEnds(closure, limits), wish / closure.unit)
+    return _run(context, q, names, clock, samples, spend.progress)
 
 
 def _in_time(
@@ -312,11 +312,11 @@ def _begin(
 
 
 def _run(
-    course: SegmentContext, q: Array, names: list[str], clock: Array, samples: Callable[[int, int], list[Array]],
+    context: SegmentContext, q: Array, names: list[str], clock: Array, samples: Callable[[int, int], list[Array]],
     progress: Progress | None,
 ) -> Drive:  # fmt: skip
     """The motion through all samples."""
-    state = State(q, q[course.closure.place[course.index]])
+    state = State(q, q[context.closure.place[context.index]])
     requested, poses, held = [], [], []
     toggles: list[Toggle] = []
     jumps: list[tuple[int, float]] = []
@@ -325,10 +325,10 @@ def _run(
     try:
         for k in range(len(clock)):
             end = samples(k, 1)[-1]
-            parts = int(np.ceil(np.abs((end - last) / course.unit).max() / BETWEEN)) if k else 1
+            parts = int(np.ceil(np.abs((end - last) / context.unit).max() / BETWEEN)) if k else 1
             single = len(names) == 1 or stuck is None  # a way back in several inputs is looked for once a sample
             for u in samples(k, min(max(parts, 1), MOST_PARTS) if single else 1):
-                state, stuck, gap = course.follow(state, stuck, last, u, k)
+                state, stuck, gap = context.follow(state, stuck, last, u, k)
                 last = u
                 if gap > CONTINUOUS:
                     jumps.append((k, gap))
@@ -348,9 +348,9 @@ def _run(
     n = len(held)
     values = np.array(requested[:n]).reshape(n, len(names))
     return Drive(
-        course.closure.system, np.array(poses[:n]).reshape(n, course.closure.system.nq), clock[:n],
+        context.closure.system, np.array(poses[:n]).reshape(n, context.closure.system.nq), clock[:n],
         {name: values[:, j] for j, name in enumerate(names)}, np.array(held[:n], dtype=bool), tuple(toggles),
-        tuple(j for j in jumps if j[0] < n), tuple(course.singular), not (broken or any(held) or jumps),
+        tuple(j for j in jumps if j[0] < n), tuple(context.singular), not (broken or any(held) or jumps),
         isinstance(broken, KeyboardInterrupt),
         late=isinstance(broken, TimeUp),
     )  # fmt: skip

@@ -1,6 +1,6 @@
-"""One straight course of the inputs after the other, and the configuration continued along it.
+"""One straight segment of the inputs after the other, and the configuration continued along it.
 
-The curve lives in configurations and the length gone on the course. Where it turns back in that length the inputs
+The curve lives in configurations and the length gone on the segment. Where it turns back in that length the inputs
 cannot go on (a toggle); where two of its branches cross is a change point.
 """
 
@@ -58,7 +58,7 @@ class Stuck:
 
 @dataclass(frozen=True, eq=False)
 class SegmentContext:
-    """What does not change from one course to the next; `singular` collects the change points passed.
+    """What does not change from one segment to the next; `singular` collects the change points passed.
 
     `index` are the velocity indices of the inputs, `wish` (nv,) a direction that chooses among branches at the start.
     """
@@ -149,7 +149,7 @@ class SegmentContext:
             self.singular.append(Event(n.x[:-1], float(k), kind, nullity=n.nullity, directions=lines))
 
     def _ends(self, way: DrivenClosure, a: Node, b: Node, length: float) -> tuple[Stuck | None, Node | None]:
-        """What ends the course between two nodes: a limit, or that the curve turns back; or the node at its end."""
+        """What ends the segment between two nodes: a limit, or that the curve turns back; or the node at its end."""
         turn = None
         if b.t[-1] <= 0.0:
             turn = root(way, a, b, lambda n: float(n.t[-1])) or a
@@ -165,7 +165,7 @@ class SegmentContext:
         return None, root(way, a, b, lambda n: float(n.x[-1]) - length, 0.0, high)
 
     def _begin(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
-        """The equations of a course and its first node; what spins idly is held, and so is the rank where it is low
+        """The equations of a segment and its first node; what spins idly is held, and so is the rank where it is low
         all along."""  # fmt: skip
         spins = spins_held(self.closure)
         if spins is not None:
@@ -179,12 +179,12 @@ class SegmentContext:
         return way, self._first(way, here, state)
 
     def _way(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
-        """The equations of a course, and the node where it begins."""
+        """The equations of a segment, and the node where it begins."""
         way = DrivenClosure(self.closure, self.index, state.u, direction)
         return way, node(way, np.append(state.q, 0.0))
 
     def _first(self, way: DrivenClosure, here: Node, state: State) -> Node:
-        """The node at the beginning of a course, on the branch of arrival where several meet."""
+        """The node at the beginning of a segment, on the branch of arrival where several meet."""
         x = here.x
         if here.nullity == 1:
             return here if here.t[-1] >= 0.0 else here.reversed()
@@ -215,7 +215,7 @@ class SegmentContext:
 
 
 def land(way: DrivenClosure, a: Node, length: float) -> Node | None:
-    """The node of the curve at this length of the course, or None where that is too far to be sure of it."""
+    """The node of the curve at this length of the segment, or None where that is too far to be sure of it."""
     size = (length - float(a.x[-1])) / float(a.t[-1])
     guess = way.move(a.x, size * a.t)
     across = np.zeros(way.n)
