@@ -13,7 +13,7 @@ import numpy as np
 
 from kempe.analysis.first_order.constraint_graph import ConstraintGraph
 from kempe.analysis.first_order.screws import Screws
-from kempe.analysis.first_order.series_joints import SeriesLoop, Star, rings, stars
+from kempe.analysis.first_order.series_joints import SeriesLoop, Star, all_series, stars
 from kempe.model.kept import keep
 from kempe.spatial import Array
 
@@ -38,7 +38,7 @@ class BallEnd(NamedTuple):
 class SignedEnd(NamedTuple):
     """An end, and the sense in which its ring is passed: +1 towards what it holds, -1 from there."""
 
-    ring: SeriesLoop
+    series: SeriesLoop
     end: BallEnd
     sign: float
 
@@ -46,14 +46,14 @@ class SignedEnd(NamedTuple):
 class Pair(NamedTuple):
     """Two ends of a ring between which something may spin."""
 
-    ring: SeriesLoop
+    series: SeriesLoop
     left: BallEnd
     right: BallEnd
 
     @property
     def holds(self) -> tuple[SignedEnd, ...]:
         """Both ends as holds."""
-        return SignedEnd(self.ring, self.left, 1.0), SignedEnd(self.ring, self.right, -1.0)
+        return SignedEnd(self.series, self.left, 1.0), SignedEnd(self.series, self.right, -1.0)
 
 
 class HeldStar(NamedTuple):
@@ -71,22 +71,24 @@ def pairs_of(system: System, s: ConstraintGraph, at: Screws, driven: frozenset[i
     answers = system._kept.setdefault(pairs_of, {})
     found = answers.get(driven)
     if found is None:
-        found = keep(answers, driven, [p for ring in rings(system, driven) for p in _of_ring(s, at, ring)])
+        found = keep(answers, driven, [p for series in all_series(system, driven) for p in _of_series(s, at, series)])
     return found
 
 
-def _of_ring(s: ConstraintGraph, at: Screws, ring: SeriesLoop) -> Iterator[Pair]:
-    n = len(ring.edges)
-    meets = [_meet(s, at, ring, k, k + 1) if ring.joined[k] else None for k in range(n - 1)]
-    ends = {(k, step): _grow(ring, meets, k, step) for k in range(n) if ring.turns[k] is not None for step in (-1, 1)}
+def _of_series(s: ConstraintGraph, at: Screws, series: SeriesLoop) -> Iterator[Pair]:
+    n = len(series.edges)
+    meets = [_meet(s, at, series, k, k + 1) if series.joined[k] else None for k in range(n - 1)]
+    ends = {
+        (k, step): _grow(series, meets, k, step) for k in range(n) if series.turns[k] is not None for step in (-1, 1)
+    }
     balls = {step: {k for (k, d), end in ends.items() if d == step and not end.hinge} for step in (-1, 1)}
-    places = [k for k in range(n) if ring.turns[k] is not None]
+    places = [k for k in range(n) if series.turns[k] is not None]
     chosen = {(p, q) for q in balls[1] for p in places if p < q} | {(p, q) for p in balls[-1] for q in places if p < q}
     chosen |= {(k, k + 1) for k, meet in enumerate(meets) if meet is not None and meet.one_axis}
     for p, q in sorted(chosen):
-        pair = Pair(ring, ends[p, -1], ends[q, 1])
+        pair = Pair(series, ends[p, -1], ends[q, 1])
         if not (pair.left.hinge or pair.right.hinge) or not (
-            turning_inside(s, ring, p, q) or _one_of_many(s, at, ring, pair)
+            turning_inside(s, series, p, q) or _one_of_many(s, at, series, pair)
         ):
             yield pair
 
@@ -101,9 +103,9 @@ def held(system: System, s: ConstraintGraph, at: Screws, driven: frozenset[int])
             holds = []
             if not (star.chains or star.points):  # nothing holds it
                 continue
-            for ring in star.chains:
-                meets = [_meet(s, at, ring, k, k + 1) for k in range(len(ring.edges) - 1)]
-                holds.append(SignedEnd(ring, _grow(ring, meets, 0, 1), -1.0))
+            for series in star.chains:
+                meets = [_meet(s, at, series, k, k + 1) for k in range(len(series.edges) - 1)]
+                holds.append(SignedEnd(series, _grow(series, meets, 0, 1), -1.0))
             simple = all(len(h.end.edges) == 1 for h in holds)
             if not simple and any(h.end.hinge for h in holds):  # it may be a spherical linkage
                 continue
@@ -119,12 +121,12 @@ class _Meeting(NamedTuple):
     one_axis: bool
 
 
-def _meet(s: ConstraintGraph, at: Screws, ring: SeriesLoop, k: int, m: int) -> _Meeting | None:
+def _meet(s: ConstraintGraph, at: Screws, series: SeriesLoop, k: int, m: int) -> _Meeting | None:
     """Where the axes of the k-th and the m-th edge, which share a part, meet; None where they do not."""
-    a, b = ring.turns[k], ring.turns[m]
+    a, b = series.turns[k], series.turns[m]
     if a is None or b is None or not (a.columns and b.columns):
         return None
-    (p, u), (r, v) = (line_of(at, ring, i) for i in (k, m))
+    (p, u), (r, v) = (line_of(at, series, i) for i in (k, m))
     away = (r - p) / at.length
     if u is None and v is None:
         return _Meeting((0.0, 0.0), False) if np.linalg.norm(away) < ALONE and a.whole and b.whole else None
@@ -157,19 +159,19 @@ def off(to: Array, axis: Array) -> float:
     return math.sqrt(rest @ rest)
 
 
-def line_of(at: Screws, ring: SeriesLoop, k: int) -> tuple[Array, Array | None]:
+def line_of(at: Screws, series: SeriesLoop, k: int) -> tuple[Array, Array | None]:
     """Origin of an edge, in the ground, and the direction of its axis if it can turn about one only."""
-    i, own = ring.edges[k], ring.own(k)
+    i, own = series.edges[k], series.own(k)
     w = at.twists[i][3:, list(own)]
     return at.M[i, :3, 3], w[:, 0] / np.linalg.norm(w) if len(own) == 1 else None
 
 
-def _grow(ring: SeriesLoop, meets: Sequence[_Meeting | None], k: int, step: int) -> BallEnd:
+def _grow(series: SeriesLoop, meets: Sequence[_Meeting | None], k: int, step: int) -> BallEnd:
     """The edges from the k-th on, in one direction, whose axes meet in one point, until they are as good as a ball."""
-    edges, columns, first, here = [k], len(ring.own(k)), 0.0, None
+    edges, columns, first, here = [k], len(series.own(k)), 0.0, None
     while columns < 3:
         last = edges[-1]
-        meet = meets[min(last, last + step)] if 0 <= last + step < len(ring.edges) else None
+        meet = meets[min(last, last + step)] if 0 <= last + step < len(series.edges) else None
         if meet is None or meet.one_axis:
             break
         near, far = meet.along if step > 0 else meet.along[::-1]
@@ -179,36 +181,38 @@ def _grow(ring: SeriesLoop, meets: Sequence[_Meeting | None], k: int, step: int)
             break
         here = far
         edges.append(last + step)
-        columns += len(ring.own(last + step))
+        columns += len(series.own(last + step))
     return BallEnd(tuple(edges), first, columns == 1)
 
 
-def turning_inside(s: ConstraintGraph, ring: SeriesLoop, p: int, q: int) -> bool:
+def turning_inside(s: ConstraintGraph, series: SeriesLoop, p: int, q: int) -> bool:
     """Whether between two edges of a ring there is more than slides."""
-    inside = (s.edges[i] for i in ring.edges[p + 1 : q])
+    inside = (s.edges[i] for i in series.edges[p + 1 : q])
     return any(not e.joint or any(c.index >= 0 and not c.slides for c in e.columns) for e in inside)
 
 
-def _one_of_many(s: ConstraintGraph, at: Screws, ring: SeriesLoop, pair: Pair) -> bool:
+def _one_of_many(s: ConstraintGraph, at: Screws, series: SeriesLoop, pair: Pair) -> bool:
     """Whether a hinge and a ball made of several joints are but some of the joints about one point: of a spherical
     linkage, whose links are no parts of a ball."""
     hinge, ball = (pair.left, pair.right) if pair.left.hinge else (pair.right, pair.left)
     if ball.hinge or len(ball.edges) == 1:
         return False
-    point, n = center_of(at, ring, ball), len(ring.edges)
+    point, n = center_of(at, series, ball), len(series.edges)
     low, high = min(*hinge.edges, *ball.edges), max(*hinge.edges, *ball.edges)
     for k in {(low - 1) % n, (high + 1) % n} - set(range(low, high + 1)):
-        T = at.twists[ring.edges[k]][:, [c for c, col in enumerate(s.edges[ring.edges[k]].columns) if not col.slides]]
+        T = at.twists[series.edges[k]][
+            :, [c for c, col in enumerate(s.edges[series.edges[k]].columns) if not col.slides]
+        ]
         if T.size and np.abs(T[:3] - np.cross(point, T[3:], axis=0)).max() < ALONE:
             return True
     return False
 
 
-def center_of(at: Screws, ring: SeriesLoop, end: BallEnd) -> Array:
+def center_of(at: Screws, series: SeriesLoop, end: BallEnd) -> Array:
     """The point that all axes of an end go through, relative to the screws' centre, in their unit."""
     k = end.edges[0]
-    point = (at.M[ring.edges[k], :3, 3] - at.center) / at.length
-    axis = line_of(at, ring, k)[1] if len(ring.own(k)) == 1 else None
+    point = (at.M[series.edges[k], :3, 3] - at.center) / at.length
+    axis = line_of(at, series, k)[1] if len(series.own(k)) == 1 else None
     return point if axis is None else point + end.along * axis
 
 
@@ -216,15 +220,15 @@ def centers_of(at: Screws, of: Pair | HeldStar) -> list[Array]:
     """The points that hold a group, relative to the screws' centre, in their unit."""
     points = of.star.points if isinstance(of, HeldStar) else ()
     places = [(at.M if child else at.F)[i, :3, 3] for i, child in points]
-    return [center_of(at, h.ring, h.end) for h in of.holds] + [(p - at.center) / at.length for p in places]
+    return [center_of(at, h.series, h.end) for h in of.holds] + [(p - at.center) / at.length for p in places]
 
 
 def line_through(at: Screws, of: Pair | HeldStar) -> tuple[Array, Array] | None:
     """A point and the direction of the line through all points that hold a group, and along all hinges that do."""
     centers = centers_of(at, of)
     a, direction = next((c for c, hold in zip(centers, of.holds, strict=False) if not hold.end.hinge), centers[0]), None
-    for ring, end, _ in of.holds:
-        along = line_of(at, ring, end.edges[0])[1] if end.hinge else None
+    for series, end, _ in of.holds:
+        along = line_of(at, series, end.edges[0])[1] if end.hinge else None
         direction = along if direction is None else direction
         if along is not None and direction is not None and off(along, direction) > ALONE:
             return None

@@ -172,8 +172,8 @@ def _axis(at: Screws, of: Pair | HeldStar) -> tuple[Array, Array] | None:
 
 def _axes(at: Screws, hold: SignedEnd) -> Array:
     """Axes (3, n) of an end, in the sense in which its ring is passed."""
-    ring, end, _ = hold
-    W = [ring.signs[k] * at.twists[ring.edges[k]][3:, list(ring.own(k))] for k in end.edges]
+    series, end, _ = hold
+    W = [series.signs[k] * at.twists[series.edges[k]][3:, list(series.own(k))] for k in end.edges]
     return W[0] if len(W) == 1 else np.concatenate(W, axis=1)
 
 
@@ -194,19 +194,19 @@ def _volume(W: Array) -> float:
 
 def _rates(at: Screws, hold: SignedEnd, point: Array, direction: Array) -> dict[int, Array]:
     """Rates of all columns of an end's edges that turn the group about the axis; edges that rest are left out."""
-    (ring, end, sign), A, out, first = hold, _axes(at, hold), {}, 0
+    (series, end, sign), A, out, first = hold, _axes(at, hold), {}, 0
     if A.shape[1] == 3 and abs(_volume(A)) > INDEPENDENT:
         z = np.linalg.solve(A, sign * direction)
     else:
         z = np.asarray(np.linalg.lstsq(A, sign * direction, rcond=ALONE)[0], dtype=float)
     z[np.abs(z) < ALONE * np.abs(z).max()] = 0.0
     for k in end.edges:
-        own = ring.own(k)
-        rates = np.zeros(at.twists[ring.edges[k]].shape[1])
+        own = series.own(k)
+        rates = np.zeros(at.twists[series.edges[k]].shape[1])
         rates[list(own)] = z[first : first + len(own)]
         first += len(own)
         if rates.any():
-            out[ring.edges[k]] = rates
+            out[series.edges[k]] = rates
     return out
 
 
@@ -216,16 +216,16 @@ def _rates(at: Screws, hold: SignedEnd, point: Array, direction: Array) -> dict[
 def _group(system: System, s: ConstraintGraph, spin: _SpinCandidate, known: bool) -> _Group | None:
     """What is between the ends of a pair; None where it is not idle."""
     assert isinstance(spin.of, Pair)
-    ring, left, right = spin.of
-    places = [k for k, i in enumerate(ring.edges) if i in spin.rates]
+    series, left, right = spin.of
+    places = [k for k, i in enumerate(series.edges) if i in spin.rates]
     low, high, part = places[0], places[-1], parts(system)
-    if part[ends_of(s, ring, low)[0]] == part[ends_of(s, ring, high)[1]]:
+    if part[ends_of(s, series, low)[0]] == part[ends_of(s, series, high)[1]]:
         return None
     p, q = max(k for k in left.edges if k in places), min(k for k in right.edges if k in places)
-    moving = between(system, ring.edges[low], ring.edges[high])
-    bodies = moving if (p, q) == (low, high) else between(system, ring.edges[p], ring.edges[q])
-    turning = turning_inside(s, ring, p, q)
-    for i in edges_at(system, moving) - {*ring.edges[low : high + 1]}:
+    moving = between(system, series.edges[low], series.edges[high])
+    bodies = moving if (p, q) == (low, high) else between(system, series.edges[p], series.edges[q])
+    turning = turning_inside(s, series, p, q)
+    for i in edges_at(system, moving) - {*series.edges[low : high + 1]}:
         if not rigid(s.edges[i]):
             if not in_loop(system)[i] or s.edges[i].actuated:
                 return None
@@ -233,7 +233,7 @@ def _group(system: System, s: ConstraintGraph, spin: _SpinCandidate, known: bool
     simple = (p, q) == (low, high) and not (left.hinge or right.hinge)
     if turning and not (simple or (known and not (left.hinge or right.hinge))):
         return None
-    return _Group(bodies, moving - bodies, (ring.edges[p], ring.edges[q]))
+    return _Group(bodies, moving - bodies, (series.edges[p], series.edges[q]))
 
 
 def _of_star(system: System, s: ConstraintGraph, rank: Rank, spin: _SpinCandidate) -> _Group | None:
@@ -241,13 +241,13 @@ def _of_star(system: System, s: ConstraintGraph, rank: Rank, spin: _SpinCandidat
     assert isinstance(spin.of, HeldStar)
     star, part, at = spin.of.star, parts(system), rank.screws
     bodies, links, outside, joints = set(star.bodies), set(), [], []
-    for ring, end, _ in spin.of.holds:
-        places = [k for k in end.edges if ring.edges[k] in spin.rates]
-        beyond = [np.flatnonzero(part == part[ends_of(s, ring, k)[1]]).tolist() for k in end.edges[: places[-1]]]
+    for series, end, _ in spin.of.holds:
+        places = [k for k in end.edges if series.edges[k] in spin.rates]
+        beyond = [np.flatnonzero(part == part[ends_of(s, series, k)[1]]).tolist() for k in end.edges[: places[-1]]]
         bodies |= {b for own in beyond[: places[0]] for b in own}
         links |= {b for own in beyond[places[0] :] for b in own}
-        outside.append(int(part[ends_of(s, ring, places[-1])[1]]))
-        joints.append(ring.edges[places[0]])
+        outside.append(int(part[ends_of(s, series, places[-1])[1]]))
+        joints.append(series.edges[places[0]])
     for i, child in star.points:
         e = s.edges[i]
         rod = isinstance(e.of, Declared) and e.of.rod

@@ -55,9 +55,9 @@ class SeriesLoop:
         return () if turns is None else turns.columns
 
 
-def ends_of(s: ConstraintGraph, ring: SeriesLoop, k: int) -> tuple[int, int]:
+def ends_of(s: ConstraintGraph, series: SeriesLoop, k: int) -> tuple[int, int]:
     """The bodies before and after the k-th edge of a ring."""
-    return _ends(s.edges[ring.edges[k]], ring.signs[k])
+    return _ends(s.edges[series.edges[k]], series.signs[k])
 
 
 def _ends(edge: Edge, sign: float) -> tuple[int, int]:
@@ -65,9 +65,9 @@ def _ends(edge: Edge, sign: float) -> tuple[int, int]:
 
 
 @kept
-def rings(system: System, driven: frozenset[int]) -> tuple[SeriesLoop, ...]:
+def all_series(system: System, driven: frozenset[int]) -> tuple[SeriesLoop, ...]:
     """All rings of at least two edges in which something can turn; `driven` are velocities that a motor holds."""
-    return _rings(system, structure(system), driven)
+    return _all_series(system, structure(system), driven)
 
 
 def _uses(system: System, s: ConstraintGraph) -> np.ndarray:
@@ -78,7 +78,7 @@ def _uses(system: System, s: ConstraintGraph) -> np.ndarray:
     return uses
 
 
-def _rings(system: System, s: ConstraintGraph, driven: frozenset[int]) -> tuple[SeriesLoop, ...]:
+def _all_series(system: System, s: ConstraintGraph, driven: frozenset[int]) -> tuple[SeriesLoop, ...]:
     out, part, uses = [], parts(system), _uses(system, s)
     for c in s.clusters:
         alike: dict[bytes, list[int]] = {}

@@ -159,9 +159,9 @@ def _look_across(equations: Equations, at: Split, families: list[ConeFamily], ne
     """Add what is on the other side of the first points of new families."""
     if not new:
         return
-    ring = on_sphere(equations, at.q, np.array([-f.spots[0].offsets[0] / RADII[0] for f in new]), RADII[0])
-    for i in np.flatnonzero(ring.good):
-        spot = Spot(ring.offsets[None, i], reduction.split_matrix(ring.q[i], ring.jacobian[i]))
+    shell = on_sphere(equations, at.q, np.array([-f.spots[0].offsets[0] / RADII[0] for f in new]), RADII[0])
+    for i in np.flatnonzero(shell.good):
+        spot = Spot(shell.offsets[None, i], reduction.split_matrix(shell.q[i], shell.jacobian[i]))
         _sort_in(equations, at, families, [spot], False)
         other = next((f for f in families if any(s is spot for s in f.spots)), None)
         other = other or next((f for f in families if not f.cone and f.holds(spot)), None)
@@ -188,10 +188,10 @@ def _joined(families: list[ConeFamily]) -> list[ConeFamily]:
 
 def _spots(equations: Equations, at: Split, directions: Array) -> list[Spot]:
     """Points on the largest sphere sought in directions (n, nv)."""
-    ring = on_sphere(equations, at.q, directions, RADII[0])
-    found = np.flatnonzero(ring.good)
-    splits = reduction.split_all(ring.q[found], ring.jacobian[found])
-    return [Spot(ring.offsets[None, i], split) for i, split in zip(found, splits, strict=True)]
+    shell = on_sphere(equations, at.q, directions, RADII[0])
+    found = np.flatnonzero(shell.good)
+    splits = reduction.split_all(shell.q[found], shell.jacobian[found])
+    return [Spot(shell.offsets[None, i], split) for i, split in zip(found, splits, strict=True)]
 
 
 def _sort_in(
@@ -218,8 +218,8 @@ def _turns(equations: Equations, at: Split, spot: Spot) -> bool:
     along = K @ reduction.axes(np.random.default_rng(0), K.shape[1]).T
     along -= x[:, None] * (x @ along)
     d = x + ALONG * along.T / np.maximum(np.linalg.norm(along, axis=0), 1e-3)[:, None]
-    ring = on_sphere(equations, at.q, d / np.linalg.norm(d, axis=1, keepdims=True), RADII[0])
-    kernels = (x.kernel for x in reduction.split_all(ring.q[ring.good], ring.jacobian[ring.good]))
+    shell = on_sphere(equations, at.q, d / np.linalg.norm(d, axis=1, keepdims=True), RADII[0])
+    kernels = (x.kernel for x in reduction.split_all(shell.q[shell.good], shell.jacobian[shell.good]))
     return any(apart(K, k) > TURNED for k in kernels if k.shape == K.shape)
 
 
@@ -229,11 +229,11 @@ def _shrink(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
         if not spots:
             break
         d = np.array([s.offsets[-1] for s in spots]) / before
-        ring = on_sphere(equations, at.q, d, radius)
-        good = ring.good & (np.linalg.norm(ring.offsets / radius - d, axis=1) < 0.5)
-        splits = reduction.split_all(ring.q, ring.jacobian)
+        shell = on_sphere(equations, at.q, d, radius)
+        good = shell.good & (np.linalg.norm(shell.offsets / radius - d, axis=1) < 0.5)
+        splits = reduction.split_all(shell.q, shell.jacobian)
         for i, spot in enumerate(spots):
-            spot.offsets = np.concatenate([spot.offsets, ring.offsets[None, i]])
+            spot.offsets = np.concatenate([spot.offsets, shell.offsets[None, i]])
             spot.near = splits[i].kernel if good[i] else None
         spots = [s for s, ok in zip(spots, good, strict=True) if ok]
     return spots
@@ -265,8 +265,8 @@ def survivors(
     equations: Equations, q: Array, basis: Array, radius: float, rng: np.random.Generator
 ) -> tuple[int, Array]:
     """How many dimensions the points of the solution set at a distance from q span, sought along `basis` (nv, k)."""
-    ring = on_sphere(equations, q, reduction.axes(rng, basis.shape[1]) @ basis.T, radius)
-    return span(ring.offsets[ring.good] / radius)
+    shell = on_sphere(equations, q, reduction.axes(rng, basis.shape[1]) @ basis.T, radius)
+    return span(shell.offsets[shell.good] / radius)
 
 
 def span(x: Array) -> tuple[int, Array]:
@@ -340,9 +340,9 @@ def stays_multiple(equations: Equations, at: Split, families: list[ConeFamily]) 
     shaky = [f.spots[0] for f in families if (f.spots[0].dim or 0) < f.spots[0].split.delta and f.spots[0].dim]
     if not shaky:
         return True
-    ring = on_sphere(equations, at.q, np.array([s.offsets[0] for s in shaky]) / RADII[0], FAR)
-    deltas = [reduction.split_matrix(at.q, J).delta for J in ring.jacobian]
-    return all(d >= s.split.delta for s, d, ok in zip(shaky, deltas, ring.good, strict=True) if ok)
+    shell = on_sphere(equations, at.q, np.array([s.offsets[0] for s in shaky]) / RADII[0], FAR)
+    deltas = [reduction.split_matrix(at.q, J).delta for J in shell.jacobian]
+    return all(d >= s.split.delta for s, d, ok in zip(shaky, deltas, shell.good, strict=True) if ok)
 
 
 def collect(equations: Equations, families: list[ConeFamily]) -> tuple[list[Branch], bool]:
