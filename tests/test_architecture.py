@@ -255,7 +255,7 @@ OWN_LOOPS = {
     "analysis/first_order/redundant_constraints.py _choose": "a basis that grows",
     "analysis/motion/transmission.py mechanical_advantage": "one kernel after the other",
     "solvers/analytic/answers/nearest.py descend": "bounded in each lane, with damping that grows",
-    "solvers/tasks/default_start.py beside": "one move for the first task that has one",
+    "solvers/tasks/default_start.py near_target": "one move for the first task that has one",
     "solvers/velocity/least_squares.py bounded": "an active set: the problem is linear",
     "solvers/velocity/servo_closed.py closed": "bounded by limits of velocity, which move with the point",
     "solvers/velocity/servo_pose.py least_in_box": "an active set: the problem is quadratic",

@@ -1,4 +1,4 @@
-"""Ends between which something may spin: consecutive joints of a ring whose axes meet in one point.
+"""Ends between which something may spin: consecutive joints in series whose axes meet in one point.
 
 Where axes meet in a part that two joints share does not depend on the configuration, as long as it is closed.
 """
@@ -25,7 +25,7 @@ ALONE = 1e-6
 
 
 class BallEnd(NamedTuple):
-    """Consecutive edges of a ring (by place, the one next to the group first) whose axes meet in one point.
+    """Consecutive edges of a series (by place, the one next to the group first) whose axes meet in one point.
 
     The point is on the first edge's axis, `along` from its origin. It is a `hinge` if that is its only axis.
     """
@@ -36,7 +36,7 @@ class BallEnd(NamedTuple):
 
 
 class SignedEnd(NamedTuple):
-    """An end, and the sense in which its ring is passed: +1 towards what it holds, -1 from there."""
+    """An end, and the sense in which its series is passed: +1 towards what it holds, -1 from there."""
 
     series: SeriesLoop
     end: BallEnd
@@ -44,7 +44,7 @@ class SignedEnd(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """Two ends of a ring between which something may spin."""
+    """Two ends of a series between which something may spin."""
 
     series: SeriesLoop
     left: BallEnd
@@ -78,12 +78,11 @@ def pairs_of(system: System, s: ConstraintGraph, at: Screws, driven: frozenset[i
 def _of_series(s: ConstraintGraph, at: Screws, series: SeriesLoop) -> Iterator[Pair]:
     n = len(series.edges)
     meets = [_meet(s, at, series, k, k + 1) if series.joined[k] else None for k in range(n - 1)]
-    ends = {
-        (k, step): _grow(series, meets, k, step) for k in range(n) if series.turns[k] is not None for step in (-1, 1)
-    }
+    turning = [k for k in range(n) if series.turns[k] is not None]
+    ends = {(k, step): _grow(series, meets, k, step) for k in turning for step in (-1, 1)}
     balls = {step: {k for (k, d), end in ends.items() if d == step and not end.hinge} for step in (-1, 1)}
-    places = [k for k in range(n) if series.turns[k] is not None]
-    chosen = {(p, q) for q in balls[1] for p in places if p < q} | {(p, q) for p in balls[-1] for q in places if p < q}
+    chosen = {(p, q) for q in balls[1] for p in turning if p < q}
+    chosen |= {(p, q) for p in balls[-1] for q in turning if p < q}
     chosen |= {(k, k + 1) for k, meet in enumerate(meets) if meet is not None and meet.one_axis}
     for p, q in sorted(chosen):
         pair = Pair(series, ends[p, -1], ends[q, 1])
@@ -186,7 +185,7 @@ def _grow(series: SeriesLoop, meets: Sequence[_Meeting | None], k: int, step: in
 
 
 def turning_inside(s: ConstraintGraph, series: SeriesLoop, p: int, q: int) -> bool:
-    """Whether between two edges of a ring there is more than slides."""
+    """Whether between two edges of a series there is more than slides."""
     inside = (s.edges[i] for i in series.edges[p + 1 : q])
     return any(not e.joint or any(c.index >= 0 and not c.slides for c in e.columns) for e in inside)
 
@@ -200,9 +199,8 @@ def _one_of_many(s: ConstraintGraph, at: Screws, series: SeriesLoop, pair: Pair)
     point, n = center_of(at, series, ball), len(series.edges)
     low, high = min(*hinge.edges, *ball.edges), max(*hinge.edges, *ball.edges)
     for k in {(low - 1) % n, (high + 1) % n} - set(range(low, high + 1)):
-        T = at.twists[series.edges[k]][
-            :, [c for c, col in enumerate(s.edges[series.edges[k]].columns) if not col.slides]
-        ]
+        edge = series.edges[k]
+        T = at.twists[edge][:, [c for c, col in enumerate(s.edges[edge].columns) if not col.slides]]
         if T.size and np.abs(T[:3] - np.cross(point, T[3:], axis=0)).max() < ALONE:
             return True
     return False

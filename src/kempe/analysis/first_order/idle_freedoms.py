@@ -171,7 +171,7 @@ def _axis(at: Screws, of: Pair | HeldStar) -> tuple[Array, Array] | None:
 
 
 def _axes(at: Screws, hold: SignedEnd) -> Array:
-    """Axes (3, n) of an end, in the sense in which its ring is passed."""
+    """Axes (3, n) of an end, in the sense in which its series is passed."""
     series, end, _ = hold
     W = [series.signs[k] * at.twists[series.edges[k]][3:, list(series.own(k))] for k in end.edges]
     return W[0] if len(W) == 1 else np.concatenate(W, axis=1)

@@ -1,8 +1,8 @@
-"""Joints in series: rings of joints any two of which part the mechanism, and what is between two of them; and stars,
+"""Joints in series: sets of joints any two of which part the mechanism, and what is between two of them; and stars,
 groups of bodies that are held at more than two places.
 
 Two joints of a loop are in series if cutting both parts the bodies. All that are in series with each other stand in one
-order around every loop through them: a ring, of which the part with the ground is one piece.
+order around every loop through them: a series, of which the part with the ground is one piece.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class SeriesLoop:
 
 
 def ends_of(s: ConstraintGraph, series: SeriesLoop, k: int) -> tuple[int, int]:
-    """The bodies before and after the k-th edge of a ring."""
+    """The bodies before and after the k-th edge of a series."""
     return _ends(s.edges[series.edges[k]], series.signs[k])
 
 
@@ -66,7 +66,7 @@ def _ends(edge: Edge, sign: float) -> tuple[int, int]:
 
 @kept
 def all_series(system: System, driven: frozenset[int]) -> tuple[SeriesLoop, ...]:
-    """All rings of at least two edges in which something can turn; `driven` are velocities that a motor holds."""
+    """All series of at least two edges in which something can turn; `driven` are velocities that a motor holds."""
     return _all_series(system, structure(system), driven)
 
 

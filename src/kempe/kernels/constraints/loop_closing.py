@@ -260,8 +260,8 @@ def assemble(
     step = beyond(q, 4 * nq)
     error = beyond(step, 2 * nv)
     blocks = beyond(error, 3 * m)
-    work = ClosingScratch(step, beyond(step, nv), beyond(error, m), beyond(error, 2 * m), beyond(blocks,
-                          plan[L.BLOCKS]), beyond(q, nq), beyond(q, 2 * nq))  # fmt: skip
+    work = ClosingScratch(step, beyond(step, nv), beyond(error, m), beyond(error, 2 * m),
+                          beyond(blocks, plan[L.BLOCKS]), beyond(q, nq), beyond(q, 2 * nq))  # fmt: skip
     best_q = beyond(q, 3 * nq)
     accepted, missed = tolerance * tolerance, 0
     for i in range(starts.shape[0]):

@@ -280,7 +280,7 @@ def _answer(
 
 
 SOLVERS = (
-    Solver("dyads", "closed form, one ring of three places after the other", no_dyads, by_dyads),
+    Solver("dyads", "closed form, one dyad after the other", no_dyads, by_dyads),
     Solver("many starts", "assembly from random starts, from mirror images and mixtures of what is found",
            takes_all, by_starts),
 )  # fmt: skip

@@ -190,7 +190,7 @@ def _one_round(s: ModesSearch, starts: int) -> bool:
     """Whether the search may end after one more round of starts."""
     system, near = s.system, s.near
     n = min(ROUND, starts - s.tried)
-    start = _scattered(s, n)
+    start = _random_starts(s, n)
     if s.tried == 0:
         start[0] = home_of(system) if near is None else near
     s.tried += n
@@ -213,7 +213,7 @@ def _places(system: System, frame: str | None) -> tuple[str, ...]:
     return tuple(system.body_names[1:]) if winds else ()
 
 
-def _scattered(s: ModesSearch, n: int) -> Array:
+def _random_starts(s: ModesSearch, n: int) -> Array:
     """Starts (n, nq) all over the limits, angles over their period, free lengths up to two characteristic ones."""
     system, metric = s.system, s.clusters.metric
     q = random(system, s.rng, n)

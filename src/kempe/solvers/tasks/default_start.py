@@ -9,7 +9,6 @@ import numpy as np
 
 from kempe.joints import P
 from kempe.kernels.constraints import loop_layout as L
-from kempe.kinematics.configuration import sampling_box
 from kempe.kinematics.forward import fk
 from kempe.kinematics.tasks.task import Centred, PlacedTask
 from kempe.model.kept import kept
@@ -24,7 +23,7 @@ FAR = 10.0
 """Characteristic lengths from a frame to its target from which on a base is moved before the first start."""
 
 
-def beside(problem: Demands, home: Array) -> Array:
+def near_target(problem: Demands, home: Array) -> Array:
     """Homes (N or 1, nq) moved by a base that slides without limits to where the first hard task holds a frame.
 
     So a drive over the plane begins beside its target; what is near stays. A base that flies is moved by the kernels.
@@ -66,13 +65,3 @@ def _slides(system: System) -> list[int]:
             if np.isinf(system.lower[v]) and np.isinf(system.upper[v]) and np.sum(table.iv == v) == 1:
                 out.append(int(v))
     return out
-
-
-def scatter(system: System, n: int, rng: np.random.Generator) -> Array:
-    """Starts (n, nq) all over the coordinates' ranges, for those who look for all closed configurations."""
-    low, high = sampling_box(system)
-    q = np.broadcast_to(system.neutral, (n, system.nq)).copy()
-    at_q, at_v = system.structure.layout.vector_q, system.structure.layout.vector_v
-    q[:, at_q] = low[at_v] + (high - low)[at_v] * rng.random((n, len(at_v)))
-    system.structure.layout.random_quaternions(q, rng)
-    return q

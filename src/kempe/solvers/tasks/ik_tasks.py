@@ -32,7 +32,7 @@ from kempe.solvers.common.problem import Problem
 from kempe.solvers.common.serial_chain import inside
 from kempe.solvers.tasks import effort
 from kempe.solvers.tasks.contradictions import contradictory
-from kempe.solvers.tasks.default_start import beside
+from kempe.solvers.tasks.default_start import near_target
 from kempe.solvers.tasks.effort import most_starts
 from kempe.solvers.tasks.levels import KEPT, level_of, packed_for, solve
 from kempe.solvers.tasks.reach_bounds import unreachable
@@ -262,7 +262,7 @@ def pose_problem(
         system, tasks, packed, goals, pins, lead, TOLERANCE if tolerance is TOLERANCE else tolerances(tolerance), most,
         seed_number(rng), use, loose=start is None,
     )  # fmt: skip
-    starts_at = beside(problem, base) if start is None else base.reshape(math.prod(base.shape[:-1]), system.nq)
+    starts_at = near_target(problem, base) if start is None else base.reshape(math.prod(base.shape[:-1]), system.nq)
     return problem, np.ascontiguousarray(starts_at)
 
 
