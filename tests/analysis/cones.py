@@ -34,7 +34,7 @@ def rank(rows: list[Row]) -> int:
     return len(reduced(rows)[1])
 
 
-def kernel(rows: list[Row], n: int) -> list[Row]:
+def null_space(rows: list[Row], n: int) -> list[Row]:
     """A basis of what rows leave at zero."""
     form, pivots = reduced(rows)
     out = []
@@ -56,13 +56,13 @@ class Exact:
     n: int
 
     def __post_init__(self):
-        self.lines = kernel([*self.E, *self.G], self.n)
+        self.lines = null_space([*self.E, *self.G], self.n)
         fixed = [*self.E, *self.lines]  # edges are looked for across the lines
         r = self.n - rank(fixed)
         found = set()
         for size in range(len(self.G) + 1):
             for chosen in combinations(self.G, size):
-                line = kernel([*fixed, *chosen], self.n)
+                line = null_space([*fixed, *chosen], self.n)
                 if len(line) != 1 or r == 0:
                     continue
                 for ray in (line[0], tuple(-x for x in line[0])):

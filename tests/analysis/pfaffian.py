@@ -79,7 +79,7 @@ SYSTEMS = {
 
 
 def fields(A: Any, symbols: list[Any], free: list[int]) -> list[Any]:
-    """The fields in the kernel of A whose free entries are 1, one after the other, and 0."""
+    """The fields in the null space of A whose free entries are 1, one after the other, and 0."""
     dependent = [i for i in range(len(symbols)) if i not in free]
     solved: Any = -A[:, dependent].LUsolve(A[:, free]) if dependent else None
     out = []

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from cones import Exact, kernel
+from cones import Exact, null_space
 
 from kempe.analysis.mobility.cone import ConeDirections, tangent_cone
 
@@ -42,7 +42,7 @@ def agrees(n, E, G, C, probes, turn):
     exact = Exact(E, G, n)
     assert (C.size, C.dimension, C.lineality) == (n, exact.dimension, exact.lineality)
     vanishing = [i for i, g in enumerate(G) if not any(g)]
-    held = [all(sum(a * b for a, b in zip(g, v, strict=True)) == 0 for v in kernel(E, n)) for g in G]
+    held = [all(sum(a * b for a, b in zip(g, v, strict=True)) == 0 for v in null_space(E, n)) for g in G]
     still = [exact.ways(g) == (False, False) for g in G]
     assert list(C.vanishing) == vanishing
     assert list(C.implied) == [i for i in range(len(G)) if held[i] and i not in vanishing]

@@ -1,4 +1,4 @@
-"""Motions along which the Jacobian has a larger kernel than there are freedoms: linkages that hang on bars in line."""
+"""Motions along which the Jacobian has a larger null space than freedoms: linkages that hang on bars in line."""
 
 from __future__ import annotations
 

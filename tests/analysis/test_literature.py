@@ -36,4 +36,4 @@ def test_all_four_legs_are_needed():
 def test_kernels_keep_all_loops_closed(name):
     system = KNOWN[name][0].build()
     rank = rank_at(system, system.neutral)
-    assert np.abs(jacobian(system, rank.q) @ (rank.kernel * rank.units[:, None])).max(initial=0.0) < 1e-9
+    assert np.abs(jacobian(system, rank.q) @ (rank.null_space * rank.units[:, None])).max(initial=0.0) < 1e-9

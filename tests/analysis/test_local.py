@@ -188,7 +188,7 @@ def test_leading_coefficient_of_stretched_bars():
     equations = Equations(system)
     at = reduction.split(equations, q)
     g = reduction._solve(equations, at, reduction.lines(np.ones((1, 1)), 4), None)[0][0]
-    turn = at.kernel[list(system.structure.velocity_names).index("j0"), 0]  # of the first bar
+    turn = at.null_space[list(system.structure.velocity_names).index("j0"), 0]  # of the first bar
     assert abs(g[2, 0]) == pytest.approx(0.5 * (a * turn) ** 2 * (1 / a + 1 / b) / equations.length, rel=1e-12)
     assert np.abs(g[[1, 3]]).max() < 1e-14  # mirrored motions are alike
 
@@ -359,7 +359,7 @@ def test_an_overconstrained_loop_away_from_its_library_posture(name):
     first = local_dimension(system, system.q("closed"))
     at = reduction.split(Equations(system), first.q)
     equations = Equations(system)
-    found = equations.project(equations.move(first.q, 0.3 * at.kernel[:, 0]), first.q)
+    found = equations.project(equations.move(first.q, 0.3 * at.null_space[:, 0]), first.q)
     assert found.residual[0] < 1e-12 and found.distance[0] > 0.2
     assert key(local_dimension(system, found.q[0])) == key(first) == (1, 1, None, [1], True)
 
@@ -379,7 +379,7 @@ def key_tuple(found: LocalDimension) -> tuple:
 
 @pytest.mark.parametrize("name", ["sarrus", "stewart", "delta_uu", "three_rps", "wunderlich", "slider_crank"])
 def test_equations_say_the_same_as_the_loops(name):
-    """Their Jacobians at a closed configuration have the same kernel as those of `kinematics.loops`."""
+    """Their Jacobians at a closed configuration have the same null space as those of `kinematics.loops`."""
     system = kempe.load(name)
     q = system.q("closed")
     equations = Equations(system)
@@ -388,7 +388,7 @@ def test_equations_say_the_same_as_the_loops(name):
     other = closure_rows.jacobian(system, q) * equations.scale
     at = reduction.split_matrix(q, J[0])
     assert J[0].shape == other.shape and at.rank == np.linalg.matrix_rank(other, tol=1e-7)
-    assert np.abs(other @ at.kernel).max() < 1e-12 * max(1.0, equations.length)
+    assert np.abs(other @ at.null_space).max() < 1e-12 * max(1.0, equations.length)
 
 
 def test_declared_constraints_and_relations_count():
@@ -453,7 +453,7 @@ def test_a_platform_on_parallel_legs_of_one_length_translates():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_branches_with_the_same_null_space_are_distinguished(seed):
-    """Legs on a circle, straight up: it translates (2), or turns while it sinks (1); the kernel is 3 all along both."""
+    """Legs on a circle, straight up: it translates (2), or turns while it sinks (1); three null vectors along both."""
     m = look(on_rods("circle", HEXAGON, HEXAGON + [0, 0, 1.4]), rng=seed)
     assert (m.rank_dof, m.dof, m.local.branch_dims, m.local.doubts) == (3, 2, (2, 1), ()), str(m)
 

@@ -137,8 +137,8 @@ def test_random_mechanisms_agree_with_the_equations(system):
     J = jacobian(system, m.q)
     assert m.closed and m.rank_dof == system.nv - np.linalg.matrix_rank(J, 1e-7)
     assert m.rank_dof - m.gruebler == m.redundant_here
-    kernel = m.rank.kernel * m.rank.units[:, None]
-    assert kernel.shape[1] == m.rank_dof and np.abs(J @ kernel).max(initial=0.0) < 1e-9
+    null_space = m.rank.null_space * m.rank.units[:, None]
+    assert null_space.shape[1] == m.rank_dof and np.abs(J @ null_space).max(initial=0.0) < 1e-9
     if not m.redundant_here:
         assert m.dof == m.gruebler == m.rank_dof and m.singular is False
     assert sum(len(r.reactions) for r in m.redundancy.releases) == m.redundant
@@ -243,4 +243,4 @@ def test_pairs_have_names_whatever_their_axes_are_called():
 def test_kernels_are_those_of_each_group_and_free_joints():
     system = kempe.load("seven_bodies_loop")
     r = rank_at(system, mobility(system, local=False).q)
-    np.testing.assert_allclose(r.kernel.T @ r.kernel, np.eye(r.nullity), atol=1e-12)
+    np.testing.assert_allclose(r.null_space.T @ r.null_space, np.eye(r.nullity), atol=1e-12)

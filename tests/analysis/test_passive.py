@@ -1,4 +1,4 @@
-"""Idle freedoms: every form of a ball, what is driven, carried, held by one part; judged by moving and by a kernel."""
+"""Idle freedoms: every form of a ball, what is driven, carried, held by one part; judged by moving and null space."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def rate_of(system: System, q: np.ndarray, f: IdleFreedom) -> float:
 
 
 def alone(system: System, q: np.ndarray, bodies) -> int:
-    """In how many ways these bodies can move while all others rest: a kernel in maximal coordinates."""
+    """In how many ways these bodies can move while all others rest: a null space in maximal coordinates."""
     J = maximal_jacobian(system, kempe.convert.to_maximal(system, q))
     columns = [6 * (system.body_names.index(b) - 1) + k for b in bodies for k in range(6)]
     values = np.linalg.svd(J[:, columns], compute_uv=False)

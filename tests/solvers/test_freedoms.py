@@ -85,8 +85,8 @@ def test_a_short_link_is_no_singular_one():
 def collinear(lengths, signs):
     """A planar arm along x, links folded by signs, and what second order says: freedoms to first order, and in truth.
 
-    The tip's way along x is -z.H.z / 2 on the kernel z of its way along y; where H is definite there the configuration
-    is isolated, where it is not a cone of one freedom less passes through it.
+    The tip's way along x is -z.H.z / 2 on the null space z of its way along y; where H is definite there the
+    configuration is isolated, where it is not a cone of one freedom less passes through it.
     """
     signs = np.concatenate([[1.0], signs])
     folds = np.diff(np.concatenate([[1.0], signs]))
@@ -195,7 +195,7 @@ def test_freedoms_are_those_of_the_mechanism_with_the_tip_pinned(axes, q, finite
 
 
 def loop_length(jacobian, q, longest: float) -> tuple[float, object]:
-    """Length of the closed curve through q whose tangent is the kernel of a Jacobian (n - 1, n), and it as a function.
+    """Length of the closed curve through q tangent to the null space of a Jacobian (n - 1, n), and it as a function.
 
     The tangent is the vector of minors, which turns round nowhere; it is integrated without any leading back.
     """
@@ -279,7 +279,7 @@ def walks(hunt, count: int) -> tuple[int, int]:
 
 
 def test_walks_of_redundant_arms(hunt):
-    """Planar arms of three links, spatial ones of four joints, the point held: against the integrated kernel."""
+    """Planar arms of three links, spatial ones of four joints, the point held: against the integrated null space."""
     closed, run = walks(hunt, 8)
     assert closed or run < 8
 

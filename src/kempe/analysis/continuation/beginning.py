@@ -218,19 +218,19 @@ def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     """Why the motion is not one curve: which coordinates still move with the drivers held."""
     system = equations.system
     _, s, Vt = np.linalg.svd(matrix)
-    kernel = Vt[int(np.sum(s > RANK * s[0])) :]
-    count = len(kernel)
-    rows = kernel[:, [angle_or_slide(system, d) for d in drivers]].T
+    null_space = Vt[int(np.sum(s > RANK * s[0])) :]
+    count = len(null_space)
+    rows = null_space[:, [angle_or_slide(system, d) for d in drivers]].T
     if drivers:
         _, s, Vt = np.linalg.svd(rows)
-        kernel = Vt[int(np.sum(s > RANK)) :] @ kernel
-    sizes = dict(zip(system.structure.velocity_names, np.abs(kernel).max(axis=0), strict=True))
+        null_space = Vt[int(np.sum(s > RANK)) :] @ null_space
+    sizes = dict(zip(system.structure.velocity_names, np.abs(null_space).max(axis=0), strict=True))
     moving = [n for n, size in sizes.items() if size > 1e-6]
     named = [n for n in moving if n in system.coordinate_names]
     balls = list(dict.fromkeys(n.rpartition(".")[0] for n in moving if n not in named))
     still = f"with {' and '.join(map(repr, drivers))} held still, these still move" if drivers else "these move"
-    many = len(kernel) - (not drivers)
-    own = kernel[:, [n in named for n in system.structure.velocity_names]]
+    many = len(null_space) - (not drivers)
+    own = null_space[:, [n in named for n in system.structure.velocity_names]]
     enough = int(np.sum(np.linalg.svd(own, compute_uv=False) > 1e-6)) >= many if named else False
     head = f"to first order {system.name} has {count} freedoms here, more than are driven; {still}: "
     if not named:

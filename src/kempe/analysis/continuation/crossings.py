@@ -1,8 +1,8 @@
 """Singular points of a curve of configurations: where exactly, and which branches meet there.
 
-At a singular point of the constraints the Jacobian loses rank: there are more kernel directions than the curve has,
-and as many new combinations of equations that vanish to first order. Their second-order forms on the kernel tell the
-directions of the branches: the tangent cone (Müller, *J. Mechanisms Robotics* 8, 2016; Allgower, Georg, 1990, 8.3).
+At a singular point of the constraints the Jacobian loses rank: there are more null directions than the curve has,
+and as many new combinations of equations that vanish to first order. Their second-order forms on the null space tell
+the directions of the branches: the tangent cone (Müller, *J. Mechanisms Robotics* 8, 2016; Allgower, Georg, 1990, 8.3).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def second_order(equations: Closure, x: Array, left: Array, along: Array) -> Arr
 
 
 def locate(equations: Closure, x: Array, nullity: int, reach: float, tries: int = 20) -> Array | None:
-    """The point near `x`, at most `reach` away, where the loops are closed and the kernel has dimension `nullity`.
+    """The point near `x`, at most `reach` away, where the loops are closed and the null space has dimension `nullity`.
 
     Newton's method on the equations together with ``J.T @ left = 0`` and a normalisation of the left null vectors,
     which is regular where branches cross transversally (Moore, *Numer. Funct. Anal. Optim.* 1980). None where there
@@ -79,20 +79,20 @@ def locate(equations: Closure, x: Array, nullity: int, reach: float, tries: int 
 
 
 def cone(equations: Closure, x: Array) -> Array:
-    """Directions (k, n), of length 1 and without sign, in which second order lets the kernel at `x` move."""
+    """Directions (k, n), of length 1 and without sign, in which second order lets the null space at `x` move."""
     U, s, Vt = np.linalg.svd(equations.matrix(x))
     n = equations.n
     d = int(np.sum(s <= RANK * max(s[0], 1e-300)))
     if d <= 1:
         return Vt[n - d :]
-    kernel, left = Vt[n - d :].T, U[:, n - d :]
-    forms = np.einsum("nd,nke->kde", kernel, second_order(equations, x, left, kernel))
+    null_space, left = Vt[n - d :].T, U[:, n - d :]
+    forms = np.einsum("nd,nke->kde", null_space, second_order(equations, x, left, null_space))
     forms = 0.5 * (forms + forms.transpose(0, 2, 1))
     size = np.abs(forms).max()
     if size < 1e-9:
         return np.zeros((0, n))
     found = _two(forms / size) if d == 2 else _many(forms / size, equations.budget)
-    return found @ kernel.T
+    return found @ null_space.T
 
 
 def _two(forms: Array) -> Array:

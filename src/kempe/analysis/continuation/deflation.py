@@ -1,7 +1,7 @@
-"""Curves along which the equations touch: the Jacobian has a larger kernel at all points than the curve has tangents.
+"""Curves along which the equations touch: the Jacobian has a larger null space all along than the curve has tangents.
 
 There the curve is where the equations hold and the small singular values of the Jacobian vanish, too. These equations
-together are regular if the kernel is cut down to a tangent to second order (deflation: Leykin, Verschelde, Zhao,
+together are regular if the null space is cut down to a tangent to second order (deflation: Leykin, Verschelde, Zhao,
 *Theor. Comput. Sci.* 359, 2006).
 """
 
@@ -21,7 +21,7 @@ ALIGNED = 0.7
 
 
 class RankEquations:
-    """Equations that hold the rank of those before at what it is at a point: ``left.T @ J @ kernel = 0``.
+    """Equations that hold the rank of those before at what it is at a point: ``left.T @ J @ null_space = 0``.
 
     The bases of the two null spaces are those of the point itself, as near as may be to the last ones used, so that the
     equations change continuously.
@@ -32,7 +32,7 @@ class RankEquations:
         U, s, Vt = np.linalg.svd(J)
         self.nullity = J.shape[1] - int(np.sum(s > RANK * s.max(initial=1e-300)))
         rank = J.shape[1] - self.nullity
-        self._left, self._kernel, self._before = U[:, rank:], Vt[rank:].T, len(equations.more)
+        self._left, self._null_space, self._before = U[:, rank:], Vt[rank:].T, len(equations.more)
 
     @property
     def count(self) -> int:
@@ -44,15 +44,15 @@ class RankEquations:
         own = J[:at] if with_matrix else equations.both(x, True, self._before)[1][:at]
         U, _, Vt = np.linalg.svd(own)
         rank, here = own.shape[1] - self.nullity, slice(at, at + self.count)
-        left, kernel = self._near(U[:, rank:], self._left), self._near(Vt[rank:].T, self._kernel)
-        if min(_least(left.T @ self._left), _least(kernel.T @ self._kernel)) < ALIGNED:
-            self._left, self._kernel = left, kernel
-        F[here] = (left.T @ own @ kernel).ravel()
+        left, null_space = self._near(U[:, rank:], self._left), self._near(Vt[rank:].T, self._null_space)
+        if min(_least(left.T @ self._left), _least(null_space.T @ self._null_space)) < ALIGNED:
+            self._left, self._null_space = left, null_space
+        F[here] = (left.T @ own @ null_space).ravel()
         if with_matrix:
             padded = np.zeros((equations.rows, left.shape[1]))
             padded[:at] = left
             before = _Before(equations, self._before)
-            J[here] = second_order(before, x, padded, kernel).transpose(1, 2, 0).reshape(self.count, -1)
+            J[here] = second_order(before, x, padded, null_space).transpose(1, 2, 0).reshape(self.count, -1)
 
     @staticmethod
     def _near(basis: Array, to: Array) -> Array:

@@ -99,11 +99,11 @@ class Velocities:
             raise RollingStop(self._contradiction(M, wanted, size))
         return z * scale
 
-    def _loose(self, kernel: Array) -> str:
+    def _loose(self, null_space: Array) -> str:
         names = self.system.structure.velocity_names
-        moving = [n for n, x in zip(names, np.abs(kernel).max(axis=0), strict=True) if x > 1e-6]
+        moving = [n for n, x in zip(names, np.abs(null_space).max(axis=0), strict=True) if x > 1e-6]
         said = ", ".join(map(repr, moving[:6])) + ", ..." * (len(moving) > 6)
-        many = len(kernel)
+        many = len(null_space)
         given = ", ".join(map(repr, self.inputs)) or "none"
         return (f"the inputs ({given}) leave {many} freedom{'s' * (many != 1)} of motion, among {said}; give "
                 f"{many} more (a coordinate, or a twist such as 'frame.vx' in the axes of a frame)")  # fmt: skip

@@ -73,13 +73,13 @@ def control(
     if indices is None:
         return None
     lazy = np.stack([f.velocity / rank.units for f in idle], axis=1) if idle else np.zeros((system.nv, 0))
-    N = rank.kernel
+    N = rank.null_space
     A = N[indices]
-    controlled, inside = _rank_and_kernel(A)
+    controlled, inside = _rank_and_null_space(A)
     left = N @ inside
     Q = np.linalg.qr(lazy)[0] if lazy.shape[1] else lazy
     left = _span(left - Q @ (Q.T @ left))
-    most = max((_rank_and_kernel(r.kernel[indices])[0] for r in generic), default=controlled)
+    most = max((_rank_and_null_space(r.null_space[indices])[0] for r in generic), default=controlled)
     useful = rank.nullity - len(idle)
     patterns = tuple(_pattern(system, x * rank.units) for x in _sparse(left).T)
     names = tuple(system.structure.velocity_names[i] for i in indices)
@@ -112,8 +112,8 @@ def driven(system: System, actuated: Iterable[str] | None) -> list[int] | None:
     return list(dict.fromkeys(out))
 
 
-def _rank_and_kernel(A: Array) -> tuple[int, Array]:
-    """Rank of the actuated rows of an orthonormal kernel, and what of the kernel they do not see."""
+def _rank_and_null_space(A: Array) -> tuple[int, Array]:
+    """Rank of the actuated rows of an orthonormal null space, and what of the null space they do not see."""
     if not A.size:
         return 0, np.eye(A.shape[1])
     _, values, Vt = np.linalg.svd(A)

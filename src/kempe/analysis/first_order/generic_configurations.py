@@ -1,4 +1,4 @@
-"""Closed configurations to read ranks at: one made exact, and others of the same branch reached along the kernel."""
+"""Closed configurations to read ranks at: one made exact, and others of its branch reached along the null space."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NEAR = 1e-6
 POINTS, MORE = 3, 12
 """Generic configurations that are looked at, and those besides where several branches may meet."""
 STEP = 0.1
-"""Length of the step along the kernel to a generic configuration, for each freedom, in radians and mean lengths."""
+"""Length of the step along the null space to a generic configuration, for each freedom, in radians and mean lengths."""
 AWAY = 0.3
 """Part of the step that must be left after closing the loops: else the mechanism has snapped back."""
 
@@ -77,7 +77,7 @@ def _residual(system: System, q: Array) -> float:
 
 
 def nearby(system: System, rank: Rank, rng: np.random.Generator) -> list[Rank]:
-    """Ranks at closed configurations some way along the kernel, random in direction; none if it always snaps back."""
+    """Ranks at closed configurations some way along the null space, drawn at random; none if it always snaps back."""
     if not rank.nullity:
         return []
     found = _walk(system, rank, rng, POINTS if rank.dependent else 1)  # a point of full rank is generic itself
@@ -89,7 +89,7 @@ def nearby(system: System, rank: Rank, rng: np.random.Generator) -> list[Rank]:
 def _walk(system: System, rank: Rank, rng: np.random.Generator, count: int) -> list[Rank]:
     from kempe.solvers.assembly.assembler import of_equations
 
-    z = rng.normal(size=(count, rank.nullity)) @ rank.kernel.T
+    z = rng.normal(size=(count, rank.nullity)) @ rank.null_space.T
     size = STEP * np.sqrt(rank.nullity)
     z *= size / np.linalg.norm(z, axis=1, keepdims=True)
     starts = system.structure.layout.integrate(np.broadcast_to(rank.q, (count, system.nq)), z * rank.units)

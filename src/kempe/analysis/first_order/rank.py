@@ -35,7 +35,7 @@ FLOOR = 1e-15
 
 @dataclass(frozen=True, eq=False)
 class ClusterRank:
-    """Rank of one cluster: singular values (descending), rank, gap; self-stress and kernel are its null spaces.
+    """Rank of one cluster: singular values (descending), rank, gap; self-stress and the null space.
 
     `values` are parts of the largest, or of what turns and slides do to frames: where rows of constraints all vanish,
     the largest is rounding.
@@ -48,7 +48,7 @@ class ClusterRank:
     gap: float
     stresses: Array = field(repr=False)
     """Left null space (equations, k): the wrenches that can run around the loops with no load."""
-    kernel: Array = field(repr=False)
+    null_space: Array = field(repr=False)
     """Null space (velocities of the cluster, k), slides in lengths of a link."""
     size: float = 1.0
     """What `values` are parts of."""
@@ -112,7 +112,7 @@ class Rank:
         return float(min(found, default=1.0))
 
     @cached_property
-    def kernel(self) -> Array:
+    def null_space(self) -> Array:
         """Orthonormal basis (nv, nullity) of the scaled velocities that keep all loops closed."""
         nv = len(self.units)
         out = np.zeros((nv, self.nullity))
@@ -120,7 +120,7 @@ class Rank:
         k = 0
         for c in self.clusters:
             free[c.cluster.velocities] = False
-            out[c.cluster.velocities, k : k + c.nullity] = c.kernel
+            out[c.cluster.velocities, k : k + c.nullity] = c.null_space
             k += c.nullity
         out[np.flatnonzero(free), np.arange(k, self.nullity)] = 1.0
         return out

@@ -55,7 +55,7 @@ class Branch:
     ends: int = 0
     cusp: bool = False
     multiple: bool = False
-    """Whether the equations touch it: their Jacobian has a larger kernel than the branch has dimensions (shaky)."""
+    """Whether the equations touch it: their Jacobian has a larger null space than the branch has dimensions (shaky)."""
     cone: bool = False
     """Whether the tangent spaces around the configuration have no limit: it is the tip of a cone, or of several."""
 
@@ -69,14 +69,14 @@ class Spot:
     dim: int | None = None
     tangent: Array | None = None
     near: Array | None = None
-    """Basis of the kernel on the smallest sphere."""
+    """Basis of the null space on the smallest sphere."""
     obstructed: int | None = None
-    """The first order at which kernel vectors there cannot be continued."""
+    """The first order at which null vectors there cannot be continued."""
 
 
 @dataclass(eq=False)
 class ConeFamily:
-    """Points on the largest sphere with nearly the same kernel; where that is a line, points that are one."""
+    """Points on the largest sphere with nearly the same null space; where that is a line, points that are one."""
 
     spots: list[Spot]
     cone: bool = False
@@ -96,7 +96,7 @@ class ConeFamily:
             return False
         if first.split.delta == 1:
             return _same(first.offsets[0], spot.offsets[0])
-        return apart(first.split.kernel, spot.split.kernel) < SAME_PLANE
+        return apart(first.split.null_space, spot.split.null_space) < SAME_PLANE
 
     def add(self, spot: Spot, hits: int) -> None:
         """Count a point, and keep it if it is new and few are there."""
@@ -142,7 +142,7 @@ def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[lis
     families: list[ConeFamily] = []
     starts = 0
     while starts < MOST_STARTS:
-        d = reduction.unit_directions(rng, BATCH, at.delta) @ at.kernel.T
+        d = reduction.unit_directions(rng, BATCH, at.delta) @ at.null_space.T
         starts, known = starts + len(d), len(families)
         _sort_in(equations, at, families, _spots(equations, at, d))
         _look_across(equations, at, families, families[known:])
@@ -214,13 +214,13 @@ def _sort_in(
 
 def _turns(equations: Equations, at: Split, spot: Spot) -> bool:
     """Whether the tangent space turns on the way along the sphere: on a branch with a tangent space it does not."""
-    x, K = spot.offsets[0] / RADII[0], spot.split.kernel
+    x, K = spot.offsets[0] / RADII[0], spot.split.null_space
     along = K @ reduction.axes(np.random.default_rng(0), K.shape[1]).T
     along -= x[:, None] * (x @ along)
     d = x + ALONG * along.T / np.maximum(np.linalg.norm(along, axis=0), 1e-3)[:, None]
     shell = on_sphere(equations, at.q, d / np.linalg.norm(d, axis=1, keepdims=True), RADII[0])
-    kernels = (x.kernel for x in reduction.split_all(shell.q[shell.good], shell.jacobian[shell.good]))
-    return any(apart(K, k) > TURNED for k in kernels if k.shape == K.shape)
+    spaces = (x.null_space for x in reduction.split_all(shell.q[shell.good], shell.jacobian[shell.good]))
+    return any(apart(K, k) > TURNED for k in spaces if k.shape == K.shape)
 
 
 def _shrink(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
@@ -234,7 +234,7 @@ def _shrink(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
         splits = reduction.split_all(shell.q, shell.jacobian)
         for i, spot in enumerate(spots):
             spot.offsets = np.concatenate([spot.offsets, shell.offsets[None, i]])
-            spot.near = splits[i].kernel if good[i] else None
+            spot.near = splits[i].null_space if good[i] else None
         spots = [s for s, ok in zip(spots, good, strict=True) if ok]
     return spots
 
@@ -250,14 +250,14 @@ def apart(a: Array, b: Array) -> float:
 def measure(equations: Equations, spot: Spot, order: int, rng: np.random.Generator) -> bool:
     """Find dimension and tangent space of the solution set at a point of a branch; whether two ways of it agree."""
     at = spot.split
-    spot.dim, spot.tangent = at.delta, at.kernel
+    spot.dim, spot.tangent = at.delta, at.null_space
     if at.corank == 0 or at.delta == 0:
         return True
     k = reduction.obstruction(equations, at, order, rng).order
     if k is None:
         return True
     spot.obstructed = k
-    spot.dim, spot.tangent = survivors(equations, at.q, at.kernel, STEP * RADII[0], rng)
+    spot.dim, spot.tangent = survivors(equations, at.q, at.null_space, STEP * RADII[0], rng)
     return k > 1 and reduction.lineality(equations, at, k, rng).shape[1] == spot.dim
 
 
@@ -288,7 +288,7 @@ def dimensions(equations: Equations, families: list[ConeFamily], order: int, rng
         spots = family.spots
         for spot in spots:
             if spot.split.corank == 0:
-                spot.dim, spot.tangent = spot.split.delta, spot.split.kernel
+                spot.dim, spot.tangent = spot.split.delta, spot.split.null_space
         rest = [s for s in spots if s.dim is None]
         for spot in rest[:2]:
             sound &= measure(equations, spot, order, rng)
@@ -298,7 +298,7 @@ def dimensions(equations: Equations, families: list[ConeFamily], order: int, rng
             if like is None:
                 sound &= measure(equations, spot, order, rng)
             else:
-                spot.dim, spot.tangent = like.dim, like.tangent if shaky else spot.split.kernel
+                spot.dim, spot.tangent = like.dim, like.tangent if shaky else spot.split.null_space
         parts = _parted(family)
         sound &= shaky or len(parts) == 1
         if shaky and len(parts) > 1:
@@ -319,7 +319,7 @@ def _alike(a: Array | None, b: Array | None) -> bool:
 
 
 def _parted(family: ConeFamily) -> list[ConeFamily]:
-    """A family by dimension and tangent space: where it is shaky, branches that meet can have the same kernel."""
+    """A family by dimension and tangent space: where it is shaky, branches that meet can have the same null space."""
     parts: list[ConeFamily] = []
     for spot in family.spots:
         for part in parts:

@@ -6,7 +6,7 @@ clusters add up, for clusters share no unknowns. The theorems, in the order in w
 - *Regular*: the loop equations, reduced to the group of motions that the joints of each loop generate (Herve, 1978),
   have a Jacobian of full rank, beyond rounding and the error of the configuration
   (`kempe.kinematics.common.newton_certificate`). Then the closed configurations are a manifold of as many dimensions as
-  its kernel has (implicit function theorem).
+  its null space has (implicit function theorem).
 - *Two groups*: a loop whose joints part into two chains, each of which fills a group of motions: what both groups
   share moves, and the number is the same everywhere.
 - *Families*: a motion in closed form keeps all loops closed (`analysis.families`).
@@ -124,7 +124,7 @@ class Prover:
         self.manifolds: dict[int, Proof | _Open | None] = {}
 
     def manifold(self) -> Proof | None:
-        """The dimension, if it is proven to be a manifold of as many dimensions as the kernel has; else None."""
+        """The dimension, if it is proven to be a manifold of as many dimensions as the null space has; else None."""
         found = []
         for k in range(len(self.parts)):
             proof = self._manifold(k)
@@ -235,10 +235,10 @@ def _prove(
         return None
     if here.exact and _two_groups(s, at, part.cluster):
         return Proof(delta, 1, "both chains of the loop fill a group of motions")
-    lower = known_motions.dimension(equations, q, [here.split.kernel])
+    lower = known_motions.dimension(equations, q, [here.split.null_space])
     if lower == delta:
         return Proof(delta, 1, "angles in fixed ratios keep all loops closed")
-    if delta == 1 and _half_angles(s, at, equations, q, part.cluster, here.split.kernel[:, 0]):
+    if delta == 1 and _half_angles(s, at, equations, q, part.cluster, here.split.null_space[:, 0]):
         return Proof(1, 1, "tangents of half angles in fixed ratios keep the loop closed")
     return _Open(here, lower)
 
@@ -259,7 +259,7 @@ def _within(T: Array, columns: np.ndarray) -> Array:
     return out
 
 
-def _half_angles(s: ConstraintGraph, at: Screws, equations: Equations, q: Array, c: Cluster, kernel: Array) -> bool:
+def _half_angles(s: ConstraintGraph, at: Screws, equations: Equations, q: Array, c: Cluster, null_space: Array) -> bool:
     """Whether the only loop is of four hinges that move as Bennett's do."""
     if len(c.loops) != 1 or c.laws or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
         return False
@@ -270,7 +270,7 @@ def _half_angles(s: ConstraintGraph, at: Screws, equations: Equations, q: Array,
     axes = np.stack([sign * at.twists[i][:, 0] for i, sign in path], axis=1)
     if np.abs(np.linalg.norm(axes[3:], axis=0) - 1.0).max() > SAME:
         return False
-    return known_motions.half_angles(equations, q, axes, [x.index for x in columns], kernel)
+    return known_motions.half_angles(equations, q, axes, [x.index for x in columns], null_space)
 
 
 def _two_groups(s: ConstraintGraph, at: Screws, c: Cluster) -> bool:

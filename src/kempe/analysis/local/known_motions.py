@@ -46,12 +46,12 @@ def dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
     return best
 
 
-def half_angles(equations: Equations, q: Array, axes: Array, places: Sequence[int], kernel: Array) -> bool:
+def half_angles(equations: Equations, q: Array, axes: Array, places: Sequence[int], null_space: Array) -> bool:
     """Whether four hinges move so that tangents of half of neighbouring angles have a constant product or ratio.
 
-    `axes` (6, 4) are the screws of the hinges around the loop, in its sense, `places` where their angles are, `kernel`
-    (nv,) the velocity. Angles are those between common normals of neighbouring axes. Bennett, 1903: opposite angles are
-    then equal, up to their signs.
+    `axes` (6, 4) are the screws of the hinges around the loop, in its sense, `places` where their angles are,
+    `null_space` (nv,) the velocity. Angles are those between common normals of neighbouring axes. Bennett, 1903:
+    opposite angles are then equal, up to their signs.
     """
     z = axes[3:].T
     normal = np.cross(z, np.roll(z, -1, axis=0))
@@ -61,7 +61,7 @@ def half_angles(equations: Equations, q: Array, axes: Array, places: Sequence[in
     x = normal / size
     before = np.roll(x, 1, axis=0)
     theta = np.arctan2(np.sum(np.cross(before, x) * z, axis=1), np.sum(before * x, axis=1))
-    rate = kernel[list(places)]
+    rate = null_space[list(places)]
     if np.abs(np.sin(theta[:2])).min() < NEARLY or np.abs(rate).min() < NEARLY:
         return False
     opposite = rate[2:] / rate[:2]

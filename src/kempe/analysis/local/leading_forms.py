@@ -71,11 +71,13 @@ def split_of(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
     rest = float(sigma[rank]) if rank < len(sigma) else 0.0
     last = float(sigma[rank - 1]) if rank else np.inf
     clear = last > GAP * max(rest, ROUNDING * most)
-    kernel, inverse = np.zeros((nv, n - rank)), np.zeros((nv, m))
-    kernel[columns] = Vt[rank:].T
+    null_space, inverse = np.zeros((nv, n - rank)), np.zeros((nv, m))
+    null_space[columns] = Vt[rank:].T
     inverse[columns] = (Vt[:rank].T / sigma[:rank]) @ (basis @ U[:, :rank]).T
     padded = np.concatenate([np.full(nv - n, most), sigma])
-    return Here(A, sigma, Split(q, padded, kernel, basis @ U[:, rank:], inverse), basis, clear, rest <= SINGULAR * most)
+    return Here(
+        A, sigma, Split(q, padded, null_space, basis @ U[:, rank:], inverse), basis, clear, rest <= SINGULAR * most
+    )
 
 
 def decide(
@@ -115,10 +117,10 @@ def _order(found: reduction.Obstruction) -> int | None:
 
 
 def _directions(at: Split, tangents: Sequence[Array]) -> list[Array]:
-    """Unit vectors of the kernel along motions that were found."""
+    """Unit vectors of the null space along motions that were found."""
     out = []
     for T in tangents:
-        for d in (at.kernel.T @ T).T:
+        for d in (at.null_space.T @ T).T:
             size = float(np.linalg.norm(d))
             if size > 0.1:
                 out.append(d / size)
@@ -239,7 +241,7 @@ def _holding(
     """Whether some `count` coordinates, when held, leave all others isolated, loop by loop."""
     at = here.split
     J = equations.linearise(at.q)[1][0]
-    moving = np.flatnonzero(np.abs(at.kernel).max(axis=1) > CLEAR)
+    moving = np.flatnonzero(np.abs(at.null_space).max(axis=1) > CLEAR)
     unknown = np.unique(np.concatenate(list(uses)))
     choices = list(combinations(moving.tolist(), count))
     if len(choices) > HELD:

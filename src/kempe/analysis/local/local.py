@@ -1,7 +1,7 @@
 """The true local dimension of a mechanism: of its solution set at a closed configuration, branch by branch.
 
 The rank of the constraint Jacobian gives an upper bound only. Where equations are dependent, the reduction of Lyapunov
-and Schmidt tells by Taylor coefficients whether kernel vectors are velocities of motions; where not all are, the
+and Schmidt tells by Taylor coefficients whether null vectors are velocities of motions; where not all are, the
 branches are found on small spheres, and what they are is measured at their own points. Kicking the mechanism and
 letting it snap back is a second method that shares nothing with the first but equations and projection. Neither proves
 a number; where a theorem does (`analysis.certify`), the answer is certain. Limits of joints are not looked at.
@@ -52,7 +52,7 @@ class LocalDimension:
 
     `dim` is the largest dimension of a branch of the solution set through the configuration, `rank_dim` the nullity of
     the Jacobian, an upper bound; `smooth` says that the set is a manifold of dimension `rank_dim` there.
-    `obstruction_order` is the first order at which a kernel vector cannot be continued (None: all can, to `order`).
+    `obstruction_order` is the first order at which a null vector cannot be continued (None: all can, to `order`).
     `q` is the configuration with its last digits corrected. `sampled` is the dimension by the second method (None: not
     requested, or a theorem decides).
 
@@ -156,7 +156,7 @@ def _found(
         if at.corank and at.delta:
             why = "a manifold, though some equations depend on others"
         if at.delta == 0:
-            why = "the Jacobian has no kernel: rigid, to first order"
+            why = "the Jacobian has no null space: rigid, to first order"
         whole = [_whole(equations, at)]
         return _answer(equations, at, order, tolerance, whole, True, None, why, (doubts, more), None, proof)
     found = reduction.obstruction(equations, at, order, rng)
@@ -222,7 +222,7 @@ def _closed(equations: Equations, q: Array) -> Array:
 
 def _whole(equations: Equations, at: Split) -> Branch:
     """The only branch of a manifold."""
-    return Branch(at.delta, at.kernel * equations.scale[:, None], at.q, 2 if at.delta == 1 else 0)
+    return Branch(at.delta, at.null_space * equations.scale[:, None], at.q, 2 if at.delta == 1 else 0)
 
 
 def _branches(
@@ -260,8 +260,8 @@ def _answer(
 
 
 def _walked(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[float, bool]:
-    """How far what seems to be a motion along the kernel can be followed; whether it is seen to be none there."""
-    x = reduction.axes(rng, at.delta) @ at.kernel.T
+    """How far what seems to be a motion along the null space can be followed; whether it is seen to be none there."""
+    x = reduction.axes(rng, at.delta) @ at.null_space.T
     reached = 0.0
     for radius in WALK:
         found = equations.project(equations.move(at.q, radius * x), at.q, radius)
@@ -275,19 +275,19 @@ def _walked(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[
 
 
 def sampled_dimension(equations: Equations, at: Split, rng: np.random.Generator) -> int:
-    """Largest dimension that is seen by kicking along the kernel and projecting back, around points reached by kicks.
+    """Largest dimension that is seen by kicks along the null space, projected back, around points reached by kicks.
 
     Kicks in directions that are no motion collapse, to about the root of the residual; those along motions stay.
     """
     count = 10 + 2 * min(at.delta, 10)
-    kicks = KICK * reduction.unit_directions(rng, count, at.delta) @ at.kernel.T
+    kicks = KICK * reduction.unit_directions(rng, count, at.delta) @ at.null_space.T
     found = equations.project(equations.move(at.q, kicks), at.q)
     good = (found.residual < follow.CLOSED) & (found.distance > STAYS * KICK) & (found.distance < 2.0 * KICK)
     if not good.any():
         return 0
     places: list[Split] = []
     for here in reduction.split_all(found.q[good], found.jacobian[good]):
-        if all(follow.apart(here.kernel, other.kernel) > follow.SAME_PLANE for other in places):
+        if all(follow.apart(here.null_space, other.null_space) > follow.SAME_PLANE for other in places):
             places.append(here)
     return max(_kicked(equations, p, rng) for p in places[:6])
 
@@ -300,7 +300,7 @@ def _kicked(equations: Equations, at: Split, rng: np.random.Generator) -> int:
     d = reduction.axes(rng, at.delta)
     seen = []
     for size in SMALL_KICKS:
-        found = equations.project(equations.move(at.q, size * d @ at.kernel.T), at.q)
+        found = equations.project(equations.move(at.q, size * d @ at.null_space.T), at.q)
         x = equations.offset(at.q, found.q[found.residual < follow.CLOSED]) / size
         sigma = np.linalg.svd(x, compute_uv=False) / np.sqrt(max(len(x), 1))
         seen.append(int(np.sum(sigma > STAYS / np.sqrt(max(at.delta, 1)))))

@@ -1,9 +1,10 @@
 """Lyapunov-Schmidt reduction at a closed configuration: what the equations still say where their Jacobian is silent.
 
-Let N span the kernel of the Jacobian J at q0 and U its left null space. Curves q(t) = q0 (+) (N s(t) + w(t)), w normal
-to the kernel, fulfil all equations but U^T phi, order by order, if w_k = -J^+ phi_k; what is left, g(s) = U^T phi, has
-as many unknowns as the kernel has dimensions, and its zeros are the solution set near q0 (Golubitsky, Schaeffer, 1985,
-chapter VII). All g_k being zero, every kernel vector is a velocity and the set is a manifold of that dimension.
+Let N span the null space of the Jacobian J at q0 and U its left null space. Curves q(t) = q0 (+) (N s(t) + w(t)), w
+normal to the null space, fulfil all equations but U^T phi, order by order, if w_k = -J^+ phi_k; what is left, g(s) =
+U^T phi, has as many unknowns as the null space has dimensions, and its zeros are the solution set near q0 (Golubitsky,
+Schaeffer, 1985, chapter VII). All g_k being zero, every null vector is a velocity and the set is a manifold of that
+dimension.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ class Split:
 
     q: Array
     sigma: Array
-    kernel: Array
-    """Orthonormal basis (nv, delta) of the kernel, in scaled coordinates."""
+    null_space: Array
+    """Orthonormal basis (nv, delta) of the null space, in scaled coordinates."""
     cokernel: Array
     """Orthonormal basis (m, corank) of the left null space: self-stresses."""
     inverse: Array
@@ -43,7 +44,7 @@ class Split:
     @property
     def delta(self) -> int:
         """Nullity of the Jacobian."""
-        return self.kernel.shape[1]
+        return self.null_space.shape[1]
 
     @property
     def corank(self) -> int:
@@ -53,7 +54,7 @@ class Split:
     @property
     def rank(self) -> int:
         """Rank of the Jacobian."""
-        return len(self.kernel) - self.delta
+        return len(self.null_space) - self.delta
 
     @property
     def gap(self) -> float:
@@ -121,7 +122,7 @@ class Obstruction:
 
 
 def obstruction(equations: Equations, at: Split, order: int, rng: np.random.Generator) -> Obstruction:
-    """How large the reduced equations are, order by order, along random curves of the kernel.
+    """How large the reduced equations are, order by order, along random curves of the null space.
 
     Half of the curves are straight lines. A form that vanishes in one random direction vanishes, with probability one,
     so the lines alone test all of g; the others are there because a second computation of the same catches a slip.
@@ -135,7 +136,7 @@ def obstruction(equations: Equations, at: Split, order: int, rng: np.random.Gene
         s[n:, k] = 0.5**k * rng.normal(size=(n, at.delta))
     g, slow = _solve(equations, at, s, None)
     across = rng.normal(size=(len(s), order + 1, equations.nv))
-    across -= across @ at.kernel @ at.kernel.T
+    across -= across @ at.null_space @ at.null_space.T
     across *= DISTURBANCE / np.maximum(np.linalg.norm(across, axis=2, keepdims=True), 1e-300)
     disturbed, _ = _solve(equations, at, s, across)
     rest = at.sigma[at.rank : at.rank + 1]
@@ -148,7 +149,7 @@ def _largest(g: Array) -> Array:
 
 
 def _solve(equations: Equations, at: Split, s: Array, across: Array | None) -> tuple[Array, Array]:
-    """Coefficients g_k (n, order + 1, corank) along curves s (n, order + 1, delta) of the kernel, and their scale.
+    """Coefficients g_k (n, order + 1, corank) along curves s (n, order + 1, delta) of the null space, and their scale.
 
     Divided by the scale (n, order + 1, 1) they belong to curves slowed down until none of their coefficients, those
     of w included, is over one. s[:, 0] is unused.
@@ -158,7 +159,7 @@ def _solve(equations: Equations, at: Split, s: Array, across: Array | None) -> t
     g = np.zeros((n, depth, at.corank))
     fastest = np.ones(n)
     for k in range(1, depth):
-        x = s[:, k] @ at.kernel.T
+        x = s[:, k] @ at.null_space.T
         series.set(k, x)
         phi = series.compute(k - 1, k)
         g[:, k] = phi @ at.cokernel
@@ -178,7 +179,7 @@ def lines(directions: Array, order: int) -> Array:
 
 
 def lineality(equations: Equations, at: Split, k: int, rng: np.random.Generator) -> Array:
-    """Basis (delta, l) of the kernel directions u along which the leading form of order k is constant.
+    """Basis (delta, l) of the null directions u along which the leading form of order k is constant.
 
     The derivative of a form G of degree k along u, at random d: the linear coefficient of G(d + tau u) in tau, by
     interpolation in k + 1 points. Where the solution set is a manifold that the equations describe with multiplicity

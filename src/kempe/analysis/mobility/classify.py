@@ -182,17 +182,17 @@ class _Classifier:
     def found(self) -> Classification:
         """All that was found."""
         place, system = self.place, self.system
-        whole, around = place.kernel(), random_place(place, self.rng)
+        whole, around = place.null_space(), random_place(place, self.rng)
         positions = whole.dimension - place.extra
-        away = whole.dimension if around is None else around.kernel().dimension
+        away = whole.dimension if around is None else around.null_space().dimension
         which = self.velocity_rows(self.moving)
-        free = place.kernel(which).dimension - place.extra
+        free = place.null_space(which).dimension - place.extra
         made = {"name": system.name, "q": place.q, "position_dof": positions, "velocity_dof": free}
         if away < whole.dimension:
             count = f"{positions} freedoms, around {away - place.extra}"
             why = f"q is a singular point of what holds positions, which leaves {count}"
             return self._without(why, made, around)
-        if place.extra and not np.any(np.abs(place.kernel(which).basis[-1]) > 1e-9):
+        if place.extra and not np.any(np.abs(place.null_space(which).basis[-1]) > 1e-9):
             return self._without("the velocities that are requested contradict each other at q", made, around)
         total = reach(place, around, which, self.rng)
         kind = self._together(total)
@@ -222,15 +222,15 @@ class _Classifier:
         return ReadOnlyDict({name: self._one(place, name, rows) for name, rows in self.of.items()})
 
     def _one(self, place: EvaluationPoint, name: str, own: list[int]) -> ConstraintKind:
-        rows, whole = self.rows.names, place.kernel().dimension
+        rows, whole = self.rows.names, place.null_space().dimension
         names, which = tuple(rows[i].name for i in own), self.velocity_rows([name]) if name in self.moving else []
         if not which:
             held = [i for i in own if not rows[i].sided]
             others = replace(place, holding=tuple(i for i in place.holding if i not in own))
             return ConstraintKind(
-                name, HOLONOMIC if held else UNILATERAL, names, others.kernel().dimension - whole if held else 0
+                name, HOLONOMIC if held else UNILATERAL, names, others.null_space().dimension - whole if held else 0
             )  # fmt: skip
-        alone = place.kernel(which)
+        alone = place.null_space(which)
         found = growth(alone, self.rng, whole, False).dimensions
         kind = INTEGRABLE if found[-1] == alone.dimension else NONHOLONOMIC
         extra = place.extra

@@ -94,7 +94,7 @@ def tangent_cone(equal: Array, one_sided: Array, ignore: float = NOTHING) -> Con
     E, G = np.asarray(equal, dtype=float), np.asarray(one_sided, dtype=float)
     G = np.where(np.isfinite(G).all(axis=1, keepdims=True), G, 0.0)
     n = E.shape[1]
-    rank, N = _kernel(_unit(E, ignore)[0])
+    rank, N = _null_space(_unit(E, ignore)[0])
     full = rank == len(E)
     G, sizes = _unit(G, ignore)
     vanishing = sizes <= ignore
@@ -103,7 +103,7 @@ def tangent_cone(equal: Array, one_sided: Array, ignore: float = NOTHING) -> Con
     implied = ~vanishing & (left <= NOTHING)
     used = np.flatnonzero(~vanishing & ~implied)
     cut = inner[used]
-    depth, free = _kernel(cut)
+    depth, free = _null_space(cut)
     across = _complement(cut, depth)
     B = _unit(cut @ across.T, 0.0)[0]
     closed, redundant = _closed(B), []
@@ -129,7 +129,7 @@ def _unit(rows: Array, ignore: float) -> tuple[Array, Array]:
     return np.where(good[:, None], rows / np.where(good, sizes, 1.0)[:, None], 0.0), sizes
 
 
-def _kernel(rows: Array) -> tuple[int, Array]:
+def _null_space(rows: Array) -> tuple[int, Array]:
     """The rank of unit rows, and an orthonormal basis (n - rank, n) of what they leave at zero."""
     if not rows.any():
         return 0, np.eye(rows.shape[1])
@@ -145,7 +145,7 @@ def _complement(rows: Array, rank: int) -> Array:
 
 def _kernel_in(rows: Array, basis: Array) -> tuple[int, Array]:
     """Dimension and basis of what rows, written in a basis, leave at zero of its span."""
-    rank, N = _kernel(rows)
+    rank, N = _null_space(rows)
     return len(basis) - rank, N @ basis
 
 

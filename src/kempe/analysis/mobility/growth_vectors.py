@@ -1,9 +1,9 @@
 """Growth vectors: how Lie brackets of the velocities that rows A(q) v = 0 leave free span more and more directions.
 
-The fields X_c(q) are velocities in the kernel of A(q). D^1 is what they span at q, D^s what brackets of up to s of them
-span; the growth vector is (dim D^1, dim D^2, ...). Brackets of random letters span, one after the other, all brackets
-of their length: words [X_1, [X_2, ... [X_(s-1), Y]]] of letters from a basis do (the Jacobi identity), they are linear
-in each letter, and values of a polynomial at random points span what all its values do.
+The fields X_c(q) are velocities in the null space of A(q). D^1 is what they span at q, D^s what brackets of up to s of
+them span; the growth vector is (dim D^1, dim D^2, ...). Brackets of random letters span, one after the other, all
+brackets of their length: words [X_1, [X_2, ... [X_(s-1), Y]]] of letters from a basis do (the Jacobi identity), they
+are linear in each letter, and values of a polynomial at random points span what all its values do.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ CONDITION = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Distribution:
-    """The kernel of some of the rows at q: fields with these coefficients, smooth where `pivots` stay regular."""
+    """The null space of some of the rows at q: fields with these coefficients, smooth where `pivots` stay regular."""
 
     rows: VelocityRows
     q: Array
@@ -51,7 +51,7 @@ class Distribution:
     """For each column the row of `inverse`, -1 where it is free."""
     inverse: Array = field(repr=False)
     basis: Array = field(repr=False)
-    """Velocities (columns, m) in units, orthonormal, that span the kernel."""
+    """Velocities (columns, m) in units, orthonormal, that span the null space."""
     gap: float
     """The last singular value of the rows that counts over the first that does not."""
     condition: float
@@ -68,14 +68,14 @@ class Distribution:
 def distribution(
     rows: VelocityRows, q: Array, which: Sequence[int] | None = None, t: float = 0.0, error: float = 1e-15
 ) -> Distribution:
-    """The kernel of some `rows`, or of all, at q (nq,) and the time t, which are right up to an `error`."""
+    """The null space of some `rows`, or of all, at q (nq,) and the time t, which are right up to an `error`."""
     requested = np.arange(len(rows.names)) if which is None else np.array(which, dtype=np.int64)
     A, b = rows.values(q, t)
     whole = A[requested] if rows.steady else np.concatenate([A[requested], -b[requested, None]], axis=1)
-    return _kernel(rows, q, t, requested, whole * rows.units[: whole.shape[1]], error)
+    return _null_space(rows, q, t, requested, whole * rows.units[: whole.shape[1]], error)
 
 
-def _kernel(rows: VelocityRows, q: Array, t: float, which: np.ndarray, scaled: Array, error: float) -> Distribution:
+def _null_space(rows: VelocityRows, q: Array, t: float, which: np.ndarray, scaled: Array, error: float) -> Distribution:
     n = scaled.shape[1]
     sizes = np.linalg.norm(scaled, axis=1)
     real = np.flatnonzero(sizes > VANISHED * sizes.max(initial=0.0))

@@ -61,7 +61,7 @@ class EvaluationPoint:
         """1 where the time is among the directions."""
         return 0 if self.rows.steady else 1
 
-    def kernel(self, which: Sequence[int] = ()) -> Distribution:
+    def null_space(self, which: Sequence[int] = ()) -> Distribution:
         """Velocities that what holds positions, and further rows, leave free."""
         return distribution(self.rows, self.q, (*self.holding, *which), self.t, self.error)
 
@@ -84,7 +84,7 @@ class Reach:
 
 def random_place(place: EvaluationPoint, rng: np.random.Generator) -> EvaluationPoint | None:
     """A configuration drawn at random around, with loops closed; None if none is found."""
-    basis = place.kernel().basis[: place.rows.layout.nv]
+    basis = place.null_space().basis[: place.rows.layout.nv]
     units = place.rows.units[:-1]
     step = STEP
     for _ in range(TRIES):
@@ -105,7 +105,7 @@ def moved_place(place: EvaluationPoint, which: Sequence[int], rng: np.random.Gen
     start, state = place.q, np.append(np.zeros(layout.nv), place.t)
     for _ in range(PIECES):
         wish = rng.normal(size=len(units))
-        chosen = place.at(start).kernel(which).chosen
+        chosen = place.at(start).null_space(which).chosen
 
         def rate(_: float, x: Array, chosen: np.ndarray = chosen, wish: Array = wish) -> Array:
             A, b = rows.values(x[: layout.nq], x[layout.nq])
@@ -131,13 +131,13 @@ def reach(
     place: EvaluationPoint, around: EvaluationPoint | None, which: Sequence[int], rng: np.random.Generator
 ) -> Reach:
     """What motions reach from a place that obey further rows; `around` is a place drawn at random."""
-    extra, whole = place.extra, place.kernel().dimension
-    here = place.kernel(which)
-    there = here if around is None else around.kernel(which)
+    extra, whole = place.extra, place.null_space().dimension
+    here = place.null_space(which)
+    there = here if around is None else around.null_space(which)
     far = growth(there, rng, whole, False)
     if far.dimensions[-1] < whole and around is not None:  # the end is confirmed at another place
         other = random_place(around, rng)
-        more = far if other is None else growth(other.kernel(which), rng, whole, False)
+        more = far if other is None else growth(other.null_space(which), rng, whole, False)
         far = max(far, more, key=lambda g: g.dimensions[-1])
     most = far.dimensions[-1]
     if here.dimension > there.dimension:  # no field of velocities at q goes on smoothly around
@@ -145,7 +145,7 @@ def reach(
     near = growth(here, rng, most, False)
     doubtful, least = far.doubtful or near.doubtful, most
     if near.dimensions[-1] < most:
-        along = growth(moved_place(place, which, rng).kernel(which), rng, most, False)
+        along = growth(moved_place(place, which, rng).null_space(which), rng, most, False)
         least, doubtful = along.dimensions[-1], doubtful or along.doubtful
         near = growth(here, rng, least, True) if near.dimensions[-1] < least else near
         doubtful |= near.doubtful

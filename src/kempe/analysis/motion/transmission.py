@@ -1,6 +1,6 @@
 """Velocities and forces through closed loops: Jacobians, mechanical advantage, transmission angle, dead points.
 
-The kernel of the closure Jacobian, and of the velocity constraints, holds all velocities that they allow. Where the
+The null space of the closure Jacobian, and of the velocity constraints, holds all velocities that they allow. Where the
 inputs determine them, the velocity of anything is linear in those of the inputs; no number is differenced.
 """
 
@@ -46,8 +46,8 @@ class LoopJacobian(Report):
 
     `matrix` (..., rows, inputs) in SI units, NaN where it does not exist; `rows` names what each row is. `nullity`
     (...) counts the first-order motions of the mechanism, `rank` (...) the independent ones among the inputs;
-    `margin` (...) is the smallest singular value of the inputs on the kernel: 0 at a dead point. `code` (...) is one
-    of `Status.SOLVED`, `DEAD_POINT`, `UNDETERMINED`.
+    `margin` (...) is the smallest singular value of the inputs on the null space: 0 at a dead point. `code` (...) is
+    one of `Status.SOLVED`, `DEAD_POINT`, `UNDETERMINED`.
     """
 
     __repr__ = brief
@@ -126,14 +126,14 @@ def loop_jacobian(
     rank, nullity, code = (np.zeros(lead, dtype=np.int64) for _ in range(3))
     margin = np.zeros(lead)
     for i in np.ndindex(lead):
-        kernel = _kernel(closure, q[i])
-        motion = kernel * closure.unit[:, None]
+        null_space = _null_space(closure, q[i])
+        motion = null_space * closure.unit[:, None]
         out = np.vstack([
             motion[[angle_or_slide(system, n)]] if kind == "joint" else system.jacobian(q[i], n, in_frame) @ motion
             for kind, n in kinds
         ])  # fmt: skip
-        nullity[i] = kernel.shape[1]
-        U, s, Vt = np.linalg.svd(kernel[index])
+        nullity[i] = null_space.shape[1]
+        U, s, Vt = np.linalg.svd(null_space[index])
         rank[i] = int(np.sum(s > RANK))
         margin[i] = s[len(index) - 1] if len(s) >= len(index) else 0.0
         rest = out @ Vt[rank[i] :].T
@@ -172,7 +172,7 @@ def _output(system: System, name: str) -> tuple[str, str]:
     return ("joint", name) if coordinate else ("frame", name)
 
 
-def _kernel(closure: Closure, q: Array) -> Array:
+def _null_space(closure: Closure, q: Array) -> Array:
     """Orthonormal basis (nv, k) of the velocities, without unit, that all constraints allow at a closed q."""
     F, J = closure.both(q)
     gap = float(np.abs(F).max(initial=0.0))
@@ -211,7 +211,7 @@ def mechanical_advantage(
         raise InputError(f"direction is {direction!r}; it must be three numbers, not all zero")
     out = np.full(q.shape[:-1], np.nan)
     for k in np.ndindex(out.shape):
-        motion = _kernel(closure, q[k]) * closure.unit[:, None]
+        motion = _null_space(closure, q[k]) * closure.unit[:, None]
         if others:
             _, s, Vt = np.linalg.svd(motion[others])
             motion = motion @ Vt[int(np.sum(s > RANK)) :].T

@@ -122,8 +122,8 @@ class Valley:
     def ahead(self, q: Array, direction: Array, length: float) -> tuple[Array, Array]:
         """The configuration one step ahead along the valley, and the direction (n,) in which it goes on."""
         there = self.converge(self.system.structure.layout.integrate(q, self.scale * direction * length))
-        kernel = self.at(there)[3][self.rank :]
-        onward = kernel.T @ (kernel @ direction)
+        null_space = self.at(there)[3][self.rank :]
+        onward = null_space.T @ (null_space @ direction)
         return there, onward / max(float(np.linalg.norm(onward)), 1e-300)
 
     def between(self, q: Array) -> list[Array]:
@@ -137,8 +137,8 @@ class Valley:
         """Regular configurations (N, nq) along the valley on both sides of q, where at most `most` stays open."""
         freedoms = self.system.nv - self.rank
         found = [q] if self.regular(q) else []
-        kernel = self.at(q)[3][self.rank :]
-        ways = kernel if freedoms == 1 else rng.normal(size=(2 * freedoms, freedoms)) @ kernel
+        null_space = self.at(q)[3][self.rank :]
+        ways = null_space if freedoms == 1 else rng.normal(size=(2 * freedoms, freedoms)) @ null_space
         for way in (sign * w / np.linalg.norm(w) for w in ways for sign in (1.0, -1.0)):
             x = q
             for _ in range(FAR if freedoms == 1 else NEAR):

@@ -18,25 +18,28 @@ VANISHES = 1e-6
 """Second derivatives below this count as zero."""
 
 
-def moving(system: System, q: Array, left: Array, kernel: Array, scale: Array) -> Array:
-    """The part (nv, d) of a kernel (nv, p) of the scaled Jacobian at q (nq,) that motions have as velocities.
+def moving(system: System, q: Array, left: Array, null_space: Array, scale: Array) -> Array:
+    """The part (nv, d) of a null space (nv, p) of the scaled Jacobian at q (nq,) that motions have as velocities.
 
     `left` (rows, k) are the left null vectors. Along a motion at which the rank stays, the second derivatives of the
-    equations vanish for `left`, a velocity and any of the kernel; where these leave less than the kernel, and as much
-    as there are freedoms, the rest is shaky. Elsewhere the kernel is returned as it is.
+    equations vanish for `left`, a velocity and any of the null space; where these leave less than the null space, and
+    as much as there are freedoms, the rest is shaky. Elsewhere the null space is returned as it is.
     """
-    if not np.abs(_change(system, q, left, kernel, scale, np.cos(np.arange(kernel.shape[1]))[None])).max() > VANISHES:
-        return kernel
-    blocks = _change(system, q, left, kernel, scale, np.eye(kernel.shape[1]))
-    _, sizes, V = np.linalg.svd(blocks.reshape(-1, kernel.shape[1]))
+    if (
+        not np.abs(_change(system, q, left, null_space, scale, np.cos(np.arange(null_space.shape[1]))[None])).max()
+        > VANISHES
+    ):
+        return null_space
+    blocks = _change(system, q, left, null_space, scale, np.eye(null_space.shape[1]))
+    _, sizes, V = np.linalg.svd(blocks.reshape(-1, null_space.shape[1]))
     shaky = int(np.sum(sizes > VANISHES))
-    if not 0 < shaky < kernel.shape[1] or system.mobility(q).dof != kernel.shape[1] - shaky:
-        return kernel
-    return kernel @ V[shaky:].T
+    if not 0 < shaky < null_space.shape[1] or system.mobility(q).dof != null_space.shape[1] - shaky:
+        return null_space
+    return null_space @ V[shaky:].T
 
 
-def _change(system: System, q: Array, left: Array, kernel: Array, scale: Array, along: Array) -> Array:
-    """Second derivatives (n, k, p) for left null vectors, combinations (n, p) of the kernel, and the kernel."""
-    steps = DIFFERENCE * scale * (along @ kernel.T)
+def _change(system: System, q: Array, left: Array, null_space: Array, scale: Array, along: Array) -> Array:
+    """Second derivatives (n, k, p) for left null vectors, combinations (n, p) of the null space, and the null space."""
+    steps = DIFFERENCE * scale * (along @ null_space.T)
     J = evaluate(system, system.structure.layout.integrate(q, np.concatenate([steps, -steps])), True, True)[1]
-    return left.T @ ((J[: len(steps)] - J[len(steps) :]) / (2.0 * DIFFERENCE)) @ kernel
+    return left.T @ ((J[: len(steps)] - J[len(steps) :]) / (2.0 * DIFFERENCE)) @ null_space

@@ -1,7 +1,7 @@
 """Freedoms that tasks leave: how many to first order, and how many of them are motions over a distance.
 
 Where the equations are independent the two are the same, by the implicit function theorem. Where the Jacobian loses
-rank, steps along its kernel are led back to the solutions, at two lengths: what stays away from where it began, in
+rank, steps along its null space are led back to the solutions, at two lengths: what stays away from where it began, in
 proportion to the step, is a motion.
 """
 
@@ -32,7 +32,7 @@ CURL = 1e-3
 CLOSE, STAYS = 60, 1e-13
 """Steps by which a configuration is led to the solutions, at most, and the length below which one is the last."""
 LENGTHS = (0.05, 0.005)
-"""Lengths of the steps along the kernel, in radians and characteristic lengths."""
+"""Lengths of the steps along the null space, in radians and characteristic lengths."""
 KEPT = 0.2
 """Part of a step that must be left when it has been led back."""
 
@@ -60,7 +60,7 @@ class Local:
     def n(self) -> int:
         """Freedoms that loops and relations leave, to first order."""
         closed = self.problem.packed.closed
-        return self.kernel(self.q, tasks=False)[0].shape[1] if closed else self.problem.system.nv
+        return self.null_space(self.q, tasks=False)[0].shape[1] if closed else self.problem.system.nv
 
     def equations(self, q: Array, tasks: bool = True) -> tuple[Array, Array]:
         """Values (k,) and Jacobian (k, nv) of loops and relations and, with `tasks`, of the hard tasks at q (nq,)."""
@@ -95,7 +95,7 @@ class Local:
 
         return gauss_newton(self.equations, q, CLOSE, step=step, met=ROUNDING, last=STAYS, move=self.move).x
 
-    def kernel(self, q: Array, tasks: bool = True) -> tuple[Array, bool]:
+    def null_space(self, q: Array, tasks: bool = True) -> tuple[Array, bool]:
         """An orthonormal basis (nv, k) of velocities that keep the equations, and whether these are independent.
 
         A singular value counts as zero where the nearest configuration at which it vanishes, by the derivative
@@ -123,7 +123,7 @@ class Local:
 
     @cached_property
     def _left(self) -> tuple[Array, bool]:
-        return self.kernel(self.q)
+        return self.null_space(self.q)
 
     @cached_property
     def motions(self) -> Array:
@@ -145,14 +145,14 @@ class Local:
     def _dimension(self, direction: Array) -> int:
         """The dimension of the solutions beside q in a direction."""
         there = self.led(self.move(self.q, LENGTHS[0] * direction))
-        basis, independent = self.kernel(there)
+        basis, independent = self.null_space(there)
         if independent or basis.shape[1] == 1:
             return basis.shape[1]
         landed = self._landed(there, basis, tuple(0.1 * h for h in LENGTHS))
         return int((np.linalg.svd(landed, compute_uv=False) > 0.1).sum()) if len(landed) else 0
 
     def _landed(self, q: Array, basis: Array, lengths: tuple[float, ...]) -> Array:
-        """Directions (n, nv) in which steps from q along a kernel stay away from it when they are led back."""
+        """Directions (n, nv) in which steps from q along a null space stay away from it when they are led back."""
         k = basis.shape[1]
         mixed = np.random.default_rng(0).normal(size=(2 * k if k > 1 else 0, k))
         wishes = np.concatenate([np.eye(k), mixed / np.linalg.norm(mixed, axis=1, keepdims=True)])

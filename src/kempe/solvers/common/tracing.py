@@ -93,7 +93,7 @@ class Node:
 
 
 def node(equations: Curve, x: Array, toward: Array | None = None, J: Array | None = None) -> Node:
-    """The `Node` at a point of the curve; its tangent is the kernel vector nearest to `toward` (n,)."""
+    """The `Node` at a point of the curve; its tangent is the null vector nearest to `toward` (n,)."""
     J = equations.matrix(x) if J is None else J
     U, s, Vt = np.linalg.svd(J, full_matrices=False)
     n = equations.n
@@ -101,8 +101,8 @@ def node(equations: Curve, x: Array, toward: Array | None = None, J: Array | Non
     nullity = int(np.sum(s <= RANK * scale))
     t = Vt[-1]
     if toward is not None:
-        kernel = Vt[n - max(int(np.sum(s <= BLUNT * scale)), 1) :]
-        along = kernel.T @ (kernel @ toward)
+        null_space = Vt[n - max(int(np.sum(s <= BLUNT * scale)), 1) :]
+        along = null_space.T @ (null_space @ toward)
         size = np.linalg.norm(along)
         t = along / size if size > 0.0 else t
     image = U[:, : n - 1]

@@ -248,11 +248,11 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
     spaces = np.linalg.svd(J[loose])[2] if len(loose) and not bound.frames else J[loose]
     for k, space in zip(loose.tolist(), spaces, strict=True):
         if bound.frames:
-            kernel, size = np.random.default_rng(0).normal(size=(2, len(free))), np.ones(2)
+            null_space, size = np.random.default_rng(0).normal(size=(2, len(free))), np.ones(2)
         else:
-            kernel, size = _moving(system, clusters, q[k], free, space[ranks[k] :])
-        owner += [k] * (2 * len(kernel))
-        kicks += [*kernel, *-kernel]
+            null_space, size = _moving(system, clusters, q[k], free, space[ranks[k] :])
+        owner += [k] * (2 * len(null_space))
+        kicks += [*null_space, *-null_space]
         sizes += [*size, *size]
     if not kicks:
         return out
@@ -268,16 +268,16 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
     return out
 
 
-def _moving(system: System, clusters: Clusters, q: Array, free: list[int], kernel: Array) -> tuple[Array, Array]:
-    """Directions (k, n) in a kernel (rows) that move what counts, and how far they move it."""
+def _moving(system: System, clusters: Clusters, q: Array, free: list[int], null_space: Array) -> tuple[Array, Array]:
+    """Directions (k, n) in a null space (rows) that move what counts, and how far they move it."""
     if not clusters.frames:
-        return kernel, np.ones(len(kernel))
+        return null_space, np.ones(len(null_space))
     scale = clusters.metric.scale[free]
     J = np.concatenate([system.jacobian(q, f)[:, free] * scale for f in clusters.frames])
     J.reshape(-1, 6, len(free))[:, :3] /= clusters.metric.length
-    _, sizes, V = np.linalg.svd(J @ kernel.T)
+    _, sizes, V = np.linalg.svd(J @ null_space.T)
     moving = sizes > RANK_TOLERANCE * 1e2
-    return V[: len(sizes)][moving] @ kernel, sizes[moving]
+    return V[: len(sizes)][moving] @ null_space, sizes[moving]
 
 
 # ---- what the search is worth

@@ -196,7 +196,7 @@ def families_of(solutions: Solutions, index: int) -> tuple[list[Family], np.ndar
     A row belongs to a family if the Jacobian of the task is singular there and the chain can move away from it without
     leaving the target: exactly, or within the tolerance, all the way round or, where rounding leaves the
     solution itself undetermined, for a part of it. Joints that were locked only because the chain has more than it
-    needs may move. The Jacobian's kernel says where to start; then each curve is followed (predictor and corrector:
+    needs may move. The Jacobian's null space says where to start; then each curve is followed (predictor and corrector:
     Allgower and Georg, 1990).
     """
     plan = solutions.plan
@@ -299,7 +299,7 @@ def _family(motion: TolerantMotion, curve: Any, base: Array) -> Family:
     basis = np.zeros((curve.dimension, len(base)))
     basis[:, lines.q_index] = curve.basis / lines.multiplier
     basis /= np.linalg.norm(basis, axis=1, keepdims=True)
-    merged = len(motion.kernel(motion.linear(theta[0])[1], 0)) > curve.dimension
+    merged = len(motion.null_space(motion.linear(theta[0])[1], 0)) > curve.dimension
     moved = np.ptp(theta, axis=0) > (MERGED if merged else STRAIGHT)
     joints = tuple(n for n, m in zip(lines.names, moved, strict=True) if m)
     parameter = motion.parameter(curve) if curve.dimension == 1 else None

@@ -59,7 +59,7 @@ class TolerantMotion(Points, Curve):
 
     def through(self, theta: Array, known: Callable[[Array], bool]) -> list[Samples]:
         """The families on which a solution (n,) lies, none where it is isolated; those through `known` are left out."""
-        free, found = self.kernel(self.linear(theta)[1], least=0), list[Samples]()
+        free, found = self.null_space(self.linear(theta)[1], least=0), list[Samples]()
         if not len(free):
             return []
         far, near = REACH, self._neighbours(theta, free, REACH)
@@ -259,14 +259,14 @@ class TolerantMotion(Points, Curve):
         """A family with several freedoms, those `wide` (d, n) next to a solution: samples of a random walk on it."""
         rng, x, out, worst, d = np.random.default_rng(2), start, [theta, start], 0.0, len(wide)
         for _ in range(SAMPLES):
-            free = self.kernel(self.linear(x)[1], d)
+            free = self.null_space(self.linear(x)[1], d)
             way, far = rng.normal(size=d) @ (free if len(free) == d else wide @ free.T @ free), 0.6 * rng.random()
             ahead = x + far * way / np.linalg.norm(way)
             new = self.led(ahead, free)[0] if len(free) == d else self.at_distance(x, ahead[None], far)[0]
             if np.isfinite(new[0]) and self.on_target(e := self.linear(new)[0]):
                 x, worst = new, max(worst, self.missed(e))
                 out.append(x)
-        free = self.kernel(self.linear(theta)[1], d)
+        free = self.null_space(self.linear(theta)[1], d)
         basis = free if len(free) == d else wide
         return Samples(d, np.array(out), np.zeros((0, len(theta))), basis, False, worst, np.zeros(0))
 
@@ -274,7 +274,7 @@ class TolerantMotion(Points, Curve):
         """The configuration on target next to theta (n,), by shortest steps."""
 
         def step(_: Array, e: Array, J: Array) -> Array:
-            free = self.kernel(J, dimension)
+            free = self.null_space(J, dimension)
             return least_squares(J - (J @ free.T) @ free, e)
 
         x, e, _ = gauss_newton(self.linear, theta, 2 * CORRECTIONS, step=step, longest=0.5)
@@ -288,7 +288,7 @@ class TolerantMotion(Points, Curve):
             rest = self.gap(goal, x)
             if (far := float(np.linalg.norm(rest))) < 1e-6:
                 return True
-            free = self.kernel(self.linear(x)[1], dimension)
+            free = self.null_space(self.linear(x)[1], dimension)
             step = (free @ rest) @ free
             size = float(np.linalg.norm(step))
             if size < 1e-2 * far:

@@ -84,7 +84,7 @@ class Points:
             far = max(far, float(np.linalg.norm(e[:3] - self.shift[:3, 3:] @ e[3:])))
         return max(far * self.aim.lines.length, float(np.linalg.norm(e[~place])))
 
-    def kernel(self, J: Array, least: int = 1) -> Array:
+    def null_space(self, J: Array, least: int = 1) -> Array:
         """Orthonormal directions (d, n), at least so many, in which the tip hardly moves, the freest last."""
         moves = self.aim.moves
         _, s, Vt = np.linalg.svd(J[:, moves])
@@ -122,10 +122,10 @@ class Points:
     def spanned(self, theta: Array, far: float) -> Array:
         """Orthonormal directions (d, n) that configurations on target next to one (n,) span.
 
-        They are the kernel of the Jacobian, or a part of it where roots have merged: there, the tip hardly moves at
+        They are the null space of the Jacobian, or a part of it where roots have merged: there, the tip hardly moves at
         first order, but it moves.
         """
-        free = self.kernel(self.linear(theta)[1])
+        free = self.null_space(self.linear(theta)[1])
         if len(free) == 1:
             return free
         near = STRIDE * far
