@@ -106,7 +106,7 @@ class Fixed(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """No coordinates."""
+        """No coordinates and no primitives."""
         return (), ()
 
 
@@ -119,7 +119,7 @@ class Revolute(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """One turn."""
+        """One turn about z."""
         return ("",), (Primitive(R, "z", 0),)
 
 
@@ -132,7 +132,7 @@ class Prismatic(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """One slide."""
+        """One slide along z."""
         return ("",), (Primitive(P, "z", 0),)
 
 
@@ -169,7 +169,7 @@ class Universal(JointType):
     summary = "turn about x of F, then about y of M"
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Two turns."""
+        """Two turns, about x and y."""
         return ("rx", "ry"), (Primitive(R, "x", 0), Primitive(R, "y", 1))
 
 

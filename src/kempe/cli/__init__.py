@@ -19,7 +19,7 @@ __all__ = ["app", "inverse_commands", "library_commands", "loop_commands", "main
 
 
 def main() -> None:
-    """Entry point of the command `kempe`."""
+    """Run the command `kempe`."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

@@ -128,7 +128,7 @@ def main_options(
     context: typer.Context,
     version: Annotated[bool, option("--version", "Print the version, and which kernels run.")] = False,
 ) -> None:
-    """Kinematics of mechanisms: where bodies are, what reaches a pose, how closed loops move."""
+    """Analyse the kinematics of mechanisms: where bodies are, what reaches a pose, how closed loops move."""
     if version:
         try:
             from kempe.kernels.compiled import VARIANT

@@ -239,7 +239,7 @@ class Bounded(Constraint):
         return self.at_least is not None or self.at_most is not None
 
     def check(self, dim: int) -> None:
-        """Bounds leave something between them, and those of distances and angles are not negative."""
+        """Refuse bounds that leave nothing between them, and negative ones of distances and angles."""
         if not self.bounded:
             return
         signed = self.measured in SIGNED

@@ -105,7 +105,7 @@ class _Written(Constraint):
 
     @property
     def about(self) -> str:
-        """Its coordinates."""
+        """The coordinates that it reads."""
         return ", ".join(self.of or self.words)  # type: ignore[attr-defined]
 
     def _names(self, given: Any) -> tuple[str, ...]:
@@ -186,7 +186,7 @@ class _Valued(_Written, Bounded):
                 raise InputError(f"{self.what} is {text!r}: give what {what}, such as '1.2 - A'")
 
     def check(self, dim: int) -> None:
-        """Bounds leave something between them, and fit the values."""
+        """Refuse bounds that leave nothing between them, or do not fit the values."""
         super().check(dim)
         n = len(self.rows(dim))
         for name in ("at_least", "at_most"):

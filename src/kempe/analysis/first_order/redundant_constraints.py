@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 CARRIES = 1e-6
 """Part of a unit self-stress below which a joint direction carries nothing."""
 WELL = 0.05
-"""A release is taken first where at least this part of it is not done by the others: they shall not be nearly one."""
+"""Part of a release, measured across those taken before it, from which on it is taken at once: so no two are nearly
+the same."""
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 REACTIONS = {"x": "Fx", "y": "Fy", "z": "Fz", "rx": "Mx", "ry": "My", "rz": "Mz"}

@@ -193,7 +193,7 @@ class _Classifier:
         return [i for c in names for i in self.of[c] if self.rows.names[i].velocity]
 
     def found(self) -> Classification:
-        """Everything."""
+        """All that was found."""
         place, system = self.place, self.system
         whole, around = place.kernel(), random_place(place, self.rng)
         positions = whole.dimension - place.extra

@@ -341,7 +341,7 @@ def _refuse_cycles(follows: Mapping[str, tuple[str, Element]], findings: Finding
 
 
 def _note_unused(urdf: _Urdf) -> None:
-    """Notes on blocks that speak of joints: those of missing joints, and joints that only simulators know."""
+    """Note blocks that speak of joints: those of missing joints, and joints that only simulators know."""
     for block in urdf.robot.children:
         if block.tag not in ("transmission", "ros2_control", "gazebo"):
             continue

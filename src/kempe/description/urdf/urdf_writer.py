@@ -92,7 +92,7 @@ class _Writer:
     # ---- what must hold
 
     def check_tree(self) -> None:
-        """Every body but the ground must be the child of one joint, on a way that leads from the ground."""
+        """Refuse what is no tree: each body but the ground must be the child of one joint, led to from ground."""
         incoming: dict[str, list[Joint]] = {b: [] for b in self.m.bodies}
         for joint in self.m.joints.values():
             incoming[joint.child].append(joint)

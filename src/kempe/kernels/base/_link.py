@@ -54,7 +54,7 @@ class _HelperLibrary(CodeOnly):
         self._finalized = True
 
     def _optimize_functions(self, module: Any) -> None:
-        """As Numba's, with one manager of passes for all functions, and none for those that are but declared."""
+        """Optimise all functions with one manager of passes, none that is but declared; else as Numba does."""
         module.data_layout = self._codegen._data_layout
         manager, builder = self._codegen._function_pass_manager()
         for function in module.functions:

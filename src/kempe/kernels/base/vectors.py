@@ -174,7 +174,7 @@ def raw(typingctx, array):
 
 @intrinsic
 def keep(typingctx, array):
-    """Nothing; but the array lives until here."""
+    """Keep the array alive until here."""
 
     def codegen(context, builder, sig, args):
         return context.get_dummy_value()

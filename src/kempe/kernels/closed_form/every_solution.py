@@ -49,7 +49,7 @@ def led_nowhere(d, candidates, count):
     OUT("N", "_", f"n+{INFO}"), OUTI("N", 2), returns=False,
 )  # fmt: skip
 def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, which, out, counts):
-    """Nothing; all solutions by closed form of the targets whose numbers are in `which`.
+    """Find all solutions by closed form of the targets whose numbers are in `which`.
 
     ints, floats: plan, see `analytic_layout`. targets: (N, 4, 4). near: (1 or N, n), of each angle the turn nearest to
     it is given. locked: (1 or N, n) coordinates of which those of locked joints are read. tol_linear [m], tol_angular:

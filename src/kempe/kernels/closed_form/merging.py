@@ -178,7 +178,7 @@ def listed(found, count):
 
 @device
 def drop(found, count, k):
-    """Nothing; the last solution takes the place of solution k."""
+    """Drop solution k: the last one takes its place."""
     stride = SOLUTION + found.model.n
     for i in range(stride):
         found.rows[stride * k + i] = found.rows[stride * (count - 1) + i]
@@ -246,7 +246,7 @@ def arrange(n, joints, near, out, slots):
 
 @device
 def swap(out, width, a, b):
-    """Nothing; rows a and b change places."""
+    """Exchange the rows a and b."""
     if a != b:
         for i in range(width):
             out[width * a + i], out[width * b + i] = out[width * b + i], out[width * a + i]

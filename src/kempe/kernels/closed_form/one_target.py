@@ -106,7 +106,7 @@ def goal_of(target, tip, goal):
 
 @routine
 def six_lines(ints, floats, moves, theta, goal, shift, six, kinds):
-    """Nothing; the six lines of the plan with the locked joints at their values, and the goal without these.
+    """Write the six lines of the plan with the locked joints at their values, and the goal without these.
 
     A locked joint carries all lines that follow it: E_1 E_l E_2 = E_1 (E_l E_2 E_l^-1) E_l.
     """

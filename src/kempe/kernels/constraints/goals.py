@@ -31,7 +31,7 @@ from kempe.kernels.forward.table_rows import placement
 
 @intrinsic
 def call(typingctx, address, q, out, columns, flag):
-    """Nothing; calls the C function void(double*, double*, double*, int64) at an address."""
+    """Call the C function void(double*, double*, double*, int64) at an address."""
 
     def codegen(context, builder, sig, args):
         kinds = [context.get_value_type(t) for t in sig.args[1:]]

@@ -18,6 +18,16 @@ from typing import NamedTuple
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.eigen import EIGEN_SCRATCH, balance, hessenberg, shifted_qr
 from kempe.kernels.base.scratch import beyond
+from kempe.kernels.elimination.elimination_accept import (
+    CLAIMED,
+    FOUND,
+    KNOWN,
+    RAW_ERROR,
+    START,
+    accept,
+    is_singular,
+    twin,
+)
 from kempe.kernels.elimination.elimination_cluster import CLUSTER_SCRATCH, MOST, postures_at
 from kempe.kernels.elimination.elimination_loop import (
     EQUATIONS,
@@ -65,16 +75,6 @@ from kempe.kernels.elimination.elimination_roots import (
     stand_for,
     together,
     write_roots,
-)
-from kempe.kernels.elimination.elimination_settle import (
-    CLAIMED,
-    FOUND,
-    KNOWN,
-    RAW_ERROR,
-    START,
-    is_singular,
-    settle,
-    twin,
 )
 
 CANDIDATES = 24
@@ -300,7 +300,7 @@ def _add(s, i, n, twins, count, strays):
         none += int(other or defect == math.inf)
         if defect == math.inf:
             continue
-        state = settle(s.kinds, s.lines, s.goal, found, count, work)
+        state = accept(s.kinds, s.lines, s.goal, found, count, work)
         suspect |= SINGULAR if state > 0 and is_singular(found, count) else 0
         suspect |= SHARED if state >= 0 and quality < DETERMINED else 0
         if state < 0 and not other:

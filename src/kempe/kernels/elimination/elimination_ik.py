@@ -173,7 +173,7 @@ def eliminated(d, scratch, thetas):
     OUT("N", "_", f"n+{INFO}"), OUTI("N", 2), returns=False,
 )  # fmt: skip
 def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, which, out, counts):
-    """Nothing; all solutions by elimination, arguments as of `every_solution.closed`; counts[:, 1] is 1 in doubt."""
+    """Find all solutions by elimination, arguments as of `every_solution.closed`; counts[:, 1] is 1 in doubt."""
     n, slots = ints[N_JOINTS], out.shape[1]
     block = np.empty(target_scratch_size(n) + CONFIRM_SCRATCH)
     flags = np.empty(6 + slots, np.int64)

@@ -157,7 +157,7 @@ def rigid(pin, k):
 
 @routine
 def restore(loops, ask):
-    """Ask again what is given."""
+    """Restore the bounds that are given."""
     ties = loops.plan[L.N_TIES]
     for k in range(ties):
         ask.stage[k], ask.hard[k] = ask.given[k], ask.given[ties + k]

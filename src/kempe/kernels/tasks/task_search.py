@@ -3,7 +3,7 @@
 Tasks are ties in stages. Stage 0 always holds (loops, relations); each further one is either hard, to be met, or soft,
 a sum of weighted squares to be lowered. First damped least squares on all hard rows, with restarts (Levenberg, 1944;
 Sugihara, 2011), then stage by stage steps that keep all earlier ones (Siciliano and Slotine, 1991; Escande, Mansard and
-Wieber, 2014), each closed again, so that the earlier ones hold and do not merely hardly suffer.
+Wieber, 2014), each closed again: so the earlier stages hold, to the tolerance and not only to first order.
 """
 
 from __future__ import annotations

@@ -173,11 +173,11 @@ class Placed(Task):
         return [h._replace(bounds=(bound,) * n) for bound, _ in _sides(*ends)]
 
     def structure(self, system: System) -> Hashable:
-        """Its ties."""
+        """What the ties depend on: what they hold."""
         return tuple(self.holds(system))
 
     def ties(self, system: System, table: Table) -> list[Tie]:
-        """Its ties."""
+        """The ties of the task, one for each hold."""
         return [self._tie(system, table, h) for h in self.holds(system)]
 
     def _tie(self, system: System, table: Table, h: Hold) -> Tie:
@@ -287,7 +287,7 @@ class Centred(Placed):
         return Centre(rows, rest)
 
     def place(self, system: System, at: At, hold: Hold | None = None) -> Array:
-        """The centre."""
+        """The centre of mass in the ground frame."""
         points = self._points(system)
         names, moments = _moments(system, points)
         return spatial.pose(p=np.einsum("...kij,kj->...i", at(names)[..., :3, :], moments))

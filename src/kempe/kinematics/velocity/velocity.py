@@ -101,7 +101,7 @@ class _Recording:
         self.known.setdefault(TIME, self.recorder.time)  # unless a coordinate is called so
 
     def _quaternion(self, iq: int, iv: int) -> None:
-        """The rates of the entries of a quaternion: q' = q (0, w) / 2."""
+        """Add the rates of the entries of a quaternion: q' = q (0, w) / 2."""
         half = [self.recorder.numbers.mul(0.5, iq + k) for k in range(4)]
         w, x, y, z = half
         minus = self.recorder.numbers.neg

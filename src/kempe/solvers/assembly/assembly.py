@@ -82,7 +82,7 @@ class Assembler:
         self.no_pins = np.zeros((1, 12 * len(self.frames)))
 
     def _places(self, names: list[str]) -> None:
-        """Where known coordinates are in q, and how those that follow others lead to their source."""
+        """Find where known coordinates are in q, and how those that follow others lead to their source."""
         system = self.system
         index = {n: i for i, n in enumerate(system.coordinate_names)}
         places, factors, offsets = [], [], []

@@ -101,7 +101,7 @@ class Idealised(Report):
 
     @property
     def within(self) -> Idealised:  # type: ignore[override]
-        """Itself."""
+        """The ideal mechanism itself."""
         return self
 
     @property
@@ -273,7 +273,7 @@ def _with_rank(
     """The nearest mechanism whose equations have this rank along its motion near q; None if there is none."""
     shape, freedoms, limit = Shape(system), system.nv - rank, OPEN * scaled
     valley = Valley(shape.system, rank)
-    q = valley.settle(q)
+    q = valley.converge(q)
     if not valley.residual(q) <= limit:
         return None
     points = valley.walk(q, limit, np.random.default_rng(0)) if freedoms else q[None]

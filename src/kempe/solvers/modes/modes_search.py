@@ -109,7 +109,7 @@ class Search:
         return good, where
 
     def _look(self, first: int) -> None:
-        """Freedoms of the clusters from the first new one on, each its own twin."""
+        """Find the freedoms of the clusters from the first new one on, each its own twin."""
         new = freedoms(self.system, self.bound, self.known, self.clusters, self.clusters.q[first:])
         self.free = np.concatenate([self.free[:first], new])
         self.twin = np.concatenate([self.twin[:first], np.arange(first, len(self.free))])
@@ -145,7 +145,7 @@ class Search:
                 self.twin[self.twin == self.twin[max(i, k)]] = self.twin[min(i, k)]
         return len(self.free) > before
 
-    def settled(self) -> bool:
+    def decided(self) -> bool:
         """Whether each mode was found often, others were looked for in vain, and their number is not against it."""
         if self.tried < LEAST or not len(self.free) or not np.all(self.hits >= SEEN_OFTEN) or self.complete():
             return False
@@ -195,7 +195,7 @@ def _one_round(s: Search, starts: int) -> bool:
         start[0] = home_of(system) if near is None else near
     s.tried += n
     s.take(start, True)
-    if s.settled():
+    if s.decided():
         return True
     hits = s.hits
     return bool(s.tried >= MANY and len(hits) and share_found(hits) < HOPELESS)

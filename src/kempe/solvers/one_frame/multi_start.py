@@ -173,7 +173,7 @@ def _more(task: Task, head: tuple[Any, ...], rows: np.ndarray, first: int, count
 
 
 def _end(task: Task, targets: Array, left: np.ndarray, out: Array) -> None:
-    """Nothing; the time is up for these rows: they are measured as they are."""
+    """Measure these rows as they are: the time is up."""
     n = out.shape[1] - ANSWER
     out[left, n + STATUS] = Status.OUT_OF_TIME
     out[left, n : n + STATUS] = misses(task, targets[left], out[left, :n])

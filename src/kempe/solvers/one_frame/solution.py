@@ -94,7 +94,7 @@ class Solution(Answer):
 
     @cached_property
     def task(self) -> Task:
-        """The problem."""
+        """The problem that was solved."""
         if isinstance(self.problem, tuple):
             bound, target = self.problem
             return bound.task(target)

@@ -80,7 +80,7 @@ class _Reader:
         self.angle = DEGREE if degrees else 1.0
 
     def all(self) -> FileTasks:
-        """All tasks."""
+        """All tasks of the file."""
         findings, where = self.document.findings, self.document.where
         for key in self.document.data:
             if key != "task":

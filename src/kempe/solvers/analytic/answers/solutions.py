@@ -56,7 +56,7 @@ class Solutions(Answer):
 
     @cached_property
     def question(self) -> Question:
-        """The problem."""
+        """The problem that was solved."""
         if isinstance(self._question, tuple):
             bound, target = self._question
             return bound.question(target)
