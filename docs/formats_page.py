@@ -55,7 +55,7 @@ except kempe.KempeError as error:
 
 xacro is a program that writes URDF: `kempe.load("robot.urdf.xacro", xacro=True)` runs it, if you trust it.
 Denavit-Hartenberg tables and screw axes are given [in Python](howto_describe.md#from-tables), or in
-[TOML](toml.md).
+[TOML](toml.md). A format of your own is [one row more](add/format.md).
 """
 
 

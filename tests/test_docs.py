@@ -15,19 +15,20 @@ from types import ModuleType
 from typing import NamedTuple
 
 import pytest
-from own_joints import registered
 from reviewed_sentences import REVIEWED
+from tables import restored
 
 from kempe.errors import KempeError, MissingExtraError
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
+DOCS = ROOT / "docs"
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.glob("*.md"), *DOCS.glob("add/*.md")])
 FENCE = re.compile(r"^```([^\n`]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 NUMBER = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+")
 README_COMMAND = re.compile(r"\.venv/bin/kempe ([^\n]*)")
 
-pages = pytest.mark.parametrize("path", PAGES, ids=lambda p: p.stem)
+pages = pytest.mark.parametrize("path", PAGES, ids=lambda p: p.relative_to(ROOT).with_suffix("").as_posix())
 
 
 class Block(NamedTuple):
@@ -98,7 +99,7 @@ def test_code_runs(path, tmp_path, monkeypatch):
     code = [b for b in blocks(path) if is_code(b)]
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "__main__"}
-    with registered([]):  # what a page adds to the table of joints goes again
+    with restored():
         for block in code:
             run(path, block, names)
 
@@ -162,12 +163,13 @@ def headings(path: Path) -> set[str]:
 
 
 def test_every_page_is_in_the_table_of_contents():
-    index = ROOT / "docs" / "index.md"
+    index = DOCS / "index.md"
     listed = [
         line for b in blocks(index) if b.kind == "{toctree}" for line in b.text.splitlines()
         if line and not line.startswith(":")
     ]  # fmt: skip
-    assert sorted(listed) == sorted(p.stem for p in PAGES if p.parent == index.parent and p != index)
+    written = [p.relative_to(DOCS).with_suffix("").as_posix() for p in PAGES if DOCS in p.parents and p != index]
+    assert sorted(listed) == sorted(written)
 
 
 def written_by(script: str) -> ModuleType:
