@@ -386,9 +386,9 @@ def test_what_is_no_number_is_refused(name, robots):
     if short.startswith("plot"):
         pytest.importorskip("matplotlib")
     arm = robots["iiwa14" if short in ("arm_angle", "ik_sweep", "self_motion") else "ur5"]
-    asked = [(s, p, usual(s, short)[p]) for s in (arm, robots["four_bar"]) for p in numeric(name, function, s)]
-    answered = [(s, p, good) for s, p, good in asked if answers(function, s, {p: good})]
-    assert answered or not asked
+    requested = [(s, p, usual(s, short)[p]) for s in (arm, robots["four_bar"]) for p in numeric(name, function, s)]
+    answered = [(s, p, good) for s, p, good in requested if answers(function, s, {p: good})]
+    assert answered or not requested
     for system, place, good in answered:  # elsewhere another answer is not to be expected of wrong numbers
         for kind, bad in wrong_ones(short, place, good).items():
             with pytest.raises(KempeError):

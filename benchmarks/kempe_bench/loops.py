@@ -200,7 +200,7 @@ def success(bench: Bench) -> Grid:
 
 
 def _starts() -> int:
-    from kempe.solvers.assembly.assembly import STARTS
+    from kempe.solvers.assembly.assembler import STARTS
 
     return STARTS
 

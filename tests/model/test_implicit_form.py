@@ -13,7 +13,7 @@ from kempe.kernels.compiled import closure_batch
 from kempe.kinematics import closure_rows as full
 from kempe.model.closures.implicit_form import implicit_form, screw, slides_along_z
 from kempe.model.closures.packed_loops import Loops, loops_of, must_be_explicit
-from kempe.solvers.assembly.assembly import Assembler
+from kempe.solvers.assembly.assembler import Assembler
 
 TABLE = [kind(**options) for kind in TYPES.values() for options in variants(kind, 0.3)]
 EVERY = [*TABLE, *(t() for t in OWN)]

@@ -15,7 +15,7 @@ import kempe
 from kempe import Mechanism, constraints
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kinematics import closure_rows
-from kempe.solvers.assembly.assembly import Assembler
+from kempe.solvers.assembly.assembler import Assembler
 from kempe.status import Status
 
 MECHANISMS = [

@@ -41,7 +41,7 @@ from kempe.views.terminal import INCOMPLETE, guarded, leave, print_json, show
 if TYPE_CHECKING:
     from kempe.analysis.continuation.path import Path as Motion
     from kempe.model.system import System
-    from kempe.solvers.assembly.assembly import Assembly
+    from kempe.solvers.assembly.assembled import Assembly
 
 PICTURES = (".png", ".svg", ".pdf")
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from kempe.kinematics.forward import Query
     from kempe.model.namespaces import Inverse, Loops, Symbolic
     from kempe.solvers.analytic.answers.solutions import Solutions
-    from kempe.solvers.assembly.assembly import Assembly
+    from kempe.solvers.assembly.assembled import Assembly
     from kempe.solvers.assembly.charts import Chart
     from kempe.solvers.assembly.ideal import Idealised
     from kempe.solvers.modes.modes import Modes

@@ -100,7 +100,8 @@ def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closur
     fixed = Closure(system, held + [angle_or_slide(system, n) for n in known], near)
     q = None if known else close(fixed, near)  # what is known may be far: then on the branch that `assemble` finds
     if q is None:
-        from kempe.solvers.assembly.assembly import assemble, of_equations
+        from kempe.solvers.assembly.assembler import of_equations
+        from kempe.solvers.assembly.assembly import assemble
 
         answer = assemble(system, known={**hold, **known}, start=near)
         if not answer.success:  # what is one-sided is then reported

@@ -96,8 +96,8 @@ def ik_all(
     if lead == () and not np.isfinite(targets).all():
         raise InputError("target has entries that are not finite")
     known = held_by(fixed)
-    problem = Problem(system, "all", name, (task, direction), targets, lead, known, start, limits=limits,
-                      tolerance=tolerance, budget=budget)  # fmt: skip
+    problem = Problem(system, "all", known, start, None, limits, tolerance, budget, frame=name, task=(task, direction),
+                      targets=targets, lead=lead)  # fmt: skip
     solver, choice = chosen(system, name, problem.task, tuple(known))
     return chosen_by(solver.run(problem), choice)
 

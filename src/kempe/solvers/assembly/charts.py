@@ -26,7 +26,9 @@ from kempe.kinematics.common.gauss_newton import gauss_newton
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import as_q
 from kempe.reals import plain
-from kempe.solvers.assembly.assembly import TOLERANCE, Assembly, assemble
+from kempe.solvers.assembly.assembled import Assembly
+from kempe.solvers.assembly.assembler import TOLERANCE
+from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.assembly.ideal import said, tolerant
 from kempe.solvers.assembly.idle import Spin, idle_part, spins_of
 from kempe.solvers.assembly.shaky import moving

@@ -12,7 +12,7 @@ from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
 from kempe.model.immovable import immovable
 from kempe.solvers.assembly.assembled import Assembly
-from kempe.solvers.assembly.assembly import LOOSEST, Assembler, assembler, of_equations
+from kempe.solvers.assembly.assembler import LOOSEST, Assembler, assembler, of_equations
 from kempe.solvers.assembly.ideal import nearly
 from kempe.spatial import Array
 from kempe.status import Status

@@ -137,7 +137,7 @@ class Idealised(Report):
 
         What is farther from closed than the tolerance explains is left as it is.
         """
-        from kempe.solvers.assembly.assembly import bare
+        from kempe.solvers.assembly.assembler import bare
 
         q = as_q(self.system, q)
         off = np.linalg.norm(evaluate(self.system, q, False, True)[0], axis=-1)
@@ -247,7 +247,7 @@ def _searched(system: System, most: float, thorough: bool = True) -> Idealised |
 
 def _starts(system: System, scaled: float) -> tuple[Array, list[int]]:
     """Where to look for a motion, and the ranks that the equations may have there, the lowest first."""
-    from kempe.solvers.assembly.assembly import bare
+    from kempe.solvers.assembly.assembler import bare
 
     home = home_of(system)
     q = bare(system)(start=home, budget=Budget(starts=FEW)).q

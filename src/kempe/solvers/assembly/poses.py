@@ -24,7 +24,7 @@ from kempe.kinematics.maximal import as_poses, coordinates_of_pose, maximal, max
 from kempe.model.closures.implicit_form import flat_frame, implicit_form, screw, slides_along_z
 from kempe.placement import Placement, place
 from kempe.rigid import rotation_error
-from kempe.solvers.assembly.assembly import LOOSEST, TOLERANCE, assembler
+from kempe.solvers.assembly.assembler import LOOSEST, TOLERANCE, assembler
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

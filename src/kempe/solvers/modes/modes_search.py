@@ -25,7 +25,7 @@ from kempe.joints import P
 from kempe.kinematics.closure_rows import RANK_TOLERANCE, evaluate
 from kempe.kinematics.configuration import home_of, random
 from kempe.model.tree.own_tree import own_tree
-from kempe.solvers.assembly.assembly import Assembler, of_equations
+from kempe.solvers.assembly.assembler import Assembler, of_equations
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
 from kempe.solvers.modes.mirror_images import mirrored, mixed
 from kempe.solvers.modes.same_configuration import SAME, Clusters

@@ -21,7 +21,7 @@ from kempe.rigid import arrays, sound
 from kempe.solvers.assembly.ideal import ideal_of
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, partial
-from kempe.solvers.common.problem import Choice, Solver, takes_all
+from kempe.solvers.common.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
 from kempe.solvers.common.serial_chain import of_loops
 from kempe.solvers.common.slip import rolls
 from kempe.solvers.common.targets import Z_AXIS, parse_targets
@@ -79,9 +79,6 @@ class IkPath(Configurations):
     def __bool__(self) -> bool:
         return bool(np.all(self.success)) and not self.jumps
 
-    def _chosen(self) -> Choice:
-        return SOLVERS[0].choice()
-
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return demands_of(self.problem)
 
@@ -124,30 +121,41 @@ def ik_path(
     if not 0.0 < max_step < math.inf:
         raise InputError(f"max_step is {max_step!r}; it must be a positive number")
     system = ideal_of(system)
+    options = {"max_step": max_step, "restart": restart, "branches": branches}
     wanted = targets if frame is None else _held(system, targets, frame)
-    spend, tolerance = USUAL.of(budget), TOLERANCE if tolerance is None else tolerance
-    problem, first = pose_problem(system, wanted, start, tolerance, spend.starts, spend.rng)
+    name = None if frame is None else system.structure.frame_name(frame)
+    problem = Problem(system, "path", NOTHING, start, None, True, tolerance, budget, options, name, targets=targets,
+                      wanted=wanted)  # fmt: skip
+    solver, choice = choose(SOLVERS, system)
+    return chosen_by(solver.run(problem), choice)
+
+
+def by_steps(problem: Problem) -> IkPath:
+    """The path, gone step by step."""
+    system, start, options, spend = problem.system, problem.start, problem.options, USUAL.of(problem.budget)
+    tolerance, restart = TOLERANCE if problem.tolerance is None else problem.tolerance, options["restart"]
+    demands, first = pose_problem(system, problem.wanted, start, tolerance, spend.starts, spend.rng)
     if not np.isfinite(first).all():
         raise InputError("start has entries that are not finite")
-    if len(problem.lead) != 1 or not problem.lead[0] or len(first) > 1:
-        raise InputError(f"targets have the leading shape {problem.lead}, the start {first.shape}; needed are (n,) "
+    if len(demands.lead) != 1 or not demands.lead[0] or len(first) > 1:
+        raise InputError(f"targets have the leading shape {demands.lead}, the start {first.shape}; needed are (n,) "
                          f"targets and one start ({system.nq},)")  # fmt: skip
-    for task, goals in zip(problem.tasks, problem.goals, strict=True):
+    for task, goals in zip(demands.tasks, demands.goals, strict=True):
         refuse(goals, task.label)
     time = TimeLimit(spend.time_limit)
     time.put_in_order()  # there is nothing to do afterwards
-    way = _Path(problem, max_step, time, spend.progress)
+    way = _Path(demands, options["max_step"], time, spend.progress)
     q0, info = way.rows[0].run(first)
-    begin, n = 0, problem.lead[0]
+    begin, n = 0, demands.lead[0]
     while restart and info[0, 0] != SOLVED and begin + 1 < n:
         begin += 1
         q0, info = way.rows[begin].run(first)
     if info[0, 0] != SOLVED:
         status = f"the path does not begin: target {begin} is {judge(way.rows[begin], q0, info).status}"
-        return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status, problem)
-    if not branches:
+        return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status, demands)
+    if not options["branches"]:
         return way.rolled(way.path(q0[0], restart, begin), begin)
-    further = _all(system, targets, frame, way.rows[begin], begin, q0[0])
+    further = _all(problem, way.rows[begin], begin, q0[0])
     begins = _distinct([q0[0], *way.elsewhere(begin, q0[0]), *further])
     paths = []
     for q in begins:
@@ -295,14 +303,12 @@ def _sentence(system: System, i: int, why: str, q: Array, others: list[Array], r
     return f"{where}; target {i} is reached by a jump of {change[far]:.3g} in {system.structure.velocity_names[far]!r}"
 
 
-def _all(
-    system: System, targets: Any, frame: FrameLike | None, row: Demands, begin: int, q: Array
-) -> list[Array]:  # fmt: skip
+def _all(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
     """What `ik_all` finds for target `begin`, inside the limits; what the target does not ask for is as in q (nq,)."""
-    if frame is None or of_loops(system, system.structure.frame_name(frame)):
+    if problem.frame is None or of_loops(problem.system, problem.frame):
         return []
     try:
-        found = system.ik_all(reals(targets, "targets")[begin], frame)
+        found = problem.system.ik_all(reals(problem.targets, "targets")[begin], problem.frame)
     except UnsupportedError:
         return []
     starts, untouched = found.q[found.inside], apart(row.packed, row.pins)
@@ -332,6 +338,6 @@ def _length(path: IkPath) -> float:
 
 SOLVERS = (
     Solver("steps", "each step from its first order on, halved where it is not much longer than that",
-           takes_all, ik_path),
+           takes_all, by_steps),
 )  # fmt: skip
 """Who answers for a path."""

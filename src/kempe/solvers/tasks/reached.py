@@ -35,9 +35,11 @@ class Reached(Solution):
     late: Any
 
     def _chosen(self) -> Choice:
-        from kempe.solvers.one_frame.inverse import BY_TASKS
+        from kempe.solvers.common.problem import Problem
+        from kempe.solvers.one_frame.inverse import chosen
 
-        return BY_TASKS.choice()
+        usual = Problem(self.problem.system, "one")
+        return chosen(usual.system, usual.frame, usual.task, usual.method, False)[1]
 
     def _analysed(self) -> tuple[int, int, int, Array]:
         return analyse(self.problem, self.q)
