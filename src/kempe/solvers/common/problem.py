@@ -50,7 +50,7 @@ class Problem(NamedTuple):
 class Solver(NamedTuple):
     """A row of the table: its name, how it works, and two functions.
 
-    `refuses` says in a sentence why it is not for what is required, None where it is; it looks at the structure only, not
+    `refuses` says in a sentence why it is not for a problem, None where it is; it looks at the structure only, not
     at numbers that differ from call to call. `run` answers.
     """
 

@@ -161,12 +161,12 @@ class Demands:
     def levels(self) -> tuple[np.ndarray, Array, list[int], Array]:
         """For kernels the stage of each tie and whether it is hard (2 ties,), and weight and tolerances (ties, 3); the
         tasks that are hard, and their tolerances (hard, 2)."""
-        requested = (self.use, self.one_sided, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
-        found = self.packed.stages.get(requested)
+        key = (self.use, self.one_sided, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
+        found = self.packed.stages.get(key)
         if found is None:
             hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
             allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
-            found = keep(self.packed.stages, requested, (*self._staged(), hard, allowed), KEPT)
+            found = keep(self.packed.stages, key, (*self._staged(), hard, allowed), KEPT)
         return found
 
     def _staged(self) -> tuple[np.ndarray, Array]:
