@@ -8,6 +8,11 @@ from pathlib import Path
 from kempe.description.formats import DEFAULT, FORMATS, Format, endings_written, named, read_by
 
 HEAD = """\
+---
+file_format: mystnb
+kernelspec: {name: python3}
+---
+
 # File formats
 
 <!-- Written by docs/formats_page.py from kempe.description.formats.FORMATS; do not edit. -->

@@ -186,6 +186,7 @@ def test_endings_tell_the_format(name: str, tmp_path: Path):
 def test_contents_and_endings_together(text: str, ending: str, title: str, tmp_path: Path, monkeypatch):
     """Contents tell a format that is not read, and one where the ending tells none that is."""
     for name, row in FORMATS.items():
+
         def said(text, source, _title=row.title, **options):
             raise UnsupportedError(_title)
 
