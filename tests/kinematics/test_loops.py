@@ -14,6 +14,7 @@ from oracles.declared import declared
 
 from kempe import Mechanism, System, load, spatial
 from kempe import constraints as c
+from kempe.errors import InputError
 from kempe.joints import joint_type
 from kempe.kinematics import closure_rows
 from kempe.model.closures.implicit_form import implicit_form
@@ -252,3 +253,9 @@ def test_same_zeros_as_closure_error(graph, seed):
         if np.linalg.norm(full) > 1e-6:
             assert np.linalg.norm(small) > 1e-9 and np.linalg.norm(other) > 1e-9
         assert small.size == (s.dim if particle else 6 if s.dim == 3 else 3)
+
+
+@pytest.mark.parametrize("own", [NotImplemented, 1, "no", None])
+def test_whether_own_coordinates_count_is_true_or_false(own):
+    with pytest.raises(InputError, match="own is .*; it must be True or False"):
+        closure_rows.of_system(load("four_bar"), own)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.calls import explained
+from kempe.calls import explained, flag
 from kempe.kernels.compiled import closure_batch
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kinematics.configuration import as_q
@@ -119,7 +119,7 @@ def of_system(system: System, own: bool = True) -> list[SystemConstraint]:
 
     With `own=False` the coordinates of the joints that close loops are left out where nothing else depends on them.
     """
-    loops = full(system, False) if own else loops_of(system, must_be_explicit(system), length=1.0)
+    loops = full(system, False) if flag(own, "own") else loops_of(system, must_be_explicit(system), length=1.0)
     rows: dict[tuple[str, bool], list[int]] = {}
     for i, (name, what) in enumerate(loops.names):
         rows.setdefault((name, what == "relation"), []).append(i)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from kempe.analysis.mobility.reachable import Place, Reach, random_place, reach
 from kempe.calls import explained, explained_methods, generator
 from kempe.description.parts import Fixed
 from kempe.errors import InputError, shown
-from kempe.kinematics.common.result import Report
+from kempe.kinematics.common.result import Worded
 from kempe.kinematics.configuration import one
 from kempe.kinematics.velocity.velocity import tangent_rows
 from kempe.reals import is_real
@@ -66,7 +67,7 @@ class ConstraintKind:
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Classification(Report):
+class Classification(Worded):
     """What the constraints of a system are, each alone and all together, with the reasoning; ``print`` it.
 
     `position_dof` is the dimension of the set of closed configurations at `q`, `velocity_dof` that of the velocities
@@ -115,26 +116,10 @@ class Classification(Report):
         """The outcome: `UNDETERMINED` where growth and what is reached are not known."""
         return Status.UNDETERMINED if self.why and self.growth is None else Status.SOLVED
 
-    @property
-    def status(self) -> str:
-        """The result in one sentence."""
-        from kempe.analysis.mobility.classify_text import sentence
+    def _words(self) -> ModuleType:
+        from kempe.analysis.mobility import classify_text
 
-        return sentence(self)
-
-    def topics(self) -> list[tuple[str, list[str]]]:
-        """The reasons as (title, lines)."""
-        from kempe.analysis.mobility.classify_text import lines
-
-        return lines(self)
-
-    def _headline(self) -> str:
-        return f"{self.name}: {self.status}"
-
-    def _data(self) -> dict[str, Any]:
-        from kempe.analysis.mobility.classify_text import data
-
-        return data(self)
+        return classify_text
 
 
 @explained

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from kempe.analysis.mobility.reachable import velocity_freedoms
 from kempe.calls import explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.ball_angles import regular_chart
-from kempe.kinematics.common.result import Report
+from kempe.kinematics.common.result import Worded
 from kempe.kinematics.configuration import as_q
 from kempe.model.tree.own_tree import own_tree
 from kempe.solvers.assembly.ideal import tolerant
@@ -53,7 +54,7 @@ class ClusterMobility:
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Mobility(Report):
+class Mobility(Worded):
     """Degrees of freedom of a mechanism at a configuration, with the reasoning; ``print`` it.
 
     `gruebler` is the Grübler count; `rank_dof` the nullity of the loop equations at `q`, `generic_rank_dof` its minimum
@@ -158,26 +159,10 @@ class Mobility(Report):
         """The outcome: solved where the mechanism can be closed here."""
         return Status.SOLVED if self.closed else Status.NOT_FOUND
 
-    @property
-    def status(self) -> str:
-        """The result in one sentence."""
-        from kempe.analysis.mobility.mobility_text import sentence
+    def _words(self) -> ModuleType:
+        from kempe.analysis.mobility import mobility_text
 
-        return sentence(self)
-
-    def topics(self) -> list[tuple[str, list[str]]]:
-        """The reasons as (title, lines)."""
-        from kempe.analysis.mobility.mobility_text import lines
-
-        return lines(self)
-
-    def _headline(self) -> str:
-        return f"{self.name}: {self.status}"
-
-    def _data(self) -> dict[str, Any]:
-        from kempe.analysis.mobility.mobility_text import data
-
-        return data(self)
+        return mobility_text
 
 
 @explained

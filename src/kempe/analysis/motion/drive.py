@@ -29,10 +29,10 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.tabular import write_table
 from kempe.model.clocked import clocked, timed
 from kempe.reals import reals
-from kempe.solvers.assembly.held import held_at
 from kempe.solvers.assembly.ideal import tolerant
 from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, TimeUp
 from kempe.solvers.common.slip import rolls
+from kempe.solvers.dyads.held import held_at
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted

@@ -166,16 +166,10 @@ class Answer(Result, Tabular):
         return None if named and np.isnan(q).all() else named
 
 
-@explained_methods
-class Configurations(Answer):
-    """Configurations `q` (n, nq) that answer one question together: all that there are, or a way. Base of such answers.
+class Rows:
+    """Configurations `q` (n, ...) that are gone through like a list. Mixed into answers of which there may be many."""
 
-    Where the work was `interrupted` from the keyboard, or the time limit came (`late`), these are those found by then.
-    """
-
-    interrupted: bool
-    late: bool
-    reason: str
+    q: Array
 
     def __len__(self) -> int:
         return len(self.q)
@@ -185,6 +179,18 @@ class Configurations(Answer):
 
     def __getitem__(self, k: Any) -> Array:
         return self.q[k]
+
+
+@explained_methods
+class Configurations(Rows, Answer):
+    """Configurations `q` (n, nq) that answer one question together: all that there are, or a way. Base of such answers.
+
+    Where the work was `interrupted` from the keyboard, or the time limit came (`late`), these are those found by then.
+    """
+
+    interrupted: bool
+    late: bool
+    reason: str
 
     @property
     def code(self) -> Any:

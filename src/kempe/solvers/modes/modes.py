@@ -15,13 +15,13 @@ from kempe.kinematics.common.result import Cells
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
-from kempe.solvers.assembly.held import held_at
 from kempe.solvers.assembly.ideal import tolerant
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.arguments import start_count
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
 from kempe.solvers.common.problem import Choice, Problem, Solver, choose, chosen_by, takes_all
 from kempe.solvers.dyads.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
+from kempe.solvers.dyads.held import held_at
 from kempe.solvers.modes.same_configuration import INSIDE, SAME, Clusters, metric_of
 from kempe.spatial import Array
 from kempe.status import Status

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from kempe.kinematics.common.result import Cells, by_code
 from kempe.solvers.analytic.plans.branch_names import Kind, branch_names, kind_of, named
 from kempe.solvers.analytic.plans.outcome import codes, goals
 from kempe.solvers.analytic.plans.plan import TASKS
-from kempe.solvers.common.answer import Answer
+from kempe.solvers.common.answer import Answer, Rows
 from kempe.solvers.common.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 from kempe.status import member
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @explained_methods
-class Solutions(Answer):
+class Solutions(Rows, Answer):
     """All configurations that reach a target, or each of a batch of targets.
 
     For one target: `q` (k, nq), those inside the limits first, each group sorted by nearness to `start`. For a batch:
@@ -361,17 +361,6 @@ class Solutions(Answer):
         out = Solutions(self._question, self.plan, self._base, rows, self._counts, self._lead, None, *self._where)
         out._whole, out._left_out = whole, left_out
         return out
-
-    # ---- as a sequence
-
-    def __len__(self) -> int:
-        return len(self.q)
-
-    def __iter__(self) -> Iterator[Array]:
-        return iter(self.q)
-
-    def __getitem__(self, k: Any) -> Array:
-        return self.q[k]
 
     def __repr__(self) -> str:
         what = f"{len(self)} solutions" if self.single else f"{int(self._used.sum())} solutions of {len(self._rows)}"
