@@ -478,8 +478,6 @@ def test_commands_take_shipped_models():
         assert len(Result("fk", name, "--json").json()["bodies"]) == len(data["bodies"])
 
 
-
-
 # ---- the page of the documentation
 
 PAGE = Path(__file__).parent.parent / "docs" / "cli.md"

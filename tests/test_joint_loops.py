@@ -336,9 +336,18 @@ def test_files_hold_registered_types():
         joint_type("pin_slot")
 
 
-@pytest.mark.parametrize(("kind", "dim"), [(PinSlot(), 2), (Geared(), 2), (Crooked(), 3), (BallInTube(), 3),
-                                           (joint_type("P(x) R(z)"), 2), (joint_type("P(x) R(z) R(y)"), 3)],
-                         ids=str)
+@pytest.mark.parametrize(
+    ("kind", "dim"),
+    [
+        (PinSlot(), 2),
+        (Geared(), 2),
+        (Crooked(), 3),
+        (BallInTube(), 3),
+        (joint_type("P(x) R(z)"), 2),
+        (joint_type("P(x) R(z) R(y)"), 3),
+    ],
+    ids=str,
+)
 def test_own_types_are_drawn(kind, dim):
     pytest.importorskip("matplotlib").use("Agg")
     from matplotlib import pyplot

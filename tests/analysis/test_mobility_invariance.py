@@ -106,7 +106,7 @@ def closed_mechanisms(draw) -> System:
     q = arm.random(rng)
     pose = dict(zip(arm.body_names, arm.fk(q), strict=True))
     for k in range(loops):
-        a, b = (("ground", f"b{n - 1}") if k == 0 else tuple(rng.choice(list(arm.body_names), 2, replace=False)))
+        a, b = ("ground", f"b{n - 1}") if k == 0 else tuple(rng.choice(list(arm.body_names), 2, replace=False))
         X = random_pose()
         Y = np.linalg.inv(pose[str(b)]) @ pose[str(a)] @ X
         Y[3] = 0, 0, 0, 1

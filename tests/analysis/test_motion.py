@@ -409,8 +409,11 @@ def test_names_are_checked():
         trace(system, "A", hold={"nothing": 1.0})
     nan = float("nan")
     for bad in (
-        {"budget": kempe.Budget(step=0.0)}, {"budget": kempe.Budget(step=nan)}, {"budget": kempe.Budget(points=1)},
-        {"start": [0.0, 1.0]}, {"start": [nan] * 4},
+        {"budget": kempe.Budget(step=0.0)},
+        {"budget": kempe.Budget(step=nan)},
+        {"budget": kempe.Budget(points=1)},
+        {"start": [0.0, 1.0]},
+        {"start": [nan] * 4},
     ):
         with pytest.raises(InputError):
             trace(system, "A", **bad)

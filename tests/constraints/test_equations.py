@@ -125,7 +125,7 @@ def everything() -> kempe.Mechanism:
     m.equation("law", lambda x: x["A"] - np.hypot(x["B"], 0.5) * x["k"], of=("A", "B", "k"))
     m.equation("two", ["A = B^2", "exp(A) - 1"])
     m.inequality("stop", lambda x: [1.2 - x["A"], x["B"] + 2], of=("A", "B"))
-    m.velocity_equation("rows", lambda x: [[-x["B"] ** 2, 1], [0, x["A"]]], of=("A", "B"))
+    m.velocity_equation("rows", lambda x: [[-(x["B"] ** 2), 1], [0, x["A"]]], of=("A", "B"))
     m.velocity_equation("driven", [["k", "cos(B)"]], of=("A", "B"), b="A")
     return m
 
@@ -139,8 +139,9 @@ def test_files_copies_and_pickles(tmp_path):
     other.constraints.pop("two")
     assert other != m
     q = np.array([0.3, 0.6])
-    np.testing.assert_array_equal(closure_rows.residual(kempe.read(path).build(), q), closure_rows.residual(m.build(),
-    q))
+    np.testing.assert_array_equal(
+        closure_rows.residual(kempe.read(path).build(), q), closure_rows.residual(m.build(), q)
+    )
 
 
 def test_attached_with_a_prefix():

@@ -32,7 +32,8 @@ BAD = {
         "bad__bad refers to an object of this process by its address",
     ),
     "another number of arguments": (
-        "@kernel(F('n'), INT)\ndef bad(x):\n    return 0\n", "bad__bad declares 2 arguments, but has 1"
+        "@kernel(F('n'), INT)\ndef bad(x):\n    return 0\n",
+        "bad__bad declares 2 arguments, but has 1",
     ),
 }
 

@@ -137,6 +137,7 @@ def test_limits_are_changed_and_nothing_else(model, hunt):
 
 def test_it_is_what_the_mechanism_would_give():
     """The same limits, given when the mechanism is described and afterwards, make equal answers."""
+
     def arm(limits):
         m = Mechanism("arm", dim=2)
         m.revolute("q1", m.ground, m.body("upper"), limits=limits)

@@ -347,6 +347,7 @@ def test_what_is_left_open_is_nearest(seed):
 
 def test_large_systems_are_sparse():
     """The envelope of J J^T of a row of 200 four-bars grows with their number, not with its square."""
+
     def row(n):
         m = Mechanism("row", dim=2)
         for i in range(n + 1):

@@ -205,7 +205,10 @@ def test_plain_calls_after_unusual_ones_are_usual():
     X = robot.fk(robot.random(0, 20), frame)
     usual = [robot.ik(x, frame).q for x in X]
     for options in (
-        {"budget": kempe.Budget(starts=1)}, {"tolerance": 0.1}, {"budget": kempe.Budget(rng=3)}, {"task": "position"},
+        {"budget": kempe.Budget(starts=1)},
+        {"tolerance": 0.1},
+        {"budget": kempe.Budget(rng=3)},
+        {"task": "position"},
         {"task": "direction"},
     ):
         other, _ = robot_of("panda")

@@ -366,5 +366,3 @@ def test_work_is_counted():
     s = robot.ik(robot.fk(robot.random(0, 300), "tool"), "tool")
     assert np.median(s.iterations) <= 30 and np.median(s.starts) <= 2
     assert robot.ik([50.0, 0, 0], "tool", budget=kempe.Budget(starts=7)).starts == 7
-
-

@@ -252,5 +252,3 @@ def renamed(made: Declared, bodies: Mapping[str, str], frames: Mapping[str, str]
     of = replace(made.of, **{k: other(x) for k, x in frames_of(made.of).items()})
     own = {"name": prefix + made.name, "of": of.prefixed(prefix)}
     return replace(made, **own, parent=bodies.get(made.parent, ""), child=bodies.get(made.child, ""))
-
-

@@ -15,7 +15,6 @@ from kempe.model.former_names import FormerNames
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-
     from matplotlib.axes import Axes
 
     from kempe.analysis.continuation.path import Path as Motion

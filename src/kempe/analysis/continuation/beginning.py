@@ -164,9 +164,7 @@ def _distinct(system: System, period: Array) -> np.ndarray:
         q = random(system, np.random.default_rng(0), 3)
         before = rows.values(q, declared=True)
         for i in np.flatnonzero(period):
-            after = rows.values(
-                system.structure.layout.integrate(q, period[i] * np.eye(system.nv)[i]), declared=True
-            )
+            after = rows.values(system.structure.layout.integrate(q, period[i] * np.eye(system.nv)[i]), declared=True)
             out[i] = np.any(np.abs(after - before) > SAME_VALUE * (1.0 + np.abs(before)))
     return out
 

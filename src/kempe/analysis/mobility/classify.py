@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from kempe.solvers.assembly.ideal import Idealised
 
 HOLONOMIC, INTEGRABLE, NONHOLONOMIC, UNILATERAL = "holonomic", "integrable", "nonholonomic", "unilateral"
+
+
 @dataclass(frozen=True)
 class ConstraintKind:
     """What one constraint is, alone beside what holds positions.

@@ -168,8 +168,8 @@ def simulate(
     q = start_of(system, start, {}).astype(float)
     times = np.linspace(0.0, float(duration), int(samples))
     if inputs is not None:
-        return _rolls(system, q, times, inputs, velocity, acceleration, TOLERANCE if tolerance is None else tolerance,
-                      TimeLimit(spend.time_limit))
+        allowed, limit = TOLERANCE if tolerance is None else tolerance, TimeLimit(spend.time_limit)
+        return _rolls(system, q, times, inputs, velocity, acceleration, allowed, limit)
     if not is_real(restitution) or not 0.0 <= restitution <= 1.0:
         raise InputError(f"restitution is {restitution!r}; it must be between 0 (no rebound) and 1 (no loss)")
     v = _velocity(system, velocity)

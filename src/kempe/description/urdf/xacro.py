@@ -24,8 +24,7 @@ MEMORY = 2 * 2**30
 """Bytes of memory that an expansion may use."""
 
 XACRO_ADVICE = (
-    "load it with xacro=True (it needs the extra kempe[xacro]), only if you trust it:"
-    " xacro can read any file"
+    "load it with xacro=True (it needs the extra kempe[xacro]), only if you trust it: xacro can read any file"
 )
 """What to do with a xacro file that was given in place of URDF."""
 

@@ -311,5 +311,3 @@ def weakest(m):
     for i in range(n):
         least = min(least, matrix[i * n + i])
     return least
-
-

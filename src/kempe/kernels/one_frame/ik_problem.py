@@ -67,6 +67,7 @@ ARGUMENTS = (
 )  # fmt: skip
 """What the kernels of the inverse kinematics take, see `schedule.reach`."""
 
+
 class IkProblem(NamedTuple):
     """The arguments of a call; all but numbers are pointers."""
 

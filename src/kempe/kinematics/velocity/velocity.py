@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 
-
 @explained
 def rates(system: System, q: Any, t: ArrayLike = 0.0) -> tuple[Array, Array]:
     """The rows A (..., m, nv) and b (..., m) of the velocity constraints A(q) v = b at q (..., nq) and times t (...).

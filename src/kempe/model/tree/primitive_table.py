@@ -161,7 +161,10 @@ class _Rows:
 
 
 def lower(
-    mechanism: Mechanism, topology: Topology, coordinates: Coordinates, parameters: Mapping[str, Any],
+    mechanism: Mechanism,
+    topology: Topology,
+    coordinates: Coordinates,
+    parameters: Mapping[str, Any],
     explicit: Mapping[str, bool] | None = None,
 ) -> Table:
     """The table of a mechanism for these parameters, which may be arrays of one shape (a batch of designs).

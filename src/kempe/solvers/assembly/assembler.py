@@ -80,7 +80,7 @@ class Assembler:
         self.no_pins = np.zeros((1, 12 * len(self.frames)))
 
     def _places(self, names: list[str]) -> None:
-        """Where known coordinates are in q, and how those that follow others lead to their source."""
+        """Find where known coordinates are in q, and how those that follow others lead to their source."""
         system = self.system
         index = {n: i for i, n in enumerate(system.coordinate_names)}
         places, factors, offsets = [], [], []
@@ -347,4 +347,3 @@ def _assembler(system: System, known: tuple[str, ...], one_sided: bool) -> Assem
 def of_equations(system: System, known: Iterable[str] = ()) -> Assembler:
     """As `assembler`, but one-sided constraints do not count: what they leave out is looked at elsewhere."""
     return _assembler(system, listed(known, "known"), not one_sided_rows(system).declared)
-

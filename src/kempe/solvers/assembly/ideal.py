@@ -128,9 +128,15 @@ class Idealised(Report):
         return [self.exactly, f"absorbed is what misses in {said} (m, rad)", *map(str, self.changes)]
 
     def _data(self) -> dict[str, Any]:
-        return {"sentence": self.sentence, "requested": self.requested, "tolerance": self.tolerance,
-                "residual": self.residual, "freedoms": self.freedoms, "absorbed": self.absorbed,
-                "changes": [vars(c) for c in self.changes]}
+        return {
+            "sentence": self.sentence,
+            "requested": self.requested,
+            "tolerance": self.tolerance,
+            "residual": self.residual,
+            "freedoms": self.freedoms,
+            "absorbed": self.absorbed,
+            "changes": [vars(c) for c in self.changes],
+        }
 
     def closed(self, q: Any) -> Array:
         """The configurations (..., nq) nearest to q that close the ideal mechanism, or q as it is where it is open.

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from kempe.solvers.assembly.ideal import Idealised
     from kempe.solvers.common.problem import Choice
 
+
 @explained_methods
 class Answer(Result, Tabular):
     """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why. Base of answers.

@@ -75,13 +75,13 @@ class Closed(Answer):
     success: Any
     gap: Any
     undetermined: Any
-    asked: tuple[Plan, Array] = field(repr=False)
-    """The plan, and the values (n, known) that it was asked to close."""
+    closing: tuple[Plan, Array] = field(repr=False)
+    """The plan, and the values (n, known) that it was to close."""
 
     @property
     def system(self) -> System:
-        """The system that was asked."""
-        return self.asked[0].system
+        """The system of the problem."""
+        return self.closing[0].system
 
     @property
     def ok(self) -> Any:
@@ -91,14 +91,14 @@ class Closed(Answer):
     @property
     def code(self) -> Any:
         """The outcome (...): where this branch does not close, others may."""
-        sound = np.isfinite(self.asked[1]).all(axis=-1).reshape(np.shape(self.success))
+        sound = np.isfinite(self.closing[1]).all(axis=-1).reshape(np.shape(self.success))
         left = np.where(sound, Status.NOT_FOUND, Status.BAD_INPUT)
         return member(np.where(self.success, Status.SOLVED, left))
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         from kempe.solvers.dyads.held import held_at
 
-        plan, values = self.asked
+        plan, values = self.closing
         columns = values.T.reshape(len(plan.known), *np.shape(self.success))
         return held_at(self.system, dict(zip(plan.known, columns, strict=True)))
 

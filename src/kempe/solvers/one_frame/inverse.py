@@ -284,7 +284,7 @@ def run(
 
 
 def _bind(question: Task, task: str | None, shape: tuple[int, ...]) -> None:
-    """Nothing; calls like this one go by a `Bound` from now on, if they are plain enough."""
+    """Let calls like this one go by a `Bound` from now on, if they are plain enough."""
     system, chain, key = question.system, question.chain, (question.frame, task, len(shape))
     point = question.name == "position" and (task is not None or shape != (4, 4))  # a turned particle is an error
     plain = shape in ((4, 4), (3,), (2,)) if point else (shape == (4, 4) and question.name != "position")

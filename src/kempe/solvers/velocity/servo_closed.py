@@ -271,9 +271,7 @@ class Closed:
 
     def bent(self, q: Array, u: Array, dt: float) -> Array:
         """Scaled velocities (nv,) over dt for those at q: without slip in the middle of the way, to second order."""
-        A, b = hard_rows(
-            self.system, self.system.structure.layout.integrate(q, 0.5 * dt * u * self.scale), self.scale
-        )
+        A, b = hard_rows(self.system, self.system.structure.layout.integrate(q, 0.5 * dt * u * self.scale), self.scale)
         return u - np.linalg.pinv(A, rcond=1e-8) @ (A @ u - b)
 
     def _inside(self, q: Array, x: Array) -> Array:

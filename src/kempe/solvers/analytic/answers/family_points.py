@@ -95,6 +95,7 @@ class Points:
 
     def led(self, theta: Array, free: Array) -> Found:
         """Variables (n,) moved across directions `free` (d, n) until the error is least; error and Jacobian there."""
+
         def step(theta: Array, e: Array, J: Array) -> Array:
             y = least_squares(J - (J @ free.T) @ free, e)
             return y if np.abs(y).max(initial=0.0) <= FURTHEST else np.full(len(y), math.inf)
@@ -140,6 +141,7 @@ class Points:
 
     def at_distance(self, centre: Array, starts: Array, far: float) -> Array:
         """Configurations (N, n) on target so far from `centre` (n,), from starts (N, n); NaN where none is found."""
+
         def both(theta: Array, _: np.ndarray) -> tuple[Array, Array]:
             r = theta - centre
             size = np.linalg.norm(r, axis=1)

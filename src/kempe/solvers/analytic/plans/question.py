@@ -24,7 +24,6 @@ ANGULAR = 1e-6
 """Largest tolerance of angles that rounding of positions makes."""
 
 
-
 @dataclass(frozen=True, eq=False)
 class Question:
     """Targets (N, 4, 4) for a frame, with `lead` their leading shape (None for one target), and the task."""

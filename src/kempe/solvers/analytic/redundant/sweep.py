@@ -103,7 +103,7 @@ class Slice(Rows, Answer):
 
     @property
     def system(self) -> System:
-        """The system that was asked."""
+        """The system of the problem."""
         return self.sweep.system
 
     @property
